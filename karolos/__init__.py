@@ -1,0 +1,3 @@
+"""Karolos: declarative reinforcement-learning experiments on robot-task environments."""
+
+__version__ = "0.1.0"

@@ -1,0 +1,309 @@
+"""The vocabulary of karolos: what flows between environments, buffers and agents, and the interfaces of the parts.
+
+Conventions, said once: SI units (m, s, kg, N, rad), quaternions x y z w, float32 arrays in memory that is shared or
+stored, any number of leading axes (none for one environment, one for several). An episode ends as `terminated` (the
+world has no future: no value beyond) or `truncated` (time is up: the value goes on). Continuous actions lie in [-1, 1].
+"""
+
+from __future__ import annotations
+
+from abc import ABC, abstractmethod
+from collections.abc import Mapping, Sequence
+from dataclasses import dataclass
+from typing import TYPE_CHECKING, Any, ClassVar, NamedTuple
+
+import numpy as np
+from numpy.typing import NDArray
+from pydantic import BaseModel, ConfigDict
+
+if TYPE_CHECKING:
+    from .seeding import SeedTree
+
+Array = NDArray[Any]
+FloatArray = NDArray[np.float32]
+BoolArray = NDArray[np.bool_]
+State = dict[str, Any]
+"""What a stateful part hands out and takes back: nested dicts of arrays, tensors, numbers and strings; no objects."""
+
+
+class Settings(BaseModel):
+    """Base of every plugin's nested `Settings`: frozen, and every key is known."""
+
+    model_config = ConfigDict(extra="forbid", frozen=True, allow_inf_nan=False)
+
+
+@dataclass(frozen=True)
+class Field:
+    """A named run of numbers in a flat vector."""
+
+    name: str
+    size: int
+    unit: str = "1"
+
+
+@dataclass(frozen=True)
+class Layout:
+    """The fields of a flat float32 vector, in order, so that parts can be addressed by name."""
+
+    fields: tuple[Field, ...] = ()
+
+    def __post_init__(self) -> None:
+        names = [field.name for field in self.fields]
+        if len(set(names)) != len(names):
+            raise ValueError(f"a layout names a field twice: {names}")
+
+    @property
+    def size(self) -> int:
+        return sum(field.size for field in self.fields)
+
+    @property
+    def names(self) -> tuple[str, ...]:
+        return tuple(field.name for field in self.fields)
+
+    def slice(self, name: str) -> slice:
+        """Where the field lies in the vector. Raises KeyError for a name the layout does not have."""
+        start = 0
+        for field in self.fields:
+            if field.name == name:
+                return slice(start, start + field.size)
+            start += field.size
+        raise KeyError(f"no field {name!r}; the layout has {', '.join(self.names) or 'none'}")
+
+    def __add__(self, other: Layout) -> Layout:
+        return Layout(self.fields + other.fields)
+
+
+@dataclass(frozen=True)
+class Discrete:
+    """A discrete action set: an action is the index of one of these labels."""
+
+    labels: tuple[str, ...]
+
+    @property
+    def size(self) -> int:
+        """Columns that one stored action takes."""
+        return 1
+
+
+class GoalRule(ABC):
+    """When a goal is reached and what that is worth.
+
+    Pure, vectorised over leading axes and picklable: environment, buffer and tests share one. `achieved` may carry more
+    columns than `desired` names.
+    """
+
+    reward_range: tuple[float, float] = (-np.inf, np.inf)
+    """The smallest and largest reward of one step."""
+
+    @abstractmethod
+    def reward(self, achieved: Array, desired: Array) -> FloatArray:
+        """Reward of arriving at `achieved` (..., a) when `desired` (..., d) is asked for: shape (...)."""
+
+    @abstractmethod
+    def success(self, achieved: Array, desired: Array) -> BoolArray:
+        """Whether the goal holds: shape (...)."""
+
+    def terminated(self, achieved: Array, desired: Array) -> BoolArray:  # noqa: ARG002 (part of the interface)
+        """Whether arriving there ends the episode: shape (...). By default reaching a goal ends nothing."""
+        return np.zeros(np.shape(achieved)[:-1], np.bool_)
+
+
+@dataclass(frozen=True)
+class Signature:
+    """What an environment takes and gives: all that an agent or a buffer may know of it. Picklable."""
+
+    observation: Layout
+    action: Layout | Discrete
+    max_steps: int
+    """Steps after which an episode is truncated."""
+    reward_range: tuple[float, float] = (-np.inf, np.inf)
+    achieved_goal: Layout = Layout()
+    desired_goal: Layout = Layout()
+    goal_rule: GoalRule | None = None
+    """None: the environment has no goals, and both goal layouts are empty."""
+    parameters: Layout = Layout()
+    """What domain randomization draws at each reset, in the order in which `Environment.parameters` gives it."""
+
+
+class Step(NamedTuple):
+    """What an environment gives back after a reset or a step. Leading axes: none, or one over environments."""
+
+    observation: FloatArray
+    achieved_goal: FloatArray
+    desired_goal: FloatArray
+    reward: Any
+    terminated: Any
+    truncated: Any
+    success: Any
+    """Whether the goal holds now. After a reset: reward 0, neither terminated nor truncated."""
+
+
+class Transitions(NamedTuple):
+    """One transition of each of n environments, as they come from collecting. All arrays have the leading axis n.
+
+    Successive calls that name the same environment continue its episode until terminated or truncated.
+    """
+
+    environment: NDArray[np.int64]
+    observation: FloatArray
+    achieved_goal: FloatArray
+    desired_goal: FloatArray
+    action: FloatArray
+    reward: FloatArray
+    next_observation: FloatArray
+    next_achieved_goal: FloatArray
+    terminated: BoolArray
+    truncated: BoolArray
+
+
+class Batch(NamedTuple):
+    """n transitions to learn from, goals possibly relabelled; arrays with the leading axis n.
+
+    Target of a value: reward + discount * (1 - terminated) * value(next_observation, desired_goal).
+    """
+
+    observation: FloatArray
+    desired_goal: FloatArray
+    action: FloatArray
+    reward: FloatArray
+    next_observation: FloatArray
+    terminated: FloatArray
+    """1 where no value lies beyond, else 0. Truncated transitions carry 0."""
+    discount: FloatArray
+    """gamma ** (environment steps between observation and next_observation)."""
+    weight: FloatArray
+    """Importance weights; 1 for uniform sampling."""
+    slot: NDArray[np.int64]
+    """Where each transition lies in the buffer, for `Buffer.update_priorities`."""
+
+
+class Environment(ABC):
+    """One environment: a world that is reset with a seed and then takes actions until its episode ends.
+
+    The same seed and the same actions give the same episode, bit for bit, in a fresh and in a used environment.
+    """
+
+    signature: Signature
+
+    @abstractmethod
+    def reset(self, seed: int) -> Step:
+        """Begin the episode that `seed` (non-negative) determines."""
+
+    @abstractmethod
+    def step(self, action: Array) -> Step:
+        """Take one action: (action.size,) float32, or an index for a discrete set. Raises RuntimeError after an end."""
+
+    def parameters(self) -> FloatArray:
+        """The values domain randomization drew for this episode, as `signature.parameters` lays them out."""
+        return np.zeros(0, np.float32)
+
+    def render(self, width: int = 640, height: int = 480) -> NDArray[np.uint8]:
+        """A picture of the world as it is now: (height, width, 3)."""
+        raise NotImplementedError(f"{type(self).__name__} has no pictures")
+
+    def close(self) -> None:  # noqa: B027 (nothing to free by default)
+        """Free what the environment holds. Safe to call twice."""
+
+
+class Agent(ABC):
+    """A reinforcement-learning algorithm: acts, and learns from batches. Owns no buffer, file or environment."""
+
+    Settings: ClassVar[type[BaseModel]]
+    on_policy: ClassVar[bool]
+    """Whether it must learn from its own latest actions only (PPO) or can learn from old ones (replay)."""
+
+    discount: float
+
+    @abstractmethod
+    def __init__(self, settings: Any, signature: Signature, seeds: SeedTree, device: str = "cpu") -> None: ...
+
+    @abstractmethod
+    def act(self, observation: FloatArray, desired_goal: FloatArray, *, explore: bool) -> FloatArray:
+        """Actions (n, a) for observations (n, o) and goals (n, g). Without exploration it is deterministic."""
+
+    @abstractmethod
+    def learn(self, batch: Batch) -> Mapping[str, Any]:
+        """One gradient update. Returns named scalars as tensors on the device, read by whoever needs a number.
+
+        May hold "priorities": (n,) one non-negative number for each transition, the size of its error.
+        """
+
+    @abstractmethod
+    def state(self) -> State:
+        """Everything that `load_state` needs to go on bit for bit: weights, optimisers, statistics, generators."""
+
+    @abstractmethod
+    def load_state(self, state: State) -> None: ...
+
+
+class Buffer(ABC):
+    """Stores transitions and gives batches."""
+
+    Settings: ClassVar[type[BaseModel]]
+    on_policy: ClassVar[bool]
+
+    @abstractmethod
+    def __init__(
+        self, settings: Any, signature: Signature, seeds: SeedTree, *, environments: int, discount: float
+    ) -> None: ...
+
+    @abstractmethod
+    def add(self, transitions: Transitions) -> None:
+        """Store one transition of each environment named."""
+
+    @abstractmethod
+    def sample(self, size: int) -> Batch:
+        """`size` transitions. The arrays are valid until the next call."""
+
+    def update_priorities(self, slot: NDArray[np.int64], priorities: FloatArray) -> None:  # noqa: B027
+        """Tell the sampler how large the errors of a batch were. Nothing to do where sampling is uniform."""
+
+    @abstractmethod
+    def __len__(self) -> int:
+        """Transitions that can be sampled now."""
+
+    @abstractmethod
+    def state(self) -> State: ...
+
+    @abstractmethod
+    def load_state(self, state: State) -> None: ...
+
+
+class Received(NamedTuple):
+    """What an orchestrator gives back: the environments that answered, in ascending order, and their steps."""
+
+    environment: NDArray[np.int64]
+    step: Step
+
+
+class Orchestrator(ABC):
+    """Many environments, addressed by id 0 .. size - 1, each with at most one command under way."""
+
+    signature: Signature
+    size: int
+
+    @abstractmethod
+    def reset(self, environments: Sequence[int] | NDArray[np.int64], seeds: Sequence[int]) -> None:
+        """Begin an episode in each environment named, with the seed that stands beside it. Does not wait."""
+
+    @abstractmethod
+    def step(self, environments: Sequence[int] | NDArray[np.int64], actions: FloatArray) -> None:
+        """Hand each environment named its row of actions. Does not wait."""
+
+    @abstractmethod
+    def receive(self) -> Received:
+        """Wait for all commands under way. The arrays are the caller's to keep."""
+
+    @abstractmethod
+    def parameters(self, environments: Sequence[int] | NDArray[np.int64]) -> FloatArray:
+        """What domain randomization drew for the running episodes: (n, signature.parameters.size)."""
+
+    @abstractmethod
+    def close(self) -> None:
+        """End workers and free shared memory. Safe to call twice."""
+
+    def __enter__(self) -> Orchestrator:
+        return self
+
+    def __exit__(self, *_: object) -> None:
+        self.close()

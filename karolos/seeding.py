@@ -1,0 +1,39 @@
+"""One SeedSequence tree for every random number of a run: run -> part -> index.
+
+A part draws from a generator of its own, so that adding a draw in one leaves every other stream as it was.
+The tree is addressed by name and number, never by order of creation: `spawn` would make the streams depend on it.
+Source: NumPy's SeedSequence (spawn keys), O'Neill 2015.
+"""
+
+from __future__ import annotations
+
+import zlib
+from dataclasses import dataclass
+
+import numpy as np
+
+Generator = np.random.Generator
+SeedSequence = np.random.SeedSequence
+
+
+@dataclass(frozen=True)
+class SeedTree:
+    """A node of the tree. `entropy` is the run's seed, `path` the keys from the root to this node."""
+
+    entropy: int
+    path: tuple[int, ...] = ()
+
+    def child(self, *keys: str | int) -> SeedTree:
+        """The node below this one that `keys` name, e.g. child("environment", 3)."""
+        numbers = tuple(zlib.crc32(key.encode()) if isinstance(key, str) else key for key in keys)
+        return SeedTree(self.entropy, self.path + numbers)
+
+    def sequence(self) -> SeedSequence:
+        return SeedSequence(self.entropy, spawn_key=self.path)
+
+    def generator(self) -> Generator:
+        return np.random.Generator(np.random.PCG64(self.sequence()))
+
+    def integer(self) -> int:
+        """A seed of 63 bits, for what takes a number (torch, an environment's reset)."""
+        return int(self.sequence().generate_state(1, np.uint64)[0] >> np.uint64(1))
