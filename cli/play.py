@@ -1,0 +1,89 @@
+"""`karolos play`: watch a trained agent, in a window or as a film."""
+
+from __future__ import annotations
+
+import os
+import sys
+import time
+from collections.abc import Iterator
+from pathlib import Path
+from typing import TYPE_CHECKING, Annotated
+
+import typer
+
+from karolos.errors import UsageError
+
+from .common import Database, Runs, open_run
+
+if TYPE_CHECKING:
+    import numpy as np
+    from numpy.typing import NDArray
+
+    from karolos.playing import Moment
+
+FRAMES_PER_SECOND = 24
+"""The control rate of robot tasks, so that a film runs in real time."""
+
+
+def play(
+    run: Annotated[
+        str, typer.Argument(help="Run id, unique prefix of one, @last, or a run folder.", show_default=False)
+    ],
+    record: Annotated[
+        Path | None, typer.Option(help="Film to write: FILE.mp4 or FILE.gif.", show_default=False)
+    ] = None,
+    episodes: Annotated[int, typer.Option(min=1, help="Episodes to play.")] = 5,
+    checkpoint: Annotated[str, typer.Option(help="Which checkpoint to play: best or last.")] = "best",
+    width: Annotated[int, typer.Option(min=16, max=4096, help="Width of the film in pixels.")] = 640,
+    height: Annotated[int, typer.Option(min=16, max=4096, help="Height of the film in pixels.")] = 480,
+    runs: Runs = Path("runs"),
+    database: Database = None,
+) -> None:
+    """Play test episodes of a run's saved policy.
+
+    With a display it opens a window. Without one, or with --record, it writes a film: by default play.mp4 in the run's folder.
+    """
+    if checkpoint not in ("best", "last"):
+        raise UsageError(f"there is no checkpoint {checkpoint!r}", hint="a run keeps best and last")
+    if width % 2 or height % 2:
+        raise UsageError(f"a film of {width} x {height} pixels cannot be coded", hint="use even numbers")
+    folder = open_run(run, runs, database)
+    window = record is None and _has_display()
+    from karolos.playing import load_player
+    from karolos.playing import play as play_episodes
+    from karolos.report.video import check_video_path, write_video
+
+    target = record or folder.path / "play.mp4"
+    if not window:
+        check_video_path(target)
+    spec, environment, agent = load_player(folder, checkpoint, window=window)
+    moments = _tell(play_episodes(environment, agent, episodes=episodes, seed=spec.testing.seed))
+    try:
+        if window:
+            for _ in moments:
+                time.sleep(1 / FRAMES_PER_SECOND)
+            return
+        write_video(target, _pictures(moments, width, height), FRAMES_PER_SECOND)
+    finally:
+        environment.close()
+    print(target)
+
+
+def _pictures(moments: Iterator[Moment], width: int, height: int) -> Iterator[NDArray[np.uint8]]:
+    for moment in moments:
+        yield moment.environment.render(width, height)
+
+
+def _tell(moments: Iterator[Moment]) -> Iterator[Moment]:
+    """Pass moments on; say on stderr how each episode went."""
+    reached = False
+    for moment in moments:
+        reached = moment.success or (reached and moment.step > 0)
+        yield moment
+        if moment.over:
+            outcome = "success" if moment.success else "reached, then lost" if reached else "no success"
+            print(f"episode {moment.episode + 1}: {outcome} after {moment.step} steps", file=sys.stderr)
+
+
+def _has_display() -> bool:
+    return sys.platform in ("win32", "darwin") or bool(os.environ.get("DISPLAY") or os.environ.get("WAYLAND_DISPLAY"))

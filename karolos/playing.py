@@ -1,0 +1,71 @@
+"""Watching a trained agent: episodes of a saved policy, without exploration, one moment at a time."""
+
+from __future__ import annotations
+
+from collections.abc import Iterator
+from dataclasses import dataclass
+
+import numpy as np
+from numpy.typing import NDArray
+
+from . import checkpoint
+from .core import Agent, Environment, Step
+from .environments.build import build_environment
+from .registry import load
+from .run_folder import RunFolder
+from .seeding import SeedTree
+from .spec import Spec
+from .testing import test_seeds
+
+
+@dataclass(frozen=True)
+class Moment:
+    """One step of an episode that is played."""
+
+    episode: int
+    """From 0."""
+    step: int
+    """0 right after the reset."""
+    success: bool
+    over: bool
+    """Whether the episode ends here."""
+    environment: Environment
+    """To take a picture of: `environment.render()`."""
+
+
+def load_player(folder: RunFolder, name: str = "best", *, window: bool = False) -> tuple[Spec, Environment, Agent]:
+    """The spec, one environment without randomization and the agent of a run's checkpoint.
+
+    Args:
+        folder: the run's.
+        name: `best` or `last`.
+        window: show the world in a window.
+
+    Raises:
+        RunError: the run has no such checkpoint, or it is damaged.
+        MachineError: a window is asked for and there is no display.
+    """
+    spec = Spec.from_dict(folder.resolved())
+    parts, _ = checkpoint.load(folder.checkpoints, name)
+    environment = build_environment(spec.recipe(randomize=False), window=window)
+    agent: Agent = load("agents", spec.agent.name)(spec.agent.settings, environment.signature, SeedTree(0), "cpu")
+    agent.load_state(parts["agent"])
+    return spec, environment, agent
+
+
+def play(environment: Environment, agent: Agent, *, episodes: int, seed: int) -> Iterator[Moment]:
+    """Play the first `episodes` test episodes under the root `seed`; with a spec's `testing.seed`, those it was tested on."""
+    for episode, episode_seed in enumerate(test_seeds(seed, episodes)):
+        state = environment.reset(episode_seed)
+        step = 0
+        yield Moment(episode, step, bool(state.success), False, environment)
+        over = False
+        while not over:
+            state = environment.step(_act(agent, state))
+            step += 1
+            over = bool(state.terminated or state.truncated)
+            yield Moment(episode, step, bool(state.success), over, environment)
+
+
+def _act(agent: Agent, state: Step) -> NDArray[np.float32]:
+    return agent.act(state.observation[None], state.desired_goal[None], explore=False)[0]
