@@ -41,7 +41,8 @@ def play(
 ) -> None:
     """Play test episodes of a run's saved policy.
 
-    With a display it opens a window. Without one, or with --record, it writes a film: by default play.mp4 in the run's folder.
+    With a display it opens a window. Without one, or with --record, it writes a film; by default play.mp4 in the run's
+    folder.
     """
     if checkpoint not in ("best", "last"):
         raise UsageError(f"there is no checkpoint {checkpoint!r}", hint="a run keeps best and last")

@@ -54,7 +54,7 @@ def load_player(folder: RunFolder, name: str = "best", *, window: bool = False) 
 
 
 def play(environment: Environment, agent: Agent, *, episodes: int, seed: int) -> Iterator[Moment]:
-    """Play the first `episodes` test episodes under the root `seed`; with a spec's `testing.seed`, those it was tested on."""
+    """Play the first `episodes` test episodes under the root `seed`: with `testing.seed`, those it was tested on."""
     for episode, episode_seed in enumerate(test_seeds(seed, episodes)):
         state = environment.reset(episode_seed)
         step = 0
