@@ -8,13 +8,40 @@ import typer
 
 from karolos.errors import KarolosError
 
-app = typer.Typer(name="karolos", no_args_is_help=True, add_completion=True, pretty_exceptions_enable=False)
+from . import bench, plugins, runs, spec
+from .board import board
+from .check import check
+from .common import clean
+from .play import play
+from .run import run
+
+app = typer.Typer(
+    name="karolos",
+    help="Declarative reinforcement-learning experiments on robot-task environments.",
+    no_args_is_help=True,
+    pretty_exceptions_enable=False,
+)
+app.command()(run)
+app.command()(check)
+app.add_typer(spec.app)
+app.add_typer(plugins.app)
+app.add_typer(runs.app)
+app.command()(play)
+app.command()(board)
+app.add_typer(bench.app, name="bench")
+
+
+@app.callback(invoke_without_command=True)
+def root() -> None:
+    """Declarative reinforcement-learning experiments on robot-task environments."""
 
 
 def main() -> None:
-    """Run the command line; a KarolosError is one line on stderr and its exit code."""
+    """Run the command line; a KarolosError is a line on stderr and its exit code, a second Ctrl-C is 130."""
     try:
         app()
     except KarolosError as error:
-        print(error, file=sys.stderr)
+        print("\n".join(clean(line) for line in str(error).splitlines()), file=sys.stderr)
         sys.exit(error.exit_code)
+    except KeyboardInterrupt:
+        sys.exit(130)

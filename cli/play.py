@@ -13,7 +13,8 @@ import typer
 
 from karolos.errors import UsageError
 
-from .common import Database, Runs, open_run
+from .common import Database, Runs
+from .selection import open_run
 
 if TYPE_CHECKING:
     import numpy as np

@@ -11,7 +11,8 @@ from .errors import RunError, UsageError
 from .events import Listener, RunEvent
 from .jobs import run_side_by_side
 from .run import Run
-from .run_folder import RunFolder, RunSummary
+from .run_folder import RunFolder
+from .run_records import RunSummary
 from .signals import StopRequest, stop_on_signals
 from .spec import Spec
 from .store import Store
@@ -121,14 +122,10 @@ class SeedRunner:
 
     def __call__(self, seed: int, tell: Listener, stop: StopRequest) -> RunSummary:
         spec = Spec.from_dict(self.resolved)
-        store = Store(self.url)
-        try:
-            with RunFolder.create(self.runs, spec.name, seed) as folder:
-                folder.describe(spec.dump(), experiment=spec.hash(), text=self.text)
-                store.add_run(folder.summary(), spec.dump())
-                return Run(spec, seed, folder, store, tell, stop).execute()
-        finally:
-            store.close()
+        with Store(self.url) as store, RunFolder.create(self.runs, spec.name, seed) as folder:
+            folder.describe(spec.dump(), experiment=spec.hash(), text=self.text)
+            store.add_run(folder.summary(), spec.dump())
+            return Run(spec, seed, folder, store, tell, stop).execute()
 
 
 def _ignore(event: RunEvent) -> None:

@@ -11,7 +11,7 @@ from multiprocessing.connection import Connection, wait
 from typing import Any, Protocol
 
 from .events import Listener, RunEnded, RunEvent, RunStarted
-from .run_folder import RunSummary
+from .run_records import RunSummary
 from .signals import StopRequest, stop_on_signals
 
 POLL_SECONDS = 0.2

@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 from collections.abc import Iterator
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 
 import numpy as np
 from numpy.typing import NDArray
@@ -11,10 +11,12 @@ from numpy.typing import NDArray
 from . import checkpoint
 from .core import Agent, Environment, Step
 from .environments.build import build_environment
+from .errors import MachineError
 from .registry import load
 from .run_folder import RunFolder
 from .seeding import SeedTree
 from .spec import Spec
+from .spec.recipe import Recipe
 from .testing import test_seeds
 
 
@@ -45,12 +47,21 @@ def load_player(folder: RunFolder, name: str = "best", *, window: bool = False) 
         RunError: the run has no such checkpoint, or it is damaged.
         MachineError: a window is asked for and there is no display.
     """
-    spec = Spec.from_dict(folder.resolved())
+    spec = Spec.from_dict(folder.spec())
     parts, _ = checkpoint.load(folder.checkpoints, name)
-    environment = build_environment(spec.recipe(randomize=False), window=window)
+    recipe = spec.recipe(randomize=False)
+    environment = build_environment(_in_a_window(recipe) if window else recipe)
     agent: Agent = load("agents", spec.agent.name)(spec.agent.settings, environment.signature, SeedTree(0), "cpu")
     agent.load_state(parts["agent"])
     return spec, environment, agent
+
+
+def _in_a_window(recipe: Recipe) -> Recipe:
+    part = recipe.environment
+    if "window" not in type(part.settings).model_fields:
+        raise MachineError(f"environment {part.name} has no window", hint="record a film with --record FILE.mp4")
+    settings = part.settings.model_copy(update={"window": True})
+    return replace(recipe, environment=replace(part, settings=settings))
 
 
 def play(environment: Environment, agent: Agent, *, episodes: int, seed: int) -> Iterator[Moment]:

@@ -19,7 +19,8 @@ from .core import Agent, Buffer, Orchestrator
 from .errors import KarolosError, MachineError, RunError, StoreError, WorkerError
 from .events import Listener, RunAdvanced, RunEnded, RunStarted, RunTested, RunWarned
 from .registry import load
-from .run_folder import RunFolder, RunSummary
+from .run_folder import RunFolder
+from .run_records import RunSummary
 from .scalars import Means, Scalars
 from .schedules import Every
 from .seeding import SeedTree

@@ -8,6 +8,7 @@ Source: NumPy's SeedSequence (spawn keys), O'Neill 2015.
 from __future__ import annotations
 
 import zlib
+from collections.abc import Mapping
 from dataclasses import dataclass
 
 import numpy as np
@@ -37,3 +38,21 @@ class SeedTree:
     def integer(self) -> int:
         """A seed of 63 bits, for what takes a number (torch, an environment's reset)."""
         return int(self.sequence().generate_state(1, np.uint64)[0] >> np.uint64(1))
+
+
+def generator_state(generator: Generator) -> dict[str, str]:
+    """What `load_generator_state` needs: the PCG64's numbers as text, because they take 128 bits."""
+    inner = dict(generator.bit_generator.state)
+    numbers = {**inner.pop("state"), "has_uint32": inner["has_uint32"], "uinteger": inner["uinteger"]}
+    return {name: str(int(number)) for name, number in numbers.items()}
+
+
+def load_generator_state(generator: Generator, state: Mapping[str, str]) -> None:
+    """Put a generator back where `generator_state` found another."""
+    numbers = {name: int(text) for name, text in state.items()}
+    generator.bit_generator.state = {
+        "bit_generator": "PCG64",
+        "state": {"state": numbers["state"], "inc": numbers["inc"]},
+        "has_uint32": numbers["has_uint32"],
+        "uinteger": numbers["uinteger"],
+    }

@@ -19,14 +19,22 @@ class NearPoint(GoalRule):
         self.reward_range = (-diameter, 0.0) if dense else (-1.0, 0.0)
 
     def reward(self, achieved: Array, desired: Array) -> FloatArray:
-        if self.dense:
-            distance: FloatArray = np.linalg.norm(achieved - desired, axis=-1)
-            return -distance
-        return self.success(achieved, desired).astype(np.float32) - np.float32(1)
+        distance = _distance(achieved, desired)
+        return np.negative(distance) if self.dense else np.subtract(distance < self.threshold, 1, dtype=np.float32)
 
     def success(self, achieved: Array, desired: Array) -> BoolArray:
-        distance: FloatArray = np.linalg.norm(achieved - desired, axis=-1)
-        return np.asarray(distance < self.threshold)
+        return np.asarray(_distance(achieved, desired) < self.threshold)
+
+
+def _distance(achieved: Array, desired: Array) -> FloatArray:
+    between = np.subtract(achieved, desired, dtype=np.float32)
+    distance: FloatArray = np.sqrt(np.add.reduce(between * between, axis=-1))  # norm() takes three times as long
+    return distance
+
+
+def _unit(values: Array) -> FloatArray:
+    """Values cut to [-1, 1]; `clip` takes twice as long for so few."""
+    return np.minimum(np.maximum(values, -1, dtype=np.float32), 1)
 
 
 class Toy(Environment):
@@ -61,6 +69,7 @@ class Toy(Environment):
             goal_rule=rule,
         )
         self._rule = rule
+        self._speed = np.float32(settings.speed)
         self._position = np.zeros(size, np.float32)
         self._goal = np.zeros(size, np.float32)
         self._steps = settings.max_steps  # no episode is running
@@ -78,8 +87,8 @@ class Toy(Environment):
     def step(self, action: Array) -> Step:
         if self._steps >= self.settings.max_steps:
             raise RuntimeError("the episode is over; reset the environment first")
-        displacement = np.clip(action, -1, 1) * self.settings.speed
-        self._position = np.clip(self._position + displacement, -1, 1).astype(np.float32)
+        displacement = _unit(action) * self._speed
+        self._position = _unit(self._position + displacement)
         self._steps += 1
         reward = float(self._rule.reward(self._position, self._goal))
         return self._step(reward, truncated=self._steps >= self.settings.max_steps)

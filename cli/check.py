@@ -1,0 +1,51 @@
+"""`karolos check`: whether specs are right, without running them."""
+
+from __future__ import annotations
+
+from pathlib import Path
+from typing import Annotated, Any
+
+import typer
+
+from .common import Json, clean, rows
+
+
+def check(
+    specs: Annotated[list[Path], typer.Argument(metavar="SPEC...", help="YAML specs to check.", show_default=False)],
+    json: Json = False,
+) -> None:
+    """Check specs and print every problem found, as file:line:column: key: what is wrong.
+
+    Ends with 0 if all are right, 2 if one is not, 3 if a plugin that one names is broken. Runs nothing.
+    """
+    from karolos.errors import PluginError, SpecError
+    from karolos.spec import load_spec
+
+    worst = 0
+    for path in specs:
+        found: list[dict[str, Any]] = []
+        try:
+            load_spec(path)
+        except SpecError as error:
+            worst = max(worst, error.exit_code)
+            found = [_row(path, problem.where, problem.path, problem.what, problem.hint) for problem in error.problems]
+        except PluginError as error:
+            worst = max(worst, error.exit_code)
+            found = [_row(path, error.where, "", error.what, error.hint)]
+        if json:
+            rows(found or [_row(path, str(path), "", None, None)], json=True)
+        else:
+            _print(path, found)
+    raise typer.Exit(worst)
+
+
+def _row(path: Path, where: str | None, key: str, what: str | None, hint: str | None) -> dict[str, Any]:
+    return {"spec": str(path), "ok": what is None, "where": where, "key": key, "problem": what, "hint": hint}
+
+
+def _print(path: Path, found: list[dict[str, Any]]) -> None:
+    if not found:
+        print(clean(f"{path}: ok"))
+    for row in found:
+        line = ": ".join(part for part in (row["where"], row["key"], row["problem"]) if part)
+        print(clean(f"{line}; {row['hint']}" if row["hint"] else line))

@@ -1,0 +1,58 @@
+"""What commands share: options, and how rows and text reach the terminal."""
+
+from __future__ import annotations
+
+import json as json_text
+from collections.abc import Iterable, Mapping, Sequence
+from pathlib import Path
+from typing import Annotated, Any
+
+import typer
+
+Runs = Annotated[Path, typer.Option("--runs", envvar="KAROLOS_RUNS", help="Folder of the run folders.", file_okay=True)]
+Database = Annotated[
+    str | None,
+    typer.Option(
+        "--database",
+        envvar="KAROLOS_DATABASE",
+        help="SQLAlchemy URL of the results database. Default: karolos.sqlite in the runs folder.",
+        show_default=False,
+    ),
+]
+Json = Annotated[bool, typer.Option("--json", help="One JSON object per row.")]
+
+
+def clean(text: str) -> str:
+    """Text from a file as it may reach a terminal: on one line, control characters replaced.
+
+    What is left cannot move the cursor, change colours or ring; nor can bidirectional marks reorder the line.
+    """
+    return "".join(sign if sign.isprintable() else "\N{REPLACEMENT CHARACTER}" for sign in text)
+
+
+def rows(found: Iterable[Mapping[str, Any]], *, json: bool) -> None:
+    """Print rows to stdout: one JSON object each, or columns under their names."""
+    listed = list(found)
+    if json:
+        for row in listed:
+            print(json_text.dumps(row, allow_nan=False, default=str))
+        return
+    if listed:
+        names = list(listed[0])
+        table([[_text(row.get(name)) for name in names] for row in listed], names)
+
+
+def table(lines: Sequence[Sequence[str]], names: Sequence[str]) -> None:
+    """Print cells in columns under their names; the last column is as wide as it needs."""
+    cells = [list(names), *([clean(cell) for cell in line] for line in lines)]
+    widths = [max(len(line[place]) for line in cells) for place in range(len(names))]
+    for line in cells:
+        print("  ".join(cell.ljust(width) for cell, width in zip(line, widths, strict=True)).rstrip())
+
+
+def _text(value: Any) -> str:
+    if value is None:
+        return ""
+    if isinstance(value, float):
+        return f"{value:.6g}"
+    return str(value)

@@ -1,0 +1,134 @@
+"""`karolos plugins`: what is installed, and what can be set."""
+
+from __future__ import annotations
+
+import json as json_text
+from typing import TYPE_CHECKING, Annotated, Any
+
+import typer
+
+from .common import Json, clean, rows, table
+
+if TYPE_CHECKING:
+    from pydantic import BaseModel
+
+app = typer.Typer(name="plugins", help="List robots, tasks, agents, ... and their settings.", no_args_is_help=True)
+Kind = Annotated[str, typer.Argument(metavar="KIND", help="robot, task, environment, agent, buffer, ...")]
+
+
+@app.command("list")
+def list_plugins(
+    kind: Annotated[
+        str | None, typer.Argument(metavar="[KIND]", help="Only this kind: robot, task, agent, ...", show_default=False)
+    ] = None,
+    json: Json = False,
+) -> None:
+    """List the installed plugins and the distributions that they come from. Imports none of them."""
+    from karolos.registry import KINDS, entries, singular
+
+    found = [entry for each in ([_kind(kind)] if kind else KINDS) for entry in entries(each)]
+    rows(
+        [
+            {
+                "kind": singular(entry.kind),
+                "name": entry.name,
+                "distribution": entry.distribution,
+                "version": entry.version,
+                "target": entry.target,
+            }
+            for entry in found
+        ],
+        json=json,
+    )
+
+
+@app.command()
+def show(
+    kind: Kind,
+    name: Annotated[str, typer.Argument(metavar="NAME", help="The name that a spec uses.")],
+    json: Json = False,
+) -> None:
+    """Show a plugin: what it is, and its settings with types, defaults and units."""
+    import inspect
+
+    from karolos.registry import find, load, singular
+
+    entry = find(_kind(kind), name)
+    plugin = load(entry.kind, name)
+    settings = _settings(plugin.Settings)
+    if json:
+        rows(settings, json=True)
+        return
+    print(clean(f"{singular(entry.kind)} {name} ({entry.distribution} {entry.version}, {entry.target})"))
+    for line in (inspect.getdoc(plugin) or "").splitlines():
+        print(f"  {clean(line)}".rstrip())
+    print()
+    if not settings:
+        print("no settings")
+        return
+    table([_cells(row) for row in settings], ["setting", "type", "default", "description"])
+
+
+def _kind(text: str) -> str:
+    """The kind, named in singular or plural. An unknown one is the registry's to refuse."""
+    from karolos.registry import KINDS
+
+    return f"{text}s" if f"{text}s" in KINDS else text
+
+
+def _settings(model: type[BaseModel], prefix: str = "") -> list[dict[str, Any]]:
+    """One row per setting; the settings of nested models follow their own, with dotted names."""
+    from karolos.spec.problems import models_in
+
+    schemas = model.model_json_schema()["properties"] if model.model_fields else {}
+    found = []
+    for name, field in model.model_fields.items():
+        found.append(
+            {
+                "setting": f"{prefix}{name}",
+                "type": _words(schemas.get(name, {})),
+                "required": field.is_required(),
+                "default": None if field.is_required() else _plain(field.get_default(call_default_factory=True)),
+                "description": field.description or "",
+            }
+        )
+        for nested in models_in(field.annotation):
+            found.extend(_settings(nested, f"{prefix}{name}."))
+    return found
+
+
+def _plain(value: object) -> object:
+    """A default as it would stand in a spec."""
+    from pydantic_core import to_jsonable_python
+
+    return to_jsonable_python(value)
+
+
+def _cells(row: dict[str, Any]) -> list[str]:
+    default = "required" if row["required"] else row["default"]
+    text = default if isinstance(default, str) else json_text.dumps(default)
+    return [row["setting"], row["type"], text, row["description"]]
+
+
+_LIMITS = {
+    "minimum": ">=",
+    "exclusiveMinimum": ">",
+    "maximum": "<=",
+    "exclusiveMaximum": "<",
+}
+
+
+def _words(schema: dict[str, Any]) -> str:
+    if "anyOf" in schema:
+        return " or ".join(dict.fromkeys(_words(entry) for entry in schema["anyOf"]))
+    if "enum" in schema:
+        return " | ".join(map(str, schema["enum"]))
+    if "const" in schema:
+        return str(schema["const"])
+    if "$ref" in schema:
+        return "mapping"
+    kind = {"object": "mapping", "array": "list"}.get(schema.get("type", ""), schema.get("type", "any"))
+    if schema.get("type") == "array" and isinstance(schema.get("items"), dict):
+        kind = f"list of {_words(schema['items'])}"
+    limits = [f"{sign} {schema[limit]:g}" for limit, sign in _LIMITS.items() if limit in schema]
+    return " ".join([kind, ", ".join(limits)]).strip()

@@ -1,0 +1,213 @@
+"""`karolos runs`: what was run and what became of it."""
+
+from __future__ import annotations
+
+import os
+import sys
+from collections.abc import Mapping, Sequence
+from dataclasses import dataclass, field
+from pathlib import Path
+from typing import TYPE_CHECKING, Annotated, Any
+
+import typer
+
+from .common import Database, Json, Runs, rows
+
+if TYPE_CHECKING:
+    from karolos.run_folder import RunFolder
+    from karolos.run_records import RunSummary
+    from karolos.store import Store, StoredTest
+
+app = typer.Typer(name="runs", help="List runs and show what became of them.", no_args_is_help=True)
+_PIPE_WIDTH = 500
+
+
+@app.command("list")
+def list_runs(
+    runs: Runs = Path("runs"),
+    database: Database = None,
+    json: Json = False,
+    state: Annotated[
+        str | None, typer.Option(help="Only runs that are created, running, finished, failed, stopped or lost.")
+    ] = None,
+    limit: Annotated[int | None, typer.Option(min=1, help="Not more than that many, the newest first.")] = None,
+) -> None:
+    """List runs, the newest first."""
+    store = _open_store(runs, database)
+    if store is None:
+        print(f"no runs in {runs} yet; `karolos run SPEC` makes one", file=sys.stderr)
+        return
+    with store:
+        found = store.runs(state=state, limit=limit)
+    if json:
+        rows([run.row() for run in found], json=True)
+    elif found:
+        from karolos.report.tables import runs_table
+
+        _print(runs_table(found))
+    else:
+        print("no runs" + (f" are {state}" if state else " yet"), file=sys.stderr)
+
+
+@app.command()
+def show(
+    run: Annotated[str, typer.Argument(metavar="RUN", help="A run's id or how it begins, or @last for the newest.")],
+    runs: Runs = Path("runs"),
+    database: Database = None,
+    json: Json = False,
+) -> None:
+    """Show a run: its state, tests with 95 % intervals, spec, checkpoints and what it was made with."""
+    from karolos.errors import UsageError
+
+    store = _open_store(runs, database)
+    if store is None:
+        raise UsageError(f"{run!r} means no run: there are none in {runs} yet", hint="`karolos run SPEC` makes one")
+    with store:
+        summary = store.find(run)
+        view = _from_folder(summary) if os.path.isdir(summary.folder) else _from_index(store, summary)
+    if json:
+        rows([view.row()], json=True)
+    else:
+        _print_view(view)
+
+
+@dataclass(frozen=True)
+class _View:
+    """All that is known of one run."""
+
+    summary: RunSummary
+    tests: Sequence[StoredTest]
+    spec: Mapping[str, Any]
+    checkpoints: Sequence[Mapping[str, Any]] = ()
+    problems: Sequence[str] = ()
+    about: Mapping[str, Any] = field(default_factory=dict)
+    """Versions, machine, command and git commit."""
+
+    def row(self) -> dict[str, Any]:
+        return {
+            **self.summary.row(),
+            "tests": [_test_row(test) for test in self.tests],
+            "checkpoints": list(self.checkpoints),
+            "problems": list(self.problems),
+            "spec": self.spec,
+            **self.about,
+        }
+
+
+def _open_store(runs: Path, database: str | None) -> Store | None:
+    """The index; one that is missing is rebuilt from the run folders. None where there is neither."""
+    from karolos.errors import UsageError
+    from karolos.store import Store, reindex
+
+    if not os.path.isdir(runs) and database is None and runs != Path("runs"):
+        raise UsageError(f"there is no folder {runs}", hint="name the runs folder with --runs")
+    url = database or Store.default_url(runs)
+    if Store.exists(url):
+        return Store(url)
+    if not any(runs.glob("*/run.json")):
+        return None
+    store = Store(url)
+    done = reindex(store, runs)
+    print(f"the index was missing and is rebuilt from {done.runs} run folders", file=sys.stderr)
+    for problem in done.problems:
+        print(f"warning: {problem}", file=sys.stderr)
+    return store
+
+
+def _from_folder(summary: RunSummary) -> _View:
+    from karolos.run_folder import RunFolder
+    from karolos.store import StoredTest
+
+    folder = RunFolder.open(summary.folder)
+    record = folder.record()
+    checkpoints, damaged = _checkpoints(folder)
+    description = folder.description()
+    return _View(
+        summary=record.summary,
+        tests=[StoredTest.of(folder.id, result) for result in record.tests],
+        spec=record.spec,
+        checkpoints=checkpoints,
+        problems=(*record.problems, *damaged),
+        about={key: description.get(key) for key in ("versions", "machine", "command", "git")},
+    )
+
+
+def _from_index(store: Store, summary: RunSummary) -> _View:
+    """What is left of a run whose folder is gone."""
+    return _View(
+        summary=summary,
+        tests=store.tests(summary.run),
+        spec=store.spec(summary.experiment),
+        problems=(f"the run folder is gone: {summary.folder}",),
+    )
+
+
+def _test_row(test: StoredTest) -> dict[str, Any]:
+    from karolos.statistics import wilson
+
+    return {
+        "steps": test.steps,
+        "seconds": test.seconds,
+        "episodes": test.episodes,
+        "success_any": test.any / test.episodes,
+        "success_any_interval": wilson(test.any, test.episodes),
+        "success_end": test.end / test.episodes,
+        "success_end_interval": wilson(test.end, test.episodes),
+        "solved_at_reset": test.reset,
+    }
+
+
+def _checkpoints(folder: RunFolder) -> tuple[list[dict[str, Any]], list[str]]:
+    """The checkpoints with what they say of themselves, and what is wrong with others."""
+    from karolos import checkpoint
+
+    found, problems = [], []
+    for name in checkpoint.names(folder.checkpoints):
+        try:
+            found.append({"name": name, **checkpoint.read_manifest(folder.checkpoints / name)["meta"]})
+        except checkpoint.CheckpointError as error:
+            problems.append(str(error))
+    return found, problems
+
+
+def _print_view(view: _View) -> None:
+    from karolos.report.tables import duration, facts_table, flatten, table_of_tests
+
+    run, about = view.summary, view.about
+    git = about.get("git") or {}
+    commit = f"{git.get('commit', '')[:12]}{' with changes (code.diff)' if git.get('dirty') else ''}" if git else None
+    steps = f"{run.steps:,}, {duration(run.seconds)} of collecting and learning"
+    solved = None if run.steps_to_95 is None else f"{run.steps_to_95:,} steps, {duration(run.seconds_to_95)}"
+    facts = {
+        "run": run.run,
+        "state": run.state if run.error is None else f"{run.state}: {run.error}",
+        "experiment": run.experiment,
+        "steps": steps,
+        "to .95": solved,
+        "created": run.created,
+        "updated": run.updated,
+        "folder": run.folder,
+        "checkpoints": ", ".join(f"{point['name']} ({point.get('steps', 0):,} steps)" for point in view.checkpoints)
+        or "none",
+        "command": " ".join(about["command"]) if about.get("command") else None,
+        "git commit": commit,
+        "versions": ", ".join(f"{name} {version}" for name, version in (about.get("versions") or {}).items()) or None,
+    }
+    _print(facts_table(facts))
+    _print(table_of_tests(view.tests, title="tests") if view.tests else "\nno tests yet\n")
+    _print(facts_table(dict(flatten(view.spec)), title="spec"))
+    for problem in view.problems:
+        print(f"warning: {problem}", file=sys.stderr)
+
+
+def _print(what: object) -> None:
+    """To stdout, as wide as a terminal is; in a pipe a program or an editor reads, which should see whole cells."""
+    from rich.console import Console
+
+    if sys.stdout.isatty():
+        Console().print(what)
+        return
+    console = Console(width=_PIPE_WIDTH)
+    with console.capture() as captured:
+        console.print(what)
+    print("\n".join(line.rstrip() for line in captured.get().splitlines()))

@@ -1,0 +1,70 @@
+"""Inputs at about zero mean and unit spread, whatever their units."""
+
+from __future__ import annotations
+
+import torch
+from torch import Tensor
+
+from ..core import State
+
+CLIP = 5.0
+"""Normalised inputs are cut here. Source: OpenAI baselines, HER (norm_clip)."""
+SMALLEST_SPREAD = 0.01
+"""A column that hardly varies is not blown up further than this. Source: OpenAI baselines, HER (norm_eps)."""
+
+
+class Normaliser:
+    """Running mean and spread of columns, over all rows it was shown (Chan et al. 1979 for the merging).
+
+    `update` is for learning only: acting and tests leave the statistics as they are.
+
+    Args:
+        columns: how many.
+        device: where the statistics live.
+    """
+
+    def __init__(self, columns: int, device: str) -> None:
+        self.count = 0
+        self.mean = torch.zeros(columns, dtype=torch.float64, device=device)
+        self._squares = torch.zeros(columns, dtype=torch.float64, device=device)
+        self._shift = torch.zeros(columns, device=device)
+        self._scale = torch.ones(columns, device=device)
+
+    @property
+    def spread(self) -> Tensor:
+        """Standard deviation of each column, at least SMALLEST_SPREAD; 1 before the first update."""
+        if not self.count:
+            return torch.ones_like(self.mean)
+        return (self._squares / self.count).sqrt_().clamp_(min=SMALLEST_SPREAD)
+
+    def update(self, rows: Tensor) -> None:
+        """Take rows (n, columns) into the statistics."""
+        count = rows.shape[0]
+        variance, mean = torch.var_mean(rows.double(), 0, correction=0)
+        total = self.count + count
+        difference = mean - self.mean
+        self.mean.add_(difference, alpha=count / total)
+        self._squares.add_(variance, alpha=count).addcmul_(difference, difference, value=self.count * count / total)
+        self.count = total
+        self._refresh()
+
+    def _refresh(self) -> None:
+        self._shift.copy_(self.mean)
+        self._scale.copy_(self.spread.reciprocal_())
+
+    def __call__(self, rows: Tensor) -> Tensor:
+        """(n, columns) normalised and clipped to +- CLIP; a new tensor."""
+        return (rows - self._shift).mul_(self._scale).clamp_(-CLIP, CLIP)
+
+    def inverse(self, rows: Tensor) -> Tensor:
+        """What `__call__` was given, where it clipped nothing."""
+        return rows / self._scale + self._shift
+
+    def state(self) -> State:
+        return {"count": self.count, "mean": self.mean.clone(), "squares": self._squares.clone()}
+
+    def load_state(self, state: State) -> None:
+        self.count = int(state["count"])
+        self.mean.copy_(torch.as_tensor(state["mean"]))
+        self._squares.copy_(torch.as_tensor(state["squares"]))
+        self._refresh()

@@ -1,0 +1,184 @@
+"""Where transitions lie: one table of float32 rows, one ring of rows ("lane") per environment.
+
+A transition is one row, so that a batch is one gather whose columns are the batch's fields. An episode is contiguous in
+its lane, seam included, so that the steps before and after a transition are found by counting, without a search.
+"""
+
+from __future__ import annotations
+
+import numpy as np
+
+from ..core import Array, Field, FloatArray, Layout, Signature, State, Transitions
+from ..errors import UsageError
+
+Slots = np.ndarray
+"""Row numbers of the table: (n,) int64. Lane l holds the rows l * lane_size ... (l + 1) * lane_size - 1."""
+
+
+def row_layout(signature: Signature) -> Layout:
+    """The columns of a stored transition of this environment.
+
+    `step`: how many steps of its episode came before. `length`: how many steps its episode took; 0 while it runs.
+    """
+    observation, achieved, desired = (
+        signature.observation.size,
+        signature.achieved_goal.size,
+        signature.desired_goal.size,
+    )
+    return Layout(
+        (
+            Field("observation", observation),
+            Field("next_observation", observation),
+            Field("achieved_goal", achieved),
+            Field("next_achieved_goal", achieved),
+            Field("desired_goal", desired),
+            Field("action", signature.action.size),
+            Field("reward", 1),
+            Field("terminated", 1),
+            Field("step", 1),
+            Field("length", 1),
+        )
+    )
+
+
+class Rows:
+    """Rows gathered from the table, (n, width), addressed by column name. Valid until the next gather."""
+
+    def __init__(self, layout: Layout) -> None:
+        self._columns = {field.name: layout.slice(field.name) for field in layout.fields}
+        self.table = np.zeros((0, layout.size), np.float32)
+        self._views: dict[str, FloatArray] = {}
+
+    def resize(self, size: int) -> None:
+        if size != self.table.shape[0]:
+            self.table = np.empty((size, self.table.shape[1]), np.float32)
+            self._views = {name: self.table[:, columns] for name, columns in self._columns.items()}
+
+    def __getitem__(self, name: str) -> FloatArray:
+        """The named columns of all rows, (n, size of the field): a view, also for writing."""
+        return self._views[name]
+
+    def number(self, name: str) -> FloatArray:
+        """A field of one column, (n,): a view."""
+        return self._views[name][:, 0]
+
+
+class Storage:
+    """A table of transitions, with one ring of rows per environment.
+
+    Args:
+        signature: of the environments that fill it.
+        capacity: transitions in all, split evenly over the environments; what remains of the division is not used.
+        environments: how many lanes.
+
+    Raises:
+        UsageError: a lane could not hold one whole episode.
+    """
+
+    def __init__(self, signature: Signature, capacity: int, environments: int) -> None:
+        self.lanes = environments
+        self.lane_size = capacity // environments
+        if self.lane_size < signature.max_steps:
+            raise UsageError(
+                f"{capacity} transitions over {environments} environments leave {self.lane_size} for each,"
+                f" less than one episode of {signature.max_steps} steps",
+                where="buffer.capacity",
+                hint=f"set buffer.capacity to {environments * signature.max_steps} or more, or use fewer environments",
+            )
+        self.layout = row_layout(signature)
+        self.table = np.zeros((self.lane_size * environments, self.layout.size), np.float32)
+        self.rows = Rows(self.layout)
+        self._incoming = Rows(self.layout)
+        self._columns = {field.name: self.layout.slice(field.name) for field in self.layout.fields}
+        self._length = self._columns["length"].start
+        self.written = np.zeros(environments, np.int64)
+        """Transitions ever written to each lane."""
+        self.running = np.zeros(environments, np.int64)
+        """Steps so far of the episode that each lane's environment plays."""
+
+    @property
+    def filled(self) -> np.ndarray:
+        """Transitions that each lane holds: (lanes,)."""
+        return np.minimum(self.written, self.lane_size)
+
+    def __len__(self) -> int:
+        return int(self.filled.sum())
+
+    def add(self, transitions: Transitions) -> Slots:
+        """Store one transition of each environment named; returns where. Each environment is named once per call."""
+        lanes = transitions.environment
+        rows = self._incoming
+        rows.resize(lanes.size)
+        for name in ("observation", "next_observation", "achieved_goal", "next_achieved_goal", "desired_goal"):
+            rows[name][:] = getattr(transitions, name)
+        rows["action"][:] = transitions.action
+        rows.number("reward")[:] = transitions.reward
+        rows.number("terminated")[:] = transitions.terminated
+        rows.number("step")[:] = self.running[lanes]
+        rows.number("length")[:] = 0
+        slots: Slots = lanes * self.lane_size + self.written[lanes] % self.lane_size
+        self.table[slots] = rows.table
+        self.written[lanes] += 1
+        self.running[lanes] += 1
+        for lane in lanes[np.asarray(transitions.terminated | transitions.truncated, np.bool_)].tolist():
+            self._end_episode(lane)
+        return slots
+
+    def _end_episode(self, lane: int) -> None:
+        """Write the episode's length, now that it is known, beside each of its transitions."""
+        steps = int(self.running[lane])
+        last = int(self.written[lane]) - 1
+        places = np.arange(last - min(steps, self.lane_size) + 1, last + 1) % self.lane_size
+        self.table[lane * self.lane_size + places, self._length] = steps
+        self.running[lane] = 0
+
+    def gather(self, slots: Slots) -> Rows:
+        """The transitions at these slots; the rows are overwritten by the next call."""
+        self.rows.resize(slots.size)
+        np.take(self.table, slots, axis=0, out=self.rows.table, mode="clip")
+        return self.rows
+
+    def column(self, name: str, slots: Slots) -> FloatArray:
+        """One field of the transitions at these slots, (n, size of the field): a copy."""
+        found: FloatArray = self.table[slots, self._columns[name]]
+        return found
+
+    def lengths(self, slots: Slots, rows: Rows) -> Array:
+        """Steps stored of each row's episode, whether it has ended or not: (n,) int64."""
+        lengths = rows.number("length").astype(np.int64)
+        return np.where(lengths > 0, lengths, self.running[slots // self.lane_size])
+
+    def older(self, slots: Slots) -> Array:
+        """How many transitions of the same lane, written before each one, are still there: (n,) int64."""
+        lanes = slots // self.lane_size
+        age = (self.written[lanes] - 1 - slots) % self.lane_size  # lane * lane_size vanishes in the modulus
+        return np.asarray(self.filled[lanes] - 1 - age)
+
+    def shifted(self, slots: Slots, offset: Array) -> Slots:
+        """The slots that lie `offset` steps later (earlier, if negative) in the same lanes."""
+        base = slots - slots % self.lane_size
+        return np.asarray(base + (slots - base + offset) % self.lane_size)
+
+    def state(self) -> State:
+        used = self._used()
+        return {"table": self.table[used], "written": self.written.copy(), "running": self.running.copy()}
+
+    def load_state(self, state: State) -> None:
+        """Raises UsageError when the state is of a buffer of another shape."""
+        written, table = np.asarray(state["written"]), np.asarray(state["table"])
+        fits = written.shape == self.written.shape and table.shape[1:] == self.table.shape[1:]
+        if not fits or table.shape[0] != np.minimum(written, self.lane_size).sum():
+            raise UsageError(
+                "the stored buffer has another number of environments, capacity or kind of transition",
+                where="buffer",
+                hint="resume with the spec the run was started with",
+            )
+        self.written[:] = written
+        self.running[:] = state["running"]
+        self.table[self._used()] = table
+
+    def _used(self) -> Slots:
+        """All slots that hold something."""
+        return np.concatenate(
+            [lane * self.lane_size + np.arange(count) for lane, count in enumerate(self.filled.tolist())]
+        )

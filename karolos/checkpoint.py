@@ -1,0 +1,245 @@
+"""Checkpoints: a folder of files that is whole or not there, and says so when it is damaged.
+
+    <name>/<part>.pt        one file per part, written by torch.save, read with weights_only=True and nothing else
+    <name>/manifest.json    format, meta, size and sha256 of each file, sha256 of itself; written last
+
+A checkpoint is written beside the old one and takes its place by renaming. Killed between the two renames, the old one
+still lies in `.<name>.previous`, where `load` finds it.
+"""
+
+from __future__ import annotations
+
+import hashlib
+import json
+import os
+import pickle
+import re
+import shutil
+from collections.abc import Mapping
+from pathlib import Path
+from typing import Any, BinaryIO
+
+from .core import State
+from .encoding import decode, encode
+from .errors import RunError
+from .files import below, parse_object, sync_folder, writing
+
+FORMAT = 1
+"""Version of the encoding and of the manifest."""
+_PART = re.compile(r"[a-z][a-z0-9_]{0,31}")
+_MANIFEST = "manifest.json"
+_MANIFEST_BYTES = 1 << 24
+_MALFORMED = (RuntimeError, ValueError, KeyError, TypeError, AttributeError, AssertionError, EOFError, OverflowError)
+"""What torch's reader and `decode` raise on files that were made to look like checkpoints."""
+
+
+class CheckpointError(RunError):
+    """A checkpoint that is missing, damaged, from a newer karolos or not to be trusted."""
+
+
+def save(folder: Path, name: str, parts: Mapping[str, State], meta: Mapping[str, Any]) -> Path:
+    """Write a checkpoint and put it in the place of an older one of that name.
+
+    Args:
+        folder: where the checkpoints of the run lie; made if it is not there.
+        name: e.g. "best" or "last".
+        parts: nested dictionaries, lists and tuples of tensors, numpy arrays, numbers, strings, booleans and None.
+        meta: JSON values that say what it is (experiment, steps ...).
+
+    Returns:
+        The checkpoint's folder.
+
+    Raises:
+        MachineError: the disk is full or the folder cannot be written; the older checkpoint is kept.
+        TypeError: a state holds something else; names the key path.
+    """
+    _check_names(name, parts)
+    with writing(folder):
+        folder.mkdir(parents=True, exist_ok=True)
+    target = below(folder, name)
+    fresh = folder / f".{name}.new"
+    with writing(target):
+        try:
+            shutil.rmtree(fresh, ignore_errors=True)  # what a killed process left
+            fresh.mkdir()
+            files = {part: _write_part(fresh / f"{part}.pt", encode(state, part)) for part, state in parts.items()}
+            _write_manifest(fresh, files, meta)
+        except BaseException:  # an interrupt, too, leaves nothing behind
+            shutil.rmtree(fresh, ignore_errors=True)
+            raise
+        _put_in_place(fresh, target)
+    return target
+
+
+def load(folder: Path, name: str) -> tuple[dict[str, State], dict[str, Any]]:
+    """Read a checkpoint: its parts and its meta.
+
+    Raises:
+        CheckpointError: it is missing, truncated, changed, from a newer karolos, or holds what is no plain state.
+    """
+    path = _find(folder, name)
+    manifest = read_manifest(path)
+    for part, facts in manifest["files"].items():
+        _verify(path / f"{part}.pt", facts)
+    parts = {part: _read_part(path / f"{part}.pt") for part in manifest["files"]}
+    return parts, manifest["meta"]
+
+
+def names(folder: Path) -> tuple[str, ...]:
+    """Names of the checkpoints in a folder, whole ones only by their manifest; their files are not looked at."""
+    if not os.path.isdir(folder):
+        return ()
+    found = sorted(path for path in folder.iterdir() if _PART.fullmatch(path.name))
+    return tuple(path.name for path in found if os.path.isfile(path / _MANIFEST))
+
+
+def read_manifest(path: Path) -> dict[str, Any]:
+    """Manifest of the checkpoint in the folder `path`, verified in itself: format, meta, files.
+
+    Raises:
+        CheckpointError: it is missing, damaged or of a newer format.
+    """
+    try:
+        with (path / _MANIFEST).open("rb") as file:
+            manifest = parse_object(file.read(_MANIFEST_BYTES))
+    except OSError as error:
+        raise _damaged(path, f"its {_MANIFEST} is missing ({error.strerror})") from error
+    if manifest is None:
+        raise _damaged(path, f"its {_MANIFEST} cannot be read")
+    version = manifest.get("format")
+    if isinstance(version, int) and version > FORMAT:
+        raise CheckpointError(
+            f"the checkpoint has format {version}, this karolos knows {FORMAT}", where=str(path), hint="update karolos"
+        )
+    files = manifest.get("files")
+    sound = (
+        manifest.get("sha256") == _digest(manifest)
+        and isinstance(manifest.get("meta"), dict)
+        and isinstance(files, dict)
+        and all(_PART.fullmatch(part) for part in files)
+    )
+    if not sound:
+        raise _damaged(path, f"its {_MANIFEST} was changed")
+    return manifest
+
+
+def _check_names(name: str, parts: Mapping[str, State]) -> None:
+    for text in (name, *parts):
+        if not _PART.fullmatch(text):
+            raise ValueError(f"{text!r} cannot name a checkpoint or a part: lower-case letters, digits, underscores")
+
+
+class _Sink:
+    """A file that hashes what is written to it and keeps the system's own error, which torch replaces by another."""
+
+    def __init__(self, file: BinaryIO) -> None:
+        self._file = file
+        self._sha256 = hashlib.sha256()
+        self.size = 0
+        self.error: OSError | None = None
+
+    def write(self, data: bytes | memoryview) -> int:
+        try:
+            self._file.write(data)
+        except OSError as error:
+            self.error = error
+            raise
+        self._sha256.update(data)
+        self.size += len(data)
+        return len(data)
+
+    def flush(self) -> None:
+        self._file.flush()
+
+    def facts(self) -> dict[str, Any]:
+        return {"bytes": self.size, "sha256": self._sha256.hexdigest()}
+
+
+def _write_part(path: Path, state: Any) -> dict[str, Any]:
+    """Write one part for good; returns its size and hash."""
+    import torch  # noqa: PLC0415
+
+    with path.open("wb") as file:
+        sink = _Sink(file)
+        try:
+            torch.save(state, sink)  # type: ignore[arg-type]  # it writes and never seeks
+        except RuntimeError as error:
+            if sink.error is None:
+                raise
+            raise sink.error from error
+        file.flush()
+        os.fsync(file.fileno())
+    return sink.facts()
+
+
+def _write_manifest(path: Path, files: Mapping[str, Any], meta: Mapping[str, Any]) -> None:
+    manifest: dict[str, Any] = {"format": FORMAT, "meta": dict(meta), "files": dict(files)}
+    manifest["sha256"] = _digest(manifest)
+    with (path / _MANIFEST).open("w", encoding="utf-8", newline="\n") as file:
+        json.dump(manifest, file, indent=2, allow_nan=False)
+        file.flush()
+        os.fsync(file.fileno())
+    sync_folder(path)
+
+
+def _digest(manifest: Mapping[str, Any]) -> str:
+    """sha256 of a manifest without its own."""
+    rest = {key: value for key, value in manifest.items() if key != "sha256"}
+    return hashlib.sha256(json.dumps(rest, sort_keys=True).encode()).hexdigest()
+
+
+def _previous(target: Path) -> Path:
+    return target.with_name(f".{target.name}.previous")
+
+
+def _put_in_place(fresh: Path, target: Path) -> None:
+    previous = _previous(target)
+    if target.exists():
+        shutil.rmtree(previous, ignore_errors=True)
+        target.rename(previous)
+    fresh.rename(target)
+    sync_folder(target.parent)
+    shutil.rmtree(previous, ignore_errors=True)
+
+
+def _find(folder: Path, name: str) -> Path:
+    path = below(folder, name)
+    for candidate in (path, _previous(path)):
+        if os.path.isdir(candidate):
+            return candidate
+    there = ", ".join(names(folder)) or "none"
+    raise CheckpointError(f"there is no checkpoint {name!r}", where=str(folder), hint=f"there are: {there}")
+
+
+def _verify(path: Path, facts: Any) -> None:
+    try:
+        with path.open("rb") as file:
+            size = os.fstat(file.fileno()).st_size
+            if size != facts["bytes"]:
+                raise _damaged(path, f"it has {size:,} bytes of {facts['bytes']:,}")
+            if hashlib.file_digest(file, "sha256").hexdigest() != facts["sha256"]:
+                raise _damaged(path, "its content was changed")
+    except OSError as error:
+        raise _damaged(path, f"it cannot be read ({error.strerror})") from error
+
+
+def _read_part(path: Path) -> State:
+    import torch  # noqa: PLC0415
+
+    try:
+        state = decode(torch.load(path, map_location="cpu", weights_only=True))
+    except (pickle.UnpicklingError, *_MALFORMED) as error:
+        raise CheckpointError(
+            "the checkpoint holds what is no plain state, and was not loaded",
+            where=str(path),
+            hint="it may run foreign code: do not load it by other means unless you wrote it yourself",
+        ) from error
+    if not isinstance(state, dict):
+        raise _damaged(path, "it holds no state")
+    return state
+
+
+def _damaged(path: Path, why: str) -> CheckpointError:
+    return CheckpointError(
+        f"the checkpoint is damaged: {why}", where=str(path), hint="use another checkpoint of the run, or train again"
+    )

@@ -1,0 +1,41 @@
+"""From a recipe to an environment: what a worker process does first."""
+
+from __future__ import annotations
+
+from typing import Any
+
+from ..core import Environment
+from ..errors import UsageError
+from ..registry import load
+from ..spec.recipe import Part, Recipe
+
+
+def build_environment(recipe: Recipe) -> Environment:
+    """The environment that the recipe describes; nothing is simulated before its first reset.
+
+    Raises:
+        UsageError: a robot or task is missing, or given to an environment that takes none.
+        PluginError: robot and task do not go together, or a plugin does not import.
+    """
+    part = recipe.environment
+    plugin = load(part.kind, part.name)
+    if part.name != "robot_task":
+        if recipe.robot or recipe.task or recipe.randomization:
+            raise UsageError(f"environment {part.name!r} takes no robot, task or randomization", where="environment")
+        environment: Environment = plugin(part.settings)
+        return environment
+    if recipe.robot is None or recipe.task is None:
+        missing = "robot" if recipe.robot is None else "task"
+        raise UsageError(f"no {missing} is given", where="environment", hint="robot_task joins a robot and a task")
+    joined: Environment = plugin(
+        part.settings,
+        robot=_made(recipe.robot),
+        task=_made(recipe.task),
+        randomization={name: _made(distribution) for name, distribution in recipe.randomization},
+    )
+    return joined
+
+
+def _made(part: Part) -> Any:
+    """An instance of a plugin; which class it is only the registry knows."""
+    return load(part.kind, part.name)(part.settings)

@@ -1,0 +1,159 @@
+"""A robot with a task: the environment that joins the two."""
+
+from __future__ import annotations
+
+from collections.abc import Mapping
+from math import isfinite
+
+import numpy as np
+from pydantic import Field as Setting
+
+from ..core import Array, Environment, FloatArray, Settings, Signature, Step
+from ..randomization.distribution import Distribution
+from ..randomization.randomization import Randomization
+from ..simulation.camera import Camera
+from ..simulation.interface import Robot, Task
+from ..simulation.world import World
+
+TIMESTEP = 1 / 240
+"""Seconds of a physics step, PyBullet's own."""
+
+
+class RobotTask(Environment):
+    """Any robot with any task: they meet here and know nothing of each other.
+
+    Observation: the robot's part, then the task's. The physics world is built at the first reset, so that an
+    environment costs nothing until it is used.
+
+    Args:
+        robot: a robot plugin's instance.
+        task: a task plugin's instance.
+        randomization: what to draw at each reset, by parameter ("task.gravity"); nothing by default.
+
+    Raises:
+        PluginError: robot and task do not go together.
+        UsageError: `randomization` names a parameter that neither declares.
+    """
+
+    class Settings(Settings):
+        substeps: int = Setting(
+            10, ge=1, le=100, description="physics steps of 1/240 s per control step; 10 make 24 Hz"
+        )
+        window: bool = Setting(False, description="show the world in a window; needs a display")
+
+    def __init__(
+        self,
+        settings: RobotTask.Settings,
+        *,
+        robot: Robot,
+        task: Task,
+        randomization: Mapping[str, Distribution] | None = None,
+    ) -> None:
+        self.settings = settings
+        self.robot = robot
+        self.task = task
+        self.blow_ups = 0
+        """Episodes that were cut short because the physics left all sense."""
+        robot.prepare(gripper=task.uses_gripper, period=settings.substeps * TIMESTEP)
+        task.fit(robot)
+        declared = {
+            **{f"robot.{name}": parameter for name, parameter in robot.parameters.items()},
+            **{f"task.{name}": parameter for name, parameter in task.parameters.items()},
+        }
+        self._randomization = Randomization(randomization or {}, declared)
+        self._drawn: list[float] = []
+        self.signature = Signature(
+            observation=robot.observation + task.observation,
+            action=robot.action,
+            max_steps=task.max_steps,
+            reward_range=task.goal_rule.reward_range,
+            achieved_goal=task.achieved_goal,
+            desired_goal=task.desired_goal,
+            goal_rule=task.goal_rule,
+            parameters=self._randomization.layout,
+        )
+        self._name = f"{type(robot).__name__}{type(task).__name__}"
+        self._shape = (robot.action.size,)
+        self._world: World | None = None
+        self._steps = task.max_steps  # no episode is running
+        self._last: Step | None = None
+
+    @property
+    def world(self) -> World:
+        """The physics world, built when first asked for."""
+        if self._world is None:
+            self._world = World(substeps=self.settings.substeps, timestep=TIMESTEP, window=self.settings.window)
+            self.robot.build(self._world)
+            self.task.build(self._world)
+        return self._world
+
+    def reset(self, seed: int) -> Step:
+        world = self.world
+        generator = np.random.Generator(np.random.PCG64(seed))
+        self._drawn = self._randomization.draw(generator)
+        for name, value in zip(self._randomization.layout.names, self._drawn, strict=True):
+            part, _, parameter = name.partition(".")
+            if part == "robot":
+                self.robot.apply(parameter, value)
+            else:
+                self.task.apply(world, parameter, value)
+        self.robot.reset(generator)
+        self.task.reset(generator)
+        self._steps = 0
+        return self._observe(reward=False)
+
+    def step(self, action: Array) -> Step:
+        """One control step. Raises ValueError for an action of a wrong shape or with NaN, RuntimeError after an end."""
+        values = self._checked(action)
+        self.robot.act(values)
+        self.world.step()
+        self.robot.read()
+        self._steps += 1
+        return self._observe(reward=True)
+
+    def _checked(self, action: Array) -> list[float]:
+        action = np.asarray(action)
+        if action.shape != self._shape:
+            raise ValueError(f"{self._name}: an action has the shape {self._shape}, not {action.shape}")
+        values: list[float] = action.tolist()
+        if not isfinite(sum(values)):
+            raise ValueError(f"{self._name}: an action must be finite, not {values}")
+        if self._steps >= self.signature.max_steps:
+            raise RuntimeError(f"{self._name}: the episode is over; reset the environment first")
+        return values
+
+    def _observe(self, *, reward: bool) -> Step:
+        numbers = self.robot.observe() + self.task.observe()
+        if not isfinite(sum(numbers)) or self.task.lost():
+            return self._blow_up()
+        rule, goal = self.task.goal_rule, self.task.goal
+        observation = np.array(numbers, np.float32)
+        achieved = self.task.achieved()
+        terminated = bool(reward and rule.terminated(achieved, goal))
+        truncated = self._steps >= self.signature.max_steps and not terminated
+        worth = float(rule.reward(achieved, goal)) if reward else 0.0
+        success = bool(rule.success(achieved, goal))
+        if terminated:
+            self._steps = self.signature.max_steps
+        self._last = Step(observation, achieved, goal, worth, terminated, truncated, success)
+        return self._last
+
+    def _blow_up(self) -> Step:
+        """End the episode with the last state that made sense, and build the world anew before the next."""
+        self.blow_ups += 1
+        self._steps = self.signature.max_steps
+        self.close()
+        if self._last is None:
+            raise RuntimeError(f"{self._name}: the physics blew up before the first step")
+        return self._last._replace(terminated=False, truncated=True)
+
+    def parameters(self) -> FloatArray:
+        return np.array(self._drawn, np.float32)
+
+    def render(self, width: int = 640, height: int = 480) -> Array:
+        return self.world.render(width, height, Camera())
+
+    def close(self) -> None:
+        if self._world is not None:
+            self._world.close()
+            self._world = None

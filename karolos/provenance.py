@@ -1,0 +1,108 @@
+"""What a run was made with: versions, command line, code. Says nothing about whose machine it was."""
+
+from __future__ import annotations
+
+import os
+import platform
+import re
+import subprocess
+import sys
+import tempfile
+from dataclasses import dataclass
+from functools import cache
+from importlib import metadata
+from pathlib import Path
+
+GIT_SECONDS = 10.0
+"""How long one call of git may take before the run goes on without its answer."""
+DIFF_BYTES = 1_000_000
+"""Longer differences are cut off there; data files do not belong into a run folder."""
+UNTRACKED_FILES = 50
+
+_CREDENTIALS = re.compile(r"(?<=://)(?:[^/\s@:]*:\S*|[^/\s@]+)@")
+_GROUPS = "karolos."
+
+
+@dataclass(frozen=True)
+class Code:
+    """The state of the git work tree that a run was started in."""
+
+    commit: str
+    """The commit that was checked out, as hexadecimal digits."""
+    dirty: bool
+    """Whether tracked files differed from it."""
+    untracked: tuple[str, ...]
+    """Files that git neither tracks nor ignores; the first 50."""
+    diff: str
+    """How tracked files differed, cut off at 1 MB."""
+
+
+def redact(text: str) -> str:
+    """Replace user, password and token inside URLs; rather too much than too little."""
+    return _CREDENTIALS.sub("***@", text)
+
+
+def command_line() -> list[str]:
+    """The command that started this process, without the path of the program and without passwords."""
+    program, *arguments = sys.argv or [""]
+    return [Path(program).name, *(redact(argument) for argument in arguments)]
+
+
+@cache
+def versions() -> dict[str, str]:
+    """Versions of Python, karolos, everything karolos depends on, and every plugin package installed."""
+    names = {"karolos"}
+    for requirement in metadata.requires("karolos") or []:
+        if "extra ==" not in requirement:
+            names.add(re.split(r"[^A-Za-z0-9._-]", requirement, maxsplit=1)[0])
+    for distribution in metadata.distributions():
+        if any(point.group.startswith(_GROUPS) for point in distribution.entry_points):
+            names.add(distribution.name)
+    found = {"python": platform.python_version()}
+    for name in sorted(names):
+        try:
+            found[name] = metadata.version(name)
+        except metadata.PackageNotFoundError:
+            found[name] = "not installed"
+    return found
+
+
+def kind_of_machine() -> str:
+    """Operating system and processor family: what numbers may depend on, and nothing that names the machine."""
+    return f"{platform.system()} {platform.machine()}"
+
+
+def code(folder: Path) -> Code | None:
+    """The work tree that `folder` lies in; None without one, or where git is missing or does not answer."""
+    commit = _git(folder, "rev-parse", "--verify", "HEAD")
+    status = _git(folder, "status", "--porcelain", "-z", "--untracked-files=normal")
+    if commit is None or status is None:
+        return None
+    entries = [entry for entry in status.split("\0") if entry]
+    untracked = [entry[3:] for entry in entries if entry.startswith("??")]
+    diff = _git(folder, "diff", "--no-ext-diff", "--no-textconv", "--no-color", "HEAD", "--") or ""
+    return Code(commit.strip(), bool(diff), tuple(untracked[:UNTRACKED_FILES]), redact(diff))
+
+
+def _git(folder: Path, *arguments: str) -> str | None:
+    """What git prints, cut off at DIFF_BYTES; None when it fails. Runs no program that a configuration names."""
+    command = ["git", "-c", "core.fsmonitor=false", "-c", "core.hooksPath=", "--no-pager", *arguments]
+    surroundings = {**os.environ, "GIT_OPTIONAL_LOCKS": "0", "GIT_TERMINAL_PROMPT": "0", "LC_ALL": "C"}
+    with tempfile.TemporaryFile() as answer:
+        try:
+            ended = subprocess.run(
+                command,
+                cwd=folder,
+                env=surroundings,
+                stdin=subprocess.DEVNULL,
+                stdout=answer,
+                stderr=subprocess.DEVNULL,
+                timeout=GIT_SECONDS,
+                check=False,
+            )
+        except (OSError, subprocess.TimeoutExpired):
+            return None
+        if ended.returncode:
+            return None
+        answer.seek(0)
+        return answer.read(DIFF_BYTES).decode("utf-8", "replace")

@@ -1,0 +1,36 @@
+"""One of a few values."""
+
+from __future__ import annotations
+
+from pydantic import Field as Setting
+from pydantic import model_validator
+
+from ..core import Settings
+from ..seeding import Generator
+from .distribution import Distribution
+
+
+class Choice(Distribution):
+    """One of `values`, all equally likely, or as `weights` say."""
+
+    class Settings(Settings):
+        values: tuple[float, ...] = Setting(min_length=1, description="in the parameter's unit")
+        weights: tuple[float, ...] | None = Setting(None, description="relative, none negative; one for each value")
+
+        @model_validator(mode="after")
+        def _fitting(self) -> Choice.Settings:
+            if self.weights is None:
+                return self
+            if len(self.weights) != len(self.values):
+                raise ValueError(f"{len(self.weights)} weights for {len(self.values)} values")
+            if min(self.weights) < 0 or sum(self.weights) <= 0:
+                raise ValueError("weights must not be negative, nor all 0")
+            return self
+
+    def __init__(self, settings: Choice.Settings) -> None:
+        self.settings = settings
+        total = sum(settings.weights or ())
+        self._shares = [weight / total for weight in settings.weights] if settings.weights else None
+
+    def draw(self, generator: Generator) -> float:
+        return self.settings.values[int(generator.choice(len(self.settings.values), p=self._shares))]

@@ -1,0 +1,23 @@
+"""Gaussian values, as in the paper."""
+
+from __future__ import annotations
+
+from pydantic import Field as Setting
+
+from ..core import Settings
+from ..seeding import Generator
+from .distribution import Distribution
+
+
+class Normal(Distribution):
+    """Values around `mean` with standard deviation `std`, both in the parameter's unit."""
+
+    class Settings(Settings):
+        mean: float = Setting(description="in the parameter's unit")
+        std: float = Setting(ge=0, description="standard deviation, in the parameter's unit")
+
+    def __init__(self, settings: Normal.Settings) -> None:
+        self.settings = settings
+
+    def draw(self, generator: Generator) -> float:
+        return float(generator.normal(self.settings.mean, self.settings.std))

@@ -1,0 +1,30 @@
+"""Values between two bounds."""
+
+from __future__ import annotations
+
+from pydantic import Field as Setting
+from pydantic import model_validator
+
+from ..core import Settings
+from ..seeding import Generator
+from .distribution import Distribution
+
+
+class Uniform(Distribution):
+    """Values in [low, high), all equally likely."""
+
+    class Settings(Settings):
+        low: float = Setting(description="in the parameter's unit")
+        high: float = Setting(description="in the parameter's unit")
+
+        @model_validator(mode="after")
+        def _ordered(self) -> Uniform.Settings:
+            if self.high < self.low:
+                raise ValueError(f"high ({self.high:g}) must not be less than low ({self.low:g})")
+            return self
+
+    def __init__(self, settings: Uniform.Settings) -> None:
+        self.settings = settings
+
+    def draw(self, generator: Generator) -> float:
+        return float(generator.uniform(self.settings.low, self.settings.high))

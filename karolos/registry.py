@@ -1,0 +1,133 @@
+"""Names to classes over entry points; names are listed without importing a plugin.
+
+A plugin is a class behind an entry point of the group `karolos.<kind>`. Built-ins come by the same road as a third
+party's. A plugin owns its settings as a nested pydantic model called `Settings`.
+"""
+
+from __future__ import annotations
+
+import importlib.metadata
+from collections.abc import Iterable
+from dataclasses import dataclass
+from difflib import get_close_matches
+from functools import cache
+from typing import Any
+
+from .errors import PluginError, UsageError
+
+KINDS = ("robots", "tasks", "environments", "agents", "buffers", "distributions", "orchestrators")
+
+
+@dataclass(frozen=True)
+class Entry:
+    """A plugin as its distribution declares it; nothing of it has been imported."""
+
+    kind: str
+    name: str
+    target: str
+    """Where the class lies: "module:Class"."""
+    distribution: str
+    version: str
+
+
+def singular(kind: str) -> str:
+    """The kind as it is called in a spec and in messages, e.g. "robot" for "robots"."""
+    return kind.removesuffix("s")
+
+
+def closest(name: str, allowed: Iterable[str]) -> str | None:
+    """The allowed name that `name` was most likely meant to be, if one is near enough."""
+    lowered = {candidate.lower(): candidate for candidate in allowed}
+    found = get_close_matches(name.lower(), lowered, n=1, cutoff=0.6)
+    return lowered[found[0]] if found else None
+
+
+def alternatives(name: str, allowed: Iterable[str], *, what: str = "allowed") -> str:
+    """A hint for a name that is not allowed: the closest match, and what is."""
+    listed = list(allowed)
+    match = closest(name, listed)
+    listing = f"{what}: {', '.join(listed) or 'none'}"
+    return f"did you mean {match!r}? {listing}" if match else listing
+
+
+def entries(kind: str) -> tuple[Entry, ...]:
+    """The installed plugins of a kind, by name; a name that two distributions claim stands twice.
+
+    Raises:
+        UsageError: no such kind.
+    """
+    if kind not in KINDS:
+        raise UsageError(f"no kind of plugin is called {kind!r}", hint=alternatives(kind, KINDS))
+    return tuple(entry for entry in _installed() if entry.kind == kind)
+
+
+def names(kind: str) -> list[str]:
+    """The names of a kind's installed plugins, sorted, without importing any."""
+    return sorted({entry.name for entry in entries(kind)})
+
+
+def load(kind: str, name: str) -> Any:
+    """The class behind a name. Imports that plugin and no other.
+
+    Raises:
+        UsageError: no such kind or no such name; says what there is, and the closest match.
+        PluginError: two distributions claim the name, the plugin does not import, or it has no usable `Settings`.
+    """
+    return _load(find(kind, name))
+
+
+def find(kind: str, name: str) -> Entry:
+    """The one plugin of that kind and name, not imported. Raises as `load` does."""
+    found = [entry for entry in entries(kind) if entry.name == name]
+    if not found:
+        raise UsageError(
+            f"no {singular(kind)} is called {name!r}", hint=alternatives(name, names(kind), what=f"installed {kind}")
+        )
+    if len(found) > 1:
+        claims = " and ".join(entry.distribution for entry in found)
+        raise PluginError(f"{singular(kind)} {name!r} is claimed by {claims}", hint="uninstall one of them")
+    return found[0]
+
+
+@cache
+def _installed() -> tuple[Entry, ...]:
+    """Scanning the installed distributions takes some 20 ms: once per process."""
+    found = {
+        Entry(kind, point.name, point.value, point.dist.name if point.dist else "?", _version(point))
+        for kind in KINDS
+        for point in importlib.metadata.entry_points(group=f"karolos.{kind}")
+    }
+    return tuple(sorted(found, key=lambda entry: (KINDS.index(entry.kind), entry.name, entry.distribution)))
+
+
+def _version(point: importlib.metadata.EntryPoint) -> str:
+    return point.dist.version if point.dist else "?"
+
+
+@cache
+def _load(entry: Entry) -> Any:
+    point = importlib.metadata.EntryPoint(entry.name, entry.target, f"karolos.{entry.kind}")
+    where = f"{singular(entry.kind)} {entry.name!r} of {entry.distribution} {entry.version}"
+    try:
+        plugin = point.load()
+    except Exception as error:  # a plugin's module may raise anything; the cause keeps its traceback
+        text = (str(error).splitlines() or [""])[0]
+        raise PluginError(
+            f"does not import: {type(error).__name__}: {text}",
+            where=where,
+            hint=f"repair {entry.target}, or uninstall {entry.distribution}",
+        ) from error
+    _check(plugin, where)
+    return plugin
+
+
+def _check(plugin: object, where: str) -> None:
+    from pydantic import BaseModel  # noqa: PLC0415  (30 ms that listing names does not need)
+
+    settings = getattr(plugin, "Settings", None)
+    if not isinstance(plugin, type):
+        raise PluginError("is not a class", where=where, hint="the entry point must name the plugin's class")
+    if not (isinstance(settings, type) and issubclass(settings, BaseModel)):
+        raise PluginError("has no settings", where=where, hint="nest a pydantic model called Settings in the class")
+    if "name" in settings.model_fields:
+        raise PluginError("has a setting called 'name'", where=where, hint="a spec's `name` says which plugin; rename")

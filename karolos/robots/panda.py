@@ -1,0 +1,41 @@
+"""Franka Emika Panda with its parallel gripper."""
+
+from __future__ import annotations
+
+from math import pi
+from pathlib import Path
+
+from ..simulation.interface import Box, Gripper
+from .arm import Arm
+from .model import ArmModel, ArmSettings, Fingers
+
+
+class Panda(Arm):
+    """Seven joints, reach .855 m, payload 3 kg, a gripper of two fingers that opens 8 cm.
+
+    Sources: Franka Emika's data sheet and interface documentation, Gaz et al. 2019; see urdf/panda.urdf.
+    """
+
+    class Settings(ArmSettings):
+        """As every arm's."""
+
+    model = ArmModel(
+        urdf=Path(__file__).parent / "urdf" / "panda.urdf",
+        home=(0.0, 0.41, 0.0, -1.85, 0.0, 2.26, pi / 4),  # tool at .638 0 .199, as in panda-gym
+        workspace=Box((0.3, -0.25, 0.015), (0.7, 0.25, 0.4)),
+        tool=(0.0, 0.0, 0.2104),  # flange .107, tool centre point .1034 beyond it
+        tool_rpy=(0.0, 0.0, -pi / 4),
+        fingers=Fingers(
+            joints=("finger_joint1", "finger_joint2"),
+            links=("finger1", "finger2"),
+            travel=0.04,
+            open_at_zero=False,
+            facts=Gripper(width=0.08, force=20.0, speed=0.05, pad_friction=1.0),
+        ),
+        # the hand against the base and the upper arm: what the joint limits leave possible
+        self_collisions=tuple(
+            (distal, proximal)
+            for distal in ("link5", "link6", "link7", "finger1", "finger2")
+            for proximal in ("link0", "link1", "link2")
+        ),
+    )

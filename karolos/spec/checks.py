@@ -1,0 +1,91 @@
+"""What has to fit together in a spec, beyond what each part can see of itself."""
+
+from __future__ import annotations
+
+from typing import Any
+
+from ..errors import PluginError, UsageError
+from ..registry import closest, load
+from .model import Spec
+from .nodes import DEFAULT, Located, Node
+
+ROBOT_TASK = "robot_task"
+"""The environment that is made of a robot and a task."""
+
+
+def environment_problems(tree: Node) -> list[Located]:
+    """Robot and task go together, and with no other environment than robot_task."""
+    robot, task, environment = tree.get("robot"), tree.get("task"), tree.get("environment")
+    if environment is None:
+        return _without_environment(tree, robot, task)
+    name = _name(environment)
+    if name is None:
+        return []
+    if name == ROBOT_TASK:
+        missing = [key for key in ("robot", "task") if tree.get(key) is None and not _misspelt(tree, key)]
+        if not missing:
+            return []
+        what = f"{ROBOT_TASK} needs a {' and a '.join(missing)}"
+        return [Located(environment.place, "environment", what, f"add {' and '.join(missing)}")]
+    problems = [
+        Located(
+            node.place, key, f"goes with environment {ROBOT_TASK}, not with {name!r}", f"remove {key}, or write null"
+        )
+        for key, node in (("robot", robot), ("task", task))
+        if node is not None
+    ]
+    drawn = tree.get("randomization")
+    if drawn is not None and drawn.mapping:
+        what = f"environment {name!r} has no robot or task to randomize"
+        problems.append(Located(drawn.place, "randomization", what, "remove it, or write null"))
+    return problems
+
+
+def _without_environment(tree: Node, robot: Node | None, task: Node | None) -> list[Located]:
+    if any(_misspelt(tree, key) for key in ("robot", "task", "environment")):
+        return []  # the misspelt key is told; once it is right, this may be as well
+    if robot is None and task is None:
+        return [Located(tree.at, "", "says nothing to learn in", "give robot and task, or environment")]
+    given, key, other = (robot, "robot", "task") if robot is not None else (task, "task", "robot")
+    assert given is not None  # one of the two is
+    return [Located(given.place, key, f"stands without a {other}", f"add {other}")]
+
+
+def pairing_problems(tree: Node) -> list[Located]:
+    """An on-policy agent learns from an on-policy buffer, any other from replay."""
+    agent_node, buffer_node = tree.get("agent"), tree.get("buffer")
+    agent, buffer = _plugin("agents", agent_node), _plugin("buffers", buffer_node)
+    if agent is None or buffer is None or agent_node is None or buffer_node is None:
+        return []
+    wants, gives = getattr(agent, "on_policy", None), getattr(buffer, "on_policy", None)
+    if wants is None or gives is None or wants == gives:
+        return []
+    place = agent_node.place if buffer_node.at is DEFAULT else buffer_node.place
+    names = f"agent {_name(agent_node)!r}", f"buffer {_name(buffer_node)!r}"
+    if wants:
+        what = f"{names[0]} learns from its own latest actions only, {names[1]} replays old ones"
+        return [Located(place, "buffer", what, "name an on-policy buffer")]
+    what = f"{names[0]} learns from replay, {names[1]} forgets all but the latest actions"
+    return [Located(place, "buffer", what, "name a replay buffer, e.g. uniform")]
+
+
+def _misspelt(tree: Node, key: str) -> bool:
+    """Whether the spec has an unknown key that was most likely meant to be `key`."""
+    unknown = [name for name in tree.mapping or {} if name not in Spec.model_fields]
+    return any(closest(name, Spec.model_fields) == key for name in unknown)
+
+
+def _name(part: Node | None) -> str | None:
+    name = part.get("name") if part else None
+    return name.value if name and isinstance(name.value, str) else None
+
+
+def _plugin(kind: str, part: Node | None) -> Any:
+    """The class that the part names; None where there is none: validation tells why."""
+    name = _name(part)
+    if name is None:
+        return None
+    try:
+        return load(kind, name)
+    except (UsageError, PluginError):
+        return None

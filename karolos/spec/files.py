@@ -1,0 +1,155 @@
+"""Spec files: reading one, and laying it over those that it extends."""
+
+from __future__ import annotations
+
+import os
+from dataclasses import dataclass, field
+from pathlib import Path
+
+from ..errors import Problem, SpecError
+from ..registry import closest
+from .merge import merged, normalised
+from .nodes import Located, Mark, Node, refuse, shown
+from .yaml_text import MAX_CHARACTERS, BrokenTextError, read
+
+TREE = "specs"
+"""Name of the folder that holds a project's specs; `extends` does not leave it."""
+MAX_CHAIN = 16
+"""Files that extend one another in a row."""
+SUFFIXES = (".yaml", ".yml")
+
+
+@dataclass
+class SpecFiles:
+    """Reads a spec file and what it extends, each file once.
+
+    Args:
+        root: the spec's own file; no file outside its folder tree is read.
+    """
+
+    root: Path
+    problems: list[Located] = field(default_factory=list)
+    """What is wrong, but does not keep the rest from being read."""
+    broken: list[Located] = field(default_factory=list)
+    """What leaves parts of the spec unknown, so that checking it further would mislead."""
+    count: int = 0
+    _done: dict[Path, Node] = field(default_factory=dict)
+
+    def load(self) -> Node:
+        """The whole tree of nodes, shorthand written out. Problems are gathered, not raised, but for the root's own.
+
+        Raises:
+            SpecError: the root itself cannot be read.
+        """
+        shown_name = os.fspath(self.root)
+        missing = _unreadable(self.root)
+        if missing:
+            raise SpecError([Problem(shown(shown_name), "", missing, _similar(self.root))])
+        try:
+            return self._load(self.root.resolve(), shown_name, ())
+        except BrokenTextError as broken:
+            refuse([*self.problems, *self.broken, broken.problem])
+            raise
+
+    def _load(self, path: Path, name: str, above: tuple[Path, ...]) -> Node:
+        if path in self._done:
+            return self._done[path]
+        rank, self.count = self.count, self.count + 1
+        start = Mark(name, 1, 1, rank)
+        node, problems = read(_text(path, Mark(name, rank=rank)), name, rank)
+        self.problems.extend(problems)
+        if node is None:
+            raise BrokenTextError(Located(start, "", "the file is empty", "give at least robot, task and agent"))
+        if node.mapping is None:
+            raise BrokenTextError(
+                Located(node.at, "", "a spec is a mapping of keys to values", "begin with `robot: NAME`")
+            )
+        entries = dict(node.mapping)
+        extends = entries.pop("extends", None)
+        tree = normalised(Node(entries, start))
+        for target in reversed(self._targets(extends)):
+            base = self._base(target, path, name, (*above, path))
+            tree = merged(base, tree) if base else tree
+        self._done[path] = tree
+        return tree
+
+    def _targets(self, extends: Node | None) -> list[Node]:
+        if extends is None or extends.value is None:
+            return []
+        targets = extends.items if extends.items is not None else [extends]
+        for target in targets:
+            if not isinstance(target.value, str) or not target.value:
+                what = "should be a path, or a list of paths, relative to this file"
+                self.broken.append(Located(target.at, "extends", what))
+        return [target for target in targets if isinstance(target.value, str) and target.value]
+
+    def _base(self, target: Node, path: Path, name: str, above: tuple[Path, ...]) -> Node | None:
+        """The tree of a file that `path` extends, or None once it has been told why there is none."""
+        found = (path.parent / target.value.replace("\0", "?")).resolve()
+        wrong = self._unfit(target.value, found, above)
+        if wrong:
+            self.broken.append(Located(target.at, "extends", *wrong))
+            return None
+        try:
+            return self._load(found, os.path.normpath(os.path.join(os.path.dirname(name), target.value)), above)
+        except BrokenTextError as broken:
+            self.broken.append(broken.problem)
+            return None
+
+    def _unfit(self, target: str, found: Path, above: tuple[Path, ...]) -> tuple[str, str | None] | None:
+        """Why a file cannot be extended, and what to do; None where it can."""
+        tree = spec_tree(self.root)
+        if not found.is_relative_to(tree):
+            return f"{shown(target)} lies outside {shown(os.fspath(tree))}", "extend files of that folder"
+        if found in above:
+            chain = " -> ".join(shown(file.name) for file in (*above[above.index(found) :], found))
+            return f"goes in a circle: {chain}", "remove one of them"
+        if len(above) >= MAX_CHAIN:
+            return f"more than {MAX_CHAIN} files extend one another in a row", None
+        missing = _unreadable(found)
+        return (f"{shown(target)}: {missing}", _similar(found)) if missing else None
+
+
+def spec_tree(root: Path) -> Path:
+    """The folder that `extends` must not leave: the nearest one called `specs` above the file, else the file's own."""
+    folder = root.resolve().parent
+    return next((above for above in (folder, *folder.parents) if above.name == TREE), folder)
+
+
+def _unreadable(path: Path) -> str | None:
+    """Why there is nothing to read at `path`, if so. Pipes and devices are left alone: they may never end."""
+    try:
+        if path.is_dir():
+            return "is a folder, not a spec file"
+        if not path.exists():
+            return "there is no such file"
+        return None if path.is_file() else "is not an ordinary file"
+    except (OSError, ValueError) as error:
+        return f"cannot be read: {getattr(error, 'strerror', None) or error}"
+
+
+def _similar(path: Path) -> str | None:
+    """A hint at a spec beside `path` whose name is near, or at those in a folder."""
+    try:
+        folder = path if path.is_dir() else path.parent
+        beside = sorted(entry.name for entry in folder.iterdir() if entry.suffix in SUFFIXES)
+    except (OSError, ValueError):
+        return None
+    if folder == path:
+        return f"it holds {shown(', '.join(beside))}" if beside else None
+    near = closest(path.name, beside) or closest(path.stem, beside)
+    return f"did you mean {shown(near)}?" if near else None
+
+
+def _text(path: Path, mark: Mark) -> str:
+    try:
+        with path.open("rb") as file:
+            data = file.read(4 * MAX_CHARACTERS + 1)
+        if len(data) > 4 * MAX_CHARACTERS:
+            raise BrokenTextError(Located(mark, "", f"longer than {MAX_CHARACTERS // 1024} kB"))
+        return data.decode("utf-8-sig")
+    except UnicodeDecodeError as error:
+        at = Mark(mark.source, data[: error.start].count(b"\n") + 1, rank=mark.rank)
+        raise BrokenTextError(Located(at, "", "is not UTF-8 text", "save the file in UTF-8")) from None
+    except OSError as error:
+        raise BrokenTextError(Located(mark, "", f"cannot be read: {error.strerror or error}")) from None

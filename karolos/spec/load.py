@@ -1,0 +1,124 @@
+"""From a file or a dictionary to a checked Spec, every problem told at once."""
+
+from __future__ import annotations
+
+import re
+from collections.abc import Iterable, Mapping
+from pathlib import Path
+from typing import Any
+
+from pydantic import ValidationError
+
+from ..errors import PluginError
+from .checks import ROBOT_TASK, environment_problems, pairing_problems
+from .files import SpecFiles
+from .merge import PARTS, RANDOMIZATION, merged, normalised, override_trees
+from .model import NAME, Spec
+from .nodes import DEFAULT, Located, Mark, Node, from_plain, leaves, refuse
+from .parts import validate_strictly
+from .problems import located_problems
+
+
+def load_spec(path: str | Path, overrides: Iterable[str] = ()) -> Spec:
+    """The spec in a YAML file, laid over what it extends, with `path.to.key=value` overrides laid over it.
+
+    Raises:
+        SpecError: the file cannot be read or is no valid spec; carries every problem found, at file:line:column.
+        PluginError: a plugin that it names is broken.
+    """
+    files = SpecFiles(Path(path))
+    tree = files.load()
+    trees = override_trees(overrides, files.count, files.broken)
+    if files.broken:
+        refuse([*files.problems, *files.broken])
+    return _resolve(tree, trees, files.problems, Path(path).stem)
+
+
+def spec_from_dict(spec: Mapping[str, Any], overrides: Iterable[str] = ()) -> Spec:
+    """The spec that a dictionary describes. Raises as `load_spec` does, with "dict" for a place."""
+    mark = Mark("dict")
+    if "extends" in spec:
+        refuse([Located(mark, "extends", "a dictionary has no file to extend from", "load the file with load_spec")])
+    problems: list[Located] = []
+    trees = override_trees(overrides, 1, problems)
+    refuse(problems)
+    return _resolve(normalised(from_plain(spec, mark)), trees, [], None)
+
+
+def _resolve(tree: Node, overrides: Iterable[Node], problems: list[Located], stem: str | None) -> Spec:
+    for override in overrides:
+        tree = merged(tree, override)
+    tree = _with_defaults(_without_nulls(tree), stem)
+    problems = [*problems, *environment_problems(tree), *pairing_problems(tree)]
+    spec: Spec | None = None
+    try:
+        spec = validate_strictly(Spec, tree.plain())
+    except ValidationError as error:
+        problems.extend(located_problems(error, tree))
+    except PluginError as error:
+        raise _at_part(error, tree) from error.__cause__
+    refuse(problems)
+    assert spec is not None  # no problems: it validated
+    spec._origins.update(_origins(spec, tree))
+    return spec
+
+
+def _without_nulls(tree: Node) -> Node:
+    """The tree without what says null: left out, so that a spec can drop what it inherits."""
+    entries = {key: node for key, node in (tree.mapping or {}).items() if node.value is not None}
+    drawn = entries.get(RANDOMIZATION)
+    if drawn is not None and drawn.mapping is not None:
+        kept = {key: node for key, node in drawn.mapping.items() if node.value is not None}
+        entries[RANDOMIZATION] = Node(kept, drawn.at, drawn.key)
+    return Node(entries, tree.at, tree.key)
+
+
+def _with_defaults(tree: Node, stem: str | None) -> Node:
+    """The tree with a name and the parts that a spec may leave to karolos."""
+    given = dict(tree.mapping or {})
+    defaults = {"buffer": "uniform", "orchestrator": "local"}
+    if "robot" in given and "task" in given:
+        defaults["environment"] = ROBOT_TASK
+    for key, name in defaults.items():  # below what is given: `buffer: {capacity: 1e5}` needs no name
+        default = Node({"name": Node(name, DEFAULT, DEFAULT)}, DEFAULT, DEFAULT)
+        given[key] = merged(default, given[key], (key,)) if key in given else default
+    if "name" not in given:
+        given["name"] = Node(stem if stem is not None else _described(given), DEFAULT, DEFAULT)
+        if stem is not None and not re.fullmatch(NAME, stem):
+            given["name"] = Node(stem, tree.at, tree.at)
+    return Node(given, tree.at, tree.key)
+
+
+def _described(given: dict[str, Node]) -> str:
+    """A name for a spec without a file: what the agent learns in."""
+    keys = ("robot", "task") if "robot" in given and "task" in given else ("environment",)
+    words = [node.value if (node := given[key].get("name")) else None for key in keys if key in given]
+    return "_".join(str(word) for word in words) or "experiment"
+
+
+def _at_part(error: PluginError, tree: Node) -> PluginError:
+    """The error of a broken plugin, told at the first place in the spec that names it."""
+    drawn = tree.get(RANDOMIZATION)
+    parts = {**{key: tree.get(key) for key in PARTS}, **((drawn.mapping if drawn else None) or {})}
+    for key, node in parts.items():
+        name = node.get("name") if node else None
+        if name is not None and repr(name.value) in f"{error.where} {error.what}" and name.at is not DEFAULT:
+            where = f"{name.at}: {key}.name"
+            return PluginError(error.what, where=f"{where}: {error.where}" if error.where else where, hint=error.hint)
+    return error
+
+
+def _origins(spec: Spec, tree: Node) -> dict[str, str]:
+    """Key path of every resolved value -> where it comes from."""
+    return {".".join(path): _origin(tree, path) for path, _ in leaves(spec.dump())}
+
+
+def _origin(tree: Node, path: tuple[str, ...]) -> str:
+    """The place of the value at `path`, or of the scalar that a plugin's settings made it from."""
+    node = tree
+    for key in path:
+        below = node.child(key)
+        if below is None:
+            return str(DEFAULT if node.mapping is not None else node.at)
+        node = below
+    return str(node.at)

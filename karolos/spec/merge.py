@@ -1,0 +1,105 @@
+"""One tree from several: shorthand, deep merging, and overrides as trees of their own."""
+
+from __future__ import annotations
+
+from collections.abc import Iterable
+
+from .nodes import Located, Mark, Node, shown
+from .yaml_text import BrokenTextError, read
+
+PARTS = {
+    "robot": "robots",
+    "task": "tasks",
+    "environment": "environments",
+    "agent": "agents",
+    "buffer": "buffers",
+    "orchestrator": "orchestrators",
+}
+"""Keys of a spec that hold a part, and the kind of plugin that each names."""
+RANDOMIZATION = "randomization"
+
+
+def is_part(path: tuple[str, ...]) -> bool:
+    """Whether a part stands at this path of a spec."""
+    return (len(path) == 1 and path[0] in PARTS) or (len(path) == 2 and path[0] == RANDOMIZATION)
+
+
+def normalised(node: Node, path: tuple[str, ...] = ()) -> Node:
+    """The tree with every part written out: `robot: ur5` becomes `robot: {name: ur5}`."""
+    if is_part(path):
+        if isinstance(node.value, str):
+            return Node({"name": node.with_key(node.key)}, node.at, node.key)
+        return node
+    if node.mapping is not None and (not path or path == (RANDOMIZATION,)):
+        entries = {key: normalised(entry, (*path, key)) for key, entry in node.mapping.items()}
+        return Node(entries, node.at, node.key)
+    return node
+
+
+def merged(below: Node, above: Node, path: tuple[str, ...] = ()) -> Node:
+    """`above` laid over `below`, mapping by mapping; whatever is no mapping is replaced.
+
+    A part whose name changes replaces the whole part: the settings of another plugin mean nothing to it.
+    """
+    if below.mapping is None or above.mapping is None:
+        return above
+    if is_part(path) and _changes_name(below, above):
+        return above
+    entries = dict(below.mapping)
+    for key, entry in above.mapping.items():
+        entries[key] = merged(entries[key], entry, (*path, key)) if key in entries else entry
+    return Node(entries, above.at, above.key)
+
+
+def _changes_name(below: Node, above: Node) -> bool:
+    old, new = below.get("name"), above.get("name")
+    return old is not None and new is not None and old.value != new.value
+
+
+def override_trees(overrides: Iterable[str], rank: int, problems: list[Located]) -> list[Node]:
+    """Each `path.to.key=value` as a tree to lay over the spec. Adds to `problems` what cannot be read."""
+    trees = []
+    for place, text in enumerate(overrides):
+        mark = Mark(f"override {shown(text)}", rank=rank + place)
+        try:
+            trees.append(_override(text, mark, problems))
+        except BrokenTextError as broken:
+            problems.append(broken.problem)
+    return trees
+
+
+def _override(text: str, mark: Mark, problems: list[Located]) -> Node:
+    key, equals, value = text.partition("=")
+    if not equals:
+        raise BrokenTextError(Located(mark, "", "has no =", "write path.to.key=value, e.g. agent.learning_rate=1e-4"))
+    path = _segments(key.strip())
+    if not all(path):
+        raise BrokenTextError(Located(mark, "", f"{shown(key)!r} is not a path of keys", "write path.to.key=value"))
+    if path[0] == "extends":
+        raise BrokenTextError(Located(mark, "extends", "cannot be overridden", "put it into the spec file"))
+    try:
+        node, found = read(value, mark.source, mark.rank, lines=False)
+    except BrokenTextError as broken:
+        raise BrokenTextError(_in_value(broken.problem, key)) from None
+    problems.extend(_in_value(problem, key) for problem in found)
+    if node is None and value.strip():
+        raise BrokenTextError(Located(mark, key, "the value is a comment", "put it in quotes: key='\"#...\"'"))
+    node = (node or Node(None, mark)).with_key(mark)
+    for step in reversed(path):
+        node = Node({step: node}, mark, mark)
+    return normalised(node)
+
+
+def _in_value(problem: Located, key: str) -> Located:
+    """A column counted in the value becomes one counted in the whole override, and is said as such."""
+    mark = problem.mark
+    column = f"column {len(key) + 1 + mark.column}: " if mark.column else ""
+    return Located(Mark(mark.source, rank=mark.rank), "", f"{column}{problem.what}", problem.hint)
+
+
+def _segments(key: str) -> list[str]:
+    """The keys of a dotted path. The names below `randomization` have a dot of their own: task.gravity."""
+    path = key.split(".")
+    if path[0] == RANDOMIZATION and len(path) > 2:
+        path[1:3] = [".".join(path[1:3])]
+    return path

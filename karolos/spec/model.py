@@ -1,0 +1,150 @@
+"""What a spec says, once it is resolved and checked."""
+
+from __future__ import annotations
+
+import hashlib
+import json
+from collections.abc import Iterable, Mapping
+from typing import Annotated, Any, Literal
+
+from pydantic import AfterValidator, PrivateAttr, StringConstraints
+from pydantic import Field as Setting
+
+from ..core import Settings
+from .parts import AgentPart, BufferPart, DistributionPart, EnvironmentPart, OrchestratorPart, RobotPart, TaskPart
+from .recipe import Part, Recipe
+
+NAME = r"^[A-Za-z0-9][A-Za-z0-9._-]{0,63}$"
+"""Names become folders: letters, digits, dot, underscore, hyphen; 64 at most; no path."""
+PARAMETER = r"^(robot|task)\.[A-Za-z_][A-Za-z0-9_]*$"
+"""What can be randomized, e.g. task.gravity."""
+
+
+class Training(Settings):
+    """How much is collected and learned."""
+
+    steps: int = Setting(default=100_000, ge=1, description="environment steps of training, all environments together")
+    batch_size: int = Setting(default=256, ge=1, description="transitions per gradient update")
+    replay_ratio: float = Setting(
+        default=64.0, ge=0, description="transitions learned from per environment step: gradient updates x batch size"
+    )
+    warmup_episodes: int = Setting(default=20, ge=0, description="episodes of random actions before learning begins")
+    device: Literal["auto", "cpu", "cuda"] = Setting(
+        default="cpu",
+        description="where the agent learns; auto takes the GPU if there is one. Does not count as a change",
+    )
+    threads: int | None = Setting(
+        default=None,
+        ge=1,
+        description="CPU threads of the learner; null leaves it to karolos. Does not count as a change",
+    )
+
+
+class Testing(Settings):
+    """How often and on what the agent is tested, without exploration."""
+
+    interval: int = Setting(default=5_000, ge=1, description="environment steps of training between two tests")
+    episodes: int = Setting(default=100, ge=1, description="episodes per test")
+    seed: int = Setting(
+        default=0, ge=0, description="root of the test episodes' seeds; the same episodes for every run"
+    )
+
+
+def _unique(seeds: tuple[int, ...]) -> tuple[int, ...]:
+    twice = [seed for place, seed in enumerate(seeds) if seed in seeds[:place]]
+    if twice:
+        raise ValueError(f"names the seed {twice[0]} twice")
+    return seeds
+
+
+Seed = Annotated[int, Setting(ge=0)]
+
+
+class Spec(Settings):
+    """An experiment: what is learned, by whom, and for how long. Frozen; equal when it resolves to the same.
+
+    Come by one with `load_spec(path, overrides)` or `Spec.from_dict(dictionary)`.
+    """
+
+    name: Annotated[str, StringConstraints(pattern=NAME)] = Setting(
+        description="of the experiment; run folders begin with it. Default: the file's name"
+    )
+    seeds: Annotated[tuple[Seed, ...], AfterValidator(_unique)] = Setting(
+        (0,), min_length=1, description="one run for each; the root of all its random numbers"
+    )
+    robot: RobotPart | None = Setting(None, description="the arm; goes with a task")
+    task: TaskPart | None = Setting(None, description="what the robot has to do")
+    environment: EnvironmentPart = Setting(description="what the agent acts in; robot_task where robot and task stand")
+    agent: AgentPart = Setting(description="the learning algorithm")
+    buffer: BufferPart = Setting(description="what the agent learns from. Default: uniform")
+    randomization: dict[Annotated[str, StringConstraints(pattern=PARAMETER)], DistributionPart] = Setting(
+        {}, description="distributions of robot.* and task.* parameters, drawn at each training reset"
+    )
+    orchestrator: OrchestratorPart = Setting(description="how environments share the machine. Default: local")
+    training: Training = Setting(default_factory=Training, description="how much is collected and learned")
+    testing: Testing = Setting(default_factory=Testing, description="how often and on what the agent is tested")
+
+    _origins: dict[str, str] = PrivateAttr(default_factory=dict)
+
+    @classmethod
+    def from_dict(cls, spec: Mapping[str, Any], overrides: Iterable[str] = ()) -> Spec:
+        """A spec from a dictionary of the same shape as a spec file.
+
+        Raises:
+            SpecError: it is no valid spec; carries every problem found.
+            PluginError: a plugin that it names is broken.
+        """
+        from .load import spec_from_dict  # noqa: PLC0415  (load builds on this module)
+
+        return spec_from_dict(spec, overrides)
+
+    @property
+    def origins(self) -> dict[str, str]:
+        """Where each value of `dump` comes from: key path -> "file:line:column", "override ...", "dict", "default"."""
+        return dict(self._origins)
+
+    def dump(self) -> dict[str, Any]:
+        """The resolved spec with every default filled in, as plain JSON-able data that loads as an equal spec."""
+        return {
+            "name": self.name,
+            "seeds": list(self.seeds),
+            **{key: part.dump() for key, part in self._parts().items()},
+            "randomization": {key: part.dump() for key, part in self.randomization.items()},
+            "training": self.training.model_dump(mode="json"),
+            "testing": self.testing.model_dump(mode="json"),
+        }
+
+    def hash(self) -> str:
+        """SHA-256 (hex) of what results depend on: everything but name, seeds, device, threads and what a plugin's
+        `Settings.identity()` leaves out. Specs with the same hash are one experiment.
+        """
+        matter = {
+            **{key: part.identity() for key, part in self._parts().items()},
+            "randomization": {key: part.identity() for key, part in self.randomization.items()},
+            "training": self.training.model_dump(mode="json", exclude={"device", "threads"}),
+            "testing": self.testing.model_dump(mode="json"),
+        }
+        text = json.dumps(matter, sort_keys=True, separators=(",", ":"))
+        return hashlib.sha256(text.encode()).hexdigest()
+
+    def recipe(self, *, randomize: bool) -> Recipe:
+        """How to build one environment, with or without randomization."""
+        drawn = tuple(sorted(self.randomization.items())) if randomize else ()
+        return Recipe(self.environment, self.robot, self.task, drawn)
+
+    def _parts(self) -> dict[str, Part]:
+        parts = {
+            "robot": self.robot,
+            "task": self.task,
+            "environment": self.environment,
+            "agent": self.agent,
+            "buffer": self.buffer,
+            "orchestrator": self.orchestrator,
+        }
+        return {key: part for key, part in parts.items() if part is not None}
+
+    def __eq__(self, other: object) -> bool:
+        return self.dump() == other.dump() if isinstance(other, Spec) else NotImplemented
+
+    def __hash__(self) -> int:
+        return hash((self.name, self.seeds, self.hash()))

@@ -1,0 +1,187 @@
+"""pydantic's errors as problems at the places in the files that they are about."""
+
+from __future__ import annotations
+
+import re
+from collections.abc import Iterable
+from typing import Any, get_args
+
+from pydantic import BaseModel, ValidationError
+
+from ..errors import PluginError, UsageError
+from ..registry import alternatives, closest, load
+from .merge import PARTS, RANDOMIZATION, is_part
+from .model import Spec
+from .nodes import DEFAULT, Located, Mark, Node, Path, dotted, shown
+
+_WORDS = (
+    ("Input should be", "should be"),
+    ("String should", "should"),
+    ("Value error, ", ""),
+    ("Assertion failed, ", ""),
+    (" a valid array", " a list"),
+    (" a valid tuple", " a list"),
+    (" a valid list", " a list"),
+    (" an object", " a mapping"),
+    (" a valid dictionary", " a mapping"),
+    (" a valid boolean", " true or false"),
+    (" a valid ", " a "),
+    (" a integer", " an integer"),
+)
+_UNSHOWN = {"missing", "extra_forbidden", "value_error", "assertion_error", "unknown_name", "missing_name", "part_type"}
+"""Errors whose message needs no value beside it."""
+
+
+def located_problems(error: ValidationError, tree: Node) -> list[Located]:
+    """One problem for each mistake, at the key or value that it is about."""
+    found: dict[Path, list[dict[str, Any]]] = {}
+    forked: set[Path] = set()
+    for entry in error.errors(include_url=False):
+        path, tagged = _untagged(tree, entry["loc"], entry["type"])
+        found.setdefault(path, []).append(dict(entry))
+        if tagged:
+            forked.add(path)
+    for path in list(found):
+        deeper = any(other != path and other[: len(path)] == path for other in found)
+        if deeper and path in forked:
+            del found[path]  # another member of the union came further: its errors are the ones that help
+    unknown = [path for path, entries in found.items() if entries[0]["type"] == "extra_forbidden"]
+    return [
+        _problem(tree, path, entries)
+        for path, entries in found.items()
+        if entries[0]["type"] != "missing" or not _told_already(path, unknown)
+    ]
+
+
+def _told_already(path: Path, unknown: Iterable[Path]) -> bool:
+    """Whether a missing key is told elsewhere: as the misspelt key beside it, or by the check of environments."""
+    beside = (other for other in unknown if other[:-1] == path[:-1])
+    return path == ("environment",) or any(closest(str(other[-1]), [str(path[-1])]) for other in beside)
+
+
+def _untagged(tree: Node, location: Iterable[str | int], kind: str) -> tuple[Path, bool]:
+    """The path in the spec that an error's location means, and whether pydantic's union tags lay in it."""
+    steps = [step for step in location if step != "[key]"]
+    path: Path = ()
+    node: Node | None = tree
+    tagged = False
+    for place, step in enumerate(steps):
+        below = node.child(step) if node else None
+        last = place == len(steps) - 1
+        if below is not None:
+            node, path = below, (*path, step)
+        elif last and kind in ("missing", "missing_name"):
+            path = (*path, step)
+        else:
+            tagged = True
+    return path, tagged
+
+
+def _problem(tree: Node, path: Path, entries: list[dict[str, Any]]) -> Located:
+    """Several errors at one path are the members of a union: it should be one thing or another."""
+    kind = entries[0]["type"]
+    place = _place(tree, path, kind, at_key="[key]" in entries[0]["loc"])
+    text = dotted(path)
+    if kind == "extra_forbidden":
+        allowed = _allowed(tree, path)
+        hint = alternatives(str(path[-1]), allowed) if allowed else None
+        return Located(place, text, "no such key", hint)
+    if kind == "missing":
+        return Located(place, text, "is missing", _missing_hint(path))
+    messages = list(dict.fromkeys(_reworded(entry["msg"]) for entry in entries))
+    whats = [messages[0], *(message.removeprefix("should be ") for message in messages[1:])]
+    what = " or ".join(whats)
+    given = entries[0]["input"]
+    if kind == "string_pattern_mismatch":
+        what, hint = f"{shown(repr(given))} is not allowed", _pattern_hint(path)
+        return Located(place, text, what, hint)
+    node = tree.get(*path)
+    if kind not in _UNSHOWN and node is not None:
+        what = f"{what}, not {_written(node)}"
+    return Located(place, text, what, (entries[0].get("ctx") or {}).get("hint") or _near_choice(entries, given))
+
+
+def _place(tree: Node, path: Path, kind: str, *, at_key: bool) -> Mark:
+    """missing -> the parent's key; unknown -> the key itself; the rest -> the value."""
+    node = tree.get(*path)
+    if kind in ("missing", "missing_name") or node is None:
+        node, whole = tree.get(*path[:-1]) or tree, True
+    else:
+        whole = at_key or kind == "extra_forbidden"
+    mark = node.place if whole else node.at
+    return tree.at if mark == DEFAULT else mark
+
+
+def _missing_hint(path: Path) -> str | None:
+    if path == ("agent",):
+        return "name a learning algorithm, e.g. `agent: sac`"
+    return None
+
+
+def _pattern_hint(path: Path) -> str:
+    if path == ("name",):
+        return "give `name`: at most 64 letters, digits, dots, underscores and hyphens, the first a letter or digit"
+    if len(path) == 2 and path[0] == RANDOMIZATION:
+        return "write robot.<parameter> or task.<parameter>, e.g. task.gravity"
+    return "see `karolos plugins show` for what is"
+
+
+def _reworded(message: str) -> str:
+    for old, new in _WORDS:
+        message = message.replace(old, new)
+    return message[:1].lower() + message[1:]
+
+
+def _written(node: Node) -> str:
+    if node.mapping is not None:
+        return "a mapping"
+    if node.items is not None:
+        return "a list"
+    if node.value is None or isinstance(node.value, bool):
+        return {None: "null", True: "true", False: "false"}[node.value]
+    return shown(repr(node.value))
+
+
+def _near_choice(entries: list[dict[str, Any]], given: object) -> str | None:
+    """The closest of the choices of a literal, if the value is nearly one."""
+    if not isinstance(given, str):
+        return None
+    choices = [
+        word for entry in entries for word in re.findall(r"'([^']+)'", (entry.get("ctx") or {}).get("expected", ""))
+    ]
+    match = closest(given, choices)
+    return f"did you mean {match!r}?" if match else None
+
+
+def _allowed(tree: Node, path: Path) -> list[str]:
+    """The keys that may stand where the last key of `path` stands."""
+    steps = tuple(str(step) for step in path[:-1])
+    if not steps:
+        return ["extends", *Spec.model_fields]
+    depth = next((length for length in (1, 2) if is_part(steps[:length])), 0)
+    if not depth:
+        return _keys([Spec], path[:-1])
+    kind = PARTS.get(steps[0], "distributions")
+    name = tree.get(*steps[:depth], "name")
+    try:
+        settings = load(kind, str(name.value)).Settings if name else None
+    except (UsageError, PluginError):
+        return []
+    keys = _keys([settings], path[depth:-1]) if settings else []
+    return ["name", *keys] if len(path) == depth + 1 else keys
+
+
+def _keys(models: list[type[BaseModel]], path: Path) -> list[str]:
+    """The fields of the models that lie at `path` below these; several where a union leaves it open."""
+    for step in path:
+        if isinstance(step, str):
+            fields = [model.model_fields[step] for model in models if step in model.model_fields]
+            models = [found for field in fields for found in models_in(field.annotation)]
+    return list(dict.fromkeys(name for model in models for name in model.model_fields))
+
+
+def models_in(annotation: Any) -> list[type[BaseModel]]:
+    """The pydantic models named anywhere in a type, e.g. in `Hindsight | None`."""
+    if isinstance(annotation, type) and issubclass(annotation, BaseModel):
+        return [annotation]
+    return [model for argument in get_args(annotation) for model in models_in(argument)]

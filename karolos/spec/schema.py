@@ -1,0 +1,101 @@
+"""JSON Schema of a spec file, for editors: completion and hints with the settings of every installed plugin."""
+
+from __future__ import annotations
+
+from typing import Any
+
+from pydantic import BaseModel
+from pydantic.errors import PydanticUserError
+
+from ..errors import PluginError
+from ..registry import load, names, singular
+from .merge import PARTS, RANDOMIZATION
+from .model import NAME, PARAMETER, Spec, Testing, Training
+
+DIALECT = "https://json-schema.org/draft/2020-12/schema"
+Schema = dict[str, Any]
+
+
+def spec_schema() -> tuple[Schema, list[PluginError]]:
+    """The schema, and the errors of plugins that do not import: those are left out of it.
+
+    What may be left to a file that this one extends is not required here; `karolos check` knows the whole.
+    """
+    definitions: Schema = {}
+    broken: list[PluginError] = []
+    properties: Schema = {
+        "extends": {
+            "description": "spec files to lay this one over, relative to it; later ones win",
+            "anyOf": [{"type": "string"}, {"type": "array", "items": {"type": "string"}}],
+        },
+        "name": {"type": "string", "pattern": NAME},
+        "seeds": {"type": "array", "items": {"type": "integer", "minimum": 0}, "minItems": 1, "uniqueItems": True},
+        **{key: _part(kind, definitions, broken) for key, kind in PARTS.items()},
+        RANDOMIZATION: {
+            "type": "object",
+            "patternProperties": {PARAMETER: _part("distributions", definitions, broken)},
+            "additionalProperties": False,
+        },
+        "training": _settings(Training, "training", definitions),
+        "testing": _settings(Testing, "testing", definitions),
+    }
+    for key, field in Spec.model_fields.items():
+        properties[key] = {"description": field.description, **properties[key]}
+    schema: Schema = {
+        "$schema": DIALECT,
+        "title": "karolos spec",
+        "type": "object",
+        "properties": {key: _or_null(entry) for key, entry in properties.items()},
+        "additionalProperties": False,
+        "if": {"not": {"required": ["extends"]}},
+        "then": {
+            "required": ["agent"],
+            "anyOf": [{"required": ["robot", "task"]}, {"required": ["environment"]}],
+        },
+        "$defs": definitions,
+    }
+    return schema, broken
+
+
+def _part(kind: str, definitions: Schema, broken: list[PluginError]) -> Schema:
+    """A name, or a mapping whose settings are those of the plugin that it names."""
+    found, cases = [], []
+    for name in names(kind):
+        try:
+            settings = load(kind, name).Settings
+            entry = _settings(settings, f"{kind}.{name}", definitions)
+        except PluginError as error:
+            broken.append(error)
+            continue
+        except PydanticUserError as error:  # a type that JSON Schema cannot say
+            text = str(error).splitlines()[0]
+            broken.append(PluginError(text, where=f"{singular(kind)} {name!r}", hint="settings must be plain data"))
+            continue
+        entry["properties"] = {"name": {"const": name}, **entry.get("properties", {})}
+        definitions[f"{kind}.{name}"] = entry
+        found.append(name)
+        named = {"properties": {"name": {"const": name}}, "required": ["name"]}
+        cases.append({"if": {"type": "object", **named}, "then": {"$ref": f"#/$defs/{kind}.{name}"}})
+    mapping: Schema = {"type": "object", "properties": {"name": {"enum": found}}}
+    if cases:
+        mapping["allOf"] = cases
+    return {"anyOf": [{"enum": found}, mapping]}
+
+
+def _settings(model: type[BaseModel], name: str, definitions: Schema) -> Schema:
+    """The schema of a settings model; nested models go to `definitions` under names of their own."""
+    schema = model.model_json_schema(ref_template=f"#/$defs/{name}.{{model}}")
+    for nested, entry in schema.pop("$defs", {}).items():
+        definitions[f"{name}.{nested}"] = entry
+    schema.pop("required", None)  # an extended file may hold it
+    schema.pop("title", None)
+    return schema
+
+
+def _or_null(schema: Schema) -> Schema:
+    """Every key may say null: left out, also where an extended file has it."""
+    description = schema.pop("description", None)
+    either = (
+        {"anyOf": [*schema["anyOf"], {"type": "null"}]} if "anyOf" in schema else {"anyOf": [schema, {"type": "null"}]}
+    )
+    return {"description": description, **either} if description else either

@@ -1,0 +1,135 @@
+"""Statistics of success ratios: pure functions of arrays.
+
+The unit between runs is the seed: never pool the episodes of several seeds into one interval.
+"""
+
+from __future__ import annotations
+
+import math
+from dataclasses import dataclass
+from statistics import NormalDist
+
+import numpy as np
+from numpy.typing import ArrayLike, NDArray
+
+GRID_POINTS = 101
+"""Points of a density over [0, 1]; odd, as Simpson's rule asks."""
+SMALLEST_BANDWIDTH = 0.02
+"""Two grid steps: narrower kernels the grid could not show, and equal values would have no width at all."""
+
+_Floats = NDArray[np.float64]
+
+
+def wilson(successes: int, episodes: int, level: float = 0.95) -> tuple[float, float]:
+    """Interval of the success probability behind k successes in n independent episodes: low, high in [0, 1].
+
+    Wilson's score interval keeps its level at 0 and at n successes, where the textbook's normal one has no width.
+    Source: Wilson 1927, J. Am. Stat. Assoc. 22, 209; recommended by Brown, Cai, DasGupta 2001, Stat. Sci. 16, 101.
+
+    Raises:
+        ValueError: no episodes, successes outside 0 .. episodes, or a level outside (0, 1).
+    """
+    if episodes < 1 or not 0 <= successes <= episodes:
+        raise ValueError(f"{successes} successes of {episodes} episodes")
+    if not 0 < level < 1:
+        raise ValueError(f"level {level} is not between 0 and 1")
+    z = NormalDist().inv_cdf((1 + level) / 2)
+    share = successes / episodes
+    scale = 1 + z**2 / episodes
+    middle = (share + z**2 / (2 * episodes)) / scale
+    half = z / scale * math.sqrt(share * (1 - share) / episodes + z**2 / (4 * episodes**2))
+    low: float = 0.0 if successes == 0 else max(middle - half, 0.0)  # exact where rounding would leave 1e-17
+    high: float = 1.0 if successes == episodes else min(middle + half, 1.0)
+    return low, high
+
+
+@dataclass(frozen=True)
+class Density:
+    """A density of success ratios over [0, 1], one value per seed behind it.
+
+    Args:
+        grid: (101,) points from 0 to 1.
+        density: (101,) non-negative; its integral by Simpson's rule is 1.
+        bandwidth: standard deviation of the kernel.
+        mode: where the density is largest (the first of equals).
+        modes: every local maximum, in ascending order.
+        mean: of the density.
+        low: 5 % of the mass lie below.
+        high: 95 % of the mass lie below.
+    """
+
+    grid: _Floats
+    density: _Floats
+    bandwidth: float
+    mode: float
+    modes: tuple[float, ...]
+    mean: float
+    low: float
+    high: float
+
+
+def bandwidth(values: ArrayLike) -> float:
+    """Width of the kernel for success ratios (n,): max(.9 min(sd, IQR / 1.34) n^(-1/5), .02).
+
+    Source: Silverman 1986, Density Estimation, equation 3.31, with a floor for seeds that agree.
+    """
+    ratios = np.asarray(values, np.float64)
+    if ratios.size < 2:
+        return SMALLEST_BANDWIDTH
+    lower, upper = np.quantile(ratios, (0.25, 0.75))
+    spread = min(float(ratios.std(ddof=1)), float(upper - lower) / 1.34)
+    return max(0.9 * spread * math.pow(ratios.size, -0.2), SMALLEST_BANDWIDTH)
+
+
+def kde(values: ArrayLike) -> Density:
+    """Density of success ratios (n,), each in [0, 1], by Gaussian kernels reflected at 0 and 1.
+
+    Reflection keeps the mass inside: five seeds at 1.0 peak at 1, where a plain kernel would lose half of it.
+    Source of the reflection: Schuster 1985, Comm. Stat. Theory Methods 14, 1123.
+
+    Raises:
+        ValueError: no values, or values outside [0, 1].
+    """
+    ratios = np.asarray(values, np.float64).ravel()
+    if ratios.size == 0 or not ((ratios >= 0) & (ratios <= 1)).all():
+        raise ValueError("a density needs success ratios between 0 and 1, at least one")
+    width = bandwidth(ratios)
+    grid = np.linspace(0, 1, GRID_POINTS)
+    images = np.concatenate([ratios, -ratios, 2 - ratios])
+    density = np.exp(-0.5 * ((grid[:, None] - images) / width) ** 2).sum(1)
+    density /= integral(density)
+    return Density(
+        grid=grid,
+        density=density,
+        bandwidth=width,
+        mode=float(grid[density.argmax()]),
+        modes=tuple(grid[_local_maxima(density)].tolist()),
+        mean=integral(grid * density),
+        low=_quantile(grid, density, 0.05),
+        high=_quantile(grid, density, 0.95),
+    )
+
+
+def integral(heights: ArrayLike) -> float:
+    """Integral over [0, 1] of a function given at evenly spaced points (an odd number of them), by Simpson's rule."""
+    points = np.asarray(heights, np.float64)
+    if points.size < 3 or points.size % 2 == 0:
+        raise ValueError(f"Simpson's rule takes an odd number of points from 3 on, not {points.size}")
+    weights = np.full(points.size, 2.0)
+    weights[1::2] = 4.0
+    weights[[0, -1]] = 1.0
+    return float(weights @ points / (3 * (points.size - 1)))
+
+
+def _local_maxima(heights: _Floats) -> NDArray[np.intp]:
+    """Points higher than their left and not lower than their right neighbour; the ends count, rounding does not."""
+    padded = np.concatenate([[-np.inf], heights, [-np.inf]])
+    peaks = (heights > padded[:-2]) & (heights >= padded[2:]) & (heights > 1e-6 * heights.max())
+    return np.flatnonzero(peaks)
+
+
+def _quantile(grid: _Floats, density: _Floats, share: float) -> float:
+    """Where `share` of the mass lies below, from the density integrated by trapezoids."""
+    pieces = (density[1:] + density[:-1]) / 2
+    below = np.concatenate([[0.0], np.cumsum(pieces)])
+    return float(np.interp(share, below / below[-1], grid))

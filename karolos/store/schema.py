@@ -1,0 +1,82 @@
+"""Making a results database, and telling one from anything else."""
+
+from __future__ import annotations
+
+import os
+
+from sqlalchemy import URL, Connection, Engine, insert, inspect, select, text
+
+from ..errors import StoreError
+from ..files import FileLock, writing
+from .connection import READ, display, explained, sqlite_file
+from .models import SCHEMA, SchemaVersion, Table
+
+_ADVISORY_LOCK = 0x6B61726F  # any number, the same in every karolos
+
+
+def ensure_schema(engine: Engine, url: URL, timeout: float) -> None:
+    """Make the tables if the database is empty or not there; refuse one that is not ours.
+
+    Raises:
+        StoreError: it holds other tables, a newer or an older schema, or cannot be made.
+    """
+    path = sqlite_file(url)
+    if path is not None and not os.path.exists(path):  # Path.exists raises where a folder may not be searched
+        with writing(path):
+            path.parent.mkdir(parents=True, exist_ok=True)
+    elif _is_ready(engine, url):
+        return
+    if path is None:
+        _create(engine, url)
+        return
+    lock = FileLock(path.with_name(f"{path.name}.lock"))
+    if not lock.acquire(timeout):
+        raise StoreError("another process is still making it", where=display(url), hint="try again")
+    try:
+        with writing(path):
+            path.touch()
+        _create(engine, url)
+    finally:
+        lock.release()
+
+
+def _is_ready(engine: Engine, url: URL) -> bool:
+    with explained(url), engine.connect().execution_options(**{READ: True}) as connection:
+        return _check(connection, url)
+
+
+def _create(engine: Engine, url: URL) -> None:
+    """All tables in one transaction, by whoever comes first."""
+    with explained(url), engine.begin() as connection:
+        if connection.dialect.name == "postgresql":
+            connection.execute(text("SELECT pg_advisory_xact_lock(:key)"), {"key": _ADVISORY_LOCK})
+        if not _check(connection, url):
+            Table.metadata.create_all(connection)
+            connection.execute(insert(SchemaVersion).values(version=SCHEMA))
+
+
+def _check(connection: Connection, url: URL) -> bool:
+    """Whether the tables are there in our version; False for an empty database."""
+    tables = set(inspect(connection).get_table_names())
+    if SchemaVersion.__tablename__ not in tables:
+        if tables:
+            raise StoreError(
+                "this database belongs to something else", where=display(url), hint="name another with --database"
+            )
+        return False
+    version = connection.scalar(select(SchemaVersion.version))
+    if version is None:
+        raise StoreError("the database is damaged: it has no version", where=display(url), hint="move it away")
+    if version > SCHEMA:
+        raise StoreError(
+            f"a newer karolos made this database (schema {version}, this one knows {SCHEMA})",
+            where=display(url),
+            hint="update karolos, or name another database with --database",
+        )
+    if version < SCHEMA:
+        raise StoreError(
+            f"an older karolos made this database (schema {version}, this one needs {SCHEMA})",
+            where=display(url),
+            hint="move it away: a new one is built from the run folders",
+        )
+    return True

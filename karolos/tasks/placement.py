@@ -1,0 +1,30 @@
+"""Random places for goals and objects."""
+
+from __future__ import annotations
+
+from collections.abc import Callable
+
+import numpy as np
+
+from ..core import FloatArray
+from ..errors import RunError
+from ..seeding import Generator
+from ..simulation.interface import Box
+
+ATTEMPTS = 1000
+
+
+def place(generator: Generator, box: Box, accepted: Callable[[FloatArray], bool], what: str) -> FloatArray:
+    """A point (3,) in m, uniform among those in the box that are accepted.
+
+    Raises:
+        RunError: none of 1000 points was; `what` says what was to be placed.
+    """
+    for _ in range(ATTEMPTS):
+        point = generator.uniform(box.low, box.high).astype(np.float32)
+        if accepted(point):
+            return point
+    raise RunError(
+        f"found no place for {what} in {ATTEMPTS} attempts",
+        hint=f"the box is {box.low} to {box.high} m; a smaller threshold or another range leaves more room",
+    )

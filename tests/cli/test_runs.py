@@ -1,0 +1,197 @@
+from __future__ import annotations
+
+import json
+import shutil
+import subprocess
+import sys
+from pathlib import Path
+from typing import Any
+
+import pytest
+from karolos_cli.runs import app
+from typer.testing import CliRunner, Result
+
+from karolos import checkpoint
+from karolos.errors import KarolosError, RunError, StoreError, UsageError
+from karolos.run_folder import RunFolder
+from karolos.store import Store
+from karolos.testing import TestResult
+
+SPEC = {"name": "reach", "environment": {"name": "toy"}, "robot": None, "agent": {"name": "sac"}, "seeds": [0, 1]}
+
+
+def call(*arguments: object) -> Result:
+    """Run the command; a KarolosError, which `karolos` prints as one line, is raised here."""
+    ended = CliRunner().invoke(app, [str(argument) for argument in arguments])
+    if isinstance(ended.exception, KarolosError):
+        raise ended.exception
+    assert ended.exit_code == 0, ended.output
+    return ended
+
+
+def rows(*arguments: object) -> list[dict[str, Any]]:
+    return [json.loads(line) for line in call(*arguments, "--json").stdout.splitlines()]
+
+
+def add_run(runs: Path, seed: int, state: str = "finished", spec: dict[str, Any] | None = None) -> str:
+    flags = (True,) * 19 + (False,)
+    test = TestResult(1000, 10.0, flags, flags[::-1], (False,) * 20, (0.0,) * 20, (9,) * 20)
+    with RunFolder.create(runs, "reach", seed) as run, Store(Store.default_url(runs)) as store:
+        run.describe(spec or SPEC, experiment="abc", text="environment: toy\n")
+        store.add_run(run.summary(), run.spec())
+        run.add_test(test)
+        store.add_test(run.id, test)
+        run.set_state(state, steps=1200, seconds=12.5, error="it broke" if state == "failed" else None)
+        store.update_run(run.summary())
+        checkpoint.save(run.checkpoints, "best", {"agent": {}}, {"steps": 1000})
+        return run.id
+
+
+@pytest.fixture
+def runs(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> Path:
+    monkeypatch.delenv("KAROLOS_RUNS", raising=False)
+    monkeypatch.delenv("KAROLOS_DATABASE", raising=False)
+    return tmp_path / "runs"
+
+
+def test_list_gives_a_row_per_run_newest_first(runs: Path) -> None:
+    first, second = add_run(runs, 0), add_run(runs, 1, "failed")
+    found = rows("list", "--runs", runs)
+    assert [row["run"] for row in found] == [second, first]
+    keys = "run experiment seed state steps seconds success_any success_end steps_to_95 seconds_to_95"
+    assert list(found[0])[:10] == keys.split()
+    assert found[1].items() >= {"seed": 0, "state": "finished", "success_any": 0.95, "steps_to_95": 1000}.items()
+    table = call("list", "--runs", runs)
+    assert first in table.stdout
+    assert "0.95 [0.76, 0.99]" in table.stdout
+    assert all(line == line.rstrip() for line in table.stdout.splitlines())
+
+
+def test_list_filters_and_limits(runs: Path) -> None:
+    add_run(runs, 0)
+    failed, lost = add_run(runs, 1, "failed"), add_run(runs, 2, "running")
+    assert [row["run"] for row in rows("list", "--runs", runs, "--state", "failed")] == [failed]
+    assert [row["run"] for row in rows("list", "--runs", runs, "--state", "lost")] == [lost]
+    assert [row["run"] for row in rows("list", "--runs", runs, "--limit", 1)] == [lost]
+    with pytest.raises(UsageError, match="there is no state 'done'"):
+        call("list", "--runs", runs, "--state", "done")
+    nothing = call("list", "--runs", runs, "--state", "stopped")
+    assert (nothing.stdout, nothing.stderr) == ("", "no runs are stopped\n")
+
+
+def test_environment_names_folder_and_database(runs: Path, monkeypatch: pytest.MonkeyPatch) -> None:
+    run = add_run(runs, 0)
+    monkeypatch.setenv("KAROLOS_RUNS", str(runs))
+    assert [row["run"] for row in rows("list")] == [run]
+    monkeypatch.setenv("KAROLOS_RUNS", str(runs.parent))
+    monkeypatch.setenv("KAROLOS_DATABASE", Store.default_url(runs))
+    assert [row["run"] for row in rows("list")] == [run]
+
+
+def test_place_without_runs_lists_nothing_and_makes_nothing(
+    runs: Path, tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    monkeypatch.chdir(tmp_path)
+    nothing = call("list")
+    assert nothing.stdout == ""
+    assert "no runs in runs yet; `karolos run SPEC` makes one" in nothing.stderr
+    assert rows("list") == []
+    with pytest.raises(UsageError, match="means no run: there are none in runs yet"):
+        call("show", "@last")
+    assert list(tmp_path.iterdir()) == []
+    with pytest.raises(UsageError, match="there is no folder elsewhere; name the runs folder"):
+        call("list", "--runs", "elsewhere")
+
+
+def test_missing_index_is_rebuilt_from_the_folders(runs: Path) -> None:
+    add_run(runs, 0)
+    before = rows("list", "--runs", runs)
+    (runs / "karolos.sqlite").unlink()
+    again = call("list", "--runs", runs, "--json")
+    assert "rebuilt from 1 run folders" in again.stderr
+    assert [json.loads(line) for line in again.stdout.splitlines()] == before
+
+
+def test_show_tells_all_about_a_run(runs: Path) -> None:
+    run = add_run(runs, 0, "failed")
+    (found,) = rows("show", "@last", "--runs", runs)
+    assert found["run"] == run
+    assert found["spec"] == SPEC
+    assert found["tests"] == [
+        {
+            "steps": 1000,
+            "seconds": 10.0,
+            "episodes": 20,
+            "success_any": 0.95,
+            "success_any_interval": [pytest.approx(0.7639, abs=1e-4), pytest.approx(0.9911, abs=1e-4)],
+            "success_end": 0.95,
+            "success_end_interval": [pytest.approx(0.7639, abs=1e-4), pytest.approx(0.9911, abs=1e-4)],
+            "solved_at_reset": 0,
+        }
+    ]
+    assert found["checkpoints"] == [{"name": "best", "steps": 1000}]
+    assert found["versions"]["python"] == sys.version.split()[0]
+    assert found["problems"] == []
+    text = call("show", run[:9], "--runs", runs).stdout
+    for part in (run, "failed: it broke", "0.95 [0.76, 0.99]", "best (1,000 steps)", "agent.name", str(runs), "numpy"):
+        assert part in text
+
+
+def test_show_finds_no_or_several_runs(runs: Path) -> None:
+    add_run(runs, 0)
+    add_run(runs, 1)
+    with pytest.raises(UsageError, match="'reach' means several runs; one of reach-s1"):
+        call("show", "reach", "--runs", runs)
+    with pytest.raises(UsageError, match="'push' means no run"):
+        call("show", "push", "--runs", runs)
+
+
+def test_show_names_what_is_damaged(runs: Path) -> None:
+    run = add_run(runs, 0)
+    with (runs / run / "tests.jsonl").open("a") as file:
+        file.write('{"steps":')
+    (runs / run / "checkpoints" / "best" / "manifest.json").write_text("{}")
+    shown = call("show", run, "--runs", runs)
+    assert "warning: tests.jsonl:2: the last line is torn" in shown.stderr
+    assert "the checkpoint is damaged" in shown.stderr
+    (runs / run / "run.json").unlink()
+    with pytest.raises(RunError, match="no run folder"):
+        call("show", run, "--runs", runs)
+
+
+def test_show_without_a_folder_tells_what_the_index_knows(runs: Path) -> None:
+    run = add_run(runs, 0)
+    shutil.rmtree(runs / run)
+    (found,) = rows("show", run, "--runs", runs)
+    assert found["spec"] == {key: value for key, value in SPEC.items() if key != "seeds"}
+    assert len(found["tests"]) == 1
+    assert found["problems"] == [f"the run folder is gone: {runs / run}"]
+
+
+def test_text_from_a_spec_cannot_steer_the_terminal(runs: Path) -> None:
+    run = add_run(runs, 0, spec={**SPEC, "agent": {"name": "\x1b[2J[bold]x", "\x1b[31m": 1}})
+    for shown in (call("show", run, "--runs", runs), call("list", "--runs", runs)):
+        assert "\x1b[2J" not in shown.output
+        assert "\x1b[31m" not in shown.output
+    assert "[2J[bold]x" in call("show", run, "--runs", runs).stdout
+
+
+def test_newer_database_is_told(runs: Path) -> None:
+    add_run(runs, 0)
+    with Store(Store.default_url(runs)) as store, store._engine.begin() as connection:
+        connection.exec_driver_sql("UPDATE karolos_schema SET version = 99")
+    with pytest.raises(StoreError, match="a newer karolos made this database") as caught:
+        call("list", "--runs", runs)
+    assert caught.value.exit_code == 4
+
+
+def test_listing_imports_neither_torch_nor_pybullet(runs: Path) -> None:
+    add_run(runs, 0)
+    script = (
+        "import sys; from karolos_cli.runs import app\n"
+        "for arguments in (['list'], ['show', '@last']):\n"
+        "    app([*arguments, '--runs', sys.argv[1]], standalone_mode=False)\n"
+        "heavy = {'torch', 'pybullet', 'optuna', 'scipy', 'gymnasium'} & set(sys.modules)\n"
+        "assert not heavy, heavy\n"
+    )
+    subprocess.run([sys.executable, "-c", script, str(runs)], check=True, capture_output=True)

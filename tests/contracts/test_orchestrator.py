@@ -1,0 +1,167 @@
+"""What every layout of the local orchestrator keeps, with the toy environment."""
+
+import numpy as np
+import pytest
+
+from karolos.core import Received, Step
+from karolos.environments.toy import Toy
+from karolos.errors import RunError, WorkerError
+from karolos.orchestrator import start
+from karolos.orchestrator.local import Local
+
+SIZE = 6
+TOY = Toy.Settings(dimensions=3, max_steps=5, reward="dense", threshold=0.3)
+LAYOUTS = {
+    "in_process": (0, 1, SIZE),
+    "one_process": (1, 1, SIZE),
+    "two_processes": (2, 1, SIZE // 2),
+    "two_threads": (1, 2, SIZE // 2),
+    "everything": (2, 2, 2),
+    "spawned": (2, 1, SIZE // 2),
+}
+
+
+def make(name: str, *, size: int | None = SIZE) -> Local:
+    processes, threads, environments = LAYOUTS[name]
+    settings = Local.Settings(processes=processes, threads=threads, environments=environments)
+    return Local(settings, TOY, size=size, build=Toy)
+
+
+@pytest.fixture(params=list(LAYOUTS))
+def orchestrator(request, monkeypatch):
+    if request.param == "spawned":
+        monkeypatch.setattr(start, "START_METHOD", "spawn")
+    with make(request.param) as made:
+        yield made
+
+
+def assert_equal(received: Step, expected: list[Step]) -> None:
+    for name, ours, theirs in zip(Step._fields, received, zip(*expected, strict=True), strict=True):
+        np.testing.assert_array_equal(ours, np.array(theirs, ours.dtype), err_msg=name)
+
+
+def test_seeds_and_actions_alone_determine_every_step(orchestrator):
+    """Against bare environments; the ones that finish are reset, so that environments stand at different steps."""
+    generator = np.random.default_rng(0)
+    bare = [Toy(TOY) for _ in range(SIZE)]
+    orchestrator.reset(range(SIZE), range(SIZE))
+    expected = [environment.reset(seed) for seed, environment in enumerate(bare)]
+    for turn in range(17):
+        received = orchestrator.receive()
+        assert received.environment.tolist() == list(range(SIZE))
+        assert_equal(received.step, expected)
+        over = [bool(step.truncated) or (turn == 2 and index % 2 == 0) for index, step in enumerate(expected)]
+        fresh, going = np.flatnonzero(over), np.flatnonzero(~np.array(over))
+        actions = generator.uniform(-1, 1, (going.size, 3)).astype(np.float32)
+        orchestrator.reset(fresh, [100 * turn + index for index in fresh.tolist()])
+        orchestrator.step(going, actions)
+        for index in fresh.tolist():
+            expected[index] = bare[index].reset(100 * turn + index)
+        for index, action in zip(going.tolist(), actions, strict=True):
+            expected[index] = bare[index].step(action)
+
+
+def test_ids_in_any_order_keep_their_seeds_and_actions(orchestrator):
+    bare = {index: Toy(TOY) for index in (1, 2, 5)}
+    orchestrator.reset([5, 1, 2], [50, 10, 20])
+    received = orchestrator.receive()
+    assert received.environment.tolist() == [1, 2, 5]
+    assert_equal(received.step, [bare[index].reset(10 * index) for index in (1, 2, 5)])
+    actions = np.array([[0.5, 0, 0], [0, 0.25, 0], [0, 0, -1]], np.float32)
+    orchestrator.step([2, 5, 1], actions)
+    received = orchestrator.receive()
+    assert received.environment.tolist() == [1, 2, 5]
+    assert_equal(received.step, [bare[1].step(actions[2]), bare[2].step(actions[0]), bare[5].step(actions[1])])
+
+
+def test_an_episode_that_is_over_is_not_reset_by_itself(orchestrator):
+    orchestrator.reset([3], [1])
+    orchestrator.receive()
+    for _ in range(TOY.max_steps):
+        orchestrator.step([3], np.ones((1, 3), np.float32))
+        last = orchestrator.receive().step
+    assert last.truncated.tolist() == [True]
+    orchestrator.step([3], np.ones((1, 3), np.float32))
+    with pytest.raises(WorkerError, match="RuntimeError: the episode is over"):
+        orchestrator.receive()
+
+
+def test_what_is_received_belongs_to_the_caller(orchestrator):
+    orchestrator.reset(range(SIZE), range(SIZE))
+    first = orchestrator.receive().step
+    kept = first.observation.copy()
+    orchestrator.step(range(SIZE), np.full((SIZE, 3), 0.5, np.float32))
+    second = orchestrator.receive().step
+    np.testing.assert_array_equal(first.observation, kept)
+    expected = second.observation.copy()
+    second.observation[:] = 7
+    orchestrator.step(range(SIZE), np.zeros((SIZE, 3), np.float32))
+    np.testing.assert_array_equal(orchestrator.receive().step.observation, expected)
+
+
+def test_nothing_under_way_gives_nothing(orchestrator):
+    orchestrator.step([], np.zeros((0, 3), np.float32))
+    received = orchestrator.receive()
+    assert isinstance(received, Received)
+    assert received.environment.size == 0
+    assert received.step.observation.shape == (0, 3)
+
+
+def test_a_second_command_to_a_busy_environment_is_refused(orchestrator):
+    orchestrator.reset([2, 4], [0, 0])
+    with pytest.raises(ValueError, match="environment 4 has a command under way"):
+        orchestrator.reset([3, 4], [0, 0])
+    with pytest.raises(ValueError, match="environment 2 has a command under way"):
+        orchestrator.step([2], np.zeros((1, 3), np.float32))
+    with pytest.raises(ValueError, match="under way"):
+        orchestrator.parameters([2])
+    assert orchestrator.receive().environment.tolist() == [2, 4], "a refused command has no effect"
+
+
+@pytest.mark.parametrize("ids", [[SIZE], [-1], [0, 0], [0.5], [True] * SIZE, [[0, 1]]])
+def test_ids_that_name_no_environments_are_refused(orchestrator, ids):
+    with pytest.raises(ValueError, match="environment"):
+        orchestrator.reset(ids, [0] * len(ids))
+
+
+def test_commands_of_a_wrong_shape_are_refused(orchestrator):
+    with pytest.raises(ValueError, match=r"take actions of shape \(2, 3\), not \(2, 2\)"):
+        orchestrator.step([0, 1], np.zeros((2, 2), np.float32))
+    with pytest.raises(ValueError, match="shape"):
+        orchestrator.step([0], np.zeros(3, np.float32))
+    with pytest.raises(ValueError, match="2 environments need 2 seeds, not 1"):
+        orchestrator.reset([0, 1], [0])
+    with pytest.raises(ValueError, match="a seed lies in"):
+        orchestrator.reset([0], [-1])
+    assert orchestrator.receive().environment.size == 0
+
+
+def test_an_action_that_is_not_finite_is_refused_by_name(orchestrator):
+    actions = np.zeros((2, 3), np.float32)
+    actions[1, 2] = np.nan
+    with pytest.raises(RunError, match="environment 4: the agent gave an action that is not a finite number"):
+        orchestrator.step([1, 4], actions)
+
+
+def test_large_seeds_arrive_whole(orchestrator):
+    seed = 2**63 - 25
+    orchestrator.reset([0], [seed])
+    assert_equal(orchestrator.receive().step, [Toy(TOY).reset(seed)])
+
+
+def test_close_is_final_and_safe_to_repeat(orchestrator):
+    orchestrator.reset([0], [0])
+    orchestrator.close()
+    orchestrator.close()
+    for use in (orchestrator.receive, lambda: orchestrator.reset([0], [0]), lambda: orchestrator.parameters([0])):
+        with pytest.raises(ValueError, match="closed"):
+            use()
+
+
+def test_signature_is_the_environments(orchestrator):
+    signature = Toy(TOY).signature
+    assert orchestrator.size == SIZE
+    assert orchestrator.signature.observation == signature.observation
+    assert orchestrator.signature.max_steps == signature.max_steps
+    reward = orchestrator.signature.goal_rule.reward(np.zeros(3), np.ones(3))
+    np.testing.assert_array_equal(reward, signature.goal_rule.reward(np.zeros(3), np.ones(3)))

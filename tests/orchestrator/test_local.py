@@ -1,0 +1,141 @@
+"""Parts of the local orchestrator: settings, spreading, memory, what environments are handed."""
+
+import pickle
+
+import numpy as np
+import pytest
+from fake_environments import FINE, Fake
+from hypothesis import given
+from hypothesis import strategies as st
+from pydantic import ValidationError
+
+from karolos.core import Field, Layout, Signature
+from karolos.orchestrator.block import ALIGNMENT, Block, SharedBytes
+from karolos.orchestrator.local import Local, _layout
+
+counts = st.integers(1, 40)
+
+
+def make(*layout: int, recipe: str = "", size: int | None = None) -> Local:
+    processes, threads, environments = layout
+    settings = Local.Settings(processes=processes, threads=threads, environments=environments)
+    return Local(settings, recipe, size=size, build=Fake)
+
+
+@given(size=counts, processes=counts, threads=counts)
+def test_every_environment_has_one_lane_and_the_load_is_even(size, processes, threads):
+    layout = _layout(size, processes, threads)
+    assert [index for lanes in layout for ids in lanes for index in ids] == list(range(size))
+    assert len(layout) == min(size, processes)
+    per_process = [sum(map(len, lanes)) for lanes in layout]
+    assert max(per_process) - min(per_process) <= 1
+    for lanes, count in zip(layout, per_process, strict=True):
+        lengths = [len(ids) for ids in lanes]
+        assert len(lanes) == min(count, threads)
+        assert max(lengths) - min(lengths) <= 1
+
+
+@given(processes=st.integers(0, 8), threads=st.integers(1, 8), environments=st.integers(1, 8))
+def test_only_the_number_of_environments_is_part_of_an_experiments_identity(processes, threads, environments):
+    settings = Local.Settings(processes=processes, threads=threads, environments=environments)
+    assert settings.identity() == {"environments": max(processes, 1) * threads * environments}
+    assert settings.identity() == Local.Settings(processes=0, environments=settings.size).identity()
+
+
+@pytest.mark.parametrize("wrong", [{"processes": -1}, {"threads": 0}, {"environments": 0}, {"process": 2}])
+def test_settings_without_sense_are_refused(wrong):
+    with pytest.raises(ValidationError):
+        Local.Settings(**wrong)
+
+
+def test_every_setting_is_described():
+    assert all(field.description for field in Local.Settings.model_fields.values())
+
+
+@pytest.mark.parametrize("layout", [(0, 1, 8), (2, 1, 4), (1, 2, 4), (4, 4, 4)])
+@pytest.mark.parametrize("size", [1, 3])
+def test_size_overrides_the_layouts_number(layout, size):
+    with make(*layout, size=size) as orchestrator:
+        assert orchestrator.size == size
+        orchestrator.reset(range(size), range(size))
+        assert orchestrator.receive().environment.tolist() == list(range(size))
+        with pytest.raises(ValueError, match=f"there is no {size}"):
+            orchestrator.reset([size], [0])
+
+
+def test_an_orchestrator_of_no_environments_is_refused():
+    with pytest.raises(ValueError, match="at least one environment"):
+        make(0, 1, 8, size=0)
+
+
+@pytest.mark.parametrize("layout", [(0, 1, 4), (2, 1, 2)])
+def test_parameters_are_those_of_the_running_episode(layout):
+    with make(*layout) as orchestrator:
+        orchestrator.reset([0, 1, 2, 3], [10, 20, 30, 40])
+        orchestrator.receive()
+        np.testing.assert_array_equal(orchestrator.parameters([3, 0]), [[40, 20], [10, 5]])
+        orchestrator.reset([0], [12])
+        orchestrator.receive()
+        np.testing.assert_array_equal(orchestrator.parameters([0, 3]), [[12, 6], [40, 20]])
+
+
+@pytest.mark.parametrize("layout", [(0, 1, 1), (1, 1, 1)])
+def test_an_environment_may_keep_the_actions_it_was_given(layout):
+    """An action delay does; the memory they came in is overwritten by the next."""
+    with make(*layout) as orchestrator:
+        orchestrator.reset([0], [0])
+        orchestrator.receive()
+        for action, total in ((0.25, 0.25), (0.5, 0.75), (-0.125, 0.625)):
+            orchestrator.step([0], np.full((1, 1), action, np.float32))
+            assert orchestrator.receive().step.reward.tolist() == [total]
+
+
+@pytest.mark.parametrize("layout", [(0, 1, 2), (1, 1, 2)])
+def test_a_discrete_action_arrives_as_an_index(layout):
+    with make(*layout, recipe="discrete") as orchestrator:
+        orchestrator.reset([0, 1], [0, 0])
+        orchestrator.receive()
+        orchestrator.step([0, 1], np.full((2, 1), FINE, np.float32))
+        assert orchestrator.receive().step.observation[:, 1].tolist() == [1, 1]
+
+
+widths = st.integers(0, 5)
+
+
+@given(n=st.integers(1, 9), observation=widths, goal=widths, action=st.integers(1, 5), parameters=widths)
+def test_the_arrays_of_a_block_share_nothing_with_each_other(n, observation, goal, action, parameters):
+    def wide(size: int) -> Layout:
+        return Layout((Field("x", size),))
+
+    signature = Signature(
+        wide(observation),
+        wide(action),
+        1,
+        achieved_goal=wide(goal),
+        desired_goal=wide(goal),
+        parameters=wide(parameters),
+    )
+    buffer = bytearray(Block.size(signature, n))
+    ours, theirs = Block.over(buffer, signature, n), Block.over(buffer, signature, n)
+    arrays = vars(ours)
+    for number, array in enumerate(arrays.values()):
+        assert len(array) == n
+        assert array.__array_interface__["data"][0] % array.itemsize == 0
+        array[...] = number % 2 if array.dtype == bool else number
+    for number, array in enumerate(vars(theirs).values()):
+        assert (array == (number % 2 if array.dtype == bool else number)).all()
+    assert len(buffer) % ALIGNMENT == 0
+
+
+def test_shared_memory_has_no_name_and_outlives_its_handle():
+    memory = SharedBytes(128)
+    block = np.frombuffer(memory.buffer, np.uint8)
+    block[:] = 3
+    memory.close()
+    memory.close()
+    assert block.sum() == 3 * 128
+
+
+def test_settings_travel_to_workers():
+    settings = Local.Settings(processes=2)
+    assert pickle.loads(pickle.dumps(settings)) == settings

@@ -1,0 +1,172 @@
+"""Worker processes and the program that uses them: each test runs a program of its own, as a user would."""
+
+import os
+import signal
+import subprocess
+import sys
+from pathlib import Path
+from time import monotonic, sleep
+
+import pytest
+
+HERE = Path(__file__).parent
+HEAD = f"""
+import sys
+sys.path.insert(0, {str(HERE)!r})
+import numpy as np
+from fake_environments import FINE, HANG, PRINT, Fake
+from karolos.orchestrator import start
+from karolos.orchestrator.local import Local
+MARK_OF_THE_USERS_SCRIPT = True
+
+def make(processes=2, threads=1, environments=2):
+    return Local(Local.Settings(processes=processes, threads=threads, environments=environments), "", build=Fake)
+
+def step(orchestrator, trouble):
+    orchestrator.step(range(orchestrator.size), np.full((orchestrator.size, 1), trouble, np.float32))
+    return orchestrator.receive().step.observation
+
+def pids(orchestrator):
+    orchestrator.reset(range(orchestrator.size), range(orchestrator.size))
+    return orchestrator.receive().step.observation[:, 0].astype(int).tolist()
+"""
+
+
+def write(folder: Path, body: str, *, first: str = "") -> list[str]:
+    script = folder / "program.py"
+    script.write_text(first + HEAD + body)
+    return [sys.executable, str(script)]
+
+
+def run(folder: Path, body: str, *, first: str = "") -> str:
+    """Run a program to its end; what it printed. Fails with its standard error."""
+    ended = subprocess.run(write(folder, body, first=first), capture_output=True, text=True, timeout=60, check=False)
+    assert ended.returncode == 0, ended.stderr
+    return ended.stdout
+
+
+def is_alive(pid: int) -> bool:
+    try:
+        os.kill(pid, 0)
+    except ProcessLookupError:
+        return False
+    state = Path(f"/proc/{pid}/stat")
+    return not (state.exists() and state.read_text().rpartition(")")[2].split()[0] == "Z")
+
+
+def wait_until_gone(pids: list[int]) -> None:
+    deadline = monotonic() + 20
+    while any(is_alive(pid) for pid in pids):
+        assert monotonic() < deadline, f"still there: {[pid for pid in pids if is_alive(pid)]}"
+        sleep(0.02)
+
+
+@pytest.mark.parametrize("method", ["forkserver", "spawn"])
+def test_workers_import_neither_torch_nor_the_users_script(tmp_path, method):
+    """The script has no `if __name__ == "__main__"`, and stands for one that has imported torch."""
+    output = run(
+        tmp_path,
+        f"""
+import types
+sys.modules["torch"] = types.ModuleType("torch")
+start.START_METHOD = {method!r}
+print("the script runs")
+with make() as orchestrator:
+    pids(orchestrator)
+    print(step(orchestrator, FINE)[:, 2:].tolist())
+print("main is back:", sys.modules["__main__"].MARK_OF_THE_USERS_SCRIPT)
+""",
+    )
+    torch, threads, main = 0.0, 1.0, 0.0
+    assert output.splitlines() == ["the script runs", str([[torch, threads, main]] * 4), "main is back: True"]
+
+
+def test_importing_the_orchestrator_imports_neither_torch_nor_pybullet(tmp_path):
+    output = run(tmp_path, "print([name for name in ('torch', 'pybullet', 'sqlalchemy') if name in sys.modules])")
+    assert output.strip() == "[]"
+
+
+def test_what_workers_print_stays_out_of_the_programs_output(tmp_path):
+    assert run(tmp_path, "with make() as orchestrator:\n    pids(orchestrator); step(orchestrator, PRINT)") == ""
+
+
+def test_the_parents_environment_variables_stay_as_they_were(tmp_path):
+    output = run(
+        tmp_path,
+        """
+import os
+for name in start.ONE_THREAD:
+    os.environ.pop(name, None)
+os.environ["OMP_NUM_THREADS"] = "3"
+before = dict(os.environ)
+make().close()
+print(dict(os.environ) == before)
+""",
+    )
+    assert output == "True\n"
+
+
+@pytest.mark.parametrize("first", ["", "import weakref\nweakref.finalize(weakref.finalize, print)\n"])
+def test_a_program_that_never_closes_ends(tmp_path, first):
+    """Also when something else was the first to ask for clean-up at exit; it must not decide the order."""
+    output = run(tmp_path, "orchestrator = make()\nprint(*pids(orchestrator))", first=first)
+    wait_until_gone([int(pid) for pid in output.split()])
+
+
+@pytest.mark.skipif(not Path("/proc/self/maps").exists(), reason="reads what is mapped from /proc")
+def test_shared_memory_has_no_name_that_could_stay_behind(tmp_path):
+    output = run(
+        tmp_path,
+        """
+from pathlib import Path
+with make() as orchestrator:
+    for pid in ("self", *sorted(set(pids(orchestrator)))):
+        maps = Path(f"/proc/{pid}/maps").read_text()
+        print(maps.count("memfd:karolos"), maps.count("/dev/shm/"), maps.count("pym-"))
+""",
+    )
+    assert output.splitlines() == ["1 0 0"] * 3
+
+
+def test_a_program_that_fails_shows_its_own_error_and_leaves_no_worker(tmp_path):
+    body = "orchestrator = make()\nprint(*pids(orchestrator), flush=True)\nraise LookupError('mine')"
+    ended = subprocess.run(write(tmp_path, body), capture_output=True, text=True, timeout=60, check=False)
+    assert ended.stderr.strip().endswith("LookupError: mine")
+    assert ended.stderr.count("Traceback") == 1
+    wait_until_gone([int(pid) for pid in ended.stdout.split()])
+
+
+@pytest.mark.parametrize("trouble", ["FINE", "HANG"])
+def test_a_program_that_is_killed_leaves_no_worker(tmp_path, trouble):
+    body = f"""
+import os, threading
+orchestrator = make(processes=2, threads=2)
+print(*pids(orchestrator), flush=True)
+threading.Timer(0.3, os.kill, (os.getpid(), 9)).start()
+while True:
+    step(orchestrator, {trouble})
+"""
+    ended = subprocess.run(write(tmp_path, body), capture_output=True, text=True, timeout=60, check=False)
+    assert ended.returncode == -signal.SIGKILL
+    wait_until_gone([int(pid) for pid in ended.stdout.split()])
+
+
+@pytest.mark.parametrize("name", ["SIGINT", "SIGTERM", "SIGUSR1"])
+def test_a_signal_to_the_whole_group_is_the_parents_to_decide(tmp_path, name):
+    """Ctrl-C and job schedulers signal every process; the parent finishes its step and may go on."""
+    body = f"""
+import os, signal
+heard = []
+orchestrator = make()
+before = pids(orchestrator)
+signal.signal(signal.{name}, lambda *_: heard.append(1))
+os.killpg(0, signal.{name})
+step(orchestrator, FINE)
+print(bool(heard), pids(orchestrator) == before)
+orchestrator.close()
+"""
+    ended = subprocess.run(
+        write(tmp_path, body), capture_output=True, text=True, timeout=60, check=False, start_new_session=True
+    )
+    assert ended.stdout == "True True\n", ended.stderr
+    assert ended.stderr == ""

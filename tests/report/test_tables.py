@@ -1,0 +1,103 @@
+from __future__ import annotations
+
+import io
+from dataclasses import replace
+
+import pytest
+from rich.console import Console
+
+from karolos.report.tables import clean, count, duration, facts_table, flatten, runs_table, success, table_of_tests
+from karolos.run_records import RunSummary
+from karolos.store import StoredTest
+
+RUN = RunSummary(
+    run="reach-s0-1",
+    experiment="abc",
+    seed=0,
+    state="finished",
+    steps=20_000,
+    seconds=47.21,
+    success_any=0.97,
+    success_end=0.9,
+    steps_to_95=6000,
+    seconds_to_95=12.0,
+    name="reach",
+    episodes=100,
+    environment="robot_task",
+    robot="panda",
+    task="reach",
+    agent="sac",
+    attempt=1,
+    error=None,
+    created="2026-01-01",
+    updated="2026-01-01",
+    folder="runs/reach-s0-1",
+)
+
+
+def shown(what: object) -> str:
+    stream = io.StringIO()
+    Console(file=stream, width=200, force_terminal=True, color_system=None).print(what)
+    return stream.getvalue()
+
+
+def test_run_is_shown_with_the_interval_of_its_success() -> None:
+    text = shown(runs_table([RUN]))
+    for part in ("reach-s0-1", "finished", "20,000", "47.2 s", "0.97 [0.92, 0.99]", "0.90", "6,000", "12.0 s"):
+        assert part in text
+
+
+def test_run_without_a_test_is_shown() -> None:
+    empty = dict.fromkeys(("success_any", "success_end", "steps_to_95", "seconds_to_95", "episodes"), None)
+    assert shown(runs_table([replace(RUN, **empty)])).count(" - ") == 4
+
+
+def test_test_is_shown_with_both_ways_to_count() -> None:
+    text = shown(table_of_tests([StoredTest("x", 1000, 100.0, 20, 18, 0, 3)]))
+    for part in ("1,000", "1 min 40 s", "0.90 [0.70, 0.97]", "0.00 [0.00, 0.16]", "20", "3"):
+        assert part in text
+
+
+@pytest.mark.parametrize("evil", ["\x1b[2Jx", "\x9b31mx", "a\rb", "a\nb", "\u202ereversed", "\x07", "\ud800"])
+def test_text_from_a_file_cannot_steer_the_terminal(evil: str) -> None:
+    assert clean(evil).isprintable()
+    run = replace(RUN, run=evil, state=evil)
+    text = shown(runs_table([run])) + shown(facts_table({evil: evil}))
+    assert evil not in text
+    assert all(sign.isprintable() or sign == "\n" for sign in text)
+
+
+def test_markup_in_a_text_is_shown_as_it_is() -> None:
+    assert "[red]x[/red]" in shown(facts_table({"error": "[red]x[/red]", "none": None}))
+    assert "none" not in shown(facts_table({"none": None}))
+
+
+@pytest.mark.parametrize(
+    ("seconds", "text"),
+    [
+        (None, "-"),
+        (0.04, "0.0 s"),
+        (99.94, "99.9 s"),
+        (99.96, "1 min 40 s"),
+        (119.6, "2 min 00 s"),
+        (3599.7, "1 h 00 min"),
+        (90_000, "25 h 00 min"),
+    ],
+)
+def test_durations_read_as_people_say_them(seconds: float | None, text: str) -> None:
+    assert duration(seconds) == text
+
+
+def test_numbers_that_are_not_there_are_dashes() -> None:
+    assert (count(None), success(None, None), success(0.5, 0)) == ("-", "-", "-")
+
+
+def test_nested_spec_becomes_key_paths() -> None:
+    spec = {"agent": {"name": "sac", "nets": {"hidden": [256, 256]}}, "robot": None, "empty": {}, "on": True}
+    assert dict(flatten(spec)) == {
+        "agent.name": "sac",
+        "agent.nets.hidden": "[256, 256]",
+        "robot": "null",
+        "empty": "{}",
+        "on": "true",
+    }

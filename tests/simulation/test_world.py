@@ -1,0 +1,110 @@
+from __future__ import annotations
+
+import subprocess
+import sys
+
+import numpy as np
+import pytest
+
+from karolos.simulation import urdf
+from karolos.simulation.camera import Camera
+from karolos.simulation.world import World
+
+PENDULUM = """
+<robot name="pendulum"><link name="base"/>
+  <link name="arm"><inertial><origin xyz="0.5 0 0"/><mass value="2"/>
+    <inertia ixx="0.1" iyy="0.1" izz="0.1" ixy="0" ixz="0" iyz="0"/></inertial></link>
+  <joint name="hinge" type="revolute"><parent link="base"/><child link="arm"/><axis xyz="0 1 0"/>
+    <limit lower="-3" upper="3" effort="20" velocity="2"/></joint></robot>
+"""
+WEIGHT = 2 * 9.81 * 0.5  # N m about the hinge
+
+
+@pytest.mark.parametrize("substeps", [1, 10])
+def test_falling_body_falls_as_it_must(substeps: int) -> None:
+    world = World(substeps=substeps)
+    box = world.box((0.1, 0.1, 0.1), 1.0, (1, 0, 0, 1))
+    box.set_air_drag(0.0)
+    box.place((0.0, 0.0, 5.0))
+    steps = 120 // substeps
+    for _ in range(steps):
+        world.step()
+    # semi-implicit Euler falls g t dt / 2 further than the parabola
+    assert box.pose()[0][2] == pytest.approx(5 - 9.81 * (0.5**2 / 2 + 0.5 / 480), abs=1e-4)
+    world.close()
+
+
+@pytest.mark.parametrize("substeps", [1, 10])
+@pytest.mark.parametrize(("share", "holds"), [(1.1, True), (0.9, False)])
+def test_motor_holds_what_its_torque_allows_whatever_the_substeps(substeps: int, share: float, holds: bool) -> None:
+    world = World(substeps=substeps)
+    body = world.load(urdf.ElementTree.fromstring(PENDULUM), position=(0.0, 0.0, 3.0))
+    body.set_air_drag(0.0, 0)
+    body.prepare_motor(0, 2.0)
+    body.write_joints([0], [0.0])
+    body.drive([0], [0.0], [share * WEIGHT / substeps], [0.2])
+    for _ in range(48 * 10 // substeps):
+        world.step()
+    assert (abs(body.joints([0])[0][0]) < 0.01) is holds
+    world.close()
+
+
+def test_motor_keeps_its_speed_limit() -> None:
+    world = World()
+    world.set_gravity(0.0)
+    body = world.load(urdf.ElementTree.fromstring(PENDULUM), position=(0.0, 0.0, 3.0))
+    body.prepare_motor(0, 2.0)
+    body.drive([0], [3.0], [20.0], [0.5])
+    speeds = []
+    for _ in range(12):
+        world.step()
+        speeds.append(body.joints([0])[0][1])
+    assert max(speeds) == pytest.approx(2.0, rel=0.01)
+    world.close()
+
+
+def test_resting_contact_and_friction() -> None:
+    world = World()
+    box = world.box((0.04, 0.04, 0.04), 0.1, (1, 0, 0, 1))
+    box.place((0.4, 0.0, 0.02))
+    for _ in range(24):
+        world.step()
+    assert box.pose()[0] == pytest.approx((0.4, 0.0, 0.02), abs=2e-3)
+    assert world.touching(box, world.floor, -1)
+    box.place((0.4, 0.0, 0.5))
+    world.step()
+    assert not world.touching(box, world.floor, -1)
+    world.close()
+
+
+def test_picture_shows_markers_and_leaves_them_where_they_are() -> None:
+    world = World()
+    camera = Camera()
+    empty = world.render(64, 48, camera)
+    marker = world.marker(0.1, (0.0, 1.0, 0.0, 1.0))
+    marker.place((0.3, 0.0, 0.3))
+    seen = world.render(64, 48, camera)
+    assert seen.shape == (48, 64, 3)
+    assert seen.dtype == np.uint8
+    changed = (seen != empty).any(-1)
+    assert 5 < changed.sum() < changed.size / 4
+    assert marker.pose()[0] == (0.3, 0.0, 0.3)
+    world.close()
+
+
+def test_robots_and_tasks_are_described_without_pybullet_and_torch() -> None:
+    code = (
+        "import sys\n"
+        "from karolos.environments.robot_task import RobotTask\n"
+        "from karolos.robots.panda import Panda\n"
+        "from karolos.tasks.reach import Reach\n"
+        "make = lambda kind: kind.Settings.model_validate({})\n"
+        "made = RobotTask(make(RobotTask), robot=Panda(make(Panda)), task=Reach(make(Reach)))\n"
+        "assert made.signature.action.size == 3\n"
+        "assert not {'pybullet', 'torch'} & set(sys.modules), 'heavy'\n"
+        "made.reset(0)\n"
+        "assert 'torch' not in sys.modules\n"
+    )
+    done = subprocess.run([sys.executable, "-c", code], capture_output=True, text=True, check=False)
+    assert done.returncode == 0, done.stderr
+    assert done.stdout == done.stderr == "", "pybullet's greeting must not reach the user"

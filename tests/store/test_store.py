@@ -1,0 +1,367 @@
+from __future__ import annotations
+
+import os
+import sqlite3
+import subprocess
+import sys
+from dataclasses import replace
+from pathlib import Path
+from typing import Any
+
+import pytest
+from sqlalchemy import create_engine
+
+from karolos.errors import MachineError, StoreError, UsageError
+from karolos.run_folder import RunFolder
+from karolos.run_records import RunSummary
+from karolos.store import Store, StoredTest
+from karolos.store.connection import explained, parse_url
+from karolos.store.models import SCHEMA
+from karolos.testing import TestResult
+
+SPEC = {"name": "reach", "environment": {"name": "toy"}, "robot": None, "agent": {"name": "sac"}, "seeds": [3]}
+
+
+def result(steps: int, successes: int) -> TestResult:
+    flags = tuple(index < successes for index in range(20))
+    return TestResult(steps, steps / 100, flags, (True,) * 20, (False,) * 20, (-1.5,) * 20, (9,) * 20)
+
+
+def new_run(store: Store, runs: Path, name: str = "reach", seed: int = 3) -> RunFolder:
+    run = RunFolder.create(runs, name, seed)
+    run.describe(SPEC, experiment="abc")
+    store.add_run(run.summary(), SPEC)
+    return run
+
+
+def bare(store: Store, run: str, **values: Any) -> RunSummary:
+    """A run that has no folder any more."""
+    summary = RunSummary(
+        **dict.fromkeys(("success_any", "success_end", "steps_to_95", "seconds_to_95"), None),
+        **dict.fromkeys(("episodes", "environment", "robot", "task", "agent", "error"), None),
+        run=run,
+        experiment="abc",
+        seed=0,
+        state="finished",
+        steps=0,
+        seconds=0.0,
+        name="x",
+        attempt=1,
+        created="2026-01-01T00:00:00.000000Z",
+        updated="2026-01-01T00:00:00.000000Z",
+        folder="/nowhere/x",
+    )
+    summary = replace(summary, **values)
+    store.add_run(summary, SPEC)
+    return summary
+
+
+@pytest.fixture
+def store(tmp_path: Path) -> Store:
+    return Store(Store.default_url(tmp_path), timeout=0.1)
+
+
+def database(store: Store) -> sqlite3.Connection:
+    return sqlite3.connect(store.url.database or "", isolation_level=None, timeout=0)
+
+
+# What it keeps.
+
+
+def test_run_comes_back_as_its_folder_says(store: Store, tmp_path: Path) -> None:
+    run = new_run(store, tmp_path, seed=2**70)
+    assert store.runs() == (run.summary(),)
+    for each in (result(100, 3), result(200, 19)):
+        run.add_test(each)
+        store.add_test(run.id, each)
+    run.set_state("finished", steps=210, seconds=1 / 3)
+    store.update_run(run.summary())
+    assert store.find(run.id) == run.summary()
+    assert store.find(run.id).steps_to_95 == 200
+    assert store.tests(run.id) == (
+        StoredTest(run.id, 100, 1.0, 20, 3, 20, 0),
+        StoredTest(run.id, 200, 2.0, 20, 19, 20, 0),
+    )
+
+
+def test_repeated_test_replaces_the_first(store: Store, tmp_path: Path) -> None:
+    run = new_run(store, tmp_path)
+    for each in (result(100, 3), result(100, 5)):
+        store.add_test(run.id, each)
+    assert [test.any for test in store.tests(run.id)] == [5]
+
+
+def test_spec_of_an_experiment_is_kept_without_seeds(store: Store, tmp_path: Path) -> None:
+    new_run(store, tmp_path)
+    assert store.spec("abc") == {key: value for key, value in SPEC.items() if key != "seeds"}
+    with pytest.raises(UsageError, match="no experiment 'xyz'"):
+        store.spec("xyz")
+
+
+def test_runs_move_with_their_database(store: Store, tmp_path: Path) -> None:
+    runs = tmp_path / "runs"
+    with Store(Store.default_url(runs)) as before:
+        run = new_run(before, runs)
+    moved = runs.rename(tmp_path / "elsewhere")
+    with Store(Store.default_url(moved)) as after:
+        assert after.runs()[0].folder == str(moved / run.id)
+        assert after.runs()[0].state == "created"  # the lock is seen there, too
+
+
+def test_update_of_an_unknown_run_is_told(store: Store, tmp_path: Path) -> None:
+    run = new_run(store, tmp_path)
+    store.remove_runs([run.id])
+    with pytest.raises(StoreError, match=r"is not in the database; was the database exchanged"):
+        store.update_run(run.summary())
+    with pytest.raises(StoreError, match="database refuses"):
+        store.add_test(run.id, result(1, 1))  # a test of no run
+
+
+def test_removed_run_takes_its_tests_along(store: Store, tmp_path: Path) -> None:
+    run = new_run(store, tmp_path)
+    store.add_test(run.id, result(1, 1))
+    store.remove_runs([run.id])
+    assert store.runs() == ()
+    assert store.tests(run.id) == ()
+
+
+# What it finds.
+
+
+def test_runs_are_listed_newest_first_and_filtered(store: Store) -> None:
+    old, middle, new = (
+        bare(store, f"{name}-s0-1", created=f"2026-01-0{day}T00:00:00.000000Z", state=state)
+        for name, day, state in (("reach", 1, "finished"), ("push", 2, "failed"), ("reach_100%", 3, "finished"))
+    )
+    assert store.runs() == (new, middle, old)
+    assert store.runs(limit=2) == (new, middle)
+    assert store.runs(state="finished") == (new, old)
+    assert store.runs(state="finished", limit=1) == (new,)
+    assert store.runs(prefix="reach") == (new, old)
+    assert store.runs(prefix="reach_1") == (new,)
+    assert store.runs(prefix="%") == ()
+    assert store.runs(ids=[old.run, "none"]) == (old,)
+    with pytest.raises(UsageError, match="no state 'done'; there are created, running"):
+        store.runs(state="done")
+
+
+@pytest.mark.parametrize("state", ["created", "running"])
+def test_run_whose_process_is_gone_is_listed_as_lost(store: Store, tmp_path: Path, state: str) -> None:
+    run = new_run(store, tmp_path)
+    run.set_state(state)
+    store.update_run(run.summary())
+    assert [found.state for found in store.runs(state=state)] == [state]
+    run.release()
+    assert store.runs(state=state) == ()
+    assert [found.state for found in store.runs(state="lost")] == ["lost"]
+    assert store.find(run.id).state == "lost"
+
+
+def test_end_that_was_not_indexed_any_more_is_read_from_the_folder(store: Store, tmp_path: Path) -> None:
+    run = new_run(store, tmp_path)
+    run.set_state("running")
+    store.update_run(run.summary())
+    run.add_test(result(100, 20))
+    run.set_state("finished", steps=100)
+    run.release()
+    assert store.runs(state="finished") == (run.summary(),)
+    assert store.runs()[0].success_any == 1.0
+
+
+def test_unfinished_run_without_a_folder_stays_as_indexed(store: Store) -> None:
+    bare(store, "x", state="running")
+    assert store.runs()[0].state == "running"
+
+
+def test_selector_means_one_run(store: Store) -> None:
+    first = bare(store, "reach-s0-1", created="2026-01-01")
+    second = bare(store, "reach-s0-1-2", created="2026-01-02")
+    other = bare(store, "push-s0-1", created="2026-01-03")
+    assert store.find("reach-s0-1") == first  # an id, though it begins another
+    assert store.find("reach-s0-1-") == second
+    assert store.find("pu") == other
+    assert store.find("@last") == other
+    assert store.find("runs/push-s0-1/") == other
+    with pytest.raises(UsageError, match="means several runs; one of reach-s0-1-2, reach-s0-1; or @last"):
+        store.find("reach")
+    for nothing in ("pull", "", "..", "/", "%", "PUSH"):
+        with pytest.raises(UsageError, match=r"means no run; `karolos runs list`"):
+            store.find(nothing)
+
+
+def test_selector_that_means_many_names_a_few(store: Store) -> None:
+    for index in range(9):
+        bare(store, f"x{index}")
+    with pytest.raises(UsageError, match=r"several runs; one of (x\d, ){4}x\d \.\.\.; or @last"):
+        store.find("x")
+
+
+def test_last_of_nothing_is_told(store: Store) -> None:
+    with pytest.raises(UsageError, match="there are no runs yet"):
+        store.find("@last")
+
+
+# What it refuses.
+
+
+def test_locked_database_is_told_after_the_time_limit(store: Store, tmp_path: Path) -> None:
+    run = new_run(store, tmp_path)
+    with database(store) as other:
+        other.execute("BEGIN EXCLUSIVE")
+        with pytest.raises(StoreError, match=r"karolos\.sqlite: another process keeps it locked; wait for"):
+            store.update_run(run.summary())
+        with pytest.raises(StoreError, match="another process keeps it locked"):
+            store.runs()
+        other.execute("ROLLBACK")
+    store.update_run(run.summary())
+
+
+def test_reader_does_not_wait_for_a_writer(store: Store, tmp_path: Path) -> None:
+    run = new_run(store, tmp_path)
+    with database(store) as other:
+        other.execute("BEGIN IMMEDIATE")
+        assert [found.run for found in store.runs()] == [run.id]
+
+
+def test_newer_database_is_refused_and_not_touched(store: Store) -> None:
+    with database(store) as other:
+        other.execute("UPDATE karolos_schema SET version = ?", [SCHEMA + 1])
+    other.close()
+    content = Path(store.url.database or "").read_bytes()
+    with pytest.raises(StoreError, match=r"a newer karolos made this database .*; update karolos, or name another"):
+        Store(str(store.url))
+    assert Path(store.url.database or "").read_bytes() == content
+
+
+def test_older_database_is_refused(store: Store) -> None:
+    with database(store) as other:
+        other.execute("UPDATE karolos_schema SET version = 0")
+    with pytest.raises(StoreError, match="an older karolos made this database"):
+        Store(str(store.url))
+
+
+def test_database_of_something_else_is_refused_and_not_touched(tmp_path: Path) -> None:
+    with sqlite3.connect(tmp_path / "other.sqlite") as other:
+        other.execute("CREATE TABLE alembic_version (x)")
+    other.close()
+    content = (tmp_path / "other.sqlite").read_bytes()
+    with pytest.raises(StoreError, match=r"other\.sqlite: this database belongs to something else"):
+        Store(f"sqlite:///{tmp_path}/other.sqlite")
+    assert (tmp_path / "other.sqlite").read_bytes() == content
+
+
+def test_file_that_is_no_database_is_refused(tmp_path: Path) -> None:
+    (tmp_path / "karolos.sqlite").write_text("steps,success\n" * 100)
+    with pytest.raises(StoreError, match=r"the file is no database; name another"):
+        Store(Store.default_url(tmp_path))
+    assert (tmp_path / "karolos.sqlite").read_text().startswith("steps,success")
+
+
+def test_damaged_database_is_told(store: Store, tmp_path: Path) -> None:
+    for _ in range(50):
+        bare(store, f"x{_}")
+    path = Path(store.url.database or "")
+    data = bytearray(path.read_bytes())
+    for page in range(1, len(data) // 4096):
+        data[page * 4096 : page * 4096 + 64] = b"\xff" * 64
+    path.write_bytes(data)
+    with pytest.raises(StoreError, match="the database is damaged; move the file away: a new one is built"):
+        Store(str(store.url)).runs()
+
+
+def test_read_only_database_is_told(tmp_path: Path) -> None:
+    with sqlite3.connect(tmp_path / "x.sqlite") as other:
+        other.execute("CREATE TABLE x (y)")
+    url = parse_url(f"sqlite:///{tmp_path}/x.sqlite")
+    engine = create_engine("sqlite://", creator=lambda: sqlite3.connect(f"file:{tmp_path}/x.sqlite?mode=ro", uri=True))
+    with pytest.raises(StoreError, match=r"x\.sqlite: the database is read-only"), explained(url):  # noqa: SIM117
+        with engine.begin() as connection:
+            connection.exec_driver_sql("INSERT INTO x VALUES (1)")
+
+
+def test_database_removed_while_a_run_goes_on_is_told_and_not_made_anew(store: Store, tmp_path: Path) -> None:
+    run = new_run(store, tmp_path)
+    Path(store.url.database or "").unlink()
+    with pytest.raises(StoreError, match="the database cannot be opened"):
+        store.update_run(run.summary())
+    assert not Path(store.url.database or "").exists()
+
+
+def test_folder_in_place_of_the_database_is_told(tmp_path: Path) -> None:
+    (tmp_path / "karolos.sqlite").mkdir()
+    with pytest.raises(StoreError, match="cannot be opened"):
+        Store(Store.default_url(tmp_path))
+
+
+def test_file_in_place_of_its_folder_is_told(tmp_path: Path) -> None:
+    (tmp_path / "runs").write_text("")
+    with pytest.raises(MachineError, match="a file is in the way of a folder"):
+        Store(Store.default_url(tmp_path / "runs"))
+
+
+@pytest.mark.parametrize(
+    "url", ["", "runs/karolos.sqlite", "sqlite://", "sqlite:///:memory:", "sqlite:///file:x?uri=true"]
+)
+def test_url_that_names_no_database_is_told(url: str) -> None:
+    with pytest.raises(StoreError, match=r"is none; e\.g\. sqlite|must name a file"):
+        Store(url)
+
+
+@pytest.mark.parametrize(
+    "url", ["nosql://me:secret@host/x", "postgresql+nodriver://me:secret@host/x?password=secret", "me:secret@host://x"]
+)
+def test_driver_that_is_missing_is_told_without_the_password(url: str) -> None:
+    with pytest.raises(StoreError) as caught:
+        Store(url)
+    assert "secret" not in str(caught.value)
+
+
+def test_settings_of_sqlite_hold(store: Store) -> None:
+    with store._engine.connect() as connection:
+        pragmas = [connection.exec_driver_sql(f"PRAGMA {name}").scalar() for name in ("foreign_keys", "synchronous")]
+        assert pragmas == [1, 2]
+        assert connection.exec_driver_sql("PRAGMA journal_mode").scalar() == "delete"
+        assert connection.exec_driver_sql("PRAGMA busy_timeout").scalar() == 100
+
+
+# Many at once.
+
+MANY = """
+import os, sys
+from dataclasses import replace
+from pathlib import Path
+from karolos.store import Store
+from karolos.run_folder import RunFolder
+from karolos.testing import TestResult
+
+runs, start = Path(sys.argv[1]), os.pipe()
+children = []
+for index in range(16):
+    child = os.fork()
+    if not child:
+        os.close(start[1])
+        os.read(start[0], 1)  # all begin at once
+        run = RunFolder.create(runs, "x", index)
+        run.describe({"name": "x"}, experiment="same")
+        with Store(Store.default_url(runs)) as store:
+            store.add_run(run.summary(), run.spec())
+            for steps in range(5):
+                store.add_test(run.id, TestResult(steps, 1.0, (True,), (True,), (False,), (0.0,), (1,)))
+                run.set_state("running", steps=steps)
+                store.update_run(run.summary())
+            run.set_state("finished", steps=5)
+            store.update_run(run.summary())
+        os._exit(0)
+    children.append(child)
+os.close(start[1])
+sys.exit(any(os.waitpid(child, 0)[1] for child in children))
+"""
+
+
+@pytest.mark.skipif(not hasattr(os, "fork"), reason="forks")
+def test_sixteen_processes_make_the_database_at_once_and_lose_nothing(tmp_path: Path) -> None:
+    subprocess.run([sys.executable, "-c", MANY, str(tmp_path)], check=True, timeout=60)
+    with Store(Store.default_url(tmp_path)) as store:
+        runs = store.runs()
+        assert {(run.seed, run.state, run.steps) for run in runs} == {(seed, "finished", 5) for seed in range(16)}
+        assert all(len(store.tests(run.run)) == 5 for run in runs)

@@ -1,0 +1,165 @@
+from __future__ import annotations
+
+import errno
+import json
+import os
+import subprocess
+import sys
+from pathlib import Path
+
+import pytest
+from hypothesis import given
+from hypothesis import strategies as st
+
+from karolos.errors import MachineError, UsageError
+from karolos.files import FileLock, append_line, below, read_lines, write_whole, writing
+
+FULL = OSError(errno.ENOSPC, "No space left on device")
+
+
+def full_disk(*_: object) -> None:
+    raise FULL
+
+
+def test_whole_file_is_replaced_and_nothing_else_is_left(tmp_path: Path) -> None:
+    write_whole(tmp_path / "state.json", "old")
+    write_whole(tmp_path / "state.json", "new")
+    assert (tmp_path / "state.json").read_text() == "new"
+    assert [path.name for path in tmp_path.iterdir()] == ["state.json"]
+
+
+def test_full_disk_keeps_the_old_file_and_says_so(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
+    write_whole(tmp_path / "state.json", "old")
+    monkeypatch.setattr(os, "fsync", full_disk)
+    with pytest.raises(MachineError, match=r"state\.json: the disk is full; free some space"):
+        write_whole(tmp_path / "state.json", "new")
+    assert (tmp_path / "state.json").read_text() == "old"
+    assert [path.name for path in tmp_path.iterdir()] == ["state.json"]
+
+
+def test_full_disk_leaves_no_part_of_a_line(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
+    path = tmp_path / "tests.jsonl"
+    append_line(path, {"steps": 1})
+    write = os.write
+
+    def write_a_little(descriptor: int, data: bytes) -> int:
+        if len(data) < 10:
+            raise FULL
+        return write(descriptor, data[:3])
+
+    monkeypatch.setattr(os, "write", write_a_little)
+    with pytest.raises(MachineError, match="disk is full"):
+        append_line(path, {"steps": 2, "text": "long enough to be torn"})
+    monkeypatch.undo()
+    append_line(path, {"steps": 3})
+    assert read_lines(path) == (({"steps": 1}, {"steps": 3}), ())
+
+
+@pytest.mark.skipif(not Path("/dev/full").exists(), reason="no device that is always full")
+def test_system_that_reports_a_full_disk_is_understood(tmp_path: Path) -> None:
+    (tmp_path / "events.jsonl").symlink_to("/dev/full")
+    with pytest.raises(MachineError, match=r"events\.jsonl: the disk is full"):
+        append_line(tmp_path / "events.jsonl", {"event": "started"})
+
+
+@pytest.mark.parametrize(
+    ("error", "text"),
+    [
+        (PermissionError(errno.EACCES, "Permission denied"), "cannot be written; change its permissions"),
+        (OSError(errno.EROFS, "Read-only file system"), "cannot be written; change its permissions"),
+        (NotADirectoryError(errno.ENOTDIR, "Not a directory"), "a file is in the way of a folder"),
+        (OSError(errno.EIO, "Input/output error"), r"cannot be written \(Input/output error\)"),
+    ],
+)
+def test_refusals_of_the_system_say_what_to_do(error: OSError, text: str) -> None:
+    with pytest.raises(MachineError, match=text), writing(Path("runs")):
+        raise error
+
+
+rows = st.lists(
+    st.dictionaries(st.text(max_size=5), st.one_of(st.text(max_size=9), st.integers(-(2**70), 2**70), st.none())),
+    min_size=1,
+    max_size=5,
+)
+
+
+@given(rows, st.data())
+def test_torn_file_gives_the_whole_lines_and_takes_new_ones(rows: list[dict[str, object]], data: st.DataObject) -> None:
+    import tempfile
+
+    with tempfile.TemporaryDirectory() as folder:
+        path = Path(folder) / "lines.jsonl"
+        content = b"".join(json.dumps(row).encode() + b"\n" for row in rows)
+        cut = data.draw(st.integers(0, len(content)))
+        path.write_bytes(content[:cut])
+        whole = content[:cut].count(b"\n")
+        found = read_lines(path)
+        assert list(found.rows) == rows[:whole]
+        assert bool(found.problems) == (cut > 0 and content[cut - 1 : cut] != b"\n")
+        append_line(path, {"new": 1})
+        assert read_lines(path) == ((*rows[:whole], {"new": 1}), ())
+
+
+def test_line_that_is_no_object_is_named_and_the_rest_is_read(tmp_path: Path) -> None:
+    path = tmp_path / "lines.jsonl"
+    path.write_bytes(b'{"a":1}\n\xff\xfe\n[1]\n{"a":2}\n{"a"')
+    found = read_lines(path)
+    assert found.rows == ({"a": 1}, {"a": 2})
+    assert [problem.split(":")[1] for problem in found.problems] == ["2", "3", "5"]
+    assert "torn" in found.problems[-1]
+
+
+def test_missing_file_has_no_lines(tmp_path: Path) -> None:
+    assert read_lines(tmp_path / "none") == ((), ())
+
+
+def test_numbers_that_json_lacks_are_refused(tmp_path: Path) -> None:
+    with pytest.raises(ValueError, match="not JSON compliant"):
+        append_line(tmp_path / "lines.jsonl", {"loss": float("nan")})
+
+
+@pytest.mark.parametrize("name", ["..", "../x", ".", "", "/etc/passwd", "a/../../x"])
+def test_path_that_leads_out_is_refused(tmp_path: Path, name: str) -> None:
+    with pytest.raises(UsageError, match="leads out of"):
+        below(tmp_path, name)
+
+
+def test_link_that_leads_out_is_refused(tmp_path: Path) -> None:
+    (tmp_path / "root").mkdir()
+    (tmp_path / "root" / "link").symlink_to(tmp_path)
+    with pytest.raises(UsageError, match="leads out of"):
+        below(tmp_path / "root", "link")
+    assert below(tmp_path / "root", "plain") == tmp_path / "root" / "plain"
+
+
+def test_lock_excludes_others_until_released(tmp_path: Path) -> None:
+    ours, theirs = FileLock(tmp_path / "lock"), FileLock(tmp_path / "lock")
+    assert not ours.is_locked()
+    assert ours.acquire()
+    assert ours.acquire()  # a second time changes nothing
+    assert theirs.is_locked()
+    assert not theirs.acquire(0.05)
+    ours.release()
+    ours.release()
+    assert not theirs.is_locked()
+    assert theirs.acquire()
+    theirs.release()
+
+
+def test_lock_dies_with_its_process(tmp_path: Path) -> None:
+    script = (
+        "import sys, pathlib; from karolos.files import FileLock\n"
+        "lock = FileLock(pathlib.Path(sys.argv[1])); assert lock.acquire(); print('held', flush=True); sys.stdin.read()"
+    )
+    command = [sys.executable, "-c", script, str(tmp_path / "lock")]
+    with subprocess.Popen(command, stdin=subprocess.PIPE, stdout=subprocess.PIPE, text=True) as process:
+        assert process.stdout is not None
+        assert process.stdout.readline() == "held\n"
+        assert FileLock(tmp_path / "lock").is_locked()
+        process.kill()
+    assert not FileLock(tmp_path / "lock").is_locked()
+
+
+def test_looking_at_a_lock_leaves_no_trace(tmp_path: Path) -> None:
+    assert not FileLock(tmp_path / "lock").is_locked()
+    assert list(tmp_path.iterdir()) == []

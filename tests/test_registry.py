@@ -1,0 +1,97 @@
+"""The registry: names without imports, classes when asked for, and errors that name the culprit."""
+
+from __future__ import annotations
+
+import subprocess
+import sys
+
+import pytest
+
+from karolos import registry
+from karolos.errors import PluginError, UsageError
+
+
+def test_names_are_listed_with_their_distribution(fake_plugins):
+    assert registry.names("robots") == ["arm", "other_arm"]
+    assert {entry.distribution for entry in registry.entries("robots")} == {"fakes"}
+
+
+def test_listing_imports_no_plugin():
+    code = (
+        "import sys; from karolos.registry import KINDS, names; found = {kind: names(kind) for kind in KINDS};"
+        "assert 'panda' in found['robots'] and 'toy' in found['environments'] and 'sac' in found['agents'], found;"
+        "loaded = [m for m in sys.modules if m.startswith(('torch', 'pybullet', 'pydantic', 'numpy', 'karolos.robots'))];"
+        "assert not loaded, loaded"
+    )
+    subprocess.run([sys.executable, "-c", code], check=True, timeout=60)
+
+
+def test_load_gives_the_class_behind_a_name(fake_plugins):
+    plugin = registry.load("robots", "arm")
+    assert plugin.__name__ == "Arm"
+    assert plugin.Settings().step == 0.05
+
+
+def test_unknown_name_tells_the_closest_and_what_is_installed(fake_plugins):
+    with pytest.raises(UsageError) as caught:
+        registry.load("robots", "amr")
+    text = str(caught.value)
+    assert "'amr'" in text
+    assert "did you mean 'arm'?" in text
+    assert "arm, other_arm" in text
+
+
+def test_unknown_kind_is_refused(fake_plugins):
+    with pytest.raises(UsageError, match="did you mean 'robots'"):
+        registry.names("robot")
+
+
+def test_name_of_two_distributions_is_refused_naming_both(fake_plugins):
+    fake_plugins("robots", "arm", "fake_plugins:OtherArm", distribution="another")
+    assert registry.names("robots") == ["arm", "other_arm"]
+    with pytest.raises(PluginError, match="'arm' is claimed by another and fakes"):
+        registry.load("robots", "arm")
+    assert registry.load("robots", "other_arm")
+
+
+@pytest.mark.parametrize("target", ["no_such_module_anywhere:Robot", "fake_plugins:NoSuchClass"])
+def test_plugin_that_does_not_import_fails_only_when_used(fake_plugins, target):
+    fake_plugins("robots", "broken", target, distribution="shaky")
+    assert "broken" in registry.names("robots")
+    assert registry.load("robots", "arm")
+    with pytest.raises(PluginError) as caught:
+        registry.load("robots", "broken")
+    assert "'broken'" in str(caught.value)
+    assert "shaky 1.0" in str(caught.value)
+    assert isinstance(caught.value.__cause__, ImportError | AttributeError)
+    assert caught.value.exit_code == 3
+
+
+def test_error_inside_a_plugin_module_keeps_its_cause(fake_plugins, tmp_path, monkeypatch):
+    (tmp_path / "exploding_plugin.py").write_text("raise RuntimeError('no licence\\nsecond line')")
+    monkeypatch.syspath_prepend(tmp_path)
+    fake_plugins("robots", "exploding", "exploding_plugin:Robot")
+    with pytest.raises(PluginError, match="RuntimeError: no licence") as caught:
+        registry.load("robots", "exploding")
+    assert isinstance(caught.value.__cause__, RuntimeError)
+    assert "\n" not in str(caught.value)
+
+
+@pytest.mark.parametrize(
+    ("target", "what"),
+    [
+        ("WithoutSettings", "has no settings"),
+        ("not_a_class", "is not a class"),
+        ("WithName", "a setting called 'name'"),
+    ],
+)
+def test_plugin_without_usable_settings_is_refused(fake_plugins, target, what):
+    fake_plugins("robots", "odd", f"fake_plugins:{target}")
+    with pytest.raises(PluginError, match=what):
+        registry.load("robots", "odd")
+
+
+def test_every_installed_plugin_loads():
+    for kind in registry.KINDS:
+        for name in registry.names(kind):
+            assert registry.load(kind, name).Settings
