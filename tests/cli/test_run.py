@@ -1,0 +1,160 @@
+"""`karolos run` and what ends it, through the installed command."""
+
+from __future__ import annotations
+
+import json
+import os
+import signal
+import subprocess
+import sys
+import time
+from pathlib import Path
+
+import pytest
+
+KAROLOS = (sys.executable, "-c", "from karolos_cli import main; main()")
+SPEC = """\
+environment: toy
+agent: {name: sac, hidden: [16], precision: float32}
+buffer: {capacity: 1000, hindsight: {strategy: future}}
+orchestrator: {processes: 0, environments: 4}
+training: {steps: 200, batch_size: 16, replay_ratio: 4, warmup_episodes: 4}
+testing: {interval: 100, episodes: 4}
+"""
+FIXED = [
+    "run",
+    "experiment",
+    "seed",
+    "state",
+    "steps",
+    "seconds",
+    "success_any",
+    "success_end",
+    "steps_to_95",
+    "seconds_to_95",
+]
+
+
+@pytest.fixture
+def home(tmp_path, monkeypatch):
+    monkeypatch.chdir(tmp_path)
+    (tmp_path / "toy.yaml").write_text(SPEC)
+    return tmp_path
+
+
+def karolos(*arguments: str, **options) -> subprocess.CompletedProcess[str]:
+    return subprocess.run([*KAROLOS, *arguments], capture_output=True, text=True, timeout=120, check=False, **options)
+
+
+def test_json_rows_hold_the_fixed_fields_first_and_progress_goes_to_stderr(home):
+    result = karolos("run", "toy.yaml", "seeds=[0,1]", "--json")
+    assert result.returncode == 0, result.stderr
+    rows = [json.loads(line) for line in result.stdout.splitlines()]
+    assert [row["seed"] for row in rows] == [0, 1]
+    for row in rows:
+        assert list(row)[:10] == FIXED
+        assert (row["state"], row["steps"], row["name"]) == ("finished", 200, "toy")
+        assert (home / "runs" / row["run"] / "spec.yaml").read_text() == SPEC
+        assert f"{row['run']} at 100 steps" in result.stderr
+
+
+def test_quiet_says_nothing_where_all_is_well(home):
+    result = karolos("run", "toy.yaml", "--quiet")
+    assert (result.returncode, result.stdout, result.stderr) == (0, "", "")
+
+
+def test_a_table_and_the_place_of_the_results_end_a_run(home):
+    result = karolos("run", "toy.yaml", "--runs", "elsewhere")
+    assert result.returncode == 0
+    assert "success any" in result.stdout
+    assert "results in elsewhere" in result.stderr
+    assert "finished" in karolos("runs", "list", "--runs", "elsewhere").stdout
+
+
+@pytest.mark.parametrize(
+    ("arguments", "code", "words"),
+    [
+        (["toy.yaml", "agent.learning_rat=1"], 2, ["agent.learning_rat", "learning_rate"]),
+        (["toy.yaml", "agent=sak"], 2, ["sak", "sac"]),
+        (["nowhere.yaml"], 2, ["nowhere.yaml"]),
+        (["toy.yaml", "name=../up"], 2, ["name"]),
+        (["toy.yaml", "buffer.capacity=10"], 1, ["buffer.capacity", "80"]),
+        (["toy.yaml", "environment.dimensions=2", "robot=panda"], 2, ["robot"]),
+        (["toy.yaml", "--database", "sqlite:///toy.yaml"], 4, ["toy.yaml"]),
+    ],
+)
+def test_bad_input_is_a_line_without_traceback(home, arguments, code, words):
+    result = karolos("run", *arguments)
+    assert result.returncode == code, result.stderr
+    assert all(word in result.stderr for word in words), result.stderr
+    assert "Traceback" not in result.stderr
+
+
+def test_a_runs_folder_that_cannot_be_made_is_told(home):
+    (home / "taken").write_text("a file")
+    result = karolos("run", "toy.yaml", "--runs", "taken")
+    assert result.returncode == 3
+    assert "taken" in result.stderr
+    assert "Traceback" not in result.stderr
+
+
+def test_ctrl_c_leaves_a_stopped_run_with_a_checkpoint_and_130(home):
+    command = [*KAROLOS, "run", "toy.yaml", "training.steps=10000000", "testing.interval=400", "--json"]
+    with subprocess.Popen(command, stdout=subprocess.PIPE, stderr=subprocess.PIPE, text=True) as process:
+        until = time.monotonic() + 60
+        while not list(home.glob("runs/*/tests.jsonl")) and time.monotonic() < until:
+            time.sleep(0.05)
+        os.kill(process.pid, signal.SIGINT)
+        out, err = process.communicate(timeout=60)
+    assert process.returncode == 130, err
+    row = json.loads(out)
+    assert row["state"] == "stopped"
+    assert row["steps"] >= 400
+    assert (Path(row["folder"]) / "checkpoints" / "last" / "manifest.json").is_file()
+
+
+def test_a_run_killed_outright_is_listed_as_lost(home):
+    command = [*KAROLOS, "run", "toy.yaml", "training.steps=10000000", "testing.interval=400", "-q"]
+    with subprocess.Popen(command) as process:
+        until = time.monotonic() + 60
+        while not list(home.glob("runs/*/tests.jsonl")) and time.monotonic() < until:
+            time.sleep(0.05)
+        process.kill()
+    (row,) = map(json.loads, karolos("runs", "list", "--json").stdout.splitlines())
+    assert row["state"] == "lost"
+
+
+def test_play_records_a_film_of_the_best_checkpoint(home):
+    assert karolos("run", "toy.yaml", "-q").returncode == 0
+    result = karolos("play", "@last", "--record", "toy.gif", "--episodes", "2", "--width", "64", "--height", "48")
+    assert result.returncode == 0, result.stderr
+    assert result.stdout == "toy.gif\n"
+    from PIL import Image
+
+    with Image.open(home / "toy.gif") as film:
+        assert 5 < film.n_frames <= 2 * 21, "pictures that do not differ are joined"
+        assert film.size == (64, 48)
+
+
+@pytest.mark.parametrize(
+    ("arguments", "words"),
+    [
+        (["@last"], ["no run"]),
+        (["@last", "--record", "x.avi"], ["no run"]),
+    ],
+)
+def test_play_without_runs_says_so(home, arguments, words):
+    result = karolos("play", *arguments)
+    assert result.returncode == 2
+    assert all(word in result.stderr for word in words)
+
+
+@pytest.mark.parametrize("arguments", [["--help"], ["runs", "list"], ["run", "--help"], ["plugins", "list"]])
+def test_light_commands_import_neither_torch_nor_pybullet(home, arguments):
+    code = (
+        "import sys\nsys.argv = ['karolos', *sys.argv[1:]]\nfrom karolos_cli import main\n"
+        "try:\n    main()\nfinally:\n"
+        "    print([m for m in ('torch', 'pybullet', 'optuna', 'matplotlib') if m in sys.modules], file=sys.stderr)"
+    )
+    result = subprocess.run([sys.executable, "-c", code, *arguments], capture_output=True, text=True, check=False)
+    assert result.stderr.splitlines()[-1] == "[]", result.stderr
