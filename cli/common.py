@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import json as json_text
+import math
 from collections.abc import Iterable, Mapping, Sequence
 from pathlib import Path
 from typing import Annotated, Any
@@ -35,7 +36,7 @@ def rows(found: Iterable[Mapping[str, Any]], *, json: bool) -> None:
     listed = list(found)
     if json:
         for row in listed:
-            print(json_text.dumps(row, allow_nan=False, default=str))
+            print(json_text.dumps(_finite(row), allow_nan=False, default=str))
         return
     if listed:
         names = list(listed[0])
@@ -48,6 +49,17 @@ def table(lines: Sequence[Sequence[str]], names: Sequence[str]) -> None:
     widths = [max(len(line[place]) for line in cells) for place in range(len(names))]
     for line in cells:
         print("  ".join(cell.ljust(width) for cell, width in zip(line, widths, strict=True)).rstrip())
+
+
+def _finite(value: Any) -> Any:
+    """The value with null for numbers that JSON does not have: nan and the infinities."""
+    if isinstance(value, float):
+        return value if math.isfinite(value) else None
+    if isinstance(value, Mapping):
+        return {str(key): _finite(entry) for key, entry in value.items()}
+    if isinstance(value, list | tuple):
+        return [_finite(entry) for entry in value]
+    return value
 
 
 def _text(value: Any) -> str:

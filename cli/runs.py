@@ -164,7 +164,7 @@ def _checkpoints(folder: RunFolder) -> tuple[list[dict[str, Any]], list[str]]:
     found, problems = [], []
     for name in checkpoint.names(folder.checkpoints):
         try:
-            found.append({"name": name, **checkpoint.read_manifest(folder.checkpoints / name)["meta"]})
+            found.append({"name": name, **checkpoint.read_meta(folder.checkpoints, name)})
         except checkpoint.CheckpointError as error:
             problems.append(str(error))
     return found, problems

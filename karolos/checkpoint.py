@@ -16,6 +16,7 @@ import pickle
 import re
 import shutil
 from collections.abc import Mapping
+from io import BufferedReader
 from pathlib import Path
 from typing import Any, BinaryIO
 
@@ -27,6 +28,7 @@ from .files import below, parse_object, sync_folder, writing
 FORMAT = 1
 """Version of the encoding and of the manifest."""
 _PART = re.compile(r"[a-z][a-z0-9_]{0,31}")
+_PREVIOUS = re.compile(r"\.(.*)\.previous")
 _MANIFEST = "manifest.json"
 _MANIFEST_BYTES = 1 << 24
 _MALFORMED = (RuntimeError, ValueError, KeyError, TypeError, AttributeError, AssertionError, EOFError, OverflowError)
@@ -78,27 +80,50 @@ def load(folder: Path, name: str) -> tuple[dict[str, State], dict[str, Any]]:
         CheckpointError: it is missing, truncated, changed, from a newer karolos, or holds what is no plain state.
     """
     path = _find(folder, name)
-    manifest = read_manifest(path)
-    for part, facts in manifest["files"].items():
-        _verify(path / f"{part}.pt", facts)
-    parts = {part: _read_part(path / f"{part}.pt") for part in manifest["files"]}
-    return parts, manifest["meta"]
+    before = _identity(path)
+    try:
+        return _load(path)
+    except CheckpointError:
+        if _identity(_find(folder, name)) == before:
+            raise
+    return load(folder, name)  # a run that goes on put a new one in its place while this one was read
+
+
+def read_meta(folder: Path, name: str) -> dict[str, Any]:
+    """The meta of a checkpoint; of its files only the manifest is looked at.
+
+    Raises:
+        CheckpointError: the manifest is missing, damaged or of a newer format.
+    """
+    meta: dict[str, Any] = _read_manifest(_find(folder, name))["meta"]
+    return meta
 
 
 def names(folder: Path) -> tuple[str, ...]:
-    """Names of the checkpoints in a folder, whole ones only by their manifest; their files are not looked at."""
+    """Names of the checkpoints in a folder that `load` would try."""
     if not os.path.isdir(folder):
         return ()
-    found = sorted(path for path in folder.iterdir() if _PART.fullmatch(path.name))
-    return tuple(path.name for path in found if os.path.isfile(path / _MANIFEST))
+    found = {_PREVIOUS.sub(r"\1", path.name) for path in folder.iterdir() if path.is_dir()}
+    return tuple(sorted(name for name in found if _PART.fullmatch(name)))
 
 
-def read_manifest(path: Path) -> dict[str, Any]:
-    """Manifest of the checkpoint in the folder `path`, verified in itself: format, meta, files.
+def _load(path: Path) -> tuple[dict[str, State], dict[str, Any]]:
+    manifest = _read_manifest(path)
+    parts = {part: _read_part(path / f"{part}.pt", facts) for part, facts in manifest["files"].items()}
+    return parts, manifest["meta"]
 
-    Raises:
-        CheckpointError: it is missing, damaged or of a newer format.
-    """
+
+def _identity(path: Path) -> tuple[int, int] | None:
+    """What tells this folder from another one of the same name."""
+    try:
+        found = path.stat()
+    except OSError:
+        return None
+    return found.st_ino, found.st_mtime_ns
+
+
+def _read_manifest(path: Path) -> dict[str, Any]:
+    """Manifest of the checkpoint in the folder `path`, verified in itself: format, meta, files."""
     try:
         with (path / _MANIFEST).open("rb") as file:
             manifest = parse_object(file.read(_MANIFEST_BYTES))
@@ -204,30 +229,24 @@ def _put_in_place(fresh: Path, target: Path) -> None:
 
 def _find(folder: Path, name: str) -> Path:
     path = below(folder, name)
-    for candidate in (path, _previous(path)):
+    for candidate in (path, _previous(path), path):  # it may come into place between two looks
         if os.path.isdir(candidate):
             return candidate
     there = ", ".join(names(folder)) or "none"
     raise CheckpointError(f"there is no checkpoint {name!r}", where=str(folder), hint=f"there are: {there}")
 
 
-def _verify(path: Path, facts: Any) -> None:
-    try:
-        with path.open("rb") as file:
-            size = os.fstat(file.fileno()).st_size
-            if size != facts["bytes"]:
-                raise _damaged(path, f"it has {size:,} bytes of {facts['bytes']:,}")
-            if hashlib.file_digest(file, "sha256").hexdigest() != facts["sha256"]:
-                raise _damaged(path, "its content was changed")
-    except OSError as error:
-        raise _damaged(path, f"it cannot be read ({error.strerror})") from error
-
-
-def _read_part(path: Path) -> State:
+def _read_part(path: Path, facts: Any) -> State:
+    """One part, verified against its size and hash in the manifest and read from the same open file."""
     import torch  # noqa: PLC0415
 
     try:
-        state = decode(torch.load(path, map_location="cpu", weights_only=True))
+        with path.open("rb") as file:
+            _verify(file, facts, path)
+            file.seek(0)
+            state = decode(torch.load(file, map_location="cpu", weights_only=True))
+    except OSError as error:
+        raise _damaged(path, f"it cannot be read ({error.strerror})") from error
     except (pickle.UnpicklingError, *_MALFORMED) as error:
         raise CheckpointError(
             "the checkpoint holds what is no plain state, and was not loaded",
@@ -237,6 +256,14 @@ def _read_part(path: Path) -> State:
     if not isinstance(state, dict):
         raise _damaged(path, "it holds no state")
     return state
+
+
+def _verify(file: BufferedReader, facts: Any, path: Path) -> None:
+    size = os.fstat(file.fileno()).st_size
+    if size != facts["bytes"]:
+        raise _damaged(path, f"it has {size:,} bytes of {facts['bytes']:,}")
+    if hashlib.file_digest(file, "sha256").hexdigest() != facts["sha256"]:
+        raise _damaged(path, "its content was changed")
 
 
 def _damaged(path: Path, why: str) -> CheckpointError:

@@ -4,31 +4,15 @@ import json
 import os
 import subprocess
 import sys
-from datetime import UTC, datetime, timedelta, timezone
+from datetime import UTC, datetime
 from pathlib import Path
 from typing import Any
 
 import pytest
-from hypothesis import given
-from hypothesis import strategies as st
+from run_samples import SPEC, new_run, result
 
 from karolos.errors import MachineError, RunError, UsageError
 from karolos.run_folder import RunFolder, scan
-from karolos.run_records import RunState, decode_test, encode_test, timestamp
-from karolos.testing import TestResult
-
-SPEC = {"name": "reach", "environment": {"name": "toy"}, "robot": None, "agent": {"name": "sac"}, "seeds": [3]}
-
-
-def result(steps: int, successes: int, episodes: int = 20) -> TestResult:
-    flags = tuple(index < successes for index in range(episodes))
-    return TestResult(steps, steps / 100, flags, flags[::-1], (False,) * episodes, (-1.5,) * episodes, (9,) * episodes)
-
-
-def new_run(runs: Path, **options: Any) -> RunFolder:
-    folder = RunFolder.create(runs, "reach", 3)
-    folder.describe(SPEC, experiment="abc", **options)
-    return folder
 
 
 def test_id_is_name_seed_and_time_and_never_taken_twice(tmp_path: Path) -> None:
@@ -304,42 +288,3 @@ def test_renamed_folder_is_the_same_run(tmp_path: Path) -> None:
     run = new_run(tmp_path)
     run.release()
     assert RunFolder.open(run.path.rename(tmp_path / "kept")).id == run.id
-
-
-@given(
-    st.integers(1, 9).flatmap(
-        lambda n: st.builds(
-            TestResult,
-            steps=st.integers(0, 2**60),
-            seconds=st.floats(0, 1e9),
-            any=st.tuples(*[st.booleans()] * n),
-            end=st.tuples(*[st.booleans()] * n),
-            reset=st.tuples(*[st.booleans()] * n),
-            returns=st.tuples(*[st.floats(allow_nan=False)] * n),
-            lengths=st.tuples(*[st.integers(0, 2**40)] * n),
-        )
-    )
-)
-def test_test_result_survives_its_line_exactly(result: TestResult) -> None:
-    assert decode_test(json.loads(json.dumps(encode_test(result), allow_nan=False))) == result
-
-
-@pytest.mark.parametrize("change", [{"any": []}, {"end": [1]}, {"steps": "x"}, {"returns": None}, {"lengths": [None]}])
-def test_line_that_holds_no_whole_test_is_none(change: dict[str, Any]) -> None:
-    row = encode_test(result(10, 1, episodes=2))
-    assert decode_test(row) == result(10, 1, episodes=2)
-    assert decode_test(row | change) is None
-
-
-def test_state_of_any_object_is_a_state() -> None:
-    assert RunState.from_row({}).state == "created"
-    assert RunState.from_row({"state": "done", "steps": "many"}).state == "created"
-
-
-@given(st.datetimes(), st.datetimes(), st.integers(-12, 12))
-def test_timestamps_sort_like_times(first: datetime, second: datetime, hours: int) -> None:
-    zone = timezone(timedelta(hours=hours))
-    ours, theirs = first.replace(year=2026, tzinfo=zone), second.replace(year=2027, tzinfo=UTC)
-    if ours.astimezone(UTC) == theirs:
-        return
-    assert (timestamp(ours) < timestamp(theirs)) == (ours < theirs)

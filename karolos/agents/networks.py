@@ -1,7 +1,8 @@
 """Multi-layer perceptrons whose parameters lie in one vector, alone or several of one shape side by side.
 
-One vector makes an optimiser step, a step of a target network and a checkpoint one operation each, instead of one per
-weight: at the size of robot-task networks the overhead of those costs as much as the arithmetic.
+At the size of robot-task networks an update is made of hundreds of operations of a few microseconds each. Hence one
+vector for all parameters (an optimiser step, a step of a target network or a checkpoint is one operation) and one node
+of the autograd graph per network, with the chain rule written down.
 """
 
 from __future__ import annotations
@@ -10,15 +11,17 @@ import math
 from collections.abc import Mapping
 from dataclasses import dataclass
 from itertools import pairwise
-from typing import Any
+from typing import Any, NamedTuple
 
 import torch
 from torch import Tensor
-from torch.nn import functional
 
 from ..core import State
 from ..errors import UsageError
-from .products import affine
+from .products import affine, product
+
+EPSILON = 1e-5
+"""Added to the variance in layer normalisation, as in torch.nn.LayerNorm."""
 
 
 @dataclass(frozen=True)
@@ -38,13 +41,21 @@ class Shape:
     layer_norm: bool = False
     low: bool = False
 
-    def parameters(self) -> dict[str, tuple[int, ...]]:
+    def parameters(self) -> dict[str, tuple[int, int]]:
         """Name and shape of each parameter of one member, in their order in the vector."""
-        shapes: dict[str, tuple[int, ...]] = {}
+        shapes: dict[str, tuple[int, int]] = {}
         for layer, (before, after) in enumerate(pairwise(self.sizes)):
             shapes[f"layer{layer}.weight"] = (after, before)
-            shapes[f"layer{layer}.bias"] = (after,)
+            shapes[f"layer{layer}.bias"] = (1, after)
         return shapes
+
+
+class _Layer(NamedTuple):
+    """What the way back needs of a hidden layer: what entered, what left, and how it was normalised."""
+
+    entered: Tensor
+    left: Tensor
+    norm: tuple[Tensor, Tensor, Tensor] | None
 
 
 class MLP:
@@ -62,68 +73,112 @@ class MLP:
     def __init__(self, shape: Shape, generator: torch.Generator, device: str) -> None:
         self.shape = shape
         rows = max(shape.members, 1)
-        columns = sum(math.prod(dimensions) for dimensions in shape.parameters().values())
-        self.vector = torch.zeros(rows * columns, device=device)
-        """All parameters, one member after the other."""
-        self.vector.grad = torch.zeros_like(self.vector)
-        table = self.vector.view(rows, columns)
-        self._gradients = self.vector.grad.view(rows, columns)
-        self.named: dict[str, Tensor] = {}
-        """Each parameter as a view of `vector`: (members, ...), or without that axis."""
+        self._columns: dict[str, slice] = {}
         start = 0
         for name, dimensions in shape.parameters().items():
-            end = start + math.prod(dimensions)
-            fan_in = shape.sizes[int(name.removeprefix("layer").split(".")[0])]
-            drawn = torch.rand((rows, end - start), generator=generator) * 2 - 1
-            table[:, start:end] = drawn / fan_in**0.5
-            view = table[:, start:end].view(rows, *dimensions)
-            self.named[name] = view if shape.members else view[0]
-            start = end
-        together = shape.members and torch.device(device).type != "cpu"
-        self._groups = [slice(0, rows)] if together or not shape.members else [slice(k, k + 1) for k in range(rows)]
+            self._columns[name] = slice(start, start + math.prod(dimensions))
+            start += math.prod(dimensions)
+        self.vector = torch.zeros(rows * start, device=device)
+        """All parameters, one member after the other. Change it in place; gradients are those of `leaf`."""
+        self.leaf = self.vector.detach().requires_grad_()
+        """The same memory, for autograd and the optimiser."""
+        table = self.vector.view(rows, start)
+        for layer, fan_in in enumerate(shape.sizes[:-1]):
+            for name in (f"layer{layer}.weight", f"layer{layer}.bias"):
+                part = table[:, self._columns[name]]
+                part.copy_((torch.rand(part.shape, generator=generator) * 2 - 1) / fan_in**0.5)
+        stacked = shape.members > 0 and self.vector.device.type != "cpu"
+        self._groups: list[slice | int] = [slice(0, rows)] if stacked else list(range(rows))
         """Members that are computed together."""
-        self._fixed = [self._views(group, together) for group in self._groups]
-        self._learned = [[view.detach().requires_grad_() for view in views] for views in self._fixed]
+        self._exact = self._views(self.vector)
+        self._rounded_vector = torch.zeros_like(self.vector, dtype=torch.bfloat16)
+        self._rounded = self._views(self._rounded_vector)
+        self._rounded_version = -1
 
-    def _views(self, group: slice, together: Any) -> list[Tensor]:
-        """The parameters of these members, in the shapes that `affine` takes."""
-        views = [view if self.shape.members else view[None] for view in self.named.values()]
-        if not together:
-            return [view[group.start] for view in views]
-        return [view if view.dim() == 3 else view[:, None] for view in views]
+    def _views(self, vector: Tensor) -> list[list[Tensor]]:
+        """Weights and biases of each group, as views of a vector laid out as the parameters are."""
+        table = vector.view(max(self.shape.members, 1), -1)
+        shapes = self.shape.parameters()
+        return [
+            [table[group, columns].view(*lead, *shapes[name]) for name, columns in self._columns.items()]
+            for group, lead in ((group, (-1,) if isinstance(group, slice) else ()) for group in self._groups)
+        ]
+
+    @property
+    def named(self) -> dict[str, Tensor]:
+        """Each parameter, as a view: (members, ...), or without that axis."""
+        table = self.vector.view(max(self.shape.members, 1), -1)
+        shapes = self.shape.parameters()
+        views = {name: table[:, columns].view(-1, *shapes[name]) for name, columns in self._columns.items()}
+        return views if self.shape.members else {name: view[0] for name, view in views.items()}
 
     def __call__(self, x: Tensor, *, learn: bool = False, exact: bool = False) -> Tensor:
         """(n, in) -> (n, out), or (members, n, out).
 
         Args:
             x: inputs, the same for all members.
-            learn: let gradients flow to the parameters; to the inputs they always do.
-            exact: compute in float32 whatever the shape says.
+            learn: let gradients flow to `leaf`; to the inputs they always do.
+            exact: compute in float32 whatever the shape says; only without gradients.
         """
-        if self.shape.low and not exact:
+        if torch.is_grad_enabled():
+            found: Tensor = _Pass.apply(x, self.leaf if learn else self.vector, self)  # type: ignore[no-untyped-call]
+            return found
+        return self._forward(x, low=self.shape.low and not exact)[0]
+
+    def _hidden_views(self, low: bool) -> list[list[Tensor]]:
+        """The parameters in the type that hidden layers compute in; rounded anew when they have changed."""
+        if not low:
+            return self._exact
+        if self._rounded_version != self.vector._version:
+            self._rounded_vector.copy_(self.vector)
+            self._rounded_version = self.vector._version
+        return self._rounded
+
+    def _forward(self, x: Tensor, *, low: bool) -> tuple[Tensor, list[list[_Layer]]]:
+        """Outputs, and what `_backward` needs: the layers of each group."""
+        if low:
             x = x.bfloat16()
-        groups = self._learned if learn else self._fixed
-        if not self.shape.members:
-            return self._pass(x, groups[0])
-        if len(groups) == 1:
-            return self._pass(x.expand(self.shape.members, *x.shape), groups[0])
-        return torch.stack([self._pass(x, views) for views in groups])
+        outputs, tape = [], []
+        for rounded, exact in zip(self._hidden_views(low), self._exact, strict=True):
+            layers: list[_Layer] = []
+            h = x.expand(len(exact[0]), *x.shape) if exact[0].dim() == 3 else x
+            for weight, bias in zip(rounded[:-2:2], rounded[1:-2:2], strict=True):
+                layers.append(_hidden(h, weight, bias, self.shape.layer_norm))
+                h = layers[-1].left
+            h = h.float()
+            outputs.append(affine(h, exact[-2], exact[-1], rectify=False))
+            layers.append(_Layer(h, h, None))
+            tape.append(layers)
+        if not self.shape.members or outputs[0].dim() == 3:
+            return outputs[0], tape
+        return torch.stack(outputs), tape
 
-    def _pass(self, x: Tensor, views: list[Tensor]) -> Tensor:
-        normalise = self.shape.layer_norm
-        *hidden, weight, bias = views
-        for layer in range(0, len(hidden), 2):
-            x = affine(x, hidden[layer], hidden[layer + 1], rectify=not normalise)
-            if normalise:
-                x = functional.relu(functional.layer_norm(x, x.shape[-1:]))
-        return affine(x.float(), weight, bias, rectify=False)
-
-    def differentiate(self, loss: Tensor) -> None:
-        """Put the loss's gradient into `vector.grad`."""
-        gradients = iter(torch.autograd.grad(loss, [view for views in self._learned for view in views]))
-        for group, views in zip(self._groups, self._learned, strict=True):
-            into = self._gradients[group]
-            torch.cat([next(gradients).reshape(into.shape[0], -1) for _ in views], 1, out=into)
+    def _backward(
+        self, gradient: Tensor, tape: list[list[_Layer]], *, inputs: bool, parameters: bool
+    ) -> tuple[Tensor | None, Tensor | None]:
+        """Gradients for the inputs and for the vector, from those of the outputs."""
+        low = tape[0][0].entered.dtype == torch.bfloat16
+        for_vector = torch.empty_like(self.vector) if parameters else None
+        into = self._views(for_vector) if for_vector is not None else [[] for _ in self._groups]
+        for_x: Tensor | None = None
+        for group, (layers, rounded, exact) in enumerate(zip(tape, self._hidden_views(low), self._exact, strict=True)):
+            g = gradient[group] if self.shape.members and gradient.dim() > exact[0].dim() else gradient
+            *hidden, last = layers
+            if parameters:
+                _store(g, last.entered, into[group][-2:])
+            # With one column out the product is an outer one, which both libraries are slow at.
+            g = g * exact[-2] if exact[-2].shape[-2] == 1 else product(g, exact[-2])
+            g = g.to(hidden[-1].left.dtype)
+            for number in reversed(range(len(hidden))):
+                g = _through(g, hidden[number])
+                if parameters:
+                    _store(g, hidden[number].entered, into[group][2 * number : 2 * number + 2])
+                if number or inputs:
+                    g = product(g, rounded[2 * number])
+            if inputs:
+                g = g.float() if g.dim() == 2 else g.float().sum(0)
+                for_x = g if for_x is None else for_x.add_(g)
+        return for_x, for_vector
 
     def copy(self) -> MLP:
         """A network with the same parameters in a vector of its own: a target network."""
@@ -150,6 +205,46 @@ class MLP:
             )
         for name, view in self.named.items():
             view.copy_(torch.as_tensor(state[name]))
+
+
+class _Pass(torch.autograd.Function):
+    """One network as one node of the graph."""
+
+    @staticmethod
+    def forward(ctx: Any, x: Tensor, vector: Tensor, network: MLP) -> Tensor:  # noqa: ARG004 (asks for its gradient)
+        outputs, ctx.tape = network._forward(x, low=network.shape.low)
+        ctx.network = network
+        return outputs
+
+    @staticmethod
+    def backward(ctx: Any, gradient: Tensor) -> tuple[Tensor | None, ...]:
+        inputs, parameters, _ = ctx.needs_input_grad
+        return *ctx.network._backward(gradient, ctx.tape, inputs=inputs, parameters=parameters), None
+
+
+def _hidden(x: Tensor, weight: Tensor, bias: Tensor, layer_norm: bool) -> _Layer:
+    if not layer_norm:
+        return _Layer(x, affine(x, weight, bias, rectify=True), None)
+    raw = affine(x, weight, bias, rectify=False)
+    normal, mean, scale = torch.native_layer_norm(raw, raw.shape[-1:], None, None, EPSILON)
+    return _Layer(x, normal.relu_(), (raw, mean, scale))
+
+
+def _through(gradient: Tensor, layer: _Layer) -> Tensor:
+    """From the gradient of what left a hidden layer to that of its affine map."""
+    gradient = torch.ops.aten.threshold_backward(gradient, layer.left, 0)
+    if layer.norm is None:
+        return gradient
+    raw, mean, scale = layer.norm
+    back = torch.ops.aten.native_layer_norm_backward
+    found: Tensor = back(gradient, raw, raw.shape[-1:], mean, scale, None, None, [True, False, False])[0]
+    return found
+
+
+def _store(gradient: Tensor, entered: Tensor, into: list[Tensor]) -> None:
+    """Write the gradients of an affine map's weight and bias."""
+    into[0].copy_(product(gradient.mT, entered))
+    into[1].copy_(gradient.sum(-2, keepdim=True))
 
 
 def _words(shapes: Mapping[str, tuple[int, ...]]) -> str:

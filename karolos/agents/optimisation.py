@@ -9,10 +9,10 @@ from ..core import State
 
 
 class Adam:
-    """Steps one parameter vector along its `grad`.
+    """Steps one parameter vector.
 
     Args:
-        vector: what is stepped; its gradient lies in `vector.grad`.
+        vector: a leaf of the graph.
         learning_rate: size of a step.
     """
 
@@ -20,7 +20,13 @@ class Adam:
         self._vector = vector
         self._optimiser = torch.optim.Adam([vector], lr=learning_rate, fused=True)
 
-    def step(self) -> None:
+    def step(self, loss: Tensor) -> None:
+        """Lower the loss. Only this vector gets a gradient."""
+        self.step_along(torch.autograd.grad(loss, self._vector)[0])
+
+    def step_along(self, gradient: Tensor) -> None:
+        """Step as if `gradient`, of the vector's shape, were a loss's."""
+        self._vector.grad = gradient
         self._optimiser.step()
 
     def state(self) -> State:

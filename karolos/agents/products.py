@@ -1,4 +1,4 @@
-"""The affine map that networks are made of, on the fastest product the machine has.
+"""The two products that networks are made of, on the fastest road the machine has. No gradients: networks.py has them.
 
 On x86 PyTorch sends float32 products to MKL, which leaves half of an AMD core unused: 117 GFLOP/s where oneDNN does 240
 (one Zen 5 core, sides of 256, measured). oneDNN is reached through `_linear_pointwise`, exact to float32 rounding, and
@@ -11,7 +11,6 @@ from typing import Any
 
 import torch
 from torch import Tensor
-from torch.nn import functional
 
 
 def _one_dnn() -> Any:
@@ -22,57 +21,38 @@ def _one_dnn() -> Any:
 
 
 _AFFINE = _one_dnn()
+NARROW = 16
+"""With fewer columns out than this a call of oneDNN costs more than it saves."""
 
 
 def affine(x: Tensor, weight: Tensor, bias: Tensor, *, rectify: bool) -> Tensor:
-    """x weight^T + bias, then max(0, .) if `rectify`, in x's type; with gradients for x, weight and bias.
+    """x weight^T + bias, then max(0, .) if `rectify`: (n, o), or (k, n, o) for k networks side by side.
 
     Args:
-        x: (n, i), or (k, n, i) for k networks side by side; float32 or bfloat16.
-        weight: (o, i) or (k, o, i), float32.
-        bias: (o) or (k, 1, o), float32.
-        rectify: apply the rectifier; its gradient at 0 is 0.
-
-    Returns: (n, o) or (k, n, o), of x's type.
+        x: (n, i) or (k, n, i).
+        weight: (o, i) or (k, o, i).
+        bias: (1, o) or (k, 1, o).
+        rectify: whether to cut negative results off.
     """
-    if _AFFINE is not None and x.device.type == "cpu" and x.dim() == 2:
-        found: Tensor = _Affine.apply(x, weight, bias, rectify)  # type: ignore[no-untyped-call]
+    if x.dim() == 3:
+        y = torch.baddbmm(bias, x, weight.mT)
+    elif _AFFINE is not None and x.device.type == "cpu" and weight.shape[0] >= NARROW:
+        found: Tensor = _AFFINE(x, weight, bias[0], "relu" if rectify else "none", [], "")
         return found
-    weight, bias = weight.to(x.dtype), bias.to(x.dtype)
-    y = functional.linear(x, weight, bias) if x.dim() == 2 else torch.baddbmm(bias, x, weight.mT)
-    return functional.relu(y) if rectify else y
+    else:
+        y = torch.addmm(bias, x, weight.mT)
+    return y.relu_() if rectify else y
 
 
-class _Affine(torch.autograd.Function):
-    """The affine map on oneDNN."""
-
-    @staticmethod
-    def forward(ctx: Any, x: Tensor, weight: Tensor, bias: Tensor, rectify: bool) -> Tensor:
-        kind = x.dtype
-        weight = weight.to(kind)
-        y: Tensor = _AFFINE(x, weight, bias.to(kind), "relu" if rectify else "none", [], "")
-        ctx.rectify = rectify
-        ctx.save_for_backward(x, weight, y if rectify else None)
-        return y
-
-    @staticmethod
-    def backward(ctx: Any, gradient: Tensor) -> tuple[Tensor | None, ...]:
-        x, weight, y = ctx.saved_tensors
-        if ctx.rectify:
-            gradient = torch.ops.aten.threshold_backward(gradient, y, 0)
-        for_x = for_weight = for_bias = None
-        if ctx.needs_input_grad[0]:
-            # With one column out the product is an outer one, which both libraries are slow at.
-            for_x = gradient * weight if weight.shape[0] == 1 else _product(gradient, weight)
-        if ctx.needs_input_grad[1]:
-            for_weight = _product(gradient.T, x).float()
-            for_bias = gradient.sum(0).float()
-        return for_x, for_weight, for_bias, None
-
-
-def _product(a: Tensor, b: Tensor) -> Tensor:
-    """a b, both of one type."""
-    if a.dtype == torch.bfloat16:
-        return a @ b  # goes to oneDNN of itself
-    found: Tensor = _AFFINE(a, b.T, None, "none", [], "")
-    return found
+def product(a: Tensor, b: Tensor) -> Tensor:
+    """a b: (n, i) (i, o), or (k, n, i) (k, i, o)."""
+    if (
+        _AFFINE is not None
+        and a.dim() == 2
+        and a.device.type == "cpu"
+        and a.dtype == torch.float32
+        and min(a.shape + b.shape) >= NARROW
+    ):
+        found: Tensor = _AFFINE(a, b.mT, None, "none", [], "")
+        return found
+    return a @ b

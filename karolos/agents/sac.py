@@ -90,10 +90,9 @@ class SAC(Agent):
         self.target = self.critic.copy()
         self.normaliser = Normaliser(inputs, device)
         self.log_temperature = torch.full((1,), math.log(settings.temperature), device=self.device)
-        self.log_temperature.grad = torch.zeros_like(self.log_temperature)
         self._optimisers = {
-            "policy": Adam(self.policy.vector, settings.learning_rate),
-            "critic": Adam(self.critic.vector, settings.learning_rate),
+            "policy": Adam(self.policy.leaf, settings.learning_rate),
+            "critic": Adam(self.critic.leaf, settings.learning_rate),
             "temperature": Adam(self.log_temperature, settings.learning_rate),
         }
         self._generator = torch.Generator(self.device).manual_seed(seeds.child("noise").integer())
@@ -152,8 +151,7 @@ class SAC(Agent):
         values = self.critic(torch.cat((inputs.here, inputs.action), 1), learn=True).squeeze(-1)
         errors = values - targets
         loss = (inputs.weight * errors.square()).mean(1).sum()
-        self.critic.differentiate(loss)
-        self._optimisers["critic"].step()
+        self._optimisers["critic"].step(loss)
         values, errors = values.detach(), errors.detach()
         return {
             "critic_loss": loss.detach(),
@@ -167,8 +165,7 @@ class SAC(Agent):
         value = self.critic(torch.cat((inputs.here, action), 1)).squeeze(-1).amin(0)
         temperature = self.log_temperature.exp()
         loss = (inputs.weight * (temperature * log_probability - value)).mean()
-        self.policy.differentiate(loss)
-        self._optimisers["policy"].step()
+        self._optimisers["policy"].step(loss)
         entropy = -log_probability.detach().mean()
         self._learn_temperature(entropy)
         saturated = (action.detach().abs() > 0.99).float().mean()
@@ -181,10 +178,7 @@ class SAC(Agent):
 
     def _learn_temperature(self, entropy: Tensor) -> None:
         """Raise the temperature while the policy's entropy is under its target. The gradient is written down."""
-        gradient = self.log_temperature.grad
-        assert gradient is not None  # made beside the temperature
-        gradient.copy_(entropy - self._target_entropy)
-        self._optimisers["temperature"].step()
+        self._optimisers["temperature"].step_along((entropy - self._target_entropy).view(1))
         self.log_temperature.clamp_(min=self._least_log_temperature)
 
     def _tensor(self, array: FloatArray) -> Tensor:

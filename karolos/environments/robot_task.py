@@ -4,6 +4,7 @@ from __future__ import annotations
 
 from collections.abc import Mapping
 from math import isfinite
+from typing import Any
 
 import numpy as np
 from pydantic import Field as Setting
@@ -11,6 +12,7 @@ from pydantic import Field as Setting
 from ..core import Array, Environment, FloatArray, Settings, Signature, Step
 from ..randomization.distribution import Distribution
 from ..randomization.randomization import Randomization
+from ..seeding import SeedTree
 from ..simulation.camera import Camera
 from ..simulation.interface import Robot, Task
 from ..simulation.world import World
@@ -40,6 +42,10 @@ class RobotTask(Environment):
             10, ge=1, le=100, description="physics steps of 1/240 s per control step; 10 make 24 Hz"
         )
         window: bool = Setting(False, description="show the world in a window; needs a display")
+
+        def identity(self) -> dict[str, Any]:
+            """What results depend on."""
+            return self.model_dump(mode="json", exclude={"window"})
 
     def __init__(
         self,
@@ -89,14 +95,16 @@ class RobotTask(Environment):
 
     def reset(self, seed: int) -> Step:
         world = self.world
-        generator = np.random.Generator(np.random.PCG64(seed))
-        self._drawn = self._randomization.draw(generator)
+        if self._randomization.layout.size:
+            # a stream of its own: with and without randomization, an episode has the same start and goal
+            self._drawn = self._randomization.draw(SeedTree(seed).child("randomization").generator())
         for name, value in zip(self._randomization.layout.names, self._drawn, strict=True):
             part, _, parameter = name.partition(".")
             if part == "robot":
                 self.robot.apply(parameter, value)
             else:
                 self.task.apply(world, parameter, value)
+        generator = np.random.Generator(np.random.PCG64(seed))
         self.robot.reset(generator)
         self.task.reset(generator)
         self._steps = 0

@@ -21,7 +21,7 @@ class Camera:
     distance: float = 1.75
     yaw: float = 42.0
     pitch: float = -20.0
-    field_of_view: float = 36.0
+    field_of_view: float = 33.0
 
 
 def picture(api: Any, client: int, size: tuple[int, int], camera: Camera) -> Array:

@@ -132,7 +132,7 @@ def _similar(path: Path) -> str | None:
     """A hint at a spec beside `path` whose name is near, or at those in a folder."""
     try:
         folder = path if path.is_dir() else path.parent
-        beside = sorted(entry.name for entry in folder.iterdir() if entry.suffix in SUFFIXES)
+        beside = sorted(entry.name for entry in folder.iterdir() if entry.suffix in SUFFIXES and entry != path)
     except (OSError, ValueError):
         return None
     if folder == path:

@@ -10,6 +10,7 @@ from typing import Any
 from pydantic import ValidationError
 
 from ..errors import PluginError
+from ..registry import singular
 from .checks import ROBOT_TASK, environment_problems, pairing_problems
 from .files import SpecFiles
 from .merge import PARTS, RANDOMIZATION, merged, normalised, override_trees
@@ -99,10 +100,13 @@ def _described(given: dict[str, Node]) -> str:
 def _at_part(error: PluginError, tree: Node) -> PluginError:
     """The error of a broken plugin, told at the first place in the spec that names it."""
     drawn = tree.get(RANDOMIZATION)
-    parts = {**{key: tree.get(key) for key in PARTS}, **((drawn.mapping if drawn else None) or {})}
-    for key, node in parts.items():
+    parts = [(key, kind, tree.get(key)) for key, kind in PARTS.items()]
+    parts += [
+        (f"{RANDOMIZATION}.{key}", "distributions", node) for key, node in ((drawn and drawn.mapping) or {}).items()
+    ]
+    for key, kind, node in parts:
         name = node.get("name") if node else None
-        if name is not None and repr(name.value) in f"{error.where} {error.what}" and name.at is not DEFAULT:
+        if name is not None and f"{singular(kind)} {name.value!r} " in f"{error.where} {error.what} ":
             where = f"{name.at}: {key}.name"
             return PluginError(error.what, where=f"{where}: {error.where}" if error.where else where, hint=error.hint)
     return error

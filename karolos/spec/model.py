@@ -50,7 +50,9 @@ class Testing(Settings):
     )
 
 
-def _unique(seeds: tuple[int, ...]) -> tuple[int, ...]:
+def _distinct(seeds: tuple[int, ...]) -> tuple[int, ...]:
+    if not seeds:
+        raise ValueError("names no seed")
     twice = [seed for place, seed in enumerate(seeds) if seed in seeds[:place]]
     if twice:
         raise ValueError(f"names the seed {twice[0]} twice")
@@ -69,8 +71,8 @@ class Spec(Settings):
     name: Annotated[str, StringConstraints(pattern=NAME)] = Setting(
         description="of the experiment; run folders begin with it. Default: the file's name"
     )
-    seeds: Annotated[tuple[Seed, ...], AfterValidator(_unique)] = Setting(
-        (0,), min_length=1, description="one run for each; the root of all its random numbers"
+    seeds: Annotated[tuple[Seed, ...], AfterValidator(_distinct)] = Setting(
+        (0,), description="one run for each; the root of all its random numbers"
     )
     robot: RobotPart | None = Setting(None, description="the arm; goes with a task")
     task: TaskPart | None = Setting(None, description="what the robot has to do")

@@ -17,6 +17,10 @@ from .nodes import DEFAULT, Located, Mark, Node, Path, dotted, shown
 _WORDS = (
     ("Input should be", "should be"),
     ("String should", "should"),
+    ("Tuple should", "should"),
+    ("List should", "should"),
+    ("Dictionary should", "should"),
+    (" after validation", ""),
     ("Value error, ", ""),
     ("Assertion failed, ", ""),
     (" a valid array", " a list"),
@@ -28,7 +32,8 @@ _WORDS = (
     (" a valid ", " a "),
     (" a integer", " an integer"),
 )
-_UNSHOWN = {"missing", "extra_forbidden", "value_error", "assertion_error", "unknown_name", "missing_name", "part_type"}
+_LENGTH = ("too_short", "too_long")
+_UNSHOWN = ("value_error", "assertion_error", "unknown_name", "missing_name", "part_type", *_LENGTH)
 """Errors whose message needs no value beside it."""
 
 
@@ -43,8 +48,8 @@ def located_problems(error: ValidationError, tree: Node) -> list[Located]:
             forked.add(path)
     for path in list(found):
         deeper = any(other != path and other[: len(path)] == path for other in found)
-        if deeper and path in forked:
-            del found[path]  # another member of the union came further: its errors are the ones that help
+        if deeper and (path in forked or found[path][0]["type"] in _LENGTH):
+            del found[path]  # a member of a union that came less far; a list counted without its bad items
     unknown = [path for path, entries in found.items() if entries[0]["type"] == "extra_forbidden"]
     return [
         _problem(tree, path, entries)

@@ -123,7 +123,7 @@ class _Reader:
                 seen = True
             elif isinstance(event, yaml.NodeEvent):
                 root = self._node(event, events, 0)
-                if isinstance(event, yaml.ScalarEvent) and not event.value and event.style is None:
+                if _nothing(event):
                     root = None
         return root
 
@@ -203,6 +203,11 @@ class _Reader:
 
     def _break(self, event: Any, what: str, hint: str | None = None) -> NoReturn:
         raise BrokenTextError(Located(self.place(event.start_mark), "", what, hint))
+
+
+def _nothing(event: Any) -> bool:
+    """Whether the event is the null that stands for no text at all."""
+    return type(event) is yaml.ScalarEvent and not (event.value or event.style or event.tag or event.anchor)
 
 
 class _Dumper(yaml.SafeDumper):

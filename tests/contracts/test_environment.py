@@ -6,13 +6,12 @@ from collections.abc import Iterator
 
 import numpy as np
 import pytest
+from building import CONTROLS, PAIRS, part, robot_task
 
 from karolos.core import Array, Environment, Step
 from karolos.environments.build import build_environment
 from karolos.registry import load, names
 from karolos.spec.recipe import Recipe
-
-from building import CONTROLS, PAIRS, part, robot_task
 
 PLAIN = [
     name

@@ -8,6 +8,8 @@ from karolos.environments.toy import Toy
 from karolos.errors import RunError, WorkerError
 from karolos.orchestrator import start
 from karolos.orchestrator.local import Local
+from karolos.registry import load
+from karolos.spec.recipe import Part, Recipe
 
 SIZE = 6
 TOY = Toy.Settings(dimensions=3, max_steps=5, reward="dense", threshold=0.3)
@@ -165,3 +167,31 @@ def test_signature_is_the_environments(orchestrator):
     assert orchestrator.signature.max_steps == signature.max_steps
     reward = orchestrator.signature.goal_rule.reward(np.zeros(3), np.ones(3))
     np.testing.assert_array_equal(reward, signature.goal_rule.reward(np.zeros(3), np.ones(3)))
+
+
+def part(kind: str, name: str) -> Part:
+    return Part(kind, name, load(kind, name).Settings())
+
+
+@pytest.mark.parametrize("name", ["toy", "robot_task"])
+def test_a_recipe_is_built_in_the_workers_and_plays_the_same_everywhere(name):
+    """By the road that a spec takes; with physics, which must not notice who runs it."""
+    environment = part("environments", name)
+    recipe = Recipe(environment, part("robots", "panda"), part("tasks", "reach")) if name == "robot_task" else None
+    seen = []
+    for processes, threads in ((0, 1), (2, 1), (1, 2)):
+        settings = Local.Settings(processes=processes, threads=threads)
+        with Local(settings, recipe or Recipe(environment), size=3) as orchestrator:
+            generator = np.random.default_rng(0)
+            orchestrator.reset(range(3), range(3))
+            steps = [orchestrator.receive().step]
+            for _ in range(8):
+                actions = generator.uniform(-1, 1, (3, orchestrator.signature.action.size)).astype(np.float32)
+                orchestrator.step(range(3), actions)
+                steps.append(orchestrator.receive().step)
+            seen.append(steps)
+    assert seen[0][0].observation.std() > 0
+    for other in seen[1:]:
+        for ours, theirs in zip(other, seen[0], strict=True):
+            for field, expected in zip(ours, theirs, strict=True):
+                np.testing.assert_array_equal(field, expected)

@@ -7,12 +7,11 @@ from collections.abc import Iterator
 
 import numpy as np
 import pytest
+from building import CONTROLS, robot_task
 
 from karolos.environments.robot_task import RobotTask
 from karolos.registry import names
 from karolos.seeding import Generator
-
-from building import CONTROLS, robot_task
 
 LONG = 100_000
 

@@ -6,10 +6,9 @@ import pickle
 
 import numpy as np
 import pytest
+from building import robot_task
 
 from karolos.registry import load, names
-
-from building import robot_task
 
 
 @pytest.fixture(params=names("tasks"))

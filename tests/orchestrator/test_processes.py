@@ -86,6 +86,28 @@ def test_importing_the_orchestrator_imports_neither_torch_nor_pybullet(tmp_path)
     assert output.strip() == "[]"
 
 
+def test_building_a_robot_and_task_imports_no_torch(tmp_path):
+    output = run(
+        tmp_path,
+        """
+from karolos.environments.build import build_environment
+from karolos.registry import load
+from karolos.spec.recipe import Part, Recipe
+
+def part(kind, name):
+    return Part(kind, name, load(kind, name).Settings())
+
+recipe = Recipe(part("environments", "robot_task"), part("robots", "panda"), part("tasks", "reach"))
+build_environment(recipe).reset(0)
+print("pybullet" in sys.modules, "torch" in sys.modules)
+with Local(Local.Settings(), recipe) as orchestrator:
+    orchestrator.reset([0], [0])
+    orchestrator.receive()
+""",
+    )
+    assert output == "True False\n"
+
+
 def test_what_workers_print_stays_out_of_the_programs_output(tmp_path):
     assert run(tmp_path, "with make() as orchestrator:\n    pids(orchestrator); step(orchestrator, PRINT)") == ""
 

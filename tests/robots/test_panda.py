@@ -112,7 +112,11 @@ def test_gripped_cube_is_lifted_and_survives_a_shake() -> None:
     robot = made.robot
     cube = made.world.box((0.04, 0.04, 0.04), 0.1, (0.9, 0.4, 0.1, 1.0))
     cube.place((0.5, 0.0, 0.02))
-    for position, opening, count in (((0.5, 0.0, 0.02), 1.0, 25), ((0.5, 0.0, 0.02), 0.0, 12), ((0.5, 0, 0.3), 0.0, 20)):
+    for position, opening, count in (
+        ((0.5, 0.0, 0.02), 1.0, 25),
+        ((0.5, 0.0, 0.02), 0.0, 12),
+        ((0.5, 0, 0.3), 0.0, 20),
+    ):
         for _ in range(count):
             made.step(robot.towards(position, opening))
     assert robot.pads_touching(cube) == 2
@@ -159,7 +163,6 @@ def test_tool_that_cannot_be_placed_is_a_clear_error() -> None:
 
 def test_delayed_action_takes_effect_later() -> None:
     made = environment()
-    made.robot.apply  # noqa: B018 (declared by every robot)
     started = made.reset(0).observation[:3]
     made.robot.apply("action_delay", 2.0)
     made.reset(0)

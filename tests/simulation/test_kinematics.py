@@ -8,9 +8,7 @@ from karolos.robots.panda import Panda
 
 ARM = Panda(Panda.Settings.model_validate({}))
 CHAIN = ARM.chain
-poses = st.tuples(
-    *(st.floats(low, high) for low, high in zip(ARM.limits.lower, ARM.limits.upper, strict=True))
-)
+poses = st.tuples(*(st.floats(low, high) for low, high in zip(ARM.limits.lower, ARM.limits.upper, strict=True)))
 
 
 @given(poses, st.integers(0, 6))
@@ -53,7 +51,7 @@ def test_repeated_steps_bring_the_tool_there_pointing_down_with_the_yaw(
 
 def test_posture_does_not_move_the_tool() -> None:
     at = CHAIN.forward(ARM.model.home)
-    change = CHAIN.step(at, at.tool.position, 0.0, [0.05] * 7)
+    change = CHAIN.step(at, at.tool.position, 0.0, [0.02, 0.0, -0.02, 0.0, 0.0, 0.0, 0.0])
     moved = CHAIN.forward([value + turn for value, turn in zip(ARM.model.home, change, strict=True)])
     assert np.linalg.norm(change) > 0.01
-    assert np.linalg.norm(np.subtract(moved.tool.position, at.tool.position)) < 1e-3
+    assert np.linalg.norm(np.subtract(moved.tool.position, at.tool.position)) < 1e-4

@@ -61,7 +61,7 @@ def test_welded_robot_weighs_as_much_on_its_joints_as_the_whole_one() -> None:
 
 
 def test_missing_urdf_is_a_clear_error(tmp_path: Path) -> None:
-    with pytest.raises(PluginError, match="cannot read robot.urdf"):
+    with pytest.raises(PluginError, match=r"cannot read robot\.urdf"):
         urdf.joints(tmp_path / "robot.urdf")
 
 

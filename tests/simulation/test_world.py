@@ -6,6 +6,7 @@ import sys
 import numpy as np
 import pytest
 
+from karolos.errors import MachineError
 from karolos.simulation import urdf
 from karolos.simulation.camera import Camera
 from karolos.simulation.world import World
@@ -61,6 +62,13 @@ def test_motor_keeps_its_speed_limit() -> None:
         speeds.append(body.joints([0])[0][1])
     assert max(speeds) == pytest.approx(2.0, rel=0.01)
     world.close()
+
+
+def test_window_without_a_display_is_a_clear_error(monkeypatch: pytest.MonkeyPatch) -> None:
+    monkeypatch.setattr(sys, "platform", "linux")
+    monkeypatch.delenv("DISPLAY", raising=False)
+    with pytest.raises(MachineError, match="no display"):
+        World(window=True)
 
 
 def test_resting_contact_and_friction() -> None:

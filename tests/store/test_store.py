@@ -4,56 +4,13 @@ import os
 import sqlite3
 import subprocess
 import sys
-from dataclasses import replace
 from pathlib import Path
-from typing import Any
 
 import pytest
-from sqlalchemy import create_engine
+from store_samples import SPEC, bare, new_run, result
 
-from karolos.errors import MachineError, StoreError, UsageError
-from karolos.run_folder import RunFolder
-from karolos.run_records import RunSummary
+from karolos.errors import StoreError, UsageError
 from karolos.store import Store, StoredTest
-from karolos.store.connection import explained, parse_url
-from karolos.store.models import SCHEMA
-from karolos.testing import TestResult
-
-SPEC = {"name": "reach", "environment": {"name": "toy"}, "robot": None, "agent": {"name": "sac"}, "seeds": [3]}
-
-
-def result(steps: int, successes: int) -> TestResult:
-    flags = tuple(index < successes for index in range(20))
-    return TestResult(steps, steps / 100, flags, (True,) * 20, (False,) * 20, (-1.5,) * 20, (9,) * 20)
-
-
-def new_run(store: Store, runs: Path, name: str = "reach", seed: int = 3) -> RunFolder:
-    run = RunFolder.create(runs, name, seed)
-    run.describe(SPEC, experiment="abc")
-    store.add_run(run.summary(), SPEC)
-    return run
-
-
-def bare(store: Store, run: str, **values: Any) -> RunSummary:
-    """A run that has no folder any more."""
-    summary = RunSummary(
-        **dict.fromkeys(("success_any", "success_end", "steps_to_95", "seconds_to_95"), None),
-        **dict.fromkeys(("episodes", "environment", "robot", "task", "agent", "error"), None),
-        run=run,
-        experiment="abc",
-        seed=0,
-        state="finished",
-        steps=0,
-        seconds=0.0,
-        name="x",
-        attempt=1,
-        created="2026-01-01T00:00:00.000000Z",
-        updated="2026-01-01T00:00:00.000000Z",
-        folder="/nowhere/x",
-    )
-    summary = replace(summary, **values)
-    store.add_run(summary, SPEC)
-    return summary
 
 
 @pytest.fixture
@@ -199,129 +156,6 @@ def test_selector_that_means_many_names_a_few(store: Store) -> None:
 def test_last_of_nothing_is_told(store: Store) -> None:
     with pytest.raises(UsageError, match="there are no runs yet"):
         store.find("@last")
-
-
-# What it refuses.
-
-
-def test_locked_database_is_told_after_the_time_limit(store: Store, tmp_path: Path) -> None:
-    run = new_run(store, tmp_path)
-    with database(store) as other:
-        other.execute("BEGIN EXCLUSIVE")
-        with pytest.raises(StoreError, match=r"karolos\.sqlite: another process keeps it locked; wait for"):
-            store.update_run(run.summary())
-        with pytest.raises(StoreError, match="another process keeps it locked"):
-            store.runs()
-        other.execute("ROLLBACK")
-    store.update_run(run.summary())
-
-
-def test_reader_does_not_wait_for_a_writer(store: Store, tmp_path: Path) -> None:
-    run = new_run(store, tmp_path)
-    with database(store) as other:
-        other.execute("BEGIN IMMEDIATE")
-        assert [found.run for found in store.runs()] == [run.id]
-
-
-def test_newer_database_is_refused_and_not_touched(store: Store) -> None:
-    with database(store) as other:
-        other.execute("UPDATE karolos_schema SET version = ?", [SCHEMA + 1])
-    other.close()
-    content = Path(store.url.database or "").read_bytes()
-    with pytest.raises(StoreError, match=r"a newer karolos made this database .*; update karolos, or name another"):
-        Store(str(store.url))
-    assert Path(store.url.database or "").read_bytes() == content
-
-
-def test_older_database_is_refused(store: Store) -> None:
-    with database(store) as other:
-        other.execute("UPDATE karolos_schema SET version = 0")
-    with pytest.raises(StoreError, match="an older karolos made this database"):
-        Store(str(store.url))
-
-
-def test_database_of_something_else_is_refused_and_not_touched(tmp_path: Path) -> None:
-    with sqlite3.connect(tmp_path / "other.sqlite") as other:
-        other.execute("CREATE TABLE alembic_version (x)")
-    other.close()
-    content = (tmp_path / "other.sqlite").read_bytes()
-    with pytest.raises(StoreError, match=r"other\.sqlite: this database belongs to something else"):
-        Store(f"sqlite:///{tmp_path}/other.sqlite")
-    assert (tmp_path / "other.sqlite").read_bytes() == content
-
-
-def test_file_that_is_no_database_is_refused(tmp_path: Path) -> None:
-    (tmp_path / "karolos.sqlite").write_text("steps,success\n" * 100)
-    with pytest.raises(StoreError, match=r"the file is no database; name another"):
-        Store(Store.default_url(tmp_path))
-    assert (tmp_path / "karolos.sqlite").read_text().startswith("steps,success")
-
-
-def test_damaged_database_is_told(store: Store, tmp_path: Path) -> None:
-    for _ in range(50):
-        bare(store, f"x{_}")
-    path = Path(store.url.database or "")
-    data = bytearray(path.read_bytes())
-    for page in range(1, len(data) // 4096):
-        data[page * 4096 : page * 4096 + 64] = b"\xff" * 64
-    path.write_bytes(data)
-    with pytest.raises(StoreError, match="the database is damaged; move the file away: a new one is built"):
-        Store(str(store.url)).runs()
-
-
-def test_read_only_database_is_told(tmp_path: Path) -> None:
-    with sqlite3.connect(tmp_path / "x.sqlite") as other:
-        other.execute("CREATE TABLE x (y)")
-    url = parse_url(f"sqlite:///{tmp_path}/x.sqlite")
-    engine = create_engine("sqlite://", creator=lambda: sqlite3.connect(f"file:{tmp_path}/x.sqlite?mode=ro", uri=True))
-    with pytest.raises(StoreError, match=r"x\.sqlite: the database is read-only"), explained(url):  # noqa: SIM117
-        with engine.begin() as connection:
-            connection.exec_driver_sql("INSERT INTO x VALUES (1)")
-
-
-def test_database_removed_while_a_run_goes_on_is_told_and_not_made_anew(store: Store, tmp_path: Path) -> None:
-    run = new_run(store, tmp_path)
-    Path(store.url.database or "").unlink()
-    with pytest.raises(StoreError, match="the database cannot be opened"):
-        store.update_run(run.summary())
-    assert not Path(store.url.database or "").exists()
-
-
-def test_folder_in_place_of_the_database_is_told(tmp_path: Path) -> None:
-    (tmp_path / "karolos.sqlite").mkdir()
-    with pytest.raises(StoreError, match="cannot be opened"):
-        Store(Store.default_url(tmp_path))
-
-
-def test_file_in_place_of_its_folder_is_told(tmp_path: Path) -> None:
-    (tmp_path / "runs").write_text("")
-    with pytest.raises(MachineError, match="a file is in the way of a folder"):
-        Store(Store.default_url(tmp_path / "runs"))
-
-
-@pytest.mark.parametrize(
-    "url", ["", "runs/karolos.sqlite", "sqlite://", "sqlite:///:memory:", "sqlite:///file:x?uri=true"]
-)
-def test_url_that_names_no_database_is_told(url: str) -> None:
-    with pytest.raises(StoreError, match=r"is none; e\.g\. sqlite|must name a file"):
-        Store(url)
-
-
-@pytest.mark.parametrize(
-    "url", ["nosql://me:secret@host/x", "postgresql+nodriver://me:secret@host/x?password=secret", "me:secret@host://x"]
-)
-def test_driver_that_is_missing_is_told_without_the_password(url: str) -> None:
-    with pytest.raises(StoreError) as caught:
-        Store(url)
-    assert "secret" not in str(caught.value)
-
-
-def test_settings_of_sqlite_hold(store: Store) -> None:
-    with store._engine.connect() as connection:
-        pragmas = [connection.exec_driver_sql(f"PRAGMA {name}").scalar() for name in ("foreign_keys", "synchronous")]
-        assert pragmas == [1, 2]
-        assert connection.exec_driver_sql("PRAGMA journal_mode").scalar() == "delete"
-        assert connection.exec_driver_sql("PRAGMA busy_timeout").scalar() == 100
 
 
 # Many at once.

@@ -1,0 +1,34 @@
+from __future__ import annotations
+
+import json
+
+import pytest
+from karolos_cli.bench import COLUMNS, app
+from typer.testing import CliRunner
+
+from karolos.simulation.body import Body
+
+
+def test_rows_name_the_bare_physics_as_peer() -> None:
+    drive = Body.drive
+    result = CliRunner().invoke(app, ["environment", "--seconds", "0.1", "--json"])
+    assert result.exit_code == 0, result.output
+    rows = [json.loads(line) for line in result.stdout.splitlines()]
+    assert all(tuple(row) == COLUMNS for row in rows)
+    assert [row["case"] for row in rows] == [
+        "panda reach joint",
+        "panda reach joint reset",
+        "panda reach cartesian",
+        "panda reach cartesian reset",
+    ]
+    for row in rows[::2]:
+        assert row["peer"] == "bare physics loop"
+        assert row["ratio"] == pytest.approx(row["value"] / row["peer_value"])
+    assert Body.drive is drive, "the recorder must be gone"
+
+
+def test_table_and_one_control_mode() -> None:
+    result = CliRunner().invoke(app, ["environment", "--seconds", "0.1", "--control", "joint"])
+    assert result.exit_code == 0, result.output
+    assert len(result.stdout.splitlines()) == 3
+    assert "cartesian" not in result.stdout

@@ -1,0 +1,18 @@
+"""What tests of commands share: run a sub-app as the command line would."""
+
+from __future__ import annotations
+
+import typer
+from typer.testing import CliRunner
+
+from karolos.errors import KarolosError
+
+
+def call(app: typer.Typer, *arguments: str) -> tuple[int, str, str]:
+    """Exit code, stdout and stderr of a command; a KarolosError ends it as in karolos_cli.main."""
+    result = CliRunner().invoke(app, arguments)
+    if isinstance(result.exception, KarolosError):
+        return result.exception.exit_code, result.stdout, f"{result.stderr}{result.exception}\n"
+    if result.exception is not None and not isinstance(result.exception, SystemExit):
+        raise result.exception
+    return result.exit_code, result.stdout, result.stderr

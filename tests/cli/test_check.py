@@ -1,0 +1,71 @@
+"""`karolos check`."""
+
+from __future__ import annotations
+
+import json
+
+import pytest
+import typer
+from commands import call
+from karolos_cli.check import check
+
+GOOD = "robot: arm\ntask: reach\nagent: learner\n"
+app = typer.Typer()
+app.command()(check)
+
+pytestmark = pytest.mark.usefixtures("fake_plugins")
+
+
+@pytest.fixture
+def specs(tmp_path):
+    (tmp_path / "good.yaml").write_text(GOOD)
+    (tmp_path / "bad.yaml").write_text(
+        "robot: amr\ntask: {name: reach, treshold: 1}\nagent: {name: learner, discount: 2}\n"
+    )
+    return tmp_path
+
+
+def test_good_specs_are_named_and_the_exit_code_is_0(specs):
+    code, out, err = call(app, str(specs / "good.yaml"))
+    assert (code, out, err) == (0, f"{specs}/good.yaml: ok\n", "")
+
+
+def test_every_problem_of_every_bad_spec_is_printed_and_the_exit_code_is_2(specs):
+    code, out, _ = call(app, str(specs / "bad.yaml"), str(specs / "good.yaml"), str(specs / "none.yaml"))
+    assert code == 2
+    lines = out.splitlines()
+    assert [line.removeprefix(f"{specs}/").split(" ")[0] for line in lines] == [
+        "bad.yaml:1:8:", "bad.yaml:2:21:", "bad.yaml:3:34:", "good.yaml:", "none.yaml:",
+    ]  # fmt: skip
+
+
+def test_json_gives_one_object_per_row(specs):
+    code, out, _ = call(app, "--json", str(specs / "good.yaml"), str(specs / "bad.yaml"))
+    found = [json.loads(line) for line in out.splitlines()]
+    assert code == 2
+    assert [row["ok"] for row in found] == [True, False, False, False]
+    assert found[1]["where"] == f"{specs}/bad.yaml:1:8"
+    assert found[1]["key"] == "robot.name"
+    assert "did you mean 'arm'?" in found[1]["hint"]
+
+
+def test_broken_plugin_ends_with_3_and_the_rest_is_checked(specs, fake_plugins):
+    fake_plugins("robots", "broken", "no_such_module_anywhere:Robot", distribution="shaky")
+    (specs / "broken.yaml").write_text(GOOD.replace("arm", "broken"))
+    code, out, _ = call(app, str(specs / "broken.yaml"), str(specs / "good.yaml"))
+    assert code == 3
+    assert "shaky" in out.splitlines()[0]
+    assert out.splitlines()[1].endswith("good.yaml: ok")
+
+
+def test_no_file_is_a_usage_error():
+    code, _, err = call(app)
+    assert code == 2
+    assert "SPEC" in err
+
+
+def test_file_names_cannot_write_control_characters(tmp_path):
+    path = tmp_path / "\x1b[31mred.yaml"
+    path.write_text(GOOD + "name: red\n")
+    _, out, _ = call(app, str(path))
+    assert "\x1b" not in out

@@ -1,0 +1,35 @@
+"""Rows and text on their way to the terminal."""
+
+from __future__ import annotations
+
+import json
+
+from hypothesis import given
+from hypothesis import strategies as st
+from karolos_cli.common import clean, rows
+
+
+@given(st.text())
+def test_clean_text_is_one_printable_line_of_the_same_length(text):
+    assert clean(text).isprintable()
+    assert len(clean(text)) == len(text)
+    assert all(after in (before, "\N{REPLACEMENT CHARACTER}") for before, after in zip(text, clean(text), strict=True))
+
+
+def test_rows_are_json_objects_or_columns(capsys):
+    found = [{"name": "a", "value": 0.5}, {"name": "long name", "value": None}]
+    rows(found, json=True)
+    assert [json.loads(line) for line in capsys.readouterr().out.splitlines()] == found
+    rows(found, json=False)
+    assert capsys.readouterr().out == "name       value\na          0.5\nlong name\n"
+
+
+def test_no_rows_print_nothing(capsys):
+    rows([], json=False)
+    rows([], json=True)
+    assert capsys.readouterr().out == ""
+
+
+def test_numbers_that_json_has_not_become_null(capsys):
+    rows([{"value": float("nan"), "values": (1.0, float("inf"))}], json=True)
+    assert json.loads(capsys.readouterr().out) == {"value": None, "values": [1.0, None]}

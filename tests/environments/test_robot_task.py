@@ -1,0 +1,148 @@
+from __future__ import annotations
+
+import numpy as np
+import pytest
+
+from karolos.environments.build import build_environment
+from karolos.environments.robot_task import RobotTask
+from karolos.errors import UsageError
+from karolos.randomization.distribution import Distribution
+from karolos.randomization.normal import Normal
+from karolos.randomization.uniform import Uniform
+from karolos.registry import load
+from karolos.robots.panda import Panda
+from karolos.spec.recipe import Part, Recipe
+from karolos.tasks.reach import Reach
+
+
+def environment(randomization: dict[str, Distribution] | None = None, **robot: object) -> RobotTask:
+    return RobotTask(
+        RobotTask.Settings.model_validate({}),
+        robot=Panda(Panda.Settings.model_validate(robot)),
+        task=Reach(Reach.Settings.model_validate({})),
+        randomization=randomization,
+    )
+
+
+def normal(mean: float, std: float) -> Normal:
+    return Normal(Normal.Settings(mean=mean, std=std))
+
+
+def part(kind: str, name: str) -> Part:
+    return Part(kind, name, load(kind, name).Settings())
+
+
+@pytest.mark.parametrize("action", [np.zeros(4), np.zeros((1, 3)), np.float32(0), np.zeros(0)])
+def test_action_of_a_wrong_shape_is_refused_by_name(action: np.ndarray) -> None:
+    made = environment()
+    made.reset(0)
+    with pytest.raises(ValueError, match=r"PandaReach: an action has the shape \(3,\)"):
+        made.step(action)
+    made.close()
+
+
+@pytest.mark.parametrize("value", [np.nan, np.inf, -np.inf])
+def test_action_that_is_not_finite_is_refused_and_the_episode_goes_on(value: float) -> None:
+    made = environment()
+    made.reset(0)
+    with pytest.raises(ValueError, match="PandaReach: an action must be finite"):
+        made.step(np.array([0.0, value, 0.0]))
+    assert np.isfinite(made.step(np.zeros(3)).observation).all()
+    made.close()
+
+
+def test_step_before_the_first_reset_is_refused() -> None:
+    with pytest.raises(RuntimeError, match="reset"):
+        environment().step(np.zeros(3))
+
+
+def test_actions_beyond_one_are_clipped() -> None:
+    made = environment()
+    made.reset(0)
+    one = made.step(np.array([1.0, -1.0, 1.0])).observation
+    made.reset(0)
+    np.testing.assert_array_equal(made.step(np.array([7.0, -9.0, 1.5])).observation, one)
+    made.close()
+
+
+def test_observation_is_named_and_the_same_for_every_arm_in_cartesian_control() -> None:
+    assert environment().signature.observation.names == ("tool_position", "tool_velocity")
+    joint = environment(control="joint").signature
+    assert joint.observation.names == ("tool_position", "tool_velocity", "joint_positions", "joint_velocities")
+    assert joint.action.size == 7
+
+
+def test_physics_blow_up_truncates_with_finite_numbers_and_the_next_episode_is_sound() -> None:
+    made = environment()
+    reference = made.reset(3)
+    made.step(np.zeros(3))
+    made.robot._drives.read = lambda: ([float("nan")] * 7, [0.0] * 7, 0.0)  # type: ignore[attr-defined]
+    step = made.step(np.zeros(3))
+    assert step.truncated
+    assert not step.terminated
+    assert all(np.isfinite(part).all() for part in step)
+    assert made.blow_ups == 1
+    with pytest.raises(RuntimeError, match="over"):
+        made.step(np.zeros(3))
+    np.testing.assert_array_equal(made.reset(3).observation, reference.observation)
+    assert not made.step(np.zeros(3)).truncated
+    made.close()
+
+
+def test_randomized_values_are_recorded_applied_and_follow_from_the_seed() -> None:
+    distributions = {
+        "task.gravity": normal(-9.81, 1.0),
+        "robot.link_mass": Uniform(Uniform.Settings(low=0.8, high=1.2)),
+    }
+    made = environment(distributions)
+    assert made.signature.parameters.names == ("robot.link_mass", "task.gravity")
+    assert made.signature.parameters.fields[1].unit == "m/s2"
+
+    def episode(seed: int) -> tuple[np.ndarray, np.ndarray]:
+        made.reset(seed)
+        drawn = made.parameters()
+        for _ in range(5):
+            step = made.step(np.array([0.5, -0.5, 0.5]))
+        return drawn, step.observation
+
+    first, second, again = episode(0), episode(1), episode(0)
+    assert not np.array_equal(first[0], second[0])
+    np.testing.assert_array_equal(first[0], again[0])
+    np.testing.assert_array_equal(first[1], again[1])
+    assert 0.8 <= first[0][0] <= 1.2
+    made.close()
+
+
+def test_fixed_distribution_at_the_nominal_value_changes_no_motion() -> None:
+    plain, fixed = environment(), environment({"task.gravity": normal(-9.81, 0.0), "robot.link_mass": normal(1.0, 0)})
+    plain.reset(0)
+    fixed.reset(0)
+    for _ in range(10):
+        action = np.array([1.0, 0.3, -0.7])
+        np.testing.assert_array_equal(plain.step(action).observation, fixed.step(action).observation)
+    plain.close()
+    fixed.close()
+
+
+def test_parameter_that_nobody_declares_is_refused_with_the_closest() -> None:
+    with pytest.raises(UsageError, match=r"did you mean 'task.gravity'\?.*robot.link_mass"):
+        environment({"task.gravty": normal(-9.81, 1)})
+
+
+def test_recipe_builds_what_it_names() -> None:
+    recipe = Recipe(
+        part("environments", "robot_task"),
+        part("robots", "panda"),
+        part("tasks", "reach"),
+        (("task.gravity", Part("distributions", "normal", Normal.Settings(mean=-9.81, std=0.1))),),
+    )
+    made = build_environment(recipe)
+    assert made.signature.parameters.names == ("task.gravity",)
+    assert type(build_environment(Recipe(part("environments", "toy")))).__name__ == "Toy"
+
+
+def test_recipe_without_a_robot_or_with_one_too_many_is_refused() -> None:
+    with pytest.raises(UsageError, match="no robot is given"):
+        build_environment(Recipe(part("environments", "robot_task"), task=part("tasks", "reach")))
+    with pytest.raises(UsageError, match="takes no robot"):
+        build_environment(Recipe(part("environments", "toy"), part("robots", "panda")))

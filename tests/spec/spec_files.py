@@ -1,0 +1,27 @@
+"""What tests of specs share."""
+
+from __future__ import annotations
+
+from pathlib import Path
+
+import pytest
+
+from karolos.errors import SpecError
+from karolos.spec import load_spec
+
+GOOD = "robot: arm\ntask: reach\nagent: learner\n"
+
+
+def write(folder: Path, name: str, text: str) -> Path:
+    path = folder / name
+    path.parent.mkdir(parents=True, exist_ok=True)
+    path.write_text(text, "utf-8")
+    return path
+
+
+def problems_of(path: Path, *overrides: str) -> list[str]:
+    """The lines that loading the spec complains with, without the folder in front."""
+    with pytest.raises(SpecError) as caught:
+        load_spec(path, overrides)
+    assert str(caught.value).splitlines() == [str(problem) for problem in caught.value.problems]
+    return [str(problem).removeprefix(f"{path.parent}/") for problem in caught.value.problems]

@@ -1,0 +1,138 @@
+"""`extends`: what is laid over what, and which files may be read."""
+
+from __future__ import annotations
+
+import pytest
+from spec_files import GOOD, problems_of, write
+
+from karolos.spec import load_spec
+
+pytestmark = pytest.mark.usefixtures("fake_plugins")
+
+
+def test_mappings_merge_deeply_and_the_file_itself_wins(tmp_path):
+    write(tmp_path, "base.yaml", GOOD + "training: {steps: 7, batch_size: 8}\nseeds: [1, 2]\n")
+    path = write(tmp_path, "s.yaml", "extends: base.yaml\ntraining: {steps: 9}\nseeds: [3]\n")
+    spec = load_spec(path)
+    assert (spec.training.steps, spec.training.batch_size, spec.seeds) == (9, 8, (3,))
+
+
+def test_later_files_of_a_list_win(tmp_path):
+    write(tmp_path, "a.yaml", GOOD + "training: {steps: 1, batch_size: 1, warmup_episodes: 1}\n")
+    write(tmp_path, "b.yaml", "training: {steps: 2, batch_size: 2}\n")
+    spec = load_spec(write(tmp_path, "s.yaml", "extends: [a.yaml, b.yaml]\ntraining: {steps: 3}\n"))
+    assert (spec.training.steps, spec.training.batch_size, spec.training.warmup_episodes) == (3, 2, 1)
+
+
+def test_settings_of_the_same_part_merge_also_from_shorthand(tmp_path):
+    write(tmp_path, "base.yaml", GOOD.replace("learner", "{name: learner, discount: 0.5}"))
+    spec = load_spec(write(tmp_path, "s.yaml", "extends: base.yaml\nagent: learner\nrobot: {step: 0.1}\n"))
+    assert spec.agent.settings.discount == 0.5
+    assert (spec.robot.name, spec.robot.settings.step) == ("arm", 0.1)
+
+
+def test_part_whose_name_changes_is_replaced_whole(tmp_path):
+    write(tmp_path, "base.yaml", GOOD.replace("arm", "{name: arm, step: 0.2}"))
+    spec = load_spec(write(tmp_path, "s.yaml", "extends: base.yaml\nrobot: other_arm\n"))
+    assert spec.robot.dump() == {"name": "other_arm", "speed": 1.0}
+
+
+def test_distribution_whose_name_changes_is_replaced_whole(tmp_path):
+    write(tmp_path, "base.yaml", GOOD + "randomization: {task.gravity: {name: normal, mean: 1, std: 2}}\n")
+    text = "extends: base.yaml\nrandomization: {task.gravity: {name: interval, low: 0, high: 1}}\n"
+    drawn = load_spec(write(tmp_path, "s.yaml", text)).randomization
+    assert drawn["task.gravity"].dump() == {"name": "interval", "low": 0.0, "high": 1.0}
+
+
+def test_null_drops_what_is_inherited(tmp_path):
+    drawn = "{task.gravity: {name: normal, mean: 1, std: 2}, task.mass: {name: normal, mean: 1, std: 2}}"
+    write(tmp_path, "base.yaml", GOOD + f"randomization: {drawn}\ntraining: {{steps: 7}}\n")
+    text = "extends: base.yaml\nrandomization: {task.mass: null}\ntraining: null\n"
+    spec = load_spec(write(tmp_path, "s.yaml", text))
+    assert list(spec.randomization) == ["task.gravity"]
+    assert spec.training.steps == 100_000
+    text = "extends: base.yaml\nrobot: null\ntask: null\nrandomization: null\nenvironment: point\n"
+    spec = load_spec(write(tmp_path, "s.yaml", text))
+    assert (spec.robot, spec.task, spec.environment.name, spec.randomization) == (None, None, "point", {})
+
+
+def test_problem_of_an_extended_file_is_told_there(tmp_path):
+    write(tmp_path, "bases/base.yaml", GOOD + "training: {steps: none}\n")
+    path = write(tmp_path, "s.yaml", "extends: bases/base.yaml\nseeds: [-1]\n")
+    found = problems_of(path)
+    assert found[0].startswith("s.yaml:2:9: seeds[0]")
+    assert found[1].startswith("bases/base.yaml:4:19: training.steps")
+
+
+def test_circle_is_refused_with_its_members(tmp_path):
+    write(tmp_path, "a.yaml", "extends: b.yaml\n")
+    write(tmp_path, "b.yaml", "extends: c.yaml\n")
+    write(tmp_path, "c.yaml", "extends: a.yaml\n")
+    (line,) = problems_of(tmp_path / "a.yaml")
+    assert line.startswith("c.yaml:1:10: extends: goes in a circle: a.yaml -> b.yaml -> c.yaml -> a.yaml")
+    (line,) = problems_of(write(tmp_path, "self.yaml", "extends: self.yaml\n"))
+    assert "circle: self.yaml -> self.yaml" in line
+
+
+def test_same_base_twice_is_no_circle(tmp_path):
+    write(tmp_path, "base.yaml", GOOD)
+    write(tmp_path, "left.yaml", "extends: base.yaml\n")
+    write(tmp_path, "right.yaml", "extends: base.yaml\n")
+    assert load_spec(write(tmp_path, "s.yaml", "extends: [left.yaml, right.yaml]\n")).robot.name == "arm"
+
+
+def test_files_that_extend_twice_each_are_read_once(tmp_path):
+    write(tmp_path, "f0.yaml", GOOD)
+    for number in range(1, 16):
+        write(tmp_path, f"f{number}.yaml", f"extends: [f{number - 1}.yaml, f{number - 1}.yaml]\n")
+    assert load_spec(tmp_path / "f15.yaml").robot.name == "arm"
+
+
+def test_chain_without_end_is_cut(tmp_path):
+    for number in range(40):
+        write(tmp_path, f"f{number}.yaml", f"extends: f{number + 1}.yaml\n")
+    (line,) = problems_of(tmp_path / "f0.yaml")
+    assert "in a row" in line
+
+
+@pytest.mark.parametrize("target", ["../outside.yaml", "../specs2/x.yaml", "/etc/passwd", "sub/../../outside.yaml"])
+def test_files_outside_the_tree_are_not_read(tmp_path, target):
+    write(tmp_path, "outside.yaml", GOOD)
+    write(tmp_path, "specs2/x.yaml", GOOD)
+    (line,) = problems_of(write(tmp_path, "plain/s.yaml", f"extends: {target}\n"))
+    assert line.startswith(f"s.yaml:1:10: extends: {target} lies outside")
+    assert "root:" not in line
+
+
+def test_link_out_of_the_tree_is_not_followed(tmp_path):
+    secret = write(tmp_path, "outside.yaml", GOOD)
+    path = write(tmp_path, "specs/s.yaml", "extends: link.yaml\n")
+    (tmp_path / "specs" / "link.yaml").symlink_to(secret)
+    (line,) = problems_of(path)
+    assert "lies outside" in line
+
+
+def test_tree_reaches_up_to_the_folder_called_specs(tmp_path):
+    write(tmp_path, "specs/base.yaml", GOOD)
+    assert load_spec(write(tmp_path, "specs/smoke/deep/s.yaml", "extends: ../../base.yaml\n")).robot.name == "arm"
+
+
+@pytest.mark.parametrize(
+    ("target", "expected"),
+    [
+        ("bsae.yaml", "s.yaml:1:10: extends: bsae.yaml: there is no such file; did you mean base.yaml?"),
+        (".", "s.yaml:1:10: extends: .: is a folder, not a spec file"),
+        ("3", "s.yaml:1:10: extends: should be a path, or a list of paths"),
+        ("[base.yaml, {}]", "s.yaml:1:22: extends: should be a path"),
+        ('"x\\0.yaml"', "s.yaml:1:10: extends: x\\x00.yaml: there is no such file"),
+        ("empty.yaml", "empty.yaml:1:1: the file is empty"),
+        ("broken.yaml", "broken.yaml:2:1: not valid YAML"),
+    ],
+)
+def test_file_that_cannot_be_extended_is_told_alone(tmp_path, target, expected):
+    write(tmp_path, "base.yaml", GOOD)
+    write(tmp_path, "empty.yaml", "")
+    write(tmp_path, "broken.yaml", "a: [\n")
+    found = problems_of(write(tmp_path, "s.yaml", f"extends: {target}\n"))
+    assert len(found) == 1, "an unread base must not make its keys look missing"
+    assert found[0].startswith(expected)

@@ -1,0 +1,159 @@
+"""Resolved specs: defaults, dump, origins, hash, recipe, pickling."""
+
+from __future__ import annotations
+
+import json
+import pickle
+from dataclasses import FrozenInstanceError
+
+import numpy as np
+import pytest
+from hypothesis import HealthCheck, given, settings
+from hypothesis import strategies as st
+from pydantic import ValidationError
+from spec_files import GOOD, write
+
+from karolos.spec import Spec, load_spec, to_yaml
+
+pytestmark = pytest.mark.usefixtures("fake_plugins")
+
+SMALL = {"robot": "arm", "task": "reach", "agent": "learner"}
+
+
+def test_robot_task_and_agent_are_enough():
+    spec = Spec.from_dict(SMALL)
+    assert (spec.name, spec.seeds) == ("arm_reach", (0,))
+    assert (spec.environment.name, spec.buffer.name, spec.orchestrator.name) == ("robot_task", "uniform", "local")
+    amounts = {"steps": 100_000, "batch_size": 256, "replay_ratio": 64.0, "warmup_episodes": 20}
+    assert spec.training.model_dump() == {**amounts, "device": "cpu", "threads": None}
+    assert spec.testing.model_dump() == {"interval": 5000, "episodes": 100, "seed": 0}
+
+
+def test_environment_and_agent_are_enough():
+    spec = Spec.from_dict({"environment": "point", "agent": "learner"})
+    assert (spec.name, spec.robot, spec.task) == ("point", None, None)
+
+
+def test_name_defaults_to_the_file(tmp_path):
+    assert load_spec(write(tmp_path, "first_try.yaml", GOOD)).name == "first_try"
+
+
+def test_default_part_takes_settings_without_a_name():
+    spec = Spec.from_dict({**SMALL, "buffer": {"capacity": 1e5}})
+    assert (spec.buffer.name, spec.buffer.settings.capacity) == ("uniform", 100_000)
+
+
+def test_dictionary_may_hold_tuples_and_numpy_numbers():
+    spec = Spec.from_dict(
+        {**SMALL, "seeds": (np.int64(3), 4), "agent": {"name": "learner", "discount": np.float32(0.5)}}
+    )
+    assert (spec.seeds, spec.agent.settings.discount) == ((3, 4), 0.5)
+
+
+def test_specs_are_frozen():
+    spec = Spec.from_dict(SMALL)
+    with pytest.raises(ValidationError):
+        spec.name = "x"
+    with pytest.raises(FrozenInstanceError):
+        spec.agent.name = "x"
+    with pytest.raises(ValidationError):
+        spec.agent.settings.discount = 0
+
+
+def test_pickled_specs_and_recipes_come_back_equal():
+    spec = Spec.from_dict({**SMALL, "randomization": {"task.gravity": {"name": "normal", "mean": 1, "std": 1}}})
+    assert pickle.loads(pickle.dumps(spec)) == spec
+    recipe = spec.recipe(randomize=True)
+    assert pickle.loads(pickle.dumps(recipe)) == recipe
+
+
+def test_recipe_holds_randomization_only_when_asked_and_in_one_order():
+    draws = {"name": "normal", "mean": 1, "std": 1}
+    one = Spec.from_dict({**SMALL, "randomization": {"task.mass": draws, "robot.gain": draws}})
+    other = Spec.from_dict({**SMALL, "randomization": {"robot.gain": draws, "task.mass": draws}})
+    assert one.recipe(randomize=False).randomization == ()
+    assert [name for name, _ in one.recipe(randomize=True).randomization] == ["robot.gain", "task.mass"]
+    assert one.recipe(randomize=True) == other.recipe(randomize=True)
+    assert one.hash() == other.hash()
+
+
+def test_origins_tell_where_each_value_comes_from(tmp_path):
+    write(tmp_path, "specs/base.yaml", "agent: {name: learner, discount: 0.9}\n")
+    path = write(tmp_path, "specs/s.yaml", "extends: base.yaml\nrobot: arm\ntask: reach\nseeds: [1]\n")
+    spec = load_spec(path, ["training.steps=7"])
+    origins = {key: origin.removeprefix(f"{tmp_path}/") for key, origin in spec.origins.items()}
+    assert origins["agent.discount"] == "specs/base.yaml:1:34"
+    assert origins["robot.name"] == "specs/s.yaml:2:8"
+    assert origins["seeds"] == "specs/s.yaml:4:8"
+    assert origins["training.steps"] == "override training.steps=7"
+    for key in ("agent.learning_rate", "environment.name", "training.threads", "name", "randomization"):
+        assert origins[key] == "default"
+    assert Spec.from_dict(SMALL).origins["robot.name"] == "dict"
+
+
+CHANGES = {
+    "name": ({"name": "other"}, True),
+    "seeds": ({"seeds": [5, 6]}, True),
+    "device": ({"training": {"device": "cuda"}}, True),
+    "threads": ({"training": {"threads": 3}}, True),
+    "layout of environments": ({"orchestrator": {"name": "local", "processes": 2, "environments": 4}}, True),
+    "written default": ({"training": {"steps": 1e5}}, True),
+    "number of environments": ({"orchestrator": {"name": "local", "environments": 9}}, False),
+    "steps": ({"training": {"steps": 1}}, False),
+    "setting of a part": ({"agent": {"name": "learner", "discount": 0.5}}, False),
+    "another part": ({"robot": "other_arm"}, False),
+    "randomization": ({"randomization": {"task.gravity": {"name": "normal", "mean": 1, "std": 1}}}, False),
+    "tests": ({"testing": {"seed": 1}}, False),
+}
+
+
+@pytest.mark.parametrize("change", CHANGES)
+def test_hash_names_what_results_depend_on(change):
+    changed, same = CHANGES[change]
+    assert (Spec.from_dict({**SMALL, **changed}).hash() == Spec.from_dict(SMALL).hash()) is same
+
+
+def test_specs_that_resolve_alike_are_equal(tmp_path):
+    from_file = load_spec(write(tmp_path, "arm_reach.yaml", GOOD))
+    assert from_file == Spec.from_dict(SMALL)
+    assert hash(from_file) == hash(Spec.from_dict(SMALL))
+    assert from_file != Spec.from_dict({**SMALL, "name": "x"})
+
+
+numbers = st.floats(1e-9, 0.99, allow_nan=False)
+parts = {
+    "robot": st.fixed_dictionaries(
+        {"name": st.just("arm")}, optional={"step": numbers, "control": st.sampled_from(["joint", "cartesian"])}
+    ),
+    "task": st.just("reach")
+    | st.fixed_dictionaries({"name": st.just("reach"), "box": st.tuples(numbers, numbers, numbers)}),
+    "agent": st.fixed_dictionaries(
+        {"name": st.just("learner")},
+        optional={
+            "discount": numbers,
+            "hidden": st.lists(st.integers(-(2**70), 2**70), max_size=3),
+            "entropy": st.just("auto") | st.floats(allow_nan=False, allow_infinity=False),
+            "decay": st.booleans() | st.fixed_dictionaries({"rate": numbers}),
+        },
+    ),
+}
+optional = {
+    "name": st.from_regex(r"[A-Za-z0-9][A-Za-z0-9._-]{0,63}", fullmatch=True),
+    "seeds": st.lists(st.integers(0, 2**70), min_size=1, max_size=4, unique=True),
+    "randomization": st.dictionaries(
+        st.sampled_from(["task.gravity", "robot.mass"]),
+        st.fixed_dictionaries({"name": st.just("normal"), "mean": st.floats(-9, 9), "std": numbers}),
+    ),
+    "training": st.fixed_dictionaries({}, optional={"steps": st.integers(1, 10**9), "replay_ratio": st.floats(0, 1e9)}),
+}
+
+
+@given(st.fixed_dictionaries(parts, optional=optional))
+@settings(max_examples=60, suppress_health_check=[HealthCheck.function_scoped_fixture], deadline=None)
+def test_dump_loads_as_an_equal_spec(tmp_path, given_spec):
+    spec = Spec.from_dict(given_spec)
+    dump = spec.dump()
+    assert Spec.from_dict(json.loads(json.dumps(dump, allow_nan=False))) == spec
+    assert Spec.from_dict(dump).hash() == spec.hash()
+    assert load_spec(write(tmp_path, "again.yaml", to_yaml(dump))) == spec
+    assert set(spec.origins) == set(Spec.from_dict(dump).origins)

@@ -1,0 +1,52 @@
+"""The specs that ship, with the plugins that ship."""
+
+from __future__ import annotations
+
+import subprocess
+import sys
+from pathlib import Path
+
+import pytest
+from jsonschema import Draft202012Validator
+
+from karolos.spec import Spec, load_spec
+from karolos.spec.schema import spec_schema
+from karolos.spec.yaml_text import read
+
+SPECS = Path(__file__).parents[2] / "specs"
+RUNNABLE = sorted([*SPECS.glob("*.yaml"), *SPECS.glob("smoke/*.yaml")])
+ALL = sorted(SPECS.rglob("*.yaml"))
+
+
+def test_there_are_specs_to_test():
+    assert {"panda_reach.yaml", "toy.yaml"} <= {path.name for path in RUNNABLE}
+
+
+@pytest.mark.parametrize("path", RUNNABLE, ids=lambda path: str(path.relative_to(SPECS)))
+def test_shipped_spec_is_right_and_loads_again(path):
+    spec = load_spec(path)
+    assert Spec.from_dict(spec.dump()) == spec
+    assert set(spec.origins.values()) != {"default"}
+
+
+@pytest.mark.parametrize("path", ALL, ids=lambda path: str(path.relative_to(SPECS)))
+def test_shipped_spec_fits_the_schema(path):
+    schema, broken = spec_schema()
+    assert not broken
+    node, problems = read(path.read_text("utf-8"), path.name)
+    assert not problems
+    assert node is not None
+    wrong = sorted(error.json_path for error in Draft202012Validator(schema).iter_errors(node.plain()))
+    needs_base = path.parent.name == "bases"  # a base may leave robot and task to the spec that extends it
+    assert [place for place in wrong if not (needs_base and place == "$")] == []
+
+
+def test_environments_are_described_without_torch_or_pybullet():
+    code = (
+        "import sys; from karolos.spec.parts import OfKind\n"
+        "for kind, name in [('environments', 'toy'), ('robots', 'panda'), ('tasks', 'reach')]:\n"
+        "    OfKind(kind).validate({'name': name})\n"
+        "import karolos.spec\n"
+        "assert not {'torch', 'pybullet', 'sqlalchemy', 'typer'} & set(sys.modules)"
+    )
+    subprocess.run([sys.executable, "-c", code], check=True, timeout=60)

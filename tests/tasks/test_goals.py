@@ -1,0 +1,56 @@
+from __future__ import annotations
+
+import numpy as np
+import pytest
+from hypothesis import given
+from hypothesis import strategies as st
+from hypothesis.extra.numpy import arrays
+
+from karolos.core import Array
+from karolos.errors import RunError
+from karolos.simulation.interface import Box
+from karolos.tasks.goals import NearGoal
+from karolos.tasks.placement import place
+
+points = arrays(np.float32, (5, 3), elements=st.floats(-2, 2, width=32))
+SPARSE = NearGoal(0.05, dense=False, span=10.0)
+DENSE = NearGoal(0.05, dense=True, span=10.0)
+
+
+@given(points, points)
+def test_reward_and_success_agree(achieved: Array, desired: Array) -> None:
+    success = SPARSE.success(achieved, desired)
+    distance = np.linalg.norm(achieved.astype(float) - desired, axis=-1)
+    clear = abs(distance - 0.05) > 1e-6
+    np.testing.assert_array_equal(success[clear], (distance < 0.05)[clear])
+    np.testing.assert_array_equal(SPARSE.reward(achieved, desired), np.where(success, 0, -1).astype(np.float32))
+    np.testing.assert_allclose(DENSE.reward(achieved, desired), -distance, atol=1e-5)
+    np.testing.assert_array_equal(DENSE.success(achieved, desired), success)
+
+
+@given(points, points)
+def test_rewards_lie_in_the_declared_range(achieved: Array, desired: Array) -> None:
+    for rule in (SPARSE, DENSE):
+        rewards = rule.reward(achieved, desired)
+        assert rewards.dtype == np.float32
+        assert (rewards >= rule.reward_range[0]).all()
+        assert (rewards <= rule.reward_range[1]).all()
+
+
+def test_reaching_a_goal_ends_nothing() -> None:
+    assert not SPARSE.terminated(np.zeros((4, 3)), np.zeros((4, 3))).any()
+
+
+def test_place_is_uniform_in_the_box_and_accepted() -> None:
+    generator = np.random.Generator(np.random.PCG64(0))
+    box = Box((0.0, -1.0, 2.0), (1.0, 1.0, 2.5))
+    found = np.array([place(generator, box, lambda point: point[0] > 0.5, "it") for _ in range(500)])
+    assert all(box.contains(point, 1e-6) for point in found)
+    assert found[:, 0].min() > 0.5
+    np.testing.assert_allclose(found.mean(0), (0.75, 0.0, 2.25), atol=0.08)
+
+
+def test_no_place_is_a_named_error_after_bounded_attempts() -> None:
+    generator = np.random.Generator(np.random.PCG64(0))
+    with pytest.raises(RunError, match="no place for the cube"):
+        place(generator, Box((0, 0, 0), (1, 1, 1)), lambda point: False, "the cube")
