@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import json as json_text
 import math
+import sys
 from collections.abc import Iterable, Mapping, Sequence
 from pathlib import Path
 from typing import Annotated, Any
@@ -20,6 +21,8 @@ Database = Annotated[
         show_default=False,
     ),
 ]
+PIPE_WIDTH = 500
+"""Columns of a table that goes into a pipe."""
 Json = Annotated[bool, typer.Option("--json", help="One JSON object per row.")]
 
 
@@ -68,3 +71,16 @@ def _text(value: Any) -> str:
     if isinstance(value, float):
         return f"{value:.6g}"
     return str(value)
+
+
+def print_rich(what: object) -> None:
+    """To stdout, as wide as a terminal is; in a pipe a program or an editor reads, which should see whole cells."""
+    from rich.console import Console
+
+    if sys.stdout.isatty():
+        Console().print(what)
+        return
+    console = Console(width=PIPE_WIDTH)
+    with console.capture() as captured:
+        console.print(what)
+    print("\n".join(line.rstrip() for line in captured.get().splitlines()))

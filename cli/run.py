@@ -8,7 +8,7 @@ from typing import Annotated
 
 import typer
 
-from .common import Database, Json, Runs, rows
+from .common import Database, Json, Runs, print_rich, rows
 
 
 def run(
@@ -48,9 +48,10 @@ def run(
     elif outcome.runs and not quiet:
         from karolos.report.tables import runs_table
 
-        from .runs import _print
-
-        _print(runs_table(outcome.runs))
+        print_rich(runs_table(outcome.runs))
         last = outcome.runs[-1]
-        print(f"\nresults in {runs}; `karolos runs show {last.run}` tells more, `karolos play @last` shows it", file=sys.stderr)
+        print(
+            f"\nresults in {runs}; `karolos runs show {last.run}` tells more, `karolos play @last` shows it",
+            file=sys.stderr,
+        )
     raise typer.Exit(outcome.exit_code)

@@ -11,7 +11,8 @@ from typing import TYPE_CHECKING, Annotated, Any
 
 import typer
 
-from .common import Database, Json, Runs, rows
+from .common import Database, Json, Runs, print_rich, rows
+from .selection import open_store
 
 if TYPE_CHECKING:
     from karolos.run_folder import RunFolder
@@ -19,7 +20,6 @@ if TYPE_CHECKING:
     from karolos.store import Store, StoredTest
 
 app = typer.Typer(name="runs", help="List runs and show what became of them.", no_args_is_help=True)
-_PIPE_WIDTH = 500
 
 
 @app.command("list")
@@ -33,7 +33,7 @@ def list_runs(
     limit: Annotated[int | None, typer.Option(min=1, help="Not more than that many, the newest first.")] = None,
 ) -> None:
     """List runs, the newest first."""
-    store = _open_store(runs, database)
+    store = open_store(runs, database)
     if store is None:
         print(f"no runs in {runs} yet; `karolos run SPEC` makes one", file=sys.stderr)
         return
@@ -44,7 +44,7 @@ def list_runs(
     elif found:
         from karolos.report.tables import runs_table
 
-        _print(runs_table(found))
+        print_rich(runs_table(found))
     else:
         print("no runs" + (f" are {state}" if state else " yet"), file=sys.stderr)
 
@@ -59,7 +59,7 @@ def show(
     """Show a run: its state, tests with 95 % intervals, spec, checkpoints and what it was made with."""
     from karolos.errors import UsageError
 
-    store = _open_store(runs, database)
+    store = open_store(runs, database)
     if store is None:
         raise UsageError(f"{run!r} means no run: there are none in {runs} yet", hint="`karolos run SPEC` makes one")
     with store:
@@ -92,26 +92,6 @@ class _View:
             "spec": self.spec,
             **self.about,
         }
-
-
-def _open_store(runs: Path, database: str | None) -> Store | None:
-    """The index; one that is missing is rebuilt from the run folders. None where there is neither."""
-    from karolos.errors import UsageError
-    from karolos.store import Store, reindex
-
-    if not os.path.isdir(runs) and database is None and runs != Path("runs"):
-        raise UsageError(f"there is no folder {runs}", hint="name the runs folder with --runs")
-    url = database or Store.default_url(runs)
-    if Store.exists(url):
-        return Store(url)
-    if not any(runs.glob("*/run.json")):
-        return None
-    store = Store(url)
-    done = reindex(store, runs)
-    print(f"the index was missing and is rebuilt from {done.runs} run folders", file=sys.stderr)
-    for problem in done.problems:
-        print(f"warning: {problem}", file=sys.stderr)
-    return store
 
 
 def _from_folder(summary: RunSummary) -> _View:
@@ -193,21 +173,8 @@ def _print_view(view: _View) -> None:
         "git commit": commit,
         "versions": ", ".join(f"{name} {version}" for name, version in (about.get("versions") or {}).items()) or None,
     }
-    _print(facts_table(facts))
-    _print(table_of_tests(view.tests, title="tests") if view.tests else "\nno tests yet\n")
-    _print(facts_table(dict(flatten(view.spec)), title="spec"))
+    print_rich(facts_table(facts))
+    print_rich(table_of_tests(view.tests, title="tests") if view.tests else "\nno tests yet\n")
+    print_rich(facts_table(dict(flatten(view.spec)), title="spec"))
     for problem in view.problems:
         print(f"warning: {problem}", file=sys.stderr)
-
-
-def _print(what: object) -> None:
-    """To stdout, as wide as a terminal is; in a pipe a program or an editor reads, which should see whole cells."""
-    from rich.console import Console
-
-    if sys.stdout.isatty():
-        Console().print(what)
-        return
-    console = Console(width=_PIPE_WIDTH)
-    with console.capture() as captured:
-        console.print(what)
-    print("\n".join(line.rstrip() for line in captured.get().splitlines()))

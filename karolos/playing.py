@@ -79,4 +79,5 @@ def play(environment: Environment, agent: Agent, *, episodes: int, seed: int) ->
 
 
 def _act(agent: Agent, state: Step) -> NDArray[np.float32]:
-    return agent.act(state.observation[None], state.desired_goal[None], explore=False)[0]
+    actions = agent.act(state.observation[None], state.desired_goal[None], explore=False)
+    return np.asarray(actions[0])

@@ -28,6 +28,7 @@ class Adam:
         """Step as if `gradient`, of the vector's shape, were a loss's."""
         self._vector.grad = gradient
         self._optimiser.step()
+        torch.autograd.graph.increment_version(self._vector)  # which a fused step forgets; networks look at it
 
     def state(self) -> State:
         """Empty before the first step."""
