@@ -7,7 +7,9 @@ from typing import Annotated, Any
 
 import typer
 
-from .common import Json, clean, rows
+from karolos.terminal import clean
+
+from .common import Json, rows
 
 
 def check(
@@ -16,20 +18,24 @@ def check(
 ) -> None:
     """Check specs and print every problem found, as file:line:column: key: what is wrong.
 
-    Ends with 0 if all are right, 2 if one is not, 3 if a plugin that one names is broken. Runs nothing.
+    The parts of a spec without mistakes are put together once, to see that they can work with each other; nothing runs.
+    Ends with 0 if all are right, 2 if one is not, 3 if a plugin that one names is broken.
     """
-    from karolos.errors import PluginError, SpecError
+    from karolos.errors import KarolosError, SpecError
     from karolos.spec import load_spec
 
     worst = 0
     for path in specs:
         found: list[dict[str, Any]] = []
         try:
-            load_spec(path)
+            spec = load_spec(path)
+            from karolos.assembly import check_parts
+
+            check_parts(spec)
         except SpecError as error:
             worst = max(worst, error.exit_code)
             found = [_row(path, problem.where, problem.path, problem.what, problem.hint) for problem in error.problems]
-        except PluginError as error:
+        except KarolosError as error:
             worst = max(worst, error.exit_code)
             found = [_row(path, error.where, "", error.what, error.hint)]
         if json:

@@ -11,6 +11,8 @@ from typing import Annotated, Any
 
 import typer
 
+from karolos.terminal import clean
+
 Runs = Annotated[Path, typer.Option("--runs", envvar="KAROLOS_RUNS", help="Folder of the run folders.", file_okay=True)]
 Database = Annotated[
     str | None,
@@ -24,14 +26,6 @@ Database = Annotated[
 PIPE_WIDTH = 500
 """Columns of a table that goes into a pipe."""
 Json = Annotated[bool, typer.Option("--json", help="One JSON object per row.")]
-
-
-def clean(text: str) -> str:
-    """Text from a file as it may reach a terminal: on one line, control characters replaced.
-
-    What is left cannot move the cursor, change colours or ring; nor can bidirectional marks reorder the line.
-    """
-    return "".join(sign if sign.isprintable() else "\N{REPLACEMENT CHARACTER}" for sign in text)
 
 
 def rows(found: Iterable[Mapping[str, Any]], *, json: bool) -> None:

@@ -3,15 +3,16 @@
 from __future__ import annotations
 
 import sys
+import traceback
 
 import typer
 
-from karolos.errors import KarolosError
+from karolos.errors import KarolosError, PluginError
+from karolos.terminal import clean
 
 from . import bench, plugins, runs, spec
 from .board import board
 from .check import check
-from .common import clean
 from .play import play
 from .run import run
 
@@ -41,6 +42,8 @@ def main() -> None:
     try:
         app()
     except KarolosError as error:
+        if isinstance(error, PluginError) and error.__cause__ is not None:
+            traceback.print_exception(error.__cause__)  # the plugin's fault: its author needs to see where
         print("\n".join(clean(line) for line in str(error).splitlines()), file=sys.stderr)
         sys.exit(error.exit_code)
     except KeyboardInterrupt:

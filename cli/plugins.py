@@ -7,7 +7,9 @@ from typing import TYPE_CHECKING, Annotated, Any
 
 import typer
 
-from .common import Json, clean, rows, table
+from karolos.terminal import clean
+
+from .common import Json, rows, table
 
 if TYPE_CHECKING:
     from pydantic import BaseModel

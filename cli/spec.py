@@ -9,7 +9,9 @@ from typing import Annotated
 
 import typer
 
-from .common import Json, clean, rows
+from karolos.terminal import clean
+
+from .common import Json, rows
 
 app = typer.Typer(name="spec", help="Show what a spec resolves to, and the schema of specs.", no_args_is_help=True)
 

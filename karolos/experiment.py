@@ -7,6 +7,7 @@ from dataclasses import dataclass
 from pathlib import Path
 from typing import Any
 
+from .assembly import check_parts
 from .errors import RunError, UsageError
 from .events import Listener, RunEvent
 from .jobs import run_side_by_side
@@ -82,6 +83,7 @@ class Experiment:
 
         Raises:
             RunError: a run failed, and `check` is on.
+            UsageError: the spec's parts do not go together.
             MachineError: the runs folder cannot be written.
             StoreError: the database cannot be used.
         """
@@ -89,6 +91,7 @@ class Experiment:
             raise UsageError(f"jobs is {jobs}", hint="run at least one seed at a time")
         folder = Path(runs)
         url = database or Store.default_url(folder)
+        check_parts(self.spec)
         RunFolder.check_writable(folder)
         Store(url).close()  # a database that cannot be used is told before anything is computed
         tell = listener or _ignore

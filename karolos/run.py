@@ -15,10 +15,10 @@ from typing import Any
 import numpy as np
 
 from . import checkpoint
-from .core import Agent, Buffer, Orchestrator
+from .assembly import make_agent, make_buffer, make_orchestrator
+from .core import Orchestrator
 from .errors import KarolosError, MachineError, RunError, StoreError, WorkerError
 from .events import Listener, RunAdvanced, RunEnded, RunStarted, RunTested, RunWarned
-from .registry import load
 from .run_folder import RunFolder
 from .run_records import RunSummary
 from .scalars import Means, Scalars
@@ -34,37 +34,6 @@ ADVANCE_SECONDS = 0.1
 """How often a listener hears that the run has advanced."""
 SCALARS_PER_TEST = 10
 """Points of a training series between two tests."""
-
-
-def make_orchestrator(spec: Spec, *, randomize: bool) -> Orchestrator:
-    """The spec's environments, laid out as it says."""
-    part = spec.orchestrator
-    made: Orchestrator = load("orchestrators", part.name)(part.settings, spec.recipe(randomize=randomize))
-    return made
-
-
-def make_agent(spec: Spec, orchestrator: Orchestrator, seeds: SeedTree) -> Agent:
-    """The spec's agent for these environments, on the spec's device."""
-    from .agents.device import resolve_device  # noqa: PLC0415  (imports torch)
-
-    part = spec.agent
-    made: Agent = load("agents", part.name)(
-        part.settings, orchestrator.signature, seeds.child("agent"), resolve_device(spec.training.device)
-    )
-    return made
-
-
-def make_buffer(spec: Spec, orchestrator: Orchestrator, agent: Agent, seeds: SeedTree) -> Buffer:
-    """The spec's buffer, with room for every environment."""
-    part = spec.buffer
-    made: Buffer = load("buffers", part.name)(
-        part.settings,
-        orchestrator.signature,
-        seeds.child("buffer"),
-        environments=orchestrator.size,
-        discount=agent.discount,
-    )
-    return made
 
 
 @dataclass
@@ -124,8 +93,9 @@ class Run:
         with ExitStack() as stack:
             environments = stack.enter_context(make_orchestrator(spec, randomize=True))
             tests = stack.enter_context(make_orchestrator(spec, randomize=False))
-            agent = make_agent(spec, environments, seeds)
-            buffer = make_buffer(spec, environments, agent, seeds)
+            signature, size = environments.signature, environments.size
+            agent = make_agent(spec, signature, seeds)
+            buffer = make_buffer(spec, signature, seeds, environments=size, discount=agent.discount)
             scalars = Scalars(self.folder.tensorboard)
             stack.callback(scalars.close)
             training = Training(environments, agent, buffer, spec.training, seeds)

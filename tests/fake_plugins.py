@@ -10,7 +10,18 @@ from pydantic import Field as Setting
 from karolos.core import Settings
 
 
-class Arm:
+class Fake:
+    """Can be built from anything, as far as putting a spec's parts together goes."""
+
+    signature = None
+    discount = 0.9
+
+    def __init__(self, *_: Any, **__: Any) -> None: ...
+
+    def close(self) -> None: ...
+
+
+class Arm(Fake):
     """An arm."""
 
     class Settings(Settings):
@@ -18,12 +29,12 @@ class Arm:
         step: float = Setting(0.05, gt=0, description="m per control step")
 
 
-class OtherArm:
+class OtherArm(Fake):
     class Settings(Settings):
         speed: float = Setting(1.0, gt=0, description="rad/s")
 
 
-class Reach:
+class Reach(Fake):
     class Settings(Settings):
         threshold: float = Setting(0.05, gt=0, description="m")
         reward: Literal["sparse", "dense"] = Setting("sparse", description="what a step is worth")
@@ -31,12 +42,12 @@ class Reach:
         visible: bool = Setting(True, description="whether the goal is drawn")
 
 
-class RobotTask:
+class RobotTask(Fake):
     class Settings(Settings):
         substeps: int = Setting(10, ge=1, description="physics steps per control step")
 
 
-class Point:
+class Point(Fake):
     class Settings(Settings):
         dimensions: int = Setting(2, ge=1, description="of the space")
         label: str = Setting("point", description="shown in pictures")
@@ -47,7 +58,7 @@ class Decay(Settings):
     floor: float = Setting(0.0, ge=0, description="smallest value")
 
 
-class Learner:
+class Learner(Fake):
     """Learns from replay."""
 
     on_policy = False
@@ -60,7 +71,7 @@ class Learner:
         decay: Decay | bool = Setting(False, description="of the learning rate")
 
 
-class Latest:
+class Latest(Fake):
     """Learns from its latest actions."""
 
     on_policy = True
@@ -74,7 +85,7 @@ class Hindsight(Settings):
     ratio: float = Setting(0.8, ge=0, le=1, description="share of relabelled transitions")
 
 
-class Replay:
+class Replay(Fake):
     on_policy = False
 
     class Settings(Settings):
@@ -82,14 +93,14 @@ class Replay:
         hindsight: Hindsight | None = Setting(None, description="relabelling")
 
 
-class Rollout:
+class Rollout(Fake):
     on_policy = True
 
     class Settings(Settings):
         pass
 
 
-class Local:
+class Local(Fake):
     class Settings(Settings):
         processes: int = Setting(1, ge=0, description="worker processes")
         environments: int = Setting(8, ge=1, description="per process")
@@ -98,13 +109,13 @@ class Local:
             return {"environments": max(self.processes, 1) * self.environments}
 
 
-class Normal:
+class Normal(Fake):
     class Settings(Settings):
         mean: float = Setting(description="in the parameter's unit")
         std: float = Setting(ge=0, description="in the parameter's unit")
 
 
-class Interval:
+class Interval(Fake):
     class Settings(Settings):
         low: float = Setting(description="in the parameter's unit")
         high: float = Setting(description="in the parameter's unit")

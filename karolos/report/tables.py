@@ -13,6 +13,7 @@ from rich.text import Text
 from ..run_records import RunSummary
 from ..statistics import wilson
 from ..store import StoredTest
+from ..terminal import clean
 
 _STATE_STYLES = {
     "finished": "green",
@@ -22,11 +23,6 @@ _STATE_STYLES = {
     "failed": "red",
     "lost": "red",
 }
-
-
-def clean(text: object) -> str:
-    """A text as one line without what a terminal would obey: control characters and changes of direction."""
-    return "".join(sign if sign.isprintable() else "\N{REPLACEMENT CHARACTER}" for sign in str(text))
 
 
 def duration(seconds: float | None) -> str:

@@ -8,7 +8,7 @@ import numpy as np
 from pydantic import Field as Setting
 
 from ..core import Field, FloatArray, Layout, Settings
-from ..errors import PluginError
+from ..errors import UsageError
 from ..seeding import Generator
 from ..simulation.interface import Box, RobotView, Task
 from ..simulation.world import World
@@ -55,9 +55,9 @@ class Reach(Task):
         self._robot = robot
         self.box: Box = robot.workspace if self.settings.goals == "workspace" else robot.workspace.middle(GOAL_BOX)
         if 2 * self.settings.threshold >= self.box.diagonal:
-            raise PluginError(
-                f"threshold {self.settings.threshold:g} m leaves no goal to reach",
-                where="task reach",
+            raise UsageError(
+                f"{self.settings.threshold:g} m leaves no goal to reach",
+                where="task.threshold",
                 hint=f"goals lie in a box with a diagonal of {self.box.diagonal:.2f} m; take a smaller threshold",
             )
         # from the far end of the robot's reach to a goal; twice the workspace is more than any arm can stray
