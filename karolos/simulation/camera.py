@@ -25,15 +25,15 @@ class Camera:
 
 
 def picture(api: Any, client: int, size: tuple[int, int], camera: Camera) -> Array:
-    """(height, width, 3) uint8. Drawn at twice the size and averaged: the renderer has no antialiasing."""
+    """(height, width, 3) uint8. The renderer has no antialiasing."""
     width, height = size
     view = api.computeViewMatrixFromYawPitchRoll(
         camera.target, camera.distance, camera.yaw, camera.pitch, 0.0, 2, physicsClientId=client
     )
     projection = api.computeProjectionMatrixFOV(camera.field_of_view, width / height, 0.1, 10.0)
     image = api.getCameraImage(
-        2 * width,
-        2 * height,
+        width,
+        height,
         view,
         projection,
         lightDirection=(1.5, -1.4, 3.0),
@@ -46,9 +46,8 @@ def picture(api: Any, client: int, size: tuple[int, int], camera: Camera) -> Arr
         renderer=api.ER_TINY_RENDERER,
         physicsClientId=client,
     )
-    pixels = np.asarray(image[2], np.float32).reshape(2 * height, 2 * width, 4)[..., :3]
-    nothing = np.asarray(image[4]).reshape(2 * height, 2 * width, 1) < 0
-    sky = np.linspace(SKY_TOP, SKY_BOTTOM, 2 * height, dtype=np.float32)[:, None]
-    pixels = np.where(nothing, sky, pixels)
-    averaged: Array = pixels.reshape(height, 2, width, 2, 3).mean((1, 3)).astype(np.uint8)
-    return averaged
+    pixels: Array = np.asarray(image[2], np.uint8).reshape(height, width, 4)[..., :3].copy()
+    nothing = np.asarray(image[4]).reshape(height, width) < 0
+    sky = np.linspace(SKY_TOP, SKY_BOTTOM, height).astype(np.uint8)
+    pixels[nothing] = np.broadcast_to(sky[:, None], pixels.shape)[nothing]
+    return pixels

@@ -195,7 +195,7 @@ class Task(ABC):
 
     @abstractmethod
     def fit(self, robot: RobotView) -> None:
-        """Check the settings against the robot. Raises PluginError when the two do not go together."""
+        """Check the settings against the robot. Raises UsageError when the two do not go together."""
 
     @abstractmethod
     def build(self, world: World) -> None: ...

@@ -4,7 +4,7 @@ import numpy as np
 import pytest
 
 from karolos.environments.robot_task import RobotTask
-from karolos.errors import PluginError
+from karolos.errors import UsageError
 from karolos.robots.panda import Panda
 from karolos.tasks.reach import Reach
 
@@ -55,7 +55,7 @@ def test_dense_reward_is_minus_the_distance() -> None:
 
 
 def test_threshold_that_leaves_no_goal_is_refused() -> None:
-    with pytest.raises(PluginError, match=r"threshold 0.3 m leaves no goal"):
+    with pytest.raises(UsageError, match=r"task.threshold: 0.3 m leaves no goal"):
         environment(threshold=0.3)
 
 
