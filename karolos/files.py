@@ -11,7 +11,7 @@ import json
 import os
 import sys
 import time
-from collections.abc import Iterator, Mapping
+from collections.abc import Iterable, Iterator, Mapping
 from pathlib import Path
 from typing import Any, NamedTuple
 
@@ -99,21 +99,21 @@ def write_json(path: Path, value: Mapping[str, Any]) -> None:
     write_whole(path, json.dumps(value, indent=2, allow_nan=False) + "\n")
 
 
-def append_line(path: Path, row: dict[str, Any]) -> None:
-    """Append one JSON object as a line and wait until it is on the disk.
+def append_lines(path: Path, rows: Iterable[Mapping[str, Any]]) -> None:
+    """Append JSON objects, one a line, and wait until they are on the disk.
 
-    A torn line that a killed process left at the end is cut off first, so that it never joins the new one.
+    A torn line that a killed process left at the end is cut off first, so that it never joins a new one.
 
     Raises:
         MachineError: the disk is full or the file cannot be written; the lines before are kept as they are.
     """
-    line = json.dumps(row, separators=(",", ":"), allow_nan=False).encode() + b"\n"
+    lines = "".join(json.dumps(row, separators=(",", ":"), allow_nan=False) + "\n" for row in rows).encode()
     with writing(path):
         descriptor = os.open(path, os.O_RDWR | os.O_CREAT | os.O_APPEND | getattr(os, "O_BINARY", 0), 0o666)
         try:
             end = _cut_torn_line(descriptor)
             try:
-                _write_all(descriptor, line)
+                _write_all(descriptor, lines)
                 os.fsync(descriptor)
             except OSError:
                 with contextlib.suppress(OSError):  # the first error is the one to tell

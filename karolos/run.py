@@ -7,9 +7,9 @@ from __future__ import annotations
 
 import time
 import traceback
-from collections.abc import Iterator
+from collections.abc import Iterator, Sequence
 from contextlib import ExitStack, contextmanager
-from dataclasses import dataclass, field
+from dataclasses import asdict, dataclass, field
 from typing import Any
 
 import numpy as np
@@ -150,6 +150,8 @@ class Run:
             scalars.add("speed", {name: count / training.seconds for name, count in speed.items()}, training.steps)
         if self._finished:
             episodes, self._finished = self._finished, []
+            names = training.orchestrator.signature.parameters.names
+            self.folder.add_episodes(_episode_row(episode, names) for episode in episodes)
             numbers: dict[str, list[Any]] = {
                 "return": [episode.total_reward for episode in episodes],
                 "episode_length": [episode.steps for episode in episodes],
@@ -213,3 +215,9 @@ def _test_scalars(result: TestResult) -> dict[str, float]:
         "return": float(np.mean(result.returns)),
         "episode_length": float(np.mean(result.lengths)),
     }
+
+
+def _episode_row(episode: Episode, parameters: Sequence[str]) -> dict[str, Any]:
+    """The episode as JSON values; what domain randomization drew stands under the parameters' names."""
+    drawn = {"parameters": dict(zip(parameters, episode.parameters, strict=True))} if parameters else {}
+    return {key: value for key, value in asdict(episode).items() if key != "parameters"} | drawn

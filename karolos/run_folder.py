@@ -7,6 +7,7 @@
     state.json      state, steps, seconds, attempt, error; replaced as a whole
     tests.jsonl     one line per test
     events.jsonl    one line per thing that happened
+    episodes.jsonl  one line per training episode, with what domain randomization drew
     tensorboard/    series
     checkpoints/    best and last
     lock            held by the process that runs it, for as long as it lives
@@ -18,7 +19,7 @@ and finds the lock free knows that the process died.
 from __future__ import annotations
 
 import os
-from collections.abc import Iterator, Mapping
+from collections.abc import Iterable, Iterator, Mapping
 from datetime import UTC, datetime
 from pathlib import Path
 from types import TracebackType
@@ -26,7 +27,7 @@ from typing import Any
 
 from . import provenance
 from .errors import MachineError, RunError, UsageError
-from .files import FileLock, append_line, parse_object, read_lines, write_json, write_whole, writing
+from .files import FileLock, append_lines, parse_object, read_lines, write_json, write_whole, writing
 from .run_records import (
     FORMAT,
     RunRecord,
@@ -217,7 +218,7 @@ class RunFolder:
 
     def event(self, kind: str, **data: Any) -> None:
         """Note that something happened; `data` are JSON values."""
-        append_line(self.path / "events.jsonl", {"time": timestamp(), "event": kind, **data})
+        append_lines(self.path / "events.jsonl", [{"time": timestamp(), "event": kind, **data}])
 
     def events(self) -> tuple[dict[str, Any], ...]:
         """What happened, in order; lines that cannot be read are left out and named by `record().problems`."""
@@ -225,7 +226,11 @@ class RunFolder:
 
     def add_test(self, result: TestResult) -> None:
         """Keep a test's result for good: it is on the disk when this returns."""
-        append_line(self.path / "tests.jsonl", encode_test(result))
+        append_lines(self.path / "tests.jsonl", [encode_test(result)])
+
+    def add_episodes(self, episodes: Iterable[Mapping[str, Any]]) -> None:
+        """Keep the records of training episodes, JSON values each."""
+        append_lines(self.path / "episodes.jsonl", episodes)
 
     def tests(self) -> tuple[TestResult, ...]:
         """The tests in the order of their steps; of two at the same step the later written, as a resumed run makes.

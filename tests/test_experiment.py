@@ -27,7 +27,10 @@ TOY = {
 
 
 def spec(**changes):
-    return {key: (TOY[key] | value if isinstance(value, dict) else value) for key, value in (TOY | changes).items()}
+    return {
+        key: (TOY[key] | value if isinstance(value, dict) and key in TOY else value)
+        for key, value in (TOY | changes).items()
+    }
 
 
 def weights(folder: RunFolder, name: str = "last"):
@@ -89,6 +92,32 @@ def test_the_run_folder_holds_all_that_is_needed_to_tell_what_was_run(finished):
     assert [event["event"] for event in folder.events()] == ["started", "finished"]
     assert checkpoint.names(folder.checkpoints) == ("best", "last")
     assert not folder.is_locked()
+
+
+def test_every_training_episode_is_recorded(finished):
+    _, outcome, _ = finished
+    for folder in folders(outcome):
+        rows = [json.loads(line) for line in (folder.path / "episodes.jsonl").read_text().splitlines()]
+        assert len(rows) == 240 // 20
+        assert sum(row["steps"] for row in rows) == 240
+        assert {row["environment"] for row in rows} == {0, 1, 2, 3}
+        assert rows[0].keys() == {"environment", "index", "seed", "steps", "total_reward", "any", "end", "reset"}
+
+
+def test_what_randomization_drew_stands_with_the_episode_and_tests_are_spared(tmp_path):
+    changes = {
+        "environment": "robot_task",
+        "robot": "panda",
+        "task": {"name": "reach", "max_steps": 5},
+        "randomization": {"task.gravity": {"name": "normal", "mean": -9.81, "std": 0.5}},
+        "training": {"steps": 40},
+        "testing": {"interval": 40, "episodes": 2},
+    }
+    (folder,) = folders(Experiment(spec(**changes)).run(tmp_path))
+    rows = [json.loads(line) for line in (folder.path / "episodes.jsonl").read_text().splitlines()]
+    drawn = [row["parameters"]["task.gravity"] for row in rows]
+    assert len(set(drawn)) == len(drawn) == 8
+    assert np.mean(drawn) == pytest.approx(-9.81, abs=1)
 
 
 def test_the_database_says_what_the_folders_say(finished):

@@ -12,7 +12,7 @@ from hypothesis import given
 from hypothesis import strategies as st
 
 from karolos.errors import MachineError, UsageError
-from karolos.files import FileLock, append_line, below, read_lines, write_whole, writing
+from karolos.files import FileLock, append_lines, below, read_lines, write_whole, writing
 
 FULL = OSError(errno.ENOSPC, "No space left on device")
 
@@ -39,7 +39,7 @@ def test_full_disk_keeps_the_old_file_and_says_so(tmp_path: Path, monkeypatch: p
 
 def test_full_disk_leaves_no_part_of_a_line(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
     path = tmp_path / "tests.jsonl"
-    append_line(path, {"steps": 1})
+    append_lines(path, [{"steps": 1}])
     write = os.write
 
     def write_a_little(descriptor: int, data: bytes) -> int:
@@ -49,9 +49,9 @@ def test_full_disk_leaves_no_part_of_a_line(tmp_path: Path, monkeypatch: pytest.
 
     monkeypatch.setattr(os, "write", write_a_little)
     with pytest.raises(MachineError, match="disk is full"):
-        append_line(path, {"steps": 2, "text": "long enough to be torn"})
+        append_lines(path, [{"steps": 2, "text": "long enough to be torn"}])
     monkeypatch.undo()
-    append_line(path, {"steps": 3})
+    append_lines(path, [{"steps": 3}])
     assert read_lines(path) == (({"steps": 1}, {"steps": 3}), ())
 
 
@@ -59,7 +59,7 @@ def test_full_disk_leaves_no_part_of_a_line(tmp_path: Path, monkeypatch: pytest.
 def test_system_that_reports_a_full_disk_is_understood(tmp_path: Path) -> None:
     (tmp_path / "events.jsonl").symlink_to("/dev/full")
     with pytest.raises(MachineError, match=r"events\.jsonl: the disk is full"):
-        append_line(tmp_path / "events.jsonl", {"event": "started"})
+        append_lines(tmp_path / "events.jsonl", [{"event": "started"}])
 
 
 @pytest.mark.parametrize(
@@ -96,7 +96,7 @@ def test_torn_file_gives_the_whole_lines_and_takes_new_ones(rows: list[dict[str,
         found = read_lines(path)
         assert list(found.rows) == rows[:whole]
         assert bool(found.problems) == (cut > 0 and content[cut - 1 : cut] != b"\n")
-        append_line(path, {"new": 1})
+        append_lines(path, [{"new": 1}])
         assert read_lines(path) == ((*rows[:whole], {"new": 1}), ())
 
 
@@ -115,7 +115,7 @@ def test_missing_file_has_no_lines(tmp_path: Path) -> None:
 
 def test_numbers_that_json_lacks_are_refused(tmp_path: Path) -> None:
     with pytest.raises(ValueError, match="not JSON compliant"):
-        append_line(tmp_path / "lines.jsonl", {"loss": float("nan")})
+        append_lines(tmp_path / "lines.jsonl", [{"loss": float("nan")}])
 
 
 @pytest.mark.parametrize("name", ["..", "../x", ".", "", "/etc/passwd", "a/../../x"])

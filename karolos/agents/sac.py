@@ -48,7 +48,7 @@ class SAC(Agent):
         discount: float = Setting(0.95, ge=0, lt=1, description="per environment step; about 1 - 1 / steps of episode")
         hidden: tuple[int, ...] = Setting((256, 256), min_length=1, description="units of each hidden layer")
         tau: float = Setting(0.05, gt=0, le=1, description="share of the critics that their targets take per update")
-        temperature: float = Setting(0.2, gt=0, description="weight of the entropy at the start")
+        temperature: float = Setting(0.05, gt=0, description="weight of the entropy at the start")
         temperature_min: float = Setting(0.0, ge=0, description="the learned temperature never falls below this")
         target_entropy: float | None = Setting(None, description="in nats; null: minus the number of action columns")
         layer_norm: bool = Setting(False, description="layer-normalised critics: steadier, a little slower")

@@ -9,7 +9,8 @@ from typing import Any
 import numpy as np
 from pydantic import Field as Setting
 
-from ..core import Array, Environment, FloatArray, Settings, Signature, Step
+from ..core import Array, Environment, FloatArray, Signature, Step
+from ..core import Settings as BaseSettings
 from ..randomization.distribution import Distribution
 from ..randomization.randomization import Randomization
 from ..seeding import SeedTree
@@ -37,7 +38,7 @@ class RobotTask(Environment):
         UsageError: `randomization` names a parameter that neither declares.
     """
 
-    class Settings(Settings):
+    class Settings(BaseSettings):
         substeps: int = Setting(
             10, ge=1, le=100, description="physics steps of 1/240 s per control step; 10 make 24 Hz"
         )

@@ -7,7 +7,8 @@ from typing import Literal
 import numpy as np
 from pydantic import Field as Setting
 
-from ..core import Array, BoolArray, Environment, Field, FloatArray, GoalRule, Layout, Settings, Signature, Step
+from ..core import Array, BoolArray, Environment, Field, FloatArray, GoalRule, Layout, Signature, Step
+from ..core import Settings as BaseSettings
 
 
 class NearPoint(GoalRule):
@@ -46,7 +47,7 @@ class Toy(Environment):
     Observation: position (dimensions). Action: displacement in units of `speed`.
     """
 
-    class Settings(Settings):
+    class Settings(BaseSettings):
         dimensions: int = Setting(2, ge=1, le=16, description="of the space the point lives in")
         threshold: float = Setting(0.1, gt=0, lt=1, description="distance at which the goal is reached")
         speed: float = Setting(0.2, gt=0, le=2, description="largest displacement per step along each axis")

@@ -13,7 +13,8 @@ import numpy as np
 from numpy.typing import NDArray
 from pydantic import Field as Setting
 
-from ..core import FloatArray, Orchestrator, Received, Settings, Step
+from ..core import FloatArray, Orchestrator, Received, Step
+from ..core import Settings as BaseSettings
 from ..environments.build import build_environment
 from ..errors import RunError
 from .commands import RESET, STEP, Build
@@ -41,7 +42,7 @@ class Local(Orchestrator):
     unless its worker is dead. Other environments' answers are kept for the next `receive`.
     """
 
-    class Settings(Settings):
+    class Settings(BaseSettings):
         processes: int = Setting(1, ge=0, le=1024, description="worker processes; 0: step in the main process")
         threads: int = Setting(
             1, ge=1, le=1024, description="threads per process; for environments that wait for things"

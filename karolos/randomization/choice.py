@@ -5,7 +5,7 @@ from __future__ import annotations
 from pydantic import Field as Setting
 from pydantic import model_validator
 
-from ..core import Settings
+from ..core import Settings as BaseSettings
 from ..seeding import Generator
 from .distribution import Distribution
 
@@ -13,7 +13,7 @@ from .distribution import Distribution
 class Choice(Distribution):
     """One of `values`, all equally likely, or as `weights` say."""
 
-    class Settings(Settings):
+    class Settings(BaseSettings):
         values: tuple[float, ...] = Setting(min_length=1, description="in the parameter's unit")
         weights: tuple[float, ...] | None = Setting(None, description="relative, none negative; one for each value")
 

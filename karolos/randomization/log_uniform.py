@@ -7,7 +7,7 @@ from math import exp, log
 from pydantic import Field as Setting
 from pydantic import model_validator
 
-from ..core import Settings
+from ..core import Settings as BaseSettings
 from ..seeding import Generator
 from .distribution import Distribution
 
@@ -15,7 +15,7 @@ from .distribution import Distribution
 class LogUniform(Distribution):
     """Values in [low, high] with uniformly distributed logarithm; both bounds are positive."""
 
-    class Settings(Settings):
+    class Settings(BaseSettings):
         low: float = Setting(gt=0, description="in the parameter's unit")
         high: float = Setting(gt=0, description="in the parameter's unit")
 

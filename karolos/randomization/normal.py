@@ -4,7 +4,7 @@ from __future__ import annotations
 
 from pydantic import Field as Setting
 
-from ..core import Settings
+from ..core import Settings as BaseSettings
 from ..seeding import Generator
 from .distribution import Distribution
 
@@ -12,7 +12,7 @@ from .distribution import Distribution
 class Normal(Distribution):
     """Values around `mean` with standard deviation `std`, both in the parameter's unit."""
 
-    class Settings(Settings):
+    class Settings(BaseSettings):
         mean: float = Setting(description="in the parameter's unit")
         std: float = Setting(ge=0, description="standard deviation, in the parameter's unit")
 

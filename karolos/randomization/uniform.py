@@ -5,7 +5,7 @@ from __future__ import annotations
 from pydantic import Field as Setting
 from pydantic import model_validator
 
-from ..core import Settings
+from ..core import Settings as BaseSettings
 from ..seeding import Generator
 from .distribution import Distribution
 
@@ -13,7 +13,7 @@ from .distribution import Distribution
 class Uniform(Distribution):
     """Values in [low, high), all equally likely."""
 
-    class Settings(Settings):
+    class Settings(BaseSettings):
         low: float = Setting(description="in the parameter's unit")
         high: float = Setting(description="in the parameter's unit")
 

@@ -7,7 +7,8 @@ from typing import Literal
 import numpy as np
 from pydantic import Field as Setting
 
-from ..core import Field, FloatArray, Layout, Settings
+from ..core import Field, FloatArray, Layout
+from ..core import Settings as BaseSettings
 from ..errors import UsageError
 from ..seeding import Generator
 from ..simulation.interface import Box, RobotView, Task
@@ -32,7 +33,7 @@ class Reach(Task):
     Reward: sparse -1 until there, then 0; dense minus the distance in m.
     """
 
-    class Settings(Settings):
+    class Settings(BaseSettings):
         reward: Literal["sparse", "dense"] = Setting("sparse", description="-1 until there, or minus the distance in m")
         threshold: float = Setting(0.05, gt=0, le=0.5, description="distance at which the goal is reached, m")
         goals: Literal["box", "workspace"] = Setting("box", description="a .3 m box amid the workspace, or all of it")

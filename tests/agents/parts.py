@@ -1,0 +1,48 @@
+"""Small signatures and batches for tests of agents."""
+
+from __future__ import annotations
+
+from typing import Any
+
+import numpy as np
+
+from karolos.core import Batch, Field, Layout, Signature
+
+
+def signature(
+    *, observation: int = 3, goal: int = 2, action: int = 2, reward_range: tuple[float, float] = (-np.inf, np.inf)
+) -> Signature:
+    goals = Layout((Field("goal", goal),)) if goal else Layout()
+    return Signature(
+        observation=Layout((Field("x", observation),)),
+        action=Layout((Field("a", action),)),
+        max_steps=50,
+        reward_range=reward_range,
+        achieved_goal=goals,
+        desired_goal=goals,
+    )
+
+
+def batch(size: int, of: Signature, seed: int = 0, **fixed: Any) -> Batch:
+    """A batch of noise; `fixed` gives whole fields as one number or as an array."""
+    generator = np.random.default_rng(seed)
+
+    def noise(columns: int) -> np.ndarray:
+        return generator.normal(size=(size, columns)).astype(np.float32)
+
+    made = Batch(
+        observation=noise(of.observation.size),
+        desired_goal=noise(of.desired_goal.size),
+        action=np.tanh(noise(of.action.size)),
+        reward=noise(1)[:, 0],
+        next_observation=noise(of.observation.size),
+        terminated=np.zeros(size, np.float32),
+        discount=np.full(size, 0.95, np.float32),
+        weight=np.ones(size, np.float32),
+        slot=np.arange(size),
+    )
+    given = {
+        name: np.broadcast_to(np.asarray(value, np.float32), getattr(made, name).shape).copy()
+        for name, value in fixed.items()
+    }
+    return made._replace(**given)

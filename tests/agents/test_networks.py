@@ -1,0 +1,130 @@
+"""Networks against torch.nn, which is slower and known to be right."""
+
+from __future__ import annotations
+
+from itertools import pairwise
+
+import pytest
+import torch
+from torch import Tensor, nn
+
+from karolos.agents.networks import MLP, Shape
+from karolos.agents.optimisation import Adam
+from karolos.errors import UsageError
+
+SIZES = (20, 64, 48, 3)
+
+
+def generator(seed: int = 0) -> torch.Generator:
+    return torch.Generator().manual_seed(seed)
+
+
+def reference(network: MLP, member: int | None) -> nn.Sequential:
+    """The same network (or one of its members) as torch.nn layers."""
+    layers: list[nn.Module] = []
+    for number, (before, after) in enumerate(pairwise(network.shape.sizes)):
+        linear = nn.Linear(before, after)
+        weight, bias = network.named[f"layer{number}.weight"], network.named[f"layer{number}.bias"]
+        with torch.no_grad():
+            linear.weight.copy_(weight if member is None else weight[member])
+            linear.bias.copy_((bias if member is None else bias[member])[0])
+        layers.append(linear)
+        if number < len(network.shape.sizes) - 2:
+            if network.shape.layer_norm:
+                layers.append(nn.LayerNorm(after, elementwise_affine=False))
+            layers.append(nn.ReLU())
+    return nn.Sequential(*layers)
+
+
+def flat_gradient(layers: nn.Sequential) -> Tensor:
+    return torch.cat([parameter.grad.flatten() for parameter in layers.parameters() if parameter.grad is not None])
+
+
+@pytest.mark.parametrize("layer_norm", [False, True])
+@pytest.mark.parametrize("sizes", [SIZES, (7, 32, 32, 32, 1), (5, 17, 2)])
+def test_stacked_members_equal_separate_networks_in_outputs_and_gradients(
+    sizes: tuple[int, ...], layer_norm: bool
+) -> None:
+    network = MLP(Shape(sizes, members=2, layer_norm=layer_norm), generator(), "cpu")
+    x = torch.randn((33, sizes[0]), generator=generator(1)).requires_grad_()
+    pull = torch.randn((2, 33, sizes[-1]), generator=generator(2))
+    outputs = network(x, learn=True)
+    for_vector, for_x = torch.autograd.grad((outputs * pull).sum(), (network.leaf, x))
+
+    separate = [reference(network, member) for member in range(2)]
+    plain = x.detach().clone().requires_grad_()
+    expected = torch.stack([layers(plain) for layers in separate])
+    (expected * pull).sum().backward()
+    torch.testing.assert_close(outputs, expected, rtol=1e-4, atol=1e-5)
+    torch.testing.assert_close(for_vector, torch.cat([flat_gradient(s) for s in separate]), rtol=1e-3, atol=1e-4)
+    torch.testing.assert_close(for_x, plain.grad, rtol=1e-3, atol=1e-4)
+
+
+def test_a_network_alone_equals_torch_in_outputs_and_gradients() -> None:
+    network = MLP(Shape(SIZES), generator(), "cpu")
+    layers = reference(network, None)
+    x = torch.randn((16, 20), generator=generator(1))
+    outputs, expected = network(x, learn=True), layers(x)
+    expected.square().sum().backward()
+    found = torch.autograd.grad(outputs.square().sum(), network.leaf)[0]
+    torch.testing.assert_close(outputs, expected, rtol=1e-4, atol=1e-5)
+    torch.testing.assert_close(found, flat_gradient(layers), rtol=1e-3, atol=1e-4)
+
+
+def test_a_network_that_does_not_learn_passes_gradients_to_its_inputs_only() -> None:
+    network = MLP(Shape(SIZES, members=2), generator(), "cpu")
+    x = torch.randn((4, 20), generator=generator(1)).requires_grad_()
+    loss = network(x).sum()
+    for_vector, for_x = torch.autograd.grad(loss, (network.leaf, x), allow_unused=True)
+    assert for_vector is None
+    assert for_x.abs().sum() > 0
+
+
+@pytest.mark.parametrize("layer_norm", [False, True])
+def test_bfloat16_stays_near_float32(layer_norm: bool) -> None:
+    low = MLP(Shape(SIZES, members=2, low=True, layer_norm=layer_norm), generator(), "cpu")
+    exact = MLP(Shape(SIZES, members=2, layer_norm=layer_norm), generator(), "cpu")
+    x = torch.randn((64, 20), generator=generator(1))
+    ours, theirs = low(x, learn=True), exact(x, learn=True)
+    assert ours.dtype == torch.float32
+    torch.testing.assert_close(ours, theirs, rtol=0.05, atol=0.02)
+    gradients = [torch.autograd.grad(y.sum(), n.leaf)[0] for y, n in ((ours, low), (theirs, exact))]
+    assert torch.cosine_similarity(*gradients, dim=0) > 0.99
+
+
+def test_exact_outputs_do_not_depend_on_precision() -> None:
+    low, exact = (MLP(Shape(SIZES, low=low), generator(), "cpu") for low in (True, False))
+    x = torch.randn((8, 20), generator=generator(1))
+    with torch.no_grad():
+        assert torch.equal(low(x, exact=True), exact(x))
+
+
+def test_an_optimiser_step_reaches_the_bfloat16_weights() -> None:
+    network = MLP(Shape(SIZES, low=True), generator(), "cpu")
+    x = torch.randn((64, 20), generator=generator(1))
+    optimiser = Adam(network.leaf, 0.01)
+    for _ in range(20):
+        optimiser.step(network(x, learn=True).square().mean())
+    with torch.no_grad():
+        torch.testing.assert_close(network(x), network(x, exact=True), rtol=0.05, atol=0.02)
+        fresh = network.copy()
+        assert torch.equal(network(x), fresh(x))
+
+
+def test_following_moves_the_given_share() -> None:
+    first, second = (MLP(Shape(SIZES), generator(seed), "cpu") for seed in (0, 1))
+    before = second.vector.clone()
+    second.follow(first, 0.25)
+    torch.testing.assert_close(second.vector, 0.75 * before + 0.25 * first.vector)
+
+
+def test_members_begin_different() -> None:
+    network = MLP(Shape(SIZES, members=2), generator(), "cpu")
+    weight = network.named["layer0.weight"]
+    assert not torch.equal(weight[0], weight[1])
+    assert weight.abs().max() <= 20**-0.5
+
+
+def test_state_of_another_shape_is_refused_with_both_shapes() -> None:
+    with pytest.raises(UsageError, match=r"layer0\.weight 17x5.*layer0\.weight 64x20"):
+        MLP(Shape(SIZES), generator(), "cpu").load_state(MLP(Shape((5, 17, 2)), generator(), "cpu").state())

@@ -1,0 +1,50 @@
+"""Statistics and their inverse."""
+
+from __future__ import annotations
+
+import numpy as np
+import torch
+from hypothesis import given, settings
+from hypothesis import strategies as st
+from hypothesis.extra import numpy as hnp
+
+from karolos.agents.normaliser import CLIP, SMALLEST_SPREAD, Normaliser
+
+NUMBERS = st.floats(-1000, 1000, width=32)
+
+
+@given(
+    batches=st.lists(hnp.arrays(np.float32, st.tuples(st.integers(1, 20), st.just(3)), elements=NUMBERS), min_size=1)
+)
+@settings(max_examples=50, deadline=None)
+def test_statistics_over_batches_equal_those_over_all_rows(batches: list[np.ndarray]) -> None:
+    normaliser = Normaliser(3, "cpu")
+    for rows in batches:
+        normaliser.update(torch.from_numpy(rows))
+    together = np.concatenate(batches).astype(np.float64)
+    np.testing.assert_allclose(normaliser.mean.numpy(), together.mean(0), rtol=1e-6, atol=1e-6)
+    expected = np.maximum(together.std(0), SMALLEST_SPREAD)
+    np.testing.assert_allclose(normaliser.spread.numpy(), expected, rtol=1e-4, atol=1e-4)
+
+
+@given(rows=hnp.arrays(np.float32, (12, 4), elements=st.floats(-10, 10, width=32)))
+@settings(max_examples=50, deadline=None)
+def test_inverse_gives_back_what_was_not_clipped(rows: np.ndarray) -> None:
+    normaliser = Normaliser(4, "cpu")
+    normaliser.update(torch.from_numpy(rows))
+    normal = normaliser(torch.from_numpy(rows))
+    back = normaliser.inverse(normal).numpy()
+    inside = normal.abs().numpy() < CLIP
+    np.testing.assert_allclose(back[inside], rows[inside], rtol=1e-4, atol=1e-3)
+
+
+def test_inputs_pass_unchanged_before_the_first_update() -> None:
+    rows = torch.tensor([[0.5, -2.0, 4.0]])
+    assert torch.equal(Normaliser(3, "cpu")(rows), rows)
+
+
+def test_outliers_are_clipped_and_columns_that_stand_still_not_blown_up() -> None:
+    normaliser = Normaliser(2, "cpu")
+    normaliser.update(torch.tensor([[0.0, 3.0], [1.0, 3.0]]))
+    normal = normaliser(torch.tensor([[1e6, 3.001], [-1e6, 3.0]]))
+    torch.testing.assert_close(normal, torch.tensor([[CLIP, 0.1], [-CLIP, 0.0]]), atol=1e-4, rtol=0)

@@ -1,0 +1,200 @@
+"""SAC: what its values mean, what it refuses, and that it goes on where it stopped."""
+
+from __future__ import annotations
+
+from dataclasses import replace
+from typing import Any
+
+import numpy as np
+import pytest
+import torch
+from parts import batch, signature
+from pydantic import ValidationError
+
+from karolos.agents.sac import SAC
+from karolos.core import Batch, Discrete, Signature
+from karolos.errors import UsageError
+from karolos.seeding import SeedTree
+
+SMALL = {"hidden": (32, 32), "learning_rate": 3e-3, "tau": 0.1, "precision": "float32"}
+
+
+def make(of: Signature | None = None, seed: int = 0, **settings: Any) -> SAC:
+    return SAC(SAC.Settings(**{**SMALL, **settings}), of or signature(), SeedTree(seed))
+
+
+def values(agent: SAC, of: Batch) -> torch.Tensor:
+    with torch.no_grad():
+        inputs = agent._inputs(of)
+        return agent.critic(torch.cat((inputs.here, inputs.action), 1)).squeeze(-1)
+
+
+def leaves(state: Any) -> list[Any]:
+    if isinstance(state, dict):
+        return [leaf for item in state.values() for leaf in leaves(item)]
+    return [state]
+
+
+def assert_same(first: Any, second: Any) -> None:
+    ours, theirs = leaves(first), leaves(second)
+    assert len(ours) == len(theirs)
+    for one, other in zip(ours, theirs, strict=True):
+        assert torch.equal(torch.as_tensor(one), torch.as_tensor(other))
+
+
+@pytest.mark.parametrize(("terminated", "value"), [(0.0, 5.0), (1.0, 1.0)])
+def test_values_look_beyond_a_truncation_and_not_beyond_a_termination(terminated: float, value: float) -> None:
+    agent = make(discount=0.8)
+    for seed in range(400):
+        agent.learn(batch(32, signature(), seed % 20, reward=1, terminated=terminated, discount=0.8))
+    found = values(agent, batch(200, signature(), 99))
+    assert found.mean().item() == pytest.approx(value, rel=0.05)
+
+
+def test_the_target_discounts_by_what_the_batch_says() -> None:
+    agent = make()
+    data = batch(16, signature(), discount=0.5, reward=2)
+    inputs = agent._inputs(data)
+    generator = agent._generator.get_state()
+    half = agent._targets(inputs)
+    agent._generator.set_state(generator)
+    none = agent._targets(inputs._replace(discount=inputs.discount * 0))
+    agent._generator.set_state(generator)
+    full = agent._targets(inputs._replace(discount=inputs.discount * 2))
+    assert (none == 2).all()
+    torch.testing.assert_close(half - 2, (full - 2) / 2)
+
+
+def test_targets_stay_within_what_rewards_make_possible() -> None:
+    bounded = signature(reward_range=(-1.0, 0.0))
+    agent = make(bounded, discount=0.9)
+    far = batch(64, bounded, reward=0, discount=0.9)
+    agent.target.named["layer2.bias"].fill_(-100)
+    assert agent._targets(agent._inputs(far)).min() == pytest.approx(-10)
+    agent.target.named["layer2.bias"].fill_(100)
+    assert agent._targets(agent._inputs(far)).max() == 0
+    free = make(bounded, discount=0.9, clip_targets=False)
+    free.target.named["layer2.bias"].fill_(100)
+    assert free._targets(free._inputs(far)).min() > 50
+
+
+def test_entropy_enters_the_target_only_when_asked() -> None:
+    plain = make(temperature=1.0)
+    soft = make(temperature=1.0, entropy_in_target=True, clip_targets=False)
+    data = batch(64, signature())
+    hard_targets, soft_targets = plain._targets(plain._inputs(data)), soft._targets(soft._inputs(data))
+    assert (hard_targets - soft_targets).abs().min() > 0
+
+
+def test_transitions_that_weigh_nothing_teach_nothing() -> None:
+    data = batch(32, signature())
+    other = data._replace(reward=np.where(np.arange(32) < 16, data.reward, np.float32(50)))
+    weight = (np.arange(32) < 16).astype(np.float32)
+    states = []
+    for each in (data, other):
+        agent = make()
+        agent.learn(each._replace(weight=weight))
+        states.append(agent.critic.state())
+    assert_same(*states)
+    unweighted = make()
+    unweighted.learn(other)
+    assert not torch.equal(unweighted.critic.named["layer0.weight"], states[0]["layer0.weight"])
+
+
+def test_smaller_critic_counts_in_targets() -> None:
+    agent = make()
+    inputs = agent._inputs(batch(32, signature(), reward=0, discount=1))
+    agent.target.named["layer2.bias"][1] += 100
+    high = agent._targets(inputs)
+    agent.target.named["layer2.bias"][0] -= 100
+    low = agent._targets(inputs)
+    assert high.max() < 50
+    assert low.max() < -50
+
+
+@pytest.mark.parametrize("target", [0.3, -0.5])
+def test_entropy_comes_near_its_target(target: float) -> None:
+    of = signature(goal=0, action=1)
+    agent = make(of, learning_rate=1e-2, target_entropy=target, temperature=0.2)
+    entropies = []
+    for seed in range(400):
+        data = batch(64, of, seed, discount=0)
+        metrics = agent.learn(data._replace(reward=-((data.action[:, 0] - 0.5) ** 2)))
+        entropies.append(float(metrics["entropy"]))
+    assert np.mean(entropies[-100:]) == pytest.approx(target, abs=0.15)
+
+
+def test_temperature_never_falls_below_its_minimum() -> None:
+    agent = make(temperature=0.02, temperature_min=0.02, target_entropy=-50.0)
+    for _ in range(5):
+        agent.learn(batch(16, signature()))
+    assert agent.log_temperature.exp().item() == pytest.approx(0.02)
+
+
+def test_learns_the_best_action_of_a_bandit() -> None:
+    of = signature(goal=0, action=1)
+    agent = make(of, discount=0.0)
+    for seed in range(300):
+        data = batch(64, of, seed, discount=0)
+        agent.learn(data._replace(reward=-((data.action[:, 0] - 0.5) ** 2)))
+    data = batch(50, of, 99)
+    actions = agent.act(data.observation, data.desired_goal, explore=False)
+    assert np.abs(actions - 0.5).mean() < 0.15
+
+
+@pytest.mark.parametrize("settings", [{}, {"layer_norm": True, "precision": "bfloat16"}])
+def test_learning_goes_on_bit_for_bit_in_a_fresh_agent(settings: dict[str, Any]) -> None:
+    whole, first, second = make(**settings), make(**settings), make(seed=7, **settings)
+    for seed in range(12):
+        whole.learn(batch(32, signature(), seed))
+        whole.act(*_seen(seed), explore=True)
+    for seed in range(6):
+        first.learn(batch(32, signature(), seed))
+        first.act(*_seen(seed), explore=True)
+    second.load_state(first.state())
+    for seed in range(6, 12):
+        second.learn(batch(32, signature(), seed))
+        second.act(*_seen(seed), explore=True)
+    assert_same(whole.state(), second.state())
+    np.testing.assert_array_equal(whole.act(*_seen(0), explore=True), second.act(*_seen(0), explore=True))
+
+
+def _seen(seed: int) -> tuple[np.ndarray, np.ndarray]:
+    data = batch(5, signature(), seed)
+    return data.observation, data.desired_goal
+
+
+def test_acting_leaves_the_normaliser_as_it_is() -> None:
+    agent = make()
+    agent.learn(batch(32, signature()))
+    before = agent.normaliser.state()
+    agent.act(*_seen(3), explore=True)
+    agent.act(*_seen(3), explore=False)
+    assert_same(before, agent.normaliser.state())
+
+
+def test_statistics_include_the_goals_of_the_batch() -> None:
+    agent = make()
+    agent.learn(batch(32, signature(), desired_goal=7))
+    torch.testing.assert_close(agent.normaliser.mean[3:], torch.full((2,), 7.0, dtype=torch.float64))
+
+
+def test_the_share_of_random_actions_is_what_was_asked() -> None:
+    agent = make(random_actions=0.25)
+    agent.policy.named["layer2.bias"].copy_(torch.tensor([[30.0, 30, -9, -9]]))  # the policy itself gives 1 always
+    data = batch(20_000, signature())
+    actions = agent.act(data.observation, data.desired_goal, explore=True)
+    assert (actions < 0.999).any(1).mean() == pytest.approx(0.25, abs=0.02)
+
+
+def test_discrete_actions_are_refused() -> None:
+    of = replace(signature(), action=Discrete(("left", "right")))
+    with pytest.raises(UsageError, match="sac gives continuous actions"):
+        make(of)
+
+
+def test_bounds_that_do_not_hold_are_refused() -> None:
+    with pytest.raises(ValidationError, match="clip_targets: false"):
+        SAC.Settings(entropy_in_target=True)
+    with pytest.raises(ValidationError, match="below temperature_min"):
+        SAC.Settings(temperature=0.01, temperature_min=0.02)
