@@ -128,3 +128,18 @@ def test_members_begin_different() -> None:
 def test_state_of_another_shape_is_refused_with_both_shapes() -> None:
     with pytest.raises(UsageError, match=r"layer0\.weight 17x5.*layer0\.weight 64x20"):
         MLP(Shape(SIZES), generator(), "cpu").load_state(MLP(Shape((5, 17, 2)), generator(), "cpu").state())
+
+
+@pytest.mark.parametrize("layer_norm", [False, True])
+def test_members_computed_in_one_product_equal_those_computed_one_by_one(layer_norm: bool) -> None:
+    shape = Shape(SIZES, members=2, layer_norm=layer_norm)
+    apart, together = (MLP(shape, generator(), "cpu") for _ in range(2))
+    together._groups = [slice(0, 2)]  # as on a GPU
+    together._exact = together._views(together.vector)
+    x = torch.randn((16, 20), generator=generator(1)).requires_grad_()
+    found = []
+    for network in (apart, together):
+        y = network(x, learn=True)
+        found.append((y, *torch.autograd.grad(y.square().sum(), (network.leaf, x))))
+    for ours, theirs in zip(*found, strict=True):
+        torch.testing.assert_close(ours, theirs, rtol=1e-3, atol=1e-4)

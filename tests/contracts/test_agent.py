@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+from collections.abc import Iterator
 from dataclasses import replace
 from typing import Any
 
@@ -22,6 +23,15 @@ CONTINUOUS = Signature(
     desired_goal=Layout((Field("goal", 2),)),
 )
 DISCRETE = replace(CONTINUOUS, action=Discrete(("left", "right", "stay")))
+
+
+@pytest.fixture(autouse=True)
+def one_thread() -> Iterator[None]:
+    """Two threads that share a busy core wait for each other longer than they compute."""
+    threads = torch.get_num_threads()
+    torch.set_num_threads(1)
+    yield
+    torch.set_num_threads(threads)
 
 
 def made(name: str, seed: int = 0) -> tuple[Agent, Signature]:
