@@ -110,14 +110,14 @@ class Run:
             self._note(progress)
             testing = test_due(progress.steps)
             if scalars_due(progress.steps) or testing:
-                self._write_scalars(training, scalars)
+                self._report(training, scalars)
             if testing:
                 self._test(training, tests, scalars)
             if self.stop.signal:
                 break
         else:
             if self._tested_at < training.steps:
-                self._write_scalars(training, scalars)
+                self._report(training, scalars)
                 self._test(training, tests, scalars)
         self._checkpoint("last", training)
 
@@ -135,7 +135,8 @@ class Run:
                 )
             )
 
-    def _write_scalars(self, training: Training, scalars: Scalars) -> None:
+    def _report(self, training: Training, scalars: Scalars) -> None:
+        """Write down what happened since the last report; stop a run that has come to numbers that are none."""
         means = self._means.read()
         for name, value in means.items():
             if not np.isfinite(value):
@@ -144,21 +145,15 @@ class Run:
                     where=self.folder.id,
                     hint="lower agent.learning_rate, or look at the rewards; the last checkpoint is kept",
                 )
-        scalars.add("agent", means, training.steps)
-        if training.seconds:
-            speed = {"steps_per_second": training.steps, "updates_per_second": training.updates}
-            scalars.add("speed", {name: count / training.seconds for name, count in speed.items()}, training.steps)
-        if self._finished:
-            episodes, self._finished = self._finished, []
+        episodes, self._finished = self._finished, []
+        if episodes:
             names = training.orchestrator.signature.parameters.names
             self.folder.add_episodes(_episode_row(episode, names) for episode in episodes)
-            numbers: dict[str, list[Any]] = {
-                "return": [episode.total_reward for episode in episodes],
-                "episode_length": [episode.steps for episode in episodes],
-                "success_any": [episode.any for episode in episodes],
-                "success_end": [episode.end for episode in episodes],
-            }
-            scalars.add("train", {name: float(np.mean(values)) for name, values in numbers.items()}, training.steps)
+        with self._tolerated(MachineError, "these points are missing in TensorBoard"):
+            scalars.add("agent", means, training.steps)
+            scalars.add("speed", _speeds(training), training.steps)
+            scalars.add("train", _episode_means(episodes), training.steps)
+            scalars.flush()
 
     def _test(self, training: Training, tests: Orchestrator, scalars: Scalars) -> None:
         settings = self.spec.testing
@@ -169,7 +164,9 @@ class Run:
         with self._tolerated(StoreError, "the test stands in the run folder, but not in the database"):
             self.store.add_test(self.folder.id, result)
         self._state("running", training)
-        scalars.add("test", _test_scalars(result), training.steps)
+        with self._tolerated(MachineError, "this test is missing in TensorBoard"):
+            scalars.add("test", _test_means(result), training.steps)
+            scalars.flush()
         self._checkpoint("last", training)
         merit = (result.success_end, result.success_any)
         if merit >= self._best:  # of equals the later one, which has learned longer
@@ -208,12 +205,30 @@ class Run:
             self.listener(RunWarned(self.folder.id, f"{error} ({consequence})"))
 
 
-def _test_scalars(result: TestResult) -> dict[str, float]:
+def _test_means(result: TestResult) -> dict[str, float]:
     return {
         "success_any": result.success_any,
         "success_end": result.success_end,
         "return": float(np.mean(result.returns)),
         "episode_length": float(np.mean(result.lengths)),
+    }
+
+
+def _episode_means(episodes: Sequence[Episode]) -> dict[str, float]:
+    if not episodes:
+        return {}
+    return {
+        "success_any": float(np.mean([episode.any for episode in episodes])),
+        "success_end": float(np.mean([episode.end for episode in episodes])),
+        "return": float(np.mean([episode.total_reward for episode in episodes])),
+        "episode_length": float(np.mean([episode.steps for episode in episodes])),
+    }
+
+
+def _speeds(training: Training) -> dict[str, float]:
+    return {
+        "steps_per_second": training.steps / training.seconds,
+        "updates_per_second": training.updates / training.seconds,
     }
 
 

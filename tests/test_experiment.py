@@ -153,9 +153,9 @@ def test_tensorboard_files_hold_agent_test_and_training_series(finished):
     _, outcome, _ = finished
     series = EventAccumulator(str(folders(outcome)[0].tensorboard))
     series.Reload()
-    tags = set(series.Tags()["tensors"])
+    tags = set(series.Tags()["scalars"])
     assert {"test/success_any", "test/success_end", "train/return", "agent/critic_loss"} <= tags
-    assert [event.step for event in series.Tensors("test/success_any")] == [100, 200, 240]
+    assert [event.step for event in series.Scalars("test/success_any")] == [100, 200, 240]
 
 
 @pytest.mark.parametrize("layout", [{"processes": 1, "environments": 4}, {"processes": 2, "environments": 2}])
