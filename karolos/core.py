@@ -136,6 +136,9 @@ class Step(NamedTuple):
     truncated: Any
     success: Any
     """Whether the goal holds now. After a reset: reward 0, neither terminated nor truncated."""
+    diverged: Any = False
+    """Whether the simulation left all sense (NaN, an object far away). The step is truncated then, its values are those
+    of the last sound one, and it is no experience: training counts it and keeps it from the buffer."""
 
 
 class Transitions(NamedTuple):
@@ -250,6 +253,10 @@ class Buffer(ABC):
     @abstractmethod
     def add(self, transitions: Transitions) -> None:
         """Store one transition of each environment named."""
+
+    @abstractmethod
+    def cut(self, environments: NDArray[np.int64]) -> None:
+        """End the running episodes of these environments as they stand; the next transition begins a new one."""
 
     @abstractmethod
     def sample(self, size: int) -> Batch:

@@ -222,6 +222,7 @@ def _episode_means(episodes: Sequence[Episode]) -> dict[str, float]:
         "success_end": float(np.mean([episode.end for episode in episodes])),
         "return": float(np.mean([episode.total_reward for episode in episodes])),
         "episode_length": float(np.mean([episode.steps for episode in episodes])),
+        "diverged": float(np.mean([episode.diverged for episode in episodes])),
     }
 
 

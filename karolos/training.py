@@ -45,6 +45,8 @@ class Episode:
     any: bool
     end: bool
     reset: bool
+    diverged: bool
+    """Whether the simulation left all sense and cut it short."""
     parameters: tuple[float, ...]
     """What domain randomization drew, as `signature.parameters` lays it out."""
 
@@ -89,7 +91,7 @@ class _Running:
             parameters=np.zeros((size, parameters), np.float32),
         )
 
-    def record(self, environment: int) -> Episode:
+    def record(self, environment: int, diverged: bool) -> Episode:
         return Episode(
             environment=environment,
             index=int(self.index[environment]),
@@ -99,6 +101,7 @@ class _Running:
             any=bool(self.any[environment]),
             end=bool(self.end[environment]),
             reset=bool(self.reset[environment]),
+            diverged=bool(diverged),
             parameters=tuple(self.parameters[environment].tolist()),
         )
 
@@ -147,20 +150,7 @@ class Training:
         self.orchestrator.step(self._all, actions)
         metrics = self._learn()
         after = self.orchestrator.receive().step
-        self.buffer.add(
-            Transitions(
-                environment=self._all,
-                observation=before.observation,
-                achieved_goal=before.achieved_goal,
-                desired_goal=before.desired_goal,
-                action=actions,
-                reward=after.reward,
-                next_observation=after.observation,
-                next_achieved_goal=after.achieved_goal,
-                terminated=after.terminated,
-                truncated=after.truncated,
-            )
-        )
+        self._store(before, actions, after)
         self.steps += self._all.size
         running = self._running
         running.steps += 1
@@ -168,10 +158,30 @@ class Training:
         running.any |= after.success
         running.end[:] = after.success
         over = np.flatnonzero(after.terminated | after.truncated)
-        finished = tuple(running.record(environment) for environment in over.tolist())
+        finished = tuple(running.record(environment, after.diverged[environment]) for environment in over.tolist())
         self.episodes += len(finished)
         self._latest = self._next_episodes(over, after) if finished else after
         return finished, metrics
+
+    def _store(self, before: Step, actions: FloatArray, after: Step) -> None:
+        transitions = Transitions(
+            environment=self._all,
+            observation=before.observation,
+            achieved_goal=before.achieved_goal,
+            desired_goal=before.desired_goal,
+            action=actions,
+            reward=after.reward,
+            next_observation=after.observation,
+            next_achieved_goal=after.achieved_goal,
+            terminated=after.terminated,
+            truncated=after.truncated,
+        )
+        if after.diverged.any():  # what the simulation made of these steps is no experience
+            sound = ~after.diverged
+            transitions = Transitions(*(field[sound] for field in transitions))
+            self.buffer.cut(self._all[after.diverged])
+        if transitions.environment.size:
+            self.buffer.add(transitions)
 
     def _act(self, before: Step) -> FloatArray:
         if self.episodes < self.amounts.warmup_episodes:

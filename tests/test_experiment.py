@@ -101,7 +101,17 @@ def test_every_training_episode_is_recorded(finished):
         assert len(rows) == 240 // 20
         assert sum(row["steps"] for row in rows) == 240
         assert {row["environment"] for row in rows} == {0, 1, 2, 3}
-        assert rows[0].keys() == {"environment", "index", "seed", "steps", "total_reward", "any", "end", "reset"}
+        assert rows[0].keys() == {
+            "environment",
+            "index",
+            "seed",
+            "steps",
+            "total_reward",
+            "any",
+            "end",
+            "reset",
+            "diverged",
+        }
 
 
 def test_what_randomization_drew_stands_with_the_episode_and_tests_are_spared(tmp_path):

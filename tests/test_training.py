@@ -27,6 +27,8 @@ class Counter(Environment):
         parameters=Layout((Field("drawn", 1),)),
     )
 
+    diverges = False
+
     def reset(self, seed: int) -> Step:
         self.seed, self.steps = seed, 0
         return self._step(0.0, False, False)
@@ -42,7 +44,9 @@ class Counter(Environment):
     def _step(self, reward, terminated, truncated):
         observation = np.array([self.seed % 1000, self.steps], np.float32)
         steps = np.array([self.steps], np.float32)
-        return Step(observation, steps, np.array([9.0], np.float32), reward, terminated, truncated, self.steps == 2)
+        diverged = self.diverges and truncated
+        goal = np.array([9.0], np.float32)
+        return Step(observation, steps, goal, reward, terminated, truncated, self.steps == 2, diverged)
 
 
 @dataclass
@@ -50,7 +54,7 @@ class Recorder:
     """Agent and buffer in one: acts with the number of updates so far, and keeps what it was given."""
 
     def __post_init__(self):
-        self.added, self.sampled, self.learned, self.priorities = [], [], 0, []
+        self.added, self.sampled, self.learned, self.priorities, self.cuts = [], [], 0, [], []
 
     def act(self, observation, desired_goal, *, explore):
         assert explore
@@ -59,6 +63,9 @@ class Recorder:
 
     def add(self, transitions):
         self.added.append(type(transitions)(*(np.array(field) for field in transitions)))
+
+    def cut(self, environments):
+        self.cuts.append((len(self.added), environments.tolist()))
 
     def sample(self, size):
         self.sampled.append((size, len(self.added)))
@@ -157,6 +164,18 @@ def test_same_seed_gives_the_same_transitions_and_another_seed_others():
             np.testing.assert_array_equal(field, again)
     seeds = {SeedTree(run).child("environment", i, k).integer() for run in (7, 8) for i in range(3) for k in range(3)}
     assert len(seeds) == 18
+
+
+def test_a_step_that_diverged_is_counted_and_never_reaches_the_buffer(monkeypatch):
+    monkeypatch.setattr(Counter, "diverges", True)
+    progress, recorder, training = train(steps=90)
+    records = [record for round in progress for record in round.finished]
+    diverged = [record for record in records if record.diverged]
+    assert 0 < len(diverged) < len(records)
+    assert not any(added.truncated.any() for added in recorder.added)
+    stored = sum(added.environment.size for added in recorder.added)
+    assert stored == training.steps - len(diverged)
+    assert sorted(i for _, ids in recorder.cuts for i in ids) == sorted(record.environment for record in diverged)
 
 
 def test_time_between_rounds_is_not_training_time(monkeypatch):

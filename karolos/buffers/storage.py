@@ -124,6 +124,11 @@ class Storage:
             self._end_episode(lane)
         return slots
 
+    def cut(self, lanes: np.ndarray) -> None:
+        """End the running episodes of these lanes as they stand; a lane without one stays as it is."""
+        for lane in lanes[self.running[lanes] > 0].tolist():
+            self._end_episode(lane)
+
     def _end_episode(self, lane: int) -> None:
         """Write the episode's length, now that it is known, beside each of its transitions."""
         steps = int(self.running[lane])

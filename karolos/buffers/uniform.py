@@ -5,6 +5,7 @@ from __future__ import annotations
 from typing import ClassVar
 
 import numpy as np
+from numpy.typing import NDArray
 from pydantic import Field as Setting
 
 from ..core import Batch, Buffer, Signature, State, Transitions
@@ -59,6 +60,10 @@ class Uniform(Buffer):
         if self._hindsight is not None:
             self._hindsight.check(transitions)
         self._storage.add(transitions)
+
+    def cut(self, environments: NDArray[np.int64]) -> None:
+        """End the running episodes of these environments as they stand."""
+        self._storage.cut(environments)
 
     def sample(self, size: int) -> Batch:
         """`size` transitions with replacement; the arrays are views that the next call overwrites.

@@ -154,7 +154,7 @@ class RobotTask(Environment):
         self.close()
         if self._last is None:
             raise RuntimeError(f"{self._name}: the physics blew up before the first step")
-        return self._last._replace(terminated=False, truncated=True)
+        return self._last._replace(terminated=False, truncated=True, success=False, diverged=True)
 
     def parameters(self) -> FloatArray:
         return np.array(self._drawn, np.float32)

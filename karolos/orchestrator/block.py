@@ -38,6 +38,7 @@ class Block:
     terminated: BoolArray
     truncated: BoolArray
     success: BoolArray
+    diverged: BoolArray
 
     @staticmethod
     def _columns(signature: Signature, environments: int) -> dict[str, tuple[type[np.generic], tuple[int, ...]]]:
@@ -56,6 +57,7 @@ class Block:
             "terminated": flag,
             "truncated": flag,
             "success": flag,
+            "diverged": flag,
         }
 
     @classmethod

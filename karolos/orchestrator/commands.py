@@ -76,6 +76,7 @@ class Executor:
             block.terminated[index],
             block.truncated[index],
             block.success[index],
+            block.diverged[index],
         ) = step
 
 

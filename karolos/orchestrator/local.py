@@ -152,6 +152,7 @@ class Local(Orchestrator):
                 block.terminated[ids],
                 block.truncated[ids],
                 block.success[ids],
+                block.diverged[ids],
             ),
         )
 

@@ -210,3 +210,29 @@ def test_achieved_goal_smaller_than_the_desired_one_is_refused() -> None:
     small = Signature(**{**vars(signature), "achieved_goal": Layout((Field("x", 1),))})
     with pytest.raises(PluginError, match="achieved goal has 1 columns"):
         make(small, 10, hindsight={})
+
+
+def test_an_episode_that_is_cut_gives_goals_of_its_own_and_none_to_the_next() -> None:
+    world = Counting(2)
+    buffer = make(counting_signature(5), 40, environments=2, hindsight={"strategy": "future", "ratio": 1.0})
+    for _ in range(3):
+        buffer.add(world.step([0, 1], over=[False, False]))
+    world.current[0] = world._new()  # its simulation diverged; the other environment goes on
+    buffer.cut(np.array([0]))
+    for step in range(5):
+        buffer.add(world.step([0, 1], over=[step == 4, step == 1]))
+    batch = buffer.sample(2000)
+    pairs = set(zip(places(batch), goals(batch), strict=True))
+    assert all(place[0] == goal[0] and goal[1] > place[1] for place, goal in pairs)
+    assert {goal for place, goal in pairs if place == (1, 0)} == {(1, 1), (1, 2), (1, 3)}
+    assert {goal for place, goal in pairs if place == (2, 0)} == {(2, step) for step in range(1, 6)}
+
+
+def test_cutting_where_no_episode_runs_changes_nothing() -> None:
+    world = Counting(1)
+    buffer = make(counting_signature(5), 40)
+    buffer.cut(np.array([0]))
+    buffer.add(world.step([0], over=[True]))
+    before = buffer.state()["storage"]["table"]
+    buffer.cut(np.array([0]))
+    np.testing.assert_array_equal(buffer.state()["storage"]["table"], before)
