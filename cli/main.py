@@ -20,6 +20,7 @@ app = typer.Typer(
     name="karolos",
     help="Declarative reinforcement-learning experiments on robot-task environments.",
     no_args_is_help=True,
+    rich_markup_mode="markdown",
     pretty_exceptions_enable=False,
 )
 app.command()(run)
