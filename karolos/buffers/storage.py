@@ -137,6 +137,27 @@ class Storage:
         self.table[lane * self.lane_size + places, self._length] = steps
         self.running[lane] = 0
 
+    def at(self, ranks: Array) -> Slots:
+        """The slots of the transitions with these ranks (n,), counted lane by lane over all that is stored."""
+        ends = np.cumsum(self.filled)
+        lanes = np.searchsorted(ends, ranks, side="right")
+        # A lane fills from its first row on, so the k-th transition of a lane lies in its k-th row.
+        return np.asarray(ranks + (np.arange(self.lanes) * self.lane_size - ends + self.filled)[lanes])
+
+    def names(self, slots: Slots) -> Slots:
+        """A number for the transition that lies in each slot now, which no later one there shares: (n,) int64."""
+        return np.asarray(slots + self._turns(slots) * len(self.table))
+
+    def resolve(self, names: Slots) -> tuple[Slots, Array]:
+        """The slots that `names` gave numbers for, and whether the same transition still lies there: (n,) both."""
+        slots = names % len(self.table)
+        return slots, self._turns(slots) == names // len(self.table)
+
+    def _turns(self, slots: Slots) -> Array:
+        """How often each slot was overwritten."""
+        lanes, places = np.divmod(slots, self.lane_size)
+        return np.asarray((self.written[lanes] - 1 - places) // self.lane_size)
+
     def gather(self, slots: Slots) -> Rows:
         """The transitions at these slots; the rows are overwritten by the next call."""
         self.rows.resize(slots.size)
@@ -165,7 +186,7 @@ class Storage:
         return np.asarray(base + (slots - base + offset) % self.lane_size)
 
     def state(self) -> State:
-        used = self._used()
+        used = self.used()
         return {"table": self.table[used], "written": self.written.copy(), "running": self.running.copy()}
 
     def load_state(self, state: State) -> None:
@@ -180,10 +201,10 @@ class Storage:
             )
         self.written[:] = written
         self.running[:] = state["running"]
-        self.table[self._used()] = table
+        self.table[self.used()] = table
 
-    def _used(self) -> Slots:
-        """All slots that hold something."""
+    def used(self) -> Slots:
+        """All slots that hold something, lane by lane."""
         return np.concatenate(
             [lane * self.lane_size + np.arange(count) for lane, count in enumerate(self.filled.tolist())]
         )

@@ -10,15 +10,13 @@ from pydantic import Field as Setting
 
 from ..core import Batch, Buffer, Signature, State, Transitions
 from ..core import Settings as BaseSettings
-from ..errors import RunError
 from ..seeding import SeedTree, generator_state, load_generator_state
 from .hindsight import Hindsight
-from .sampling import UniformSampler
-from .storage import Storage
+from .replay import Replay
 
 
 class Uniform(Buffer):
-    """Keeps the latest transitions of each environment; each is equally likely in a batch.
+    """Keeps the latest transitions of each environment; each is equally likely in a batch, with replacement.
 
     Transitions of episodes that still run can be sampled. With `hindsight` a share of each batch gets goals that the
     same episode achieved.
@@ -44,26 +42,23 @@ class Uniform(Buffer):
         discount: float,
     ) -> None:
         self.settings = settings
-        self._hindsight = Hindsight(settings.hindsight, signature) if settings.hindsight is not None else None
-        self._storage = Storage(signature, settings.capacity, environments)
-        self._sampler = UniformSampler()
+        self._replay = Replay(
+            signature,
+            capacity=settings.capacity,
+            hindsight=settings.hindsight,
+            environments=environments,
+            discount=discount,
+        )
         self._generator = seeds.child("sample").generator()
-        self._discount = np.float32(discount)
-        self._discounts = np.zeros(0, np.float32)
+        self._ones = np.ones(0, np.float32)
 
     def add(self, transitions: Transitions) -> None:
-        """Store one transition of each environment named, in any order, any subset.
-
-        Raises:
-            PluginError: with hindsight, when rewards are not those of the environment's goal rule.
-        """
-        if self._hindsight is not None:
-            self._hindsight.check(transitions)
-        self._storage.add(transitions)
+        """Store one transition of each environment named, in any order, any subset. Raises as `Replay.add` does."""
+        self._replay.add(transitions)
 
     def cut(self, environments: NDArray[np.int64]) -> None:
         """End the running episodes of these environments as they stand."""
-        self._storage.cut(environments)
+        self._replay.storage.cut(environments)
 
     def sample(self, size: int) -> Batch:
         """`size` transitions with replacement; the arrays are views that the next call overwrites.
@@ -71,33 +66,19 @@ class Uniform(Buffer):
         Raises:
             RunError: nothing is stored yet.
         """
-        if not len(self):
-            raise RunError("the buffer is empty; nothing can be sampled", where="buffer", hint="add transitions first")
-        slots, weights = self._sampler.draw(size, self._storage, self._generator)
-        rows = self._storage.gather(slots)
-        if self._hindsight is not None:
-            self._hindsight.relabel(rows, slots, self._storage, self._generator)
-        if self._discounts.size != size:
-            self._discounts = np.full(size, self._discount, np.float32)
-        return Batch(
-            observation=rows["observation"],
-            desired_goal=rows["desired_goal"],
-            action=rows["action"],
-            reward=rows.number("reward"),
-            next_observation=rows["next_observation"],
-            terminated=rows.number("terminated"),
-            discount=self._discounts,
-            weight=weights,
-            slot=slots,
-        )
+        self._replay.require_some()
+        slots = self._replay.storage.at(self._generator.integers(0, len(self), size))
+        if self._ones.size != size:
+            self._ones = np.ones(size, np.float32)
+        return self._replay.batch(slots, self._ones, slots, self._generator)
 
     def __len__(self) -> int:
-        return len(self._storage)
+        return len(self._replay.storage)
 
     def state(self) -> State:
         """The stored transitions and the generator; arrays are copies."""
-        return {"storage": self._storage.state(), "generator": generator_state(self._generator)}
+        return {"storage": self._replay.state(), "generator": generator_state(self._generator)}
 
     def load_state(self, state: State) -> None:
-        self._storage.load_state(state["storage"])
+        self._replay.load_state(state["storage"])
         load_generator_state(self._generator, state["generator"])

@@ -1,0 +1,132 @@
+"""Prioritised experience replay: what surprised the critic most is seen most often.
+
+Source: Schaul et al. 2016, "Prioritized Experience Replay", the proportional variant.
+"""
+
+from __future__ import annotations
+
+from typing import Any, ClassVar
+
+import numpy as np
+from numpy.typing import NDArray
+from pydantic import Field as Setting
+
+from ..core import Batch, Buffer, Signature, State, Transitions
+from ..core import Settings as BaseSettings
+from ..errors import RunError
+from ..seeding import SeedTree, generator_state, load_generator_state
+from .hindsight import Hindsight
+from .replay import Replay
+from .sum_tree import SumTree
+
+
+class Priority(Buffer):
+    """Keeps the latest transitions of each environment and samples them by the size of their last error.
+
+    P(i) = p_i / sum p with p = (|error| + epsilon)^alpha; a new transition has the largest p so far, so that each is
+    seen soon. The loss of transition i weighs (N P(i))^-beta, divided by the largest weight of the batch; beta rises
+    from `beta` to 1 over `beta_updates` batches. A batch is stratified: one transition from each of n equal shares.
+    `Batch.slot` names a transition for good: a priority that comes after its slot was overwritten is dropped.
+
+    Raises:
+        UsageError: the capacity is less than one episode per environment, or hindsight is asked of an environment
+            without goals.
+    """
+
+    class Settings(BaseSettings):
+        capacity: int = Setting(1_000_000, ge=1, description="transitions kept, over all environments")
+        alpha: float = Setting(0.6, ge=0, le=1, description="how much errors count for the odds; 0: not at all")
+        beta: float = Setting(0.4, ge=0, le=1, description="how much weights make up for the odds, at the start")
+        beta_updates: int = Setting(100_000, ge=1, description="batches after which beta has risen to 1")
+        epsilon: float = Setting(1e-6, gt=0, description="added to each error, so that none is never seen again")
+        hindsight: Hindsight.Settings | None = Setting(None, description="relabel goals when sampling; null: do not")
+
+    on_policy: ClassVar[bool] = False
+
+    def __init__(
+        self,
+        settings: Priority.Settings,
+        signature: Signature,
+        seeds: SeedTree,
+        *,
+        environments: int,
+        discount: float,
+    ) -> None:
+        self.settings = settings
+        self._replay = Replay(
+            signature,
+            capacity=settings.capacity,
+            hindsight=settings.hindsight,
+            environments=environments,
+            discount=discount,
+        )
+        self._tree = SumTree(len(self._replay.storage.table))
+        self._largest = 1.0
+        self._batches = 0
+        self._generator = seeds.child("sample").generator()
+
+    @property
+    def beta(self) -> float:
+        """How much weights make up for the odds, now."""
+        start = self.settings.beta
+        return start + (1 - start) * min(self._batches / self.settings.beta_updates, 1.0)
+
+    def add(self, transitions: Transitions) -> None:
+        """Store one transition of each environment named, with the largest priority. Raises as `Replay.add` does."""
+        self._tree[self._replay.add(transitions)] = self._largest
+
+    def cut(self, environments: NDArray[np.int64]) -> None:
+        """End the running episodes of these environments as they stand."""
+        self._replay.storage.cut(environments)
+
+    def sample(self, size: int) -> Batch:
+        """`size` transitions; the arrays are views that the next call overwrites.
+
+        Raises:
+            RunError: nothing is stored yet.
+        """
+        self._replay.require_some()
+        total = self._tree.total
+        shares = (np.arange(size) + self._generator.random(size)) * (total / size)
+        slots = self._tree.find(shares)
+        weights = (self._tree[slots] * (len(self) / total)) ** -self.beta
+        self._batches += 1
+        names = self._replay.storage.names(slots)
+        return self._replay.batch(slots, (weights / weights.max()).astype(np.float32), names, self._generator)
+
+    def update_priorities(self, slot: NDArray[np.int64], priorities: Any) -> None:
+        """Set the odds of a batch's transitions by their errors: (n,) non-negative, an array or a tensor.
+
+        Raises:
+            RunError: an error is not a number.
+        """
+        on_host = priorities.cpu() if hasattr(priorities, "cpu") else priorities
+        errors = np.abs(np.asarray(on_host, np.float64))
+        if not np.isfinite(errors).all():
+            raise RunError("a transition's error is not a number", where="buffer", hint="lower agent.learning_rate")
+        slots, there = self._replay.storage.resolve(slot)
+        odds = (errors[there] + self.settings.epsilon) ** self.settings.alpha
+        self._tree[slots[there]] = odds
+        self._largest = max(self._largest, float(odds.max(initial=0.0)))
+
+    def __len__(self) -> int:
+        return len(self._replay.storage)
+
+    def state(self) -> State:
+        """The stored transitions with their odds, the generator and where beta stands; arrays are copies."""
+        return {
+            "storage": self._replay.state(),
+            "odds": self._tree[self._replay.storage.used()],
+            "largest": self._largest,
+            "batches": self._batches,
+            "generator": generator_state(self._generator),
+        }
+
+    def load_state(self, state: State) -> None:
+        """Raises UsageError when the state is of a buffer of another shape."""
+        self._replay.load_state(state["storage"])
+        self._tree = SumTree(self._tree.size)
+        self._tree[self._replay.storage.used()] = np.asarray(state["odds"], np.float64)
+        self._largest = float(state["largest"])
+        self._batches = int(state["batches"])
+        load_generator_state(self._generator, state["generator"])

@@ -1,0 +1,87 @@
+"""What replay buffers share: transitions in a table, goals relabelled when sampled, rows handed out as a batch."""
+
+from __future__ import annotations
+
+import numpy as np
+
+from ..core import Batch, FloatArray, Signature, State, Transitions
+from ..errors import RunError
+from .hindsight import Hindsight
+from .storage import Slots, Storage
+
+
+class Replay:
+    """A storage, hindsight if asked for, and the discount; which slots a batch takes is the buffer's own business.
+
+    Args:
+        signature: of the environments.
+        capacity: transitions kept, over all environments.
+        hindsight: what to relabel with; None: nothing.
+        environments: how many fill it.
+        discount: per environment step.
+
+    Raises:
+        UsageError: the capacity is less than one episode per environment, or there are no goals to relabel.
+    """
+
+    def __init__(
+        self,
+        signature: Signature,
+        *,
+        capacity: int,
+        hindsight: Hindsight.Settings | None,
+        environments: int,
+        discount: float,
+    ) -> None:
+        self._hindsight = Hindsight(hindsight, signature) if hindsight is not None else None
+        self.storage = Storage(signature, capacity, environments)
+        self._discount = np.float32(discount)
+        self._discounts = np.zeros(0, np.float32)
+
+    def add(self, transitions: Transitions) -> Slots:
+        """Store one transition of each environment named; where they went.
+
+        Raises:
+            PluginError: with hindsight, when rewards are not those of the environment's goal rule.
+        """
+        if self._hindsight is not None:
+            self._hindsight.check(transitions)
+        return self.storage.add(transitions)
+
+    def require_some(self) -> None:
+        """Raise a RunError while nothing is stored."""
+        if not len(self.storage):
+            raise RunError("the buffer is empty; nothing can be sampled", where="buffer", hint="add transitions first")
+
+    def batch(self, slots: Slots, weights: FloatArray, names: Slots, generator: np.random.Generator) -> Batch:
+        """The transitions at these slots, some with new goals; the arrays are views that the next call overwrites.
+
+        Args:
+            slots: (n,).
+            weights: of their losses, (n,).
+            names: what `Batch.slot` calls them, (n,).
+            generator: draws the goals.
+        """
+        rows = self.storage.gather(slots)
+        if self._hindsight is not None:
+            self._hindsight.relabel(rows, slots, self.storage, generator)
+        if self._discounts.size != slots.size:
+            self._discounts = np.full(slots.size, self._discount, np.float32)
+        return Batch(
+            observation=rows["observation"],
+            desired_goal=rows["desired_goal"],
+            action=rows["action"],
+            reward=rows.number("reward"),
+            next_observation=rows["next_observation"],
+            terminated=rows.number("terminated"),
+            discount=self._discounts,
+            weight=weights,
+            slot=names,
+        )
+
+    def state(self) -> State:
+        return self.storage.state()
+
+    def load_state(self, state: State) -> None:
+        """Raises UsageError when the state is of a buffer of another shape."""
+        self.storage.load_state(state)

@@ -1,0 +1,55 @@
+"""A binary tree of sums over non-negative numbers, so that one of them can be found by its share of the total."""
+
+from __future__ import annotations
+
+import numpy as np
+from numpy.typing import NDArray
+
+Numbers = NDArray[np.float64]
+Indices = NDArray[np.int64]
+
+
+class SumTree:
+    """`size` numbers, all 0 at first. Changing or finding n of them takes O(n log size), vectorised over n.
+
+    The tree lies in one array: node i has the children 2 i and 2 i + 1, node 1 is the root, and the numbers are the
+    last level. A node is always the sum of its two children as they are now: errors of rounding do not add up.
+    """
+
+    def __init__(self, size: int) -> None:
+        self.size = size
+        self._levels = max(int(size - 1).bit_length(), 1)
+        self._first = 1 << self._levels
+        self._nodes = np.zeros(2 * self._first, np.float64)
+
+    @property
+    def total(self) -> float:
+        return float(self._nodes[1])
+
+    def __getitem__(self, indices: Indices) -> Numbers:
+        """The numbers at these indices: (n,), a copy."""
+        found: Numbers = self._nodes[indices + self._first]
+        return found
+
+    def __setitem__(self, indices: Indices, numbers: Numbers | float) -> None:
+        """Change the numbers at these indices (n,); of one that is named twice, the last counts."""
+        nodes = indices + self._first
+        self._nodes[nodes] = numbers
+        for _ in range(self._levels):
+            nodes = nodes >> 1
+            self._nodes[nodes] = self._nodes[2 * nodes] + self._nodes[2 * nodes + 1]
+
+    def find(self, masses: Numbers) -> Indices:
+        """For each mass in [0, total), (n,): the index i with sum(numbers[:i]) <= mass < sum(numbers[:i + 1]).
+
+        Never one whose number is 0, whatever rounding does to the mass; something must be larger than 0.
+        """
+        nodes = np.ones(masses.size, np.int64)
+        left_over = masses.astype(np.float64)
+        for _ in range(self._levels):
+            nodes = 2 * nodes
+            left, right = self._nodes[nodes], self._nodes[nodes + 1]
+            goes_right = ((left_over >= left) & (right > 0)) | (left <= 0)
+            left_over = np.where(goes_right, left_over - left, left_over)
+            nodes += goes_right
+        return nodes - self._first
