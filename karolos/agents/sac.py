@@ -4,33 +4,30 @@ from __future__ import annotations
 
 import math
 from collections.abc import Mapping
-from typing import Any, ClassVar, Literal, NamedTuple
+from typing import Any, ClassVar, Literal
 
 import torch
 from pydantic import Field as Setting
 from pydantic import model_validator
 from torch import Tensor
 
-from ..core import Agent, Batch, Discrete, FloatArray, Signature, State
+from ..core import Agent, Batch, FloatArray, Signature, State
 from ..core import Settings as BaseSettings
-from ..errors import UsageError
 from ..seeding import SeedTree
+from .inputs import (
+    Inputs,
+    acting_inputs,
+    learning_inputs,
+    require_continuous,
+    saturation,
+    some_random,
+    to_array,
+    value_bounds,
+)
 from .networks import MLP, Shape
 from .normaliser import Normaliser
 from .optimisation import Adam
 from .squashed_gaussian import mode, sample
-
-
-class _Inputs(NamedTuple):
-    """A batch on the device; observation and goal side by side, normalised."""
-
-    here: Tensor
-    there: Tensor
-    action: Tensor
-    reward: Tensor
-    discount: Tensor
-    """0 where nothing lies beyond."""
-    weight: Tensor
 
 
 class SAC(Agent):
@@ -70,15 +67,9 @@ class SAC(Agent):
     on_policy: ClassVar[bool] = False
 
     def __init__(self, settings: SAC.Settings, signature: Signature, seeds: SeedTree, device: str = "cpu") -> None:
-        if isinstance(signature.action, Discrete):
-            raise UsageError(
-                "sac gives continuous actions, and this environment takes one of "
-                f"{len(signature.action.labels)} discrete ones",
-                where="agent",
-                hint="choose an environment with continuous actions",
-            )
+        actions = require_continuous(signature, "sac")
         self.settings, self.device, self.discount = settings, torch.device(device), settings.discount
-        inputs, actions = signature.observation.size + signature.desired_goal.size, signature.action.size
+        inputs = signature.observation.size + signature.desired_goal.size
         low = settings.precision == "bfloat16"
         drawn = torch.Generator().manual_seed(seeds.child("weights").integer())
         self.policy = MLP(Shape((inputs, *settings.hidden, 2 * actions), low=low), drawn, device)
@@ -98,46 +89,27 @@ class SAC(Agent):
         self._generator = torch.Generator(self.device).manual_seed(seeds.child("noise").integer())
         self._target_entropy = -float(actions) if settings.target_entropy is None else settings.target_entropy
         self._least_log_temperature = math.log(settings.temperature_min) if settings.temperature_min else -math.inf
-        bounds = [reward / (1 - settings.discount) for reward in signature.reward_range]
-        self._bounds = (bounds[0], bounds[1]) if settings.clip_targets else (-math.inf, math.inf)
+        self._bounds = value_bounds(signature, settings.discount, clip=settings.clip_targets)
 
     @torch.inference_mode()
     def act(self, observation: FloatArray, desired_goal: FloatArray, *, explore: bool) -> FloatArray:
         """Actions (n, a) in [-1, 1] for observations (n, o) and goals (n, g)."""
-        rows = torch.cat((self._tensor(observation), self._tensor(desired_goal)), 1)
-        head = self.policy(self.normaliser(rows), exact=True)
+        head = self.policy(acting_inputs(observation, desired_goal, self.normaliser, self.device), exact=True)
         if not explore:
-            return _array(mode(head))
+            return to_array(mode(head))
         action = sample(head, self._generator).action
-        if self.settings.random_actions > 0:
-            drawn = torch.rand((len(action), action.shape[1] + 1), generator=self._generator, device=self.device)
-            action = torch.where(drawn[:, :1] < self.settings.random_actions, drawn[:, 1:] * 2 - 1, action)
-        return _array(action)
+        return to_array(some_random(action, self.settings.random_actions, self._generator))
 
     def learn(self, batch: Batch) -> Mapping[str, Any]:
         """One update of critics, policy, temperature and targets, in this order; metrics as tensors."""
-        inputs = self._inputs(batch)
+        inputs = learning_inputs(batch, self.normaliser, self.device)
         metrics = self._learn_critic(inputs)
         metrics |= self._learn_policy(inputs)
         self.target.follow(self.critic, self.settings.tau)
         return metrics
 
-    def _inputs(self, batch: Batch) -> _Inputs:
-        goal = self._tensor(batch.desired_goal)
-        here = torch.cat((self._tensor(batch.observation), goal), 1)
-        there = torch.cat((self._tensor(batch.next_observation), goal), 1)
-        self.normaliser.update(here)
-        return _Inputs(
-            here=self.normaliser(here),
-            there=self.normaliser(there),
-            action=self._tensor(batch.action),
-            reward=self._tensor(batch.reward),
-            discount=self._tensor(batch.discount) * (1 - self._tensor(batch.terminated)),
-            weight=self._tensor(batch.weight),
-        )
-
     @torch.no_grad()
-    def _targets(self, inputs: _Inputs) -> Tensor:
+    def _targets(self, inputs: Inputs) -> Tensor:
         """What the critics should say: (n,)."""
         action, log_probability = sample(self.policy(inputs.there), self._generator)
         value = self.target(torch.cat((inputs.there, action), 1)).squeeze(-1).amin(0)
@@ -146,7 +118,7 @@ class SAC(Agent):
         target = torch.addcmul(inputs.reward, inputs.discount, value)
         return target.clamp_(*self._bounds)
 
-    def _learn_critic(self, inputs: _Inputs) -> dict[str, Any]:
+    def _learn_critic(self, inputs: Inputs) -> dict[str, Any]:
         targets = self._targets(inputs)
         values = self.critic(torch.cat((inputs.here, inputs.action), 1), learn=True).squeeze(-1)
         errors = values - targets
@@ -160,7 +132,7 @@ class SAC(Agent):
             "priorities": errors.abs().amax(0),
         }
 
-    def _learn_policy(self, inputs: _Inputs) -> dict[str, Any]:
+    def _learn_policy(self, inputs: Inputs) -> dict[str, Any]:
         action, log_probability = sample(self.policy(inputs.here, learn=True), self._generator)
         value = self.critic(torch.cat((inputs.here, action), 1)).squeeze(-1).amin(0)
         temperature = self.log_temperature.exp()
@@ -168,21 +140,17 @@ class SAC(Agent):
         self._optimisers["policy"].step(loss)
         entropy = -log_probability.detach().mean()
         self._learn_temperature(entropy)
-        saturated = (action.detach().abs() > 0.99).float().mean()
         return {
             "policy_loss": loss.detach(),
             "entropy": entropy,
             "temperature": temperature.squeeze(0),
-            "action_saturation": saturated,
+            "action_saturation": saturation(action),
         }
 
     def _learn_temperature(self, entropy: Tensor) -> None:
         """Raise the temperature while the policy's entropy is under its target. The gradient is written down."""
         self._optimisers["temperature"].step_along((entropy - self._target_entropy).view(1))
         self.log_temperature.clamp_(min=self._least_log_temperature)
-
-    def _tensor(self, array: FloatArray) -> Tensor:
-        return torch.from_numpy(array).to(self.device)
 
     def state(self) -> State:
         """Everything that learning and acting depend on."""
@@ -204,8 +172,3 @@ class SAC(Agent):
         for name, optimiser in self._optimisers.items():
             optimiser.load_state(state["optimisers"][name])
         self._generator.set_state(torch.as_tensor(state["generator"]))
-
-
-def _array(actions: Tensor) -> FloatArray:
-    found: FloatArray = actions.cpu().numpy()
-    return found

@@ -11,6 +11,7 @@ import torch
 from parts import batch, signature
 from pydantic import ValidationError
 
+from karolos.agents.inputs import learning_inputs
 from karolos.agents.sac import SAC
 from karolos.core import Batch, Discrete, Signature
 from karolos.errors import UsageError
@@ -25,7 +26,7 @@ def make(of: Signature | None = None, seed: int = 0, **settings: Any) -> SAC:
 
 def values(agent: SAC, of: Batch) -> torch.Tensor:
     with torch.no_grad():
-        inputs = agent._inputs(of)
+        inputs = learning_inputs(of, agent.normaliser, agent.device)
         return agent.critic(torch.cat((inputs.here, inputs.action), 1)).squeeze(-1)
 
 
@@ -54,7 +55,7 @@ def test_values_look_beyond_a_truncation_and_not_beyond_a_termination(terminated
 def test_the_target_discounts_by_what_the_batch_says() -> None:
     agent = make()
     data = batch(16, signature(), discount=0.5, reward=2)
-    inputs = agent._inputs(data)
+    inputs = learning_inputs(data, agent.normaliser, agent.device)
     generator = agent._generator.get_state()
     half = agent._targets(inputs)
     agent._generator.set_state(generator)
@@ -70,19 +71,20 @@ def test_targets_stay_within_what_rewards_make_possible() -> None:
     agent = make(bounded, discount=0.9)
     far = batch(64, bounded, reward=0, discount=0.9)
     agent.target.named["layer2.bias"].fill_(-100)
-    assert agent._targets(agent._inputs(far)).min() == pytest.approx(-10)
+    assert agent._targets(learning_inputs(far, agent.normaliser, agent.device)).min() == pytest.approx(-10)
     agent.target.named["layer2.bias"].fill_(100)
-    assert agent._targets(agent._inputs(far)).max() == 0
+    assert agent._targets(learning_inputs(far, agent.normaliser, agent.device)).max() == 0
     free = make(bounded, discount=0.9, clip_targets=False)
     free.target.named["layer2.bias"].fill_(100)
-    assert free._targets(free._inputs(far)).min() > 50
+    assert free._targets(learning_inputs(far, free.normaliser, free.device)).min() > 50
 
 
 def test_entropy_enters_the_target_only_when_asked() -> None:
     plain = make(temperature=1.0)
     soft = make(temperature=1.0, entropy_in_target=True, clip_targets=False)
     data = batch(64, signature())
-    hard_targets, soft_targets = plain._targets(plain._inputs(data)), soft._targets(soft._inputs(data))
+    hard_targets = plain._targets(learning_inputs(data, plain.normaliser, plain.device))
+    soft_targets = soft._targets(learning_inputs(data, soft.normaliser, soft.device))
     assert (hard_targets - soft_targets).abs().min() > 0
 
 
@@ -103,7 +105,7 @@ def test_transitions_that_weigh_nothing_teach_nothing() -> None:
 
 def test_smaller_critic_counts_in_targets() -> None:
     agent = make()
-    inputs = agent._inputs(batch(32, signature(), reward=0, discount=1))
+    inputs = learning_inputs(batch(32, signature(), reward=0, discount=1), agent.normaliser, agent.device)
     agent.target.named["layer2.bias"][1] += 100
     high = agent._targets(inputs)
     agent.target.named["layer2.bias"][0] -= 100

@@ -1,0 +1,91 @@
+"""What continuous-control agents share around their losses: a batch on the device, exploration, bounds of values."""
+
+from __future__ import annotations
+
+import math
+from typing import NamedTuple
+
+import torch
+from torch import Tensor
+
+from ..core import Batch, Discrete, FloatArray, Signature
+from ..errors import UsageError
+from .normaliser import Normaliser
+
+
+class Inputs(NamedTuple):
+    """A batch on the device; observation and goal side by side, normalised."""
+
+    here: Tensor
+    there: Tensor
+    action: Tensor
+    reward: Tensor
+    discount: Tensor
+    """0 where nothing lies beyond."""
+    weight: Tensor
+
+
+def learning_inputs(batch: Batch, normaliser: Normaliser, device: torch.device) -> Inputs:
+    """The batch as losses need it. What it observes enters the statistics first, relabelled goals included."""
+
+    def tensor(array: FloatArray) -> Tensor:
+        return torch.from_numpy(array).to(device)
+
+    goal = tensor(batch.desired_goal)
+    here = torch.cat((tensor(batch.observation), goal), 1)
+    there = torch.cat((tensor(batch.next_observation), goal), 1)
+    normaliser.update(here)
+    return Inputs(
+        here=normaliser(here),
+        there=normaliser(there),
+        action=tensor(batch.action),
+        reward=tensor(batch.reward),
+        discount=tensor(batch.discount) * (1 - tensor(batch.terminated)),
+        weight=tensor(batch.weight),
+    )
+
+
+def acting_inputs(
+    observation: FloatArray, desired_goal: FloatArray, normaliser: Normaliser, device: torch.device
+) -> Tensor:
+    """Observations (n, o) and goals (n, g) side by side, normalised; the statistics stay as they are."""
+    rows = torch.cat((torch.from_numpy(observation), torch.from_numpy(desired_goal)), 1)
+    return normaliser(rows.to(device))
+
+
+def some_random(action: Tensor, share: float, generator: torch.Generator) -> Tensor:
+    """Actions (n, a), each replaced with probability `share` by a uniform one in [-1, 1]."""
+    if share == 0:
+        return action
+    drawn = torch.rand((len(action), action.shape[1] + 1), generator=generator, device=action.device)
+    return torch.where(drawn[:, :1] < share, drawn[:, 1:] * 2 - 1, action)
+
+
+def require_continuous(signature: Signature, agent: str) -> int:
+    """Columns of an action. Raises UsageError where actions are discrete."""
+    if isinstance(signature.action, Discrete):
+        raise UsageError(
+            f"{agent} gives continuous actions, and this environment takes one of "
+            f"{len(signature.action.labels)} discrete ones",
+            where="agent",
+            hint="choose an environment with continuous actions",
+        )
+    return signature.action.size
+
+
+def value_bounds(signature: Signature, discount: float, *, clip: bool) -> tuple[float, float]:
+    """The least and the largest value that the declared rewards make possible; infinite where nothing is to be cut."""
+    if not clip:
+        return -math.inf, math.inf
+    low, high = (reward / (1 - discount) for reward in signature.reward_range)
+    return low, high
+
+
+def saturation(action: Tensor) -> Tensor:
+    """Share of action columns at the edge of their range."""
+    return (action.detach().abs() > 0.99).float().mean()
+
+
+def to_array(actions: Tensor) -> FloatArray:
+    found: FloatArray = actions.cpu().numpy()
+    return found

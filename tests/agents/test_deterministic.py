@@ -1,0 +1,119 @@
+"""DDPG and TD3: what their values mean, what tells them apart, how they explore."""
+
+from __future__ import annotations
+
+from dataclasses import replace
+from typing import Any
+
+import numpy as np
+import pytest
+import torch
+from parts import batch, signature
+
+from karolos.agents.ddpg import DDPG
+from karolos.agents.inputs import learning_inputs
+from karolos.agents.td3 import TD3
+from karolos.core import Discrete, Signature
+from karolos.errors import UsageError
+from karolos.seeding import SeedTree
+
+SMALL = {"hidden": (32, 32), "learning_rate": 3e-3, "tau": 0.1, "precision": "float32"}
+AGENTS = [DDPG, TD3]
+
+
+def make(agent: type[DDPG] | type[TD3], of: Signature | None = None, **settings: Any) -> Any:
+    return agent(agent.Settings(**{**SMALL, **settings}), of or signature(), SeedTree(0))
+
+
+@pytest.mark.parametrize("agent", AGENTS)
+@pytest.mark.parametrize(("terminated", "value"), [(0.0, 5.0), (1.0, 1.0)])
+def test_values_look_beyond_a_truncation_and_not_beyond_a_termination(
+    agent: Any, terminated: float, value: float
+) -> None:
+    made = make(agent, discount=0.8)
+    for seed in range(400):
+        made.learn(batch(32, signature(), seed % 20, reward=1, terminated=terminated, discount=0.8))
+    core = made.core
+    inputs = learning_inputs(batch(200, signature(), 99), core.normaliser, core.device)
+    found = core.critic(torch.cat((inputs.here, inputs.action), 1)).detach()
+    assert found.mean().item() == pytest.approx(value, rel=0.05)
+
+
+@pytest.mark.parametrize("agent", AGENTS)
+def test_targets_stay_within_what_rewards_make_possible(agent: Any) -> None:
+    bounded = replace(signature(), reward_range=(-1.0, 0.0))
+    made = make(agent, bounded, discount=0.9).core
+    far = batch(64, bounded, reward=-100, discount=0.9)
+    assert made.targets(learning_inputs(far, made.normaliser, made.device)).min() == pytest.approx(-10)
+    free = make(agent, bounded, discount=0.9, clip_targets=False).core
+    assert free.targets(learning_inputs(far, free.normaliser, free.device)).max() < -50
+
+
+def test_the_smaller_of_td3s_critics_counts() -> None:
+    core = make(TD3, target_noise=0.0).core
+    inputs = learning_inputs(batch(32, signature(), reward=0, discount=1), core.normaliser, core.device)
+    action = torch.tanh(core.target_policy(inputs.there))
+    both = core.target(torch.cat((inputs.there, action), 1)).squeeze(-1).detach()
+    assert (both[0] != both[1]).all()
+    torch.testing.assert_close(core.targets(inputs), both.amin(0))
+
+
+def test_td3_smooths_its_targets_over_actions_nearby_and_ddpg_does_not() -> None:
+    for agent, draws in ((TD3, True), (DDPG, False)):
+        core = make(agent).core
+        inputs = learning_inputs(batch(32, signature()), core.normaliser, core.device)
+        assert torch.equal(core.targets(inputs), core.targets(inputs)) is not draws
+
+
+@pytest.mark.parametrize(("agent", "every"), [(DDPG, 1), (TD3, 2)])
+def test_policy_and_targets_move_when_it_is_their_turn(agent: Any, every: int) -> None:
+    made = make(agent)
+    for update in range(1, 7):
+        before = {name: getattr(made.core, name).vector.clone() for name in ("policy", "target", "target_policy")}
+        metrics = made.learn(batch(32, signature(), update))
+        moved = {name: not torch.equal(getattr(made.core, name).vector, old) for name, old in before.items()}
+        assert set(moved.values()) == {update % every == 0}
+        assert ("policy_loss" in metrics) is (update % every == 0)
+
+
+@pytest.mark.parametrize("agent", AGENTS)
+def test_learns_the_best_action_of_a_bandit(agent: Any) -> None:
+    made = make(agent, discount=0.0, noise=0.1)
+    best = np.array([0.4, -0.3], np.float32)
+    for seed in range(700):
+        data = batch(64, signature(), seed)
+        reward = -3 * np.square(data.action - best).sum(1)
+        made.learn(data._replace(reward=reward, terminated=np.ones(64, np.float32)))
+    data = batch(50, signature(), 7)
+    actions = made.act(data.observation, data.desired_goal, explore=False)
+    assert np.abs(actions - best).mean() < 0.12
+
+
+@pytest.mark.parametrize("agent", AGENTS)
+def test_exploration_is_noise_around_the_policy_and_a_share_of_uniform_actions(agent: Any) -> None:
+    made = make(agent, noise=0.05, random_actions=0.25)
+    data = batch(4000, signature())
+    plain = made.act(data.observation, data.desired_goal, explore=False)
+    noisy = made.act(data.observation, data.desired_goal, explore=True)
+    near = (np.abs(noisy - plain) < 0.2).all(1)  # four standard deviations
+    inside = np.minimum(plain + 0.2, 1) - np.maximum(plain - 0.2, -1)
+    by_chance = (inside / 2).prod(1).mean()
+    assert near.mean() == pytest.approx(0.75 + 0.25 * by_chance, abs=0.03)
+    assert np.abs(noisy).max() <= 1
+
+
+def test_the_action_penalty_holds_actions_near_the_middle() -> None:
+    sizes = []
+    for penalty in (0.0, 100.0):
+        made = make(DDPG, action_penalty=penalty)
+        for seed in range(100):
+            made.learn(batch(32, signature(), seed % 10, reward=1))
+        data = batch(50, signature(), 7)
+        sizes.append(np.abs(made.act(data.observation, data.desired_goal, explore=False)).mean())
+    assert sizes[1] < 0.5 * sizes[0]
+
+
+@pytest.mark.parametrize("agent", AGENTS)
+def test_discrete_actions_are_refused(agent: Any) -> None:
+    with pytest.raises(UsageError, match="continuous actions"):
+        make(agent, replace(signature(), action=Discrete(("left", "right"))))
