@@ -80,7 +80,7 @@ def test_policy_and_targets_move_when_it_is_their_turn(agent: Any, every: int) -
 def test_learns_the_best_action_of_a_bandit(agent: Any) -> None:
     made = make(agent, discount=0.0, noise=0.1)
     best = np.array([0.4, -0.3], np.float32)
-    for seed in range(700):
+    for seed in range(1000 * made.core.variant.policy_delay):
         data = batch(64, signature(), seed)
         reward = -3 * np.square(data.action - best).sum(1)
         made.learn(data._replace(reward=reward, terminated=np.ones(64, np.float32)))
