@@ -92,8 +92,12 @@ class Hindsight:
                 hint="let the step's `terminated` include the goal rule's",
             )
 
-    def relabel(self, rows: Rows, slots: Slots, storage: Storage, generator: np.random.Generator) -> None:
-        """Give a random share of the rows other goals, and the rewards and ends that follow; in place."""
+    def relabel(self, rows: Rows, slots: Slots, storage: Storage, generator: np.random.Generator) -> Array:
+        """Give a random share of the rows other goals, and the rewards and ends that follow; in place.
+
+        Returns:
+            The indices of those rows.
+        """
         goal_slots = self._goal_slots(rows, slots, storage, generator)
         chosen = np.flatnonzero(generator.random(slots.size, np.float32) < self.settings.ratio)
         goals = storage.column("next_achieved_goal", goal_slots[chosen])[:, : self._size]
@@ -108,6 +112,7 @@ class Hindsight:
         terminated[chosen] = for_other_reasons | self._rule.terminated(achieved, goals)
         rows.number("reward")[chosen] = self._rule.reward(achieved, goals)
         desired[chosen] = goals
+        return chosen
 
     def _goal_slots(self, rows: Rows, slots: Slots, storage: Storage, generator: np.random.Generator) -> Array:
         """Where the goal of each row comes from: always a step of the row's own episode that is still stored."""

@@ -44,6 +44,7 @@ class Priority(Buffer):
         beta_updates: int = Setting(100_000, ge=1, description="batches after which beta has risen to 1")
         epsilon: float = Setting(1e-6, gt=0, description="added to each error, so that none is never seen again")
         hindsight: Hindsight.Settings | None = Setting(None, description="relabel goals when sampling; null: do not")
+        n_step: int = Setting(1, ge=1, le=100, description="environment steps that a sampled transition spans at most")
 
     on_policy: ClassVar[bool] = False
 
@@ -61,6 +62,7 @@ class Priority(Buffer):
             signature,
             capacity=settings.capacity,
             hindsight=settings.hindsight,
+            n_step=settings.n_step,
             environments=environments,
             discount=discount,
         )

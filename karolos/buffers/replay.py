@@ -7,16 +7,20 @@ import numpy as np
 from ..core import Batch, FloatArray, Signature, State, Transitions
 from ..errors import RunError
 from .hindsight import Hindsight
+from .n_step import NStep
 from .storage import Slots, Storage
+
+NOTHING = np.zeros(0, np.int64)
 
 
 class Replay:
-    """A storage, hindsight if asked for, and the discount; which slots a batch takes is the buffer's own business.
+    """A storage, hindsight and multi-step returns if asked for; which slots a batch takes is the buffer's own business.
 
     Args:
         signature: of the environments.
         capacity: transitions kept, over all environments.
         hindsight: what to relabel with; None: nothing.
+        n_step: steps that a transition of a batch spans at most.
         environments: how many fill it.
         discount: per environment step.
 
@@ -30,11 +34,13 @@ class Replay:
         *,
         capacity: int,
         hindsight: Hindsight.Settings | None,
+        n_step: int,
         environments: int,
         discount: float,
     ) -> None:
         self._hindsight = Hindsight(hindsight, signature) if hindsight is not None else None
         self.storage = Storage(signature, capacity, environments)
+        self._n_step = NStep(n_step, discount, self.storage, signature.goal_rule) if n_step > 1 else None
         self._discount = np.float32(discount)
         self._discounts = np.zeros(0, np.float32)
 
@@ -63,9 +69,12 @@ class Replay:
             generator: draws the goals.
         """
         rows = self.storage.gather(slots)
+        relabelled = NOTHING
         if self._hindsight is not None:
-            self._hindsight.relabel(rows, slots, self.storage, generator)
-        if self._discounts.size != slots.size:
+            relabelled = self._hindsight.relabel(rows, slots, self.storage, generator)
+        if self._n_step is not None:
+            self._discounts = self._n_step.extend(rows, slots, relabelled)
+        elif self._discounts.size != slots.size:
             self._discounts = np.full(slots.size, self._discount, np.float32)
         return Batch(
             observation=rows["observation"],

@@ -29,6 +29,7 @@ class Uniform(Buffer):
     class Settings(BaseSettings):
         capacity: int = Setting(1_000_000, ge=1, description="transitions kept, over all environments")
         hindsight: Hindsight.Settings | None = Setting(None, description="relabel goals when sampling; null: do not")
+        n_step: int = Setting(1, ge=1, le=100, description="environment steps that a sampled transition spans at most")
 
     on_policy: ClassVar[bool] = False
 
@@ -46,6 +47,7 @@ class Uniform(Buffer):
             signature,
             capacity=settings.capacity,
             hindsight=settings.hindsight,
+            n_step=settings.n_step,
             environments=environments,
             discount=discount,
         )
