@@ -10,7 +10,7 @@ import typer
 from karolos.errors import KarolosError, PluginError
 from karolos.terminal import clean
 
-from . import bench, plugins, runs, spec
+from . import bench, inspect, plugins, runs, spec
 from .board import board
 from .check import check
 from .play import play
@@ -27,6 +27,7 @@ app.command()(run)
 app.command()(check)
 app.add_typer(spec.app)
 app.add_typer(plugins.app)
+app.add_typer(inspect.app)
 app.add_typer(runs.app)
 app.command()(play)
 app.command()(board)

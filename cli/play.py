@@ -1,4 +1,4 @@
-"""`karolos play`: watch a trained agent, in a window or as a film."""
+"""`karolos play`: watch a trained agent or a scripted expert, in a window or as a film."""
 
 from __future__ import annotations
 
@@ -28,8 +28,14 @@ FRAMES_PER_SECOND = 24
 
 def play(
     run: Annotated[
-        str, typer.Argument(help="Run id, unique prefix of one, @last, or a run folder.", show_default=False)
+        str,
+        typer.Argument(
+            metavar="RUN",
+            help="Run id, unique prefix of one, @last, or a run folder; with --expert a SPEC.yaml.",
+            show_default=False,
+        ),
     ],
+    expert: Annotated[bool, typer.Option("--expert", help="Play the scripted expert of a spec's task.")] = False,
     record: Annotated[
         Path | None, typer.Option(help="Film to write: FILE.mp4 or FILE.gif.", show_default=False)
     ] = None,
@@ -40,26 +46,35 @@ def play(
     runs: Runs = Path("runs"),
     database: Database = None,
 ) -> None:
-    """Play test episodes of a run's saved policy.
+    """Play test episodes of a run's saved policy, or with --expert of the scripted one for a spec.
 
     With a display it opens a window. Without one, or with --record, it writes a film; by default play.mp4 in the run's
-    folder.
+    folder, or NAME.mp4 here for the spec of that name.
     """
     if checkpoint not in ("best", "last"):
         raise UsageError(f"there is no checkpoint {checkpoint!r}", hint="a run keeps best and last")
     if width % 2 or height % 2:
         raise UsageError(f"a film of {width} x {height} pixels cannot be coded", hint="use even numbers")
-    folder = open_run(run, runs, database)
     window = record is None and _has_display()
-    from karolos.playing import load_player
+    from karolos.playing import load_expert, load_player
     from karolos.playing import play as play_episodes
     from karolos.report.video import check_video_path, write_video
 
-    target = record or folder.path / "play.mp4"
+    if expert:
+        from karolos.spec import load_spec
+
+        spec = load_spec(run)
+        target = record or Path(f"{spec.name}.mp4")
+    else:
+        folder = open_run(run, runs, database)
+        target = record or folder.path / "play.mp4"
     if not window:
         check_video_path(target)
-    spec, environment, agent = load_player(folder, checkpoint, window=window)
-    moments = _tell(play_episodes(environment, agent, episodes=episodes, seed=spec.testing.seed))
+    if expert:
+        environment, policy = load_expert(spec, window=window)
+    else:
+        spec, environment, policy = load_player(folder, checkpoint, window=window)
+    moments = _tell(play_episodes(environment, policy, episodes=episodes, seed=spec.testing.seed))
     try:
         if window:
             for _ in moments:

@@ -1,8 +1,8 @@
-"""Watching a trained agent: episodes of a saved policy, without exploration, one moment at a time."""
+"""Watching a policy, a saved one without exploration or a scripted one: its episodes, one moment at a time."""
 
 from __future__ import annotations
 
-from collections.abc import Iterator
+from collections.abc import Callable, Iterator
 from dataclasses import dataclass, replace
 
 import numpy as np
@@ -11,13 +11,23 @@ from numpy.typing import NDArray
 from . import checkpoint
 from .core import Agent, Environment, Step
 from .environments.build import build_environment
-from .errors import MachineError
+from .environments.robot_task import RobotTask
+from .errors import MachineError, UsageError
 from .registry import load
 from .run_folder import RunFolder
 from .seeding import SeedTree
 from .spec import Spec
 from .spec.recipe import Recipe
 from .testing import test_seeds
+
+
+@dataclass(frozen=True)
+class Policy:
+    """What to do after a step: an action (a,)."""
+
+    act: Callable[[Step], NDArray[np.float32]]
+    begin: Callable[[], None] = lambda: None
+    """Called after each reset."""
 
 
 @dataclass(frozen=True)
@@ -35,8 +45,8 @@ class Moment:
     """To take a picture of: `environment.render()`."""
 
 
-def load_player(folder: RunFolder, name: str = "best", *, window: bool = False) -> tuple[Spec, Environment, Agent]:
-    """The spec, one environment without randomization and the agent of a run's checkpoint.
+def load_player(folder: RunFolder, name: str = "best", *, window: bool = False) -> tuple[Spec, Environment, Policy]:
+    """The spec, one environment without randomization and the policy of a run's checkpoint.
 
     Args:
         folder: the run's.
@@ -49,11 +59,41 @@ def load_player(folder: RunFolder, name: str = "best", *, window: bool = False) 
     """
     spec = Spec.from_dict(folder.spec())
     parts, _ = checkpoint.load(folder.checkpoints, name)
-    recipe = spec.recipe(randomize=False)
-    environment = build_environment(_in_a_window(recipe) if window else recipe)
+    environment = _environment(spec, window)
     agent: Agent = load("agents", spec.agent.name)(spec.agent.settings, environment.signature, SeedTree(0), "cpu")
     agent.load_state(parts["agent"])
-    return spec, environment, agent
+
+    def policy(state: Step) -> NDArray[np.float32]:
+        return np.asarray(agent.act(state.observation[None], state.desired_goal[None], explore=False)[0])
+
+    return spec, environment, Policy(policy)
+
+
+def load_expert(spec: Spec, *, window: bool = False) -> tuple[Environment, Policy]:
+    """One environment of the spec without randomization, and the scripted policy of its task.
+
+    Raises:
+        UsageError: the spec has no robot and task, or the task has no expert.
+        MachineError: a window is asked for and there is no display.
+    """
+    environment = _environment(spec, window)
+    try:
+        if not isinstance(environment, RobotTask):
+            raise UsageError("there is no expert for this environment", where="environment", hint="tasks have experts")
+        expert = environment.expert()
+    except BaseException:
+        environment.close()
+        raise
+
+    def policy(_: Step) -> NDArray[np.float32]:
+        return np.asarray(expert.act(), np.float32)
+
+    return environment, Policy(policy, expert.reset)
+
+
+def _environment(spec: Spec, window: bool) -> Environment:
+    recipe = spec.recipe(randomize=False)
+    return build_environment(_in_a_window(recipe) if window else recipe)
 
 
 def _in_a_window(recipe: Recipe) -> Recipe:
@@ -64,20 +104,16 @@ def _in_a_window(recipe: Recipe) -> Recipe:
     return replace(recipe, environment=replace(part, settings=settings))
 
 
-def play(environment: Environment, agent: Agent, *, episodes: int, seed: int) -> Iterator[Moment]:
+def play(environment: Environment, policy: Policy, *, episodes: int, seed: int) -> Iterator[Moment]:
     """Play the first `episodes` test episodes under the root `seed`: with `testing.seed`, those it was tested on."""
     for episode, episode_seed in enumerate(test_seeds(seed, episodes)):
         state = environment.reset(episode_seed)
+        policy.begin()
         step = 0
         yield Moment(episode, step, bool(state.success), False, environment)
         over = False
         while not over:
-            state = environment.step(_act(agent, state))
+            state = environment.step(policy.act(state))
             step += 1
             over = bool(state.terminated or state.truncated)
             yield Moment(episode, step, bool(state.success), over, environment)
-
-
-def _act(agent: Agent, state: Step) -> NDArray[np.float32]:
-    actions = agent.act(state.observation[None], state.desired_goal[None], explore=False)
-    return np.asarray(actions[0])

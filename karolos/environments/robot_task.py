@@ -11,11 +11,12 @@ from pydantic import Field as Setting
 
 from ..core import Array, Environment, FloatArray, Signature, Step
 from ..core import Settings as BaseSettings
+from ..errors import UsageError
 from ..randomization.distribution import Distribution
 from ..randomization.randomization import Randomization
 from ..seeding import SeedTree
 from ..simulation.camera import Camera
-from ..simulation.interface import Robot, Task
+from ..simulation.interface import Expert, Robot, Task
 from ..simulation.world import World
 
 TIMESTEP = 1 / 240
@@ -117,6 +118,7 @@ class RobotTask(Environment):
         self.robot.act(values)
         self.world.step()
         self.robot.read()
+        self.task.read()
         self._steps += 1
         return self._observe(reward=True)
 
@@ -155,6 +157,14 @@ class RobotTask(Environment):
         if self._last is None:
             raise RuntimeError(f"{self._name}: the physics blew up before the first step")
         return self._last._replace(terminated=False, truncated=True, success=False, diverged=True)
+
+    def expert(self) -> Expert:
+        """The task's scripted policy for this environment. Raises UsageError where the task has none."""
+        _ = self.world  # an expert acts in a world that is built
+        expert = self.task.expert()
+        if expert is None:
+            raise UsageError(f"there is no expert for {self._name}", where="task")
+        return expert
 
     def parameters(self) -> FloatArray:
         return np.array(self._drawn, np.float32)

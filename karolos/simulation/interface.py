@@ -169,11 +169,27 @@ class Robot(RobotView, Protocol):
         """The robot's part of the observation."""
 
 
+class Expert(ABC):
+    """A scripted policy for one task: it shows that a pair can be solved, and gives demonstrations.
+
+    Written against the robot's view, for any robot and any control mode. The order of calls: `reset` after the
+    environment's reset, then `act` before each step.
+    """
+
+    @abstractmethod
+    def reset(self) -> None:
+        """A new episode has begun."""
+
+    @abstractmethod
+    def act(self) -> FloatArray:
+        """The next action: (action.size,)."""
+
+
 class Task(ABC):
     """A task plugin: what stands in the world besides the robot, the goal, and when it is reached.
 
     The order of calls: `fit` (sets `goal_rule` and the layouts that depend on the robot), `build` once; per episode
-    `reset` after the robot's; per step `observe`, `achieved`, `lost`.
+    `reset` after the robot's; per step `read` after the robot's, then `observe`, `lost`, `achieved`.
     The docstring of a task says under these headings: What to do, What is randomised, What counts as success.
     """
 
@@ -182,8 +198,8 @@ class Task(ABC):
     """Whether the action moves the gripper. Where not, it stays closed and costs nothing."""
     observation: ClassVar[Layout]
     """The task's part of the observation; goals are not part of it."""
-    achieved_goal: ClassVar[Layout]
-    desired_goal: ClassVar[Layout]
+    achieved_goal: Layout
+    desired_goal: Layout
 
     goal: FloatArray
     """The goal of the running episode: (desired_goal.size,)."""
@@ -204,6 +220,9 @@ class Task(ABC):
     def reset(self, generator: Generator) -> None:
         """Place objects and goal; the goal must not hold. Raises RunError when none is found."""
 
+    def read(self) -> None:  # noqa: B027 (a task without objects has nothing to read)
+        """Take the state of the objects from the world after a physics step."""
+
     @abstractmethod
     def observe(self) -> list[float]:
         """The task's part of the observation."""
@@ -211,6 +230,10 @@ class Task(ABC):
     @abstractmethod
     def achieved(self) -> FloatArray:
         """(achieved_goal.size,): a new array."""
+
+    def expert(self) -> Expert | None:
+        """A scripted policy for the running environment; None: the task has none. Called after `build`."""
+        return None
 
     def lost(self) -> bool:
         """Whether the world has left all sense (an object far away): the episode is truncated."""

@@ -35,3 +35,39 @@ class NearGoal(GoalRule):
         away = achieved - desired
         near: BoolArray = np.vecdot(away, away) < self._squared
         return near
+
+
+class StagedPick(NearGoal):
+    """Reward in [-1, 0] for reaching, grasping, lifting and bringing an object: the mean of four stages, less 1.
+
+    A function of the state alone: what an arm gains by coming nearer it loses by leaving. `achieved` (..., 7) is the
+    object's position (3), the tool's (3), both in m, and the share of pads in contact; `desired` (..., 3).
+
+    * reach: 1 - tanh(5 d), d from tool to object in m
+    * grasp: share of pads in contact
+    * lift: share of the goal's height above the surface; 1 for a goal on the surface
+    * bring: 1 - tanh(5 d), d from object to goal
+    Where the goal is reached, the reward is 0.
+
+    Args:
+        rest: height in m of an object on the surface.
+    """
+
+    def __init__(self, threshold: float, *, rest: float) -> None:
+        super().__init__(threshold, dense=True, span=1.0)
+        self.rest = rest
+
+    def reward(self, achieved: Array, desired: Array) -> FloatArray:
+        thing, tool, pads = achieved[..., :3], achieved[..., 3:6], achieved[..., 6]
+        away, short = tool - thing, thing - desired
+        reach = 1 - np.tanh(5 * np.sqrt(np.vecdot(away, away)))
+        bring = 1 - np.tanh(5 * np.sqrt(np.vecdot(short, short)))
+        height = desired[..., 2] - self.rest
+        raised = np.clip((thing[..., 2] - self.rest) / np.maximum(height, 1e-3), 0, 1)
+        lift = np.where(height < self.threshold, 1.0, raised)
+        staged = (reach + pads + lift + bring) / 4 - 1
+        worth: FloatArray = np.where(self.success(achieved, desired), 0.0, np.clip(staged, -1, 0)).astype(np.float32)
+        return worth
+
+    def success(self, achieved: Array, desired: Array) -> BoolArray:
+        return super().success(achieved[..., :3], desired)

@@ -11,7 +11,7 @@ from ..core import Field, FloatArray, Layout
 from ..core import Settings as BaseSettings
 from ..errors import UsageError
 from ..seeding import Generator
-from ..simulation.interface import Box, RobotView, Task
+from ..simulation.interface import Box, Expert, RobotView, Task
 from ..simulation.world import World
 from .goals import NearGoal
 from .placement import place
@@ -19,6 +19,21 @@ from .placement import place
 GOAL_BOX = (0.3, 0.3, 0.3)
 """Edges in m of the box that goals are drawn from, as in panda-gym, so that figures compare."""
 GOAL_COLOUR = (0.16, 0.74, 0.32, 0.5)
+
+
+class ReachExpert(Expert):
+    """Straight to the goal."""
+
+    def __init__(self, robot: RobotView, task: Reach) -> None:
+        self._robot = robot
+        self._task = task
+
+    def reset(self) -> None:
+        pass
+
+    def act(self) -> FloatArray:
+        x, y, z = self._task.goal.tolist()
+        return self._robot.towards((x, y, z), 0.0)
 
 
 class Reach(Task):
@@ -79,3 +94,6 @@ class Reach(Task):
 
     def achieved(self) -> FloatArray:
         return np.array(self._robot.tool_position, np.float32)
+
+    def expert(self) -> Expert:
+        return ReachExpert(self._robot, self)

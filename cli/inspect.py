@@ -1,0 +1,96 @@
+"""`karolos inspect`: a robot or a task in a picture and in numbers."""
+
+from __future__ import annotations
+
+from dataclasses import asdict
+from pathlib import Path
+from typing import TYPE_CHECKING, Annotated
+
+import typer
+
+from karolos.errors import MachineError, UsageError
+from karolos.terminal import clean
+
+from .common import Json, rows
+
+if TYPE_CHECKING:
+    from karolos.inspection import Inspection
+
+app = typer.Typer(name="inspect", help="Show a robot or a task: a picture and its numbers.", no_args_is_help=True)
+Picture = Annotated[
+    Path | None,
+    typer.Option(
+        "--picture", metavar="FILE", help="Picture to write: FILE.png. Default: NAME.png here.", show_default=False
+    ),
+]
+Size = Annotated[int, typer.Option(min=16, max=2048, help="In pixels.")]
+
+
+@app.command()
+def robot(
+    name: Annotated[str, typer.Argument(metavar="NAME", help="Name of a robot.")],
+    picture: Picture = None,
+    width: Size = 960,
+    height: Size = 720,
+    json: Json = False,
+) -> None:
+    """Show a robot: joints with limits, workspace, control modes, layouts, and what can be randomized."""
+    target = _target(picture, name)
+    from karolos.inspection import inspect_robot
+
+    _show("robot", inspect_robot(name, size=(width, height)), target, json=json)
+
+
+@app.command()
+def task(
+    name: Annotated[str, typer.Argument(metavar="NAME", help="Name of a task.")],
+    robot: Annotated[str, typer.Option(help="With which robot.")] = "panda",
+    floor: Annotated[bool, typer.Option("--floor", help="Only the success of a random policy.")] = False,
+    episodes: Annotated[int, typer.Option(min=1, help="Episodes of the random policy.")] = 100,
+    picture: Picture = None,
+    width: Size = 960,
+    height: Size = 720,
+    json: Json = False,
+) -> None:
+    """Show a task: goal rule, layouts, settings, and what can be randomized; or the floor a random policy sets."""
+    if floor:
+        from karolos.inspection import floor as random_policy
+
+        found = random_policy(robot, name, episodes=episodes)
+        rows([{"robot": robot, "task": name, **asdict(found)}], json=json)
+        return
+    target = _target(picture, name)
+    from karolos.inspection import inspect_task
+
+    _show("task", inspect_task(name, robot, size=(width, height)), target, json=json)
+
+
+def _target(picture: Path | None, name: str) -> Path:
+    target = picture or Path(f"{name}.png")
+    if target.suffix.lower() not in (".png", ".jpg", ".jpeg"):
+        raise UsageError(f"cannot write a picture {target.name!r}", hint="name a file that ends in .png or .jpg")
+    if not target.parent.is_dir():
+        raise UsageError(f"there is no folder {target.parent} to write a picture into")
+    return target
+
+
+def _show(kind: str, found: Inspection, target: Path, *, json: bool) -> None:
+    from PIL import Image
+
+    try:
+        if found.picture is not None:
+            Image.fromarray(found.picture).save(target)
+    except OSError as error:
+        raise MachineError(f"cannot write {target}: {error.strerror or error}") from error
+    if json:
+        rows(
+            [{"kind": kind, "name": found.name, "about": found.about, **found.tables, "picture": str(target)}],
+            json=True,
+        )
+        return
+    print(clean(f"{kind} {found.name}\n") if not found.about else f"{kind} {found.name}\n\n{found.about}\n")
+    for heading, lines in found.tables.items():
+        print(f"{heading}:" if lines else f"{heading}: none")
+        rows(lines, json=False)
+        print()
+    print(f"picture: {target}")

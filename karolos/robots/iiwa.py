@@ -1,0 +1,35 @@
+"""KUKA LBR iiwa 14 R820 with a Robotiq 2F-85."""
+
+from __future__ import annotations
+
+from math import pi
+from pathlib import Path
+
+from ..simulation.interface import Box
+from .arm import Arm
+from .model import ArmModel, ArmSettings
+from .two_finger import ROBOTIQ_2F_85
+
+
+class Iiwa(Arm):
+    """Seven joints, reach .82 m, payload 14 kg, a gripper of two fingers that opens 8.5 cm.
+
+    Sources: KUKA's data sheet, iiwa_stack, iiwa_ros; see urdf/iiwa.urdf.
+    """
+
+    class Settings(ArmSettings):
+        """As every arm's."""
+
+    model = ArmModel(
+        urdf=Path(__file__).parent / "urdf" / "iiwa.urdf",
+        home=(0.0, 0.5358, 0.0, -1.7364, 0.0, 0.8693, 0.0),  # tool at .52 0 .2
+        workspace=Box((0.42, -0.25, 0.02), (0.7, 0.25, 0.4)),  # lower, the pads (half .01875 m high) meet the floor
+        tool=(0.0, 0.0, 0.182),  # flange .045, tool centre point .137 beyond it
+        tool_rpy=(0.0, 0.0, pi),
+        fingers=ROBOTIQ_2F_85,
+        self_collisions=tuple(
+            (distal, proximal)
+            for distal in ("link5", "link6", "link7", "finger1", "finger2")
+            for proximal in ("link0", "link1", "link2")
+        ),
+    )

@@ -1,0 +1,35 @@
+"""Universal Robots UR5 with a Robotiq 2F-85."""
+
+from __future__ import annotations
+
+from math import pi
+from pathlib import Path
+
+from ..simulation.interface import Box
+from .arm import Arm
+from .model import ArmModel, ArmSettings
+from .two_finger import ROBOTIQ_2F_85
+
+
+class UR5(Arm):
+    """Six joints, reach .85 m, payload 5 kg, a gripper of two fingers that opens 8.5 cm.
+
+    Sources: Universal Robots' data sheet and Denavit-Hartenberg parameters, ur_description; see urdf/ur5.urdf.
+    """
+
+    class Settings(ArmSettings):
+        """As every arm's."""
+
+    model = ArmModel(
+        urdf=Path(__file__).parent / "urdf" / "ur5.urdf",
+        home=(-0.2294, -1.5893, 1.8333, -1.8149, -1.5708, -1.8002),  # tool at .48 0 .2
+        workspace=Box((0.3, -0.25, 0.02), (0.65, 0.25, 0.4)),  # lower, the pads (half .01875 m high) meet the floor
+        tool=(0.0, 0.2193, 0.0),  # flange .0823, tool centre point .137 beyond it
+        tool_rpy=(-pi / 2, 0.0, 0.0),
+        fingers=ROBOTIQ_2F_85,
+        self_collisions=tuple(
+            (distal, proximal)
+            for distal in ("wrist_1", "wrist_2", "wrist_3", "finger1", "finger2")
+            for proximal in ("base", "shoulder", "upper_arm")
+        ),
+    )

@@ -1,0 +1,111 @@
+"""Pick-and-place and push: solved by their experts, placed honestly, the same episode again with contacts."""
+
+from __future__ import annotations
+
+import numpy as np
+import pytest
+
+from karolos.core import Environment, Step
+from karolos.environments.build import build_environment
+from karolos.errors import KarolosError
+from karolos.registry import load
+from karolos.spec.recipe import Part, Recipe
+
+CUBE_TASKS = ["pick_place", "push"]
+
+
+def part(kind: str, name: str, **settings: object) -> Part:
+    return Part(kind, name, load(kind, name).Settings.model_validate(settings))
+
+
+def made(task: str, robot: str = "panda", control: str = "cartesian", **settings: object) -> Environment:
+    recipe = Recipe(
+        part("environments", "robot_task"), part("robots", robot, control=control), part("tasks", task, **settings)
+    )
+    return build_environment(recipe)
+
+
+def expert_episode(environment: Environment, seed: int) -> list[Step]:
+    steps = [environment.reset(seed)]
+    expert = environment.expert()
+    expert.reset()
+    while not (steps[-1].terminated or steps[-1].truncated):
+        steps.append(environment.step(expert.act()))
+    return steps
+
+
+@pytest.mark.parametrize("task", CUBE_TASKS)
+def test_the_expert_solves_most_episodes_without_diverging(task):
+    environment = made(task)
+    last = [expert_episode(environment, seed)[-1] for seed in range(100, 112)]
+    environment.close()
+    assert sum(bool(step.success) for step in last) >= 9
+    assert not any(step.diverged for step in last)
+
+
+@pytest.mark.parametrize("task", CUBE_TASKS)
+def test_an_episode_with_contacts_is_the_same_in_a_fresh_and_in_a_used_world(task):
+    fresh, used = made(task), made(task)
+    for seed in range(3):
+        expert_episode(used, seed)
+    for one, other in zip(expert_episode(fresh, 7), expert_episode(used, 7), strict=True):
+        for ours, theirs in zip(one, other, strict=True):
+            np.testing.assert_array_equal(ours, theirs)
+    fresh.close()
+    used.close()
+
+
+@pytest.mark.parametrize("task", CUBE_TASKS)
+def test_goals_are_never_solved_at_reset_and_lie_where_they_should(task):
+    environment = made(task)
+    starts = [environment.reset(seed) for seed in range(60)]
+    environment.close()
+    goals = np.stack([step.desired_goal for step in starts])
+    cubes = np.stack([step.achieved_goal[:3] for step in starts])
+    assert not any(step.success for step in starts)
+    assert (np.ptp(goals[:, :2], axis=0) <= 0.3 + 1e-6).all()
+    assert (np.ptp(cubes[:, :2], axis=0) <= 0.3 + 1e-6).all()
+    np.testing.assert_allclose(cubes[:, 2], 0.02, atol=2e-3)
+    on_surface = np.isclose(goals[:, 2], 0.02, atol=2e-3)
+    if task == "push":
+        assert on_surface.all()
+    else:
+        assert 0.1 < on_surface.mean() < 0.5
+        assert goals[:, 2].max() <= 0.2 + 0.021
+
+
+@pytest.mark.parametrize("task", CUBE_TASKS)
+def test_dense_rewards_stay_in_their_declared_range_and_end_higher_than_they_began(task):
+    environment = made(task, reward="dense")
+    low, high = environment.signature.reward_range
+    steps = expert_episode(environment, 3)[1:]
+    environment.close()
+    rewards = np.array([step.reward for step in steps])
+    assert (rewards >= low).all()
+    assert (rewards <= high).all()
+    assert rewards[-5:].mean() > rewards[:5].mean()
+
+
+def test_a_cube_that_starts_grasped_is_in_the_hand_and_is_lifted_with_it():
+    environment = made("pick_place", start_grasped=1.0)
+    start = environment.reset(0)
+    tool = environment.signature.observation.slice("tool_position")
+    assert np.linalg.norm(start.achieved_goal[:3] - start.observation[tool]) < 0.01
+    lift = np.array([0, 0, 0.5, -1], np.float32)  # up, gripper closed
+    for _ in range(12):
+        step = environment.step(lift)
+    apart = np.linalg.norm(step.achieved_goal[:3] - step.observation[tool])
+    environment.close()
+    assert step.achieved_goal[2] > start.achieved_goal[2] + 0.1
+    assert apart < 0.02
+
+
+def test_a_cube_wider_than_the_gripper_is_refused():
+    with pytest.raises(KarolosError, match="does not go into the gripper"):
+        made("pick_place", object_size=0.15)
+
+
+@pytest.mark.parametrize("bad", [{"object_mass": -1}, {"object_size": 0}, {"start_grasped": 2}])
+def test_settings_out_of_range_are_refused(bad):
+    with pytest.raises(ValueError, match=r"greater|less"):
+        part("tasks", "pick_place", **bad)
