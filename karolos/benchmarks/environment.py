@@ -19,6 +19,8 @@ import numpy as np
 
 from ..core import Array
 from ..environments.robot_task import RobotTask
+from ..randomization.distribution import Distribution
+from ..randomization.normal import Normal
 from ..registry import load
 from ..simulation.body import Body
 from .row import Row
@@ -32,10 +34,15 @@ class _Case:
 
     control: str
     environment: RobotTask
+    randomized: RobotTask
+    """The same with every parameter drawn at each reset, always as its nominal value: the same physics."""
     actions: Array
     stepping: list[float] = field(default_factory=list)
     physics: list[float] = field(default_factory=list)
     resetting: list[float] = field(default_factory=list)
+    plain: list[float] = field(default_factory=list)
+    """Seconds of an episode from reset to reset."""
+    drawn: list[float] = field(default_factory=list)
 
 
 def measure(
@@ -59,22 +66,40 @@ def measure(
     rows = []
     for case in cases:
         case.environment.close()
+        case.randomized.close()
         name = f"{robot} {task} {case.control}"
         rows.append(Row("environment", name, 1 / median(case.stepping), "steps/s", PEER, 1 / median(case.physics)))
         rows.append(Row("environment", f"{name} reset", 1e3 * median(case.resetting), "ms"))
+        with_it, without = (1 / median(times) for times in (case.drawn, case.plain))
+        rows.append(Row("environment", f"{name} randomized episode", with_it, "episodes/s", "not randomized", without))
     return rows
 
 
 def _case(robot: str, task: str, control: str) -> _Case:
-    kinds: Any = load("robots", robot), load("tasks", task)
-    environment = RobotTask(
-        RobotTask.Settings.model_validate({}),
-        robot=kinds[0](kinds[0].Settings(control=control)),
-        task=kinds[1](kinds[1].Settings()),
+    environment = _joined(robot, task, control, {})
+    declared = {
+        **{f"robot.{name}": parameter for name, parameter in environment.robot.parameters.items()},
+        **{f"task.{name}": parameter for name, parameter in environment.task.parameters.items()},
+    }
+    randomized = _joined(
+        robot,
+        task,
+        control,
+        {name: Normal(Normal.Settings(mean=parameter.nominal, std=0.0)) for name, parameter in declared.items()},
     )
     generator = np.random.Generator(np.random.PCG64(0))
     shape = (4, environment.signature.max_steps, environment.signature.action.size)
-    return _Case(control, environment, generator.uniform(-1, 1, shape).astype(np.float32))
+    return _Case(control, environment, randomized, generator.uniform(-1, 1, shape).astype(np.float32))
+
+
+def _joined(robot: str, task: str, control: str, randomization: dict[str, Distribution]) -> RobotTask:
+    kinds: Any = load("robots", robot), load("tasks", task)
+    return RobotTask(
+        RobotTask.Settings.model_validate({}),
+        robot=kinds[0](kinds[0].Settings(control=control)),
+        task=kinds[1](kinds[1].Settings()),
+        randomization=randomization,
+    )
 
 
 def _repeat(case: _Case, seed: int) -> None:
@@ -107,6 +132,14 @@ def _repeat(case: _Case, seed: int) -> None:
     for number in range(20):
         environment.reset(seed + number)
     case.resetting.append((perf_counter() - start) / 20)
+
+    for other, times in ((environment, case.plain), (case.randomized, case.drawn)):
+        start = perf_counter()
+        other.reset(seed)
+        for action in actions:
+            if other.step(action).terminated:
+                break
+        times.append(perf_counter() - start)
 
 
 @contextmanager

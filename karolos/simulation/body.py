@@ -98,7 +98,12 @@ class Body:
         )
 
     def drive(
-        self, joints: Sequence[int], positions: Sequence[float], forces: Sequence[float], gains: Sequence[float]
+        self,
+        joints: Sequence[int],
+        positions: Sequence[float],
+        forces: Sequence[float],
+        gains: Sequence[float],
+        dampings: Sequence[float] | None = None,
     ) -> None:
         """Aim the motors at positions until told otherwise.
 
@@ -106,6 +111,8 @@ class Body:
             forces: largest torque or force of each motor in N m or N, divided by the substeps of the world: pybullet
                 turns it into an impulse with the time of the whole control step, not of a substep.
             gains: share of the distance to the target that a motor asks for per substep.
+            dampings: share of its speed that a motor gives up per substep, in (0, 1]; 1 each unless told otherwise,
+                which is a motor without inertia. A gain of damping**2 / 4 is critically damped.
         """
         self.api.setJointMotorControlArray(
             self.index,
@@ -114,6 +121,7 @@ class Body:
             targetPositions=positions,
             forces=forces,
             positionGains=gains,
+            velocityGains=dampings or [1.0] * len(joints),
             physicsClientId=self.client,
         )
 
@@ -127,6 +135,29 @@ class Body:
     def set_spinning_friction(self, spinning: float, link: int = -1) -> None:
         """Resistance to turning about the contact normal, in m: it stands for the area of a pad."""
         self.api.changeDynamics(self.index, link, spinningFriction=spinning, physicsClientId=self.client)
+
+    def couple(self, first: int, second: int) -> None:
+        """Gear two joints of this body so that they keep the same position, as one motor moves both."""
+        gear = self.api.createConstraint(
+            self.index,
+            first,
+            self.index,
+            second,
+            self.api.JOINT_GEAR,
+            (0, 1, 0),
+            (0, 0, 0),
+            (0, 0, 0),
+            physicsClientId=self.client,
+        )
+        # erp: share of a difference taken back per substep; at .2 two fingers on an object differ by 2 mm, at 1 by .4
+        self.api.changeConstraint(gear, gearRatio=-1, maxForce=1000.0, erp=1.0, physicsClientId=self.client)
+
+    def stick(self, link: int) -> None:
+        """Let static friction at this link hold positions, not only speeds.
+
+        Within the friction cone, as ever; without it the solver's rounding lets a held object creep by mm per s.
+        """
+        self.api.changeDynamics(self.index, link, frictionAnchor=1, physicsClientId=self.client)
 
     def inertia(self, link: int = -1) -> tuple[float, Vector]:
         """Mass in kg and the diagonal of the inertia in kg m2."""

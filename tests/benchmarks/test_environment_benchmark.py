@@ -18,10 +18,12 @@ def test_rows_name_the_bare_physics_as_peer() -> None:
     assert [row["case"] for row in rows] == [
         "panda reach joint",
         "panda reach joint reset",
+        "panda reach joint randomized episode",
         "panda reach cartesian",
         "panda reach cartesian reset",
+        "panda reach cartesian randomized episode",
     ]
-    for row in rows[::2]:
+    for row in rows[::3]:
         assert row["peer"] == "bare physics loop"
         assert row["ratio"] == pytest.approx(row["value"] / row["peer_value"])
     assert Body.drive is drive, "the recorder must be gone"
@@ -30,5 +32,5 @@ def test_rows_name_the_bare_physics_as_peer() -> None:
 def test_table_and_one_control_mode() -> None:
     result = CliRunner().invoke(app, ["environment", "--seconds", "0.1", "--control", "joint"])
     assert result.exit_code == 0, result.output
-    assert len(result.stdout.splitlines()) == 3
+    assert len(result.stdout.splitlines()) == 4
     assert "cartesian" not in result.stdout

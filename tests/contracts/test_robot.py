@@ -9,9 +9,11 @@ import numpy as np
 import pytest
 from building import CONTROLS, robot_task
 
+from karolos.core import Array
 from karolos.environments.robot_task import RobotTask
-from karolos.registry import names
+from karolos.registry import load, names
 from karolos.seeding import Generator
+from karolos.tasks.reach import Reach
 
 LONG = 100_000
 
@@ -116,3 +118,68 @@ def test_each_parameter_changes_the_motion_and_can_be_taken_back(environment: Ro
     environment.robot.apply(parameter, declared.nominal)
     assert np.abs(changed - nominal).max() > 1e-5
     np.testing.assert_array_equal(end(), nominal)
+
+
+class Grasping(Reach):
+    """Reach with a gripper that opens and closes."""
+
+    uses_gripper = True
+
+
+def shaken_cube(made: RobotTask) -> tuple[Array, float, float]:
+    """Grip a cube of 4 cm and .1 kg, lift it and shake it for 1 s.
+
+    Returns its poses (steps, 7) and, of the shake, its creep in the gripper and the fingers' largest difference in m.
+    """
+    made.reset(0)
+    robot = made.robot
+    if not hasattr(made, "cube"):
+        made.cube = made.world.box((0.04, 0.04, 0.04), 0.1, (0.9, 0.4, 0.1, 1.0))  # type: ignore[attr-defined]
+    cube = made.cube  # type: ignore[attr-defined]
+    x = robot.workspace.centre[0]
+    cube.place((x, 0.0, 0.02))
+    poses: list[tuple[float, ...]] = []
+
+    def step(action: Array) -> None:
+        made.step(action)
+        position, turn = cube.pose()
+        poses.append((*position, *turn))
+
+    for height, opening, count in ((0.02, 1.0, 30), (0.02, 0.0, 14), (0.3, 0.0, 20)):
+        for _ in range(count):
+            step(robot.towards((x, 0.0, height), opening))
+    assert robot.pads_touching(cube) == 2
+
+    def held() -> Array:
+        tool = robot._at.tool  # type: ignore[attr-defined]
+        return np.array([tool.x, tool.y, tool.z]) @ np.subtract(cube.pose()[0], tool.position)
+
+    before, apart = held(), 0.0
+    fingers = robot._drives.pads  # type: ignore[attr-defined]
+    for shake in range(24):
+        step(np.array([0.0, 1.0 if shake % 2 else -1.0, 1.0 if shake % 4 < 2 else -1.0, -1.0]))
+        first, second = robot.body.joints(fingers)  # type: ignore[attr-defined]
+        apart = max(apart, abs(first[0] - second[0]))
+    return np.array(poses), float(np.linalg.norm(held() - before)), apart
+
+
+def grasping(robot: str) -> RobotTask:
+    kind = load("robots", robot)
+    return RobotTask(
+        RobotTask.Settings.model_validate({}),
+        robot=kind(kind.Settings(control="cartesian")),
+        task=Grasping(Grasping.Settings.model_validate({"max_steps": 1000})),
+    )
+
+
+@pytest.mark.parametrize("robot", names("robots"))
+def test_gripped_cube_survives_a_shake_alike_in_a_fresh_and_a_reused_world(robot: str) -> None:
+    made = grasping(robot)
+    poses, creep, apart = shaken_cube(made)
+    assert creep < 0.002
+    assert apart < 0.001
+    np.testing.assert_array_equal(shaken_cube(made)[0], poses)
+    made.close()
+    fresh = grasping(robot)
+    np.testing.assert_array_equal(shaken_cube(fresh)[0], poses)
+    fresh.close()

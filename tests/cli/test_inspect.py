@@ -1,0 +1,57 @@
+from __future__ import annotations
+
+import json
+from pathlib import Path
+
+import numpy as np
+import pytest
+from commands import call
+from karolos_cli.inspect import app
+from PIL import Image
+
+from karolos.inspection import halved
+from karolos.registry import names
+
+SMALL = ("--width", "32", "--height", "24")
+
+
+@pytest.mark.parametrize("name", names("robots"))
+def test_robot_is_shown_with_a_picture(name: str, tmp_path: Path) -> None:
+    target = tmp_path / "robot.png"
+    code, out, err = call(app, "robot", name, "--picture", str(target), *SMALL, "--json")
+    assert code == 0, err
+    found = json.loads(out)
+    assert found["joints"]
+    assert {"action (joint)", "action (cartesian)", "parameters", "settings", "tool"} <= set(found)
+    assert Image.open(target).size == (32, 24)
+
+
+@pytest.mark.parametrize("name", names("tasks"))
+def test_task_is_shown_with_a_picture(name: str, tmp_path: Path) -> None:
+    target = tmp_path / "task.png"
+    code, out, err = call(app, "task", name, "--picture", str(target), *SMALL)
+    assert code == 0, err
+    assert "task.gravity" in out
+    assert "What counts as success" in out or "success" in out
+    assert target.exists()
+
+
+def test_floor_gives_an_interval() -> None:
+    code, out, _ = call(app, "task", "reach", "--floor", "--episodes", "3", "--json")
+    assert code == 0
+    row = json.loads(out)
+    assert row["episodes"] == 3
+    assert row["low"] <= row["success_end"] <= row["high"]
+
+
+def test_unknown_names_and_bad_files_are_refused(tmp_path: Path) -> None:
+    assert call(app, "robot", "pandda")[0] == 2
+    assert call(app, "task", "reach", "--picture", str(tmp_path / "x.txt"))[0] == 2
+    assert call(app, "task", "reach", "--picture", str(tmp_path / "none" / "x.png"))[0] == 2
+
+
+def test_halving_takes_the_mean() -> None:
+    picture = np.zeros((4, 4, 3), np.uint8)
+    picture[0, 0] = 255
+    assert halved(picture)[0, 0].tolist() == [64, 64, 64]
+    assert halved(picture)[1].max() == 0
