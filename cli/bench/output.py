@@ -1,0 +1,35 @@
+"""How the benchmarks print what they measured."""
+
+from __future__ import annotations
+
+import json
+from collections.abc import Iterable
+from typing import TYPE_CHECKING
+
+import typer
+
+if TYPE_CHECKING:
+    from karolos.benchmarks.row import Row
+
+COLUMNS = ("benchmark", "case", "value", "unit", "peer", "peer_value", "ratio")
+
+
+def print_rows(rows: Iterable[Row], *, as_json: bool) -> None:
+    """Rows on stdout: a table, or one JSON object per line."""
+    table = [row.dump() for row in rows]
+    if as_json:
+        for line in table:
+            typer.echo(json.dumps(line))
+        return
+    cells = [COLUMNS, *(tuple(_cell(line[column]) for column in COLUMNS) for line in table)]
+    widths = [max(len(row[column]) for row in cells) for column in range(len(COLUMNS))]
+    for row in cells:
+        typer.echo("  ".join(text.ljust(width) for text, width in zip(row, widths, strict=True)).rstrip())
+
+
+def _cell(value: object) -> str:
+    if value is None:
+        return "-"
+    if isinstance(value, float):
+        return f"{value:,.0f}" if value >= 1000 else f"{value:.3g}"
+    return str(value)
