@@ -1,7 +1,8 @@
 """Checkpoints: a folder of files that is whole or not there, and says so when it is damaged.
 
     <name>/<part>.pt        one file per part, written by torch.save, read with weights_only=True and nothing else
-    <name>/manifest.json    format, meta, size and sha256 of each file, sha256 of itself; written last
+    <name>/manifest.json    format, meta, size and sha256 of each file, blocks, sha256 of itself; written last
+    .blocks/                large arrays in pieces, which checkpoints share (`karolos.blocks`)
 
 A checkpoint is written beside the old one and takes its place by renaming. Killed between the two renames, the old one
 still lies in `.<name>.previous`, where `load` finds it.
@@ -15,11 +16,12 @@ import os
 import pickle
 import re
 import shutil
-from collections.abc import Mapping
+from collections.abc import Collection, Mapping
 from io import BufferedReader
 from pathlib import Path
 from typing import Any, BinaryIO
 
+from .blocks import BlockError, Blocks
 from .core import State
 from .encoding import decode, encode
 from .errors import RunError
@@ -30,6 +32,7 @@ FORMAT = 1
 _PART = re.compile(r"[a-z][a-z0-9_]{0,31}")
 _PREVIOUS = re.compile(r"\.(.*)\.previous")
 _MANIFEST = "manifest.json"
+_BLOCKS = ".blocks"
 _MANIFEST_BYTES = 1 << 24
 _MALFORMED = (RuntimeError, ValueError, KeyError, TypeError, AttributeError, AssertionError, EOFError, OverflowError)
 """What torch's reader and `decode` raise on files that were made to look like checkpoints."""
@@ -64,17 +67,27 @@ def save(folder: Path, name: str, parts: Mapping[str, State], meta: Mapping[str,
         try:
             shutil.rmtree(fresh, ignore_errors=True)  # what a killed process left
             fresh.mkdir()
-            files = {part: _write_part(fresh / f"{part}.pt", encode(state, part)) for part, state in parts.items()}
-            _write_manifest(fresh, files, meta)
+            blocks = Blocks(folder / _BLOCKS)
+            files = {
+                part: _write_part(fresh / f"{part}.pt", encode(state, part, blocks)) for part, state in parts.items()
+            }
+            blocks.sync()
+            _write_manifest(fresh, {"meta": dict(meta), "files": files, "blocks": sorted(blocks.used)})
         except BaseException:  # an interrupt, too, leaves nothing behind
             shutil.rmtree(fresh, ignore_errors=True)
             raise
         _put_in_place(fresh, target)
+        _sweep(folder)
     return target
 
 
-def load(folder: Path, name: str) -> tuple[dict[str, State], dict[str, Any]]:
+def load(folder: Path, name: str, only: Collection[str] | None = None) -> tuple[dict[str, State], dict[str, Any]]:
     """Read a checkpoint: its parts and its meta.
+
+    Args:
+        folder: where the checkpoints of the run lie.
+        name: of the checkpoint.
+        only: parts to read; all of them unless told otherwise.
 
     Raises:
         CheckpointError: it is missing, truncated, changed, from a newer karolos, or holds what is no plain state.
@@ -82,11 +95,11 @@ def load(folder: Path, name: str) -> tuple[dict[str, State], dict[str, Any]]:
     path = _find(folder, name)
     before = _identity(path)
     try:
-        return _load(path)
+        return _load(path, only)
     except CheckpointError:
         if _identity(_find(folder, name)) == before:
             raise
-    return load(folder, name)  # a run that goes on put a new one in its place while this one was read
+    return load(folder, name, only)  # a run that goes on put a new one in its place while this one was read
 
 
 def read_meta(folder: Path, name: str) -> dict[str, Any]:
@@ -107,10 +120,26 @@ def names(folder: Path) -> tuple[str, ...]:
     return tuple(sorted(name for name in found if _PART.fullmatch(name)))
 
 
-def _load(path: Path) -> tuple[dict[str, State], dict[str, Any]]:
+def _load(path: Path, only: Collection[str] | None) -> tuple[dict[str, State], dict[str, Any]]:
     manifest = _read_manifest(path)
-    parts = {part: _read_part(path / f"{part}.pt", facts) for part, facts in manifest["files"].items()}
+    parts = {
+        part: _read_part(path / f"{part}.pt", facts)
+        for part, facts in manifest["files"].items()
+        if only is None or part in only
+    }
     return parts, manifest["meta"]
+
+
+def _sweep(folder: Path) -> None:
+    """Remove blocks that no checkpoint uses. One whose manifest cannot be read might: then all are kept."""
+    keep: set[str] = set()
+    for path in folder.iterdir():
+        if path.is_dir() and path.name != _BLOCKS and not path.name.endswith(".new"):
+            try:
+                keep.update(_read_manifest(path).get("blocks", ()))
+            except CheckpointError:
+                return
+    Blocks(folder / _BLOCKS).sweep(keep)
 
 
 def _identity(path: Path) -> tuple[int, int] | None:
@@ -197,8 +226,8 @@ def _write_part(path: Path, state: Any) -> dict[str, Any]:
     return sink.facts()
 
 
-def _write_manifest(path: Path, files: Mapping[str, Any], meta: Mapping[str, Any]) -> None:
-    manifest: dict[str, Any] = {"format": FORMAT, "meta": dict(meta), "files": dict(files)}
+def _write_manifest(path: Path, content: Mapping[str, Any]) -> None:
+    manifest: dict[str, Any] = {"format": FORMAT, **content}
     manifest["sha256"] = _digest(manifest)
     with (path / _MANIFEST).open("w", encoding="utf-8", newline="\n") as file:
         json.dump(manifest, file, indent=2, allow_nan=False)
@@ -244,9 +273,13 @@ def _read_part(path: Path, facts: Any) -> State:
         with path.open("rb") as file:
             _verify(file, facts, path)
             file.seek(0)
-            state = decode(torch.load(file, map_location="cpu", weights_only=True))
+            state = decode(
+                torch.load(file, map_location="cpu", weights_only=True), Blocks(path.parent.parent / _BLOCKS)
+            )
     except OSError as error:
         raise _damaged(path, f"it cannot be read ({error.strerror})") from error
+    except BlockError as error:
+        raise _damaged(path, str(error)) from error
     except (pickle.UnpicklingError, *_MALFORMED) as error:
         raise CheckpointError(
             "the checkpoint holds what is no plain state, and was not loaded",
