@@ -23,6 +23,7 @@ Database = Annotated[
         show_default=False,
     ),
 ]
+RUN_HELP = "A run's id or how it begins, @last for the newest, or a run folder."
 PIPE_WIDTH = 500
 """Columns of a table that goes into a pipe."""
 Json = Annotated[bool, typer.Option("--json", help="One JSON object per row.")]

@@ -14,7 +14,7 @@ from . import bench, inspect, plugins, runs, spec
 from .board import board
 from .check import check
 from .play import play
-from .run import run
+from .run import resume, run
 
 app = typer.Typer(
     name="karolos",
@@ -24,6 +24,7 @@ app = typer.Typer(
     pretty_exceptions_enable=False,
 )
 app.command()(run)
+app.command()(resume)
 app.command()(check)
 app.add_typer(spec.app)
 app.add_typer(plugins.app)

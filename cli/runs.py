@@ -11,13 +11,14 @@ from typing import TYPE_CHECKING, Annotated, Any
 
 import typer
 
-from .common import Database, Json, Runs, print_rich, rows
+from .common import RUN_HELP, Database, Json, Runs, print_rich, rows
 from .selection import open_store
 
 if TYPE_CHECKING:
     from karolos.run_folder import RunFolder
     from karolos.run_records import RunSummary
     from karolos.store import Store, StoredTest
+    from karolos.testing import TestResult
 
 app = typer.Typer(name="runs", help="List runs and show what became of them.", no_args_is_help=True)
 
@@ -51,7 +52,7 @@ def list_runs(
 
 @app.command()
 def show(
-    run: Annotated[str, typer.Argument(metavar="RUN", help="A run's id or how it begins, or @last for the newest.")],
+    run: Annotated[str, typer.Argument(metavar="RUN", help=RUN_HELP)],
     runs: Runs = Path("runs"),
     database: Database = None,
     json: Json = False,
@@ -80,13 +81,19 @@ class _View:
     spec: Mapping[str, Any]
     checkpoints: Sequence[Mapping[str, Any]] = ()
     problems: Sequence[str] = ()
+    results: Sequence[TestResult] = ()
+    """The tests episode by episode, as far as the folder has them."""
     about: Mapping[str, Any] = field(default_factory=dict)
     """Versions, machine, command and git commit."""
 
     def row(self) -> dict[str, Any]:
+        from karolos.testing import WITHIN
+
+        known = [result for result in self.results if result.distances]
+        near = {one.steps: {"within_m": {f"{far:g}": one.within(far) for far in WITHIN}} for one in known}
         return {
             **self.summary.row(),
-            "tests": [_test_row(test) for test in self.tests],
+            "tests": [_test_row(test) | near.get(test.steps, {}) for test in self.tests],
             "checkpoints": list(self.checkpoints),
             "problems": list(self.problems),
             "spec": self.spec,
@@ -108,6 +115,7 @@ def _from_folder(summary: RunSummary) -> _View:
         spec=record.spec,
         checkpoints=checkpoints,
         problems=(*record.problems, *damaged),
+        results=record.tests,
         about={key: description.get(key) for key in ("versions", "machine", "command", "git")},
     )
 
@@ -174,7 +182,7 @@ def _print_view(view: _View) -> None:
         "versions": ", ".join(f"{name} {version}" for name, version in (about.get("versions") or {}).items()) or None,
     }
     print_rich(facts_table(facts))
-    print_rich(table_of_tests(view.tests, title="tests") if view.tests else "\nno tests yet\n")
+    print_rich(table_of_tests(view.tests, view.results, title="tests") if view.tests else "\nno tests yet\n")
     print_rich(facts_table(dict(flatten(view.spec)), title="spec"))
     for problem in view.problems:
         print(f"warning: {problem}", file=sys.stderr)

@@ -5,12 +5,20 @@ from __future__ import annotations
 from collections.abc import Iterator
 from contextlib import contextmanager
 
-from .core import Agent, Buffer, Orchestrator, Signature
+from .core import Agent, Buffer, Environment, Orchestrator, Signature
+from .demonstrations import expert_of
 from .environments.build import build_environment
 from .errors import KarolosError, UsageError
 from .registry import load
 from .seeding import SeedTree
 from .spec import Spec
+
+REPLAY_AMOUNTS = {
+    "batch_size": "remove it; agent.minibatches and buffer.rollout say how large a batch is",
+    "replay_ratio": "remove it; agent.epochs says how often each transition is learned from",
+    "warmup_episodes": "remove it; there is no warm-up",
+}
+"""What an on-policy agent does not go by, and what to do instead."""
 
 
 def make_orchestrator(spec: Spec, *, randomize: bool) -> Orchestrator:
@@ -41,24 +49,75 @@ def make_buffer(spec: Spec, signature: Signature, seeds: SeedTree, *, environmen
 def check_parts(spec: Spec) -> None:
     """Put the spec's parts together once, so that those that cannot work are refused before anything runs.
 
-    Builds one environment (no world is simulated), the agent and the buffer, and lets them go.
+    Builds one environment (no world is simulated, unless an expert is needed), the agent and the buffer, and lets them
+    go.
 
     Raises:
         UsageError: two parts do not go together; names the setting and where it was set.
         KarolosError: a plugin or the machine stands in the way.
     """
-    with _located(spec):
+    with located(spec):
         environment = build_environment(spec.recipe(randomize=True))
         try:
             agent = make_agent(spec, environment.signature, SeedTree(0))
             size = getattr(spec.orchestrator.settings, "size", 1)
-            make_buffer(spec, environment.signature, SeedTree(0), environments=size, discount=agent.discount)
+            buffer = make_buffer(spec, environment.signature, SeedTree(0), environments=size, discount=agent.discount)
+            _check_amounts(spec)
+            _check_demonstrations(spec, environment, buffer)
         finally:
             environment.close()
 
 
+def _check_amounts(spec: Spec) -> None:
+    """Raise a UsageError for an amount of training that the agent does not go by, or that cannot be had."""
+    amounts = spec.training
+    if not load("agents", spec.agent.name).on_policy:
+        capacity = getattr(spec.buffer.settings, "capacity", amounts.batch_size)
+        if amounts.batch_size > capacity:
+            raise UsageError(
+                f"a batch of {amounts.batch_size} is larger than the buffer, which keeps {capacity} transitions",
+                where="training.batch_size" if _is_set(spec, "batch_size") else "buffer.capacity",
+                hint="lower training.batch_size, or raise buffer.capacity",
+            )
+        return
+    for name, instead in REPLAY_AMOUNTS.items():
+        if _is_set(spec, name):
+            raise UsageError(
+                f"{getattr(amounts, name):g} says nothing to {spec.agent.name}, which learns from its own latest "
+                "actions, each as often as its own settings say",
+                where=f"training.{name}",
+                hint=instead,
+            )
+    played = getattr(spec.buffer.settings, "rollout", 1) * getattr(spec.orchestrator.settings, "size", 1)
+    minibatches = getattr(spec.agent.settings, "minibatches", 1)
+    if minibatches > played:
+        raise UsageError(
+            f"a rollout of {played} transitions cannot be split into {minibatches} minibatches",
+            where="agent.minibatches",
+            hint="raise buffer.rollout, or lower agent.minibatches",
+        )
+
+
+def _is_set(spec: Spec, name: str) -> bool:
+    """Whether this setting of `training` is not the default. A resolved spec names its defaults too."""
+    return bool(getattr(spec.training, name) != type(spec.training).model_fields[name].default)
+
+
+def _check_demonstrations(spec: Spec, environment: Environment, buffer: Buffer) -> None:
+    """Raise a UsageError where demonstrations are asked for and cannot be had, or learned from and not asked for."""
+    if spec.demonstrations is not None:
+        buffer.keep(())
+        expert_of(environment)
+    elif getattr(spec.agent.settings, "imitation", 0) > 0:
+        raise UsageError(
+            "there are no demonstrations to imitate",
+            where="agent.imitation",
+            hint="add demonstrations: {episodes: 100}, or set agent.imitation=0",
+        )
+
+
 @contextmanager
-def _located(spec: Spec) -> Iterator[None]:
+def located(spec: Spec) -> Iterator[None]:
     """Say where the setting that an error names was set: file:line:column, or the override."""
     try:
         yield

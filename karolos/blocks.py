@@ -39,7 +39,7 @@ class Blocks:
         Raises:
             OSError: the disk is full or the folder cannot be written; blocks are whole or not there.
         """
-        view = memoryview(data)
+        view = data.data
         names = [self._write_block(view[start : start + SIZE]) for start in range(0, len(view), SIZE)]
         self.used.update(names)
         return names

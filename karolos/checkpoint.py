@@ -81,6 +81,18 @@ def save(folder: Path, name: str, parts: Mapping[str, State], meta: Mapping[str,
     return target
 
 
+def rename(folder: Path, name: str, other: str) -> None:
+    """Give a checkpoint another name, in the place of one that had it; nothing happens when there is none.
+
+    Raises:
+        MachineError: the folder cannot be written.
+    """
+    source, target = below(folder, name), below(folder, other)
+    if source.is_dir():
+        with writing(target):
+            _put_in_place(source, target)
+
+
 def load(folder: Path, name: str, only: Collection[str] | None = None) -> tuple[dict[str, State], dict[str, Any]]:
     """Read a checkpoint: its parts and its meta.
 
@@ -110,6 +122,12 @@ def read_meta(folder: Path, name: str) -> dict[str, Any]:
     """
     meta: dict[str, Any] = _read_manifest(_find(folder, name))["meta"]
     return meta
+
+
+def digest(folder: Path, name: str, part: str) -> str:
+    """The sha256 (hex) of a part of a checkpoint, as its manifest says. Raises as `read_meta` does, and KeyError."""
+    sha256: str = _read_manifest(_find(folder, name))["files"][part]["sha256"]
+    return sha256
 
 
 def names(folder: Path) -> tuple[str, ...]:

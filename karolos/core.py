@@ -10,11 +10,15 @@ from __future__ import annotations
 from abc import ABC, abstractmethod
 from collections.abc import Mapping, Sequence
 from dataclasses import dataclass
-from typing import TYPE_CHECKING, Any, ClassVar, NamedTuple
+from typing import TYPE_CHECKING, Any, ClassVar, Generic, Literal, NamedTuple
 
 import numpy as np
 from numpy.typing import NDArray
-from pydantic import BaseModel, ConfigDict
+from pydantic import BaseModel, ConfigDict, model_validator
+from pydantic import Field as Setting
+from typing_extensions import TypeVar
+
+from .errors import KarolosError, UsageError
 
 if TYPE_CHECKING:
     from .seeding import SeedTree
@@ -30,6 +34,30 @@ class Settings(BaseModel):
     """Base of every plugin's nested `Settings`: frozen, and every key is known."""
 
     model_config = ConfigDict(extra="forbid", frozen=True, allow_inf_nan=False)
+
+
+class AgentSettings(Settings):
+    """Base of every agent's nested `Settings`."""
+
+    start_from: str | None = Setting(
+        None, description="run id or folder of a run whose agent to go on from: what it learned, not its optimisers"
+    )
+    start_checkpoint: Literal["best", "last"] = Setting("best", description="which of that run's checkpoints")
+    start_sha256: str | None = Setting(
+        None,
+        pattern="^[0-9a-f]{64}$",
+        description="of that checkpoint's agent; null: whatever is found, and noted here",
+    )
+
+    @model_validator(mode="after")
+    def _start_is_whole(self) -> Any:
+        if self.start_from is None and self.start_sha256 is not None:
+            raise ValueError("start_sha256 says what start_from must find: give start_from too")
+        return self
+
+    def identity(self) -> dict[str, Any]:
+        """What results depend on: what was started from, wherever it lies."""
+        return self.model_dump(mode="json", exclude={"start_from", "start_checkpoint"})
 
 
 @dataclass(frozen=True)
@@ -107,6 +135,10 @@ class GoalRule(ABC):
         """Whether arriving there ends the episode: shape (...). By default reaching a goal ends nothing."""
         return np.zeros(np.shape(achieved)[:-1], np.bool_)
 
+    def distance(self, achieved: Array, desired: Array) -> FloatArray | None:  # noqa: ARG002 (part of the interface)
+        """How far from the goal that is, in m: shape (...); inf where it does not count. None: the rule knows none."""
+        return None
+
 
 @dataclass(frozen=True)
 class Signature:
@@ -123,6 +155,13 @@ class Signature:
     """None: the environment has no goals, and both goal layouts are empty."""
     parameters: Layout = Layout()
     """What domain randomization draws at each reset, in the order in which `Environment.parameters` gives it."""
+
+
+def random_actions(signature: Signature, size: int, generator: np.random.Generator) -> FloatArray:
+    """Uniform actions (size, action.size), for warm-up and for the floor that a random policy sets."""
+    if isinstance(signature.action, Discrete):
+        return generator.integers(len(signature.action.labels), size=(size, 1)).astype(np.float32)
+    return generator.uniform(-1, 1, (size, signature.action.size)).astype(np.float32)
 
 
 class Step(NamedTuple):
@@ -178,6 +217,32 @@ class Batch(NamedTuple):
     """Importance weights; 1 for uniform sampling."""
     slot: NDArray[np.int64]
     """Where each transition lies in the buffer, for `Buffer.update_priorities`."""
+    demonstrated: FloatArray | None = None
+    """1 where an expert took the action, else 0; None: the buffer holds no demonstrations."""
+
+
+class Rollout(NamedTuple):
+    """What n environments played under one policy: at most T successive transitions of each, in their order.
+
+    Arrays with the leading axes (T, n). Where an environment has fewer than T, the rows after its last are not
+    `stored`.
+    """
+
+    observation: FloatArray
+    desired_goal: FloatArray
+    action: FloatArray
+    """As the agent gave them, before they were clipped to what the environment takes."""
+    reward: FloatArray
+    next_observation: FloatArray
+    terminated: BoolArray
+    """No value lies beyond."""
+    ended: BoolArray
+    """The row after this one does not continue its episode: terminated, truncated, cut short, or nothing follows."""
+    stored: BoolArray
+
+
+Experience = TypeVar("Experience", Batch, Rollout, default=Batch)
+"""What an agent learns from and a buffer gives: a Batch of old transitions, or (on-policy) a whole Rollout."""
 
 
 class Environment(ABC):
@@ -208,12 +273,17 @@ class Environment(ABC):
         """Free what the environment holds. Safe to call twice."""
 
 
-class Agent(ABC):
-    """A reinforcement-learning algorithm: acts, and learns from batches. Owns no buffer, file or environment."""
+class Agent(ABC, Generic[Experience]):
+    """A reinforcement-learning algorithm: acts, and learns from what it is given. Owns no buffer, file or environment.
+
+    `Agent` alone learns from batches; an on-policy one is an `Agent[Rollout]`.
+    """
 
     Settings: ClassVar[type[BaseModel]]
     on_policy: ClassVar[bool]
     """Whether it must learn from its own latest actions only (PPO) or can learn from old ones (replay)."""
+    learned: ClassVar[tuple[str, ...]] = ()
+    """Keys of its state that hold what it has learned, which an agent of the same kind can start from."""
 
     discount: float
 
@@ -221,14 +291,36 @@ class Agent(ABC):
     def __init__(self, settings: Any, signature: Signature, seeds: SeedTree, device: str = "cpu") -> None: ...
 
     @abstractmethod
-    def act(self, observation: FloatArray, desired_goal: FloatArray, *, explore: bool) -> FloatArray:
-        """Actions (n, a) for observations (n, o) and goals (n, g). Without exploration it is deterministic."""
+    def act(
+        self,
+        observation: FloatArray,
+        desired_goal: FloatArray,
+        *,
+        explore: bool,
+        environments: NDArray[np.int64] | None = None,
+    ) -> FloatArray:
+        """Actions (n, a) for observations (n, o) and goals (n, g). Without exploration it is deterministic.
+
+        Continuous ones lie in [-1, 1], but for those of an exploring on-policy agent: they are stored as they are, and
+        clipped for the environment.
+
+        Args:
+            observation: (n, o).
+            desired_goal: (n, g).
+            explore: act as in training.
+            environments: whose rows these are, (n,), for exploration that remembers; None: 0 .. n - 1.
+        """
+
+    def begin_episodes(self, environments: NDArray[np.int64]) -> None:
+        """New episodes begin in these environments. Nothing to do where exploration remembers nothing of the old."""
 
     @abstractmethod
-    def learn(self, batch: Batch) -> Mapping[str, Any]:
-        """One gradient update. Returns named scalars as tensors on the device, read by whoever needs a number.
+    def learn(self, batch: Experience) -> Mapping[str, Any]:
+        """One gradient update from a batch, or all those that a rollout is good for.
 
-        May hold "priorities": (n,) one non-negative number for each transition, the size of its error.
+        Returns named scalars as tensors on the device, read by whoever needs a number. May hold "priorities": (n,) one
+        non-negative number for each transition, the size of its error; and "updates": how many updates it took, if not
+        one.
         """
 
     @abstractmethod
@@ -238,9 +330,23 @@ class Agent(ABC):
     @abstractmethod
     def load_state(self, state: State) -> None: ...
 
+    def start_from(self, state: State) -> None:
+        """Take over what another agent of the same kind has learned; optimisers and generators stay as they are.
 
-class Buffer(ABC):
-    """Stores transitions and gives batches."""
+        Raises:
+            UsageError: this kind of agent does not say what it learns, or the state is of networks of another shape.
+        """
+        if not self.learned:
+            raise UsageError(
+                f"{type(self).__name__} cannot start from another run's agent",
+                where="agent.start_from",
+                hint="its class would have to name what it learns: `learned`",
+            )
+        self.load_state({**self.state(), **{key: state[key] for key in self.learned}})
+
+
+class Buffer(ABC, Generic[Experience]):
+    """Stores transitions and gives batches; an on-policy one is a `Buffer[Rollout]` and gives each rollout once."""
 
     Settings: ClassVar[type[BaseModel]]
     on_policy: ClassVar[bool]
@@ -259,15 +365,37 @@ class Buffer(ABC):
         """End the running episodes of these environments as they stand; the next transition begins a new one."""
 
     @abstractmethod
-    def sample(self, size: int) -> Batch:
-        """`size` transitions. The arrays are valid until the next call."""
+    def sample(self, size: int) -> Experience:
+        """`size` transitions; a rollout is given as a whole, with `size = len(buffer)`.
 
-    def update_priorities(self, slot: NDArray[np.int64], priorities: FloatArray) -> None:  # noqa: B027
+        The arrays are valid until the next call; those of a rollout until the next `add`.
+        """
+
+    def keep(self, episodes: Sequence[Transitions]) -> None:  # noqa: ARG002 (part of the interface)
+        """Store demonstrations for good, beside the environments' transitions and sampled as they are.
+
+        Args:
+            episodes: whole ones, each with its steps along the leading axis; `environment` is not looked at.
+
+        Raises:
+            UsageError: this buffer has no place for them.
+        """
+        raise UsageError(
+            f"{type(self).__name__} keeps no demonstrations",
+            where="demonstrations",
+            hint="use a replay buffer, e.g. uniform, and an agent that learns from it",
+        )
+
+    def metrics(self) -> Mapping[str, float]:
+        """Numbers about what is stored, for whoever watches a run; nothing by default."""
+        return {}
+
+    def update_priorities(self, slot: NDArray[np.int64], priorities: FloatArray) -> None:
         """Tell the sampler how large the errors of a batch were. Nothing to do where sampling is uniform."""
 
     @abstractmethod
     def __len__(self) -> int:
-        """Transitions that can be sampled now."""
+        """Transitions that can be sampled now: none of a rollout before it is complete."""
 
     @abstractmethod
     def state(self) -> State: ...
@@ -276,15 +404,39 @@ class Buffer(ABC):
     def load_state(self, state: State) -> None: ...
 
 
+class Failure(NamedTuple):
+    """An environment that raised, or a worker that died or hung: these environments have lost their episodes."""
+
+    environment: NDArray[np.int64]
+    error: KarolosError
+
+
 class Received(NamedTuple):
     """What an orchestrator gives back: the environments that answered, in ascending order, and their steps."""
 
     environment: NDArray[np.int64]
     step: Step
+    updates: NDArray[np.int64]
+    """The gradient updates behind the policy that chose each action, as `Orchestrator.step` was told; -1 after a
+    reset. What has been learned since is the policy lag."""
+    failures: tuple[Failure, ...] = ()
+
+    @property
+    def failed(self) -> NDArray[np.int64]:
+        """The environments that have lost their episodes, in ascending order."""
+        return np.unique(np.concatenate([np.zeros(0, np.int64), *(failure.environment for failure in self.failures)]))
 
 
 class Orchestrator(ABC):
-    """Many environments, addressed by id 0 .. size - 1, each with at most one command under way."""
+    """Many environments, addressed by id 0 .. size - 1, each with at most one command under way.
+
+    Failure. An environment that raises, or whose worker dies or hangs, loses its episode, whether it was busy or idle.
+    The next `receive` names it in `failed`, with the reason in `failures`, and gives no answer of it. It is idle then
+    and has no episode before it is reset, which builds it anew, with a new worker where the old one is gone. A loop
+    therefore cuts the lost episodes short in its buffer (`buffer.cut(received.failed)`), forgets what it counted of
+    them, notes the failures and resets these environments with fresh seeds; the reset may fail as any command may.
+    What goes on failing raises from `receive`, so that no loop has to count.
+    """
 
     signature: Signature
     size: int
@@ -294,16 +446,26 @@ class Orchestrator(ABC):
         """Begin an episode in each environment named, with the seed that stands beside it. Does not wait."""
 
     @abstractmethod
-    def step(self, environments: Sequence[int] | NDArray[np.int64], actions: FloatArray) -> None:
-        """Hand each environment named its row of actions. Does not wait."""
+    def step(self, environments: Sequence[int] | NDArray[np.int64], actions: FloatArray, *, updates: int = 0) -> None:
+        """Hand each environment named its row of actions. Does not wait.
+
+        `updates` says how many gradient updates the policy behind the actions had seen, and comes back with the step.
+        """
 
     @abstractmethod
-    def receive(self) -> Received:
-        """Wait for all commands under way. The arrays are the caller's to keep."""
+    def receive(self, at_least: int | None = None) -> Received:
+        """Wait for all commands under way (lockstep), or until `at_least` environments have answered or failed (async).
+
+        Gives all that has answered by then; 0 does not wait. The arrays are the caller's to keep.
+        """
 
     @abstractmethod
     def parameters(self, environments: Sequence[int] | NDArray[np.int64]) -> FloatArray:
         """What domain randomization drew for the running episodes: (n, signature.parameters.size)."""
+
+    def describe(self) -> dict[str, Any]:
+        """How the environments share the machine, and what led to it, for the record; JSON-able."""
+        return {}
 
     @abstractmethod
     def close(self) -> None:

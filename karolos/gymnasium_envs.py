@@ -40,8 +40,8 @@ class RobotTaskEnv(gymnasium.Env[Observation, NDArray[np.float32]]):
     """One robot with one task, by gymnasium's interface for goal environments.
 
     Observation: a dict of `observation` (o,), `achieved_goal` (a,) and `desired_goal` (d,), float32. Action: (n,) in
-    [-1, 1]. An episode is truncated after the task's `max_steps` by the environment itself. `reset(seed=s)` begins the
-    very episode that karolos has under the seed s.
+    [-1, 1], or with `actions="discrete"` the number of one. An episode is truncated after the task's `max_steps` by the
+    environment itself. `reset(seed=s)` begins the very episode that karolos has under the seed s.
 
     Args:
         robot: name of a robot.
@@ -50,8 +50,8 @@ class RobotTaskEnv(gymnasium.Env[Observation, NDArray[np.float32]]):
         width: of a picture in pixels.
         height: of a picture in pixels.
         randomization: as in a spec, e.g. {"task.gravity": {"name": "normal", "mean": -9.81, "std": 0.1}}.
-        settings: of the robot, of the task and of the environment that joins them (`substeps`); each goes to whoever
-            declares it.
+        settings: of the robot, of the task and of the environment that joins them (`substeps`, `actions`); each goes to
+            whoever declares it.
 
     Raises:
         UsageError: a setting that nobody declares, or a value that is not allowed.
@@ -89,7 +89,7 @@ class RobotTaskEnv(gymnasium.Env[Observation, NDArray[np.float32]]):
         self._rule = signature.goal_rule
         self._parameters = signature.parameters.names
         self._drawn = 0.0
-        self.action_space = gymnasium.spaces.Box(-1.0, 1.0, (signature.action.size,), np.float32)
+        self.action_space = _action_space(signature.action)
         self.observation_space = gymnasium.spaces.Dict(  # type: ignore[assignment]  # a Dict of Boxes is what it gives
             {
                 name: gymnasium.spaces.Box(-np.inf, np.inf, (getattr(signature, name).size,), np.float32)
@@ -150,6 +150,14 @@ class RobotTaskEnv(gymnasium.Env[Observation, NDArray[np.float32]]):
 
     def close(self) -> None:
         self._environment.close()
+
+
+def _action_space(action: Any) -> Any:
+    from .core import Discrete  # noqa: PLC0415
+
+    if isinstance(action, Discrete):
+        return gymnasium.spaces.Discrete(len(action.labels))
+    return gymnasium.spaces.Box(-1.0, 1.0, (action.size,), np.float32)
 
 
 def _observed(step: Any) -> Observation:

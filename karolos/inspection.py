@@ -4,7 +4,7 @@ from __future__ import annotations
 
 from collections.abc import Mapping
 from dataclasses import dataclass, field
-from typing import Any
+from typing import Any, Literal, get_args, get_origin
 
 import numpy as np
 from numpy.typing import NDArray
@@ -15,10 +15,9 @@ from .environments.robot_task import RobotTask
 from .errors import PluginError
 from .randomization.parameter import Parameter
 from .registry import load
+from .scoring import Score, random_policy, score
 from .spec.recipe import Part, Recipe
-from .statistics import wilson
 from .testing import test_seeds
-from .training import random_actions
 
 Facts = dict[str, Any]
 """One line: names of columns to values that JSON knows."""
@@ -32,18 +31,6 @@ class Inspection:
     about: str
     tables: dict[str, list[Facts]] = field(default_factory=dict)
     picture: NDArray[np.uint8] | None = None
-
-
-@dataclass(frozen=True)
-class Floor:
-    """What a random policy achieves."""
-
-    episodes: int
-    success_any: float
-    success_end: float
-    low: float
-    """End of the 95 % Wilson interval of `success_end`."""
-    high: float
 
 
 def pair(robot: str, task: str, **robot_settings: Any) -> RobotTask:
@@ -71,7 +58,7 @@ def inspect_robot(name: str, *, size: tuple[int, int] | None = (960, 720)) -> In
     """A robot with its gripper, where it has one. `size`: of the picture in pixels; None: no picture."""
     plugin = load("robots", name)
     control = plugin.Settings.model_fields.get("control")
-    modes = [None] if control is None else list(getattr(control.annotation, "__args__", (None,)))
+    modes = _modes(control.annotation if control else None) or [None]
     robots = {mode: _prepared(plugin, mode) for mode in modes}
     first = next(iter(robots.values()))
     limits, workspace = first.limits, first.workspace
@@ -99,6 +86,13 @@ def inspect_robot(name: str, *, size: tuple[int, int] | None = (960, 720)) -> In
     tables["parameters"] = _parameters({f"robot.{key}": value for key, value in first.parameters.items()})
     tables["settings"] = _settings(plugin)
     return Inspection(name, _about(plugin), tables, _picture(name, None, size))
+
+
+def _modes(annotation: Any) -> list[Any]:
+    """The values that a Literal, possibly one of a union, lists; without None, which names no mode."""
+    if get_origin(annotation) is Literal:
+        return [value for value in get_args(annotation) if value is not None]
+    return [mode for part in get_args(annotation) for mode in _modes(part)]
 
 
 def _prepared(plugin: Any, mode: str | None) -> Any:
@@ -194,21 +188,10 @@ def halved(picture: NDArray[np.uint8]) -> NDArray[np.uint8]:
     return mean
 
 
-def floor(robot: str, task: str, *, episodes: int = 100, seed: int = 0) -> Floor:
+def floor(robot: str, task: str, *, episodes: int = 100, seed: int = 0, **robot_settings: Any) -> Score:
     """Success of uniformly random actions in the first test episodes under the root `seed`."""
-    environment = pair(robot, task)
-    generator = np.random.Generator(np.random.PCG64(seed))
-    reached = held = 0
+    environment = pair(robot, task, **robot_settings)
     try:
-        for episode_seed in test_seeds(seed, episodes):
-            step = environment.reset(episode_seed)
-            ever = bool(step.success)
-            while not (step.terminated or step.truncated):
-                step = environment.step(random_actions(environment.signature, 1, generator)[0])
-                ever = ever or bool(step.success)
-            reached += ever
-            held += bool(step.success)
+        return score(environment, random_policy(environment, seed), episodes=episodes, seed=seed)
     finally:
         environment.close()
-    low, high = wilson(held, episodes)
-    return Floor(episodes, reached / episodes, held / episodes, low, high)

@@ -44,7 +44,7 @@ def run_side_by_side(
     found: list[RunSummary] = []
     told = False
     while waiting or running:
-        if stop.signal is not None and not told:
+        if stop.asked and not told:
             told = True
             waiting.clear()
             for job in running:

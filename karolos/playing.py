@@ -78,17 +78,22 @@ def load_expert(spec: Spec, *, window: bool = False) -> tuple[Environment, Polic
     """
     environment = _environment(spec, window)
     try:
-        if not isinstance(environment, RobotTask):
-            raise UsageError("there is no expert for this environment", where="environment", hint="tasks have experts")
-        expert = environment.expert()
+        return environment, expert_policy(environment)
     except BaseException:
         environment.close()
         raise
 
-    def policy(_: Step) -> NDArray[np.float32]:
+
+def expert_policy(environment: Environment) -> Policy:
+    """The scripted policy of the environment's task. Raises UsageError where there is none."""
+    if not isinstance(environment, RobotTask):
+        raise UsageError("there is no expert for this environment", where="environment", hint="tasks have experts")
+    expert = environment.expert()
+
+    def act(_: Step) -> NDArray[np.float32]:
         return np.asarray(expert.act(), np.float32)
 
-    return environment, Policy(policy, expert.reset)
+    return Policy(act, expert.reset)
 
 
 def _environment(spec: Spec, window: bool) -> Environment:

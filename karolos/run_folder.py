@@ -21,6 +21,7 @@ from __future__ import annotations
 import os
 from collections.abc import Iterable, Iterator, Mapping
 from datetime import UTC, datetime
+from fnmatch import fnmatchcase
 from pathlib import Path
 from types import TracebackType
 from typing import Any
@@ -228,6 +229,18 @@ class RunFolder:
         """Keep a test's result for good: it is on the disk when this returns."""
         append_lines(self.path / "tests.jsonl", [encode_test(result)])
 
+    def episodes_bytes(self) -> int:
+        """How long episodes.jsonl is, for `cut_episodes` after the process died."""
+        path = self.path / "episodes.jsonl"
+        return path.stat().st_size if path.exists() else 0
+
+    def cut_episodes(self, size: int) -> None:
+        """Forget the training episodes after this many bytes: a run that goes on plays them again."""
+        path = self.path / "episodes.jsonl"
+        if path.exists() and path.stat().st_size > size:
+            with writing(path):
+                os.truncate(path, size)
+
     def add_episodes(self, episodes: Iterable[Mapping[str, Any]]) -> None:
         """Keep the records of training episodes, JSON values each."""
         append_lines(self.path / "episodes.jsonl", episodes)
@@ -283,10 +296,15 @@ class RunFolder:
         write_json(self.path / "state.json", state.to_row())
 
 
-def scan(runs: str | Path) -> Iterator[RunFolder | RunError]:
-    """The run folders in a runs folder, by name; for a damaged one its error. Other folders are passed over."""
+def scan(runs: str | Path, pattern: str = "*") -> Iterator[RunFolder | RunError]:
+    """The run folders in a runs folder, by name; for a damaged one its error. Other folders are passed over.
+
+    Args:
+        runs: the runs folder; one that is not there holds none.
+        pattern: of the folders' names, as a shell's.
+    """
     try:
-        paths = sorted(Path(runs).iterdir())
+        paths = sorted(path for path in Path(runs).iterdir() if fnmatchcase(path.name, pattern))
     except FileNotFoundError:
         paths = []
     except OSError as error:

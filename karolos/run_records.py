@@ -175,9 +175,14 @@ def encode_test(result: TestResult) -> dict[str, Any]:
         "any": [int(flag) for flag in result.any],
         "end": [int(flag) for flag in result.end],
         "reset": [int(flag) for flag in result.reset],
-        "returns": [value if math.isfinite(value) else str(value) for value in map(float, result.returns)],
+        "returns": _numbers(result.returns),
         "lengths": [int(length) for length in result.lengths],
+        **({} if result.distances is None else {"distances": _numbers(result.distances)}),
     }
+
+
+def _numbers(values: Sequence[float]) -> list[float | str]:
+    return [value if math.isfinite(value) else str(value) for value in map(float, values)]
 
 
 def decode_test(row: Mapping[str, Any]) -> TestResult | None:
@@ -191,10 +196,17 @@ def decode_test(row: Mapping[str, Any]) -> TestResult | None:
             reset=tuple(map(bool, row["reset"])),
             returns=tuple(map(float, row["returns"])),
             lengths=tuple(map(int, row["lengths"])),
+            distances=tuple(map(float, row["distances"])) if "distances" in row else None,  # younger than the others
         )
     except (KeyError, TypeError, ValueError):
         return None
-    lists = (result.end, result.reset, result.returns, result.lengths)
+    lists = (
+        result.end,
+        result.reset,
+        result.returns,
+        result.lengths,
+        result.any if result.distances is None else result.distances,
+    )
     whole = result.any and all(len(values) == len(result.any) for values in lists)
     return result if whole else None
 

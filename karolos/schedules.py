@@ -1,4 +1,4 @@
-"""When something is due, as objects with a state instead of modulo arithmetic spread over loops."""
+"""When something is due, and how large it is, as objects instead of modulo arithmetic spread over loops."""
 
 from __future__ import annotations
 
@@ -37,3 +37,17 @@ class Ratio:
         due = max(total - self.counted, 0)
         self.counted = max(self.counted, total)
         return due
+
+
+class Linear:
+    """A number that goes evenly from `start` to `end` while a count grows from 0 to `over`, and stays at `end`."""
+
+    def __init__(self, start: float, end: float, over: int) -> None:
+        if over < 0:
+            raise ValueError(f"a schedule goes over 0 counts or more, not {over}")
+        self.start, self.end, self.over = start, end, over
+
+    def __call__(self, count: int) -> float:
+        if count >= self.over:
+            return self.end
+        return self.start + (self.end - self.start) * count / self.over

@@ -2,13 +2,18 @@
 
 from __future__ import annotations
 
-from collections.abc import Sequence
+from collections.abc import Callable, Sequence
 from dataclasses import dataclass
 
 import numpy as np
+from numpy.typing import NDArray
 
-from .core import Agent, Orchestrator, Step
+from .core import Agent, Failure, Orchestrator, Received
+from .episodes import nothing_yet, put
 from .seeding import SeedTree
+
+WITHIN = (0.05, 0.1, 0.25)
+"""Distances in m for which reports say how many test episodes ended nearer to their goal, whatever the threshold."""
 
 
 @dataclass(frozen=True)
@@ -29,6 +34,8 @@ class TestResult:
     reset: tuple[bool, ...]
     returns: tuple[float, ...]
     lengths: tuple[int, ...]
+    distances: tuple[float, ...] | None = None
+    """From the goal at the last step, in m; inf where it does not count (nothing landed). None: none is known."""
 
     @property
     def episodes(self) -> int:
@@ -44,6 +51,10 @@ class TestResult:
         """Share of episodes in which the goal held at the last step."""
         return sum(self.end) / self.episodes
 
+    def within(self, metres: float) -> float | None:
+        """Share of episodes that ended nearer than this to their goal; None where no distance is known."""
+        return None if self.distances is None else sum(far < metres for far in self.distances) / self.episodes
+
 
 def test_seeds(root: int, episodes: int) -> tuple[int, ...]:
     """Seeds of the test episodes: the same for every run with the same `testing.seed`, so that runs are paired."""
@@ -55,12 +66,19 @@ test_seeds.__test__ = False  # type: ignore[attr-defined]  # a name of the field
 
 
 def play_episodes(
-    orchestrator: Orchestrator, agent: Agent, seeds: Sequence[int], *, steps: int = 0, seconds: float = 0.0
+    orchestrator: Orchestrator,
+    agent: Agent,
+    seeds: Sequence[int],
+    *,
+    steps: int = 0,
+    seconds: float = 0.0,
+    on_failure: Callable[[Failure], object] | None = None,
 ) -> TestResult:
     """Play one episode per seed with the deterministic policy.
 
     Seed k is played by environment k mod size, whatever finishes first: taking the episodes that end soonest
-    would favour short ones, which are the successes. Leaves no episode of the orchestrator's running.
+    would favour short ones, which are the successes. Leaves no episode of the orchestrator's running. An episode whose
+    environment fails is played again from its beginning, and `on_failure` hears of it.
 
     Raises ValueError without seeds.
     """
@@ -72,25 +90,47 @@ def play_episodes(
     solved = np.zeros(count, np.bool_)
     returns = np.zeros(count)
     lengths = np.zeros(count, np.int64)
+    distances = np.full(count, np.nan)
+    rule = orchestrator.signature.goal_rule
+    latest = nothing_yet(orchestrator)
+    playing = np.arange(size)  # the episode that each environment plays; none from `count` on
 
-    playing = np.arange(min(size, count))  # the episode that each active environment plays
-    environments = playing % size
-    orchestrator.reset(environments, [seeds[episode] for episode in playing.tolist()])
-    state = orchestrator.receive().step
-    solved[playing] = reached[playing] = held[playing] = state.success
-    while playing.size:
-        actions = agent.act(state.observation, state.desired_goal, explore=False)
+    def begin(environments: NDArray[np.int64]) -> None:
+        """Begin the episodes that these environments are to play, and again those that fail meanwhile."""
+        while environments.size:
+            orchestrator.reset(environments, [seeds[episode] for episode in playing[environments].tolist()])
+            received = orchestrator.receive()
+            put(latest, received.environment, received.step)
+            episodes = playing[received.environment]
+            solved[episodes] = reached[episodes] = held[episodes] = received.step.success
+            returns[episodes] = lengths[episodes] = 0
+            environments = lost(received)
+
+    def lost(received: Received) -> NDArray[np.int64]:
+        """The environments that failed and have an episode to play."""
+        if on_failure:
+            for failure in received.failures:
+                on_failure(failure)
+        return received.failed[playing[received.failed] < count]
+
+    begin(np.flatnonzero(playing < count))
+    while (environments := np.flatnonzero(playing < count)).size:
+        actions = agent.act(latest.observation[environments], latest.desired_goal[environments], explore=False)
         orchestrator.step(environments, actions)
-        state = orchestrator.receive().step
-        returns[playing] += state.reward
-        lengths[playing] += 1
-        reached[playing] |= state.success
-        held[playing] = state.success
-        over = state.terminated | state.truncated
-        if over.any():
-            playing, environments, state = _next_episodes(orchestrator, seeds, playing, over, state)
-            fresh = lengths[playing] == 0
-            solved[playing[fresh]] = reached[playing[fresh]] = held[playing[fresh]] = state.success[fresh]
+        received = orchestrator.receive()
+        state = received.step
+        put(latest, received.environment, state)
+        episodes = playing[received.environment]
+        returns[episodes] += state.reward
+        lengths[episodes] += 1
+        reached[episodes] |= state.success
+        held[episodes] = state.success
+        far = None if rule is None else rule.distance(state.achieved_goal, state.desired_goal)
+        if far is not None:
+            distances[episodes] = far
+        over = received.environment[state.terminated | state.truncated]
+        playing[over] += size
+        begin(np.sort(np.concatenate((over[playing[over] < count], lost(received)))))
     return TestResult(
         steps=steps,
         seconds=seconds,
@@ -99,22 +139,5 @@ def play_episodes(
         reset=tuple(solved.tolist()),
         returns=tuple(returns.tolist()),
         lengths=tuple(lengths.tolist()),
+        distances=None if np.isnan(distances).any() else tuple(distances.tolist()),
     )
-
-
-def _next_episodes(
-    orchestrator: Orchestrator, seeds: Sequence[int], playing: np.ndarray, over: np.ndarray, state: Step
-) -> tuple[np.ndarray, np.ndarray, Step]:
-    """Give each environment that finished its next episode; drop those that have none left."""
-    size = orchestrator.size
-    following = np.where(over, playing + size, playing)
-    kept = following < len(seeds)
-    begun = over & kept
-    fields = [np.array(field) for field in state]
-    if begun.any():
-        orchestrator.reset(following[begun] % size, [seeds[episode] for episode in following[begun].tolist()])
-        fresh = orchestrator.receive().step
-        for field, new in zip(fields, fresh, strict=True):
-            field[begun] = new
-    following = following[kept]
-    return following, following % size, Step(*(field[kept] for field in fields))

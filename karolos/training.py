@@ -1,8 +1,9 @@
 """The training loop as a generator: no files, no database, no terminal.
 
 One round, in lockstep: act for all environments, send the actions, learn from what the buffer already holds while the
-environments step, receive, store. The order and the amounts depend on counts only, never on timing, so that a run is
-the same bit for bit whatever the machine is busy with.
+environments step, receive, store. An on-policy agent learns at the end of the round that completes its rollout, because
+its next action depends on it. The order and the amounts depend on counts only, never on timing, so that a run is the
+same bit for bit whatever the machine is busy with.
 """
 
 from __future__ import annotations
@@ -14,13 +15,30 @@ from typing import Any, Protocol
 
 import numpy as np
 
-from .core import Agent, Buffer, Discrete, FloatArray, Orchestrator, Signature, Step, Transitions
+from .core import (
+    Agent,
+    Buffer,
+    Discrete,
+    Failure,
+    FloatArray,
+    Orchestrator,
+    Received,
+    Signature,
+    State,
+    Step,
+    Transitions,
+    random_actions,
+)
+from .episodes import Episode, Episodes, nothing_yet, put
 from .schedules import Ratio
-from .seeding import SeedTree
+from .seeding import SeedTree, generator_state, load_generator_state
+
+Metrics = tuple[Mapping[str, Any], ...]
+NOBODY = np.zeros(0, np.int64)
 
 
 class Amounts(Protocol):
-    """How much to train (spec key `training`)."""
+    """How much to train (spec key `training`). An on-policy agent is told by its own settings all but the steps."""
 
     @property
     def steps(self) -> int: ...
@@ -33,25 +51,6 @@ class Amounts(Protocol):
 
 
 @dataclass(frozen=True)
-class Episode:
-    """The record of one training episode; `any`, `end`, `reset` as in a test."""
-
-    environment: int
-    index: int
-    """Which of this environment's episodes it is, from 0."""
-    seed: int
-    steps: int
-    total_reward: float
-    any: bool
-    end: bool
-    reset: bool
-    diverged: bool
-    """Whether the simulation left all sense and cut it short."""
-    parameters: tuple[float, ...]
-    """What domain randomization drew, as `signature.parameters` lays it out."""
-
-
-@dataclass(frozen=True)
 class Progress:
     """Where training stands after a round."""
 
@@ -60,59 +59,22 @@ class Progress:
     updates: int
     seconds: float
     """Wall-clock seconds of collecting and learning; what the caller does between rounds is not counted."""
+    warming_up: bool
+    """Whether actions are still drawn at random."""
     finished: tuple[Episode, ...] = ()
-    metrics: tuple[Mapping[str, Any], ...] = ()
-    """What `agent.learn` returned for each update of the round."""
-
-
-@dataclass
-class _Running:
-    """What is being counted of the episode that each environment plays."""
-
-    index: np.ndarray
-    seed: np.ndarray
-    steps: np.ndarray
-    total_reward: np.ndarray
-    any: np.ndarray
-    end: np.ndarray
-    reset: np.ndarray
-    parameters: FloatArray
-
-    @classmethod
-    def none(cls, size: int, parameters: int) -> _Running:
-        return cls(
-            index=np.full(size, -1),
-            seed=np.zeros(size, np.int64),
-            steps=np.zeros(size, np.int64),
-            total_reward=np.zeros(size),
-            any=np.zeros(size, np.bool_),
-            end=np.zeros(size, np.bool_),
-            reset=np.zeros(size, np.bool_),
-            parameters=np.zeros((size, parameters), np.float32),
-        )
-
-    def record(self, environment: int, diverged: bool) -> Episode:
-        return Episode(
-            environment=environment,
-            index=int(self.index[environment]),
-            seed=int(self.seed[environment]),
-            steps=int(self.steps[environment]),
-            total_reward=float(self.total_reward[environment]),
-            any=bool(self.any[environment]),
-            end=bool(self.end[environment]),
-            reset=bool(self.reset[environment]),
-            diverged=bool(diverged),
-            parameters=tuple(self.parameters[environment].tolist()),
-        )
+    metrics: Metrics = ()
+    """What `agent.learn` returned each time in this round."""
+    failures: tuple[Failure, ...] = ()
+    """Environments that failed in this round; they have begun other episodes since."""
 
 
 @dataclass
 class Training:
-    """Trains one agent. `rounds()` is the loop; the caller may stop between any two rounds."""
+    """Trains one agent. `rounds()` is the loop; the caller may stop between two rounds, and go on from `state()`."""
 
     orchestrator: Orchestrator
-    agent: Agent
-    buffer: Buffer
+    agent: Agent[Any]
+    buffer: Buffer[Any]
     amounts: Amounts
     seeds: SeedTree
     steps: int = 0
@@ -122,11 +84,10 @@ class Training:
     _latest: Step | None = field(default=None, init=False)
 
     def __post_init__(self) -> None:
-        size, signature = self.orchestrator.size, self.orchestrator.signature
-        self._all = np.arange(size)
-        self._running = _Running.none(size, signature.parameters.size)
+        self._all = np.arange(self.orchestrator.size)
+        self._running = Episodes(self.orchestrator, self.seeds)
         self._due = Ratio(self.amounts.replay_ratio / self.amounts.batch_size)
-        self._learning_since: int | None = None
+        self._learning_since = 0 if self._warmed_up() else None
         self._warmup = self.seeds.child("warmup").generator()
 
     def rounds(self) -> Iterator[Progress]:
@@ -134,105 +95,141 @@ class Training:
         while self.steps < self.amounts.steps:
             started = time.perf_counter()
             if self._latest is None:
-                self._latest = self._begin()
+                self._latest = nothing_yet(self.orchestrator)
+                self._begin(self._all, self._latest)
             finished, metrics = self._round(self._latest)
             self.seconds += time.perf_counter() - started
-            yield Progress(self.steps, self.episodes, self.updates, self.seconds, finished, metrics)
+            failures, self._running.failures = self._running.failures, ()
+            yield Progress(
+                steps=self.steps,
+                episodes=self.episodes,
+                updates=self.updates,
+                seconds=self.seconds,
+                warming_up=self._learning_since is None,
+                finished=finished,
+                metrics=metrics,
+                failures=failures,
+            )
 
-    def _begin(self) -> Step:
-        self._reset(self._all)
-        step = self.orchestrator.receive().step
-        self._note_reset(self._all, step)
-        return step
-
-    def _round(self, before: Step) -> tuple[tuple[Episode, ...], tuple[Mapping[str, Any], ...]]:
-        actions = self._act(before)
-        self.orchestrator.step(self._all, actions)
-        metrics = self._learn()
-        after = self.orchestrator.receive().step
-        self._store(before, actions, after)
-        self.steps += self._all.size
-        running = self._running
-        running.steps += 1
-        running.total_reward += after.reward
-        running.any |= after.success
-        running.end[:] = after.success
-        over = np.flatnonzero(after.terminated | after.truncated)
-        finished = tuple(running.record(environment, after.diverged[environment]) for environment in over.tolist())
+    def _round(self, latest: Step) -> tuple[tuple[Episode, ...], Metrics]:
+        """One step of every environment. Afterwards `latest` is what the environments observe now."""
+        actions = self._act(latest)
+        self._running.send(self._all, allowed(self.orchestrator.signature, actions), updates=self.updates)
+        metrics = () if self.agent.on_policy else self._learn_from_replay()
+        received = self._running.receive()
+        environments, after = received.environment, received.step
+        failed = received.failed if received.failures else NOBODY
+        self._store(latest, actions, received, failed)
+        put(latest, environments, after)
+        self.steps += environments.size
+        ends = after.terminated | after.truncated
+        over = environments[ends]
+        finished = tuple(
+            self._running.record(environment, diverged=diverged)
+            for environment, diverged in zip(over.tolist(), after.diverged[ends].tolist(), strict=True)
+        )
         self.episodes += len(finished)
-        self._latest = self._next_episodes(over, after) if finished else after
-        return finished, metrics
+        self._begin(np.concatenate((over, failed)), latest)
+        if self._learning_since is None and self._warmed_up():
+            self._learning_since = self.steps
+        return finished, self._learn_from_rollout() if self.agent.on_policy else metrics
 
-    def _store(self, before: Step, actions: FloatArray, after: Step) -> None:
+    def _begin(self, environments: np.ndarray, latest: Step) -> None:
+        """Next episodes. Environments that fail meanwhile lose the ones that they were amid."""
+        if not environments.size:
+            return
+        before = len(self._running.failures)
+        self._running.begin(environments, latest)
+        lost = [failure.environment for failure in self._running.failures[before:]]
+        for failed in lost:
+            self.buffer.cut(failed)
+        self.agent.begin_episodes(np.unique(np.concatenate((environments, *lost))) if lost else environments)
+
+    def _warmed_up(self) -> bool:
+        return self.agent.on_policy or self.episodes >= self.amounts.warmup_episodes
+
+    def _act(self, before: Step) -> FloatArray:
+        if self._learning_since is None:
+            return random_actions(self.orchestrator.signature, self._all.size, self._warmup)
+        return self.agent.act(before.observation, before.desired_goal, explore=True)
+
+    def _store(self, before: Step, actions: FloatArray, received: Received, failed: np.ndarray) -> None:
+        environments, after = received.environment, received.step
+        sound = ~after.diverged  # what the simulation made of the other steps is no experience
+        lost = np.concatenate((environments[after.diverged], failed))
+        if lost.size:
+            self.buffer.cut(lost)
+        if not sound.any():
+            return
         transitions = Transitions(
-            environment=self._all,
-            observation=before.observation,
-            achieved_goal=before.achieved_goal,
-            desired_goal=before.desired_goal,
-            action=actions,
+            environment=environments,
+            observation=before.observation[environments],
+            achieved_goal=before.achieved_goal[environments],
+            desired_goal=before.desired_goal[environments],
+            action=actions[environments],
             reward=after.reward,
             next_observation=after.observation,
             next_achieved_goal=after.achieved_goal,
             terminated=after.terminated,
             truncated=after.truncated,
         )
-        if after.diverged.any():  # what the simulation made of these steps is no experience
-            sound = ~after.diverged
-            transitions = Transitions(*(field[sound] for field in transitions))
-            self.buffer.cut(self._all[after.diverged])
-        if transitions.environment.size:
-            self.buffer.add(transitions)
+        self.buffer.add(transitions if sound.all() else Transitions(*(field[sound] for field in transitions)))
 
-    def _act(self, before: Step) -> FloatArray:
-        if self.episodes < self.amounts.warmup_episodes:
-            return random_actions(self.orchestrator.signature, self._all.size, self._warmup)
-        if self._learning_since is None:
-            self._learning_since = self.steps
-        return self.agent.act(before.observation, before.desired_goal, explore=True)
-
-    def _learn(self) -> tuple[Mapping[str, Any], ...]:
+    def _learn_from_replay(self) -> Metrics:
         """The updates that are due: the replay ratio counts the steps since warm-up ended."""
         if self._learning_since is None:
             return ()
-        metrics = []
-        for _ in range(self._due(self.steps - self._learning_since)):
-            batch = self.buffer.sample(self.amounts.batch_size)
-            result = dict(self.agent.learn(batch))
-            priorities = result.pop("priorities", None)
-            if priorities is not None:
-                self.buffer.update_priorities(batch.slot, priorities)
-            metrics.append(result)
-        self.updates += len(metrics)
-        return tuple(metrics)
+        due = self._due(self.steps - self._learning_since)
+        return tuple(self._learn(self.amounts.batch_size) for _ in range(due))
 
-    def _reset(self, environments: np.ndarray) -> None:
-        self._running.index[environments] += 1
-        seeds = [
-            self.seeds.child("environment", environment, int(self._running.index[environment])).integer()
-            for environment in environments.tolist()
-        ]
-        self._running.seed[environments] = seeds
-        self.orchestrator.reset(environments, seeds)
+    def _learn_from_rollout(self) -> Metrics:
+        """All that the rollout is good for, once it is complete."""
+        size = len(self.buffer)
+        return (self._learn(size),) if size else ()
 
-    def _next_episodes(self, over: np.ndarray, after: Step) -> Step:
-        self._reset(over)
-        fresh = self.orchestrator.receive().step
-        for stale, new in zip(after, fresh, strict=True):
-            stale[over] = new
-        self._note_reset(over, fresh)
-        return after
+    def _learn(self, size: int) -> Mapping[str, Any]:
+        batch = self.buffer.sample(size)
+        metrics = dict(self.agent.learn(batch))
+        self.updates += metrics.pop("updates", 1)
+        priorities = metrics.pop("priorities", None)
+        if priorities is not None:
+            self.buffer.update_priorities(batch.slot, priorities)
+        return metrics
 
-    def _note_reset(self, environments: np.ndarray, fresh: Step) -> None:
-        running = self._running
-        running.steps[environments] = 0
-        running.total_reward[environments] = 0
-        for flags in (running.any, running.end, running.reset):
-            flags[environments] = fresh.success
-        running.parameters[environments] = self.orchestrator.parameters(environments)
+    def state(self) -> State:
+        """All that `load_state` needs to go on bit for bit, between any two rounds.
+
+        Agent and buffer are stateful parts of their own and not included. A running episode is kept as its seed and its
+        actions, and is played again.
+        """
+        return {
+            "steps": self.steps,
+            "episodes": self.episodes,
+            "updates": self.updates,
+            "seconds": self.seconds,
+            "learning_since": self._learning_since,
+            "due": self._due.counted,
+            "warmup": generator_state(self._warmup),
+            "running": None if self._latest is None else self._running.state(),
+        }
+
+    def load_state(self, state: State) -> None:
+        """Go on where the state was taken; agent and buffer have to be loaded beside it.
+
+        Raises:
+            UsageError: the state is of another number of environments, or of environments with other actions.
+        """
+        running = state["running"]
+        if running is not None:
+            self._latest = nothing_yet(self.orchestrator)
+            self._running.load_state(running, self._latest)
+        self.steps, self.episodes, self.updates = (int(state[name]) for name in ("steps", "episodes", "updates"))
+        self.seconds = float(state["seconds"])
+        self._learning_since = state["learning_since"]
+        self._due.counted = int(state["due"])
+        load_generator_state(self._warmup, state["warmup"])
 
 
-def random_actions(signature: Signature, size: int, generator: np.random.Generator) -> FloatArray:
-    """Uniform actions (size, action.size), for warm-up and for the floor that a random policy sets."""
-    if isinstance(signature.action, Discrete):
-        return generator.integers(len(signature.action.labels), size=(size, 1)).astype(np.float32)
-    return generator.uniform(-1, 1, (size, signature.action.size)).astype(np.float32)
+def allowed(signature: Signature, actions: FloatArray) -> FloatArray:
+    """What an environment is told when the agent says `actions`: continuous ones are cut to [-1, 1]."""
+    return actions if isinstance(signature.action, Discrete) else np.clip(actions, -1, 1)

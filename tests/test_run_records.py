@@ -24,6 +24,7 @@ from karolos.testing import TestResult
             reset=st.tuples(*[st.booleans()] * n),
             returns=st.tuples(*[st.floats(allow_nan=False)] * n),
             lengths=st.tuples(*[st.integers(0, 2**40)] * n),
+            distances=st.none() | st.tuples(*[st.floats(0)] * n),
         )
     )
 )
@@ -31,7 +32,9 @@ def test_test_result_survives_its_line_exactly(result: TestResult) -> None:
     assert decode_test(json.loads(json.dumps(encode_test(result), allow_nan=False))) == result
 
 
-@pytest.mark.parametrize("change", [{"any": []}, {"end": [1]}, {"steps": "x"}, {"returns": None}, {"lengths": [None]}])
+@pytest.mark.parametrize(
+    "change", [{"any": []}, {"end": [1]}, {"steps": "x"}, {"returns": None}, {"lengths": [None]}, {"distances": [0.1]}]
+)
 def test_line_that_holds_no_whole_test_is_none(change: dict[str, Any]) -> None:
     row = encode_test(result(10, 1, episodes=2))
     assert decode_test(row) == result(10, 1, episodes=2)

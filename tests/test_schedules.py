@@ -6,7 +6,7 @@ import pytest
 from hypothesis import given
 from hypothesis import strategies as st
 
-from karolos.schedules import Every, Ratio
+from karolos.schedules import Every, Linear, Ratio
 
 growing = st.lists(st.integers(0, 40), min_size=1, max_size=50)
 
@@ -41,3 +41,17 @@ def test_ratio_refuses_what_is_no_ratio(bad):
 def test_every_refuses_an_interval_below_one():
     with pytest.raises(ValueError, match="at least 1"):
         Every(0)
+
+
+@given(st.floats(-5, 5), st.floats(-5, 5), st.integers(0, 1000), st.integers(0, 3000))
+def test_linear_goes_evenly_from_start_to_end_and_stays_there(start, end, over, count):
+    found = Linear(start, end, over)(count)
+    share = min(count / over, 1) if over else 1
+    assert found == pytest.approx(start + (end - start) * share, abs=1e-9)
+    assert Linear(start, end, over)(over) == end
+    assert over == 0 or Linear(start, end, over)(0) == start
+
+
+def test_linear_refuses_to_go_backwards():
+    with pytest.raises(ValueError, match="0 counts or more"):
+        Linear(1, 0, -1)

@@ -1,11 +1,13 @@
 """Test episodes: counted right, and the same whatever plays them."""
 
+from dataclasses import replace
+
 import numpy as np
 import pytest
 from hypothesis import given, settings
 from hypothesis import strategies as st
 
-from karolos.core import Environment, Field, Layout, Signature, Step
+from karolos.core import Environment, Field, GoalRule, Layout, Signature, Step
 from karolos.environments.toy import Toy
 from karolos.orchestrator.local import Local
 from karolos.testing import TestResult, play_episodes, test_seeds
@@ -102,6 +104,36 @@ def test_any_end_reset_returns_and_lengths_are_those_of_the_episodes(size):
     assert (result.success_any, result.success_end, result.episodes) == (0.8, 0.4, 5)
 
 
+class TenthsOfSteps(GoalRule):
+    """The goal is a tenth of a metre away for each step taken."""
+
+    def reward(self, achieved, desired):
+        return np.zeros(np.shape(achieved)[:-1], np.float32)
+
+    def success(self, achieved, desired):
+        return np.zeros(np.shape(achieved)[:-1], np.bool_)
+
+    def distance(self, achieved, desired):
+        return np.float32(0.1) * achieved[..., 0]
+
+
+class Measured(Scripted):
+    def __init__(self, scripts: list[Script]) -> None:
+        super().__init__(scripts)
+        self.signature = replace(self.signature, goal_rule=TenthsOfSteps())
+
+
+@pytest.mark.parametrize("size", [1, 3, 8])
+def test_distances_are_those_at_the_end_of_each_episode_and_unknown_without_a_rule(size):
+    with Local(Local.Settings(processes=0), SCRIPTS, size=size, build=Measured) as orchestrator:
+        result = play_episodes(orchestrator, Echo(), range(len(SCRIPTS)))
+    assert result.distances == pytest.approx((0.2, 0.2, 0.1, 0.4, 0.1))
+    assert (result.within(0.05), result.within(0.15), result.within(0.25)) == (0, 0.4, 0.8)
+    without = play(SCRIPTS, size)
+    assert without.distances is None
+    assert without.within(0.05) is None
+
+
 scripts = st.lists(st.tuples(st.lists(st.booleans(), min_size=2, max_size=7).map(tuple), st.booleans()), min_size=1)
 
 
@@ -163,3 +195,30 @@ def test_test_seeds_depend_on_their_root_alone_and_grow_at_the_end():
     assert test_seeds(0, 5) == test_seeds(0, 9)[:5]
     assert len(set(test_seeds(0, 500)) | set(test_seeds(1, 500))) == 1000
     assert all(0 <= seed < 2**63 for seed in test_seeds(0, 100))
+
+
+def test_an_episode_whose_environment_fails_is_played_again():
+    """Its worker is killed between two steps: the result is that of a test in peace, and the failure is told."""
+    toy = Toy.Settings(dimensions=2, max_steps=6, reward="dense")
+    results, heard = [], []
+    for kills in (0, 2):
+        with Local(Local.Settings(processes=2, environments=2), toy, build=Toy) as orchestrator:
+            agent = Killing(orchestrator, kills)
+            results.append(play_episodes(orchestrator, agent, test_seeds(0, 9), on_failure=heard.append))
+    assert results[0] == results[1]
+    assert [failure.environment.tolist() for failure in heard] == [[0, 1], [0, 1]]
+
+
+class Killing(Greedy):
+    """Kills worker 0 before its third and sixth action, if it is to kill as often."""
+
+    def __init__(self, orchestrator, kills):
+        self.orchestrator, self.kills, self.acts = orchestrator, kills, 0
+
+    def act(self, observation, desired_goal, *, explore):
+        self.acts += 1
+        if self.acts % 3 == 0 and self.kills:
+            self.kills -= 1
+            self.orchestrator._crew._workers[0].process.kill()
+            self.orchestrator._crew._workers[0].process.join()
+        return super().act(observation, desired_goal, explore=explore)

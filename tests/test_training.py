@@ -3,88 +3,13 @@
 from __future__ import annotations
 
 import itertools
-from dataclasses import dataclass
-from types import SimpleNamespace
 
 import numpy as np
 import pytest
+from training_parts import Counter, train
 
-from karolos.core import Batch, Environment, Field, Layout, Signature, Step
-from karolos.orchestrator.local import Local
+from karolos.core import random_actions
 from karolos.seeding import SeedTree
-from karolos.training import Training, random_actions
-
-
-class Counter(Environment):
-    """Observes (seed mod 1000, steps so far); ends after `seed mod 3 + 2` steps, truncated or, if even, terminated."""
-
-    signature = Signature(
-        observation=Layout((Field("seed", 1), Field("steps", 1))),
-        action=Layout((Field("push", 2),)),
-        max_steps=4,
-        achieved_goal=Layout((Field("steps", 1),)),
-        desired_goal=Layout((Field("goal", 1),)),
-        parameters=Layout((Field("drawn", 1),)),
-    )
-
-    diverges = False
-
-    def reset(self, seed: int) -> Step:
-        self.seed, self.steps = seed, 0
-        return self._step(0.0, False, False)
-
-    def step(self, action) -> Step:
-        self.steps += 1
-        over = self.steps == self.seed % 3 + 2
-        return self._step(float(self.steps), over and self.seed % 2 == 0, over and self.seed % 2 == 1)
-
-    def parameters(self):
-        return np.array([self.seed % 7], np.float32)
-
-    def _step(self, reward, terminated, truncated):
-        observation = np.array([self.seed % 1000, self.steps], np.float32)
-        steps = np.array([self.steps], np.float32)
-        diverged = self.diverges and truncated
-        goal = np.array([9.0], np.float32)
-        return Step(observation, steps, goal, reward, terminated, truncated, self.steps == 2, diverged)
-
-
-@dataclass
-class Recorder:
-    """Agent and buffer in one: acts with the number of updates so far, and keeps what it was given."""
-
-    def __post_init__(self):
-        self.added, self.sampled, self.learned, self.priorities, self.cuts = [], [], 0, [], []
-
-    def act(self, observation, desired_goal, *, explore):
-        assert explore
-        assert desired_goal.shape == (len(observation), 1)
-        return np.full((len(observation), 2), self.learned / 1000, np.float32)
-
-    def add(self, transitions):
-        self.added.append(type(transitions)(*(np.array(field) for field in transitions)))
-
-    def cut(self, environments):
-        self.cuts.append((len(self.added), environments.tolist()))
-
-    def sample(self, size):
-        self.sampled.append((size, len(self.added)))
-        return Batch(*([None] * 8), slot=np.arange(size))
-
-    def learn(self, batch):
-        self.learned += 1
-        return {"loss": np.float32(self.learned), "priorities": np.ones(batch.slot.size, np.float32)}
-
-    def update_priorities(self, slot, priorities):
-        self.priorities.append((slot.size, priorities.size))
-
-
-def train(environments=3, **amounts):
-    amounts = {"steps": 60, "batch_size": 4, "replay_ratio": 2.0, "warmup_episodes": 2} | amounts
-    recorder = Recorder()
-    with Local(Local.Settings(processes=0, environments=environments), None, build=lambda _: Counter()) as local:
-        training = Training(local, recorder, recorder, SimpleNamespace(**amounts), SeedTree(7))
-        return list(training.rounds()), recorder, training
 
 
 def test_steps_are_counted_over_all_environments_and_rounds_stop_when_they_are_taken():

@@ -4,10 +4,20 @@ from __future__ import annotations
 
 import typer
 
+from .agents import agents
+from .buffers import buffers
 from .environment import environment
+from .experts import experts
+from .orchestrator import orchestrator
+from .updates import updates
 
 app = typer.Typer(help="Measure the speed of parts, beside a peer in the same run.", no_args_is_help=True)
+app.command()(agents)
+app.command()(buffers)
 app.command()(environment)
+app.command()(orchestrator)
+app.command()(experts)
+app.command()(updates)
 
 
 @app.callback()

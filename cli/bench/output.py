@@ -16,15 +16,15 @@ COLUMNS = ("benchmark", "case", "value", "unit", "peer", "peer_value", "ratio")
 
 def print_rows(rows: Iterable[Row], *, as_json: bool) -> None:
     """Rows on stdout: a table, or one JSON object per line."""
-    table = [row.dump() for row in rows]
     if as_json:
-        for line in table:
-            typer.echo(json.dumps(line))
+        for row in rows:
+            typer.echo(json.dumps(row.dump()))
         return
+    table = [row.dump() for row in rows]
     cells = [COLUMNS, *(tuple(_cell(line[column]) for column in COLUMNS) for line in table)]
-    widths = [max(len(row[column]) for row in cells) for column in range(len(COLUMNS))]
-    for row in cells:
-        typer.echo("  ".join(text.ljust(width) for text, width in zip(row, widths, strict=True)).rstrip())
+    widths = [max(len(line[column]) for line in cells) for column in range(len(COLUMNS))]
+    for line in cells:
+        typer.echo("  ".join(text.ljust(width) for text, width in zip(line, widths, strict=True)).rstrip())
 
 
 def _cell(value: object) -> str:

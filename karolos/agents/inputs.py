@@ -23,6 +23,8 @@ class Inputs(NamedTuple):
     discount: Tensor
     """0 where nothing lies beyond."""
     weight: Tensor
+    demonstrated: Tensor | None
+    """1 where an expert took the action, else 0: (n,)."""
 
 
 def learning_inputs(batch: Batch, normaliser: Normaliser, device: torch.device) -> Inputs:
@@ -42,6 +44,7 @@ def learning_inputs(batch: Batch, normaliser: Normaliser, device: torch.device) 
         reward=tensor(batch.reward),
         discount=tensor(batch.discount) * (1 - tensor(batch.terminated)),
         weight=tensor(batch.weight),
+        demonstrated=None if batch.demonstrated is None else tensor(batch.demonstrated),
     )
 
 
@@ -68,7 +71,7 @@ def require_continuous(signature: Signature, agent: str) -> int:
             f"{agent} gives continuous actions, and this environment takes one of "
             f"{len(signature.action.labels)} discrete ones",
             where="agent",
-            hint="choose an environment with continuous actions",
+            hint="choose dqn, or continuous actions: a robot has them with environment.actions=continuous",
         )
     return signature.action.size
 
@@ -77,8 +80,9 @@ def value_bounds(signature: Signature, discount: float, *, clip: bool) -> tuple[
     """The least and the largest value that the declared rewards make possible; infinite where nothing is to be cut."""
     if not clip:
         return -math.inf, math.inf
-    low, high = (reward / (1 - discount) for reward in signature.reward_range)
-    return low, high
+    low, high = signature.reward_range
+    ever = 1 / (1 - discount)  # what a reward of 1 at each step comes to; an end may leave it at one step's
+    return min(low, low * ever), max(high, high * ever)
 
 
 def saturation(action: Tensor) -> Tensor:

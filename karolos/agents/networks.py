@@ -18,10 +18,12 @@ from torch import Tensor
 
 from ..core import State
 from ..errors import UsageError
-from .products import affine, product
+from .products import Affine, affine, affine_map, product, product_into
 
 EPSILON = 1e-5
 """Added to the variance in layer normalisation, as in torch.nn.LayerNorm."""
+_RECTIFIER_BACK = torch.ops.aten.threshold_backward.grad_input
+_NORM_BACK = torch.ops.aten.native_layer_norm_backward.default
 
 
 @dataclass(frozen=True)
@@ -73,6 +75,8 @@ class MLP:
     def __init__(self, shape: Shape, generator: torch.Generator, device: str) -> None:
         self.shape = shape
         rows = max(shape.members, 1)
+        self._shapes = list(shape.parameters().values())
+        self._sizes = [math.prod(dimensions) for dimensions in self._shapes]
         self._columns: dict[str, slice] = {}
         start = 0
         for name, dimensions in shape.parameters().items():
@@ -90,18 +94,39 @@ class MLP:
         stacked = shape.members > 0 and self.vector.device.type != "cpu"
         self._groups: list[slice | int] = [slice(0, rows)] if stacked else list(range(rows))
         """Members that are computed together."""
-        self._exact = self._views(self.vector)
+        self._exact = self._maps(self.vector)
         self._rounded_vector = torch.zeros_like(self.vector, dtype=torch.bfloat16)
-        self._rounded = self._views(self._rounded_vector)
+        self._rounded = self._maps(self._rounded_vector)
         self._rounded_version = -1
+        self._low_gradient = torch.zeros_like(self._rounded_vector)
+        """Where a gradient is put together in bfloat16, before a vector of its own takes it in float32."""
+        self._low_gradients = self._views(self._low_gradient)
 
     def _views(self, vector: Tensor) -> list[list[Tensor]]:
         """Weights and biases of each group, as views of a vector laid out as the parameters are."""
         table = vector.view(max(self.shape.members, 1), -1)
-        shapes = self.shape.parameters()
+        views = []
+        for group in self._groups:
+            lead = (-1,) if isinstance(group, slice) else ()
+            parts = table[group].split_with_sizes(self._sizes, -1)  # one call for all: indexing costs as much for each
+            views.append([part.view(*lead, *shape) for part, shape in zip(parts, self._shapes, strict=True)])
+        return views
+
+    def _last_views(self, vector: Tensor) -> list[list[Tensor]]:
+        """Weight and bias of each group's last layer, as in `_views`."""
+        table = vector.view(max(self.shape.members, 1), -1)
+        first = table.shape[1] - self._sizes[-2] - self._sizes[-1]
+        views = []
+        for group in self._groups:
+            lead = (-1,) if isinstance(group, slice) else ()
+            parts = table[group][..., first:].split_with_sizes(self._sizes[-2:], -1)
+            views.append([part.view(*lead, *shape) for part, shape in zip(parts, self._shapes[-2:], strict=True)])
+        return views
+
+    def _maps(self, vector: Tensor) -> list[list[Affine]]:
+        """The layers of each group, with parameters from a vector laid out as the parameters are."""
         return [
-            [table[group, columns].view(*lead, *shapes[name]) for name, columns in self._columns.items()]
-            for group, lead in ((group, (-1,) if isinstance(group, slice) else ()) for group in self._groups)
+            [affine_map(*pair) for pair in zip(views[::2], views[1::2], strict=True)] for views in self._views(vector)
         ]
 
     @property
@@ -125,8 +150,8 @@ class MLP:
             return found
         return self._forward(x, low=self.shape.low and not exact)[0]
 
-    def _hidden_views(self, low: bool) -> list[list[Tensor]]:
-        """The parameters in the type that hidden layers compute in; rounded anew when they have changed."""
+    def _hidden_maps(self, low: bool) -> list[list[Affine]]:
+        """The layers with parameters in the type that hidden layers compute in; rounded anew when they have changed."""
         if not low:
             return self._exact
         if self._rounded_version != self.vector._version:
@@ -139,14 +164,15 @@ class MLP:
         if low:
             x = x.bfloat16()
         outputs, tape = [], []
-        for rounded, exact in zip(self._hidden_views(low), self._exact, strict=True):
+        for rounded, exact in zip(self._hidden_maps(low), self._exact, strict=True):
             layers: list[_Layer] = []
-            h = x.expand(len(exact[0]), *x.shape) if exact[0].dim() == 3 else x
-            for weight, bias in zip(rounded[:-2:2], rounded[1:-2:2], strict=True):
-                layers.append(_hidden(h, weight, bias, self.shape.layer_norm))
+            weight = exact[0].weight
+            h = x.expand(len(weight), *x.shape) if weight.dim() == 3 else x
+            for hidden in rounded[:-1]:
+                layers.append(_hidden(h, hidden, self.shape.layer_norm))
                 h = layers[-1].left
             h = h.float()
-            outputs.append(affine(h, exact[-2], exact[-1], rectify=False))
+            outputs.append(affine(h, exact[-1], rectify=False))
             layers.append(_Layer(h, h, None))
             tape.append(layers)
         if not self.shape.members or outputs[0].dim() == 3:
@@ -158,26 +184,38 @@ class MLP:
     ) -> tuple[Tensor | None, Tensor | None]:
         """Gradients for the inputs and for the vector, from those of the outputs."""
         low = tape[0][0].entered.dtype == torch.bfloat16
-        for_vector = torch.empty_like(self.vector) if parameters else None
-        into = self._views(for_vector) if for_vector is not None else [[] for _ in self._groups]
+        into: list[list[Tensor]] = [[] for _ in self._groups]
+        for_vector: Tensor | None = None
+        if parameters and not low:
+            for_vector = torch.empty_like(self.vector)
+            into = self._views(for_vector)
+        elif parameters:
+            into = self._low_gradients
+        last_ones: list[tuple[Tensor, Tensor]] = []
+        """Of each group's last layer: the outputs' gradient, and what entered."""
         for_x: Tensor | None = None
-        for group, (layers, rounded, exact) in enumerate(zip(tape, self._hidden_views(low), self._exact, strict=True)):
-            g = gradient[group] if self.shape.members and gradient.dim() > exact[0].dim() else gradient
+        for group, (layers, rounded, exact) in enumerate(zip(tape, self._hidden_maps(low), self._exact, strict=True)):
+            weight = exact[-1].weight
+            g = gradient[group] if self.shape.members and gradient.dim() > weight.dim() else gradient
             *hidden, last = layers
-            if parameters:
-                _store(g, last.entered, into[group][-2:])
+            last_ones.append((g, last.entered))
             # With one column out the product is an outer one, which both libraries are slow at.
-            g = g * exact[-2] if exact[-2].shape[-2] == 1 else product(g, exact[-2])
+            g = g * weight if weight.shape[-2] == 1 else product(g, weight)
             g = g.to(hidden[-1].left.dtype)
             for number in reversed(range(len(hidden))):
                 g = _through(g, hidden[number])
                 if parameters:
                     _store(g, hidden[number].entered, into[group][2 * number : 2 * number + 2])
                 if number or inputs:
-                    g = product(g, rounded[2 * number])
+                    g = product(g, rounded[number].weight)
             if inputs:
                 g = g.float() if g.dim() == 2 else g.float().sum(0)
                 for_x = g if for_x is None else for_x.add_(g)
+        if parameters:
+            if for_vector is None:
+                for_vector = self._low_gradient.float()
+            for (g, entered), views in zip(last_ones, self._last_views(for_vector), strict=True):
+                _store(g, entered, views)
         return for_x, for_vector
 
     def copy(self) -> MLP:
@@ -222,29 +260,28 @@ class _Pass(torch.autograd.Function):
         return *ctx.network._backward(gradient, ctx.tape, inputs=inputs, parameters=parameters), None
 
 
-def _hidden(x: Tensor, weight: Tensor, bias: Tensor, layer_norm: bool) -> _Layer:
+def _hidden(x: Tensor, layer: Affine, layer_norm: bool) -> _Layer:
     if not layer_norm:
-        return _Layer(x, affine(x, weight, bias, rectify=True), None)
-    raw = affine(x, weight, bias, rectify=False)
+        return _Layer(x, affine(x, layer, rectify=True), None)
+    raw = affine(x, layer, rectify=False)
     normal, mean, scale = torch.native_layer_norm(raw, raw.shape[-1:], None, None, EPSILON)
     return _Layer(x, normal.relu_(), (raw, mean, scale))
 
 
 def _through(gradient: Tensor, layer: _Layer) -> Tensor:
-    """From the gradient of what left a hidden layer to that of its affine map."""
-    gradient = torch.ops.aten.threshold_backward(gradient, layer.left, 0)
+    """From the gradient of what left a hidden layer, which is overwritten, to that of its affine map."""
+    _RECTIFIER_BACK(gradient, layer.left, 0, grad_input=gradient)
     if layer.norm is None:
         return gradient
     raw, mean, scale = layer.norm
-    back = torch.ops.aten.native_layer_norm_backward
-    found: Tensor = back(gradient, raw, raw.shape[-1:], mean, scale, None, None, [True, False, False])[0]
+    found: Tensor = _NORM_BACK(gradient, raw, raw.shape[-1:], mean, scale, None, None, [True, False, False])[0]
     return found
 
 
 def _store(gradient: Tensor, entered: Tensor, into: list[Tensor]) -> None:
     """Write the gradients of an affine map's weight and bias."""
-    into[0].copy_(product(gradient.mT, entered))
-    into[1].copy_(gradient.sum(-2, keepdim=True))
+    product_into(gradient.mT, entered, into[0])
+    torch.sum(gradient, -2, keepdim=True, out=into[1])
 
 
 def _words(shapes: Mapping[str, tuple[int, ...]]) -> str:

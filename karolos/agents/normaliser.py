@@ -8,7 +8,7 @@ from torch import Tensor
 from ..core import State
 
 CLIP = 5.0
-"""Normalised inputs are cut here. Source: OpenAI baselines, HER (norm_clip)."""
+"""Normalised inputs are cut here, if nothing else is said. Source: OpenAI baselines, HER (norm_clip)."""
 SMALLEST_SPREAD = 0.01
 """A column that hardly varies is not blown up further than this. Source: OpenAI baselines, HER (norm_eps)."""
 
@@ -21,9 +21,11 @@ class Normaliser:
     Args:
         columns: how many.
         device: where the statistics live.
+        clip: normalised columns are cut to +- this.
     """
 
-    def __init__(self, columns: int, device: str) -> None:
+    def __init__(self, columns: int, device: str, *, clip: float = CLIP) -> None:
+        self._clip = clip
         self.count = 0
         self.mean = torch.zeros(columns, dtype=torch.float64, device=device)
         self._squares = torch.zeros(columns, dtype=torch.float64, device=device)
@@ -40,11 +42,12 @@ class Normaliser:
     def update(self, rows: Tensor) -> None:
         """Take rows (n, columns) into the statistics."""
         count = rows.shape[0]
-        variance, mean = torch.var_mean(rows.double(), 0, correction=0)
         total = self.count + count
-        difference = mean - self.mean
-        self.mean.add_(difference, alpha=count / total)
-        self._squares.add_(variance, alpha=count).addcmul_(difference, difference, value=self.count * count / total)
+        deviation = rows.double().sub_(self.mean)  # from the mean so far: sums of squares then cancel nothing
+        sums = deviation.sum(0)
+        squares = deviation.square_().sum(0)
+        self.mean.add_(sums, alpha=1 / total)
+        self._squares.add_(squares).addcmul_(sums, sums, value=-1 / total)
         self.count = total
         self._refresh()
 
@@ -53,8 +56,8 @@ class Normaliser:
         self._scale.copy_(self.spread.reciprocal_())
 
     def __call__(self, rows: Tensor) -> Tensor:
-        """(n, columns) normalised and clipped to +- CLIP; a new tensor."""
-        return (rows - self._shift).mul_(self._scale).clamp_(-CLIP, CLIP)
+        """(n, columns) normalised and clipped; a new tensor."""
+        return (rows - self._shift).mul_(self._scale).clamp_(-self._clip, self._clip)
 
     def inverse(self, rows: Tensor) -> Tensor:
         """What `__call__` was given, where it clipped nothing."""

@@ -1,11 +1,40 @@
-"""Adam (Kingma, Ba 2015) over parameter vectors, with a state of plain tensors."""
+"""Adam (Kingma, Ba 2015) over parameter vectors, with a state of plain tensors; how long its steps are, and why."""
 
 from __future__ import annotations
 
+from typing import Any
+
 import torch
+from pydantic import Field as Setting
+from pydantic import model_validator
 from torch import Tensor
 
-from ..core import State
+from ..core import AgentSettings, State
+from ..schedules import Linear
+
+
+class OptimiserSettings(AgentSettings):
+    """Settings of every agent that makes one step of Adam per update."""
+
+    learning_rate: float = Setting(1e-3, gt=0, description="of all networks (Adam)")
+    learning_rate_end: float | None = Setting(
+        None, ge=0, description="where the learning rate goes evenly over learning_rate_updates; null: it stays"
+    )
+    learning_rate_updates: int | None = Setting(None, ge=1, description="updates after which it is there")
+    gradient_norm: float | None = Setting(None, gt=0, description="longer gradients are cut to this; null: never")
+
+    @model_validator(mode="after")
+    def _schedule_is_whole(self) -> Any:
+        if (self.learning_rate_end is None) != (self.learning_rate_updates is None):
+            raise ValueError("learning_rate_end and learning_rate_updates go together: give both or neither")
+        return self
+
+    @property
+    def rate(self) -> Linear:
+        """The learning rate after so many steps of an optimiser."""
+        if self.learning_rate_end is None:
+            return Linear(self.learning_rate, self.learning_rate, 0)
+        return Linear(self.learning_rate, self.learning_rate_end, self.learning_rate_updates or 0)
 
 
 class Adam:
@@ -13,32 +42,67 @@ class Adam:
 
     Args:
         vector: a leaf of the graph.
-        learning_rate: size of a step.
+        learning_rate: size of a step; may be set anew before each. A schedule goes by the steps taken.
+        epsilon: keeps steps small where gradients have been about this size.
+        norm: longer gradients are cut to this length; None: never.
     """
 
-    def __init__(self, vector: Tensor, learning_rate: float) -> None:
+    def __init__(
+        self, vector: Tensor, learning_rate: float | Linear, *, epsilon: float = 1e-8, norm: float | None = None
+    ) -> None:
         self._vector = vector
-        self._optimiser = torch.optim.Adam([vector], lr=learning_rate, fused=True)
+        self._schedule = learning_rate if isinstance(learning_rate, Linear) else None
+        rate = learning_rate.start if isinstance(learning_rate, Linear) else learning_rate
+        self.learning_rate = rate
+        self._epsilon = epsilon
+        self._norm = norm
+        self._steps = 0
+        self._state = {
+            "step": torch.zeros((), device=vector.device),
+            "exp_avg": torch.zeros_like(vector, requires_grad=False),
+            "exp_avg_sq": torch.zeros_like(vector, requires_grad=False),
+        }
 
-    def step(self, loss: Tensor) -> None:
-        """Lower the loss. Only this vector gets a gradient."""
-        self.step_along(torch.autograd.grad(loss, self._vector)[0])
+    def step(self, loss: Tensor) -> Tensor:
+        """Lower the loss. Only this vector gets a gradient; its length before it was cut, a scalar."""
+        return self.step_along(torch.autograd.grad(loss, self._vector)[0])
 
-    def step_along(self, gradient: Tensor) -> None:
-        """Step as if `gradient`, of the vector's shape, were a loss's."""
-        self._vector.grad = gradient
-        self._optimiser.step()
+    def step_along(self, gradient: Tensor) -> Tensor:
+        """Step as if `gradient`, of the vector's shape, were a loss's. Returns its length; may change it in place."""
+        length: Tensor = torch.linalg.vector_norm(gradient)
+        if self._norm is not None:
+            gradient.mul_((self._norm / length).clamp_(max=1))
+        if self._schedule is not None:
+            self.learning_rate = self._schedule(self._steps)
+        self._steps += 1
+        self._fused_step(gradient)
         torch.autograd.graph.increment_version(self._vector)  # which a fused step forgets; networks look at it
+        return length
+
+    @torch.no_grad()
+    def _fused_step(self, gradient: Tensor) -> None:
+        """What torch.optim.Adam(fused=True) calls in the end; its own way there takes longer than the step itself."""
+        self._state["step"].add_(1)
+        torch._fused_adam_(
+            [self._vector],
+            [gradient],
+            [self._state["exp_avg"]],
+            [self._state["exp_avg_sq"]],
+            [],
+            [self._state["step"]],
+            lr=self.learning_rate,
+            beta1=0.9,
+            beta2=0.999,
+            weight_decay=0.0,
+            eps=self._epsilon,
+            amsgrad=False,
+            maximize=False,
+        )
 
     def state(self) -> State:
-        """Empty before the first step."""
-        inner = self._optimiser.state.get(self._vector, {})
-        return {name: value.clone() for name, value in inner.items()}
+        return {name: value.clone() for name, value in self._state.items()}
 
     def load_state(self, state: State) -> None:
-        self._optimiser.state.pop(self._vector, None)
-        if state:
-            device = self._vector.device
-            self._optimiser.state[self._vector] = {
-                name: torch.as_tensor(value).clone().to(device) for name, value in state.items()
-            }
+        for name, value in self._state.items():
+            value.copy_(torch.as_tensor(state[name]))
+        self._steps = int(self._state["step"])

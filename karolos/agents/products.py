@@ -7,7 +7,7 @@ through any product in bfloat16, at 450.
 
 from __future__ import annotations
 
-from typing import Any
+from typing import Any, NamedTuple
 
 import torch
 from torch import Tensor
@@ -17,42 +17,64 @@ def _one_dnn() -> Any:
     """oneDNN's affine map, or None in a build of PyTorch without it."""
     if not torch.backends.mkldnn.is_available():  # type: ignore[no-untyped-call]
         return None
-    return getattr(torch.ops.mkldnn, "_linear_pointwise", None)
+    found = getattr(torch.ops.mkldnn, "_linear_pointwise", None)
+    return None if found is None else found.default
 
 
 _AFFINE = _one_dnn()
+_NOTHING: list[Any] = []
 NARROW = 16
 """With fewer columns out than this a call of oneDNN costs more than it saves."""
 
 
-def affine(x: Tensor, weight: Tensor, bias: Tensor, *, rectify: bool) -> Tensor:
-    """x weight^T + bias, then max(0, .) if `rectify`: (n, o), or (k, n, o) for k networks side by side.
+class Affine(NamedTuple):
+    """The parameters of an affine map, or of k side by side, with what `affine` needs of them at hand.
 
-    Args:
-        x: (n, i) or (k, n, i).
-        weight: (o, i) or (k, o, i).
-        bias: (1, o) or (k, 1, o).
-        rectify: whether to cut negative results off.
+    Made once, because finding out what is best for a layer costs Python as long as a small product.
     """
-    if x.dim() == 3:
-        y = torch.baddbmm(bias, x, weight.mT)
-    elif _AFFINE is not None and x.device.type == "cpu" and weight.shape[0] >= NARROW:
-        found: Tensor = _AFFINE(x, weight, bias[0], "relu" if rectify else "none", [], "")
+
+    weight: Tensor
+    """(o, i) or (k, o, i)."""
+    bias: Tensor
+    """(1, o) or (k, 1, o)."""
+    transposed: Tensor
+    flat_bias: Tensor | None
+    """(o,) where oneDNN is the fastest road; else None."""
+
+
+def affine_map(weight: Tensor, bias: Tensor) -> Affine:
+    """The map x weight^T + bias: (o, i) and (1, o), or (k, o, i) and (k, 1, o)."""
+    one_dnn = _AFFINE is not None and weight.dim() == 2 and weight.device.type == "cpu" and weight.shape[0] >= NARROW
+    return Affine(weight, bias, weight.mT, bias[0] if one_dnn else None)
+
+
+def affine(x: Tensor, layer: Affine, *, rectify: bool) -> Tensor:
+    """x weight^T + bias, then max(0, .) if `rectify`: (n, i) -> (n, o), or (k, n, i) -> (k, n, o)."""
+    if layer.flat_bias is not None:
+        found: Tensor = _AFFINE(x, layer.weight, layer.flat_bias, "relu" if rectify else "none", _NOTHING, "")
         return found
-    else:
-        y = torch.addmm(bias, x, weight.mT)
+    add = torch.addmm if layer.weight.dim() == 2 else torch.baddbmm
+    y = add(layer.bias, x, layer.transposed)
     return y.relu_() if rectify else y
 
 
 def product(a: Tensor, b: Tensor) -> Tensor:
     """a b: (n, i) (i, o), or (k, n, i) (k, i, o)."""
     if (
-        _AFFINE is not None
+        a.dtype == torch.float32
         and a.dim() == 2
+        and _AFFINE is not None
         and a.device.type == "cpu"
-        and a.dtype == torch.float32
-        and min(a.shape + b.shape) >= NARROW
+        and min(*a.shape, *b.shape) >= NARROW
     ):
         found: Tensor = _AFFINE(a, b.mT, None, "none", [], "")
         return found
     return a @ b
+
+
+def product_into(a: Tensor, b: Tensor, out: Tensor) -> None:
+    """Write a b into a contiguous `out`: shapes as in `product`."""
+    if a.dim() == 2 and a.dtype == torch.bfloat16:
+        torch.mm(a, b, out=out)
+    else:
+        out.copy_(product(a, b))

@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 import math
-from typing import NamedTuple
+from typing import Any, NamedTuple
 
 import torch
 from torch import Tensor
@@ -25,13 +25,42 @@ def mode(head: Tensor) -> Tensor:
     return torch.tanh(head.chunk(2, -1)[0])
 
 
-def sample(head: Tensor, generator: torch.Generator) -> Sample:
-    """Actions with noise from the network's output (n, 2 a), differentiable (reparametrised)."""
-    mean, log_std = head.chunk(2, -1)
-    log_std = log_std.clamp(*LOG_STD)
-    noise = torch.randn(mean.shape, generator=generator, device=mean.device)
-    unbounded = torch.addcmul(mean, log_std.exp(), noise)
-    return Sample(torch.tanh(unbounded), log_probability(unbounded, log_std, noise))
+def sample(head: Tensor, noise: Tensor) -> Sample:
+    """Actions from the network's output (n, 2 a) and standard normal noise (n, a), differentiable (reparametrised)."""
+    if not torch.is_grad_enabled():
+        return Sample(*_sample(head, noise)[:2])
+    return Sample(*_Sample.apply(head, noise))  # type: ignore[no-untyped-call]
+
+
+def _sample(head: Tensor, noise: Tensor) -> tuple[Tensor, Tensor, Tensor, Tensor]:
+    """Actions, log-probabilities, the noise as it shifts the mean, and which spreads are not clamped."""
+    mean, raw = head.chunk(2, -1)
+    log_std = raw.clamp(*LOG_STD)
+    shift = log_std.exp().mul_(noise)
+    unbounded = mean + shift
+    return torch.tanh(unbounded), log_probability(unbounded, log_std, noise), shift, raw == log_std
+
+
+class _Sample(torch.autograd.Function):
+    """`sample` as one node of the graph: autograd alone would make some thirty operations of a few numbers each.
+
+    With s = clamp(log_std), u = mean + exp(s) noise: d tanh(u) / du = 1 - tanh(u)^2, d log p / du = 2 tanh(u),
+    d log p / ds = -1 at fixed u, and du / ds = exp(s) noise.
+    """
+
+    @staticmethod
+    def forward(ctx: Any, head: Tensor, noise: Tensor) -> tuple[Tensor, Tensor]:
+        action, log_probability, shift, within = _sample(head, noise)
+        ctx.save_for_backward(action, shift, within)
+        return action, log_probability
+
+    @staticmethod
+    def backward(ctx: Any, for_action: Tensor, for_log_probability: Tensor) -> tuple[Tensor, None]:
+        action, shift, within = ctx.saved_tensors
+        pull = for_log_probability.unsqueeze(-1)
+        for_mean = for_action * (1 - action.square()) + (2 * pull) * action
+        for_log_std = torch.addcmul(-pull, for_mean, shift).mul_(within)
+        return torch.cat((for_mean, for_log_std), -1), None
 
 
 def log_probability(unbounded: Tensor, log_std: Tensor, noise: Tensor) -> Tensor:

@@ -5,11 +5,13 @@ from __future__ import annotations
 from collections.abc import Mapping
 from typing import Any, ClassVar
 
+from numpy import int64
+from numpy.typing import NDArray
 from pydantic import Field as Setting
 
 from ..core import Agent, Batch, FloatArray, Signature, State
 from ..seeding import SeedTree
-from .deterministic import Deterministic, DeterministicSettings, Variant
+from .deterministic import LEARNED, Deterministic, DeterministicSettings, Variant
 
 
 class TD3(Agent):
@@ -27,6 +29,7 @@ class TD3(Agent):
         policy_delay: int = Setting(2, ge=1, description="critic updates for each update of policy and targets")
 
     on_policy: ClassVar[bool] = False
+    learned: ClassVar[tuple[str, ...]] = LEARNED
 
     def __init__(self, settings: TD3.Settings, signature: Signature, seeds: SeedTree, device: str = "cpu") -> None:
         self.settings, self.discount = settings, settings.discount
@@ -39,8 +42,18 @@ class TD3(Agent):
         )
         self.core = Deterministic(settings, variant, signature, seeds, device)
 
-    def act(self, observation: FloatArray, desired_goal: FloatArray, *, explore: bool) -> FloatArray:
-        return self.core.act(observation, desired_goal, explore=explore)
+    def act(
+        self,
+        observation: FloatArray,
+        desired_goal: FloatArray,
+        *,
+        explore: bool,
+        environments: NDArray[int64] | None = None,
+    ) -> FloatArray:
+        return self.core.act(observation, desired_goal, explore=explore, environments=environments)
+
+    def begin_episodes(self, environments: NDArray[int64]) -> None:
+        self.core.noise.begin(environments)
 
     def learn(self, batch: Batch) -> Mapping[str, Any]:
         return self.core.learn(batch)

@@ -5,6 +5,7 @@ Source: Schaul et al. 2016, "Prioritized Experience Replay", the proportional va
 
 from __future__ import annotations
 
+from collections.abc import Mapping, Sequence
 from typing import Any, ClassVar
 
 import numpy as np
@@ -85,6 +86,15 @@ class Priority(Buffer):
         if len(self._new) >= NEW_CALLS:
             self._enter()
 
+    def keep(self, episodes: Sequence[Transitions]) -> None:
+        """Store demonstrations beside what the environments give, with the largest priority. Raises as `add` does."""
+        self._enter()
+        before = self._replay.storage.used()
+        odds = self._tree[before]
+        slots = self._replay.keep(episodes)
+        self._tree = SumTree(len(self._replay.storage.table))
+        self._tree[np.concatenate((before, slots))] = np.concatenate((odds, np.full(slots.size, self._largest)))
+
     def _enter(self) -> None:
         """Enter new transitions into the tree; together, because each walk through it costs 40 us."""
         if self._new:
@@ -130,6 +140,17 @@ class Priority(Buffer):
     def __len__(self) -> int:
         return len(self._replay.storage)
 
+    def metrics(self) -> Mapping[str, float]:
+        """How many transitions, the mean and the largest of their priorities p, and where beta stands."""
+        self._enter()
+        odds = self._tree[self._replay.storage.used()]
+        return {
+            "transitions": float(len(self)),
+            "priority_mean": float(odds.mean()) if odds.size else 0.0,
+            "priority_max": float(odds.max(initial=0.0)),
+            "beta": self.beta,
+        }
+
     def state(self) -> State:
         """The stored transitions with their odds, the generator and where beta stands; arrays are copies."""
         self._enter()
@@ -145,7 +166,7 @@ class Priority(Buffer):
         """Raises UsageError when the state is of a buffer of another shape."""
         self._replay.load_state(state["storage"])
         self._new.clear()
-        self._tree = SumTree(self._tree.size)
+        self._tree = SumTree(len(self._replay.storage.table))
         self._tree[self._replay.storage.used()] = np.asarray(state["odds"], np.float64)
         self._largest = float(state["largest"])
         self._batches = int(state["batches"])

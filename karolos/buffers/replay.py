@@ -2,6 +2,8 @@
 
 from __future__ import annotations
 
+from collections.abc import Sequence
+
 import numpy as np
 
 from ..core import Batch, FloatArray, Signature, State, Transitions
@@ -54,6 +56,13 @@ class Replay:
             self._hindsight.check(transitions)
         return self.storage.add(transitions)
 
+    def keep(self, episodes: Sequence[Transitions]) -> Slots:
+        """Store demonstrations where nothing overwrites them; where they went. Raises as `add` does."""
+        if self._hindsight is not None:
+            for episode in episodes:
+                self._hindsight.check(episode)
+        return self.storage.keep(episodes)
+
     def require_some(self) -> None:
         """Raise a RunError while nothing is stored."""
         if not len(self.storage):
@@ -86,6 +95,7 @@ class Replay:
             discount=self._discounts,
             weight=weights,
             slot=names,
+            demonstrated=self.storage.demonstrated(slots),
         )
 
     def state(self) -> State:

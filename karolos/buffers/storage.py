@@ -1,10 +1,13 @@
-"""Where transitions lie: one table of float32 rows, one ring of rows ("lane") per environment.
+"""Where transitions lie: one table of float32 rows, one ring of rows ("lane") per environment; demonstrations in lanes
+of their own.
 
 A transition is one row, so that a batch is one gather whose columns are the batch's fields. An episode is contiguous in
 its lane, seam included, so that the steps before and after a transition are found by counting, without a search.
 """
 
 from __future__ import annotations
+
+from collections.abc import Sequence
 
 import numpy as np
 
@@ -76,7 +79,7 @@ class Storage:
     """
 
     def __init__(self, signature: Signature, capacity: int, environments: int) -> None:
-        self.lanes = environments
+        self.environments = environments
         self.lane_size = capacity // environments
         if self.lane_size < signature.max_steps:
             raise UsageError(
@@ -86,15 +89,31 @@ class Storage:
                 hint=f"set buffer.capacity to {environments * signature.max_steps} or more, or use fewer environments",
             )
         self.layout = row_layout(signature)
-        self.table = np.zeros((self.lane_size * environments, self.layout.size), np.float32)
+        self.table = np.zeros((0, self.layout.size), np.float32)
         self.rows = Rows(self.layout)
         self._incoming = Rows(self.layout)
         self._columns = {field.name: self.layout.slice(field.name) for field in self.layout.fields}
         self._length = self._columns["length"].start
-        self.written = np.zeros(environments, np.int64)
+        self.written = np.zeros(0, np.int64)
         """Transitions ever written to each lane."""
-        self.running = np.zeros(environments, np.int64)
+        self.running = np.zeros(0, np.int64)
         """Steps so far of the episode that each lane's environment plays."""
+        self._set_lanes(environments)
+
+    @property
+    def lanes(self) -> int:
+        """One for each environment, then those that hold demonstrations."""
+        return len(self.written)
+
+    def _set_lanes(self, lanes: int) -> None:
+        """Have so many lanes; those that stay keep what they hold. Memory is taken when it is written to."""
+        table, written, running = self.table, self.written, self.running
+        stay = min(lanes, len(written))
+        self.table = np.zeros((self.lane_size * lanes, self.layout.size), np.float32)
+        self.written, self.running = np.zeros(lanes, np.int64), np.zeros(lanes, np.int64)
+        self.written[:stay], self.running[:stay] = written[:stay], running[:stay]
+        used = self.used()
+        self.table[used] = table[used]
 
     @property
     def filled(self) -> np.ndarray:
@@ -123,6 +142,30 @@ class Storage:
         for lane in lanes[np.asarray(transitions.terminated | transitions.truncated, np.bool_)].tolist():
             self._end_episode(lane)
         return slots
+
+    def keep(self, episodes: Sequence[Transitions]) -> Slots:
+        """Store whole episodes in lanes of their own, where nothing overwrites them; returns where."""
+        lengths = [len(episode.reward) for episode in episodes]
+        lane, room, found = self.lanes - 1, 0, []
+        places = []
+        for length in lengths:
+            if length > room:
+                lane, room = lane + 1, self.lane_size
+            places.append(lane)
+            room -= length
+        self._set_lanes(lane + 1)
+        for episode, length, lane in zip(episodes, lengths, places, strict=True):
+            for step in range(length):
+                one = {name: field[step : step + 1] for name, field in episode._asdict().items()}
+                found.append(self.add(Transitions(**one | {"environment": np.array([lane])})))
+            self.cut(np.array([lane]))
+        return np.concatenate([*found, np.zeros(0, np.int64)])
+
+    def demonstrated(self, slots: Slots) -> FloatArray | None:
+        """1 where a slot holds a demonstration, else 0: (n,); None where there are none at all."""
+        if self.lanes == self.environments:
+            return None
+        return np.asarray(slots >= self.environments * self.lane_size, np.float32)
 
     def cut(self, lanes: np.ndarray) -> None:
         """End the running episodes of these lanes as they stand; a lane without one stays as it is."""
@@ -192,13 +235,14 @@ class Storage:
     def load_state(self, state: State) -> None:
         """Raises UsageError when the state is of a buffer of another shape."""
         written, table = np.asarray(state["written"]), np.asarray(state["table"])
-        fits = written.shape == self.written.shape and table.shape[1:] == self.table.shape[1:]
+        fits = written.ndim == 1 and len(written) >= self.environments and table.shape[1:] == self.table.shape[1:]
         if not fits or table.shape[0] != np.minimum(written, self.lane_size).sum():
             raise UsageError(
                 "the stored buffer has another number of environments, capacity or kind of transition",
                 where="buffer",
                 hint="resume with the spec the run was started with",
             )
+        self._set_lanes(len(written))
         self.written[:] = written
         self.running[:] = state["running"]
         self.table[self.used()] = table

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+from collections.abc import Mapping, Sequence
 from typing import ClassVar
 
 import numpy as np
@@ -58,6 +59,10 @@ class Uniform(Buffer):
         """Store one transition of each environment named, in any order, any subset. Raises as `Replay.add` does."""
         self._replay.add(transitions)
 
+    def keep(self, episodes: Sequence[Transitions]) -> None:
+        """Store demonstrations beside what the environments give. Raises as `Replay.add` does."""
+        self._replay.keep(episodes)
+
     def cut(self, environments: NDArray[np.int64]) -> None:
         """End the running episodes of these environments as they stand."""
         self._replay.storage.cut(environments)
@@ -76,6 +81,9 @@ class Uniform(Buffer):
 
     def __len__(self) -> int:
         return len(self._replay.storage)
+
+    def metrics(self) -> Mapping[str, float]:
+        return {"transitions": float(len(self))}
 
     def state(self) -> State:
         """The stored transitions and the generator; arrays are copies."""

@@ -11,6 +11,7 @@ from pydantic import JsonValue, model_validator
 from ..core import Array, Discrete, Environment, Field, FloatArray, Layout, Signature, Step
 from ..core import Settings as BaseSettings
 from ..errors import KarolosError, MachineError, UsageError
+from .action_set import chosen
 
 ID = "environment.id"
 GOALS = ("achieved_goal", "desired_goal")
@@ -157,10 +158,7 @@ class Gymnasium(Environment):
         """The action as the environment's own space has it."""
         kind, space = self.signature.action, self._actions
         if isinstance(kind, Discrete):
-            index = float(action.item()) if action.size == 1 else np.nan
-            if not (index.is_integer() and 0 <= index < len(kind.labels)):
-                raise ValueError(f"{self.settings.id}: an action is a number from 0 to {len(kind.labels) - 1}")
-            return space.start + int(index)
+            return space.start + chosen(action, kind, self.settings.id)
         if action.shape != (kind.size,) or not np.isfinite(action).all():
             raise ValueError(f"{self.settings.id}: an action is {kind.size} finite numbers, not {action.tolist()}")
         low, high = space.low.astype(np.float64).ravel(), space.high.astype(np.float64).ravel()

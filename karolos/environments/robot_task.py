@@ -4,20 +4,20 @@ from __future__ import annotations
 
 from collections.abc import Mapping
 from math import isfinite
-from typing import Any
+from typing import Any, Literal
 
 import numpy as np
 from pydantic import Field as Setting
 
-from ..core import Array, Environment, FloatArray, Signature, Step
+from ..core import Array, Environment, FloatArray, GoalRule, Signature, Step
 from ..core import Settings as BaseSettings
 from ..errors import UsageError
 from ..randomization.distribution import Distribution
 from ..randomization.randomization import Randomization
 from ..seeding import SeedTree
-from ..simulation.camera import Camera
 from ..simulation.interface import Expert, Robot, Task
 from ..simulation.world import World
+from .action_set import ActionSet, chosen
 
 TIMESTEP = 1 / 240
 """Seconds of a physics step, PyBullet's own."""
@@ -43,6 +43,9 @@ class RobotTask(Environment):
         substeps: int = Setting(
             10, ge=1, le=100, description="physics steps of 1/240 s per control step; 10 make 24 Hz"
         )
+        actions: Literal["continuous", "discrete"] = Setting(
+            "continuous", description="discrete: one full step along each action axis in both directions, and nothing"
+        )
         window: bool = Setting(False, description="show the world in a window; needs a display")
 
         def identity(self) -> dict[str, Any]:
@@ -62,17 +65,19 @@ class RobotTask(Environment):
         self.task = task
         self.blow_ups = 0
         """Episodes that were cut short because the physics left all sense."""
-        robot.prepare(gripper=task.uses_gripper, period=settings.substeps * TIMESTEP)
+        robot.prepare(gripper=task.uses_gripper, period=settings.substeps * TIMESTEP, points_down=task.points_down)
         task.fit(robot)
         declared = {
             **{f"robot.{name}": parameter for name, parameter in robot.parameters.items()},
             **{f"task.{name}": parameter for name, parameter in task.parameters.items()},
         }
         self._randomization = Randomization(randomization or {}, declared)
+        self._set = ActionSet(robot.action) if settings.actions == "discrete" else None
+        self._terminates = type(task.goal_rule).terminated is not GoalRule.terminated
         self._drawn: list[float] = []
         self.signature = Signature(
             observation=robot.observation + task.observation,
-            action=robot.action,
+            action=self._set.actions if self._set else robot.action,
             max_steps=task.max_steps,
             reward_range=task.goal_rule.reward_range,
             achieved_goal=task.achieved_goal,
@@ -109,11 +114,15 @@ class RobotTask(Environment):
         generator = np.random.Generator(np.random.PCG64(seed))
         self.robot.reset(generator)
         self.task.reset(generator)
+        if self._set is not None:
+            self._set.reset(self.robot.opening)
         self._steps = 0
         return self._observe(reward=False)
 
     def step(self, action: Array) -> Step:
-        """One control step. Raises ValueError for an action of a wrong shape or with NaN, RuntimeError after an end."""
+        """One control step. Raises ValueError for an action of a wrong shape, with NaN or of no set, RuntimeError after
+        an end.
+        """
         values = self._checked(action)
         self.robot.act(values)
         self.world.step()
@@ -124,13 +133,15 @@ class RobotTask(Environment):
 
     def _checked(self, action: Array) -> list[float]:
         action = np.asarray(action)
+        if self._steps >= self.signature.max_steps:
+            raise RuntimeError(f"{self._name}: the episode is over; reset the environment first")
+        if self._set is not None:
+            return self._set.values(chosen(action, self._set.actions, self._name))
         if action.shape != self._shape:
             raise ValueError(f"{self._name}: an action has the shape {self._shape}, not {action.shape}")
         values: list[float] = action.tolist()
         if not isfinite(sum(values)):
             raise ValueError(f"{self._name}: an action must be finite, not {values}")
-        if self._steps >= self.signature.max_steps:
-            raise RuntimeError(f"{self._name}: the episode is over; reset the environment first")
         return values
 
     def _observe(self, *, reward: bool) -> Step:
@@ -140,7 +151,7 @@ class RobotTask(Environment):
         rule, goal = self.task.goal_rule, self.task.goal
         observation = np.array(numbers, np.float32)
         achieved = self.task.achieved()
-        terminated = bool(reward and rule.terminated(achieved, goal))
+        terminated = bool(reward and self._terminates and rule.terminated(achieved, goal))
         truncated = self._steps >= self.signature.max_steps and not terminated
         worth = float(rule.reward(achieved, goal)) if reward else 0.0
         success = bool(rule.success(achieved, goal))
@@ -159,7 +170,13 @@ class RobotTask(Environment):
         return self._last._replace(terminated=False, truncated=True, success=False, diverged=True)
 
     def expert(self) -> Expert:
-        """The task's scripted policy for this environment. Raises UsageError where the task has none."""
+        """The task's scripted policy for this environment. Raises UsageError where none can act in it."""
+        if self._set is not None:
+            raise UsageError(
+                "experts give continuous actions, and this environment takes discrete ones",
+                where="environment.actions",
+                hint="set environment.actions=continuous",
+            )
         _ = self.world  # an expert acts in a world that is built
         expert = self.task.expert()
         if expert is None:
@@ -170,7 +187,7 @@ class RobotTask(Environment):
         return np.array(self._drawn, np.float32)
 
     def render(self, width: int = 640, height: int = 480) -> Array:
-        return self.world.render(width, height, Camera())
+        return self.world.render(width, height, self.task.camera)
 
     def close(self) -> None:
         if self._world is not None:

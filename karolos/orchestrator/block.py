@@ -39,6 +39,8 @@ class Block:
     truncated: BoolArray
     success: BoolArray
     diverged: BoolArray
+    commands: NDArray[np.uint64]
+    """How many commands each environment has ended: what stands still for long hangs."""
 
     @staticmethod
     def _columns(signature: Signature, environments: int) -> dict[str, tuple[type[np.generic], tuple[int, ...]]]:
@@ -58,6 +60,7 @@ class Block:
             "truncated": flag,
             "success": flag,
             "diverged": flag,
+            "commands": (np.uint64, (environments,)),
         }
 
     @classmethod

@@ -25,39 +25,59 @@ FAILURES = (Exception, SystemExit)
 """What a plugin's code may raise: all of it is reported, because a worker that ends in silence helps nobody."""
 
 
-def build_environments(build: Build, recipe: Any, count: int, stack: ExitStack) -> list[Environment]:
-    """`count` environments of one recipe; `stack` closes them, also those built before one failed."""
-    environments = []
-    for _ in range(count):
-        environment = build(recipe)
-        stack.callback(environment.close)
-        environments.append(environment)
-    return environments
-
-
 class Executor:
-    """Runs commands on the environments whose ids begin at `first`, between their rows of a block."""
+    """Builds environments of one recipe, and runs commands on them between their rows of a block.
 
-    def __init__(self, environments: list[Environment], block: Block, first: int) -> None:
-        self._environments = environments
+    An environment that has raised may be in any state: its next reset builds it anew.
+
+    Args:
+        stack: closes the environments, also those built before one failed.
+    """
+
+    def __init__(self, build: Build, recipe: Any, count: int, stack: ExitStack) -> None:
+        self._build = build
+        self._recipe = recipe
+        self._environments: list[Environment] = []
+        self._broken: set[int] = set()
+        stack.callback(self._close)
+        for _ in range(count):
+            self._environments.append(build(recipe))
+        self.signature: Signature = self._environments[0].signature
+        self._discrete = isinstance(self.signature.action, Discrete)
+
+    def attach(self, block: Block, first: int) -> None:
+        """Take commands from `block` for the environments, whose ids begin at `first`."""
         self._block = block
         self._first = first
-        self._signature: Signature = environments[0].signature
-        self._discrete = isinstance(self._signature.action, Discrete)
 
     def run(self, command: bytes, index: int) -> None:
         """Carry out `command` on the environment with the id `index`. Raises whatever the environment raises."""
-        if command == RESET:
-            self._reset(index)
-        else:
-            self._step(index)
+        try:
+            if command == RESET:
+                self._reset(index)
+            else:
+                self._step(index)
+        except FAILURES:
+            self._broken.add(index)
+            raise
+        finally:
+            self._block.commands[index] += 1
+
+    def _close(self) -> None:
+        for environment in self._environments:
+            environment.close()
 
     def _reset(self, index: int) -> None:
-        environment = self._environments[index - self._first]
+        place = index - self._first
+        if index in self._broken:
+            self._environments[place].close()
+            self._environments[place] = self._build(self._recipe)
+            self._broken.remove(index)
+        environment = self._environments[place]
         step = environment.reset(int(self._block.seed[index]))
         _check_shapes(environment, step)
         self._write(index, step)
-        if self._signature.parameters.size:
+        if self.signature.parameters.size:
             self._block.parameters[index] = environment.parameters()
 
     def _step(self, index: int) -> None:

@@ -9,30 +9,31 @@ from typing import Any, NamedTuple
 import numpy as np
 from numpy.typing import NDArray
 
-from ..core import Signature
-from ..errors import KarolosError
+from ..core import Failure, Signature
 from .block import Block
-from .commands import FAILURES, Build, Executor, as_karolos_error, build_environments
+from .commands import FAILURES, Build, Executor, as_karolos_error
 
 Ids = NDArray[np.int64]
 
 
-class Answers(NamedTuple):
-    """What came back. `failed` environments have no episode any more; `error` says why the first of them failed."""
+class Group(NamedTuple):
+    """Environments that are told something together: distinct ids, and what picks their rows of an array."""
 
-    done: Ids
-    failed: Ids
-    error: KarolosError | None
+    ids: Ids
+    rows: slice | Ids
+    """A slice where the ids are consecutive: NumPy does that faster than a list of places."""
 
     @classmethod
-    def of(cls, done: list[Ids], errors: list[tuple[int, KarolosError]]) -> Answers:
-        """Answers from the ids that are done and the errors beside the ids that are not."""
-        errors = sorted(errors, key=lambda entry: entry[0])
-        return cls(
-            np.concatenate([np.zeros(0, np.int64), *done]),
-            np.array([index for index, _ in errors], np.int64),
-            errors[0][1] if errors else None,
-        )
+    def of(cls, ids: Ids) -> Group:
+        consecutive = ids.size > 0 and bool((np.diff(ids) == 1).all())
+        return cls(ids, slice(int(ids[0]), int(ids[-1]) + 1) if consecutive else ids)
+
+
+class Answers(NamedTuple):
+    """The environments whose commands are done, and the failures, whose environments have no episode any more."""
+
+    done: list[Group]
+    failures: list[Failure]
 
 
 class Crew(ABC):
@@ -42,12 +43,12 @@ class Crew(ABC):
     block: Block
 
     @abstractmethod
-    def send(self, command: bytes, environments: Ids) -> None:
+    def send(self, command: bytes, environments: Group) -> None:
         """Begin a command on idle environments. Does not wait, raises nothing."""
 
     @abstractmethod
-    def collect(self) -> Answers:
-        """Wait until at least one command under way has ended."""
+    def collect(self, *, wait: bool = True) -> Answers:
+        """What has ended since the last call. Waits for something, but not for ever: it may come with nothing."""
 
     @abstractmethod
     def close(self) -> None: ...
@@ -59,29 +60,29 @@ class Serial(Crew):
     def __init__(self, build: Build, recipe: Any, size: int) -> None:
         with ExitStack() as stack:
             try:
-                environments = build_environments(build, recipe, size, stack)
+                self._executor = Executor(build, recipe, size, stack)
             except FAILURES as error:
                 raise as_karolos_error(error, "building an environment") from error
             self._open = stack.pop_all()
-        self.signature = environments[0].signature
+        self.signature = self._executor.signature
         self.block = Block.private(self.signature, size)
-        self._executor = Executor(environments, self.block, 0)
-        self._waiting: list[tuple[bytes, Ids]] = []
+        self._executor.attach(self.block, 0)
+        self._waiting: list[tuple[bytes, Group]] = []
 
-    def send(self, command: bytes, environments: Ids) -> None:
+    def send(self, command: bytes, environments: Group) -> None:
         self._waiting.append((command, environments))
 
-    def collect(self) -> Answers:
-        commands = [(index, command) for command, ids in self._waiting for index in ids.tolist()]
+    def collect(self, *, wait: bool = True) -> Answers:  # noqa: ARG002 (what is asked for is done at once)
+        commands = [(index, command) for command, group in self._waiting for index in group.ids.tolist()]
         self._waiting.clear()
-        done, errors = [], []
+        done, failures = [], []
         for index, command in commands:
             try:
                 self._executor.run(command, index)
                 done.append(index)
             except FAILURES as error:
-                errors.append((index, as_karolos_error(error, f"environment {index}")))
-        return Answers.of([np.array(done, np.int64)], errors)
+                failures.append(Failure(np.array([index]), as_karolos_error(error, f"environment {index}")))
+        return Answers([Group.of(np.array(done, np.int64))], failures)
 
     def close(self) -> None:
         self._open.close()

@@ -21,10 +21,11 @@ from multiprocessing.connection import Connection, wait
 from threading import Thread
 
 import numpy as np
+from numpy.typing import NDArray
 
 from ..errors import KarolosError
 from .block import Block, SharedBytes
-from .commands import FAILURES, Executor, as_karolos_error, build_environments, pack_errors
+from .commands import FAILURES, Executor, as_karolos_error, pack_errors
 
 DONE = b"."
 FAILED = b"!"
@@ -77,18 +78,23 @@ def _drive(where: str, recipe: bytes, lane: Lane, size: int) -> None:
     with connection, suppress(EOFError, ConnectionError), ExitStack() as stack:
         try:
             build, contents = pickle.loads(recipe)
-            environments = build_environments(build, contents, len(ids), stack)
-            signature = environments[0].signature
+            executor = Executor(build, contents, len(ids), stack)
+            signature = executor.signature
             answer = DONE + pickle.dumps(signature)
         except FAILURES as error:
             connection.send_bytes(FAILED + pack_errors([(NOBODY, as_karolos_error(error, where))]))
             return
         connection.send_bytes(answer)
         buffer = SharedBytes.receive(connection, Block.size(signature, size))
-        executor = Executor(environments, Block.over(buffer, signature, size), ids.start)
+        executor.attach(Block.over(buffer, signature, size), ids.start)
         while True:
             message = connection.recv_bytes()
             connection.send_bytes(_obey(executor, message, where))
+
+
+def packed(command: bytes, ids: NDArray[np.int64]) -> bytes:
+    """A message to the worker."""
+    return command + ids.astype(np.uint32).tobytes()
 
 
 def _obey(executor: Executor, message: bytes, where: str) -> bytes:

@@ -1,185 +1,199 @@
-"""Environments in worker processes, seen from the parent: starting, asking, noticing deaths, ending."""
+"""Environments in worker processes, seen from the parent: starting, asking, noticing deaths, replacing, ending."""
 
 from __future__ import annotations
 
 import pickle
-import signal
-from collections import deque
 from contextlib import suppress
-from multiprocessing.connection import Connection, wait
 from time import monotonic
 from typing import Any
 
 import numpy as np
 
-from ..core import Signature
-from ..errors import KarolosError, MachineError, PluginError, WorkerError
+from ..core import Failure, Signature
+from ..errors import KarolosError, MachineError, PluginError
 from .block import Block, SharedBytes
-from .commands import Build, unpack_errors
-from .crew import Answers, Crew, Ids
-from .start import WorkerProcess, pack_recipe, start_worker
-from .worker import DONE
+from .commands import RESET, STEP, Build, unpack_errors
+from .crew import Answers, Crew, Group, Ids
+from .lanes import Doorbells, Lane, Worker
+from .start import pack_recipe
+from .worker import DONE, packed
 
 PATIENCE = 3.0
 """Seconds that workers get to close their environments before they are killed."""
-
-
-class _Lane:
-    """The parent's view of one thread of a worker process."""
-
-    def __init__(self, process: WorkerProcess, connection: Connection, ids: range) -> None:
-        self.process = process
-        self.connection = connection
-        self.ids = ids
-        self.under_way: deque[Ids] = deque()
-        self.lost: WorkerError | None = None
+BUILD_PATIENCE = 300.0
+"""Seconds that a worker gets to build its environments: the first import of a large library may take a minute."""
+LOOK_INTERVAL = 1.0
+"""Seconds between two looks for workers that hang, at most."""
 
 
 class Workers(Crew):
-    """Environments in worker processes. `layout` holds for each process the ids that each of its threads drives."""
+    """Environments in worker processes. `layout` holds for each process the ids that each of its threads drives.
 
-    def __init__(self, build: Build, recipe: Any, layout: tuple[tuple[range, ...], ...]) -> None:
+    A worker that is gone, or hangs for longer than `time_limit` seconds in one command, is a failure of all its
+    environments. The next reset of one of them starts another worker in its place.
+    """
+
+    def __init__(self, build: Build, recipe: Any, layout: tuple[tuple[range, ...], ...], time_limit: float) -> None:
+        self._recipe = pack_recipe(build, recipe)
+        self._layout = layout
         self._size = sum(len(ids) for lanes in layout for ids in lanes)
-        self._processes: list[WorkerProcess] = []
-        self._lanes: list[_Lane] = []
+        self._time_limit = time_limit
+        self._look_interval = min(LOOK_INTERVAL, time_limit / 4)
+        self._next_look = monotonic() + self._look_interval
+        self._doorbells = Doorbells()
         self._memory: SharedBytes | None = None
+        self._workers: list[Worker] = []
+        self._anything_lost = False
+        self._undelivered: list[Failure] = []
+        self._plans: dict[bytes, list[tuple[Lane, Group, dict[bytes, bytes]]]] = {}
         try:
-            self._start(pack_recipe(build, recipe), layout)
-            self.signature = self._meet()
-            self.block = self._share()
+            for number in range(len(layout)):
+                self._workers.append(self._started(number))
+            self._wait_until_ready()
         except BaseException:  # also an interrupt while workers start: none may stay behind
             self.close()
             raise
-        self._lane_of = np.repeat(np.arange(len(self._lanes)), [len(lane.ids) for lane in self._lanes])
-        self._by_connection = {lane.connection: lane for lane in self._lanes}
-        self._plans: dict[bytes, list[tuple[_Lane, Ids, bytes]]] = {}
+        threads = [len(lanes) for lanes in layout]
+        self._worker_of = np.repeat(np.repeat(np.arange(len(layout)), threads), _lengths(layout))
+        self._lane_of = np.repeat(np.concatenate([np.arange(count) for count in threads]), _lengths(layout))
 
-    def _start(self, recipe: bytes, layout: tuple[tuple[range, ...], ...]) -> None:
-        for number, ids in enumerate(layout):
-            try:
-                process, connections = start_worker(number, recipe, ids, self._size)
-            except (OSError, EOFError) as error:
-                raise MachineError(
-                    f"worker process {number} of {len(layout)} does not start: {error}",
-                    where="orchestrator",
-                    hint="ask for fewer processes, or for 0 to step the environments in this process",
-                ) from error
-            self._processes.append(process)
-            self._lanes.extend(_Lane(process, *lane) for lane in zip(connections, ids, strict=True))
-
-    def _meet(self) -> Signature:
-        """Wait until every lane has built its environments; the signature that they agree on."""
-        signatures: dict[int, Signature] = {}
-        waiting = {lane.connection: number for number, lane in enumerate(self._lanes)}
-        while waiting:
-            for connection in wait(list(waiting)):
-                number = waiting.pop(connection)  # type: ignore[call-overload]
-                message = _receive(self._lanes[number])
-                if message is None:
-                    raise self._lost(self._lanes[number])
-                if message[:1] != DONE:
-                    raise unpack_errors(message[1:])[0][1]
-                signatures[number] = pickle.loads(message[1:])
-        first = signatures[0]
-        if any(_widths(signature) != _widths(first) for signature in signatures.values()):
-            raise PluginError(
-                "environments built from one recipe have different observations, goals or actions",
+    def _started(self, number: int) -> Worker:
+        try:
+            worker = Worker(number, self._recipe, self._layout[number], self._size)
+        except (OSError, EOFError) as error:
+            raise MachineError(
+                f"worker process {number} of {len(self._layout)} does not start: {error}",
                 where="orchestrator",
-                hint="the environment's signature may depend on its settings only",
-            )
-        return first
+                hint="ask for fewer processes, or for 0 to step the environments in this process",
+            ) from error
+        for lane in worker.lanes:
+            self._doorbells.add(lane)
+        return worker
 
-    def _share(self) -> Block:
-        self._memory = SharedBytes(Block.size(self.signature, self._size))
-        for lane in self._lanes:
-            with suppress(ConnectionError):  # a worker that has just died is found when something is asked of it
-                self._memory.send(lane.connection, lane.process.pid or 0)
-        return Block.over(self._memory.buffer, self.signature, self._size)
+    def _wait_until_ready(self) -> None:
+        while not all(lane.ready for worker in self._workers for lane in worker.lanes):
+            for failure in self.collect().failures:
+                raise failure.error
 
-    def send(self, command: bytes, environments: Ids) -> None:
-        key = environments.tobytes()
+    def send(self, command: bytes, environments: Group) -> None:
+        if self._anything_lost and command == RESET:
+            self._replace(environments.ids)
+        key = environments.ids.tobytes()
         plan = self._plans.get(key)
         if plan is None:
             if len(self._plans) >= 64:  # the usual sets are few; what ends episodes at random must not pile up
                 self._plans.clear()
-            plan = self._plans[key] = self._plan(environments)
-        for lane, ids, message in plan:
-            lane.under_way.append(ids)
-            with suppress(OSError):  # `collect` finds the end of this worker, and says why it ended
-                lane.connection.send_bytes(command + message)
+            plan = self._plans[key] = self._plan(environments.ids)
+        for lane, group, messages in plan:
+            if lane.worker.lost:
+                self._undelivered.append(Failure(group.ids, lane.worker.lost))
+            else:
+                lane.send(messages[command], group)
 
-    def _plan(self, environments: Ids) -> list[tuple[_Lane, Ids, bytes]]:
-        """Which lane gets which of the environments, and that in a message's bytes."""
-        lanes = self._lane_of[environments]
+    def _plan(self, environments: Ids) -> list[tuple[Lane, Group, dict[bytes, bytes]]]:
+        """Which lane gets which of the environments, and the message for each command."""
+        workers, lanes = self._worker_of[environments], self._lane_of[environments]
         plan = []
-        for number in np.unique(lanes).tolist():
-            ids = environments[lanes == number]
-            plan.append((self._lanes[number], ids, ids.astype(np.uint32).tobytes()))
+        for number, place in sorted(set(zip(workers.tolist(), lanes.tolist(), strict=True))):
+            ids = environments[(workers == number) & (lanes == place)]
+            messages = {command: packed(command, ids) for command in (RESET, STEP)}
+            plan.append((self._workers[number].lanes[place], Group.of(ids), messages))
         return plan
 
-    def collect(self) -> Answers:
-        done: list[Ids] = []
-        errors: list[tuple[int, KarolosError]] = []
-        asked = [lane.connection for lane in self._lanes if lane.under_way]
-        for connection in wait(asked):
-            lane = self._by_connection[connection]  # type: ignore[index]
-            message = None if lane.lost else _receive(lane)
-            if message is None:
-                lane.lost = lane.lost or self._lost(lane)
-                errors.extend((index, lane.lost) for ids in lane.under_way for index in ids.tolist())
-                lane.under_way.clear()
-                continue
-            ids = lane.under_way.popleft()
-            if message[:1] != DONE:
-                failed = unpack_errors(message[1:])
-                errors.extend(failed)
-                ids = np.setdiff1d(ids, [index for index, _ in failed])
-            done.append(ids)
-        return Answers.of(done, errors)
+    def _replace(self, environments: Ids) -> None:
+        """Start another worker in place of each lost one that drives some of the environments."""
+        for number in np.unique(self._worker_of[environments]).tolist():
+            if self._workers[number].lost:
+                with suppress(MachineError):  # the lost one stays, and fails again
+                    self._workers[number] = self._started(number)
+        self._plans.clear()
+        self._anything_lost = any(worker.lost for worker in self._workers)
 
-    @staticmethod
-    def _lost(lane: _Lane) -> WorkerError:
-        """The error that says how a lane's process ended."""
-        lane.process.join(1.0)  # its connection closes a moment before its exit code can be read
-        how, hint = _how_it_ended(lane.process.exitcode)
-        ids = (
-            f"environments {lane.ids.start} to {lane.ids.stop - 1}"
-            if len(lane.ids) > 1
-            else f"environment {lane.ids.start}"
-        )
-        return WorkerError(f"{how}, with {ids}", where=lane.process.name, hint=hint)
+    def collect(self, *, wait: bool = True) -> Answers:
+        answers = Answers([], self._undelivered)
+        self._undelivered = []
+        for lane in self._doorbells.rung(self._look_interval if wait and not answers.failures else 0.0):
+            if not lane.worker.lost:  # another lane of the same worker may just have told of its end
+                self._hear(lane, answers)
+        now = monotonic()
+        if now >= self._next_look:
+            self._next_look = now + self._look_interval
+            self._look_for_hangs(now, answers)
+        return answers
+
+    def _hear(self, lane: Lane, answers: Answers) -> None:
+        message = lane.receive()
+        if message is None:
+            self._lose(lane.worker, answers)
+        elif not lane.ready:
+            self._meet(lane, message, answers)
+        elif message[:1] == DONE:
+            answers.done.append(lane.answered())
+        else:
+            failed = unpack_errors(message[1:])
+            answers.failures.extend(Failure(np.array([index]), error) for index, error in failed)
+            answers.done.append(Group.of(np.setdiff1d(lane.answered().ids, [index for index, _ in failed])))
+
+    def _meet(self, lane: Lane, message: bytes, answers: Answers) -> None:
+        """A lane's first message: the signature of the environments that it has built, or why it could not."""
+        if message[:1] != DONE:
+            self._lose(lane.worker, answers, unpack_errors(message[1:])[0][1])
+            return
+        signature: Signature = pickle.loads(message[1:])
+        if self._memory is None:
+            self.signature = signature
+            self._memory = SharedBytes(Block.size(signature, self._size))
+            self.block = Block.over(self._memory.buffer, signature, self._size)
+        elif _widths(signature) != _widths(self.signature):
+            error = PluginError(
+                "environments built from one recipe have different observations, goals or actions",
+                where="orchestrator",
+                hint="the environment's signature may depend on its settings only",
+            )
+            self._lose(lane.worker, answers, error)
+            return
+        with suppress(ConnectionError):  # a worker that has just died is heard of soon
+            self._memory.send(lane.connection, lane.worker.process.pid or 0)
+        lane.open()
+
+    def _look_for_hangs(self, now: float, answers: Answers) -> None:
+        for worker in self._workers:
+            for lane in worker.lanes if not worker.lost else []:
+                limit = self._time_limit if lane.ready else BUILD_PATIENCE
+                if lane.still_for(self.block if self._memory else None, now) <= limit:
+                    continue
+                worker.process.kill()
+                what, hint = f"a reset or step took longer than {limit:g} s", "raise orchestrator.time_limit"
+                if not lane.ready:
+                    what, hint = f"building an environment took longer than {limit:g} s", "build less, or fewer"
+                self._lose(worker, answers, worker.error(what, f"it hangs, or {hint}"))
+                break
+
+    def _lose(self, worker: Worker, answers: Answers, error: KarolosError | None = None) -> None:
+        """The worker is gone, or as good as that: its environments have no episodes any more."""
+        for lane in worker.lanes:
+            self._doorbells.remove(lane)
+        worker.hang_up()
+        how = worker.end()
+        worker.lost = how
+        self._anything_lost = True
+        answers.failures.append(Failure(worker.environments, error or how))
 
     def close(self) -> None:
-        for lane in self._lanes:
-            lane.connection.close()  # tells the worker to end
+        alive = [worker for worker in self._workers if not worker.lost]
+        for worker in alive:
+            worker.hang_up()
         deadline = monotonic() + PATIENCE
-        for process in self._processes:
-            process.join(max(0.0, deadline - monotonic()))
-            if process.is_alive():
-                process.kill()
-                process.join()
-        self._processes, self._lanes = [], []
+        for worker in alive:
+            worker.free(deadline)
+        self._workers = []
         if self._memory is not None:
+            self.block = Block.private(self.signature, 0)  # unmaps the memory, which an error's frames may hold
             self._memory.close()
 
 
-def _receive(lane: _Lane) -> bytes | None:
-    """The next message of a lane; None when there will be none."""
-    try:
-        return lane.connection.recv_bytes()
-    except (EOFError, OSError):
-        return None
-
-
-def _how_it_ended(code: int | None) -> tuple[str, str]:
-    if code is None:
-        return "a thread of the worker ended", "standard error shows why"
-    if code >= 0:
-        return f"the worker process ended with exit code {code}", "the environment or a plugin has ended it"
-    name = signal.Signals(-code).name if -code in set(signal.Signals) else f"signal {-code}"
-    if name == "SIGKILL":
-        return f"the worker process was killed by {name}", "if nobody did, memory ran out: use fewer environments"
-    return f"the worker process was killed by {name}", "standard error shows where native code crashed"
+def _lengths(layout: tuple[tuple[range, ...], ...]) -> list[int]:
+    return [len(ids) for lanes in layout for ids in lanes]
 
 
 def _widths(signature: Signature) -> tuple[object, ...]:

@@ -14,6 +14,7 @@ from ..run_records import RunSummary
 from ..statistics import wilson
 from ..store import StoredTest
 from ..terminal import clean
+from ..testing import WITHIN, TestResult
 
 _STATE_STYLES = {
     "finished": "green",
@@ -69,12 +70,22 @@ def runs_table(runs: Sequence[RunSummary], *, title: str | None = None) -> Table
     return table
 
 
-def table_of_tests(tests: Sequence[StoredTest], *, title: str | None = None) -> Table:
-    """One row per test, both ways to count success with their 95 % intervals."""
+def table_of_tests(
+    tests: Sequence[StoredTest], results: Sequence[TestResult] = (), *, title: str | None = None
+) -> Table:
+    """One row per test, both ways to count success with their 95 % intervals.
+
+    Args:
+        results: the same tests episode by episode, where their run folder is there: with the distances from the goal.
+    """
     table = _table(title=title)
+    near = {result.steps: [result.within(metres) for metres in WITHIN] for result in results if result.distances}
     for heading in ("steps", "time", "success any", "success end", "episodes", "solved at reset"):
         table.add_column(heading, justify="right")
+    if near:
+        table.add_column(f"end within {' / '.join(f'{metres:.2f}' for metres in WITHIN)} m", justify="right")
     for test in tests:
+        shares = [" / ".join(f"{share:.2f}" for share in near[test.steps])] if test.steps in near else ["-"]
         table.add_row(
             count(test.steps),
             duration(test.seconds),
@@ -82,6 +93,7 @@ def table_of_tests(tests: Sequence[StoredTest], *, title: str | None = None) -> 
             success(test.end / test.episodes, test.episodes),
             count(test.episodes),
             count(test.reset),
+            *(shares if near else ()),
         )
     return table
 

@@ -10,18 +10,19 @@ from collections import deque
 from collections.abc import Mapping, Sequence
 from functools import cached_property
 from math import atan2, cos, sin
+from operator import truediv
 from typing import ClassVar
 
 import numpy as np
 
 from ..core import Field, FloatArray, Layout
-from ..errors import PluginError
+from ..errors import PluginError, UsageError
 from ..randomization.parameter import Parameter
 from ..seeding import Generator
 from ..simulation import urdf
 from ..simulation.body import Body, Vector
 from ..simulation.interface import Gripper, JointLimits
-from ..simulation.kinematics import Chain
+from ..simulation.kinematics import Chain, Configuration
 from ..simulation.world import World
 from .drives import Drives
 from .model import PARAMETERS, ArmModel, ArmSettings, pad_friction
@@ -52,15 +53,13 @@ class Arm:
         self._at = self.chain.forward(model.home)
         pose = self._at.tool
         self.home = pose.position
-        self._home_yaw = atan2(pose.x[1], pose.x[0])
+        self.home_yaw = atan2(pose.x[1], pose.x[0])
         self.workspace = model.workspace
         self.reset_noise = settings.reset_noise
-        self._cartesian = settings.control == "cartesian"
-        self._yaws = self._cartesian and settings.yaw
         self._fingers = model.fingers
         self._values = dict(NOMINAL)
-        self._positions = list(model.home)
-        self._velocities = [0.0] * len(model.home)
+        self._positions: Sequence[float] = model.home
+        self._velocities: Sequence[float] = (0.0,) * len(model.home)
         self._delayed: deque[list[float]] = deque()
         self.tool_position: Vector = self.home
         self.tool_velocity: Vector = (0.0, 0.0, 0.0)
@@ -68,13 +67,35 @@ class Arm:
         self.prepare(gripper=False, period=1 / 24)
 
     @property
+    def turns_joints(self) -> bool:
+        return not self._cartesian
+
+    @property
+    def home_joints(self) -> tuple[float, ...]:
+        return self.model.home
+
+    @property
+    def joint_positions(self) -> Sequence[float]:
+        return self._positions
+
+    @property
+    def joint_velocities(self) -> Sequence[float]:
+        return self._velocities
+
+    def forward(self, joints: Sequence[float]) -> Configuration:
+        return self.chain.forward(joints)
+
+    @property
     def gripper(self) -> Gripper | None:
         return self.model.fingers.facts if self.model.fingers else None
 
-    def prepare(self, *, gripper: bool, period: float) -> None:
+    def prepare(self, *, gripper: bool, period: float, points_down: bool = True) -> None:
         if gripper and self.model.fingers is None:
             raise PluginError("this robot has no gripper", where=type(self).__name__, hint="choose a task without one")
         self._fingers = self.model.fingers if gripper else None
+        self._cartesian = (self.settings.control or ("cartesian" if points_down else "joint")) == "cartesian"
+        self._yaws = self._cartesian and self.settings.yaw
+        self.period = period
         self.joint_step = tuple(min(self.settings.joint_step, speed * period) for speed in self.limits.velocity)
         self.tool_step = self.settings.tool_step
 
@@ -157,7 +178,7 @@ class Arm:
         joints: list[float] = list(self.model.home)
         for _ in range(100):
             at = self.chain.forward(joints)
-            change = self.chain.step(at, position, self._home_yaw, self._posture(joints))
+            change = self.chain.step(at, position, self.home_yaw, self._posture(joints))
             joints = [
                 min(max(value + turn, low), high)
                 for value, turn, low, high in zip(joints, change, self.limits.lower, self.limits.upper, strict=True)
@@ -181,7 +202,8 @@ class Arm:
             values = self._delayed.popleft()
         opening = None if self._fingers is None else 0.5 + 0.5 * values[-1]
         if not self._cartesian:
-            self._drives.turn(self._positions, [s * v for s, v in zip(self.joint_step, values, strict=False)], opening)
+            turns = [step * value for step, value in zip(self.joint_step, values, strict=False)]
+            self._drives.turn(self._positions, self._velocities, turns, opening)
             return
         step, (x, y, z) = self.tool_step, self.tool_position
         low, high = self.workspace.low, self.workspace.high
@@ -190,16 +212,16 @@ class Arm:
             min(max(y + step * values[1], low[1]), high[1]),
             min(max(z + step * values[2], low[2]), high[2]),
         )
-        yaw = self._home_yaw
+        yaw = self.home_yaw
         if self._yaws:
             heading = self._at.tool.x
             yaw = atan2(heading[1], heading[0]) + self.settings.yaw_step * values[3]
-        self._drives.turn(self._positions, self._turns_to(target, yaw), opening)
+        self._drives.turn(self._positions, self._velocities, self._turns_to(target, yaw), opening)
 
     def _turns_to(self, target: Vector, yaw: float) -> list[float]:
         """Change of the joints towards a tool position, shortened so that no joint goes further than its step."""
         change = self.chain.step(self._at, target, yaw, self._posture(self._positions))
-        excess = max(abs(turn) / step for turn, step in zip(change, self.joint_step, strict=True))
+        excess = max(map(truediv, map(abs, change), self.joint_step))
         return [turn / excess for turn in change] if excess > 1 else change
 
     def read(self) -> None:
@@ -235,11 +257,21 @@ class Arm:
             values = [value / self.tool_step / longest for value in away]
             if self._yaws:
                 heading = self._at.tool.x
-                turn = self._home_yaw - atan2(heading[1], heading[0])
+                turn = self.home_yaw - atan2(heading[1], heading[0])
                 values.append(atan2(sin(turn), cos(turn)) / self.settings.yaw_step)
         else:
-            turns = self._turns_to(position, self._home_yaw)
+            turns = self._turns_to(position, self.home_yaw)
             values = [turn / step for turn, step in zip(turns, self.joint_step, strict=True)]
+        return self._action(values, opening)
+
+    def turning(self, changes: Sequence[float], opening: float) -> FloatArray:
+        if self._cartesian:
+            raise UsageError(
+                "cartesian control does not turn joints", where="robot.control", hint="set robot.control: joint"
+            )
+        return self._action([turn / step for turn, step in zip(changes, self.joint_step, strict=True)], opening)
+
+    def _action(self, values: list[float], opening: float) -> FloatArray:
         if self._fingers is not None:
             values.append(2 * opening - 1)
         return np.clip(np.array(values, np.float32), -1, 1)

@@ -31,7 +31,9 @@ def pad_friction(nominal: float) -> Parameter:
 class ArmSettings(Settings):
     """What every arm can be told. Whatever the steps, motors do not exceed the speeds of the data sheet."""
 
-    control: Literal["joint", "cartesian"] = Setting("cartesian", description="what the action changes")
+    control: Literal["joint", "cartesian"] | None = Setting(
+        None, description="what the action changes; null: cartesian, or joint where a task turns the gripper (throw)"
+    )
     joint_step: float = Setting(
         0.5, gt=0, le=0.5, description="largest change of a joint per control step in rad; its speed may allow less"
     )

@@ -75,13 +75,15 @@ class Body:
         )
         return states
 
-    def write_joints(self, joints: Sequence[int], positions: Sequence[float]) -> None:
-        """Put joints there, at rest, without a physics step."""
+    def write_joints(
+        self, joints: Sequence[int], positions: Sequence[float], velocities: Sequence[float] | None = None
+    ) -> None:
+        """Put joints there, at rest unless told otherwise, without a physics step."""
         self.api.resetJointStatesMultiDof(
             self.index,
             joints,
             [(position,) for position in positions],
-            [(0.0,)] * len(joints),
+            [(velocity,) for velocity in velocities] if velocities else [(0.0,)] * len(joints),
             physicsClientId=self.client,
         )
 
@@ -104,6 +106,7 @@ class Body:
         forces: Sequence[float],
         gains: Sequence[float],
         dampings: Sequence[float] | None = None,
+        velocities: Sequence[float] | None = None,
     ) -> None:
         """Aim the motors at positions until told otherwise.
 
@@ -113,6 +116,7 @@ class Body:
             gains: share of the distance to the target that a motor asks for per substep.
             dampings: share of its speed that a motor gives up per substep, in (0, 1]; 1 each unless told otherwise,
                 which is a motor without inertia. A gain of damping**2 / 4 is critically damped.
+            velocities: with which to pass the targets, rad/s or m/s; 0 unless told otherwise.
         """
         self.api.setJointMotorControlArray(
             self.index,
@@ -122,6 +126,7 @@ class Body:
             forces=forces,
             positionGains=gains,
             velocityGains=dampings or [1.0] * len(joints),
+            targetVelocities=velocities or [0.0] * len(joints),
             physicsClientId=self.client,
         )
 
@@ -131,10 +136,6 @@ class Body:
 
     def set_friction(self, lateral: float, link: int = -1) -> None:
         self.api.changeDynamics(self.index, link, lateralFriction=lateral, physicsClientId=self.client)
-
-    def set_spinning_friction(self, spinning: float, link: int = -1) -> None:
-        """Resistance to turning about the contact normal, in m: it stands for the area of a pad."""
-        self.api.changeDynamics(self.index, link, spinningFriction=spinning, physicsClientId=self.client)
 
     def couple(self, first: int, second: int) -> None:
         """Gear two joints of this body so that they keep the same position, as one motor moves both."""

@@ -18,6 +18,8 @@ from ..core import FloatArray, GoalRule, Layout
 from ..randomization.parameter import Parameter
 from ..seeding import Generator
 from .body import Body, Vector
+from .camera import Camera
+from .kinematics import Configuration
 from .world import FLOOR_FRICTION, GRAVITY, World
 
 
@@ -93,6 +95,10 @@ class RobotView(Protocol):
         """Where the tool is at the start of an episode, but for the reset noise, in m."""
 
     @property
+    def home_yaw(self) -> float:
+        """Of the tool's x axis about the vertical at home, in rad; the pads face each other along the tool's x or y."""
+
+    @property
     def reset_noise(self) -> float:
         """Largest deviation of each joint from the home pose at a reset, in rad."""
 
@@ -103,6 +109,29 @@ class RobotView(Protocol):
     @property
     def joint_step(self) -> tuple[float, ...]:
         """Largest turn of each joint in one control step, in rad."""
+
+    @property
+    def period(self) -> float:
+        """Seconds of a control step."""
+
+    @property
+    def turns_joints(self) -> bool:
+        """Whether actions can turn each joint by itself, so that `turning` works."""
+
+    @property
+    def home_joints(self) -> tuple[float, ...]:
+        """Joint positions of the home pose in rad: (n,)."""
+
+    @property
+    def joint_positions(self) -> Sequence[float]:
+        """Now, in rad: (n,)."""
+
+    @property
+    def joint_velocities(self) -> Sequence[float]:
+        """Now, in rad/s: (n,)."""
+
+    def forward(self, joints: Sequence[float]) -> Configuration:
+        """Where the tool and each joint with its axis are when the joints are at positions (n,) in rad."""
 
     @property
     def tool_position(self) -> Vector:
@@ -125,6 +154,12 @@ class RobotView(Protocol):
     def towards(self, position: Vector, opening: float) -> FloatArray:
         """The action (action.size,) that moves the tool towards `position` and the gripper to `opening`."""
 
+    def turning(self, changes: Sequence[float], opening: float) -> FloatArray:
+        """The action (action.size,) that turns the joints by `changes` (n,) in rad, each cut at its largest step.
+
+        Raises UsageError where actions do not turn joints.
+        """
+
 
 class Robot(RobotView, Protocol):
     """A robot plugin: built from its settings, light; `build` puts it into a world.
@@ -145,8 +180,12 @@ class Robot(RobotView, Protocol):
     @property
     def action(self) -> Layout: ...
 
-    def prepare(self, *, gripper: bool, period: float) -> None:
+    def prepare(self, *, gripper: bool, period: float, points_down: bool = True) -> None:
         """Learn whether the task moves the gripper, and the seconds of a control step, in which largest steps count.
+
+        Args:
+            points_down: whether the task is done with the tool pointing down; where not, joints are what actions turn
+                unless the settings say otherwise.
 
         Raises PluginError when the task needs a gripper and there is none.
         """
@@ -196,6 +235,10 @@ class Task(ABC):
     Settings: ClassVar[type[BaseModel]]
     uses_gripper: ClassVar[bool]
     """Whether the action moves the gripper. Where not, it stays closed and costs nothing."""
+    points_down: ClassVar[bool] = True
+    """Whether the task is done with the tool pointing down, which is how cartesian control moves it."""
+    camera: ClassVar[Camera] = Camera()
+    """Where pictures are taken from."""
     observation: ClassVar[Layout]
     """The task's part of the observation; goals are not part of it."""
     achieved_goal: Layout

@@ -138,7 +138,7 @@ class Chain:
         k, s = cos(yaw), sin(yaw)
         # half the sum of the cross products of the frame's axes with those wanted: x = (k, s, 0), y = (s, -k, 0),
         # z = (0, 0, -1); for small errors this is the rotation vector (Luh, Walker, Paul 1980)
-        error = np.array(
+        numbers = np.array(
             (
                 target[0] - px,
                 target[1] - py,
@@ -146,9 +146,10 @@ class Chain:
                 0.5 * (-az * s + bz * k - cy),
                 0.5 * (az * k + bz * s + cx),
                 0.5 * (ax * s - ay * k - bx * k - by * s),
+                *posture,
             )
         )
-        wish = np.array(posture)
+        error, wish = numbers[:6], numbers[6:]
         square = jacobian @ jacobian.T
         square += self._identity
         weights = dposv(square, error - jacobian @ wish)[1]

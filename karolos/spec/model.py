@@ -40,6 +40,16 @@ class Training(Settings):
     )
 
 
+class Demonstrations(Settings):
+    """Episodes of the task's scripted expert, in the buffer before training begins; they count as no training steps."""
+
+    episodes: int = Setting(default=100, ge=1, description="episodes to collect")
+    noise: float = Setting(
+        default=0.1, ge=0, description="standard deviation of the Gaussian noise on the expert's actions"
+    )
+    random: float = Setting(default=0.05, ge=0, le=1, description="share of actions drawn uniformly instead")
+
+
 class Testing(Settings):
     """How often and on what the agent is tested, without exploration."""
 
@@ -83,6 +93,9 @@ class Spec(Settings):
         {}, description="distributions of robot.* and task.* parameters, drawn at each training reset"
     )
     orchestrator: OrchestratorPart = Setting(description="how environments share the machine. Default: local")
+    demonstrations: Demonstrations | None = Setting(
+        None, description="what an expert shows before training; null: nothing"
+    )
     training: Training = Setting(default_factory=Training, description="how much is collected and learned")
     testing: Testing = Setting(default_factory=Testing, description="how often and on what the agent is tested")
 
@@ -112,6 +125,7 @@ class Spec(Settings):
             "seeds": list(self.seeds),
             **{key: part.dump() for key, part in self._parts().items()},
             "randomization": {key: part.dump() for key, part in self.randomization.items()},
+            **self._demonstrated(),
             "training": self.training.model_dump(mode="json"),
             "testing": self.testing.model_dump(mode="json"),
         }
@@ -123,6 +137,7 @@ class Spec(Settings):
         matter = {
             **{key: part.identity() for key, part in self._parts().items()},
             "randomization": {key: part.identity() for key, part in self.randomization.items()},
+            **self._demonstrated(),
             "training": self.training.model_dump(mode="json", exclude={"device", "threads"}),
             "testing": self.testing.model_dump(mode="json"),
         }
@@ -133,6 +148,9 @@ class Spec(Settings):
         """How to build one environment, with or without randomization."""
         drawn = tuple(sorted(self.randomization.items())) if randomize else ()
         return Recipe(self.environment, self.robot, self.task, drawn)
+
+    def _demonstrated(self) -> dict[str, Any]:
+        return {"demonstrations": self.demonstrations.model_dump(mode="json")} if self.demonstrations else {}
 
     def _parts(self) -> dict[str, Part]:
         parts = {

@@ -10,7 +10,7 @@ from pydantic.errors import PydanticUserError
 from ..errors import PluginError
 from ..registry import load, names, singular
 from .merge import PARTS, RANDOMIZATION
-from .model import NAME, PARAMETER, Spec, Testing, Training
+from .model import NAME, PARAMETER, Demonstrations, Spec, Testing, Training
 
 DIALECT = "https://json-schema.org/draft/2020-12/schema"
 Schema = dict[str, Any]
@@ -36,6 +36,7 @@ def spec_schema() -> tuple[Schema, list[PluginError]]:
             "patternProperties": {PARAMETER: _part("distributions", definitions, broken)},
             "additionalProperties": False,
         },
+        "demonstrations": _settings(Demonstrations, "demonstrations", definitions),
         "training": _settings(Training, "training", definitions),
         "testing": _settings(Testing, "testing", definitions),
     }

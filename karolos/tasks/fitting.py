@@ -5,6 +5,9 @@ from __future__ import annotations
 from ..errors import PluginError, UsageError
 from ..simulation.interface import Box, Gripper, RobotView
 
+AREA = 0.3
+"""Edge in m of the square in the middle of the workspace in which cube and goal lie, as in panda-gym."""
+
 
 def fitting_gripper(robot: RobotView, task: str, size: float) -> Gripper:
     """The robot's gripper, wide enough for an object of `size` m.
@@ -35,10 +38,14 @@ def fitting_threshold(threshold: float, box: Box) -> None:
         )
 
 
-def surface(workspace: Box, edge: float | None, height: float) -> Box:
-    """The part of the floor, `height` m above it, in the middle of the workspace: a square of `edge` m, or all of it.
+def surface(workspace: Box, goals: str, height: float, *, margin: float = 0.0) -> Box:
+    """The part of the floor, at `height` m, where a cube and its goal may lie, in the middle of the workspace.
 
-    Raises UsageError when the tool cannot be that low.
+    Args:
+        goals: `box`, a square of `AREA`, or `workspace`, all of it.
+        margin: room in m that is left to the edge of the workspace on every side, whatever `goals` is.
+
+    Raises UsageError when the tool cannot be that low, or the margin leaves nothing.
     """
     if not workspace.low[2] <= height <= workspace.high[2]:
         raise UsageError(
@@ -46,5 +53,12 @@ def surface(workspace: Box, edge: float | None, height: float) -> Box:
             where="task.object_size",
             hint=f"its workspace is {workspace.low[2]:g} to {workspace.high[2]:g} m high",
         )
-    box = workspace if edge is None else workspace.middle((edge, edge, 1.0))
+    x, y = (workspace.high[axis] - workspace.low[axis] - 2 * margin for axis in (0, 1))
+    if min(x, y) <= 0:
+        raise UsageError(
+            f"no room is left around the object: {margin:g} m are needed on every side of it",
+            where="task.object_size",
+            hint=f"the workspace is {x + 2 * margin:.2f} by {y + 2 * margin:.2f} m; take a smaller object",
+        )
+    box = workspace.middle((x, y, 1.0) if goals == "workspace" else (min(x, AREA), min(y, AREA), 1.0))
     return Box((*box.low[:2], height), (*box.high[:2], height))

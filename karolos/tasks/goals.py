@@ -36,6 +36,11 @@ class NearGoal(GoalRule):
         near: BoolArray = np.vecdot(away, away) < self._squared
         return near
 
+    def distance(self, achieved: Array, desired: Array) -> FloatArray:
+        away = achieved - desired
+        metres: FloatArray = np.sqrt(np.vecdot(away, away), dtype=np.float32)
+        return metres
+
 
 class StagedPick(NearGoal):
     """Reward in [-1, 0] for reaching, grasping, lifting and bringing an object: the mean of four stages, less 1.
@@ -71,3 +76,42 @@ class StagedPick(NearGoal):
 
     def success(self, achieved: Array, desired: Array) -> BoolArray:
         return super().success(achieved[..., :3], desired)
+
+    def distance(self, achieved: Array, desired: Array) -> FloatArray:
+        return super().distance(achieved[..., :3], desired)
+
+
+class Landing(GoalRule):
+    """Success where a thrown object lands nearer than `threshold` to the target, in m; landing ends the episode.
+
+    `achieved` (..., 3) is the object's place along the floor (2) in m and a status: 0 in the hand or in the air, 1
+    landed after a release, -1 on the floor without one. `desired` (..., 2) is the target in m.
+
+    Reward, sparse: 1 for a success, else 0; a price per step would make dropping the object at once pay. Dense: for
+    landing after a release 1 - tanh(2 d), d in m from the target; else 0.
+    """
+
+    reward_range = (0.0, 1.0)
+
+    def __init__(self, threshold: float, *, dense: bool) -> None:
+        self.threshold = threshold
+        self.dense = dense
+
+    def distance(self, achieved: Array, desired: Array) -> FloatArray:
+        away = achieved[..., :2] - desired
+        missed: FloatArray = np.where(achieved[..., 2] > 0.5, np.sqrt(np.vecdot(away, away)), np.inf).astype(np.float32)
+        return missed
+
+    def reward(self, achieved: Array, desired: Array) -> FloatArray:
+        if self.dense:
+            worth: FloatArray = (1 - np.tanh(2 * self.distance(achieved, desired))).astype(np.float32)
+            return worth
+        return self.success(achieved, desired).astype(np.float32)
+
+    def success(self, achieved: Array, desired: Array) -> BoolArray:
+        near: BoolArray = self.distance(achieved, desired) < self.threshold
+        return near
+
+    def terminated(self, achieved: Array, desired: Array) -> BoolArray:  # noqa: ARG002 (a landing is one anywhere)
+        landed: BoolArray = np.abs(achieved[..., 2]) > 0.5
+        return landed

@@ -2,34 +2,29 @@
 
 from __future__ import annotations
 
-from collections.abc import Mapping
 from typing import Literal
 
 import numpy as np
 from pydantic import Field as Setting
 
 from ..core import Field, FloatArray, Layout
-from ..randomization.parameter import Parameter
 from ..seeding import Generator
 from ..simulation.body import Vector
-from ..simulation.interface import Box, Expert, RobotView, Task
+from ..simulation.interface import Box, Expert, RobotView
 from ..simulation.world import World
-from . import cube
+from .cube import CubeSettings, CubeTask, aligned
 from .fitting import fitting_gripper, fitting_threshold, surface
 from .goals import NearGoal, StagedPick
 from .pick_expert import PickExpert
-from .placement import place
+from .placement import GOAL_COLOUR, place
 
-AREA = 0.3
-"""Edge in m of the square in the middle of the workspace in which cube and goal lie, as in panda-gym."""
 HEIGHT = 0.2
 """Highest goal above the surface in m, as in panda-gym."""
 AIR = 0.7
 """Share of goals in the air."""
-GOAL_COLOUR = (0.16, 0.74, 0.32, 0.5)
 
 
-class PickPlace(Task):
+class PickPlace(CubeTask):
     """What to do: grasp the cube and bring it to the goal, held by friction alone.
 
     What is randomised: cube and goal, uniformly in a square of .3 m in the middle of the workspace (`goals: workspace`:
@@ -44,7 +39,7 @@ class PickPlace(Task):
     Reward: sparse -1 until there, then 0; dense in [-1, 0], see `goals.StagedPick`.
     """
 
-    class Settings(cube.CubeSettings):
+    class Settings(CubeSettings):
         reward: Literal["sparse", "dense"] = Setting("sparse", description="-1 until there, or staged in [-1, 0]")
         threshold: float = Setting(0.05, gt=0, le=0.5, description="distance at which the goal is reached, m")
         goals: Literal["box", "workspace"] = Setting(
@@ -54,7 +49,7 @@ class PickPlace(Task):
         max_steps: int = Setting(50, ge=1, le=100_000, description="control steps per episode")
 
     uses_gripper = True
-    observation = Layout(cube.FIELDS)
+    settings: Settings
     achieved_goal = Layout((Field("object_position", 3, "m"),))
     desired_goal = Layout((Field("goal_position", 3, "m"),))
 
@@ -73,54 +68,30 @@ class PickPlace(Task):
     def fit(self, robot: RobotView) -> None:
         settings, self._robot = self.settings, robot
         self.gripper = fitting_gripper(robot, type(self).__name__, settings.object_size)
-        self._half = settings.object_size / 2
-        everywhere = settings.goals == "workspace"
-        self.ground = surface(robot.workspace, None if everywhere else AREA, self._half)
-        top = robot.workspace.high[2] if everywhere else min(self._half + HEIGHT, robot.workspace.high[2])
+        rest, highest = settings.object_size / 2, robot.workspace.high[2]
+        self.ground = surface(robot.workspace, settings.goals, rest)
+        top = highest if settings.goals == "workspace" else min(rest + HEIGHT, highest)
         (x, y, low), (u, v, _) = self.ground.low, self.ground.high
         self.air = Box((x, y, low), (u, v, top))
         fitting_threshold(settings.threshold, self.ground)
         if settings.reward == "dense":
-            self.goal_rule = StagedPick(settings.threshold, rest=self._half)
+            self.goal_rule = StagedPick(settings.threshold, rest=rest)
         else:
             self.goal_rule = NearGoal(settings.threshold, dense=False, span=1.0)
 
     def build(self, world: World) -> None:
+        super().build(world)
         self._marker = world.marker(self.settings.threshold, GOAL_COLOUR)
-        self.cube = cube.Cube(self.settings, world)
-
-    @property
-    def parameters(self) -> Mapping[str, Parameter]:
-        return {**super().parameters, **cube.parameters(self.settings)}
-
-    def apply(self, world: World, name: str, value: float) -> None:
-        if name == "object_mass":
-            self.cube.set_mass(value)
-        elif name == "object_friction":
-            self.cube.body.set_friction(value)
-        else:
-            super().apply(world, name, value)
 
     def reset(self, generator: Generator) -> None:
-        self.cube.place(place(generator, self.ground, lambda _: True, "the cube").tolist())
+        self.cube.place(place(generator, self.ground, lambda _: True, "the cube").tolist(), aligned(self._robot))
         if generator.uniform() < self.settings.start_grasped:
-            self._grasp()
+            self.cube.put_in_gripper(self._robot, self.cube.position)
         start = self.achieved()
         box = self.air if generator.uniform() < AIR else self.ground
         self.goal = place(generator, box, lambda goal: not self.goal_rule.success(start, goal), "the goal")
         x, y, z = self.goal.tolist()
         self._marker.place((x, y, z))
-
-    def _grasp(self) -> None:
-        """Put the tool around the cube where it lies, the pads at its sides."""
-        x, y, z = self.cube.position
-        self._robot.place_tool((x, y, z), self.settings.object_size / self.gripper.width)
-
-    def read(self) -> None:
-        self.cube.read()
-
-    def observe(self) -> list[float]:
-        return self.cube.observe(self._robot.tool_position)
 
     def achieved(self) -> FloatArray:
         place: Vector = self.cube.position
@@ -131,6 +102,3 @@ class PickPlace(Task):
 
     def expert(self) -> Expert:
         return PickExpert(self._robot, self)
-
-    def lost(self) -> bool:
-        return self.cube.lost

@@ -12,6 +12,8 @@ from ..seeding import Generator
 from ..simulation.interface import Box
 
 ATTEMPTS = 1000
+GOAL_COLOUR = (0.16, 0.74, 0.32, 0.5)
+"""Of the marker that shows a goal."""
 
 
 def place(generator: Generator, box: Box, accepted: Callable[[FloatArray], bool], what: str) -> FloatArray:

@@ -9,16 +9,15 @@ from pydantic import Field as Setting
 
 from ..core import Field, FloatArray, Layout
 from ..core import Settings as BaseSettings
-from ..errors import UsageError
 from ..seeding import Generator
 from ..simulation.interface import Box, Expert, RobotView, Task
 from ..simulation.world import World
+from .fitting import fitting_threshold
 from .goals import NearGoal
-from .placement import place
+from .placement import GOAL_COLOUR, place
 
 GOAL_BOX = (0.3, 0.3, 0.3)
 """Edges in m of the box that goals are drawn from, as in panda-gym, so that figures compare."""
-GOAL_COLOUR = (0.16, 0.74, 0.32, 0.5)
 
 
 class ReachExpert(Expert):
@@ -70,12 +69,7 @@ class Reach(Task):
     def fit(self, robot: RobotView) -> None:
         self._robot = robot
         self.box: Box = robot.workspace if self.settings.goals == "workspace" else robot.workspace.middle(GOAL_BOX)
-        if 2 * self.settings.threshold >= self.box.diagonal:
-            raise UsageError(
-                f"{self.settings.threshold:g} m leaves no goal to reach",
-                where="task.threshold",
-                hint=f"goals lie in a box with a diagonal of {self.box.diagonal:.2f} m; take a smaller threshold",
-            )
+        fitting_threshold(self.settings.threshold, self.box)
         # from the far end of the robot's reach to a goal; twice the workspace is more than any arm can stray
         span = 2 * robot.workspace.diagonal
         self.goal_rule = NearGoal(self.settings.threshold, dense=self.settings.reward == "dense", span=span)

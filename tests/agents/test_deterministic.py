@@ -78,7 +78,7 @@ def test_policy_and_targets_move_when_it_is_their_turn(agent: Any, every: int) -
 
 @pytest.mark.parametrize("agent", AGENTS)
 def test_learns_the_best_action_of_a_bandit(agent: Any) -> None:
-    made = make(agent, discount=0.0, noise=0.1)
+    made = make(agent, discount=0.0, noise={"std": 0.1})
     best = np.array([0.4, -0.3], np.float32)
     for seed in range(1000 * made.core.variant.policy_delay):
         data = batch(64, signature(), seed)
@@ -91,7 +91,7 @@ def test_learns_the_best_action_of_a_bandit(agent: Any) -> None:
 
 @pytest.mark.parametrize("agent", AGENTS)
 def test_exploration_is_noise_around_the_policy_and_a_share_of_uniform_actions(agent: Any) -> None:
-    made = make(agent, noise=0.05, random_actions=0.25)
+    made = make(agent, noise={"std": 0.05}, random_actions=0.25)
     data = batch(4000, signature())
     plain = made.act(data.observation, data.desired_goal, explore=False)
     noisy = made.act(data.observation, data.desired_goal, explore=True)

@@ -135,7 +135,7 @@ def test_members_computed_in_one_product_equal_those_computed_one_by_one(layer_n
     shape = Shape(SIZES, members=2, layer_norm=layer_norm)
     apart, together = (MLP(shape, generator(), "cpu") for _ in range(2))
     together._groups = [slice(0, 2)]  # as on a GPU
-    together._exact = together._views(together.vector)
+    together._exact = together._maps(together.vector)
     x = torch.randn((16, 20), generator=generator(1)).requires_grad_()
     found = []
     for network in (apart, together):

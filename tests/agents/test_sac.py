@@ -56,12 +56,12 @@ def test_the_target_discounts_by_what_the_batch_says() -> None:
     agent = make()
     data = batch(16, signature(), discount=0.5, reward=2)
     inputs = learning_inputs(data, agent.normaliser, agent.device)
-    generator = agent._generator.get_state()
-    half = agent._targets(inputs)
-    agent._generator.set_state(generator)
-    none = agent._targets(inputs._replace(discount=inputs.discount * 0))
-    agent._generator.set_state(generator)
-    full = agent._targets(inputs._replace(discount=inputs.discount * 2))
+    generator = agent.generator.get_state()
+    half = agent.targets(inputs)
+    agent.generator.set_state(generator)
+    none = agent.targets(inputs._replace(discount=inputs.discount * 0))
+    agent.generator.set_state(generator)
+    full = agent.targets(inputs._replace(discount=inputs.discount * 2))
     assert (none == 2).all()
     torch.testing.assert_close(half - 2, (full - 2) / 2)
 
@@ -71,20 +71,20 @@ def test_targets_stay_within_what_rewards_make_possible() -> None:
     agent = make(bounded, discount=0.9)
     far = batch(64, bounded, reward=0, discount=0.9)
     agent.target.named["layer2.bias"].fill_(-100)
-    assert agent._targets(learning_inputs(far, agent.normaliser, agent.device)).min() == pytest.approx(-10)
+    assert agent.targets(learning_inputs(far, agent.normaliser, agent.device)).min() == pytest.approx(-10)
     agent.target.named["layer2.bias"].fill_(100)
-    assert agent._targets(learning_inputs(far, agent.normaliser, agent.device)).max() == 0
+    assert agent.targets(learning_inputs(far, agent.normaliser, agent.device)).max() == 0
     free = make(bounded, discount=0.9, clip_targets=False)
     free.target.named["layer2.bias"].fill_(100)
-    assert free._targets(learning_inputs(far, free.normaliser, free.device)).min() > 50
+    assert free.targets(learning_inputs(far, free.normaliser, free.device)).min() > 50
 
 
 def test_entropy_enters_the_target_only_when_asked() -> None:
     plain = make(temperature=1.0)
     soft = make(temperature=1.0, entropy_in_target=True, clip_targets=False)
     data = batch(64, signature())
-    hard_targets = plain._targets(learning_inputs(data, plain.normaliser, plain.device))
-    soft_targets = soft._targets(learning_inputs(data, soft.normaliser, soft.device))
+    hard_targets = plain.targets(learning_inputs(data, plain.normaliser, plain.device))
+    soft_targets = soft.targets(learning_inputs(data, soft.normaliser, soft.device))
     assert (hard_targets - soft_targets).abs().min() > 0
 
 
@@ -107,9 +107,9 @@ def test_smaller_critic_counts_in_targets() -> None:
     agent = make()
     inputs = learning_inputs(batch(32, signature(), reward=0, discount=1), agent.normaliser, agent.device)
     agent.target.named["layer2.bias"][1] += 100
-    high = agent._targets(inputs)
+    high = agent.targets(inputs)
     agent.target.named["layer2.bias"][0] -= 100
-    low = agent._targets(inputs)
+    low = agent.targets(inputs)
     assert high.max() < 50
     assert low.max() < -50
 

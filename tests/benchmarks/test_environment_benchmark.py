@@ -3,7 +3,8 @@ from __future__ import annotations
 import json
 
 import pytest
-from karolos_cli.bench import COLUMNS, app
+from karolos_cli.bench import app
+from karolos_cli.bench.output import COLUMNS
 from typer.testing import CliRunner
 
 from karolos.simulation.body import Body

@@ -13,12 +13,17 @@ CONTROLS = ("joint", "cartesian")
 PAIRS = [(robot, task) for robot in names("robots") for task in names("tasks")]
 
 
+def goes_with(task: str, control: str) -> bool:
+    """Cartesian control keeps the tool pointing down, which not every task can be done with."""
+    return control == "joint" or bool(load("tasks", task).points_down)
+
+
 def part(kind: str, name: str, **settings: Any) -> Part:
     return Part(kind, name, load(kind, name).Settings(**settings))
 
 
 def robot_task(
-    robot: str = "panda", task: str = "reach", *, control: str = "cartesian", randomization: Any = (), **settings: Any
+    robot: str = "panda", task: str = "reach", *, control: str | None = None, randomization: Any = (), **settings: Any
 ) -> RobotTask:
     """A robot with a task; further settings are the task's."""
     environment = build_environment(

@@ -10,7 +10,7 @@ import numpy as np
 import pytest
 import torch
 
-from karolos.core import Agent, Batch, Discrete, Field, Layout, Signature
+from karolos.core import Agent, Batch, Discrete, Field, Layout, Rollout, Signature
 from karolos.errors import UsageError
 from karolos.registry import load, names
 from karolos.seeding import SeedTree
@@ -34,7 +34,7 @@ def one_thread() -> Iterator[None]:
     torch.set_num_threads(threads)
 
 
-def made(name: str, seed: int = 0) -> tuple[Agent, Signature]:
+def made(name: str, seed: int = 0) -> tuple[Agent[Any], Signature]:
     """The agent with its default settings, for the first kind of action that it takes."""
     plugin = load("agents", name)
     try:
@@ -66,6 +66,17 @@ def some_batch(signature: Signature, seed: int, size: int = 16) -> Batch:
     )
 
 
+def experience(agent: Agent[Any], signature: Signature, seed: int) -> Batch | Rollout:
+    """16 transitions of noise, as this agent takes them."""
+    batch = some_batch(signature, seed)
+    if not agent.on_policy:
+        return batch
+    rows = batch._replace(terminated=batch.terminated > 0)._asdict()
+    found = {name: rows[name].reshape(8, 2, *rows[name].shape[1:]) for name in Rollout._fields if name in rows}
+    truncated = np.arange(16).reshape(8, 2) % 5 == 4
+    return Rollout(**found, ended=found["terminated"] | truncated, stored=np.ones((8, 2), np.bool_))
+
+
 def leaves(state: Any) -> list[np.ndarray]:
     if isinstance(state, dict):
         return [leaf for key in sorted(state, key=str) for leaf in leaves(state[key])]
@@ -88,6 +99,8 @@ def test_actions_have_their_shape_and_range(name: str, rows: int) -> None:
         assert actions.dtype == np.float32
         if isinstance(signature.action, Discrete):
             assert set(actions.ravel()) <= set(range(len(signature.action.labels)))
+        elif explore and agent.on_policy:
+            assert np.isfinite(actions).all(), "clipped for the environment only"
         else:
             assert np.abs(actions).max() <= 1
 
@@ -105,8 +118,9 @@ def test_without_exploration_acting_is_deterministic_and_draws_nothing(name: str
 @pytest.mark.parametrize("name", names("agents"))
 def test_metrics_are_scalars_on_the_device_and_priorities_one_per_transition(name: str) -> None:
     agent, signature = made(name)
-    metrics = dict(agent.learn(some_batch(signature, 0)))
+    metrics = dict(agent.learn(experience(agent, signature, 0)))
     priorities = metrics.pop("priorities", None)
+    assert metrics.pop("updates", 1) >= 1
     assert metrics
     for value in metrics.values():
         assert isinstance(value, torch.Tensor)
@@ -124,7 +138,7 @@ def test_same_seed_learns_the_same_and_another_seed_does_not(name: str) -> None:
     for seed in (0, 0, 1):
         agent, signature = made(name, seed)
         for number in range(3):
-            agent.learn(some_batch(signature, number))
+            agent.learn(experience(agent, signature, number))
         states.append(agent.state())
     assert same(states[0], states[1])
     assert not same(states[0], states[2])
@@ -134,8 +148,8 @@ def test_same_seed_learns_the_same_and_another_seed_does_not(name: str) -> None:
 def test_learning_goes_on_bit_for_bit_from_a_saved_state(name: str) -> None:
     (whole, signature), (first, _), (second, _) = made(name), made(name), made(name, 5)
     for number in range(4):
-        whole.learn(some_batch(signature, number))
-        (first if number < 2 else second).learn(some_batch(signature, number))
+        for agent in (whole, first if number < 2 else second):
+            agent.learn(experience(agent, signature, number))
         if number == 1:
             second.load_state(first.state())
     assert same(whole.state(), second.state())
@@ -144,10 +158,10 @@ def test_learning_goes_on_bit_for_bit_from_a_saved_state(name: str) -> None:
 @pytest.mark.parametrize("name", names("agents"))
 def test_a_saved_state_does_not_change_with_the_agent(name: str) -> None:
     agent, signature = made(name)
-    agent.learn(some_batch(signature, 0))
+    agent.learn(experience(agent, signature, 0))
     saved = agent.state()
     copies = [leaf.copy() for leaf in leaves(saved)]
-    agent.learn(some_batch(signature, 1))
+    agent.learn(experience(agent, signature, 1))
     assert all(np.array_equal(one, other) for one, other in zip(copies, leaves(saved), strict=True))
     assert not same(saved, agent.state())
 

@@ -25,7 +25,7 @@ LAYOUTS = {
 
 def make(name: str, *, size: int | None = SIZE) -> Local:
     processes, threads, environments = LAYOUTS[name]
-    settings = Local.Settings(processes=processes, threads=threads, environments=environments)
+    settings = Local.Settings(processes=processes, threads=threads, environments=environments, failures=0)
     return Local(settings, TOY, size=size, build=Toy)
 
 

@@ -49,6 +49,23 @@ def test_no_joint_exceeds_its_speed_under_the_hardest_actions(environment: Robot
     assert (fastest > 0.5 * np.array(limits.velocity)).any(), "the actions were not hard"
 
 
+@pytest.mark.parametrize("robot", names("robots"))
+def test_every_joint_reaches_its_speed_when_it_goes_far(robot: str) -> None:
+    made = robot_task(robot, "reach", control="joint")
+    limits = made.robot.limits
+    for joint, speed in enumerate(limits.velocity):
+        fastest = 0.0
+        for way in (-1.0, 1.0):  # one way may be short, or lead into the floor
+            made.reset(0)
+            action = np.zeros(made.signature.action.size)
+            action[joint] = way
+            for _ in range(12):
+                made.step(action)
+                fastest = max(fastest, abs(made.robot.joint_velocities[joint]))
+        assert 0.9 * speed < fastest < 1.05 * speed
+    made.close()
+
+
 def test_tool_reaches_every_corner_of_the_declared_workspace(environment: RobotTask) -> None:
     robot = environment.robot
     box = robot.workspace

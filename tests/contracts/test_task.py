@@ -6,9 +6,11 @@ import pickle
 
 import numpy as np
 import pytest
-from building import robot_task
+from building import PAIRS, robot_task
 
+from karolos.playing import expert_policy
 from karolos.registry import load, names
+from karolos.scoring import random_policy, score
 
 
 @pytest.fixture(params=names("tasks"))
@@ -48,3 +50,14 @@ def test_declared_parameters_have_a_nominal_value_in_their_range(task: str) -> N
             assert parameter.low <= parameter.nominal <= parameter.high
             assert parameter.unit
             assert parameter.description
+
+
+@pytest.mark.parametrize(("robot", "task_name"), PAIRS)
+def test_a_pair_can_be_solved_as_its_expert_shows_and_not_by_chance(robot: str, task_name: str) -> None:
+    environment = robot_task(robot, task_name)
+    expert = score(environment, expert_policy(environment), episodes=10, seed=1)
+    chance = score(environment, random_policy(environment, 1), episodes=10, seed=1)
+    assert environment.blow_ups == 0
+    environment.close()
+    assert expert.success_end >= 0.7
+    assert chance.success_end <= 0.3

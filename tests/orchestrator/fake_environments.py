@@ -11,7 +11,7 @@ from karolos.core import Discrete, Environment, Field, Layout, Signature, Step
 from karolos.errors import KarolosError, PluginError
 
 OBSERVATION = Layout(tuple(Field(name, 1) for name in ("pid", "steps", "torch", "blas_threads", "main_imported")))
-FINE, RAISE, COMPLAIN, EXIT, DIE, HANG, PRINT, SEGFAULT, QUIRKY, SLOW, INTERRUPT = np.arange(11, dtype=np.float32)
+FINE, RAISE, COMPLAIN, EXIT, DIE, HANG, PRINT, SEGFAULT, QUIRKY, SLOW, INTERRUPT, END = np.arange(12, dtype=np.float32)
 
 
 class QuirkyError(KarolosError):
@@ -34,6 +34,9 @@ class Fake(Environment):
             os._exit(7)
         if recipe == "hang":
             time.sleep(600)
+        if recipe.startswith("/"):  # a file to note in that one more was built
+            with open(recipe, "a") as file:
+                file.write("built\n")
         self.signature = Signature(
             OBSERVATION,
             Discrete(tuple("0123456789")) if recipe == "discrete" else Layout((Field("trouble", 1),)),
@@ -78,7 +81,7 @@ class Fake(Environment):
             raise KeyboardInterrupt
         elif trouble == PRINT:
             print("noise from an environment", flush=True)
-        return self._step()
+        return self._step()._replace(truncated=trouble == END)
 
     def parameters(self) -> np.ndarray:
         return np.array([self._seed, self._seed / 2], np.float32)

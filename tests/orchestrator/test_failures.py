@@ -11,29 +11,13 @@ import fake_environments
 import numpy as np
 import pytest
 from fake_environments import COMPLAIN, DIE, EXIT, FINE, HANG, INTERRUPT, QUIRKY, RAISE, SEGFAULT, SLOW, Fake, Fickle
+from layouts import IN_PROCESS, ONE, THREADS, TWO, make, reset, step
 
-from karolos.core import Environment
 from karolos.errors import KarolosError, MachineError, PluginError, WorkerError
-from karolos.orchestrator import start, workers
+from karolos.orchestrator import lanes, start, workers
 from karolos.orchestrator.local import Local
 
-IN_PROCESS, ONE, TWO, THREADS = (0, 1, 4), (1, 1, 4), (2, 1, 2), (1, 2, 2)
 every_layout = pytest.mark.parametrize("layout", [IN_PROCESS, ONE, TWO, THREADS], ids=["0", "1", "2", "threads"])
-
-
-def make(layout: tuple[int, int, int], recipe: str = "", build: type[Environment] = Fake) -> Local:
-    processes, threads, environments = layout
-    return Local(Local.Settings(processes=processes, threads=threads, environments=environments), recipe, build=build)
-
-
-def reset(orchestrator: Local) -> list[int]:
-    """Reset all; the process of each environment."""
-    orchestrator.reset(range(orchestrator.size), range(orchestrator.size))
-    return [int(pid) for pid in orchestrator.receive().step.observation[:, 0]]
-
-
-def step(orchestrator: Local, *troubles: float) -> None:
-    orchestrator.step(range(len(troubles)), np.array(troubles, np.float32)[:, None])
 
 
 def wait_until_gone(*pids: int) -> None:
@@ -180,9 +164,8 @@ def test_a_worker_that_dies_is_reported_with_its_environments(trouble, name):
         assert orchestrator.receive().environment.tolist() == [0, 1]
         step(orchestrator, FINE, FINE)
         assert orchestrator.receive().environment.tolist() == [0, 1], "its neighbours go on"
-        orchestrator.reset([2], [0])
-        with pytest.raises(WorkerError, match="worker 1"):
-            orchestrator.receive()
+        orchestrator.reset([2, 3], [20, 30])
+        assert orchestrator.receive().environment.tolist() == [2, 3], "another worker stands in for it"
 
 
 def test_a_worker_killed_from_outside_is_noticed_while_others_are_busy():
@@ -193,19 +176,22 @@ def test_a_worker_killed_from_outside_is_noticed_while_others_are_busy():
         threading.Timer(0.1, os.kill, (pids[2], signal.SIGKILL)).start()
         with pytest.raises(WorkerError, match="worker 1: the worker process was killed by SIGKILL"):
             orchestrator.receive()
-        orchestrator._crew._processes[0].kill()  # spares the patience of close
-        orchestrator._crew._processes[0].join()
+        orchestrator._crew._workers[0].process.kill()  # spares the patience of close
+        orchestrator._crew._workers[0].process.join()
 
 
-def test_one_death_is_noticed_by_all_threads_of_the_worker():
-    with make(THREADS) as orchestrator:
+def test_one_death_is_a_failure_of_all_threads_of_the_worker():
+    with make(THREADS, failures=1) as orchestrator:
         pids = reset(orchestrator)
         os.kill(pids[0], signal.SIGKILL)
-        for environment in (0, 2):
-            orchestrator.reset([environment], [0])
-            with pytest.raises(WorkerError, match=f"SIGKILL, with environments {environment} to {environment + 1}"):
-                orchestrator.receive()
-            assert orchestrator.receive().environment.size == 0
+        orchestrator.reset([0], [0])
+        received = orchestrator.receive()
+        assert (received.environment.tolist(), received.failed.tolist()) == ([], [0, 1, 2, 3])
+        assert [str(failure.error) for failure in received.failures] == [
+            "worker 0: the worker process was killed by SIGKILL, with environments 0 to 3; "
+            "if nobody did, memory ran out: use fewer environments"
+        ]
+        assert len(set(reset(orchestrator))) == 1
 
 
 @pytest.mark.parametrize("layout", [ONE, TWO, THREADS], ids=["1", "2", "threads"])
@@ -250,7 +236,7 @@ def test_a_machine_without_processes_to_give_is_a_clear_error(monkeypatch):
     def refuse(*_: object) -> None:
         raise BlockingIOError(11, "Resource temporarily unavailable")
 
-    monkeypatch.setattr(workers, "start_worker", refuse)
+    monkeypatch.setattr(lanes, "start_worker", refuse)
     with pytest.raises(MachineError, match=r"worker process 0 of 2 does not start: .*unavailable; ask for fewer"):
         make(TWO)
 

@@ -168,9 +168,13 @@ threading.Timer(0.3, os.kill, (os.getpid(), 9)).start()
 while True:
     step(orchestrator, {trouble})
 """
+    shared = Path("/dev/shm")
+    before = set(shared.iterdir()) if shared.exists() else set()
     ended = subprocess.run(write(tmp_path, body), capture_output=True, text=True, timeout=60, check=False)
     assert ended.returncode == -signal.SIGKILL
     wait_until_gone([int(pid) for pid in ended.stdout.split()])
+    left = (set(shared.iterdir()) if shared.exists() else set()) - before
+    assert not [path for path in left if path.name.startswith(("psm_", "pym-", "karolos"))]
 
 
 @pytest.mark.parametrize("name", ["SIGINT", "SIGTERM", "SIGUSR1"])

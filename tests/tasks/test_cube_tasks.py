@@ -4,34 +4,11 @@ from __future__ import annotations
 
 import numpy as np
 import pytest
+from rig import expert_episode, made, part
 
-from karolos.core import Environment, Step
-from karolos.environments.build import build_environment
 from karolos.errors import KarolosError
-from karolos.registry import load
-from karolos.spec.recipe import Part, Recipe
 
 CUBE_TASKS = ["pick_place", "push"]
-
-
-def part(kind: str, name: str, **settings: object) -> Part:
-    return Part(kind, name, load(kind, name).Settings.model_validate(settings))
-
-
-def made(task: str, robot: str = "panda", control: str = "cartesian", **settings: object) -> Environment:
-    recipe = Recipe(
-        part("environments", "robot_task"), part("robots", robot, control=control), part("tasks", task, **settings)
-    )
-    return build_environment(recipe)
-
-
-def expert_episode(environment: Environment, seed: int) -> list[Step]:
-    steps = [environment.reset(seed)]
-    expert = environment.expert()
-    expert.reset()
-    while not (steps[-1].terminated or steps[-1].truncated):
-        steps.append(environment.step(expert.act()))
-    return steps
 
 
 @pytest.mark.parametrize("task", CUBE_TASKS)

@@ -1,0 +1,98 @@
+"""Bits that are flipped one at a time until they match: where a sparse reward without hindsight is hopeless."""
+
+from __future__ import annotations
+
+import numpy as np
+from pydantic import Field as Setting
+
+from ..core import Array, BoolArray, Discrete, Environment, Field, FloatArray, GoalRule, Layout, Signature, Step
+from ..core import Settings as BaseSettings
+from .action_set import chosen
+
+
+class SameBits(GoalRule):
+    """Success, the end of the episode and reward 0 where all bits match, else -1."""
+
+    reward_range = (-1.0, 0.0)
+
+    def reward(self, achieved: Array, desired: Array) -> FloatArray:
+        return np.subtract(self.success(achieved, desired), 1, dtype=np.float32)
+
+    def success(self, achieved: Array, desired: Array) -> BoolArray:
+        return np.asarray((np.asarray(achieved) == desired).all(-1))
+
+    def terminated(self, achieved: Array, desired: Array) -> BoolArray:
+        return self.success(achieved, desired)
+
+
+class BitFlip(Environment):
+    """What to do: flip bits, one per step, until they equal the bits of the goal.
+
+    What is randomised: the bits and the goal, each pattern equally likely, never equal at reset.
+    What counts as success: all bits equal the goal's. That ends the episode (`terminated`), for there is no action that
+    keeps the bits as they are; otherwise it is truncated after `bits` steps, which is enough for every goal.
+
+    Reward: -1 per step, 0 for the step that arrives. Observation: the bits (0 or 1). Action: which bit to flip.
+    Source: Andrychowicz et al. 2017, "Hindsight Experience Replay", section 3.1. There it is left open whether arriving
+    ends the episode.
+    """
+
+    class Settings(BaseSettings):
+        bits: int = Setting(15, ge=1, le=50, description="how many there are, and steps per episode")
+
+    def __init__(self, settings: BitFlip.Settings) -> None:
+        self.settings = settings
+        bits = settings.bits
+        self._rule = SameBits()
+        self._actions = Discrete(tuple(f"flip bit {bit}" for bit in range(bits)))
+        self.signature = Signature(
+            observation=Layout((Field("bits", bits),)),
+            action=self._actions,
+            max_steps=bits,
+            reward_range=self._rule.reward_range,
+            achieved_goal=Layout((Field("bits", bits),)),
+            desired_goal=Layout((Field("goal_bits", bits),)),
+            goal_rule=self._rule,
+        )
+        self._bits = np.zeros(bits, np.float32)
+        self._goal = np.zeros(bits, np.float32)
+        self._steps = bits  # no episode is running
+
+    def reset(self, seed: int) -> Step:
+        generator = np.random.Generator(np.random.PCG64(seed))
+        self._bits = generator.integers(2, size=self.settings.bits).astype(np.float32)
+        self._goal = generator.integers(2, size=self.settings.bits).astype(np.float32)
+        while self._rule.success(self._bits, self._goal):
+            self._goal = generator.integers(2, size=self.settings.bits).astype(np.float32)
+        self._steps = 0
+        return self._step(0.0, over=False)
+
+    def step(self, action: Array) -> Step:
+        """Flip one bit. Raises ValueError for an action that names none, RuntimeError after an end."""
+        bit = chosen(action, self._actions, "BitFlip")
+        if self._steps >= self.settings.bits:
+            raise RuntimeError("the episode is over; reset the environment first")
+        self._bits = self._bits.copy()
+        self._bits[bit] = 1 - self._bits[bit]
+        self._steps += 1
+        step = self._step(float(self._rule.reward(self._bits, self._goal)), over=self._steps >= self.settings.bits)
+        if step.terminated:
+            self._steps = self.settings.bits
+        return step
+
+    def _step(self, reward: float, *, over: bool) -> Step:
+        success = bool(self._rule.success(self._bits, self._goal))
+        return Step(self._bits, self._bits, self._goal, reward, success, over and not success, success)
+
+    def render(self, width: int = 640, height: int = 480) -> np.ndarray:
+        """The bits above, the goal below, set ones dark; bits that differ from the goal are red."""
+        picture = np.full((height, width, 3), 255, np.uint8)
+        edges = np.linspace(0, width, self.settings.bits + 1).astype(int)
+        rows = ((0, height // 2, self._bits), (height // 2, height, self._goal))
+        for top, bottom, bits in rows:
+            for bit, value in enumerate(bits.tolist()):
+                wrong = bits is self._bits and value != self._goal[bit]
+                colour = (200, 60, 40) if wrong else (40, 80, 200)
+                shade = colour if value else tuple(255 - (255 - part) // 4 for part in colour)
+                picture[top + 1 : bottom - 1, edges[bit] + 1 : edges[bit + 1] - 1] = shade
+        return picture

@@ -1,0 +1,25 @@
+"""Which precision and device a name means."""
+
+from __future__ import annotations
+
+import pytest
+import torch
+
+from karolos.agents.device import is_low
+
+
+@pytest.mark.parametrize(
+    ("capabilities", "low"),
+    [({"avx512_bf16": True}, True), ({"amx_bf16": True, "avx512_bf16": False}, True), ({"avx2": True}, False)],
+)
+def test_auto_takes_bfloat16_only_where_the_cpu_computes_in_it(
+    capabilities: dict[str, bool], low: bool, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    monkeypatch.setattr(torch.cpu, "get_capabilities", lambda: capabilities)
+    assert is_low("auto", "cpu") is low
+    assert not is_low("auto", "cuda")
+
+
+def test_a_precision_that_is_named_is_taken() -> None:
+    assert is_low("bfloat16", "cpu")
+    assert not is_low("float32", "cpu")

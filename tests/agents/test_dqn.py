@@ -1,0 +1,266 @@
+"""DQN: what its values mean, how it explores, and what it stores."""
+
+from __future__ import annotations
+
+from dataclasses import replace
+from typing import Any
+
+import numpy as np
+import pytest
+import torch
+from parts import batch, signature
+from pydantic import ValidationError
+
+from karolos.agents.dqn import DQN
+from karolos.agents.inputs import Inputs, learning_inputs
+from karolos.buffers.uniform import Uniform
+from karolos.core import Discrete, Signature, Transitions
+from karolos.environments.bit_flip import BitFlip
+from karolos.errors import UsageError
+from karolos.seeding import SeedTree
+
+SMALL = {"hidden": (32, 32), "learning_rate": 3e-3, "tau": 0.1, "precision": "float32"}
+ACTIONS = 4
+
+
+def discrete(**of: Any) -> Signature:
+    return replace(signature(**of), action=Discrete(tuple(f"action {number}" for number in range(ACTIONS))))
+
+
+def make(of: Signature | None = None, **settings: Any) -> DQN:
+    return DQN(DQN.Settings.model_validate({**SMALL, **settings}), of or discrete(), SeedTree(0))
+
+
+def some(size: int, seed: int = 0, of: Signature | None = None, **fixed: Any) -> Any:
+    """A batch of noise with uniform actions."""
+    action = np.random.default_rng(seed).integers(ACTIONS, size=(size, 1))
+    return batch(size, of or discrete(), seed, **{"action": action, **fixed})
+
+
+def values(agent: DQN, inputs: Inputs) -> np.ndarray:
+    head = agent.network(inputs.here).detach()
+    return agent._values(head).numpy()
+
+
+@pytest.mark.parametrize("settings", [{}, {"dueling": True}, {"loss": "squared", "layer_norm": True}])
+@pytest.mark.parametrize(("terminated", "value"), [(0.0, 5.0), (1.0, 1.0)])
+def test_values_look_beyond_a_truncation_and_not_beyond_a_termination(
+    terminated: float, value: float, settings: dict[str, Any]
+) -> None:
+    agent = make(discount=0.8, learning_rate=5e-3, **settings)
+    for seed in range(300):
+        agent.learn(some(32, seed % 20, reward=1, terminated=terminated, discount=0.8))
+    found = values(agent, learning_inputs(some(200, 99), agent.normaliser, agent.device))
+    assert found.mean() == pytest.approx(value, rel=0.05)
+
+
+@pytest.mark.parametrize("double_q", [True, False])
+def test_target_is_what_the_target_network_says_of_the_action_that_the_online_network_prefers(double_q: bool) -> None:
+    agent = make(double_q=double_q, clip_targets=False)
+    agent.target.vector.copy_(torch.randn(agent.target.vector.shape, generator=torch.Generator().manual_seed(3)))
+    ended = (np.arange(64) % 3 == 0).astype(np.float32)
+    data = some(64, terminated=ended, discount=0.9)
+    inputs = learning_inputs(data, agent.normaliser, agent.device)
+    online, theirs = (network(inputs.there).detach().numpy() for network in (agent.network, agent.target))
+    preferred = (online if double_q else theirs).argmax(1)
+    expected = data.reward + 0.9 * (1 - ended) * theirs[np.arange(64), preferred]
+    np.testing.assert_allclose(agent.targets(inputs).numpy(), expected, rtol=1e-5)
+    assert (online.argmax(1) != theirs.argmax(1)).any()
+
+
+def test_targets_stay_within_what_rewards_make_possible() -> None:
+    bounded = replace(discrete(), reward_range=(-1.0, 0.0))
+    for clip, least in ((True, -10.0), (False, -100.0)):
+        agent = make(bounded, discount=0.9, clip_targets=clip)
+        inputs = learning_inputs(some(64, reward=-100, terminated=1), agent.normaliser, agent.device)
+        assert agent.targets(inputs).min() == pytest.approx(least)
+
+
+def test_values_of_an_episode_that_ends_at_once_are_possible_too() -> None:
+    agent = make(replace(discrete(), reward_range=(1.0, 2.0)), discount=0.9)
+    for reward, terminated, expected in ((1, 1, 1), (-5, 1, 1), (100, 0, 20)):
+        inputs = learning_inputs(some(8, reward=reward, terminated=terminated), agent.normaliser, agent.device)
+        np.testing.assert_allclose(agent.targets(inputs).numpy(), expected, rtol=1e-6)
+
+
+def test_the_dueling_head_gives_advantages_with_the_mean_zero() -> None:
+    agent = make(dueling=True)
+    inputs = learning_inputs(some(32), agent.normaliser, agent.device)
+    head = agent.network(inputs.here).detach().numpy()
+    assert head.shape == (32, 1 + ACTIONS)
+    found = values(agent, inputs)
+    np.testing.assert_allclose(found.mean(1), head[:, 0], atol=1e-5)
+    np.testing.assert_array_equal(found.argmax(1), head[:, 1:].argmax(1))
+
+
+@pytest.mark.parametrize("loss", ["huber", "squared"])
+def test_loss_is_the_weighted_mean_over_the_values_of_the_actions_taken(loss: str) -> None:
+    agent = make(loss=loss, clip_targets=False)
+    weight = np.linspace(0, 1, 32).astype(np.float32)
+    data = some(32, reward=3, terminated=1, weight=weight)
+    copy = make(loss=loss, clip_targets=False)
+    inputs = learning_inputs(data, copy.normaliser, copy.device)
+    errors = values(copy, inputs)[np.arange(32), data.action[:, 0].astype(int)] - data.reward
+    size = np.abs(errors)
+    each = np.where(size < 1, size**2 / 2, size - 0.5) if loss == "huber" else size**2
+    metrics = agent.learn(data)
+    assert metrics["value_loss"].item() == pytest.approx((weight * each).mean(), rel=1e-4)
+    np.testing.assert_allclose(metrics["priorities"].numpy(), size, rtol=1e-4)
+
+
+def test_long_gradients_are_cut_to_the_length_that_is_set() -> None:
+    lengths, told = [], []
+    for longest in (None, 0.5):
+        agent = make(gradient_norm=longest, loss="squared")
+        told.append(agent.learn(some(32, reward=50, terminated=1))["gradient_norm"].item())
+        # Adam's first step leaves a tenth of the gradient in its running mean
+        lengths.append(10 * np.linalg.norm(agent.state()["optimiser"]["exp_avg"]))
+    assert lengths == pytest.approx([told[0], 0.5], rel=1e-4)
+    assert told[0] == told[1] > 1
+
+
+@pytest.mark.parametrize(("interval", "tau"), [(1, 0.1), (3, 1.0)])
+def test_the_target_moves_when_it_is_its_turn_and_as_far_as_tau_says(interval: int, tau: float) -> None:
+    agent = make(target_interval=interval, tau=tau)
+    for update in range(1, 7):
+        before = agent.target.vector.clone()
+        agent.learn(some(32, update))
+        expected = before.lerp(agent.network.vector, tau) if update % interval == 0 else before
+        torch.testing.assert_close(agent.target.vector, expected)
+
+
+def test_epsilon_falls_with_exploring_environment_steps_to_its_end_and_stays() -> None:
+    agent = make(epsilon_start=0.9, epsilon_end=0.1, epsilon_steps=100)
+    data = some(10)
+    found = [agent.epsilon]
+    for _ in range(12):
+        agent.act(data.observation, data.desired_goal, explore=True)
+        agent.act(data.observation, data.desired_goal, explore=False)  # a test: counts for nothing
+        found.append(agent.epsilon)
+    np.testing.assert_allclose(found[:11], np.linspace(0.9, 0.1, 11))
+    assert found[11:] == [0.1, 0.1]
+    assert agent.learn(data)["epsilon"].item() == pytest.approx(0.1)
+
+
+def test_each_environment_explores_with_probability_epsilon_and_tests_do_not() -> None:
+    agent = make(epsilon_start=0.4, epsilon_end=0.4)
+    data = some(4000)
+    best = agent.act(data.observation, data.desired_goal, explore=False)
+    inputs = learning_inputs(data, make().normaliser, agent.device)
+    assert inputs.here.shape == (4000, 5)
+    for _ in range(2):
+        explored = agent.act(data.observation, data.desired_goal, explore=True)
+        # a random action is the best one once in ACTIONS times
+        assert (explored != best).mean() == pytest.approx(0.4 * (1 - 1 / ACTIONS), abs=0.03)
+    greedy = make(epsilon_start=0.0, epsilon_end=0.0)
+    np.testing.assert_array_equal(greedy.act(data.observation, data.desired_goal, explore=True), best)
+
+
+def test_exploration_goes_on_bit_for_bit_from_a_saved_state() -> None:
+    first, second = make(epsilon_steps=200), make(epsilon_steps=200)
+    data = some(16)
+    for seed in range(3):
+        first.act(data.observation, data.desired_goal, explore=True)
+        first.learn(some(16, seed))
+    second.load_state(first.state())
+    for seed in range(3, 6):
+        assert first.epsilon == second.epsilon
+        actions = [agent.act(data.observation, data.desired_goal, explore=True) for agent in (first, second)]
+        np.testing.assert_array_equal(*actions)
+        losses = [agent.learn(some(16, seed))["value_loss"].item() for agent in (first, second)]
+        assert losses[0] == losses[1]
+
+
+def test_an_action_survives_the_buffer_as_the_index_it_was() -> None:
+    of = replace(signature(goal=0), action=Discrete(tuple(map(str, range(1000)))), max_steps=1000)
+    buffer = Uniform(Uniform.Settings(capacity=1000), of, SeedTree(0), environments=1, discount=0.9)
+    none = np.zeros((1, 0), np.float32)
+    for index in range(1000):
+        place = np.full((1, 3), index, np.float32)
+        buffer.add(
+            Transitions(
+                environment=np.zeros(1, np.int64),
+                observation=place,
+                achieved_goal=none,
+                desired_goal=none,
+                action=np.float32([[index]]),
+                reward=np.zeros(1, np.float32),
+                next_observation=place,
+                next_achieved_goal=none,
+                terminated=np.zeros(1, np.bool_),
+                truncated=np.zeros(1, np.bool_),
+            )
+        )
+    sampled = buffer.sample(500)
+    agent = DQN(DQN.Settings.model_validate(SMALL), of, SeedTree(0))
+    index = learning_inputs(sampled, agent.normaliser, agent.device).action.long()
+    np.testing.assert_array_equal(index.numpy()[:, 0], sampled.observation[:, 0].astype(np.int64))
+
+
+def test_learns_the_best_action_of_a_bandit_from_uniform_ones() -> None:
+    agent = make(discount=0.0)
+    for seed in range(300):
+        data = some(64, seed)
+        best = (data.observation[:, 0] > 0) + 2 * (data.observation[:, 1] > 0)
+        reward = (data.action[:, 0] == best).astype(np.float32)
+        agent.learn(data._replace(reward=reward, terminated=np.ones(64, np.float32)))
+    data = some(500, 1000)
+    best = (data.observation[:, 0] > 0) + 2 * (data.observation[:, 1] > 0)
+    assert (agent.act(data.observation, data.desired_goal, explore=False)[:, 0] == best).mean() > 0.9
+
+
+def play(agent: DQN, worlds: list[BitFlip], first_seed: int, buffer: Uniform | None = None) -> float:
+    """One episode in each world, as long as any goes on; share that reached the goal. With a buffer: learn."""
+    steps = [world.reset(first_seed + number) for number, world in enumerate(worlds)]
+    running = np.arange(len(worlds))
+    while running.size:
+        before = [steps[number] for number in running]
+        observation, achieved, goal = (np.stack(field) for field in list(zip(*before, strict=True))[:3])
+        actions = agent.act(observation, goal, explore=buffer is not None)
+        for number, action in zip(running.tolist(), actions, strict=True):
+            steps[number] = worlds[number].step(action)
+        after = [steps[number] for number in running]
+        over = np.bool_([step.terminated or step.truncated for step in after])
+        if buffer is not None:
+            buffer.add(
+                Transitions(
+                    environment=running,
+                    observation=observation,
+                    achieved_goal=achieved,
+                    desired_goal=goal,
+                    action=actions,
+                    reward=np.float32([step.reward for step in after]),
+                    next_observation=np.stack([step.observation for step in after]),
+                    next_achieved_goal=np.stack([step.achieved_goal for step in after]),
+                    terminated=np.bool_([step.terminated for step in after]),
+                    truncated=np.bool_([step.truncated for step in after]),
+                )
+            )
+            for _ in range(4):
+                agent.learn(buffer.sample(64))
+        running = running[~over]
+    return float(np.mean([step.success for step in steps]))
+
+
+@pytest.mark.parametrize(("hindsight", "n_step"), [(True, 1), (True, 2), (False, 1)])
+def test_bits_that_chance_hardly_flips_right_are_learned_with_hindsight_only(hindsight: bool, n_step: int) -> None:
+    worlds = [BitFlip(BitFlip.Settings(bits=8)) for _ in range(16)]
+    of = worlds[0].signature
+    settings = {**SMALL, "hidden": (64, 64), "tau": 0.05, "epsilon_steps": 1000}
+    agent = DQN(DQN.Settings.model_validate(settings), of, SeedTree(0))
+    replay = Uniform.Settings.model_validate({"hindsight": {} if hindsight else None, "n_step": n_step})
+    buffer = Uniform(replay, of, SeedTree(0), environments=16, discount=agent.discount)
+    for episode in range(16):
+        play(agent, worlds, 16 * episode, buffer)
+    found = np.mean([play(agent, worlds, 100_000 + 16 * k) for k in range(4)])
+    assert found > 0.8 if hindsight else found < 0.2
+
+
+def test_continuous_actions_are_refused_with_the_setting_that_helps() -> None:
+    with pytest.raises(UsageError, match=r"2 continuous numbers.*environment\.actions=discrete"):
+        make(signature())
+
+
+def test_an_epsilon_that_rises_is_refused() -> None:
+    with pytest.raises(ValidationError, match=r"epsilon_end 0\.5 is above epsilon_start 0\.1"):
+        DQN.Settings(epsilon_start=0.1, epsilon_end=0.5)

@@ -1,0 +1,129 @@
+"""Exploration noise: what each kind looks like over an episode, and that it goes on where it stopped."""
+
+from __future__ import annotations
+
+from typing import Any
+
+import numpy as np
+import pytest
+import torch
+from parts import batch, signature
+from pydantic import ValidationError
+
+from karolos.agents.ddpg import DDPG
+from karolos.agents.noise import Noise, NoiseSettings
+from karolos.agents.sac import SAC
+from karolos.agents.td3 import TD3
+from karolos.core import Agent
+from karolos.seeding import SeedTree
+
+ENVIRONMENTS = 2000
+
+
+def make(**settings: Any) -> Noise:
+    return Noise(NoiseSettings(**settings), inputs=3, actions=2, device=torch.device("cpu"))
+
+
+def drawn(noise: Noise, steps: int, rows: torch.Tensor | None = None) -> torch.Tensor:
+    """Successive draws: (steps, environments, actions)."""
+    generator = torch.Generator().manual_seed(0)
+    rows = torch.ones(ENVIRONMENTS, 3) if rows is None else rows
+    return torch.stack([noise.draw(rows, generator) for _ in range(steps)])
+
+
+KINDS = [{"kind": "gaussian"}, {"kind": "ornstein_uhlenbeck"}, {"kind": "state_dependent", "interval": 3}]
+
+
+@pytest.mark.parametrize("settings", KINDS)
+def test_noise_of_every_kind_is_standard_normal_at_every_step(settings: dict[str, Any]) -> None:
+    found = drawn(make(**settings), 5)
+    for step in found:
+        assert step.mean().item() == pytest.approx(0, abs=0.06)
+        assert step.std().item() == pytest.approx(1, abs=0.05)
+
+
+@pytest.mark.parametrize(
+    ("settings", "correlation"),
+    [(KINDS[0], 0.0), ({"kind": "ornstein_uhlenbeck", "theta": 0.3}, 0.7), ({"kind": "state_dependent"}, 1.0)],
+)
+def test_successive_noise_is_as_akin_as_its_kind_says(settings: dict[str, Any], correlation: float) -> None:
+    first, second = drawn(make(**settings), 2)
+    assert np.corrcoef(first.ravel(), second.ravel())[0, 1] == pytest.approx(correlation, abs=0.05)
+
+
+def test_state_dependent_noise_is_a_function_of_the_state_for_its_interval() -> None:
+    noise = make(kind="state_dependent", interval=2)
+    here, there = torch.randn(4, 3), torch.randn(4, 3)
+    generator = torch.Generator().manual_seed(0)
+    first, elsewhere, renewed = (noise.draw(rows, generator) for rows in (here, there, here))
+    assert (first != elsewhere).all()
+    assert (first != renewed).all()
+    again = make(kind="state_dependent", interval=2)
+    same = again.draw(torch.cat((here, here)), torch.Generator().manual_seed(1))
+    assert (same[:4] != same[4:]).all()  # a matrix for each environment
+
+
+@pytest.mark.parametrize("settings", KINDS[1:])
+def test_noise_begins_anew_with_an_episode_in_that_environment_alone(settings: dict[str, Any]) -> None:
+    noise, rows = make(**{**settings, **({"interval": 50} if "interval" in settings else {})}), torch.ones(3, 3)
+    generator = torch.Generator().manual_seed(0)
+    noise.draw(rows, generator)
+    going_on = Noise.state(noise)["memory"].clone()
+    noise.begin(np.array([1]))
+    noise.draw(rows, generator)
+    after = noise.state()
+    assert after["age"].tolist() == [2, 1, 2]
+    kept = going_on if settings["kind"] == "state_dependent" else None
+    if kept is not None:
+        assert torch.equal(after["memory"][[0, 2]], kept[[0, 2]])
+        assert not torch.equal(after["memory"][1], kept[1])
+
+
+@pytest.mark.parametrize("settings", KINDS[1:])
+def test_what_is_remembered_belongs_to_the_environments_named(settings: dict[str, Any]) -> None:
+    noise, generator = make(**settings), torch.Generator().manual_seed(0)
+    noise.draw(torch.ones(4, 3), generator)
+    before = noise.state()
+    noise.draw(torch.ones(2, 3), generator, np.array([3, 1]))
+    after = noise.state()
+    assert after["age"].tolist() == [1, 2, 1, 2]
+    assert torch.equal(after["memory"][[0, 2]], before["memory"][[0, 2]])
+
+
+@pytest.mark.parametrize("agent", [SAC, DDPG, TD3])
+@pytest.mark.parametrize("settings", KINDS[1:])
+def test_exploring_goes_on_bit_for_bit_in_a_fresh_agent(agent: type[Agent], settings: dict[str, Any]) -> None:
+    def make_agent(seed: int) -> Agent:
+        chosen = agent.Settings.model_validate({"hidden": (16,), "noise": settings})
+        return agent(chosen, signature(), SeedTree(seed))
+
+    def act(of: Agent, seed: int) -> np.ndarray:
+        data = batch(4, signature(), seed)
+        return of.act(data.observation, data.desired_goal, explore=True)
+
+    first, second = make_agent(0), make_agent(1)
+    for step in range(4):
+        act(first, step)
+        if step == 1:
+            first.begin_episodes(np.array([2]))
+    second.load_state(first.state())
+    for step in range(4, 9):
+        np.testing.assert_array_equal(act(first, step), act(second, step))
+
+
+def test_sac_explores_with_the_spread_that_its_policy_gives() -> None:
+    chosen = SAC.Settings.model_validate({"hidden": (16,), "random_actions": 0, "noise": {"kind": "state_dependent"}})
+    agent = SAC(chosen, signature(), SeedTree(0))
+    agent.policy.named["layer1.weight"].zero_()
+    agent.policy.named["layer1.bias"].copy_(torch.tensor([[0.1, 0.1, -3.0, -3.0]]))
+    data = batch(ENVIRONMENTS, signature())
+    found = np.arctanh(agent.act(data.observation, data.desired_goal, explore=True))
+    assert found.std() == pytest.approx(np.exp(-3), rel=0.1)
+    assert found.mean() == pytest.approx(0.1, abs=0.01)
+
+
+def test_settings_of_another_kind_are_refused() -> None:
+    with pytest.raises(ValidationError, match="theta goes with kind: ornstein_uhlenbeck"):
+        NoiseSettings(theta=0.1)
+    with pytest.raises(ValidationError, match="interval goes with kind: state_dependent"):
+        NoiseSettings(kind="ornstein_uhlenbeck", interval=4)

@@ -1,0 +1,267 @@
+"""PPO: its advantages, the policy it compares with, what it learns, and what it forgets nothing of."""
+
+from __future__ import annotations
+
+from collections import Counter
+from dataclasses import replace
+from typing import Any
+
+import numpy as np
+import pytest
+import torch
+from parts import signature
+from pydantic import ValidationError
+
+from karolos.agents.advantages import advantages
+from karolos.agents.categorical import Categorical
+from karolos.agents.gaussian import Gaussian
+from karolos.agents.ppo import PPO
+from karolos.core import Discrete, Rollout, Signature
+from karolos.errors import UsageError
+from karolos.seeding import SeedTree
+
+SMALL = {"hidden": (16,), "minibatches": 4, "epochs": 3}
+
+
+def made(of: Signature | None = None, seed: int = 0, **settings: Any) -> PPO:
+    return PPO(PPO.Settings.model_validate(SMALL | settings), of or signature(), SeedTree(seed))
+
+
+def played(agent: PPO, of: Signature, *, steps: int = 8, n: int = 4, seed: int = 0, **fixed: Any) -> Rollout:
+    """A rollout through noise with the agent's own exploring actions; `fixed` gives whole fields."""
+    generator = np.random.default_rng(seed)
+
+    def noise(columns: int) -> np.ndarray:
+        return generator.normal(size=(steps + 1, n, columns)).astype(np.float32)
+
+    observation, goal = noise(of.observation.size), noise(of.desired_goal.size)[:-1]
+    action = np.stack([agent.act(observation[t], goal[t], explore=True) for t in range(steps)])
+    made = Rollout(
+        observation=observation[:-1],
+        desired_goal=goal,
+        action=action,
+        reward=noise(1)[:-1, :, 0],
+        next_observation=observation[1:],
+        terminated=np.zeros((steps, n), np.bool_),
+        ended=np.arange(steps)[:, None].repeat(n, 1) == steps - 1,
+        stored=np.ones((steps, n), np.bool_),
+    )
+    given = {
+        name: np.broadcast_to(value, getattr(made, name).shape).astype(getattr(made, name).dtype)
+        for name, value in fixed.items()
+    }
+    return made._replace(**given)
+
+
+def written_out(rollout: Rollout, value: Any, next_value: Any, discount: float, decay: float) -> np.ndarray:
+    """Advantages as the sum over all later steps of the same episode, environment by environment."""
+    steps, n = rollout.reward.shape
+    found = np.zeros((steps, n))
+    for lane in range(n):
+        for start in range(steps):
+            for step in range(start, steps):
+                if not rollout.stored[step, lane]:
+                    break
+                beyond = 0.0 if rollout.terminated[step, lane] else discount * next_value[step, lane]
+                error = rollout.reward[step, lane] + beyond - value[step, lane]
+                found[start, lane] += (discount * decay) ** (step - start) * error
+                if rollout.ended[step, lane]:
+                    break
+    return found
+
+
+@pytest.mark.parametrize("decay", [0.0, 0.7, 1.0])
+def test_advantages_are_those_of_the_sum_written_out(decay: float) -> None:
+    of, generator = signature(), np.random.default_rng(1)
+    terminated, truncated = generator.random((8, 4)) < 0.2, generator.random((8, 4)) < 0.2
+    stored = np.arange(8)[:, None] < [8, 5, 0, 8]
+    ended = terminated | truncated | (np.arange(8)[:, None] == np.array([8, 5, 0, 8]) - 1)
+    rollout = played(made(of), of, terminated=terminated, ended=ended, stored=stored)
+    value, next_value = generator.normal(size=(2, 8, 4)).astype(np.float32)
+    found = advantages(rollout, value, next_value, discount=0.9, trace_decay=decay)
+    np.testing.assert_allclose(found, written_out(rollout, value, next_value, 0.9, decay), atol=1e-5)
+    assert not found[~stored].any()
+
+
+@pytest.mark.parametrize("kind", ["truncated", "terminated"])
+def test_a_reward_of_one_is_worth_all_that_would_follow_a_truncated_step_and_one_before_a_terminated(kind: str) -> None:
+    of = signature(goal=0)
+    agent = made(of, discount=0.5, learning_rate=1e-2, epochs=10, minibatches=2)
+    over = np.ones((8, 4), np.bool_)
+    for number in range(20):
+        here = np.random.default_rng(number).uniform(-1, 1, (8, 4, 3)).astype(np.float32)
+        rollout = played(agent, of, seed=number, reward=1.0, ended=over, terminated=over & (kind == "terminated"))
+        agent.learn(rollout._replace(observation=here, next_observation=here))
+    rows = agent._rows(rollout._replace(observation=here), "observation")
+    value = agent.value(rows).detach().numpy()
+    np.testing.assert_allclose(value, 1 / (1 - 0.5) if kind == "truncated" else 1.0, rtol=0.05)
+
+
+@pytest.mark.parametrize("action", [0.0, 1.0, 1e3, -1e6])
+def test_log_probability_of_actions_far_outside_is_finite_and_so_is_its_gradient(action: float) -> None:
+    policy = Gaussian(2, 0.05, "cpu")
+    head = torch.zeros(3, 2, requires_grad=True)
+    found = policy.log_probability(head, torch.full((3, 2), action))
+    gradients = torch.autograd.grad(found.sum(), (head, policy.leaf))
+    assert torch.isfinite(found).all()
+    assert all(torch.isfinite(gradient).all() for gradient in gradients)
+
+
+def test_learning_from_saturated_actions_stays_finite() -> None:
+    of = signature()
+    agent = made(of, std=1.0)
+    metrics = agent.learn(played(agent, of, action=50.0))
+    assert all(np.isfinite(float(value)) for value in metrics.values())
+    assert np.isfinite(
+        agent.act(*np.zeros((2, 1, 3), np.float32)[:1], np.zeros((1, 2), np.float32), explore=True)
+    ).all()
+
+
+def test_probabilities_are_those_of_torch() -> None:
+    head, action = torch.randn(5, 3), torch.randn(5, 3)
+    gaussian = Gaussian(3, 0.7, "cpu")
+    gaussian.log_std.copy_(torch.tensor([-1.0, 0.0, 0.5]))
+    normal = torch.distributions.Normal(head, gaussian.log_std.exp())
+    torch.testing.assert_close(gaussian.log_probability(head, action).detach(), normal.log_prob(action).sum(-1))
+    torch.testing.assert_close(gaussian.entropy(head).detach(), normal.entropy().sum(-1))
+    categorical, chosen = torch.distributions.Categorical(logits=head), torch.tensor([0.0, 2, 1, 1, 0])
+    torch.testing.assert_close(Categorical(3).log_probability(head, chosen[:, None]), categorical.log_prob(chosen))
+    torch.testing.assert_close(Categorical(3).entropy(head), categorical.entropy())
+
+
+def test_samples_have_the_spread_they_say_and_categories_their_probabilities() -> None:
+    generator = torch.Generator().manual_seed(0)
+    actions = Gaussian(1, 0.5, "cpu").sample(torch.full((20_000, 1), 3.0), generator)
+    assert float(actions.mean()) == pytest.approx(3.0, abs=0.02)
+    assert float(actions.std()) == pytest.approx(0.5, abs=0.02)
+    odds = torch.tensor([0.2, 0.5, 0.3])
+    chosen = Categorical(3).sample(odds.log().expand(20_000, 3), generator)
+    counts = torch.bincount(chosen.long().flatten()) / 20_000
+    torch.testing.assert_close(counts, odds, atol=0.02, rtol=0)
+
+
+@pytest.mark.parametrize("discrete", [False, True])
+def test_the_ratio_to_the_policy_that_played_is_one_in_the_first_minibatch(discrete: bool) -> None:
+    of = replace(signature(), action=Discrete(("a", "b", "c"))) if discrete else signature()
+    agent = made(of, epochs=1, minibatches=1)
+    for number in range(3):  # the statistics that inputs are normalised by have moved in between
+        metrics = agent.learn(played(agent, of, steps=16, seed=number))
+        assert float(metrics["kl"]) == pytest.approx(0, abs=1e-6)
+        assert float(metrics["clip_fraction"]) == 0
+        assert float(metrics["policy_loss"]) == pytest.approx(0, abs=1e-5), "minus the mean of normalised advantages"
+
+
+def test_every_transition_is_learned_from_exactly_epochs_times(monkeypatch: pytest.MonkeyPatch) -> None:
+    of = signature()
+    agent = made(of, epochs=3, minibatches=4)
+    stored = np.arange(8)[:, None] < [8, 5, 0, 8]
+    rollout = played(agent, of, stored=stored)
+    seen: Counter[bytes] = Counter()
+    update = PPO._update
+
+    def counted(self: PPO, taken: Any) -> Any:
+        seen.update(row.tobytes() for row in taken.action.numpy())
+        return update(self, taken)
+
+    monkeypatch.setattr(PPO, "_update", counted)
+    assert agent.learn(rollout)["updates"] == 12
+    assert seen == Counter({row.tobytes(): 3 for row in rollout.action[stored]})
+
+
+def test_learning_stops_when_the_policy_has_moved_far_enough() -> None:
+    of = signature()
+    whole, short = made(of, epochs=20), made(of, epochs=20, target_kl=1e-4)
+    rollout = played(whole, of)
+    assert whole.learn(rollout)["updates"] == 80
+    metrics = short.learn(rollout)
+    assert 1 <= metrics["updates"] < 80
+    assert float(metrics["kl"]) < 1.5e-4
+
+
+def test_the_better_of_two_actions_is_learned() -> None:
+    for of in (signature(goal=0, action=1), replace(signature(goal=0), action=Discrete(("bad", "good")))):
+        agent = made(of, discount=0.0, learning_rate=1e-2)
+        zeros = np.zeros((1, 3), np.float32), np.zeros((1, 0), np.float32)
+        for number in range(15):
+            rollout = played(agent, of, steps=16, seed=number)
+            agent.learn(rollout._replace(reward=rollout.action[..., 0]))
+        assert agent.act(*zeros, explore=False)[0, 0] > 0.5
+
+
+def test_exploring_actions_are_not_clipped_and_tested_ones_are() -> None:
+    of = signature()
+    agent = made(of, std=3.0)
+    here, goal = np.zeros((500, 3), np.float32), np.zeros((500, 2), np.float32)
+    assert np.abs(agent.act(here, goal, explore=True)).max() > 2
+    agent.policy.vector.fill_(5.0)
+    np.testing.assert_array_equal(agent.act(here, goal, explore=False), np.ones((500, 2), np.float32))
+
+
+def test_acting_and_testing_leave_the_statistics_of_inputs_alone() -> None:
+    of = signature()
+    agent = made(of)
+    agent.learn(played(agent, of))
+    before = agent.normaliser.state()
+    for explore in (True, False):
+        agent.act(np.full((3, 3), 9.0, np.float32), np.full((3, 2), 9.0, np.float32), explore=explore)
+    assert agent.normaliser.state()["count"] == before["count"] == 32
+    assert torch.equal(agent.normaliser.state()["mean"], before["mean"])
+
+
+def test_values_stay_as_they_are_when_their_scale_changes() -> None:
+    of = signature()
+    agent = made(of)
+    agent.learn(played(agent, of))
+    rows = torch.randn(50, 5)
+    before = agent.value(rows)
+    agent.value.fit_scale(torch.linspace(-3000, 500, 1000))
+    torch.testing.assert_close(agent.value(rows), before, rtol=1e-4, atol=1e-3)
+
+
+def test_values_of_any_size_are_learned_alike() -> None:
+    errors = []
+    for scale in (1.0, 1000.0):
+        of = signature(goal=0)
+        agent = made(of, discount=0.0, learning_rate=1e-2, epochs=10, minibatches=1)
+        for number in range(20):
+            rollout = played(agent, of, steps=64, seed=number)
+            metrics = agent.learn(rollout._replace(reward=scale * rollout.observation[..., 0]))
+        errors.append(1 - float(metrics["explained_variance"]))
+    assert max(errors) < 0.02
+
+
+def test_clipped_values_move_no_further_than_asked_for_gain() -> None:
+    of = signature()
+    moved = []
+    for clip in (None, 0.05):
+        agent = made(of, value_clip=clip, learning_rate=1e-2, epochs=20, minibatches=1)
+        agent.learn(played(agent, of, reward=0.0))
+        rollout = played(agent, of, seed=1, reward=20.0)
+        rows = agent._rows(rollout, "observation")
+        before = agent.value(rows).detach()
+        agent.learn(rollout)
+        moved.append(float((agent.value(rows).detach() - before).abs().mean()))
+    assert moved[1] < 0.5 * moved[0]
+
+
+def test_the_policy_starts_near_zero_and_hidden_weights_are_orthogonal() -> None:
+    agent = made(hidden=(32, 32))
+    weight = agent.policy.named["layer1.weight"]
+    torch.testing.assert_close(weight @ weight.T, 2 * torch.eye(32), atol=1e-4, rtol=0)
+    last = agent.policy.named["layer2.weight"]
+    torch.testing.assert_close(last @ last.T, 1e-4 * torch.eye(2), atol=1e-7, rtol=0)
+    assert float(torch.linalg.vector_norm(agent.value.network.named["layer2.weight"])) == pytest.approx(1, abs=1e-4)
+
+
+def test_too_many_minibatches_for_a_rollout_are_refused_and_named() -> None:
+    of = signature()
+    agent = made(of, minibatches=64)
+    with pytest.raises(UsageError, match="32 transitions cannot be split into 64 minibatches") as refused:
+        agent.learn(played(agent, of))
+    assert refused.value.where == "agent.minibatches"
+
+
+@pytest.mark.parametrize("bad", [{"discount": 1.0}, {"clip": 0}, {"epochs": 0}, {"trace_decay": 1.1}, {"std": 0}])
+def test_settings_without_sense_are_refused(bad: dict[str, Any]) -> None:
+    with pytest.raises(ValidationError):
+        made(**bad)

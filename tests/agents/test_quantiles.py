@@ -1,0 +1,94 @@
+"""Quantile critics: their loss and targets against the formulas written out, and that they learn."""
+
+from __future__ import annotations
+
+from typing import Any
+
+import numpy as np
+import pytest
+import torch
+from parts import batch, signature
+from pydantic import ValidationError
+
+from karolos.agents.inputs import learning_inputs
+from karolos.agents.quantiles import Quantiles, quantile_huber, truncated
+from karolos.agents.sac import SAC
+from karolos.seeding import SeedTree
+
+
+def make(**settings: Any) -> SAC:
+    chosen = {"hidden": (32, 32), "learning_rate": 3e-3, "tau": 0.1, "precision": "float32", **settings}
+    return SAC(SAC.Settings.model_validate(chosen), signature(), SeedTree(0))
+
+
+def written_out(values: np.ndarray, targets: np.ndarray, weight: np.ndarray) -> float:
+    """The loss of Dabney et al. 2018, equation 10, number by number."""
+    members, rows, quantiles = values.shape
+    total = 0.0
+    for member in range(members):
+        for row in range(rows):
+            for j in range(quantiles):
+                for y in targets[row]:
+                    u = y - values[member, row, j]
+                    huber = 0.5 * u * u if abs(u) <= 1 else abs(u) - 0.5
+                    tau = (2 * j + 1) / (2 * quantiles)
+                    share = weight[row] / (rows * quantiles * targets.shape[1])
+                    total += share * abs(tau - float(u < 0)) * huber
+    return total
+
+
+def test_the_loss_is_the_quantile_huber_loss_and_the_gradient_is_its_own() -> None:
+    generator = np.random.default_rng(0)
+    values, targets = generator.normal(size=(2, 3, 4)) * 2, np.sort(generator.normal(size=(3, 7)) * 2, axis=1)
+    weight = np.array([1.0, 0.5, 0.0])
+    leaf = torch.tensor(values, requires_grad=True)
+    loss = quantile_huber(leaf, torch.tensor(targets), torch.tensor(weight))
+    assert loss.item() == pytest.approx(written_out(values, targets, weight))
+    loss.backward()
+    slopes = np.zeros_like(values)
+    for place in np.ndindex(values.shape):
+        step = np.zeros_like(values)
+        step[place] = 1e-6
+        above, below = (written_out(values + sign * step, targets, weight) for sign in (1, -1))
+        slopes[place] = (above - below) / 2e-6
+    np.testing.assert_allclose(leaf.grad, slopes, atol=1e-6)
+
+
+def test_targets_leave_out_the_largest_quantiles_of_both_critics_together() -> None:
+    agent = make(critic={"quantiles": 5, "drop": 1})
+    data = batch(6, signature(), discount=0.5)
+    inputs = learning_inputs(data, agent.normaliser, agent.device)
+    before = agent.generator.get_state()
+    found = agent.targets(inputs)
+    agent.generator.set_state(before)
+    _, action, _ = agent._sample(inputs.there)
+    both = agent.target(torch.cat((inputs.there, action), 1)).detach().numpy()
+    kept = np.sort(np.concatenate((both[0], both[1]), axis=1), axis=1)[:, :8]
+    np.testing.assert_allclose(found, data.reward[:, None] + 0.5 * kept, rtol=1e-5)
+
+
+def test_truncation_counts_over_members() -> None:
+    values = torch.tensor([[[1.0, 2.0, 9.0]], [[3.0, 8.0, 7.0]]])
+    assert truncated(values, 1).tolist() == [[1, 2, 3, 7]]
+    assert truncated(values, 0).shape == (1, 6)
+
+
+@pytest.mark.parametrize(("terminated", "value"), [(0.0, 5.0), (1.0, 1.0)])
+def test_quantiles_look_beyond_a_truncation_and_not_beyond_a_termination(terminated: float, value: float) -> None:
+    agent = make(discount=0.8, critic={"quantiles": 5, "drop": 0})
+    for seed in range(600):
+        agent.learn(batch(32, signature(), seed % 20, reward=1, terminated=terminated, discount=0.8))
+    data = batch(200, signature(), 99)
+    inputs = learning_inputs(data, agent.normaliser, agent.device)
+    found = agent.critic(torch.cat((inputs.here, inputs.action), 1)).detach()
+    assert found.mean().item() == pytest.approx(value, rel=0.06)
+
+
+def test_priorities_are_one_per_transition() -> None:
+    metrics = make(critic={}).learn(batch(16, signature()))
+    assert metrics["priorities"].shape == (16,)
+
+
+def test_dropping_everything_is_refused() -> None:
+    with pytest.raises(ValidationError, match="leaves nothing"):
+        Quantiles(quantiles=3, drop=3)

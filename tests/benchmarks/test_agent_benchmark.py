@@ -1,0 +1,56 @@
+from __future__ import annotations
+
+import json
+from pathlib import Path
+
+import pytest
+from karolos_cli.bench import app
+from typer.testing import CliRunner
+
+from karolos.assembly import check_parts
+from karolos.benchmarks import agent_peers
+from karolos.benchmarks.agents import ENTRIES, chosen, entry_spec
+from karolos.errors import UsageError
+from karolos.run_folder import scan
+
+
+@pytest.mark.parametrize("case", ENTRIES)
+def test_every_entry_is_a_spec_whose_parts_go_together(case: str) -> None:
+    spec = entry_spec(ENTRIES[case])
+    assert spec.agent.name == case.split()[1]
+    assert spec.buffer.name == (
+        "priority" if case.endswith("priority") else "on_policy" if "ppo" in case else "uniform"
+    )
+    check_parts(spec)
+
+
+def test_entries_differ_in_what_they_run() -> None:
+    hashes = [entry_spec(entry).hash() for entry in ENTRIES.values()]
+    assert len(set(hashes)) == len(hashes)
+
+
+def test_recipes_of_the_peer_belong_to_entries() -> None:
+    assert set(agent_peers.RECIPES) <= {entry.spec for entry in ENTRIES.values()}
+
+
+def test_a_finished_seed_is_not_run_again_and_the_table_is_written(tmp_path: Path) -> None:
+    arguments = ["agents", "--runs", str(tmp_path), "--quick", "--only", "bit_flip dqn without", "--json"]
+    for seeds in ("1", "2", "2"):
+        result = CliRunner().invoke(app, [*arguments, "--seeds", seeds])
+        assert result.exit_code == 0, result.output
+        assert len(list(scan(tmp_path))) == int(seeds)
+    row = json.loads(result.stdout)
+    assert row["case"] == "bit_flip dqn without hindsight"
+    assert row["unit"] == "success"
+    table = (tmp_path / "agents.md").read_text().splitlines()
+    assert len(table) == 3
+    assert "| <= 0.05 |" in table[2]
+    (stored,) = json.loads((tmp_path / "agents.json").read_text())["rows"]
+    assert len(stored["values"]) == 2
+    assert row["value"] == pytest.approx(sum(stored["values"]) / 2)
+
+
+def test_entries_are_chosen_by_how_their_names_begin() -> None:
+    assert chosen(["pendulum sac"]) == ["pendulum sac", "pendulum sac priority"]
+    with pytest.raises(UsageError, match="no entry"):
+        chosen(["pendulm"])

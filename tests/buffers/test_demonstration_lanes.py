@@ -1,0 +1,119 @@
+"""Demonstrations in replay buffers: never overwritten, sampled and relabelled as all else, saved and loaded."""
+
+from __future__ import annotations
+
+from typing import Any
+
+import numpy as np
+import pytest
+from worlds import Counting, SameStep, counting_signature
+
+from karolos.buffers.priority import Priority
+from karolos.buffers.uniform import Uniform
+from karolos.core import Transitions
+from karolos.seeding import SeedTree
+
+BUFFERS = [Uniform, Priority]
+STEPS = 5
+
+
+def make(buffer: Any, **settings: Any) -> Any:
+    chosen = buffer.Settings.model_validate({"capacity": 24, **settings})
+    return buffer(chosen, counting_signature(STEPS), SeedTree(0), environments=2, discount=0.9)
+
+
+def episodes(count: int, first: int = 100) -> list[Transitions]:
+    """Whole episodes of STEPS steps, numbered from `first` on."""
+    world = Counting(1)
+    found = []
+    for episode in range(first, first + count):
+        world.current[0] = [episode, 0]
+        steps = [world.step([0], over=[step == STEPS - 1]) for step in range(STEPS)]
+        found.append(Transitions(*(np.concatenate(field) for field in zip(*steps, strict=True))))
+    return found
+
+
+def filled(buffer: Any, rounds: int, world: Counting | None = None) -> Counting:
+    world = world or Counting(2)
+    for step in range(rounds):
+        buffer.add(world.step([0, 1], over=[step % STEPS == STEPS - 1] * 2))
+    return world
+
+
+def sampled(buffer: Any, size: int = 2000) -> set[tuple[int, int]]:
+    """(episode, step) of what comes in a batch."""
+    found = buffer.sample(size).observation
+    return {(int(episode), int(step)) for _, episode, step in found}
+
+
+@pytest.mark.parametrize("buffer", BUFFERS)
+def test_demonstrations_are_never_overwritten(buffer: Any) -> None:
+    made = make(buffer)
+    made.keep(episodes(5))
+    shown = {(episode, step) for episode in range(100, 105) for step in range(STEPS)}
+    assert sampled(made) == shown
+    world = filled(made, 60)
+    assert sampled(made) == shown | world.kept(12)
+    assert len(made) == 25 + 24
+
+
+@pytest.mark.parametrize("buffer", BUFFERS)
+def test_a_batch_says_which_rows_are_demonstrated(buffer: Any) -> None:
+    made = make(buffer)
+    filled(made, 10)
+    assert made.sample(32).demonstrated is None
+    made.keep(episodes(3))
+    batch = made.sample(500)
+    np.testing.assert_array_equal(batch.demonstrated, batch.observation[:, 1] >= 100)
+    assert 0 < batch.demonstrated.mean() < 1
+
+
+@pytest.mark.parametrize("buffer", BUFFERS)
+def test_hindsight_takes_goals_from_the_same_demonstration(buffer: Any) -> None:
+    made = make(buffer, hindsight={"ratio": 1.0, "min_displacement": 0.0})
+    made.keep(episodes(4))
+    batch = made.sample(500)
+    np.testing.assert_array_equal(batch.desired_goal[:, 0], batch.observation[:, 1])
+    assert (batch.desired_goal[:, 1] > batch.observation[:, 2]).all()
+    reached = SameStep().reward(batch.next_observation[:, 1:], batch.desired_goal)
+    np.testing.assert_array_equal(batch.reward, reached)
+
+
+@pytest.mark.parametrize("buffer", BUFFERS)
+def test_returns_over_several_steps_end_with_the_demonstration(buffer: Any) -> None:
+    made = make(buffer, n_step=3)
+    made.keep(episodes(4))
+    batch = made.sample(500)
+    np.testing.assert_array_equal(batch.next_observation[:, 1], batch.observation[:, 1])
+    taken = batch.next_observation[:, 2] - batch.observation[:, 2]
+    np.testing.assert_array_equal(taken, np.minimum(3, STEPS - batch.observation[:, 2]))
+
+
+@pytest.mark.parametrize("buffer", BUFFERS)
+def test_a_fresh_buffer_goes_on_with_the_demonstrations_of_a_saved_one(buffer: Any) -> None:
+    first, second = make(buffer), make(buffer)
+    first.keep(episodes(5))
+    world = filled(first, 17)
+    second.load_state(first.state())
+    for made in (first, second):
+        filled(made, 5, Counting(2))
+    assert len(world.fed[0]) == 17
+    for _ in range(3):
+        ours, theirs = first.sample(64), second.sample(64)
+        for one, other in zip(ours, theirs, strict=True):
+            np.testing.assert_array_equal(one, other)
+        for made, batch in ((first, ours), (second, theirs)):
+            made.update_priorities(batch.slot, np.arange(64, dtype=np.float32))
+
+
+def test_demonstrations_begin_with_the_largest_priority_and_what_was_there_keeps_its_own() -> None:
+    made = make(Priority, alpha=1.0)
+    filled(made, 10)
+    batch = made.sample(64)
+    made.update_priorities(batch.slot, np.full(64, 7, np.float32))
+    before = made.metrics()
+    made.keep(episodes(2))
+    after = made.metrics()
+    assert after["priority_max"] == before["priority_max"] == pytest.approx(7, rel=1e-5)
+    total = before["priority_mean"] * before["transitions"] + 10 * 7
+    assert after["priority_mean"] * after["transitions"] == pytest.approx(total, rel=1e-5)

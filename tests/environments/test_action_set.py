@@ -1,0 +1,157 @@
+"""The discrete action set of robots: its labels, what they do, and what stays as it was asked for."""
+
+from __future__ import annotations
+
+import warnings
+from collections.abc import Iterator
+from typing import Any
+
+import gymnasium
+import numpy as np
+import pytest
+from gymnasium.utils.env_checker import check_env
+
+import karolos.gymnasium_envs  # noqa: F401  (registers the ids)
+from karolos.core import Discrete, Field, Layout
+from karolos.environments.action_set import ActionSet, chosen
+from karolos.environments.build import build_environment
+from karolos.environments.robot_task import RobotTask
+from karolos.errors import UsageError
+from karolos.orchestrator.local import Local
+from karolos.playing import load_expert
+from karolos.registry import load
+from karolos.spec import Spec
+from karolos.spec.recipe import Part, Recipe
+
+CARTESIAN = Layout((Field("tool_position_change", 3), Field("gripper_opening", 1)))
+X_UP, Y_DOWN, OPEN, CLOSE, NOTHING = 0, 3, 6, 7, 8
+
+
+def recipe(task: str = "reach", actions: str = "discrete", **robot: Any) -> Recipe:
+    def part(kind: str, name: str, **settings: Any) -> Part:
+        return Part(kind, name, load(kind, name).Settings(**settings))
+
+    environment = part("environments", "robot_task", actions=actions)
+    return Recipe(environment, part("robots", "panda", **robot), part("tasks", task))
+
+
+def made(task: str = "reach", actions: str = "discrete", **robot: Any) -> RobotTask:
+    environment = build_environment(recipe(task, actions, **robot))
+    assert isinstance(environment, RobotTask)
+    return environment
+
+
+@pytest.fixture
+def picking() -> Iterator[RobotTask]:
+    environment = made("pick_place")
+    yield environment
+    environment.close()
+
+
+def test_labels_name_a_step_along_each_axis_in_both_directions_and_nothing() -> None:
+    assert ActionSet(CARTESIAN).actions.labels == (
+        "tool_position_change x +",
+        "tool_position_change x -",
+        "tool_position_change y +",
+        "tool_position_change y -",
+        "tool_position_change z +",
+        "tool_position_change z -",
+        "gripper_opening +",
+        "gripper_opening -",
+        "nothing",
+    )
+    joints = ActionSet(Layout((Field("joint_changes", 7),))).actions.labels
+    assert len(joints) == 15
+    assert joints[:3] == ("joint_changes 1 +", "joint_changes 1 -", "joint_changes 2 +")
+
+
+def test_every_action_but_those_of_the_gripper_moves_one_axis_by_one_full_step() -> None:
+    actions = ActionSet(Layout((Field("tool_position_change", 3), Field("yaw_change", 1))))
+    found = np.array([actions.values(index) for index in range(len(actions.actions.labels))])
+    steps = np.kron(np.eye(4), [[1], [-1]])
+    np.testing.assert_array_equal(found, np.vstack([steps, np.zeros(4)]))
+
+
+def test_the_opening_stays_as_it_was_asked_for_last() -> None:
+    actions = ActionSet(CARTESIAN)
+    actions.reset(1.0)
+    asked = [actions.values(index)[3] for index in (NOTHING, X_UP, CLOSE, NOTHING, Y_DOWN, OPEN, X_UP)]
+    assert asked == [1, 1, -1, -1, -1, 1, 1]
+    actions.reset(0.25)
+    assert actions.values(NOTHING) == [0, 0, 0, -0.5]
+
+
+def test_the_gripper_of_a_robot_closes_stays_closed_and_opens_at_the_next_reset(picking: RobotTask) -> None:
+    def away(seed: int) -> float:
+        return float(np.linalg.norm(picking.reset(seed).achieved_goal - picking.robot.tool_position))
+
+    seed = next(seed for seed in range(20) if away(seed) > 0.1)  # the cube is not between the fingers
+    for action in (CLOSE, *[NOTHING] * 30):
+        picking.step(np.array(action))
+    closed = picking.robot.opening
+    for _ in range(5):
+        picking.step(np.array(X_UP))
+    assert closed < 0.1
+    assert picking.robot.opening < 0.1
+    picking.reset(seed)
+    for _ in range(5):
+        picking.step(np.array(NOTHING))
+    assert picking.robot.opening > 0.9
+
+
+def test_a_discrete_action_is_the_continuous_one_that_it_stands_for() -> None:
+    discrete, continuous = made(), made(actions="continuous")
+    discrete.reset(3)
+    continuous.reset(3)
+    for index, values in ((0, [1, 0, 0]), (5, [0, 0, -1]), (6, [0, 0, 0])):
+        one, other = discrete.step(np.float32([index])), continuous.step(np.float32(values))
+        np.testing.assert_array_equal(one.observation, other.observation)
+    discrete.close()
+    continuous.close()
+
+
+@pytest.mark.parametrize("action", [-1, 7, 0.5, np.nan, [0, 1], [0.0, 0.0, 0.0]])
+def test_an_action_that_is_none_of_the_set_is_refused_and_the_episode_goes_on(action: Any) -> None:
+    environment = made()
+    environment.reset(0)
+    with pytest.raises(ValueError, match="PandaReach: an action is a number from 0 to 6"):
+        environment.step(np.array(action))
+    assert np.isfinite(environment.step(np.array(6)).observation).all()
+    environment.close()
+
+
+def test_an_index_is_found_in_any_form_it_travels_in() -> None:
+    actions = Discrete(("a", "b", "c"))
+    assert [chosen(form, actions, "x") for form in (2, np.int64(2), np.array(2), np.float32([2]))] == [2] * 4
+
+
+def test_workers_take_the_set_and_give_the_same_episode_as_the_environment_itself() -> None:
+    bare = made()
+    expected = [bare.reset(5), *(bare.step(np.array(index)) for index in (0, 6, 3))]
+    with Local(Local.Settings(processes=1, environments=1), recipe()) as orchestrator:
+        assert orchestrator.signature.action == bare.signature.action
+        orchestrator.reset([0], [5])
+        found = [orchestrator.receive().step]
+        for index in (0, 6, 3):
+            orchestrator.step([0], np.float32([[index]]))
+            found.append(orchestrator.receive().step)
+    for step, other in zip(found, expected, strict=True):
+        np.testing.assert_array_equal(step.observation[0], other.observation)
+    bare.close()
+
+
+def test_gymnasium_has_the_set_as_a_discrete_space() -> None:
+    environment = gymnasium.make("karolos/PandaPickPlace-v1", actions="discrete").unwrapped
+    assert environment.action_space == gymnasium.spaces.Discrete(9)
+    with warnings.catch_warnings():
+        warnings.simplefilter("error")
+        warnings.filterwarnings("ignore", message=".*is (-)?infinity")  # how far things fly has no bound
+        check_env(environment)
+    environment.close()
+
+
+def test_an_expert_is_refused_where_actions_are_discrete() -> None:
+    environment = {"name": "robot_task", "actions": "discrete"}
+    spec = Spec.from_dict({"robot": "panda", "task": "reach", "agent": "dqn", "environment": environment})
+    with pytest.raises(UsageError, match=r"environment\.actions.*discrete ones.*environment\.actions=continuous"):
+        load_expert(spec)

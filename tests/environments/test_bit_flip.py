@@ -1,0 +1,114 @@
+"""Bits that are flipped until they match."""
+
+from __future__ import annotations
+
+import numpy as np
+import pytest
+from hypothesis import given
+from hypothesis import strategies as st
+from pydantic import ValidationError
+
+from karolos.core import Step
+from karolos.environments.bit_flip import BitFlip
+
+seeds = st.integers(0, 2**63 - 1)
+
+
+def made(bits: int = 6) -> BitFlip:
+    return BitFlip(BitFlip.Settings(bits=bits))
+
+
+def wrong(step: Step) -> list[int]:
+    """The bits that differ from the goal's."""
+    return np.flatnonzero(step.achieved_goal != step.desired_goal).tolist()
+
+
+@given(bits=st.integers(1, 20), seed=seeds)
+def test_flipping_what_is_wrong_reaches_the_goal_and_ends_the_episode(bits: int, seed: int) -> None:
+    environment = made(bits)
+    step = environment.reset(seed)
+    assert (step.reward, step.terminated, step.truncated, step.success) == (0, False, False, False)
+    flips = wrong(step)
+    assert flips
+    for count, bit in enumerate(flips, 1):
+        assert not step.terminated
+        step = environment.step(np.array(bit))
+        assert step.reward == (0 if count == len(flips) else -1)
+    assert step.terminated
+    assert step.success
+    assert not step.truncated
+    with pytest.raises(RuntimeError, match="over"):
+        environment.step(np.array(0))
+
+
+@given(bits=st.integers(2, 20), seed=seeds)
+def test_time_is_up_after_as_many_steps_as_there_are_bits(bits: int, seed: int) -> None:
+    environment = made(bits)
+    step = environment.reset(seed)
+    bit = next(bit for bit in range(bits) if wrong(step) != [bit])
+    rewards = []
+    for count in range(1, bits + 1):
+        step = environment.step(np.float32([bit]))
+        rewards.append(step.reward)
+        assert step.truncated == (count == bits)
+        assert not step.terminated
+    assert rewards == [-1] * bits
+    with pytest.raises(RuntimeError, match="over"):
+        environment.step(np.array(0))
+
+
+def test_an_action_flips_its_bit_and_no_other_and_leaves_earlier_steps_as_they_were() -> None:
+    environment = made()
+    first = environment.reset(1)
+    kept = first.observation.copy()
+    second = environment.step(np.array(4))
+    assert np.flatnonzero(first.observation != second.observation).tolist() == [4]
+    np.testing.assert_array_equal(first.observation, kept)
+
+
+def test_bits_and_goals_are_drawn_evenly_and_never_equal() -> None:
+    environment = made(2)
+    starts = [environment.reset(seed) for seed in range(1200)]
+    pairs = {}
+    for step in starts:
+        key = (*step.observation.tolist(), *step.desired_goal.tolist())
+        pairs[key] = pairs.get(key, 0) + 1
+    assert len(pairs) == 4 * 3
+    assert all(60 < count < 140 for count in pairs.values())  # 100 expected, standard deviation 10
+
+
+def test_goal_rule_works_over_leading_axes() -> None:
+    rule = made(3).signature.goal_rule
+    assert rule is not None
+    achieved, desired = np.zeros((2, 4, 3), np.float32), np.zeros((2, 4, 3), np.float32)
+    desired[1, 2, 1] = 1
+    expected = np.ones((2, 4), np.bool_)
+    expected[1, 2] = False
+    np.testing.assert_array_equal(rule.success(achieved, desired), expected)
+    np.testing.assert_array_equal(rule.terminated(achieved, desired), expected)
+    np.testing.assert_array_equal(rule.reward(achieved, desired), np.where(expected, 0, -1))
+    assert rule.reward(achieved, desired).dtype == np.float32
+
+
+@pytest.mark.parametrize("action", [6, -1, 0.5, [0, 1]])
+def test_a_bit_that_is_not_there_is_refused_by_name(action: object) -> None:
+    environment = made()
+    environment.reset(0)
+    with pytest.raises(ValueError, match="BitFlip: an action is a number from 0 to 5"):
+        environment.step(np.array(action))
+
+
+@pytest.mark.parametrize("settings", [{"bits": 0}, {"bits": 51}, {"bit": 3}])
+def test_settings_without_sense_are_refused(settings: dict[str, int]) -> None:
+    with pytest.raises(ValidationError):
+        BitFlip.Settings(**settings)
+
+
+def test_picture_shows_which_bits_are_wrong() -> None:
+    environment = made()
+    step = environment.reset(0)
+    picture = environment.render(120, 40)
+    assert picture.shape == (40, 120, 3)
+    assert picture.dtype == np.uint8
+    red = [bit for bit in range(6) if picture[10, 20 * bit + 10, 0] > picture[10, 20 * bit + 10, 2]]
+    assert red == wrong(step)

@@ -1,0 +1,114 @@
+"""What domain randomization does to a cube: friction and mass act as the laws of physics say, and leave nothing."""
+
+from __future__ import annotations
+
+import numpy as np
+import pytest
+from rig import expert_episode, made, part
+
+from karolos.environments.robot_task import RobotTask
+from karolos.simulation.world import FLOOR_FRICTION, GRAVITY
+
+SPEED = 1.0
+
+
+def fixed(**values: float) -> dict[str, object]:
+    return {f"task.{name}": part("distributions", "choice", values=(value,)) for name, value in values.items()}
+
+
+def slide(**values: float) -> float:
+    """How far in m the cube slides when it is let go at 1 m/s, away from the arm."""
+    environment = made("push", draws=fixed(**values))
+    environment.reset(0)
+    cube = environment.task.cube
+    cube.place((-0.6, 0.0, cube.half))
+    world = environment.world
+    world.api.resetBaseVelocity(cube.body.index, (0.0, SPEED, 0.0), (0.0, 0.0, 0.0), physicsClientId=world.client)
+    for _ in range(40):
+        environment.step(np.zeros(3))
+    environment.close()
+    assert np.linalg.norm(cube.velocity) < 1e-3
+    assert abs(cube.position[0] + 0.6) < 0.02
+    return cube.position[1]
+
+
+@pytest.mark.parametrize(
+    ("values", "friction"),
+    [
+        ({}, FLOOR_FRICTION),
+        ({"object_friction": 0.5}, 0.5 * FLOOR_FRICTION),
+        ({"floor_friction": 0.3}, 0.3),
+        ({"object_friction": 0.6, "floor_friction": 0.6}, 0.36),
+        ({"gravity": -4.0}, FLOOR_FRICTION * 4.0 / -GRAVITY),
+        ({"object_mass": 2.0}, FLOOR_FRICTION),
+    ],
+)
+def test_a_cube_slides_as_far_as_coulombs_law_says(values: dict[str, float], friction: float) -> None:
+    assert slide(**values) == pytest.approx(SPEED**2 / (2 * friction * -GRAVITY), rel=0.12)
+
+
+def shoulder_torque(mass: float) -> tuple[float, float]:
+    """What the Panda's second joint needs to hold a cube of this mass in kg, in N m; how far away the cube is, in m."""
+    environment = made("pick_place", draws=fixed(object_mass=mass), start_grasped=1.0)
+    environment.reset(2)
+    for step in range(30):
+        environment.step(np.array([0.0, 0.0, 0.5 if step < 8 else 0.0, -1.0]))
+    cube, robot = environment.task.cube, environment.robot
+    assert robot.pads_touching(cube.body) == 2
+    assert cube.lowest > 0.05, "it is held in the air"
+    torque = robot.body.joints([1])[0][3] * environment.world.substeps  # see Body.drive
+    environment.close()
+    x, y, _ = cube.position
+    return torque, float(np.hypot(x, y))
+
+
+def test_a_heavier_cube_needs_as_much_more_torque_as_its_weight_and_distance() -> None:
+    (light, distance), (heavy, _) = shoulder_torque(0.1), shoulder_torque(0.6)
+    assert abs(heavy - light) == pytest.approx(0.5 * -GRAVITY * distance, rel=0.25)
+
+
+@pytest.mark.parametrize("task", ["pick_place", "push"])
+def test_what_one_episode_drew_does_not_reach_the_next(task: str) -> None:
+    draws = {
+        "task.object_mass": part("distributions", "log_uniform", low=0.02, high=1.0),
+        "task.object_friction": part("distributions", "uniform", low=0.1, high=2.0),
+        "task.floor_friction": part("distributions", "uniform", low=0.1, high=1.0),
+        "robot.link_mass": part("distributions", "uniform", low=0.8, high=1.2),
+    }
+    used, fresh = made(task, draws=draws), made(task, draws=draws)
+    drawn = []
+    for seed in range(3):
+        expert_episode(used, seed)
+        drawn.append(used.parameters())
+    assert len({values.tobytes() for values in drawn}) == 3
+    for one, other in zip(expert_episode(used, 9), expert_episode(fresh, 9), strict=True):
+        for ours, theirs in zip(one, other, strict=True):
+            np.testing.assert_array_equal(ours, theirs)
+    np.testing.assert_array_equal(used.parameters(), fresh.parameters())
+    used.close()
+    fresh.close()
+
+
+@pytest.mark.parametrize("task", ["pick_place", "push"])
+@pytest.mark.parametrize("place", [(0.5, 0.0, -1.0), (0.0, 12.0, 0.02), (float("nan"), 0.0, 0.0)])
+def test_a_cube_that_is_lost_ends_the_episode_as_truncated_and_diverged(task: str, place: tuple[float, ...]) -> None:
+    environment: RobotTask = made(task)
+    start = environment.reset(1)
+    still = np.zeros(environment.signature.action.size)
+    environment.step(still)
+    cube = environment.task.cube
+    if np.isnan(place[0]):
+        cube.body.pose = lambda: (place, (0.0, 0.0, 0.0, 1.0))  # what pybullet gives after it has blown up
+    else:
+        cube.body.place(place)
+    step = environment.step(still)
+    assert step.truncated
+    assert step.diverged
+    assert not step.terminated
+    assert not step.success
+    assert all(np.isfinite(part).all() for part in step)
+    with pytest.raises(RuntimeError, match="over"):
+        environment.step(still)
+    np.testing.assert_array_equal(environment.reset(1).observation, start.observation)
+    assert environment.blow_ups == 1
+    environment.close()

@@ -1,0 +1,102 @@
+"""The dense reward of pick and place: more for every stage, bounded, a function of what the goal rule sees."""
+
+from __future__ import annotations
+
+import numpy as np
+from hypothesis import given
+from hypothesis import strategies as st
+from hypothesis.extra.numpy import arrays
+from rig import expert_episode, made
+
+from karolos.core import Array
+from karolos.tasks.goals import StagedPick
+
+RULE = StagedPick(0.05, rest=0.02)
+GOAL = np.array([0.5, 0.1, 0.2], np.float32)
+places = st.tuples(*[st.floats(-0.5, 0.5)] * 3)
+shares = st.floats(0, 1)
+
+
+def worth(cube: Array, tool: Array, pads: float, goal: Array = GOAL) -> float:
+    return float(RULE.reward(np.array([*cube, *tool, pads], np.float32), np.asarray(goal, np.float32)))
+
+
+def away_from_the_goal(cube: Array, goal: Array = GOAL) -> bool:
+    return bool(np.linalg.norm(np.subtract(cube, goal)) > 0.051)
+
+
+@given(places, shares, shares, st.sampled_from([0.0, 0.5, 1.0]))
+def test_the_nearer_the_tool_to_the_cube_the_more(direction: tuple[float, ...], near: float, far: float, pads: float):
+    cube, offset = np.array([0.3, 0.0, 0.02]), np.array(direction)
+    near, far = sorted((near, far))
+    assert worth(cube, cube + near * offset, pads) >= worth(cube, cube + far * offset, pads) - 1e-6
+
+
+@given(places, places)
+def test_each_pad_that_touches_is_worth_a_part(cube: tuple[float, ...], tool: tuple[float, ...]):
+    if away_from_the_goal(np.array(cube)):
+        none, one, both = (worth(np.array(cube), np.array(tool), pads) for pads in (0.0, 0.5, 1.0))
+        assert none < one < both
+        np.testing.assert_allclose(both - none, 0.25, atol=1e-5)
+
+
+@given(shares, shares)
+def test_the_higher_a_held_cube_the_more_up_to_the_height_of_the_goal(low: float, high: float):
+    low, high = sorted((low, high))
+
+    def lifted(share: float) -> float:
+        cube = np.array([0.3, 0.0, 0.02 + share * 0.18])
+        return worth(cube, cube, 1.0)
+
+    assert lifted(high) >= lifted(low) - 1e-6
+
+
+@given(places, shares, shares)
+def test_the_nearer_a_held_cube_to_the_goal_the_more(direction: tuple[float, ...], near: float, far: float):
+    level = np.array([direction[0], direction[1], 0.0])  # at the goal's height, so that the lift is done
+    near, far = sorted((near, far))
+    assert worth(GOAL + near * level, GOAL + near * level, 1.0) >= worth(GOAL + far * level, GOAL + far * level, 1.0)
+
+
+@given(
+    arrays(np.float32, (6, 7), elements=st.floats(-3, 3, width=32)),
+    arrays(np.float32, (6, 3), elements=st.floats(-3, 3, width=32)),
+)
+def test_it_is_bounded_and_zero_exactly_where_the_goal_is_reached(achieved: Array, desired: Array):
+    achieved[:, 6] = np.abs(np.round(achieved[:, 6])) % 3 / 2
+    achieved[0, :3] = desired[0]
+    rewards = RULE.reward(achieved, desired)
+    assert rewards.dtype == np.float32
+    assert ((rewards >= RULE.reward_range[0]) & (rewards <= RULE.reward_range[1])).all()
+    assert (rewards[RULE.success(achieved, desired)] == 0).all()
+    assert rewards[0] == 0
+
+
+def test_each_stage_of_an_episode_is_worth_more_than_the_one_before():
+    table, above = np.array([0.3, -0.1, 0.02]), np.array([0.3, -0.1, 0.2])
+    beside = GOAL + np.array([0.06, 0.0, 0.0])
+    stages = [
+        worth(table, table + np.array([0.2, 0.1, 0.2]), 0.0),  # far
+        worth(table, table, 0.0),  # reached
+        worth(table, table, 1.0),  # grasped
+        worth(above, above, 1.0),  # lifted
+        worth(beside, beside, 1.0),  # nearly there
+        worth(GOAL, GOAL, 1.0),
+    ]
+    assert stages == sorted(stages)
+    assert len(set(stages)) == len(stages)
+    assert stages[-1] == 0
+
+
+def test_rewards_of_an_episode_follow_from_the_goals_alone_so_that_hindsight_can_compute_them_anew():
+    environment = made("pick_place", reward="dense")
+    steps = expert_episode(environment, 4)
+    environment.close()
+    achieved = np.stack([step.achieved_goal for step in steps[1:]])
+    desired = np.stack([step.desired_goal for step in steps[1:]])
+    rule = environment.signature.goal_rule
+    np.testing.assert_array_equal(rule.reward(achieved, desired), [step.reward for step in steps[1:]])
+    np.testing.assert_array_equal(rule.success(achieved, desired), [step.success for step in steps[1:]])
+    relabelled = rule.reward(achieved, np.broadcast_to(achieved[-1, :3], desired.shape))
+    assert relabelled[-1] == 0
+    assert relabelled[0] < -0.25

@@ -1,0 +1,252 @@
+"""Throw: what lands where, and that every robot can do it."""
+
+from __future__ import annotations
+
+import numpy as np
+import pytest
+
+from karolos.core import Step
+from karolos.environments.build import build_environment
+from karolos.environments.robot_task import RobotTask
+from karolos.errors import KarolosError, UsageError
+from karolos.registry import load
+from karolos.spec.recipe import Part, Recipe
+from karolos.tasks.throw import Throw
+
+ROBOTS = ["panda", "ur5", "iiwa"]
+REACH_AND_FURTHEST = {"panda": (0.95, 2.14), "ur5": (1.06, 2.39), "iiwa": (1.08, 1.73)}
+"""m, as the task's docstring states them."""
+
+
+def part(kind: str, name: str, **settings: object) -> Part:
+    return Part(kind, name, load(kind, name).Settings.model_validate(settings))
+
+
+def made(robot: str = "panda", control: str | None = None, joint_step: float = 0.5, **settings: object) -> RobotTask:
+    environment = build_environment(
+        Recipe(
+            part("environments", "robot_task"),
+            part("robots", robot, control=control, joint_step=joint_step),
+            part("tasks", "throw", **settings),
+        )
+    )
+    assert isinstance(environment, RobotTask)
+    return environment
+
+
+def task_of(environment: RobotTask) -> Throw:
+    assert isinstance(environment.task, Throw)
+    return environment.task
+
+
+def expert_episode(environment: RobotTask, seed: int) -> list[Step]:
+    steps = [environment.reset(seed)]
+    expert = environment.expert()
+    expert.reset()
+    while not (steps[-1].terminated or steps[-1].truncated):
+        steps.append(environment.step(expert.act()))
+    return steps
+
+
+def holding(environment: RobotTask) -> np.ndarray:
+    """The action that keeps still with the gripper closed."""
+    action = np.zeros(environment.signature.action.size, np.float32)
+    action[-1] = -1
+    return action
+
+
+@pytest.mark.parametrize("robot", ROBOTS)
+def test_reach_and_furthest_throw_are_those_the_docstring_states(robot: str) -> None:
+    swing = task_of(made(robot)).swing
+    reach, furthest = REACH_AND_FURTHEST[robot]
+    assert round(swing.reach, 2) == reach
+    assert round(swing.furthest, 2) == furthest
+    assert f"{robot} {reach:.2f} and {furthest:.2f} m".replace(" 0.", " .") in (Throw.__doc__ or "")
+
+
+@pytest.mark.parametrize("robot", ROBOTS)
+def test_no_pose_reaches_further_than_the_reach(robot: str) -> None:
+    environment = made(robot)
+    view, draws = environment.robot, np.random.default_rng(0)
+    low, high = np.maximum(view.limits.lower, -np.pi), np.minimum(view.limits.upper, np.pi)
+    tools = [view.forward(draws.uniform(low, high).tolist()).tool.position for _ in range(3000)]
+    assert np.hypot(*np.array(tools)[:, :2].T).max() <= task_of(environment).swing.reach + 0.002
+
+
+@pytest.mark.parametrize("robot", ROBOTS)
+def test_a_planned_throw_keeps_the_speed_limits_and_lands_on_its_target_by_the_whole_jacobian(robot: str) -> None:
+    environment = made(robot)
+    task, view = task_of(environment), environment.robot
+    for angle in (-0.5, 0.0, 0.4):
+        for far in np.linspace(task.nearest, task.furthest, 4):
+            target = far * np.array([np.cos(angle), np.sin(angle)])
+            throw = task.swing.throw_at(*target)
+            assert (np.abs(throw.rates) <= np.array(view.limits.velocity) + 1e-9).all()
+            at = view.forward(throw.release)
+            places = np.array(at.places).reshape(-1, 6)
+            arms = np.cross(places[:, 3:], np.array(at.tool.position) - places[:, :3])
+            velocity = np.array(throw.rates) @ arms
+            height = at.tool.position[2] - 0.02
+            seconds = (velocity[2] + np.sqrt(velocity[2] ** 2 + 2 * 9.81 * height)) / 9.81
+            landing = np.array(at.tool.position)[:2] + velocity[:2] * seconds
+            assert np.linalg.norm(landing - target) < 0.01
+
+
+@pytest.mark.parametrize("robot", ROBOTS)
+def test_the_expert_hits_most_targets(robot: str) -> None:
+    environment = made(robot)
+    last = [expert_episode(environment, seed)[-1] for seed in range(100, 110)]
+    environment.close()
+    assert sum(bool(step.success) for step in last) >= 8
+    assert all(step.terminated and not step.diverged for step in last)
+
+
+def test_targets_lie_beyond_the_reach_and_within_the_furthest_throw() -> None:
+    environment = made(sector=20)
+    task = task_of(environment)
+    starts = [environment.reset(seed) for seed in range(40)]
+    environment.close()
+    targets = np.stack([step.desired_goal for step in starts])
+    away = np.hypot(*targets.T)
+    assert (away >= task.swing.reach + task.settings.threshold - 1e-5).all()
+    assert (away <= 0.8 * task.swing.furthest + 1e-5).all()
+    assert np.ptp(away) > 0.3
+    assert (np.abs(np.degrees(np.arctan2(targets[:, 1], targets[:, 0]))) <= 20.001).all()
+    assert not any(step.success or step.terminated for step in starts)
+
+
+def test_the_cube_starts_in_the_gripper_and_stays_there_while_it_is_held() -> None:
+    environment = made()
+    tool = environment.signature.observation.slice("tool_position")
+    cube = environment.signature.observation.slice("object_position")
+    steps = [environment.reset(3)]
+    steps += [environment.step(holding(environment)) for _ in range(10)]
+    environment.close()
+    for step in steps:
+        assert np.linalg.norm(step.observation[tool] - step.observation[cube]) < 0.005
+        assert step.achieved_goal[2] == 0
+        assert step.reward == 0
+
+
+def test_the_landing_is_where_free_fall_from_the_release_comes_down_not_where_the_cube_slides_to() -> None:
+    environment = made()
+    task = task_of(environment)
+    steps = expert_episode(environment, 5)
+    position = environment.signature.observation.slice("object_position")
+    velocity = environment.signature.observation.slice("object_velocity")
+    flying = [step.observation for step in steps if step.observation[position][2] > 0.5][-1]
+    place, speed = flying[position].astype(float), flying[velocity].astype(float)
+    landing = steps[-1].achieved_goal
+    for height in (0.02, 0.02 * 3**0.5):  # of the centre: on a face, on a corner
+        seconds = (speed[2] + np.sqrt(speed[2] ** 2 + 2 * 9.81 * (place[2] - height))) / 9.81
+        straight = place[:2] + speed[:2] * seconds
+        assert np.linalg.norm(landing[:2] - straight) < 0.03
+    world = environment.world
+    for _ in range(48):  # what the cube does afterwards moves no landing
+        world.step()
+        task.read()
+    assert np.linalg.norm(np.array(task.cube.position[:2]) - landing[:2]) > 0.03
+    np.testing.assert_array_equal(task.achieved(), landing)
+    environment.close()
+
+
+def test_a_cube_that_is_dropped_lands_and_ends_the_episode_without_success() -> None:
+    environment = made(reward="dense")
+    action = holding(environment)
+    environment.reset(0)
+    action[-1] = 1
+    step = environment.step(action)
+    while not step.terminated:
+        assert step.reward == 0
+        step = environment.step(action)
+    environment.close()
+    assert step.achieved_goal[2] == 1
+    assert not step.success
+    assert 0 < step.reward < 1
+
+
+def test_a_cube_that_is_carried_to_the_floor_has_not_landed() -> None:
+    environment = made()
+    task = task_of(environment)
+    environment.reset(0)
+    x, y, _ = environment.robot.home
+    task.cube.put_in_gripper(environment.robot, (x, y, 0.021))
+    for _ in range(3):
+        step = environment.step(holding(environment))
+        if step.terminated:
+            break
+    down = environment.robot.towards((x, y, 0.0), 0.0)
+    while not (step.terminated or step.truncated):
+        step = environment.step(down)
+    environment.close()
+    assert step.terminated
+    assert step.achieved_goal[2] == -1
+    assert not step.success
+    assert step.reward == 0
+
+
+def test_success_is_a_landing_after_a_release_and_its_distance_alone() -> None:
+    rule = made(threshold=0.1).signature.goal_rule
+    assert rule is not None
+    desired = np.zeros((5, 2), np.float32)
+    achieved = np.array([[0, 0, 0], [0, 0, -1], [0, 0, 1], [0.09, 0, 1], [0, 0.11, 1]], np.float32)
+    np.testing.assert_array_equal(rule.success(achieved, desired), [False, False, True, True, False])
+    np.testing.assert_array_equal(rule.terminated(achieved, desired), [False, True, True, True, True])
+    np.testing.assert_array_equal(rule.reward(achieved, desired), [0, 0, 1, 1, 0])
+    np.testing.assert_allclose(rule.distance(achieved, desired), [np.inf, np.inf, 0, 0.09, 0.11], rtol=1e-6)
+
+
+def test_a_dense_reward_is_higher_the_nearer_the_landing() -> None:
+    rule = made(reward="dense").signature.goal_rule
+    assert rule is not None
+    far = np.array([[x, 0, 1] for x in (0, 0.1, 0.5, 2)], np.float32)
+    rewards = rule.reward(far, np.zeros((4, 2), np.float32))
+    assert (np.diff(rewards) < 0).all()
+    assert rewards[0] == 1
+    assert rewards[-1] >= 0
+
+
+def test_gravity_moves_the_landing_as_it_should() -> None:
+    """Half the gravity: a dropped cube takes sqrt(2) as long, and the landing is still found."""
+
+    def steps(gravity: float) -> int:
+        environment = made()
+        task_of(environment).apply(environment.world, "gravity", gravity)
+        environment.reset(0)
+        action = holding(environment)
+        action[-1] = 1
+        count = 1
+        while not environment.step(action).terminated:
+            count += 1
+        environment.close()
+        return count
+
+    assert steps(-9.81) < steps(-4.9) < 1.8 * steps(-9.81)
+
+
+def test_cartesian_control_is_refused_with_what_to_do() -> None:
+    with pytest.raises(UsageError, match=r"robot\.control.*joint"):
+        made(control="cartesian")
+
+
+def test_steps_too_small_to_throw_out_of_reach_are_refused() -> None:
+    with pytest.raises(UsageError, match=r"joint_step"):
+        made(joint_step=0.02)
+
+
+@pytest.mark.parametrize("bad", [{"threshold": 0}, {"share": 1.5}, {"sector": 90}, {"object_size": 0.15}])
+def test_settings_out_of_range_are_refused(bad: dict[str, float]) -> None:
+    with pytest.raises((ValueError, KarolosError)):
+        made(**bad)
+
+
+def test_an_episode_that_begins_in_a_grip_forgets_the_grip_before_it() -> None:
+    environment = made()
+    for seed in range(12):
+        action = np.random.default_rng(seed).uniform(-1, 1, environment.signature.action.size).astype(np.float32)
+        firsts = []
+        for _ in range(2):  # the second time the reset finds the cube between the pads
+            environment.reset(seed)
+            firsts.append(environment.step(action).observation)
+        np.testing.assert_array_equal(*firsts)
+    environment.close()

@@ -1,0 +1,157 @@
+"""Kill a run at random moments until it is finished, and see that nothing was lost: neither a test nor a bit.
+
+    python tests/torture/kill_resume.py --kills 100 [--spec SPEC] [--seed 0] [--runs DIR]
+
+A run is started, killed with SIGKILL after a random time, resumed, killed again ... The times are drawn so that kills
+fall into training, testing, checkpoints and index writes alike. When a run has finished another one begins, until the
+kills are done. Each finished run is compared with one that nobody disturbed: weights, buffer, counters and generators
+of the last checkpoint, tests, training episodes, and what the database says. Ends with 1 at the first difference.
+"""
+
+from __future__ import annotations
+
+import argparse
+import os
+import random
+import signal
+import subprocess
+import sys
+import tempfile
+import time
+from pathlib import Path
+
+import numpy as np
+
+from karolos import checkpoint
+from karolos.run_folder import RunFolder
+from karolos.store import Store
+
+TOY = """
+name: torture
+environment: toy
+agent: {name: sac, hidden: [16], precision: float32}
+buffer: {name: priority, capacity: 2000, hindsight: {strategy: future}}
+orchestrator: {processes: 1, environments: 4}
+training: {steps: 1600, batch_size: 16, replay_ratio: 8, warmup_episodes: 4}
+testing: {interval: 50, episodes: 4}
+"""
+
+
+def karolos(*arguments: str) -> subprocess.Popen[bytes]:
+    """The command in a process group of its own, so that a kill reaches the parent alone and orphans can be seen."""
+    return subprocess.Popen(
+        [sys.executable, "-m", "karolos_cli", *arguments],
+        stdout=subprocess.DEVNULL,
+        stderr=subprocess.PIPE,
+        start_new_session=True,
+    )
+
+
+def finish(process: subprocess.Popen[bytes], seconds: float) -> int | None:
+    """The exit code, or None when the process had to be killed after `seconds`."""
+    try:
+        process.wait(seconds)
+    except subprocess.TimeoutExpired:
+        os.kill(process.pid, signal.SIGKILL)
+        process.wait()
+        return None
+    return process.returncode
+
+
+def differences(one: object, other: object, path: str = "") -> list[str]:
+    """Key paths at which two states differ, but for the seconds that training took."""
+    if isinstance(one, dict) and isinstance(other, dict):
+        if one.keys() != other.keys():
+            return [f"{path}: {sorted(one)} and {sorted(other)}"]
+        return [
+            found for key in one if key != "seconds" for found in differences(one[key], other[key], f"{path}.{key}")
+        ]
+    if isinstance(one, list | tuple) and isinstance(other, list | tuple):
+        if len(one) != len(other):
+            return [f"{path}: {len(one)} and {len(other)} entries"]
+        pairs = enumerate(zip(one, other, strict=True))
+        return [found for index, (a, b) in pairs for found in differences(a, b, f"{path}[{index}]")]
+    return [] if np.array_equal(np.asarray(one), np.asarray(other), equal_nan=_is_float(one)) else [path]
+
+
+def _is_float(value: object) -> bool:
+    return np.asarray(value).dtype.kind == "f"
+
+
+def compare(folder: RunFolder, reference: RunFolder, database: str) -> list[str]:
+    """What tells a run from the undisturbed one."""
+    found = differences(
+        checkpoint.load(folder.checkpoints, "last")[0], checkpoint.load(reference.checkpoints, "last")[0], "last"
+    )
+    tests = [(test.steps, test.any, test.end, test.returns) for test in folder.tests()]
+    if tests != [(test.steps, test.any, test.end, test.returns) for test in reference.tests()]:
+        found.append("tests.jsonl")
+    if (folder.path / "episodes.jsonl").read_text() != (reference.path / "episodes.jsonl").read_text():
+        found.append("episodes.jsonl")
+    with Store(database) as store:
+        stored = [(test.steps, test.any, test.end) for test in store.tests(folder.id)]
+        if stored != [(test.steps, sum(test.any), sum(test.end)) for test in folder.tests()]:
+            found.append(f"tests in the database: {stored}")
+        if store.find(folder.id) != folder.summary():
+            found.append("the run's row in the database")
+    return found
+
+
+def torture(spec: Path, runs: Path, kills: int, draw: random.Random) -> int:
+    """Returns how many finished runs were compared; raises SystemExit at a difference."""
+    started = time.monotonic()
+    undisturbed = karolos("run", str(spec), "--runs", str(runs / "reference"), "--quiet")
+    assert undisturbed.stderr is not None
+    errors = undisturbed.stderr.read().decode()
+    if undisturbed.wait() != 0:
+        raise SystemExit(f"the undisturbed run failed: {errors}")
+    whole = time.monotonic() - started
+    print(f"an undisturbed run takes {whole:.1f} s", flush=True)
+    (reference,) = (RunFolder.open(path.parent) for path in (runs / "reference").glob("*/run.json"))
+    done = compared = 0
+    while done < kills:
+        home = runs / f"killed-{compared}"
+        database = Store.default_url(home)
+        while True:
+            folders = [path.parent for path in home.glob("*/run.json")]
+            arguments = ("resume", str(folders[0])) if folders else ("run", str(spec))
+            process = karolos(*arguments, "--runs", str(home), "--quiet")
+            patience = draw.uniform(0.2, 1.1) * whole if done < kills else 600.0
+            code = finish(process, patience)
+            assert process.stderr is not None
+            errors = process.stderr.read().decode() if code is not None else ""
+            if code is None:
+                done += 1
+                continue
+            if code != 0:
+                raise SystemExit(f"after {done} kills, {' '.join(arguments)} ended with {code}: {errors}")
+            break
+        folder = next(RunFolder.open(path.parent) for path in home.glob("*/run.json"))
+        found = compare(folder, reference, database)
+        compared += 1
+        print(f"{done} kills, run {compared} in attempt {folder.state().attempt}: {found or 'equal'}", flush=True)
+        if found:
+            raise SystemExit(1)
+    return compared
+
+
+def main() -> None:
+    parser = argparse.ArgumentParser(description=(__doc__ or "").splitlines()[0])
+    parser.add_argument("--kills", type=int, default=100)
+    parser.add_argument("--spec", type=Path, help="a small spec of one seed; default: the toy environment")
+    parser.add_argument("--seed", type=int, default=0, help="of the times")
+    parser.add_argument("--runs", type=Path, help="where the runs go; default: a temporary folder")
+    options = parser.parse_args()
+    with tempfile.TemporaryDirectory() as temporary:
+        runs = options.runs or Path(temporary)
+        runs.mkdir(parents=True, exist_ok=True)
+        spec = options.spec
+        if spec is None:
+            spec = runs / "torture.yaml"
+            spec.write_text(TOY)
+        compared = torture(spec, runs, options.kills, random.Random(options.seed))
+    print(f"{options.kills} kills, {compared} runs, all equal to the undisturbed one")
+
+
+if __name__ == "__main__":
+    main()
