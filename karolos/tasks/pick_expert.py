@@ -15,8 +15,10 @@ if TYPE_CHECKING:
 
 ABOVE = 0.08
 """m above the cube at which the gripper comes."""
-LEVEL = 0.012
-"""m off the cube's axis at which the gripper may go down."""
+LEVEL = 0.018
+"""m off the cube's axis at which the gripper may go down; open, it has 1.5 cm to each side of a 4 cm cube."""
+STILL = 0.015
+"""m per control step, level, that the tool may drift when it goes down or closes."""
 GRIP = 0.006
 """m above the middle of the cube at which it is gripped, so that the pads do not rub on the floor: fingers that do
 stay where they are, and an arm that drags them along lags behind."""
@@ -67,10 +69,10 @@ class PickExpert(Expert):
             self._closing = 0
         off, above = hypot(tx - x, ty - y), z + ABOVE
         high = tz > z + ABOVE / 2
-        if off > LEVEL or (high and drift(robot) > LEVEL / 2):
+        if off > LEVEL or (high and drift(robot) > STILL):
             way = braking(robot, (x, y, above), fastest=2.0) if high else gently(robot, (tx, ty, above))
             return robot.towards(way, self._wide)
-        if tz > grip[2] + 0.006 or drift(robot) > LEVEL / 2:
+        if tz > grip[2] + 0.006 or drift(robot) > STILL:
             return robot.towards(gently(robot, grip), self._wide)
         self._closing = 1
         return robot.towards(grip, 0.0)
