@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import csv
 import json as json_text
 import math
 import sys
@@ -23,7 +24,7 @@ Database = Annotated[
         show_default=False,
     ),
 ]
-RUN_HELP = "A run's id or how it begins, @last for the newest, or a run folder."
+RUN_HELP = "A run's id or how it begins, @last for the newest, @last-1 for the one before, or a run folder."
 PIPE_WIDTH = 500
 """Columns of a table that goes into a pipe."""
 Json = Annotated[bool, typer.Option("--json", help="One JSON object per row.")]
@@ -39,6 +40,27 @@ def rows(found: Iterable[Mapping[str, Any]], *, json: bool) -> None:
     if listed:
         names = list(listed[0])
         table([[_text(row.get(name)) for name in names] for row in listed], names)
+
+
+def csv_rows(found: Sequence[Mapping[str, Any]]) -> None:
+    """Print rows as comma-separated values under their names; lists as one cell.
+
+    A text that a spreadsheet would take for a formula gets an apostrophe in front (OWASP, CSV injection).
+    """
+    if not found:
+        return
+    writer = csv.writer(sys.stdout, lineterminator="\n")
+    writer.writerow(found[0])
+    writer.writerows([_csv_cell(value) for value in row.values()] for row in found)
+
+
+def _csv_cell(value: Any) -> object:
+    if isinstance(value, list | tuple):
+        value = "; ".join(map(str, value))
+    if not isinstance(value, str):
+        return value
+    text = "".join(sign if sign.isprintable() or sign == "\n" else "\N{REPLACEMENT CHARACTER}" for sign in value)
+    return f"'{text}" if text.startswith(("=", "+", "-", "@")) else text
 
 
 def table(lines: Sequence[Sequence[str]], names: Sequence[str]) -> None:

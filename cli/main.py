@@ -10,11 +10,14 @@ import typer
 from karolos.errors import KarolosError, PluginError
 from karolos.terminal import clean
 
-from . import bench, inspect, plugins, runs, spec
+from . import bench, db, inspect, plugins, runs, spec
 from .board import board
 from .check import check
+from .compare import compare
+from .diff import diff
 from .play import play
 from .run import resume, run
+from .sweep import sweep
 
 app = typer.Typer(
     name="karolos",
@@ -30,6 +33,10 @@ app.add_typer(spec.app)
 app.add_typer(plugins.app)
 app.add_typer(inspect.app)
 app.add_typer(runs.app)
+app.add_typer(db.app)
+app.command()(sweep)
+app.command()(compare)
+app.command()(diff)
 app.command()(play)
 app.command()(board)
 app.add_typer(bench.app, name="bench")

@@ -1,17 +1,30 @@
-"""From what a person types to the run that is meant."""
+"""From what a person types to the runs that are meant."""
 
 from __future__ import annotations
 
 import os
 import sys
+from collections.abc import Sequence
 from pathlib import Path
 from typing import TYPE_CHECKING
 
 from karolos.errors import UsageError
+from karolos.terminal import clean
 
 if TYPE_CHECKING:
     from karolos.run_folder import RunFolder
+    from karolos.run_records import RunSummary
     from karolos.store import Store
+
+FILTER_HELP = (
+    "Runs that fit, e.g. 'task=reach and agent.learning_rate<1e-3 and not state in (failed, lost)'; "
+    "= != < <= > >= ~ (contains) in; names of columns, settings of the spec, tags, note, versions.PACKAGE."
+)
+MANY_HELP = (
+    "A run's id or how it begins, @last, @last-2, a run folder; or an experiment's name, the beginning of its hash "
+    "or a SPEC.yaml, which mean all its runs."
+)
+_SPECS = (".yaml", ".yml")
 
 
 def open_store(runs: Path, database: str | None) -> Store | None:
@@ -29,12 +42,12 @@ def open_store(runs: Path, database: str | None) -> Store | None:
     done = reindex(store, runs)
     print(f"the index was missing and is rebuilt from {done.runs} run folders", file=sys.stderr)
     for problem in done.problems:
-        print(f"warning: {problem}", file=sys.stderr)
+        print(f"warning: {clean(problem)}", file=sys.stderr)
     return store
 
 
 def open_run(selector: str, runs: Path, database: str | None) -> RunFolder:
-    """The folder of the one run that a selector means: an id, the beginning of one, @last, or a run folder's path.
+    """The folder of the one run that a selector means (MANY_HELP), or a run folder's path.
 
     Raises:
         UsageError: it means no run or several.
@@ -44,10 +57,69 @@ def open_run(selector: str, runs: Path, database: str | None) -> RunFolder:
 
     if (Path(selector) / "run.json").is_file():
         return RunFolder.open(selector)
+    store, summary = find_run(selector, runs, database)
+    store.close()
+    return RunFolder.open(summary.folder)
+
+
+def find_run(selector: str, runs: Path, database: str | None) -> tuple[Store, RunSummary]:
+    """The open index, and the one run in it that a selector means.
+
+    Raises:
+        UsageError: it means no run or several.
+    """
+    store = _needed(selector, runs, database)
+    if is_spec(selector):
+        from karolos.store.selectors import only
+
+        return store, only(selector, _of_spec(store, selector))
+    return store, store.find(selector)
+
+
+def select_runs(
+    selectors: Sequence[str], where: str | None, runs: Path, database: str | None
+) -> tuple[Store, tuple[RunSummary, ...]]:
+    """The open index, and the runs that any of the selectors means and that fit the filter, each once.
+
+    Raises:
+        UsageError: there is neither selector nor filter, a selector means no run, or no run fits.
+    """
+    if not selectors and where is None:
+        raise UsageError("which runs?", hint="name RUN, or give --where FILTER")
+    store = _needed(selectors[0] if selectors else str(where), runs, database)
+    found = {run.run: run for selector in selectors for run in select(store, selector)}
+    if where is not None:
+        fitting = {run.run: run for run in store.runs(where=where)}
+        found = {run: fitting[run] for run in found if run in fitting} if selectors else fitting
+    if not found:
+        raise UsageError("no runs fit the filter", hint="`karolos runs list FILTER` shows what fits")
+    return store, tuple(found.values())
+
+
+def select(store: Store, selector: str) -> tuple[RunSummary, ...]:
+    """The runs that a selector means: as `Store.select`, or those of the experiment that a spec file describes."""
+    return _of_spec(store, selector) if is_spec(selector) else store.select(selector)
+
+
+def _of_spec(store: Store, path: str) -> tuple[RunSummary, ...]:
+    from karolos.spec import load_spec
+
+    digest = load_spec(Path(path), ()).hash()
+    found = store.runs(experiment=digest)
+    if not found:
+        raise UsageError(f"there are no runs of {path}", hint=f"`karolos run {path}` makes them")
+    return found
+
+
+def is_spec(selector: str) -> bool:
+    """Whether it is a spec file."""
+    return selector.endswith(_SPECS) and os.path.isfile(selector)
+
+
+def _needed(selector: str, runs: Path, database: str | None) -> Store:
     store = open_store(runs, database)
     if store is None:
         raise UsageError(
             f"{selector!r} means no run: there are none in {runs} yet", hint="`karolos run SPEC` makes one"
         )
-    with store:
-        return RunFolder.open(store.find(selector).folder)
+    return store

@@ -71,6 +71,13 @@ def check_parts(spec: Spec) -> None:
 def _check_amounts(spec: Spec) -> None:
     """Raise a UsageError for an amount of training that the agent does not go by, or that cannot be had."""
     amounts = spec.training
+    size = getattr(spec.orchestrator.settings, "size", 1)
+    if (amounts.at_least or 0) > size:
+        raise UsageError(
+            f"{amounts.at_least} environments will never be ready, there are {size}",
+            where="training.minimum_batch",
+            hint="lower it, or ask for more environments",
+        )
     if not load("agents", spec.agent.name).on_policy:
         capacity = getattr(spec.buffer.settings, "capacity", amounts.batch_size)
         if amounts.batch_size > capacity:
@@ -80,6 +87,13 @@ def _check_amounts(spec: Spec) -> None:
                 hint="lower training.batch_size, or raise buffer.capacity",
             )
         return
+    if amounts.mode == "async":
+        raise UsageError(
+            f"{spec.agent.name} learns from whole rollouts of its latest policy, for which all environments have to "
+            "be waited for",
+            where="training.mode",
+            hint="use lockstep, or an agent that learns from replay",
+        )
     for name, instead in REPLAY_AMOUNTS.items():
         if _is_set(spec, name):
             raise UsageError(
@@ -88,7 +102,7 @@ def _check_amounts(spec: Spec) -> None:
                 where=f"training.{name}",
                 hint=instead,
             )
-    played = getattr(spec.buffer.settings, "rollout", 1) * getattr(spec.orchestrator.settings, "size", 1)
+    played = getattr(spec.buffer.settings, "rollout", 1) * size
     minibatches = getattr(spec.agent.settings, "minibatches", 1)
     if minibatches > played:
         raise UsageError(

@@ -56,48 +56,46 @@ class Episodes:
         self.failures: tuple[Failure, ...] = ()
         """What has failed since somebody last emptied this; episodes that were lost leave no record."""
 
-    def begin(self, environments: np.ndarray, latest: Step) -> None:
-        """Reset these environments, each with the seed of its next episode; their rows of `latest` are overwritten.
+    def begin(self, environments: np.ndarray) -> None:
+        """Reset these environments, each with the seed of its next episode. Does not wait."""
+        self._index[environments] += 1
+        self._seed[environments] = [
+            self._seeds.child("environment", environment, int(self._index[environment])).integer()
+            for environment in environments.tolist()
+        ]
+        self._reset(environments)
 
-        Environments that fail meanwhile begin another episode, whether they were named or not.
-        """
-        while environments.size:
-            self._index[environments] += 1
-            self._seed[environments] = [
-                self._seeds.child("environment", environment, int(self._index[environment])).integer()
-                for environment in environments.tolist()
-            ]
-            environments = self._reset(environments, latest)
-
-    def _reset(self, environments: np.ndarray, latest: Step) -> np.ndarray:
-        """Reset these environments with the seeds that are noted; those that failed meanwhile."""
+    def _reset(self, environments: np.ndarray) -> None:
+        """Reset these environments with the seeds that are noted."""
+        self._steps[environments] = 0
+        self._total_reward[environments] = 0
         self._orchestrator.reset(environments, self._seed[environments].tolist())
-        received = self._orchestrator.receive()
-        self.failures += received.failures
-        begun, fresh = received.environment, received.step
-        put(latest, begun, fresh)
-        self._steps[begun] = 0
-        self._total_reward[begun] = 0
-        for flags in (self._any, self._end, self._solved):
-            flags[begun] = fresh.success
-        self._parameters[begun] = self._orchestrator.parameters(begun)
-        return received.failed
 
     def send(self, environments: np.ndarray, actions: FloatArray, *, updates: int = 0) -> None:
         """Let these environments take their rows of `actions`, chosen after so many gradient updates. Does not wait."""
         self._actions[environments, self._steps[environments]] = actions
         self._orchestrator.step(environments, actions, updates=updates)
 
-    def receive(self) -> Received:
-        """Wait for what was sent."""
-        received = self._orchestrator.receive()
+    def receive(self, at_least: int | None = None) -> Received:
+        """Wait for all answers, or for so many, and count what they tell; as `Orchestrator.receive`."""
+        received = self._orchestrator.receive(at_least)
         self.failures += received.failures
-        environments, step = received.environment, received.step
+        fresh = begun(received)
+        if not fresh.any():
+            self._count(received.environment, received.step)
+            return received
+        environments = received.environment[fresh]
+        for flags in (self._any, self._end, self._solved):
+            flags[environments] = received.step.success[fresh]
+        self._parameters[environments] = self._orchestrator.parameters(environments)
+        self._count(*rows(received, ~fresh))
+        return received
+
+    def _count(self, environments: np.ndarray, step: Step) -> None:
         self._steps[environments] += 1
         self._total_reward[environments] += step.reward
         self._any[environments] |= step.success
         self._end[environments] = step.success
-        return received
 
     def record(self, environment: int, *, diverged: bool) -> Episode:
         """Of the episode that this environment has just ended."""
@@ -143,12 +141,13 @@ class Episodes:
         self._index[:] = index
         self._seed[:] = state["seed"]
         played = np.asarray(state["steps"])
-        self._reset(np.arange(len(index)), latest)
-        for step in range(longest):
-            playing = np.flatnonzero(played > step)
-            self.send(playing, actions[playing, step])
+        self._reset(np.arange(len(index)))
+        for step in range(longest + 1):
             received = self.receive()
             put(latest, received.environment, received.step)
+            playing = np.flatnonzero(played > step)
+            if playing.size:
+                self.send(playing, actions[playing, step])
         if self.failures:
             raise self.failures[0].error
 
@@ -170,6 +169,16 @@ def nothing_yet(orchestrator: Orchestrator) -> Step:
         success=np.zeros(size, np.bool_),
         diverged=np.zeros(size, np.bool_),
     )
+
+
+def begun(received: Received) -> np.ndarray:
+    """Which of the answers are to a reset: (n,) bool. The others are to a step."""
+    return received.updates < 0
+
+
+def rows(received: Received, which: np.ndarray) -> tuple[np.ndarray, Step]:
+    """The environments and steps of some of the answers; `which` (n,) is bool."""
+    return received.environment[which], Step(*(field[which] for field in received.step))
 
 
 def put(into: Step, environments: np.ndarray, rows: Step) -> None:

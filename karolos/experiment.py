@@ -107,7 +107,7 @@ class Experiment:
         RunFolder.check_writable(folder)
         Store(url).close()  # a database that cannot be used is told before anything is computed
         tell = listener or _ignore
-        spec = pinned(self.spec, folder)
+        spec = pinned(self.spec.alone(), folder)
         work = SeedRunner(spec.dump(), folder, url, text, existing)
         with stop_on_signals(time_limit=time_limit) as stop:
             if jobs == 1 or len(self.spec.seeds) == 1:
@@ -173,7 +173,7 @@ class SeedRunner:
                     return _go_on(found, spec, store, tell, stop)
         with Store(self.url) as store, RunFolder.create(self.runs, spec.name, seed) as folder:
             folder.describe(spec.dump(), experiment=spec.hash(), text=self.text)
-            store.add_run(folder.summary(), spec.dump())
+            store.add_run(folder.summary(), spec.dump(), folder.versions())
             return Run(spec, seed, folder, store, tell, stop).execute()
 
 
@@ -181,7 +181,7 @@ def _go_on(folder: RunFolder, spec: Spec, store: Store, tell: Listener, stop: St
     folder.lock()
     snapshot = newest_snapshot(folder)
     folder.next_attempt()
-    store.add_run(folder.summary(), spec.dump())
+    store.add_run(folder.summary(), spec.dump(), folder.versions())
     return Run(spec, folder.description()["seed"], folder, store, tell, stop, snapshot).execute()
 
 

@@ -65,14 +65,15 @@ def _start(work: Work, seed: int) -> _Job:
     context = multiprocessing.get_context("spawn")
     receiving, sending = context.Pipe(duplex=False)
     process = context.Process(target=_in_process, args=(work, seed, sending))
-    with _sigint_ignored():  # inherited by the child: Ctrl-C reaches the parent, which decides
+    with sigint_ignored():  # inherited by the child: Ctrl-C reaches the parent, which decides
         process.start()
     sending.close()
     return _Job(process, receiving)
 
 
 @contextmanager
-def _sigint_ignored() -> Iterator[None]:
+def sigint_ignored() -> Iterator[None]:
+    """Processes started in the block ignore SIGINT."""
     before = signal.signal(signal.SIGINT, signal.SIG_IGN)
     try:
         yield

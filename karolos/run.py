@@ -21,6 +21,7 @@ from .demonstrations import collect
 from .episodes import Episode
 from .errors import KarolosError, MachineError, RunError, StoreError, WorkerError
 from .events import Listener, RunAdvanced, RunEnded, RunStarted, RunTested, RunWarned
+from .progress import Progress
 from .resuming import BEFORE, LAST, Snapshot
 from .run_folder import RunFolder
 from .run_records import RunSummary
@@ -31,7 +32,7 @@ from .signals import StopRequest
 from .spec import Spec
 from .store import Store
 from .testing import TestResult, play_episodes, test_seeds
-from .training import Progress, Training
+from .training import Training
 from .transfer import apply, find
 
 ADVANCE_SECONDS = 0.1
@@ -78,7 +79,9 @@ class Run:
             if self.snapshot is None:
                 folder.event("started")
             else:
-                folder.event("resumed", attempt=folder.state().attempt, steps=self.snapshot.meta["steps"])
+                exact = self.spec.training.at_least is None
+                steps = self.snapshot.meta["steps"]
+                folder.event("resumed", attempt=folder.state().attempt, steps=steps, bit_exact=exact)
             self._train()
         except KeyboardInterrupt:
             self._state("stopped")
@@ -110,7 +113,7 @@ class Run:
             if self.snapshot is None or not self.snapshot.parts:
                 self._start(agent)
                 self._demonstrate(buffer, seeds)
-            training = Training(environments, agent, buffer, spec.training, seeds)
+            training = Training(environments, agent, buffer, spec.training, seeds, spec.training.at_least)
             self._restore(training)
             scalars = Scalars(self.folder.tensorboard, purge=training.steps if self.snapshot else None)
             stack.callback(scalars.close)
@@ -328,6 +331,7 @@ def _speeds(training: Training) -> dict[str, float]:
     return {
         "steps_per_second": training.steps / training.seconds,
         "updates_per_second": training.updates / training.seconds,
+        **training.lag.read(),
     }
 
 

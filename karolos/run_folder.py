@@ -10,10 +10,11 @@
     episodes.jsonl  one line per training episode, with what domain randomization drew
     tensorboard/    series
     checkpoints/    best and last
+    labels.json     tags and note, whoever wrote them
     lock            held by the process that runs it, for as long as it lives
 
-Only the process that holds the lock writes. The state `lost` is never written: whoever reads `created` or `running`
-and finds the lock free knows that the process died.
+Only the process that holds the lock writes, but for labels.json, which has a lock of its own. The state `lost` is never
+written: whoever reads `created` or `running` and finds the lock free knows that the process died.
 """
 
 from __future__ import annotations
@@ -26,9 +27,12 @@ from pathlib import Path
 from types import TracebackType
 from typing import Any
 
-from . import provenance
+from . import labels, provenance
+from .counting import TestCounts, count_lines
 from .errors import MachineError, RunError, UsageError
 from .files import FileLock, append_lines, parse_object, read_lines, write_json, write_whole, writing
+from .labels import Labels
+from .results import TestResult
 from .run_records import (
     FORMAT,
     RunRecord,
@@ -41,7 +45,6 @@ from .run_records import (
     summarise,
     timestamp,
 )
-from .testing import TestResult
 
 LOCK_SECONDS = 0.5
 """A reader that looks whether a run lives holds the lock for an instant; its owner waits that long for it."""
@@ -217,6 +220,10 @@ class RunFolder:
         self._write_state(RunState("created", before.steps, before.seconds, attempt, None, timestamp()))
         return attempt
 
+    def labels(self) -> Labels:
+        """Tags and note; empty where nobody wrote any."""
+        return labels.read(self.path)
+
     def event(self, kind: str, **data: Any) -> None:
         """Note that something happened; `data` are JSON values."""
         append_lines(self.path / "events.jsonl", [{"time": timestamp(), "event": kind, **data}])
@@ -262,17 +269,37 @@ class RunFolder:
 
     def summary(self) -> RunSummary:
         """The run in one row, as the store keeps it."""
-        return summarise(self.path.resolve(), self._run, self.state(), self.spec(), self.tests())
+        return summarise(self.path.resolve(), self._run, self.state(), self.spec(), self._counts()[0], self.labels())
 
     def record(self) -> RunRecord:
         """All that the folder says, read once, and what is damaged or missing in it."""
-        tests, problems = self._read_tests()
+        tests, problems = self._counts()
         spec = self.spec()
         for name in ("resolved.json", "state.json"):
             if self._object(name) is None:
                 problems += (f"{name}: missing or damaged",)
-        summary = summarise(self.path.resolve(), self._run, self.state(), spec, tests)
-        return RunRecord(summary, spec, tests, problems + read_lines(self.path / "events.jsonl").problems)
+        if labels.is_damaged(self.path):
+            problems += ("labels.json: damaged; tags and note cannot be read",)
+        summary = summarise(self.path.resolve(), self._run, self.state(), spec, tests, self.labels())
+        problems += read_lines(self.path / "events.jsonl").problems
+        return RunRecord(summary, spec, tests, problems, self.versions())
+
+    def versions(self) -> dict[str, str] | None:
+        """Versions of what the run was made with; None where run.json does not tell."""
+        found = self._run.get("versions")
+        return {str(name): str(version) for name, version in found.items()} if isinstance(found, dict) else None
+
+    def _counts(self) -> tuple[tuple[TestCounts, ...], tuple[str, ...]]:
+        """The tests by their counts, and what is damaged."""
+        try:
+            counted = count_lines((self.path / "tests.jsonl").read_bytes())
+        except OSError:
+            counted = None
+        if counted is None:
+            results, problems = self._read_tests()
+            return tuple(TestCounts.of(result) for result in results), problems
+        unique = {test.steps: test for test in counted}
+        return tuple(unique[steps] for steps in sorted(unique)), ()
 
     def _read_tests(self) -> tuple[tuple[TestResult, ...], tuple[str, ...]]:
         rows, problems = read_lines(self.path / "tests.jsonl")
@@ -296,22 +323,26 @@ class RunFolder:
         write_json(self.path / "state.json", state.to_row())
 
 
-def scan(runs: str | Path, pattern: str = "*") -> Iterator[RunFolder | RunError]:
-    """The run folders in a runs folder, by name; for a damaged one its error. Other folders are passed over.
+def paths(runs: str | Path, pattern: str = "*") -> list[Path]:
+    """The folders in a runs folder that are those of runs, sound or damaged, by name; other folders are passed over.
 
     Args:
         runs: the runs folder; one that is not there holds none.
         pattern: of the folders' names, as a shell's.
     """
     try:
-        paths = sorted(path for path in Path(runs).iterdir() if fnmatchcase(path.name, pattern))
+        found = sorted(path for path in Path(runs).iterdir() if fnmatchcase(path.name, pattern))
     except FileNotFoundError:
-        paths = []
+        return []
     except OSError as error:
         raise MachineError(f"cannot be read ({error.strerror})", where=str(runs), hint="name a runs folder") from error
-    for path in paths:
-        if os.path.isfile(path / "run.json"):
-            try:
-                yield RunFolder.open(path)
-            except RunError as error:
-                yield error
+    return [path for path in found if os.path.isfile(path / "run.json")]
+
+
+def scan(runs: str | Path, pattern: str = "*") -> Iterator[RunFolder | RunError]:
+    """The run folders in a runs folder, by name; for a damaged one its error. Arguments as those of `paths`."""
+    for path in paths(runs, pattern):
+        try:
+            yield RunFolder.open(path)
+        except RunError as error:
+            yield error

@@ -4,14 +4,16 @@ from __future__ import annotations
 
 import math
 import re
-from collections.abc import Mapping, Sequence
+from collections.abc import Iterator, Mapping, Sequence
 from dataclasses import asdict, dataclass, replace
 from datetime import UTC, datetime
 from pathlib import Path
 from typing import Any
 
+from .counting import TestCounts
 from .errors import UsageError
-from .testing import TestResult
+from .labels import Labels
+from .results import TestResult
 
 NAME = re.compile(r"[A-Za-z0-9][A-Za-z0-9._-]{0,63}")
 ID = re.compile(r"[A-Za-z0-9][A-Za-z0-9._-]{0,199}")
@@ -113,10 +115,13 @@ class RunSummary:
     created: str
     updated: str
     folder: str
+    tags: tuple[str, ...] = ()
+    """In alphabetical order."""
+    note: str | None = None
 
     def row(self) -> dict[str, Any]:
         """The fields as JSON values, in order."""
-        return asdict(self)
+        return asdict(self) | {"tags": list(self.tags)}
 
 
 @dataclass(frozen=True)
@@ -125,12 +130,28 @@ class RunRecord:
 
     summary: RunSummary
     spec: Mapping[str, Any]
-    tests: tuple[TestResult, ...]
+    tests: tuple[TestCounts, ...]
     problems: tuple[str, ...]
+    versions: Mapping[str, str] | None = None
+    """Of Python, karolos, plugins and what they need, when the run began; None where the folder does not tell."""
+
+
+def flatten(spec: Mapping[str, Any], prefix: str = "") -> Iterator[tuple[str, Any]]:
+    """A nested mapping as pairs of key path and value: ("agent.learning_rate", 0.001). Lists are values."""
+    for key, value in spec.items():
+        if isinstance(value, Mapping) and value:
+            yield from flatten(value, f"{prefix}{key}.")
+        else:
+            yield f"{prefix}{key}", value
 
 
 def summarise(
-    folder: Path, run: Mapping[str, Any], state: RunState, spec: Mapping[str, Any], tests: Sequence[TestResult]
+    folder: Path,
+    run: Mapping[str, Any],
+    state: RunState,
+    spec: Mapping[str, Any],
+    tests: Sequence[TestCounts],
+    labels: Labels,
 ) -> RunSummary:
     """The row of a run from what its folder holds; `tests` in the order of their steps."""
     last = tests[-1] if tests else None
@@ -157,6 +178,8 @@ def summarise(
         created=str(run["created"]),
         updated=state.updated or str(run["created"]),
         folder=str(folder),
+        tags=labels.tags,
+        note=labels.note,
     )
 
 

@@ -1,4 +1,4 @@
-"""Stopping on request: SIGINT, SIGTERM, SIGUSR1 or a time limit asks, a second SIGINT ends at once."""
+"""Stopping on request: SIGINT, SIGTERM, SIGUSR1, a time limit or the program asks, a second SIGINT ends at once."""
 
 from __future__ import annotations
 
@@ -22,10 +22,12 @@ class StopRequest:
     """The signal that asked, if one did."""
     deadline: float | None = None
     """When the time limit is reached, as `time.monotonic` counts; None: there is no limit."""
+    word: str | None = None
+    """Why the program itself asks, e.g. "pruned"; None: it does not."""
 
     @property
     def asked(self) -> bool:
-        return self.signal is not None or self.late
+        return self.signal is not None or self.word is not None or self.late
 
     @property
     def late(self) -> bool:
@@ -34,9 +36,11 @@ class StopRequest:
 
     @property
     def reason(self) -> str | None:
-        """Who asked: a signal's name, or the time limit; None if nobody did."""
+        """Who asked: a signal's name, the program's word, or the time limit; None if nobody did."""
         if self.signal is not None:
             return signal.Signals(self.signal).name
+        if self.word is not None:
+            return self.word
         return "time limit" if self.late else None
 
     @property

@@ -1,17 +1,25 @@
 """The training loop as a generator: no files, no database, no terminal.
 
-One round, in lockstep: act for all environments, send the actions, learn from what the buffer already holds while the
-environments step, receive, store. An on-policy agent learns at the end of the round that completes its rollout, because
-its next action depends on it. The order and the amounts depend on counts only, never on timing, so that a run is the
-same bit for bit whatever the machine is busy with.
+One round: act for the environments that wait for an action, send the actions, learn from what the buffer already holds
+while the environments step, receive, store.
+
+In lockstep a round waits for all environments. The order and the amounts depend on counts only, never on timing, so
+that a run is the same bit for bit whatever the machine is busy with. An on-policy agent learns at the end of the round
+that completes its rollout, because its next action depends on it.
+
+Asynchronously (`at_least`) a round waits for so many answers and leaves the others under way, resets included; it also
+breaks off learning when they have come, as long as that leaves no more updates owed than one step of every environment
+is worth. So nobody waits for the slowest environment, and the replay ratio is kept. Each episode still has the seed of
+its environment and index; which transitions are learned from when, and so the run, depends on timing.
 """
 
 from __future__ import annotations
 
+import math
 import time
 from collections.abc import Iterator, Mapping
 from dataclasses import dataclass, field
-from typing import Any, Protocol
+from typing import Any
 
 import numpy as np
 
@@ -19,7 +27,6 @@ from .core import (
     Agent,
     Buffer,
     Discrete,
-    Failure,
     FloatArray,
     Orchestrator,
     Received,
@@ -29,64 +36,50 @@ from .core import (
     Transitions,
     random_actions,
 )
-from .episodes import Episode, Episodes, nothing_yet, put
+from .episodes import Episode, Episodes, begun, nothing_yet, put, rows
+from .progress import Amounts, Metrics, PolicyLag, Progress
 from .schedules import Ratio
 from .seeding import SeedTree, generator_state, load_generator_state
-
-Metrics = tuple[Mapping[str, Any], ...]
-NOBODY = np.zeros(0, np.int64)
-
-
-class Amounts(Protocol):
-    """How much to train (spec key `training`). An on-policy agent is told by its own settings all but the steps."""
-
-    @property
-    def steps(self) -> int: ...
-    @property
-    def batch_size(self) -> int: ...
-    @property
-    def replay_ratio(self) -> float: ...
-    @property
-    def warmup_episodes(self) -> int: ...
-
-
-@dataclass(frozen=True)
-class Progress:
-    """Where training stands after a round."""
-
-    steps: int
-    episodes: int
-    updates: int
-    seconds: float
-    """Wall-clock seconds of collecting and learning; what the caller does between rounds is not counted."""
-    warming_up: bool
-    """Whether actions are still drawn at random."""
-    finished: tuple[Episode, ...] = ()
-    metrics: Metrics = ()
-    """What `agent.learn` returned each time in this round."""
-    failures: tuple[Failure, ...] = ()
-    """Environments that failed in this round; they have begun other episodes since."""
 
 
 @dataclass
 class Training:
-    """Trains one agent. `rounds()` is the loop; the caller may stop between two rounds, and go on from `state()`."""
+    """Trains one agent. `rounds()` is the loop; the caller may stop between two rounds, and go on from `state()`.
+
+    Args:
+        at_least: answers that a round waits for; None: those of all environments (lockstep), which is the only way for
+            an on-policy agent.
+    """
 
     orchestrator: Orchestrator
     agent: Agent[Any]
     buffer: Buffer[Any]
     amounts: Amounts
     seeds: SeedTree
+    at_least: int | None = None
     steps: int = 0
     episodes: int = 0
     updates: int = 0
     seconds: float = 0.0
+    lag: PolicyLag = field(default_factory=PolicyLag, init=False)
     _latest: Step | None = field(default=None, init=False)
 
     def __post_init__(self) -> None:
-        self._all = np.arange(self.orchestrator.size)
+        if self.at_least is not None and (self.at_least < 1 or self.agent.on_policy):
+            raise ValueError(f"a round cannot wait for {self.at_least} answers")
+        size, signature = self.orchestrator.size, self.orchestrator.signature
+        self._all = np.arange(size)
+        self._ready = self._all
+        """Environments that wait for an action."""
+        self._actions = np.zeros((size, signature.action.size), np.float32)
+        """What the agent said last for each environment."""
         self._running = Episodes(self.orchestrator, self.seeds)
         self._due = Ratio(self.amounts.replay_ratio / self.amounts.batch_size)
+        self._owed = 0
+        """Updates that are due and not made."""
+        self._tolerance = math.ceil(size * self._due.ratio)
+        self._heard: list[Received] = []
+        """Answers that came while the agent learned."""
         self._learning_since = 0 if self._warmed_up() else None
         self._warmup = self.seeds.child("warmup").generator()
 
@@ -96,7 +89,9 @@ class Training:
             started = time.perf_counter()
             if self._latest is None:
                 self._latest = nothing_yet(self.orchestrator)
-                self._begin(self._all, self._latest)
+                self._ready = self._all[:0]
+                self._begin(self._all)
+                self._settle(self._latest)
             finished, metrics = self._round(self._latest)
             self.seconds += time.perf_counter() - started
             failures, self._running.failures = self._running.failures, ()
@@ -112,51 +107,90 @@ class Training:
             )
 
     def _round(self, latest: Step) -> tuple[tuple[Episode, ...], Metrics]:
-        """One step of every environment. Afterwards `latest` is what the environments observe now."""
-        actions = self._act(latest)
-        self._running.send(self._all, allowed(self.orchestrator.signature, actions), updates=self.updates)
+        """One step of the environments that are ready. Afterwards `latest` is what each was last heard to observe."""
+        self._act(latest)
         metrics = () if self.agent.on_policy else self._learn_from_replay()
-        received = self._running.receive()
-        environments, after = received.environment, received.step
-        failed = received.failed if received.failures else NOBODY
-        self._store(latest, actions, received, failed)
-        put(latest, environments, after)
-        self.steps += environments.size
-        ends = after.terminated | after.truncated
-        over = environments[ends]
-        finished = tuple(
-            self._running.record(environment, diverged=diverged)
-            for environment, diverged in zip(over.tolist(), after.diverged[ends].tolist(), strict=True)
-        )
-        self.episodes += len(finished)
-        self._begin(np.concatenate((over, failed)), latest)
+        self._hear(self.at_least)
+        finished = self._take(latest)
+        self._settle(latest)
         if self._learning_since is None and self._warmed_up():
             self._learning_since = self.steps
         return finished, self._learn_from_rollout() if self.agent.on_policy else metrics
 
-    def _begin(self, environments: np.ndarray, latest: Step) -> None:
-        """Next episodes. Environments that fail meanwhile lose the ones that they were amid."""
-        if not environments.size:
+    def _act(self, latest: Step) -> None:
+        """Send an action to each environment that waits for one."""
+        ready = self._ready
+        if not ready.size:
             return
-        before = len(self._running.failures)
-        self._running.begin(environments, latest)
-        lost = [failure.environment for failure in self._running.failures[before:]]
-        for failed in lost:
-            self.buffer.cut(failed)
-        self.agent.begin_episodes(np.unique(np.concatenate((environments, *lost))) if lost else environments)
+        signature = self.orchestrator.signature
+        if self._learning_since is None:
+            actions = random_actions(signature, ready.size, self._warmup)
+        else:
+            seen = latest.observation[ready], latest.desired_goal[ready]
+            actions = self.agent.act(*seen, explore=True, environments=ready)
+        self._actions[ready] = actions
+        self._running.send(ready, allowed(signature, actions), updates=self.updates)
+        self._ready = ready[:0]
+
+    def _hear(self, at_least: int | None) -> int:
+        """Wait for so many answers, those of this round that came before included; how many there are."""
+        count = sum(received.environment.size + received.failed.size for received in self._heard)
+        received = self._running.receive(None if at_least is None else max(at_least - count, 0))
+        if received.environment.size or received.failures:
+            self._heard.append(received)
+            count += received.environment.size + received.failed.size
+        return count
+
+    def _take(self, latest: Step) -> tuple[Episode, ...]:
+        """Store what was heard, and begin the episodes that follow on those that are over or lost; the former."""
+        heard, self._heard = self._heard, []
+        if not heard:
+            return ()
+        ready, over, finished = [self._ready], [], []
+        for received in heard:
+            fresh = begun(received)
+            environments, after = rows(received, ~fresh) if fresh.any() else (received.environment, received.step)
+            self._store(latest, environments, after)
+            self.lag.add(self.updates - received.updates[~fresh])
+            self.steps += environments.size
+            put(latest, received.environment, received.step)
+            ends = received.step.terminated | received.step.truncated
+            ready.append(received.environment[~ends])
+            over.append(received.environment[ends])
+            finished += [
+                self._running.record(environment, diverged=diverged)
+                for environment, diverged in zip(over[-1].tolist(), received.step.diverged[ends].tolist(), strict=True)
+            ]
+        self.episodes += len(finished)
+        failed = [received.failed for received in heard if received.failures]
+        for lost in failed:
+            self.buffer.cut(lost)
+        self._begin(np.unique(np.concatenate((*over, *failed))))
+        # An environment that has answered may have been lost since.
+        self._ready = (
+            np.setdiff1d(np.concatenate(ready), np.concatenate(failed)) if failed else np.sort(np.concatenate(ready))
+        )
+        return tuple(finished)
+
+    def _begin(self, environments: np.ndarray) -> None:
+        """Next episodes. Does not wait."""
+        if environments.size:
+            self._running.begin(environments)
+            self.agent.begin_episodes(environments)
+
+    def _settle(self, latest: Step) -> None:
+        """In lockstep, wait until every environment has an episode; those that fail meanwhile begin another."""
+        while self.at_least is None and self._ready.size < self._all.size:
+            self._hear(None)
+            self._take(latest)
 
     def _warmed_up(self) -> bool:
         return self.agent.on_policy or self.episodes >= self.amounts.warmup_episodes
 
-    def _act(self, before: Step) -> FloatArray:
-        if self._learning_since is None:
-            return random_actions(self.orchestrator.signature, self._all.size, self._warmup)
-        return self.agent.act(before.observation, before.desired_goal, explore=True)
-
-    def _store(self, before: Step, actions: FloatArray, received: Received, failed: np.ndarray) -> None:
-        environments, after = received.environment, received.step
+    def _store(self, before: Step, environments: np.ndarray, after: Step) -> None:
+        """Hand the steps that these environments took from `before` to the buffer."""
         sound = ~after.diverged  # what the simulation made of the other steps is no experience
-        lost = np.concatenate((environments[after.diverged], failed))
+        lost = environments[after.diverged]
         if lost.size:
             self.buffer.cut(lost)
         if not sound.any():
@@ -166,7 +200,7 @@ class Training:
             observation=before.observation[environments],
             achieved_goal=before.achieved_goal[environments],
             desired_goal=before.desired_goal[environments],
-            action=actions[environments],
+            action=self._actions[environments],
             reward=after.reward,
             next_observation=after.observation,
             next_achieved_goal=after.achieved_goal,
@@ -179,8 +213,16 @@ class Training:
         """The updates that are due: the replay ratio counts the steps since warm-up ended."""
         if self._learning_since is None:
             return ()
-        due = self._due(self.steps - self._learning_since)
-        return tuple(self._learn(self.amounts.batch_size) for _ in range(due))
+        self._owed += self._due(self.steps - self._learning_since)
+        metrics = []
+        while self._owed > 0 and not self._called():
+            metrics.append(self._learn(self.amounts.batch_size))
+            self._owed -= 1
+        return tuple(metrics)
+
+    def _called(self) -> bool:
+        """Whether environments have answered that learning may leave its other updates for."""
+        return self.at_least is not None and self._owed <= self._tolerance and self._hear(0) >= self.at_least
 
     def _learn_from_rollout(self) -> Metrics:
         """All that the rollout is good for, once it is complete."""
@@ -197,10 +239,11 @@ class Training:
         return metrics
 
     def state(self) -> State:
-        """All that `load_state` needs to go on bit for bit, between any two rounds.
+        """All that `load_state` needs to go on between any two rounds, bit for bit in lockstep.
 
         Agent and buffer are stateful parts of their own and not included. A running episode is kept as its seed and its
-        actions, and is played again.
+        actions, and is played again. Asynchronously an answer that is under way is not part of it: its action is chosen
+        anew.
         """
         return {
             "steps": self.steps,
@@ -209,6 +252,7 @@ class Training:
             "seconds": self.seconds,
             "learning_since": self._learning_since,
             "due": self._due.counted,
+            "owed": self._owed,
             "warmup": generator_state(self._warmup),
             "running": None if self._latest is None else self._running.state(),
         }
@@ -227,6 +271,7 @@ class Training:
         self.seconds = float(state["seconds"])
         self._learning_since = state["learning_since"]
         self._due.counted = int(state["due"])
+        self._owed = int(state["owed"])
         load_generator_state(self._warmup, state["warmup"])
 
 

@@ -42,6 +42,26 @@ REFUSED = {
         "agent: ppo\nbuffer: on_policy\ntraining: {batch_size: 64}\n",
         "4:24: training.batch_size: 64 says nothing to ppo",
     ),
+    "ppo as it comes": (
+        "agent: ppo\nbuffer: on_policy\ntraining: {mode: async}\n",
+        "4:18: training.mode: ppo learns from whole rollouts of its latest policy",
+    ),
+    "a larger minimum than there is": (
+        "agent: sac\ntraining: {mode: async, minimum_batch: 5}\n",
+        "3:40: training.minimum_batch: 5 environments will never be ready, there are 4; lower it",
+    ),
+    "a minimum for lockstep": (
+        "agent: sac\ntraining: {minimum_batch: 2}\n",
+        "3:11: training: minimum_batch goes with mode: async, not with lockstep",
+    ),
+    "a minimum of nobody": (
+        "agent: sac\ntraining: {mode: async, minimum_batch: 0}\n",
+        "3:40: training.minimum_batch: should be greater than or equal to 1, not 0",
+    ),
+    "an unknown mode": (
+        "agent: sac\ntraining: {mode: asynchronous}\n",
+        "3:18: training.mode: should be 'lockstep' or 'async', not 'asynchronous'",
+    ),
     "more minibatches than transitions": (
         "agent: {name: ppo, minibatches: 32}\nbuffer: {name: on_policy, rollout: 5}\n",
         "2:33: agent.minibatches: a rollout of 20 transitions cannot be split into 32 minibatches",

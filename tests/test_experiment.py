@@ -165,6 +165,7 @@ def test_tensorboard_files_hold_agent_test_and_training_series(finished):
     series.Reload()
     tags = set(series.Tags()["scalars"])
     assert {"test/success_any", "test/success_end", "train/return", "agent/critic_loss"} <= tags
+    assert {"speed/steps_per_second", "speed/policy_lag_mean", "speed/policy_lag_max"} <= tags
     assert [event.step for event in series.Scalars("test/success_any")] == [100, 200, 240]
 
 

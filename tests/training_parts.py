@@ -67,8 +67,9 @@ class Recorder:
     def begin_episodes(self, environments):
         self.begun.append((len(self.added), environments.tolist()))
 
-    def act(self, observation, desired_goal, *, explore):
+    def act(self, observation, desired_goal, *, explore, environments):
         assert explore
+        assert environments.shape == (len(observation),)
         assert desired_goal.shape == (len(observation), 1)
         return np.full((len(observation), 2), self.learned / 1000, np.float32)
 
@@ -97,8 +98,10 @@ class OnPolicyRecorder(Recorder):
     on_policy = True
     taken = 0
 
-    def act(self, observation, desired_goal, *, explore):
-        return super().act(observation, desired_goal, explore=explore) + np.float32([3.0, -3.0])
+    def act(self, observation, desired_goal, *, explore, environments):
+        return super().act(observation, desired_goal, explore=explore, environments=environments) + np.float32(
+            [3.0, -3.0]
+        )
 
     def __len__(self):
         waiting = len(self.added) - self.taken

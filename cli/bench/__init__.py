@@ -9,6 +9,8 @@ from .buffers import buffers
 from .environment import environment
 from .experts import experts
 from .orchestrator import orchestrator
+from .store import store
+from .training import training
 from .updates import updates
 
 app = typer.Typer(help="Measure the speed of parts, beside a peer in the same run.", no_args_is_help=True)
@@ -17,6 +19,8 @@ app.command()(buffers)
 app.command()(environment)
 app.command()(orchestrator)
 app.command()(experts)
+app.command()(store)
+app.command()(training)
 app.command()(updates)
 
 

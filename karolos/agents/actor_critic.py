@@ -29,10 +29,28 @@ class ActorCriticSettings(OptimiserSettings):
     precision: Precision = Setting("auto", description=PRECISION_MEANS)
 
 
-def imitation_loss(action: Tensor, better: Tensor, inputs: Inputs) -> Tensor:
+WATCHED_EVERY = 8
+"""One update of so many says how it went. What there is to say takes twenty small operations, 2 % of an update."""
+
+
+def squared_loss(values: Tensor, targets: Tensor, share: Tensor) -> tuple[Tensor, Tensor]:
+    """The sum over the critics of their mean squared errors, and its gradient.
+
+    Args:
+        values: what each critic says, (members, n, 1).
+        targets: what they should say, (n,).
+        share: of each row in the mean, (n,).
+    """
+    errors = values.squeeze(-1) - targets
+    slope = errors * share
+    return torch.dot(slope.view(-1), errors.view(-1)), slope.mul_(2).unsqueeze(-1)
+
+
+def imitation_loss(action: Tensor, better: Tensor, inputs: Inputs) -> tuple[Tensor, Tensor]:
     """Mean over the demonstrated rows of |pi(s) - a|^2 where the demonstrated action is better; 0 without such rows.
 
-    Source: Nair et al. 2018, "Overcoming Exploration in Reinforcement Learning with Demonstrations", equations 3 and 5.
+    And its gradient by pi(s). Source: Nair et al. 2018, "Overcoming Exploration in Reinforcement Learning with
+    Demonstrations", equations 3 and 5.
 
     Args:
         action: pi(s), (n, a).
@@ -40,27 +58,29 @@ def imitation_loss(action: Tensor, better: Tensor, inputs: Inputs) -> Tensor:
         inputs: the batch.
     """
     assert inputs.demonstrated is not None
-    distance = (action - inputs.action).square().sum(1)
-    return (inputs.demonstrated * better * distance).sum() / inputs.demonstrated.sum().clamp(min=1)
+    apart = action - inputs.action
+    share = inputs.demonstrated * better / inputs.demonstrated.sum().clamp(min=1)
+    return torch.dot(share, apart.square().sum(1)), 2 * share.unsqueeze(1) * apart
 
 
-def critic_metrics(loss: Tensor, values: Tensor, targets: Tensor, length: Tensor) -> dict[str, Any]:
-    """What to watch of a critics' update, and how wrong they were about each transition.
+def critic_metrics(loss: Tensor, values: Tensor, targets: Tensor, *, watch: bool) -> dict[str, Any]:
+    """How wrong critics were about each transition; and what there is to watch of an update, if somebody does.
 
     Args:
         loss: a scalar.
         values: what each critic said, (members, n).
         targets: what they should have said, (n,).
-        length: of the gradient.
+        watch: False: priorities alone.
     """
-    values = values.detach()
+    priorities = (values - targets).abs_().amax(0)
+    if not watch:
+        return {"priorities": priorities}
     return {
-        "critic_loss": loss.detach(),
+        "critic_loss": loss,
         "value_mean": values.mean(),
         "value_max": values.max(),
         "target_mean": targets.mean(),
-        "critic_gradient_norm": length,
-        "priorities": (values - targets).abs().amax(0),
+        "priorities": priorities,
     }
 
 

@@ -14,11 +14,20 @@ from torch import Tensor
 
 from ..core import Batch, FloatArray, Signature, State
 from ..seeding import SeedTree
-from .actor_critic import ActorCriticSettings, critic_metrics, imitation_loss, load_parts, parts_state
+from .actor_critic import (
+    WATCHED_EVERY,
+    ActorCriticSettings,
+    critic_metrics,
+    imitation_loss,
+    load_parts,
+    parts_state,
+    squared_loss,
+)
 from .device import is_low
 from .inputs import (
     Inputs,
     acting_inputs,
+    is_observed,
     learning_inputs,
     require_continuous,
     saturation,
@@ -114,13 +123,15 @@ class Deterministic:
         noisy = torch.add(action, noise, alpha=self.settings.noise.std).clamp_(-1, 1)
         return to_array(some_random(noisy, self.settings.random_actions, self.generator))
 
+    @torch.no_grad()
     def learn(self, batch: Batch) -> Mapping[str, Any]:
-        """One update of the critics, and of policy and targets when it is their turn; metrics as tensors."""
-        inputs = learning_inputs(batch, self.normaliser, self.device)
-        metrics = self._learn_critic(inputs)
+        """One update of the critics, and of policy and targets when it is their turn; metrics as in SAC."""
+        inputs = learning_inputs(batch, self.normaliser, self.device, observe=is_observed(self._updates))
+        watch = self._updates // self.variant.policy_delay % WATCHED_EVERY == 0
+        metrics = self._learn_critic(inputs, watch=watch)
         self._updates += 1
         if self._updates % self.variant.policy_delay == 0:
-            metrics |= self._learn_policy(inputs)
+            metrics |= self._learn_policy(inputs, watch=watch)
             self.target.follow(self.critic, self.settings.tau)
             self.target_policy.follow(self.policy, self.settings.tau)
         return metrics
@@ -136,26 +147,38 @@ class Deterministic:
         value = self.target(torch.cat((inputs.there, action), 1)).squeeze(-1).amin(0)
         return torch.addcmul(inputs.reward, inputs.discount, value).clamp_(*self._bounds)
 
-    def _learn_critic(self, inputs: Inputs) -> dict[str, Any]:
+    def _learn_critic(self, inputs: Inputs, *, watch: bool) -> dict[str, Any]:
         targets = self.targets(inputs)
-        values = self.critic(torch.cat((inputs.here, inputs.action), 1), learn=True).squeeze(-1)
-        loss = (inputs.weight * (values - targets).square()).mean(1).sum()
-        return critic_metrics(loss, values, targets, self.optimisers["critic"].step(loss))
+        values, tapes = self.critic.forward(torch.cat((inputs.here, inputs.action), 1))
+        loss, slope = squared_loss(values, targets, inputs.share)
+        self.critic.backward(slope, tapes)
+        length = self.optimisers["critic"].step_watched(self.critic.gradient, "critic_gradient_norm", watch=watch)
+        return critic_metrics(loss, values.squeeze(-1), targets, watch=watch) | length
 
-    def _learn_policy(self, inputs: Inputs) -> dict[str, Any]:
-        action = torch.tanh(self.policy(inputs.here, learn=True))
-        value = self.critic(torch.cat((inputs.here, action), 1)).squeeze(-1)[0]
-        loss = (-inputs.weight * value).mean()
-        metrics = {"policy_loss": loss.detach(), "action_saturation": saturation(action)}
-        if self.settings.action_penalty:
-            loss = loss + self.settings.action_penalty * action.square().mean()
-        if self.settings.imitation and inputs.demonstrated is not None:
-            with torch.no_grad():
-                shown = self.critic(torch.cat((inputs.here, inputs.action), 1)).squeeze(-1)[0]
-            distance = imitation_loss(action, shown > value, inputs)
-            loss = loss + self.settings.imitation * distance
-            metrics["imitation_loss"] = distance.detach()
-        return {**metrics, "policy_gradient_norm": self.optimisers["policy"].step(loss)}
+    def _learn_policy(self, inputs: Inputs, *, watch: bool) -> dict[str, Any]:
+        """Gradients are written down, as in SAC."""
+        settings, share = self.settings, inputs.share
+        head, tapes = self.policy.forward(inputs.here)
+        action = torch.tanh(head)
+        values, critic_tapes = self.critic.forward(torch.cat((inputs.here, action), 1), first=True)
+        value, slope = values[0, :, 0], torch.zeros_like(values)
+        slope[0, :, 0] = -share
+        for_action = self.critic.backward(
+            slope, critic_tapes, parameters=False, columns=slice(inputs.observed.shape[1], None)
+        )
+        assert for_action is not None
+        metrics: dict[str, Any] = {}
+        if watch:
+            metrics |= {"policy_loss": -torch.dot(share, value), "action_saturation": saturation(action)}
+        if settings.action_penalty:
+            for_action.add_(action, alpha=2 * settings.action_penalty / action.numel())
+        if settings.imitation and inputs.demonstrated is not None:
+            shown = self.critic.forward(torch.cat((inputs.here, inputs.action), 1), first=True)[0][0, :, 0]
+            metrics["imitation_loss"], for_shown = imitation_loss(action, shown > value, inputs)
+            for_action.add_(for_shown, alpha=settings.imitation)
+        self.policy.backward(for_action * (1 - action.square()), tapes)
+        gradient, name = self.policy.gradient, "policy_gradient_norm"
+        return metrics | self.optimisers["policy"].step_watched(gradient, name, watch=watch)
 
     def state(self) -> State:
         """Everything that learning and acting depend on."""

@@ -5,6 +5,7 @@ from __future__ import annotations
 import math
 from typing import NamedTuple
 
+import numpy as np
 import torch
 from torch import Tensor
 
@@ -12,38 +13,59 @@ from ..core import Batch, Discrete, FloatArray, Signature
 from ..errors import UsageError
 from .normaliser import Normaliser
 
+ALL_OBSERVED = 500
+"""Updates of which each batch enters the statistics that inputs are normalised by."""
+OBSERVED_EVERY = 4
+"""And after them one of so many: thirteen operations that take 2 % of an update."""
+
 
 class Inputs(NamedTuple):
     """A batch on the device; observation and goal side by side, normalised."""
 
-    here: Tensor
+    observed: Tensor
+    """(2 n, columns): where the transitions lead, then where they begin."""
     there: Tensor
+    here: Tensor
     action: Tensor
     reward: Tensor
     discount: Tensor
     """0 where nothing lies beyond."""
     weight: Tensor
+    share: Tensor
+    """Of each transition in a loss, which is a weighted mean: weight / n."""
     demonstrated: Tensor | None
     """1 where an expert took the action, else 0: (n,)."""
 
 
-def learning_inputs(batch: Batch, normaliser: Normaliser, device: torch.device) -> Inputs:
-    """The batch as losses need it. What it observes enters the statistics first, relabelled goals included."""
+def is_observed(update: int) -> bool:
+    """Whether the batch of this update (the first is 0) enters the statistics: later ones hardly move them."""
+    return update < ALL_OBSERVED or update % OBSERVED_EVERY == 0
+
+
+def learning_inputs(batch: Batch, normaliser: Normaliser, device: torch.device, *, observe: bool = True) -> Inputs:
+    """The batch as losses need it. If asked to, what it observes enters the statistics first, relabelled goals too."""
 
     def tensor(array: FloatArray) -> Tensor:
         return torch.from_numpy(array).to(device)
 
-    goal = tensor(batch.desired_goal)
-    here = torch.cat((tensor(batch.observation), goal), 1)
-    there = torch.cat((tensor(batch.next_observation), goal), 1)
-    normaliser.update(here)
+    count, columns = batch.observation.shape
+    rows = np.empty((2 * count, columns + batch.desired_goal.shape[1]), np.float32)
+    rows[:count, :columns] = batch.next_observation
+    rows[count:, :columns] = batch.observation
+    rows[:count, columns:] = rows[count:, columns:] = batch.desired_goal
+    raw = tensor(rows)
+    if observe:
+        normaliser.update(raw[count:])
+    observed = normaliser(raw)
     return Inputs(
-        here=normaliser(here),
-        there=normaliser(there),
+        observed=observed,
+        there=observed[:count],
+        here=observed[count:],
         action=tensor(batch.action),
         reward=tensor(batch.reward),
-        discount=tensor(batch.discount) * (1 - tensor(batch.terminated)),
+        discount=tensor(batch.discount * (1 - batch.terminated)),
         weight=tensor(batch.weight),
+        share=tensor(batch.weight / np.float32(count)),
         demonstrated=None if batch.demonstrated is None else tensor(batch.demonstrated),
     )
 

@@ -11,19 +11,16 @@ import math
 from collections.abc import Mapping
 from dataclasses import dataclass
 from itertools import pairwise
-from typing import Any, NamedTuple
+from typing import Any
 
 import torch
 from torch import Tensor
 
 from ..core import State
 from ..errors import UsageError
-from .products import Affine, affine, affine_map, product, product_into
-
-EPSILON = 1e-5
-"""Added to the variance in layer normalisation, as in torch.nn.LayerNorm."""
-_RECTIFIER_BACK = torch.ops.aten.threshold_backward.grad_input
-_NORM_BACK = torch.ops.aten.native_layer_norm_backward.default
+from . import chain
+from .chain import Tape
+from .products import Affine, affine_map
 
 
 @dataclass(frozen=True)
@@ -52,19 +49,14 @@ class Shape:
         return shapes
 
 
-class _Layer(NamedTuple):
-    """What the way back needs of a hidden layer: what entered, what left, and how it was normalised."""
-
-    entered: Tensor
-    left: Tensor
-    norm: tuple[Tensor, Tensor, Tensor] | None
-
-
 class MLP:
     """Affine layers with rectifiers between them.
 
     Several members are computed as one product per layer on a GPU, where launches cost. On a CPU they are computed one
     after the other: two products of half the size take as long as one, and half-size activations stay in the cache.
+
+    Agents that know their losses' gradients call `forward` and `backward`; a call of the network itself does the same
+    as one node of the autograd graph.
 
     Args:
         shape: layers, members, options.
@@ -74,67 +66,66 @@ class MLP:
 
     def __init__(self, shape: Shape, generator: torch.Generator, device: str) -> None:
         self.shape = shape
-        rows = max(shape.members, 1)
+        self._members = max(shape.members, 1)
         self._shapes = list(shape.parameters().values())
-        self._sizes = [math.prod(dimensions) for dimensions in self._shapes]
-        self._columns: dict[str, slice] = {}
-        start = 0
-        for name, dimensions in shape.parameters().items():
-            self._columns[name] = slice(start, start + math.prod(dimensions))
-            start += math.prod(dimensions)
-        self.vector = torch.zeros(rows * start, device=device)
+        size = sum(map(math.prod, self._shapes))
+        self.vector = torch.zeros(self._members * size, device=device)
         """All parameters, one member after the other. Change it in place; gradients are those of `leaf`."""
         self.leaf = self.vector.detach().requires_grad_()
         """The same memory, for autograd and the optimiser."""
-        table = self.vector.view(rows, start)
+        self.gradient = torch.zeros_like(self.vector)
+        """What the latest `backward` found."""
         for layer, fan_in in enumerate(shape.sizes[:-1]):
             for name in (f"layer{layer}.weight", f"layer{layer}.bias"):
-                part = table[:, self._columns[name]]
+                part = self._table_views(self.vector)[name]
                 part.copy_((torch.rand(part.shape, generator=generator) * 2 - 1) / fan_in**0.5)
-        stacked = shape.members > 0 and self.vector.device.type != "cpu"
-        self._groups: list[slice | int] = [slice(0, rows)] if stacked else list(range(rows))
-        """Members that are computed together."""
-        self._exact = self._maps(self.vector)
-        self._rounded_vector = torch.zeros_like(self.vector, dtype=torch.bfloat16)
-        self._rounded = self._maps(self._rounded_vector)
+        last = math.prod(self._shapes[-2]) + math.prod(self._shapes[-1])
+        self._rounded = torch.zeros(
+            (self._members, size - last if shape.low else 0), dtype=torch.bfloat16, device=device
+        )
+        """The hidden layers' parameters in bfloat16."""
         self._rounded_version = -1
-        self._low_gradient = torch.zeros_like(self._rounded_vector)
-        """Where a gradient is put together in bfloat16, before a vector of its own takes it in float32."""
-        self._low_gradients = self._views(self._low_gradient)
+        self._low_gradient = torch.zeros_like(self._rounded)
+        """Where their gradient is put together, before `gradient` takes it in float32."""
+        self._scratch = chain.Scratch()
+        self._group(stacked=shape.members > 0 and self.vector.device.type != "cpu")
 
-    def _views(self, vector: Tensor) -> list[list[Tensor]]:
-        """Weights and biases of each group, as views of a vector laid out as the parameters are."""
-        table = vector.view(max(self.shape.members, 1), -1)
+    def _group(self, *, stacked: bool) -> None:
+        """Say which members are computed together, and find each group's parameters once and for all."""
+        self._groups: list[slice | int] = [slice(0, self._members)] if stacked else list(range(self._members))
+        self._exact_maps = self._maps(self.vector)
+        self._into = self._views(self.gradient)
+        self._rounded_maps = self._maps(self._rounded)
+        low = self._views(self._low_gradient)
+        self._low_into = [hidden + exact[-2:] for hidden, exact in zip(low, self._into, strict=True)]
+
+    def _views(self, memory: Tensor) -> list[list[Tensor]]:
+        """Weights and biases of each group, as views of memory laid out as all parameters are, or the hidden ones."""
+        table = memory.view(self._members, -1)
+        shapes = self._shapes if memory.dim() == 1 else self._shapes[:-2] if memory.numel() else []
         views = []
         for group in self._groups:
             lead = (-1,) if isinstance(group, slice) else ()
-            parts = table[group].split_with_sizes(self._sizes, -1)  # one call for all: indexing costs as much for each
-            views.append([part.view(*lead, *shape) for part, shape in zip(parts, self._shapes, strict=True)])
+            parts = table[group].split_with_sizes([math.prod(shape) for shape in shapes], -1)
+            views.append([part.view(*lead, *shape) for part, shape in zip(parts, shapes, strict=True)])
         return views
 
-    def _last_views(self, vector: Tensor) -> list[list[Tensor]]:
-        """Weight and bias of each group's last layer, as in `_views`."""
-        table = vector.view(max(self.shape.members, 1), -1)
-        first = table.shape[1] - self._sizes[-2] - self._sizes[-1]
-        views = []
-        for group in self._groups:
-            lead = (-1,) if isinstance(group, slice) else ()
-            parts = table[group][..., first:].split_with_sizes(self._sizes[-2:], -1)
-            views.append([part.view(*lead, *shape) for part, shape in zip(parts, self._shapes[-2:], strict=True)])
-        return views
-
-    def _maps(self, vector: Tensor) -> list[list[Affine]]:
-        """The layers of each group, with parameters from a vector laid out as the parameters are."""
+    def _maps(self, memory: Tensor) -> list[list[Affine]]:
+        """The layers of each group, with parameters from such memory."""
         return [
-            [affine_map(*pair) for pair in zip(views[::2], views[1::2], strict=True)] for views in self._views(vector)
+            [affine_map(*pair) for pair in zip(views[::2], views[1::2], strict=True)] for views in self._views(memory)
         ]
+
+    def _table_views(self, vector: Tensor) -> dict[str, Tensor]:
+        """Each parameter of all members, as a view: (members, ...)."""
+        shapes = self.shape.parameters()
+        parts = vector.view(self._members, -1).split_with_sizes([math.prod(shape) for shape in shapes.values()], 1)
+        return {name: part.view(-1, *shapes[name]) for name, part in zip(shapes, parts, strict=True)}
 
     @property
     def named(self) -> dict[str, Tensor]:
         """Each parameter, as a view: (members, ...), or without that axis."""
-        table = self.vector.view(max(self.shape.members, 1), -1)
-        shapes = self.shape.parameters()
-        views = {name: table[:, columns].view(-1, *shapes[name]) for name, columns in self._columns.items()}
+        views = self._table_views(self.vector)
         return views if self.shape.members else {name: view[0] for name, view in views.items()}
 
     def __call__(self, x: Tensor, *, learn: bool = False, exact: bool = False) -> Tensor:
@@ -148,75 +139,67 @@ class MLP:
         if torch.is_grad_enabled():
             found: Tensor = _Pass.apply(x, self.leaf if learn else self.vector, self)  # type: ignore[no-untyped-call]
             return found
-        return self._forward(x, low=self.shape.low and not exact)[0]
+        return self.forward(x, exact=exact)[0]
 
-    def _hidden_maps(self, low: bool) -> list[list[Affine]]:
-        """The layers with parameters in the type that hidden layers compute in; rounded anew when they have changed."""
+    def _hidden_maps(self, *, low: bool) -> list[list[Affine]]:
+        """The hidden layers with parameters in the type that they compute in; rounded anew when they have changed."""
         if not low:
-            return self._exact
+            return [layers[:-1] for layers in self._exact_maps]
         if self._rounded_version != self.vector._version:
-            self._rounded_vector.copy_(self.vector)
+            self._rounded.copy_(self.vector.view(self._members, -1)[:, : self._rounded.shape[1]])
             self._rounded_version = self.vector._version
-        return self._rounded
+        return self._rounded_maps
 
-    def _forward(self, x: Tensor, *, low: bool) -> tuple[Tensor, list[list[_Layer]]]:
-        """Outputs, and what `_backward` needs: the layers of each group."""
+    def forward(self, x: Tensor, *, exact: bool = False, first: bool = False) -> tuple[Tensor, list[Tape]]:
+        """Outputs as of a call, and what `backward` needs: a tape for each group. Not seen by autograd.
+
+        With `first` the first member is enough: the others are left out where members are computed one by one.
+        """
+        low = self.shape.low and not exact
         if low:
             x = x.bfloat16()
-        outputs, tape = [], []
-        for rounded, exact in zip(self._hidden_maps(low), self._exact, strict=True):
-            layers: list[_Layer] = []
-            weight = exact[0].weight
-            h = x.expand(len(weight), *x.shape) if weight.dim() == 3 else x
-            for hidden in rounded[:-1]:
-                layers.append(_hidden(h, hidden, self.shape.layer_norm))
-                h = layers[-1].left
-            h = h.float()
-            outputs.append(affine(h, exact[-1], rectify=False))
-            layers.append(_Layer(h, h, None))
-            tape.append(layers)
+        count = 1 if first else len(self._groups)
+        outputs, tapes = [], []
+        for hidden, layers in zip(self._hidden_maps(low=low)[:count], self._exact_maps[:count], strict=True):
+            output, tape = chain.forward(x, hidden, layers[-1], layer_norm=self.shape.layer_norm)
+            outputs.append(output)
+            tapes.append(tape)
         if not self.shape.members or outputs[0].dim() == 3:
-            return outputs[0], tape
-        return torch.stack(outputs), tape
+            return outputs[0], tapes
+        return torch.stack(outputs), tapes
 
-    def _backward(
-        self, gradient: Tensor, tape: list[list[_Layer]], *, inputs: bool, parameters: bool
-    ) -> tuple[Tensor | None, Tensor | None]:
-        """Gradients for the inputs and for the vector, from those of the outputs."""
-        low = tape[0][0].entered.dtype == torch.bfloat16
-        into: list[list[Tensor]] = [[] for _ in self._groups]
-        for_vector: Tensor | None = None
-        if parameters and not low:
-            for_vector = torch.empty_like(self.vector)
-            into = self._views(for_vector)
-        elif parameters:
-            into = self._low_gradients
-        last_ones: list[tuple[Tensor, Tensor]] = []
-        """Of each group's last layer: the outputs' gradient, and what entered."""
-        for_x: Tensor | None = None
-        for group, (layers, rounded, exact) in enumerate(zip(tape, self._hidden_maps(low), self._exact, strict=True)):
-            weight = exact[-1].weight
-            g = gradient[group] if self.shape.members and gradient.dim() > weight.dim() else gradient
-            *hidden, last = layers
-            last_ones.append((g, last.entered))
-            # With one column out the product is an outer one, which both libraries are slow at.
-            g = g * weight if weight.shape[-2] == 1 else product(g, weight)
-            g = g.to(hidden[-1].left.dtype)
-            for number in reversed(range(len(hidden))):
-                g = _through(g, hidden[number])
-                if parameters:
-                    _store(g, hidden[number].entered, into[group][2 * number : 2 * number + 2])
-                if number or inputs:
-                    g = product(g, rounded[number].weight)
-            if inputs:
-                g = g.float() if g.dim() == 2 else g.float().sum(0)
-                for_x = g if for_x is None else for_x.add_(g)
-        if parameters:
-            if for_vector is None:
-                for_vector = self._low_gradient.float()
-            for (g, entered), views in zip(last_ones, self._last_views(for_vector), strict=True):
-                _store(g, entered, views)
-        return for_x, for_vector
+    def backward(
+        self, gradient: Tensor, tapes: list[Tape], *, parameters: bool = True, columns: slice | None = None
+    ) -> Tensor | None:
+        """From the outputs' gradient to that of the parameters, left in `gradient`, and of the inputs.
+
+        Args:
+            gradient: as the outputs.
+            tapes: of `forward`; the parameters must not have changed since.
+            parameters: False: leave `gradient` as it is. True needs the tapes of all members.
+            columns: of the inputs whose gradient is wanted.
+
+        Returns:
+            (n, columns), summed over the members; None where no columns are wanted.
+        """
+        low = tapes[0].low
+        found: Tensor | None = None
+        hidden_maps, into = self._hidden_maps(low=low), self._low_into if low else self._into
+        for group, tape in enumerate(tapes):
+            last = self._exact_maps[group][-1]
+            for_x = chain.backward(
+                gradient[group] if self.shape.members and last.weight.dim() == 2 else gradient,
+                tape,
+                hidden_maps[group],
+                last,
+                into=into[group] if parameters else None,
+                columns=columns,
+                scratch=self._scratch,
+            )
+            found = for_x if found is None or for_x is None else found.add_(for_x)
+        if parameters and low:
+            self.gradient.view(self._members, -1)[:, : self._rounded.shape[1]].copy_(self._low_gradient)
+        return found
 
     def copy(self) -> MLP:
         """A network with the same parameters in a vector of its own: a target network."""
@@ -250,38 +233,17 @@ class _Pass(torch.autograd.Function):
 
     @staticmethod
     def forward(ctx: Any, x: Tensor, vector: Tensor, network: MLP) -> Tensor:  # noqa: ARG004 (asks for its gradient)
-        outputs, ctx.tape = network._forward(x, low=network.shape.low)
+        outputs, ctx.tapes = network.forward(x)
         ctx.network = network
         return outputs
 
     @staticmethod
     def backward(ctx: Any, gradient: Tensor) -> tuple[Tensor | None, ...]:
         inputs, parameters, _ = ctx.needs_input_grad
-        return *ctx.network._backward(gradient, ctx.tape, inputs=inputs, parameters=parameters), None
-
-
-def _hidden(x: Tensor, layer: Affine, layer_norm: bool) -> _Layer:
-    if not layer_norm:
-        return _Layer(x, affine(x, layer, rectify=True), None)
-    raw = affine(x, layer, rectify=False)
-    normal, mean, scale = torch.native_layer_norm(raw, raw.shape[-1:], None, None, EPSILON)
-    return _Layer(x, normal.relu_(), (raw, mean, scale))
-
-
-def _through(gradient: Tensor, layer: _Layer) -> Tensor:
-    """From the gradient of what left a hidden layer, which is overwritten, to that of its affine map."""
-    _RECTIFIER_BACK(gradient, layer.left, 0, grad_input=gradient)
-    if layer.norm is None:
-        return gradient
-    raw, mean, scale = layer.norm
-    found: Tensor = _NORM_BACK(gradient, raw, raw.shape[-1:], mean, scale, None, None, [True, False, False])[0]
-    return found
-
-
-def _store(gradient: Tensor, entered: Tensor, into: list[Tensor]) -> None:
-    """Write the gradients of an affine map's weight and bias."""
-    product_into(gradient.mT, entered, into[0])
-    torch.sum(gradient, -2, keepdim=True, out=into[1])
+        network: MLP = ctx.network
+        columns = slice(None) if inputs else None
+        for_x = network.backward(gradient, ctx.tapes, parameters=parameters, columns=columns)
+        return for_x, network.gradient.clone() if parameters else None, None
 
 
 def _words(shapes: Mapping[str, tuple[int, ...]]) -> str:

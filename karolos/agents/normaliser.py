@@ -45,15 +45,14 @@ class Normaliser:
         total = self.count + count
         deviation = rows.double().sub_(self.mean)  # from the mean so far: sums of squares then cancel nothing
         sums = deviation.sum(0)
-        squares = deviation.square_().sum(0)
+        self._squares.add_(deviation.square_().sum(0)).addcmul_(sums, sums, value=-1 / total)
         self.mean.add_(sums, alpha=1 / total)
-        self._squares.add_(squares).addcmul_(sums, sums, value=-1 / total)
         self.count = total
         self._refresh()
 
     def _refresh(self) -> None:
-        self._shift.copy_(self.mean)
-        self._scale.copy_(self.spread.reciprocal_())
+        self._shift = self.mean.float()
+        self._scale = self.spread.reciprocal_().float()
 
     def __call__(self, rows: Tensor) -> Tensor:
         """(n, columns) normalised and clipped; a new tensor."""

@@ -55,8 +55,9 @@ class Adam:
         rate = learning_rate.start if isinstance(learning_rate, Linear) else learning_rate
         self.learning_rate = rate
         self._epsilon = epsilon
-        self._norm = norm
-        self._steps = 0
+        self.norm = norm
+        self.steps = 0
+        """Taken so far."""
         self._state = {
             "step": torch.zeros((), device=vector.device),
             "exp_avg": torch.zeros_like(vector, requires_grad=False),
@@ -70,14 +71,25 @@ class Adam:
     def step_along(self, gradient: Tensor) -> Tensor:
         """Step as if `gradient`, of the vector's shape, were a loss's. Returns its length; may change it in place."""
         length: Tensor = torch.linalg.vector_norm(gradient)
-        if self._norm is not None:
-            gradient.mul_((self._norm / length).clamp_(max=1))
+        if self.norm is not None:
+            gradient.mul_((self.norm / length).clamp_(max=1))
+        self._move(gradient)
+        return length
+
+    def step_watched(self, gradient: Tensor, name: str, *, watch: bool) -> dict[str, Tensor]:
+        """As `step_along`; the length under a name if somebody watches. Measuring it takes a third of the step."""
+        if not watch and self.norm is None:
+            self._move(gradient)
+            return {}
+        length = self.step_along(gradient)
+        return {name: length} if watch else {}
+
+    def _move(self, gradient: Tensor) -> None:
         if self._schedule is not None:
-            self.learning_rate = self._schedule(self._steps)
-        self._steps += 1
+            self.learning_rate = self._schedule(self.steps)
+        self.steps += 1
         self._fused_step(gradient)
         torch.autograd.graph.increment_version(self._vector)  # which a fused step forgets; networks look at it
-        return length
 
     @torch.no_grad()
     def _fused_step(self, gradient: Tensor) -> None:
@@ -105,4 +117,4 @@ class Adam:
     def load_state(self, state: State) -> None:
         for name, value in self._state.items():
             value.copy_(torch.as_tensor(state[name]))
-        self._steps = int(self._state["step"])
+        self.steps = int(self._state["step"])

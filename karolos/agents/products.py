@@ -23,6 +23,7 @@ def _one_dnn() -> Any:
 
 _AFFINE = _one_dnn()
 _NOTHING: list[Any] = []
+_THRESHOLD_BACK = torch.ops.aten.threshold_backward.grad_input
 NARROW = 16
 """With fewer columns out than this a call of oneDNN costs more than it saves."""
 
@@ -74,7 +75,34 @@ def product(a: Tensor, b: Tensor) -> Tensor:
 
 def product_into(a: Tensor, b: Tensor, out: Tensor) -> None:
     """Write a b into a contiguous `out`: shapes as in `product`."""
-    if a.dim() == 2 and a.dtype == torch.bfloat16:
-        torch.mm(a, b, out=out)
+    if a.dtype == torch.bfloat16 or min(*a.shape, *b.shape) < NARROW:
+        torch.matmul(a, b, out=out)
     else:
         out.copy_(product(a, b))
+
+
+def rectified_rows(row: Tensor, left: Tensor, out: Tensor) -> Tensor:
+    """A row (1, u) over and over, 0 where nothing left the rectifier, written to `out` of that shape: (n, u)."""
+    if left.dtype == torch.bfloat16:
+        torch.mul(_is_positive(left), row.bfloat16().view(torch.int16), out=out.view(torch.int16))
+    else:
+        _THRESHOLD_BACK(row.expand_as(left), left, 0, grad_input=out)
+    return out
+
+
+def _is_positive(left: Tensor) -> Tensor:
+    """1 or 0, for what is never negative: as whole numbers bfloat16 bits are positive if the number is."""
+    return left.view(torch.int16).clamp(0, 1)
+
+
+def rectifier_back(gradient: Tensor, left: Tensor) -> Tensor:
+    """0 where nothing left the rectifier, else as it was; in place.
+
+    In bfloat16 the bits are multiplied as whole numbers: for all else a CPU makes float32 of them first, and that
+    takes twice as long.
+    """
+    if gradient.dtype == torch.bfloat16:
+        gradient.view(torch.int16).mul_(_is_positive(left))
+    else:
+        _THRESHOLD_BACK(gradient, left, 0, grad_input=gradient)
+    return gradient

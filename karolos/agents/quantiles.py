@@ -30,26 +30,23 @@ def truncated(values: Tensor, drop: int) -> Tensor:
     return pooled.sort(dim=1).values[:, : members * (quantiles - drop)]
 
 
-def quantile_huber(values: Tensor, targets: Tensor, weight: Tensor) -> Tensor:
-    """How far quantiles (members, n, q) are from those of the returns, `targets` (n, k) ascending: a sum over members.
+def quantile_huber(values: Tensor, targets: Tensor, share: Tensor) -> tuple[Tensor, Tensor]:
+    """How far quantiles (members, n, q) are from those of the returns, `targets` (n, k) ascending, and the gradient.
 
-    The mean over n, q and k of |tau - 1{u < 0}| huber(u), u = target - value, tau = (2 j + 1) / 2 q (Dabney et al.
-    2018, equation 10, kappa = 1), rows weighed by `weight` (n,). Loss and gradient come from running sums over the
-    ascending targets: members x n x q x k differences take twice as long, most of it for fresh memory.
+    The sum over members of the mean over n, q and k of |tau - 1{u < 0}| huber(u), u = target - value,
+    tau = (2 j + 1) / 2 q (Dabney et al. 2018, equation 10, kappa = 1); in the mean over n each row has its `share`
+    (n,). Loss and gradient come from running sums over the ascending targets: members x n x q x k differences take
+    twice as long, most of it for fresh memory.
     """
     members, rows, quantiles = values.shape
-    tau = (torch.arange(quantiles, device=values.device) + 0.5) / quantiles
-    share = (weight / (rows * quantiles * targets.shape[1])).unsqueeze(1)
-    with torch.no_grad():
-        middle = targets.mean(1, keepdim=True)  # about which sums of squares lose the fewest digits
-        flat = values.detach().movedim(0, 1).flatten(1)
-        below, above = _sides((targets - middle).double(), (flat - middle).double())
-        tau = tau.repeat(members)
-        loss = (share * ((1 - tau) * below[0] + tau * above[0])).sum()
-        slope = share * ((1 - tau) * below[1] + tau * above[1])
-        gradient = slope.view(rows, members, quantiles).movedim(1, 0).to(values.dtype)
-    towards = (values * gradient).sum()
-    return towards - towards.detach() + loss.to(values.dtype)
+    tau = ((torch.arange(quantiles, device=values.device) + 0.5) / quantiles).repeat(members)
+    share = (share / (quantiles * targets.shape[1])).unsqueeze(1)
+    middle = targets.mean(1, keepdim=True)  # about which sums of squares lose the fewest digits
+    flat = values.movedim(0, 1).flatten(1)
+    below, above = _sides((targets - middle).double(), (flat - middle).double())
+    loss = (share * ((1 - tau) * below[0] + tau * above[0])).sum()
+    slope = share * ((1 - tau) * below[1] + tau * above[1])
+    return loss.to(values.dtype), slope.view(rows, members, quantiles).movedim(1, 0).to(values.dtype)
 
 
 def _sides(targets: Tensor, values: Tensor) -> tuple[tuple[Tensor, Tensor], tuple[Tensor, Tensor]]:

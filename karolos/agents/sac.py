@@ -15,11 +15,21 @@ from torch import Tensor
 
 from ..core import Agent, Batch, FloatArray, Signature, State
 from ..seeding import SeedTree
-from .actor_critic import ActorCriticSettings, critic_metrics, imitation_loss, load_parts, parts_state
+from .actor_critic import (
+    WATCHED_EVERY,
+    ActorCriticSettings,
+    critic_metrics,
+    imitation_loss,
+    load_parts,
+    parts_state,
+    squared_loss,
+)
+from .chain import Tape
 from .device import is_low
 from .inputs import (
     Inputs,
     acting_inputs,
+    is_observed,
     learning_inputs,
     require_continuous,
     saturation,
@@ -32,7 +42,7 @@ from .noise import Noise, NoiseSettings
 from .normaliser import Normaliser
 from .optimisation import Adam
 from .quantiles import Quantiles, quantile_huber, truncated
-from .squashed_gaussian import mode, sample
+from .squashed_gaussian import Sample, head_gradient, log_probability, mode, sample
 
 PARTS = ("policy", "critic", "target", "normaliser", "noise")
 
@@ -115,68 +125,98 @@ class SAC(Agent):
     def begin_episodes(self, environments: NDArray[int64]) -> None:
         self.noise.begin(environments)
 
+    @torch.no_grad()
     def learn(self, batch: Batch) -> Mapping[str, Any]:
-        """One update of critics, policy, temperature and targets, in this order; metrics as tensors."""
-        inputs = learning_inputs(batch, self.normaliser, self.device)
-        metrics = self._learn_critic(inputs)
-        metrics |= self._learn_policy(inputs)
+        """One update of critics, policy, temperature and targets, in this order; now and then metrics, as tensors.
+
+        Gradients are written down: autograd takes as long for a loss of 256 numbers as a product of two layers does.
+        """
+        update = self.optimisers["critic"].steps
+        watch = update % WATCHED_EVERY == 0
+        inputs = learning_inputs(batch, self.normaliser, self.device, observe=is_observed(update))
+        drawn, tapes = self._draw(inputs.observed)  # for both ends of the transitions: the policy changes after both
+        metrics = self._learn_critic(inputs, drawn, watch=watch)
+        count = len(inputs.action)
+        here = [tape.rows(count, count) for tape in tapes]
+        metrics |= self._learn_policy(inputs, drawn.rows(count), here, watch=watch)
         self.target.follow(self.critic, self.settings.tau)
         return metrics
 
-    def _sample(self, rows: Tensor, *, learn: bool = False) -> tuple[Tensor, Tensor, Tensor]:
-        """What the policy gives out, actions (n, a) drawn from it, and their log-probabilities (n,)."""
-        head = self.policy(rows, learn=learn)
+    def _draw(self, rows: Tensor) -> tuple[Sample, list[Tape]]:
+        """Actions of the policy, and the way back from them."""
+        head, tapes = self.policy.forward(rows)
         noise = torch.randn((len(rows), head.shape[1] // 2), generator=self.generator, device=self.device)
-        return head, *sample(head, noise)
+        return sample(head, noise), tapes
 
     @torch.no_grad()
-    def targets(self, inputs: Inputs) -> Tensor:
-        """What the critics should say: (n,), or (n, k) samples of it where they give quantiles."""
-        _, action, log_probability = self._sample(inputs.there)
-        values = self.target(torch.cat((inputs.there, action), 1))
-        critic = self.settings.critic
+    def targets(self, inputs: Inputs, following: Sample) -> Tensor:
+        """What the critics should say: (n,), or (n, k) samples of it where they give quantiles.
+
+        Args:
+            inputs: the batch.
+            following: actions where its transitions lead; further rows are ignored.
+        """
+        count, critic = len(inputs.action), self.settings.critic
+        values = self.target(torch.cat((inputs.there, following.action[:count]), 1))
         value = truncated(values, critic.drop) if critic else values.squeeze(-1).amin(0).unsqueeze(1)
         if self.settings.entropy_in_target:
-            value = value - (self.log_temperature.exp() * log_probability).unsqueeze(1)
+            value = value - (self.log_temperature.exp() * log_probability(following)[:count]).unsqueeze(1)
         target = torch.addcmul(inputs.reward.unsqueeze(1), inputs.discount.unsqueeze(1), value).clamp_(*self._bounds)
         return target if critic else target.squeeze(1)
 
-    def _learn_critic(self, inputs: Inputs) -> dict[str, Any]:
-        targets = self.targets(inputs)
-        values = self.critic(torch.cat((inputs.here, inputs.action), 1), learn=True)
+    def _learn_critic(self, inputs: Inputs, following: Sample, *, watch: bool) -> dict[str, Any]:
+        targets = self.targets(inputs, following)
+        values, tapes = self.critic.forward(torch.cat((inputs.here, inputs.action), 1))
+        loss_of = quantile_huber if self.settings.critic else squared_loss
+        loss, slope = loss_of(values, targets, inputs.share)
+        self.critic.backward(slope, tapes)
+        length = self.optimisers["critic"].step_watched(self.critic.gradient, "critic_gradient_norm", watch=watch)
         if self.settings.critic:
-            loss = quantile_huber(values, targets, inputs.weight)
-            values, targets = values.mean(-1), targets.mean(-1)
-        else:
-            values = values.squeeze(-1)
-            loss = (inputs.weight * (values - targets).square()).mean(1).sum()
-        return critic_metrics(loss, values, targets, self.optimisers["critic"].step(loss))
+            return critic_metrics(loss, values.mean(-1), targets.mean(-1), watch=watch) | length
+        return critic_metrics(loss, values.squeeze(-1), targets, watch=watch) | length
 
-    def _value(self, inputs: Inputs, action: Tensor) -> Tensor:
-        """What actions are worth to the policy: the smaller critic, or the mean of all quantiles. (n,)."""
-        values = self.critic(torch.cat((inputs.here, action), 1))
+    def _value(self, values: Tensor) -> Tensor:
+        """What the policy takes from the critics' outputs: the smaller value, or the mean of all quantiles. (n,)."""
         return values.mean((0, 2)) if self.settings.critic else values.squeeze(-1).amin(0)
 
-    def _learn_policy(self, inputs: Inputs) -> dict[str, Any]:
-        head, action, log_probability = self._sample(inputs.here, learn=True)
+    def _value_gradient(self, values: Tensor, value: Tensor, pull: Tensor) -> Tensor:
+        """The gradient of the critics' outputs from that of `_value`, (n,)."""
+        if self.settings.critic:
+            return (pull / (values.shape[0] * values.shape[2])).view(1, -1, 1).expand_as(values)
+        return (values == value.unsqueeze(1)) * pull.unsqueeze(1)
+
+    def _learn_policy(self, inputs: Inputs, drawn: Sample, tapes: list[Tape], *, watch: bool) -> dict[str, Any]:
+        settings, share, action = self.settings, inputs.share, drawn.action
         temperature = self.log_temperature.exp()
-        loss = (inputs.weight * (temperature * log_probability - self._value(inputs, action))).mean()
-        metrics = {"policy_loss": loss.detach()}
-        if self.settings.action_penalty:
-            loss = loss + self.settings.action_penalty * action.square().mean()
-        if self.settings.imitation and inputs.demonstrated is not None:
-            middle = mode(head)
-            with torch.no_grad():
-                better = self._value(inputs, inputs.action) > self._value(inputs, middle)
-            distance = imitation_loss(middle, better, inputs)
-            loss = loss + self.settings.imitation * distance
-            metrics["imitation_loss"] = distance.detach()
-        length = self.optimisers["policy"].step(loss)
-        entropy = -log_probability.detach().mean()
+        log_probabilities = log_probability(drawn)
+        values, critic_tapes = self.critic.forward(torch.cat((inputs.here, action), 1))
+        value = self._value(values)
+        for_action = self.critic.backward(
+            self._value_gradient(values, value, -share),
+            critic_tapes,
+            parameters=False,
+            columns=slice(inputs.observed.shape[1], None),
+        )
+        assert for_action is not None
+        if settings.action_penalty:
+            for_action.add_(action, alpha=2 * settings.action_penalty / action.numel())
+        for_head = head_gradient(drawn, for_action, temperature * share)
+        metrics: dict[str, Any] = {}
+        if settings.imitation and inputs.demonstrated is not None:
+            middle = torch.tanh(drawn.unbounded - drawn.shift)
+            shown, own = (self._value(self.critic(torch.cat((inputs.here, a), 1))) for a in (inputs.action, middle))
+            distance, for_middle = imitation_loss(middle, shown > own, inputs)
+            for_head[:, : middle.shape[1]] += settings.imitation * for_middle * (1 - middle.square())
+            metrics["imitation_loss"] = distance
+        self.policy.backward(for_head, tapes)
+        metrics |= self.optimisers["policy"].step_watched(self.policy.gradient, "policy_gradient_norm", watch=watch)
+        entropy = -log_probabilities.mean()
         self._learn_temperature(entropy)
+        if not watch:
+            return metrics
         return {
             **metrics,
-            "policy_gradient_norm": length,
+            "policy_loss": torch.dot(share, temperature * log_probabilities - value),
             "entropy": entropy,
             "temperature": temperature.squeeze(0),
             "action_saturation": saturation(action),
@@ -184,8 +224,10 @@ class SAC(Agent):
 
     def _learn_temperature(self, entropy: Tensor) -> None:
         """Raise the temperature while the policy's entropy is under its target. The gradient is written down."""
-        self.optimisers["temperature"].step_along((entropy - self._target_entropy).view(1))
-        self.log_temperature.clamp_(min=self._least_log_temperature)
+        pull = (entropy - self._target_entropy).view(1)
+        self.optimisers["temperature"].step_watched(pull, "", watch=False)
+        if self.settings.temperature_min:
+            self.log_temperature.clamp_(min=self._least_log_temperature)
 
     def state(self) -> State:
         """Everything that learning and acting depend on."""

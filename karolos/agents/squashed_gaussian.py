@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 import math
-from typing import Any, NamedTuple
+from typing import NamedTuple
 
 import torch
 from torch import Tensor
@@ -14,10 +14,24 @@ LOG_STD = (-5.0, 2.0)
 
 
 class Sample(NamedTuple):
-    """Actions (n, a) in [-1, 1] and their log-probabilities (n,)."""
+    """Actions in [-1, 1], and what leads to them: (n, a) each. With s the clamped log spread, m the mean, e the noise:
+    action = tanh(u), u = m + exp(s) e."""
 
     action: Tensor
-    log_probability: Tensor
+    unbounded: Tensor
+    """u"""
+    shift: Tensor
+    """exp(s) e"""
+    log_std: Tensor
+    """s"""
+    within: Tensor
+    """Whether s is the network's own, not clamped."""
+    noise: Tensor
+    """e"""
+
+    def rows(self, first: int) -> Sample:
+        """The same without the rows before `first`."""
+        return Sample(*(field[first:] for field in self))
 
 
 def mode(head: Tensor) -> Tensor:
@@ -26,49 +40,32 @@ def mode(head: Tensor) -> Tensor:
 
 
 def sample(head: Tensor, noise: Tensor) -> Sample:
-    """Actions from the network's output (n, 2 a) and standard normal noise (n, a), differentiable (reparametrised)."""
-    if not torch.is_grad_enabled():
-        return Sample(*_sample(head, noise)[:2])
-    return Sample(*_Sample.apply(head, noise))  # type: ignore[no-untyped-call]
-
-
-def _sample(head: Tensor, noise: Tensor) -> tuple[Tensor, Tensor, Tensor, Tensor]:
-    """Actions, log-probabilities, the noise as it shifts the mean, and which spreads are not clamped."""
+    """Actions from the network's output (n, 2 a) and standard normal noise (n, a)."""
     mean, raw = head.chunk(2, -1)
     log_std = raw.clamp(*LOG_STD)
-    shift = log_std.exp().mul_(noise)
+    shift = log_std.exp() * noise
     unbounded = mean + shift
-    return torch.tanh(unbounded), log_probability(unbounded, log_std, noise), shift, raw == log_std
+    return Sample(torch.tanh(unbounded), unbounded, shift, log_std, raw == log_std, noise)
 
 
-class _Sample(torch.autograd.Function):
-    """`sample` as one node of the graph: autograd alone would make some thirty operations of a few numbers each.
-
-    With s = clamp(log_std), u = mean + exp(s) noise: d tanh(u) / du = 1 - tanh(u)^2, d log p / du = 2 tanh(u),
-    d log p / ds = -1 at fixed u, and du / ds = exp(s) noise.
-    """
-
-    @staticmethod
-    def forward(ctx: Any, head: Tensor, noise: Tensor) -> tuple[Tensor, Tensor]:
-        action, log_probability, shift, within = _sample(head, noise)
-        ctx.save_for_backward(action, shift, within)
-        return action, log_probability
-
-    @staticmethod
-    def backward(ctx: Any, for_action: Tensor, for_log_probability: Tensor) -> tuple[Tensor, None]:
-        action, shift, within = ctx.saved_tensors
-        pull = for_log_probability.unsqueeze(-1)
-        for_mean = for_action * (1 - action.square()) + (2 * pull) * action
-        for_log_std = torch.addcmul(-pull, for_mean, shift).mul_(within)
-        return torch.cat((for_mean, for_log_std), -1), None
-
-
-def log_probability(unbounded: Tensor, log_std: Tensor, noise: Tensor) -> Tensor:
-    """Log density of tanh(unbounded), (n,), where unbounded = mean + exp(log_std) * noise.
+def log_probability(drawn: Sample) -> Tensor:
+    """Log densities of the actions, (n,).
 
     log(1 - tanh(u)^2) is written 2 (log 2 - u - softplus(-2 u)), which stays finite for any u.
     """
-    gaussian = noise.square().mul(-0.5).sub(log_std)
-    correction = unbounded + functional.softplus(-2 * unbounded)
-    constant = unbounded.shape[-1] * (0.5 * math.log(2 * math.pi) + 2 * math.log(2))
-    return torch.add(gaussian, correction, alpha=2).sum(-1) - constant
+    gaussian = torch.addcmul(drawn.log_std, drawn.noise, drawn.noise, value=0.5)
+    soft = functional.softplus(drawn.unbounded, beta=-2)  # - softplus(-2 u) / 2
+    correction = torch.sub(drawn.unbounded, soft, alpha=2)
+    constant = drawn.action.shape[-1] * (0.5 * math.log(2 * math.pi) + 2 * math.log(2))
+    return -constant - gaussian.sub_(correction, alpha=2).sum(-1)
+
+
+def head_gradient(drawn: Sample, for_action: Tensor, for_log_probability: Tensor) -> Tensor:
+    """The gradient of the network's output (n, 2 a) from those of actions (n, a) and log-probabilities (n,).
+
+    d tanh(u) / du = 1 - tanh(u)^2, d log p / du = 2 tanh(u), d log p / ds = -1 at fixed u, du / ds = exp(s) e.
+    """
+    pull = for_log_probability.unsqueeze(-1)
+    for_mean = torch.ops.aten.tanh_backward(for_action, drawn.action).addcmul_(pull, drawn.action, value=2)
+    for_log_std = (for_mean * drawn.shift).sub_(pull).mul_(drawn.within)
+    return torch.cat((for_mean, for_log_std), -1)

@@ -14,6 +14,7 @@ import numpy as np
 
 from ..errors import WorkerError
 from .block import Block
+from .channel import Channel
 from .crew import Group, Ids
 from .start import WorkerProcess, start_worker
 
@@ -29,6 +30,7 @@ class Lane:
         self.connection = connection
         self.ids = ids
         self.ready = False
+        self._channel = Channel(connection)
         self._under_way: deque[Group] = deque()
         self._backlog: list[bytes] = []
         self._sent = 0
@@ -41,12 +43,15 @@ class Lane:
         return bool(self._under_way) or not self.ready
 
     def send(self, message: bytes, group: Group) -> None:
-        """Ask for a command on a group; kept until the lane is ready. Raises nothing: its end is heard, not felt."""
+        """Ask for a command, a framed message, on a group; kept until the lane is ready.
+
+        Raises nothing: its end is heard, not felt.
+        """
         self._under_way.append(group)
         self._sent += 1
         if self.ready:
             with suppress(OSError):
-                self.connection.send_bytes(message)
+                self._channel.send(message)
         else:
             self._backlog.append(message)
 
@@ -55,13 +60,13 @@ class Lane:
         self.ready = True
         with suppress(OSError):
             for message in self._backlog:
-                self.connection.send_bytes(message)
+                self._channel.send(message)
         self._backlog.clear()
 
-    def receive(self) -> bytes | None:
-        """The next message; None when there will be none."""
+    def receive(self) -> list[bytes] | None:
+        """The messages that have come; None when there will be none."""
         try:
-            return self.connection.recv_bytes()
+            return self._channel.receive()
         except (EOFError, OSError):
             return None
 

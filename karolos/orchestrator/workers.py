@@ -122,10 +122,15 @@ class Workers(Crew):
         return answers
 
     def _hear(self, lane: Lane, answers: Answers) -> None:
-        message = lane.receive()
-        if message is None:
+        messages = lane.receive()
+        if messages is None:
             self._lose(lane.worker, answers)
-        elif not lane.ready:
+            return
+        for message in messages:
+            self._understand(lane, message, answers)
+
+    def _understand(self, lane: Lane, message: bytes, answers: Answers) -> None:
+        if not lane.ready:
             self._meet(lane, message, answers)
         elif message[:1] == DONE:
             answers.done.append(lane.answered())

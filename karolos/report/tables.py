@@ -10,6 +10,7 @@ from rich import box
 from rich.table import Table
 from rich.text import Text
 
+from .. import run_records
 from ..run_records import RunSummary
 from ..statistics import wilson
 from ..store import StoredTest
@@ -56,6 +57,9 @@ def runs_table(runs: Sequence[RunSummary], *, title: str | None = None) -> Table
     table = _table("run", "state", title=title)
     for heading in ("steps", "time", "success any", "end", "steps to .95", "time to .95"):
         table.add_column(heading, justify="right")
+    tagged = any(run.tags for run in runs)
+    if tagged:
+        table.add_column("tags", overflow="fold")
     for run in runs:
         table.add_row(
             _plain(run.run),
@@ -66,6 +70,7 @@ def runs_table(runs: Sequence[RunSummary], *, title: str | None = None) -> Table
             "-" if run.success_end is None else f"{run.success_end:.2f}",
             count(run.steps_to_95),
             duration(run.seconds_to_95),
+            *([_plain(", ".join(run.tags))] if tagged else []),
         )
     return table
 
@@ -109,13 +114,15 @@ def facts_table(facts: Mapping[str, object], *, title: str | None = None) -> Tab
     return table
 
 
-def flatten(spec: Mapping[str, Any], prefix: str = "") -> Iterator[tuple[str, str]]:
-    """A nested mapping as pairs of key path and value: ("agent.learning_rate", "0.001")."""
-    for key, value in spec.items():
-        if isinstance(value, Mapping) and value:
-            yield from flatten(value, f"{prefix}{key}.")
-        else:
-            yield f"{prefix}{key}", value if isinstance(value, str) else json.dumps(value)
+def flatten(spec: Mapping[str, Any]) -> Iterator[tuple[str, str]]:
+    """A nested mapping as pairs of key path and value as text: ("agent.learning_rate", "0.001")."""
+    for path, value in run_records.flatten(spec):
+        yield path, setting(value)
+
+
+def setting(value: object) -> str:
+    """A value of a spec as one would write it."""
+    return value if isinstance(value, str) else json.dumps(value)
 
 
 def _table(*columns: str, title: str | None) -> Table:

@@ -1,8 +1,9 @@
 """Specs: YAML or a dictionary in, a checked, frozen and hashed description of an experiment out."""
 
-from .load import load_spec
+from .load import load_spec, spec_of_trial
 from .model import Spec, Testing, Training
 from .recipe import Part, Recipe
+from .sweep import Sweep
 from .yaml_text import to_yaml
 
-__all__ = ["Part", "Recipe", "Spec", "Testing", "Training", "load_spec", "to_yaml"]
+__all__ = ["Part", "Recipe", "Spec", "Sweep", "Testing", "Training", "load_spec", "spec_of_trial", "to_yaml"]

@@ -13,11 +13,12 @@ from ..errors import PluginError
 from ..registry import singular
 from .checks import ROBOT_TASK, environment_problems, pairing_problems
 from .files import SpecFiles
-from .merge import PARTS, RANDOMIZATION, merged, normalised, override_trees
+from .merge import PARTS, RANDOMIZATION, SWEEP, merged, normalised, override_trees
 from .model import NAME, Spec
 from .nodes import DEFAULT, Located, Mark, Node, from_plain, leaves, refuse
 from .parts import validate_strictly
 from .problems import located_problems
+from .space import space_problems, trial_spec
 
 
 def load_spec(path: str | Path, overrides: Iterable[str] = ()) -> Spec:
@@ -59,19 +60,45 @@ def _resolve(tree: Node, overrides: Iterable[Node], problems: list[Located], ste
     except PluginError as error:
         raise _at_part(error, tree) from error.__cause__
     refuse(problems)
+    refuse(_sweep_problems(tree, spec, stem))
     assert spec is not None  # no problems: it validated
     spec._origins.update(_origins(spec, tree))
     return spec
 
 
+def _sweep_problems(tree: Node, spec: Spec | None, stem: str | None) -> list[Located]:
+    """What is wrong with the sweep of a spec that is right otherwise."""
+    if spec is None or spec.sweep is None:
+        return []
+    return space_problems(tree, spec.sweep, lambda probe: _with_defaults(probe, stem))
+
+
+def spec_of_trial(base: Spec, drawn: Mapping[str, Any], name: str, seeds: tuple[int, ...], source: str) -> Spec:
+    """The spec of one trial of a sweep. Arguments as those of `trial_spec`.
+
+    Raises:
+        SpecError: these values do not go together; told at `source`.
+    """
+    return _resolve(trial_spec(base, drawn, name, seeds, source), [], [], None)
+
+
 def _without_nulls(tree: Node) -> Node:
     """The tree without what says null: left out, so that a spec can drop what it inherits."""
-    entries = {key: node for key, node in (tree.mapping or {}).items() if node.value is not None}
-    drawn = entries.get(RANDOMIZATION)
-    if drawn is not None and drawn.mapping is not None:
-        kept = {key: node for key, node in drawn.mapping.items() if node.value is not None}
-        entries[RANDOMIZATION] = Node(kept, drawn.at, drawn.key)
+    tree = _kept(tree)
+    entries = dict(tree.mapping or {})
+    if RANDOMIZATION in entries:
+        entries[RANDOMIZATION] = _kept(entries[RANDOMIZATION])
+    sweep = entries.get(SWEEP)
+    if sweep is not None and sweep.mapping is not None and "space" in sweep.mapping:
+        entries[SWEEP] = Node({**sweep.mapping, "space": _kept(sweep.mapping["space"])}, sweep.at, sweep.key)
     return Node(entries, tree.at, tree.key)
+
+
+def _kept(node: Node) -> Node:
+    """A mapping without its nulls; anything else as it is."""
+    if node.mapping is None:
+        return node
+    return Node({key: entry for key, entry in node.mapping.items() if entry.value is not None}, node.at, node.key)
 
 
 def _with_defaults(tree: Node, stem: str | None) -> Node:

@@ -17,6 +17,7 @@ PARTS = {
 }
 """Keys of a spec that hold a part, and the kind of plugin that each names."""
 RANDOMIZATION = "randomization"
+SWEEP = "sweep"
 
 
 def is_part(path: tuple[str, ...]) -> bool:
@@ -39,16 +40,21 @@ def normalised(node: Node, path: tuple[str, ...] = ()) -> Node:
 def merged(below: Node, above: Node, path: tuple[str, ...] = ()) -> Node:
     """`above` laid over `below`, mapping by mapping; whatever is no mapping is replaced.
 
-    A part whose name changes replaces the whole part: the settings of another plugin mean nothing to it.
+    A part whose name changes replaces the whole part: the settings of another plugin mean nothing to it. A parameter of
+    a search space is replaced as a whole.
     """
     if below.mapping is None or above.mapping is None:
         return above
-    if is_part(path) and _changes_name(below, above):
+    if (is_part(path) and _changes_name(below, above)) or _is_parameter(path):
         return above
     entries = dict(below.mapping)
     for key, entry in above.mapping.items():
         entries[key] = merged(entries[key], entry, (*path, key)) if key in entries else entry
     return Node(entries, above.at, above.key)
+
+
+def _is_parameter(path: tuple[str, ...]) -> bool:
+    return len(path) == 3 and path[:2] == (SWEEP, "space")
 
 
 def _changes_name(below: Node, above: Node) -> bool:
@@ -72,7 +78,7 @@ def _override(text: str, mark: Mark, problems: list[Located]) -> Node:
     key, equals, value = text.partition("=")
     if not equals:
         raise BrokenTextError(Located(mark, "", "has no =", "write path.to.key=value, e.g. agent.learning_rate=1e-4"))
-    path = _segments(key.strip())
+    path = segments(key.strip())
     if not all(path):
         raise BrokenTextError(Located(mark, "", f"{shown(key)!r} is not a path of keys", "write path.to.key=value"))
     if path[0] == "extends":
@@ -97,9 +103,13 @@ def _in_value(problem: Located, key: str) -> Located:
     return Located(Mark(mark.source, rank=mark.rank), "", f"{column}{problem.what}", problem.hint)
 
 
-def _segments(key: str) -> list[str]:
-    """The keys of a dotted path. The names below `randomization` have a dot of their own: task.gravity."""
+def segments(key: str) -> list[str]:
+    """The keys of a dotted path. The names below `randomization` (task.gravity) and `sweep.space` have dots of their
+    own.
+    """
     path = key.split(".")
     if path[0] == RANDOMIZATION and len(path) > 2:
         path[1:3] = [".".join(path[1:3])]
+    if path[:2] == [SWEEP, "space"] and len(path) > 3:
+        path[2:] = [".".join(path[2:])]
     return path

@@ -7,12 +7,13 @@ import json
 from collections.abc import Iterable, Mapping
 from typing import Annotated, Any, Literal
 
-from pydantic import AfterValidator, PrivateAttr, StringConstraints
+from pydantic import AfterValidator, PrivateAttr, StringConstraints, model_validator
 from pydantic import Field as Setting
 
 from ..core import Settings
 from .parts import AgentPart, BufferPart, DistributionPart, EnvironmentPart, OrchestratorPart, RobotPart, TaskPart
 from .recipe import Part, Recipe
+from .sweep import Sweep
 
 NAME = r"^[A-Za-z0-9][A-Za-z0-9._-]{0,63}$"
 """Names become folders: letters, digits, dot, underscore, hyphen; 64 at most; no path."""
@@ -38,6 +39,30 @@ class Training(Settings):
         ge=1,
         description="CPU threads of the learner; null leaves it to karolos. Does not count as a change",
     )
+    mode: Literal["lockstep", "async"] = Setting(
+        default="lockstep",
+        description="lockstep: every round waits for all environments, and a run is the same bit for bit; async: goes "
+        "on with whatever is ready, and a run depends on timing",
+    )
+    minimum_batch: int | None = Setting(
+        default=None, ge=1, description="async: environments that have to be ready before training goes on; null: 1"
+    )
+
+    @model_validator(mode="after")
+    def _batch_goes_with_async(self) -> Any:
+        if self.minimum_batch is not None and self.mode != "async":
+            raise ValueError(f"minimum_batch goes with mode: async, not with {self.mode}")
+        return self
+
+    @property
+    def at_least(self) -> int | None:
+        """Environments that a round of training waits for; None: all."""
+        return (self.minimum_batch or 1) if self.mode == "async" else None
+
+    def identity(self) -> dict[str, Any]:
+        """What results depend on. Lockstep goes without saying, so that runs from before there was a choice count."""
+        fixed = self.model_dump(mode="json", exclude={"device", "threads", "mode", "minimum_batch"})
+        return fixed | ({"mode": self.mode, "minimum_batch": self.at_least} if self.mode == "async" else {})
 
 
 class Demonstrations(Settings):
@@ -99,6 +124,8 @@ class Spec(Settings):
     training: Training = Setting(default_factory=Training, description="how much is collected and learned")
     testing: Testing = Setting(default_factory=Testing, description="how often and on what the agent is tested")
 
+    sweep: Sweep | None = Setting(None, description="a search for good settings, which `karolos sweep` carries out")
+
     _origins: dict[str, str] = PrivateAttr(default_factory=dict)
 
     @classmethod
@@ -128,17 +155,22 @@ class Spec(Settings):
             **self._demonstrated(),
             "training": self.training.model_dump(mode="json"),
             "testing": self.testing.model_dump(mode="json"),
+            **({"sweep": self.sweep.dump()} if self.sweep else {}),
         }
 
+    def alone(self) -> Spec:
+        """This experiment without the sweep that may stand beside it."""
+        return self.model_copy(update={"sweep": None})
+
     def hash(self) -> str:
-        """SHA-256 (hex) of what results depend on: everything but name, seeds, device, threads and what a plugin's
-        `Settings.identity()` leaves out. Specs with the same hash are one experiment.
+        """SHA-256 (hex) of what results depend on: everything but name, seeds, sweep, device, threads and what a
+        plugin's `Settings.identity()` leaves out. Specs with the same hash are one experiment.
         """
         matter = {
             **{key: part.identity() for key, part in self._parts().items()},
             "randomization": {key: part.identity() for key, part in self.randomization.items()},
             **self._demonstrated(),
-            "training": self.training.model_dump(mode="json", exclude={"device", "threads"}),
+            "training": self.training.identity(),
             "testing": self.testing.model_dump(mode="json"),
         }
         text = json.dumps(matter, sort_keys=True, separators=(",", ":"))

@@ -9,8 +9,9 @@ from pydantic.errors import PydanticUserError
 
 from ..errors import PluginError
 from ..registry import load, names, singular
-from .merge import PARTS, RANDOMIZATION
+from .merge import PARTS, RANDOMIZATION, SWEEP
 from .model import NAME, PARAMETER, Demonstrations, Spec, Testing, Training
+from .sweep import Sweep
 
 DIALECT = "https://json-schema.org/draft/2020-12/schema"
 Schema = dict[str, Any]
@@ -39,6 +40,7 @@ def spec_schema() -> tuple[Schema, list[PluginError]]:
         "demonstrations": _settings(Demonstrations, "demonstrations", definitions),
         "training": _settings(Training, "training", definitions),
         "testing": _settings(Testing, "testing", definitions),
+        SWEEP: _settings(Sweep, SWEEP, definitions),
     }
     for key, field in Spec.model_fields.items():
         properties[key] = {"description": field.description, **properties[key]}

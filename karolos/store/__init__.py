@@ -1,6 +1,15 @@
 """The results database: an index over the run folders, which can rebuild it."""
 
+from .check import Difference, check
 from .reindex import Reindexed, reindex
-from .store import Store, StoredTest
+from .rows import StoredTest
+from .store import Store
 
-__all__ = ["Reindexed", "Store", "StoredTest", "reindex"]
+__all__ = [
+    "Difference",
+    "Reindexed",
+    "Store",
+    "StoredTest",
+    "check",
+    "reindex",
+]

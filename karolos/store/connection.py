@@ -23,6 +23,7 @@ from ..provenance import redact
 READ = "karolos_read"
 """Execution option of a connection that only reads, and so must not wait for writers."""
 
+_ADVISORY_LOCK = 0x6B61726F  # any number, the same in every karolos
 _REBUILD = "move the file away: a new one is built from the run folders"
 _SQLITE = {
     sqlite3.SQLITE_BUSY: ("another process keeps it locked", "wait for that process, or stop it"),
@@ -63,32 +64,47 @@ def sqlite_file(url: URL) -> Path | None:
     return Path(url.database) if url.get_backend_name() == "sqlite" and url.database else None
 
 
-def make_engine(url: URL, timeout: float) -> Engine:
+def make_engine(url: URL, timeout: float, *, foreign_keys: bool = True) -> Engine:
     """An engine whose transactions lose nothing.
 
     Args:
         url: from `parse_url`.
         timeout: seconds that a SQLite transaction waits for another's lock.
+        foreign_keys: whether SQLite holds them; a migration that makes tables anew must not lose what refers to them.
 
     Raises:
         StoreError: the driver is unknown or not installed.
     """
     path = sqlite_file(url)
     try:
-        return create_engine(url, pool_pre_ping=True) if path is None else _sqlite_engine(url, path, timeout)
+        if path is not None:
+            return _sqlite_engine(url, path, timeout, foreign_keys=foreign_keys)
+        return create_engine(url, pool_pre_ping=True)
     except (NoSuchModuleError, ModuleNotFoundError) as error:
         raise StoreError(
-            f"the database driver is missing ({error})", where=display(url), hint="pip install it, e.g. psycopg"
+            f"the database driver is missing ({error})",
+            where=display(url),
+            hint="for PostgreSQL: pip install karolos[postgres]",
         ) from error
 
 
-def _sqlite_engine(url: URL, path: Path, timeout: float) -> Engine:
+def lock_writers(connection: Connection, timeout: float) -> None:
+    """Let one transaction write after the other, on PostgreSQL, too: what is read before writing stays true.
+
+    SQLite's transactions are so from their BEGIN IMMEDIATE on. The lock ends with the transaction.
+    """
+    if connection.dialect.name == "postgresql":
+        connection.exec_driver_sql(f"SET LOCAL lock_timeout = {max(int(timeout * 1000), 1)}")
+        connection.exec_driver_sql(f"SELECT pg_advisory_xact_lock({_ADVISORY_LOCK})")
+
+
+def _sqlite_engine(url: URL, path: Path, timeout: float, *, foreign_keys: bool) -> Engine:
     # mode=rw: a database that was removed while runs write to it must not come back without its tables.
     address = f"{path.absolute().as_uri()}?mode=rw"
 
     def connect() -> sqlite3.Connection:
         connection = sqlite3.connect(address, uri=True, timeout=timeout, isolation_level=None)
-        connection.execute("PRAGMA foreign_keys = ON")
+        connection.execute(f"PRAGMA foreign_keys = {'ON' if foreign_keys else 'OFF'}")
         connection.execute("PRAGMA synchronous = FULL")
         return connection
 
@@ -110,12 +126,24 @@ def explained(url: URL) -> Iterator[None]:
         yield
     except DBAPIError as error:
         what, hint = _reason(error.orig)
-        raise StoreError(what, where=display(url), hint=hint) from error
+        kind = ReadOnlyError if _is_read_only(error.orig) else StoreError
+        raise kind(what, where=display(url), hint=hint) from error
+
+
+class ReadOnlyError(StoreError):
+    """The database may be read and not written."""
+
+
+def _is_read_only(error: Any) -> bool:
+    code = getattr(error, "sqlite_errorcode", None)
+    return (code is not None and code & 0xFF == sqlite3.SQLITE_READONLY) or getattr(error, "sqlstate", None) == "25006"
 
 
 def _reason(error: Any) -> tuple[str, str]:
     code = getattr(error, "sqlite_errorcode", None)
     if code is not None and code & 0xFF in _SQLITE:  # the low byte is the kind, the rest says more
         return _SQLITE[code & 0xFF]
+    if getattr(error, "sqlstate", None) == "55P03":
+        return _SQLITE[sqlite3.SQLITE_BUSY]
     lines = str(error).strip().splitlines() or [type(error).__name__]
     return f"the database refuses ({redact(lines[0])})", "is the server up, and is the URL right?"

@@ -5,10 +5,9 @@ from __future__ import annotations
 from dataclasses import dataclass
 from pathlib import Path
 
-from ..errors import RunError
-from ..run_folder import scan
-from ..run_records import RunRecord
+from .folders import read_folders
 from .store import Store
+from .writing import Entry
 
 _RUNS_PER_TRANSACTION = 100
 
@@ -22,28 +21,35 @@ class Reindexed:
     problems: tuple[str, ...]
 
 
-def reindex(store: Store, runs: str | Path) -> Reindexed:
+def reindex(store: Store, runs: str | Path, *, jobs: int = 1) -> Reindexed:
     """Make the index agree with the folders in `runs`; runs that lie elsewhere stay as they are.
+
+    Args:
+        store: the index.
+        runs: the runs folder.
+        jobs: processes that read the folders; a script that asks for several guards its start by `__name__`.
 
     Raises:
         StoreError: the database cannot be written.
     """
     root = Path(runs).resolve()
-    known: set[str] = set()
+    known: dict[str, str] = {}
     problems: list[str] = []
-    waiting: list[RunRecord] = []
-    for found in scan(root):
-        if isinstance(found, RunError):
-            problems.append(str(found))
+    waiting: list[Entry] = []
+    for found in read_folders(root, jobs):
+        problems += found.problems
+        if found.run is None or found.entry is None:
             continue
-        record = found.record()
-        problems += [f"{found.path.name}: {problem}" for problem in record.problems]
-        known.add(found.id)
-        waiting.append(record)
+        if found.run in known:
+            problems.append(f"{found.name}: says that it is the run {found.run}, as {known[found.run]} does; left out")
+            continue
+        known[found.run] = found.name
+        waiting.append(found.entry)
         if len(waiting) == _RUNS_PER_TRANSACTION:
-            store.add_records(waiting)
+            store.add_entries(waiting)
             waiting.clear()
-    store.add_records(waiting)
+    if waiting:
+        store.add_entries(waiting)
     gone = [
         run.run
         for run in store.runs()

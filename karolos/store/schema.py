@@ -2,16 +2,16 @@
 
 from __future__ import annotations
 
+import contextlib
 import os
+from collections.abc import Iterator
 
-from sqlalchemy import URL, Connection, Engine, insert, inspect, select, text
+from sqlalchemy import URL, Connection, Engine, insert, inspect, select
 
 from ..errors import StoreError
 from ..files import FileLock, writing
-from .connection import READ, display, explained, sqlite_file
+from .connection import READ, display, explained, lock_writers, sqlite_file
 from .models import SCHEMA, SchemaVersion, Table
-
-_ADVISORY_LOCK = 0x6B61726F  # any number, the same in every karolos
 
 
 def ensure_schema(engine: Engine, url: URL, timeout: float) -> None:
@@ -26,45 +26,43 @@ def ensure_schema(engine: Engine, url: URL, timeout: float) -> None:
             path.parent.mkdir(parents=True, exist_ok=True)
     elif _is_ready(engine, url):
         return
+    with alone(url, timeout):
+        if path is not None:
+            with writing(path):
+                path.touch()
+        _create(engine, url, timeout)
+
+
+@contextlib.contextmanager
+def alone(url: URL, timeout: float) -> Iterator[None]:
+    """Keep other processes from making or changing the tables meanwhile; PostgreSQL does that by `lock_writers`."""
+    path = sqlite_file(url)
     if path is None:
-        _create(engine, url)
+        yield
         return
     lock = FileLock(path.with_name(f"{path.name}.lock"))
     if not lock.acquire(timeout):
         raise StoreError("another process is still making it", where=display(url), hint="try again")
     try:
-        with writing(path):
-            path.touch()
-        _create(engine, url)
+        yield
     finally:
         lock.release()
 
 
-def _is_ready(engine: Engine, url: URL) -> bool:
-    with explained(url), engine.connect().execution_options(**{READ: True}) as connection:
-        return _check(connection, url)
+def schema_version(connection: Connection, url: URL) -> int | None:
+    """Version of the tables; None for an empty database.
 
-
-def _create(engine: Engine, url: URL) -> None:
-    """All tables in one transaction, by whoever comes first."""
-    with explained(url), engine.begin() as connection:
-        if connection.dialect.name == "postgresql":
-            connection.execute(text("SELECT pg_advisory_xact_lock(:key)"), {"key": _ADVISORY_LOCK})
-        if not _check(connection, url):
-            Table.metadata.create_all(connection)
-            connection.execute(insert(SchemaVersion).values(version=SCHEMA))
-
-
-def _check(connection: Connection, url: URL) -> bool:
-    """Whether the tables are there in our version; False for an empty database."""
+    Raises:
+        StoreError: the database belongs to something else, or to a newer karolos.
+    """
     tables = set(inspect(connection).get_table_names())
     if SchemaVersion.__tablename__ not in tables:
         if tables:
             raise StoreError(
                 "this database belongs to something else", where=display(url), hint="name another with --database"
             )
-        return False
-    version = connection.scalar(select(SchemaVersion.version))
+        return None
+    version: int | None = connection.scalar(select(SchemaVersion.version))
     if version is None:
         raise StoreError("the database is damaged: it has no version", where=display(url), hint="move it away")
     if version > SCHEMA:
@@ -73,10 +71,30 @@ def _check(connection: Connection, url: URL) -> bool:
             where=display(url),
             hint="update karolos, or name another database with --database",
         )
-    if version < SCHEMA:
+    return version
+
+
+def _is_ready(engine: Engine, url: URL) -> bool:
+    with explained(url), engine.connect().execution_options(**{READ: True}) as connection:
+        return _check(connection, url)
+
+
+def _create(engine: Engine, url: URL, timeout: float) -> None:
+    """All tables in one transaction, by whoever comes first."""
+    with explained(url), engine.begin() as connection:
+        lock_writers(connection, timeout)
+        if not _check(connection, url):
+            Table.metadata.create_all(connection)
+            connection.execute(insert(SchemaVersion).values(version=SCHEMA))
+
+
+def _check(connection: Connection, url: URL) -> bool:
+    """Whether the tables are there in our version; False for an empty database."""
+    version = schema_version(connection, url)
+    if version is not None and version < SCHEMA:
         raise StoreError(
             f"an older karolos made this database (schema {version}, this one needs {SCHEMA})",
             where=display(url),
-            hint="move it away: a new one is built from the run folders",
+            hint="`karolos db upgrade` brings it up to date and keeps a copy",
         )
-    return True
+    return version is not None

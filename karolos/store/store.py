@@ -3,54 +3,39 @@
 from __future__ import annotations
 
 import os
-from collections.abc import Mapping, Sequence
-from dataclasses import asdict, dataclass, fields, replace
+from collections.abc import Iterator, Mapping, Sequence
+from contextlib import contextmanager
 from pathlib import Path
 from types import TracebackType
 from typing import Any
 
-from sqlalchemy import Connection, Select, delete, func, insert, select, update
-from sqlalchemy.dialects import postgresql, sqlite
+from sqlalchemy import Connection, Executable, delete, func, select, update
 
-from ..errors import RunError, StoreError, UsageError
+from .. import filters
+from ..errors import StoreError, UsageError
+from ..results import TestResult
 from ..run_folder import RunFolder
-from ..run_records import STATES, UNFINISHED, RunRecord, RunSummary
-from ..testing import TestResult
-from .connection import READ, display, explained, make_engine, parse_url, sqlite_file
-from .models import ExperimentRow, RunRow, Table, TestRow
+from ..run_records import STATES, RunRecord, RunSummary
+from . import selectors, writing
+from .connection import READ, display, explained, lock_writers, make_engine, parse_url, sqlite_file
+from .models import ParameterRow, RunRow, SpecRow, SuccessRow, TestRow, VersionRow
+from .reading import Index, stored_parameters
+from .rows import StoredTest, chunks, run_row, upsert
 from .schema import ensure_schema
+from .writing import Entry
 
 BUSY_SECONDS = 20.0
 """How long a transaction waits for another process's; whoever writes holds the lock for milliseconds."""
 FILE_NAME = "karolos.sqlite"
-_LISTED = 5
-_SUMMARY_FIELDS = tuple(field.name for field in fields(RunSummary))
-
-
-@dataclass(frozen=True)
-class StoredTest:
-    """One test of a run as the index keeps it: `any`, `end`, `reset` count episodes as in TestResult."""
-
-    run: str
-    steps: int
-    seconds: float
-    episodes: int
-    any: int
-    end: int
-    reset: int
-
-    @classmethod
-    def of(cls, run: str, result: TestResult) -> StoredTest:
-        counts = (sum(flags) for flags in (result.any, result.end, result.reset))
-        return cls(run, int(result.steps), float(result.seconds), result.episodes, *counts)
 
 
 class Store:
     """The results database. Safe for many processes at once; give each its own Store.
 
     Args:
-        url: SQLAlchemy URL, e.g. sqlite:///runs/karolos.sqlite. A SQLite file that is not there is made.
-        timeout: seconds a SQLite transaction waits for other processes.
+        url: SQLAlchemy URL, e.g. sqlite:///runs/karolos.sqlite, or postgresql://host/name with the extra `postgres`.
+            A SQLite file that is not there is made.
+        timeout: seconds a transaction that writes waits for other processes.
 
     Raises:
         StoreError: from every method, when the database is locked, read-only, damaged, newer or not ours.
@@ -60,8 +45,9 @@ class Store:
         self.url = parse_url(url)
         path = sqlite_file(self.url)
         self._home = path.resolve().parent if path else None
+        self._timeout = timeout
         self._engine = make_engine(self.url, timeout)
-        self._reading = self._engine.execution_options(**{READ: True})
+        self._readers = self._engine.execution_options(**{READ: True})
         ensure_schema(self._engine, self.url, timeout)
 
     @staticmethod
@@ -87,60 +73,69 @@ class Store:
     ) -> None:
         self.close()
 
-    def add_run(self, summary: RunSummary, spec: Mapping[str, Any]) -> None:
-        """Enter a run with its resolved spec, and its experiment if it is the first of it; replaces the run's row."""
-        with explained(self.url), self._engine.begin() as connection:
-            self._add_run(connection, summary, spec)
+    def add_run(self, summary: RunSummary, spec: Mapping[str, Any], versions: Mapping[str, str] | None = None) -> None:
+        """Enter a run, or replace its row; its tests stay.
+
+        Args:
+            summary: of the run.
+            spec: resolved.
+            versions: of the software that it is made with (`RunFolder.versions`).
+        """
+        with self.writing() as connection:
+            writing.enter(connection, [Entry(summary, spec, versions, None)], self._home)
 
     def add_records(self, records: Sequence[RunRecord]) -> None:
         """Enter runs with all their tests, in place of those stored, in one transaction."""
-        with explained(self.url), self._engine.begin() as connection:
-            for record in records:
-                run = record.summary.run
-                self._add_run(connection, record.summary, record.spec)
-                connection.execute(delete(TestRow).where(TestRow.run == run))
-                if record.tests:
-                    rows = [_test_row(StoredTest.of(run, result)) for result in record.tests]
-                    connection.execute(insert(TestRow), rows)
+        self.add_entries([Entry.of(record) for record in records])
 
-    def _add_run(self, connection: Connection, summary: RunSummary, spec: Mapping[str, Any]) -> None:
-        experiment = {"hash": summary.experiment, "name": summary.name, "spec": without_seeds(spec)}
-        _upsert(connection, ExperimentRow, experiment, keys=("hash",), replace_old=False)
-        _upsert(connection, RunRow, self._to_row(summary), keys=("run",))
+    def add_entries(self, entries: Sequence[Entry]) -> None:
+        """Enter runs in place of those stored, in one transaction."""
+        with self.writing() as connection:
+            writing.enter(connection, entries, self._home)
 
     def update_run(self, summary: RunSummary) -> None:
-        """Bring a run's row up to date.
+        """Bring a run's row up to date, but for its labels (`refresh_labels`).
 
         Raises:
             StoreError: the run is not there.
         """
-        row = self._to_row(summary)
-        with explained(self.url), self._engine.begin() as connection:
+        row = run_row(summary, self._home)
+        with self.writing() as connection:
             changed = connection.execute(update(RunRow).where(RunRow.run == summary.run).values(**row))
             if changed.rowcount == 0:
-                raise StoreError(
-                    f"the run {summary.run} is not in the database",
-                    where=display(self.url),
-                    hint="was the database exchanged while the run went on? Its folder is complete",
-                )
+                raise self._unknown(summary.run)
+
+    def refresh_labels(self, folder: RunFolder) -> None:
+        """Read a run's tags and note out of its folder, where they were changed.
+
+        Raises:
+            StoreError: the run is not there.
+        """
+        with self.writing() as connection:
+            if not writing.refresh_labels(connection, folder.id, folder.path):
+                raise self._unknown(folder.id)
 
     def add_test(self, run: str, result: TestResult) -> None:
         """Enter a test of a run; one at the same steps, which a resumed run repeats, is replaced."""
-        with explained(self.url), self._engine.begin() as connection:
-            _upsert(connection, TestRow, _test_row(StoredTest.of(run, result)), keys=("run", "steps"))
+        experiment = select(RunRow.experiment).where(RunRow.run == run).scalar_subquery()
+        with self.writing() as connection:
+            upsert(connection, TestRow, [StoredTest.of(run, result).to_row()], keys=("run", "steps"))
+            connection.execute(delete(SuccessRow).where(SuccessRow.experiment == experiment))
 
     def remove_runs(self, runs: Sequence[str]) -> None:
-        """Take runs and their tests out of the index; folders stay, and so do experiments."""
-        with explained(self.url), self._engine.begin() as connection:
-            for run in runs:
-                connection.execute(delete(RunRow).where(RunRow.run == run))
+        """Take runs out of the index, with their tests and what no other run shares; folders stay."""
+        with self.writing() as connection:
+            writing.remove(connection, runs)
 
     def runs(
         self,
         *,
         ids: Sequence[str] | None = None,
         prefix: str | None = None,
+        experiment: str | None = None,
+        name: str | None = None,
         state: str | None = None,
+        where: str | None = None,
         limit: int | None = None,
     ) -> tuple[RunSummary, ...]:
         """Runs, the newest first.
@@ -151,116 +146,104 @@ class Store:
         Args:
             ids: only these.
             prefix: only runs whose id begins so.
+            experiment: only runs whose experiment's hash begins so.
+            name: only runs of experiments that are called so.
             state: only runs in this state, which may be `lost`.
+            where: a filter (`karolos.filters`) over the fields of RunSummary, the settings of the spec by their key
+                paths (agent.learning_rate), and versions.<package>.
             limit: not more than that many.
 
         Raises:
-            UsageError: there is no such state.
+            UsageError: there is no such state, or the filter cannot be read or names what no run has.
         """
+        if state is not None and state not in STATES:
+            raise UsageError(f"there is no state {state!r}", hint=f"there are {', '.join(STATES)}")
+        condition = filters.parse(where) if where is not None else None
         query = select(RunRow.__table__).order_by(RunRow.created.desc(), RunRow.run.desc())
+        for column, beginning in ((RunRow.run, prefix), (RunRow.experiment, experiment)):
+            if beginning is not None:
+                query = query.where(func.substr(column, 1, len(beginning)) == beginning)  # LIKE may ignore case
+        if name is not None:
+            query = query.where(RunRow.name == name)
         if ids is not None:
             query = query.where(RunRow.run.in_(ids))
-        if prefix is not None:
-            query = query.where(func.substr(RunRow.run, 1, len(prefix)) == prefix)  # LIKE would ignore case on SQLite
-        if state is None:
-            return tuple(self._current(row) for row in self._read(query.limit(limit)))
-        if state not in STATES:
-            raise UsageError(f"there is no state {state!r}", hint=f"there are {', '.join(STATES)}")
-        # A run that the index takes for unfinished may be in any state.
-        query = query.where(RunRow.state.in_({state, *UNFINISHED}))
-        found = (self._current(row) for row in self._read(query))
-        return tuple(run for run in found if run.state == state)[:limit]
+        with self.reading() as connection:
+            return Index(connection, self._home).find(query, state, condition, limit)
 
     def find(self, selector: str) -> RunSummary:
-        """The one run that a selector means: an id, the beginning of one, a run folder's path, or @last.
+        """The one run that a selector means (`selectors.select`).
 
         Raises:
             UsageError: it means no run, or several; names some.
         """
-        if selector == "@last":
-            newest = self.runs(limit=1)
-            if not newest:
-                raise UsageError("there are no runs yet", hint="`karolos run SPEC` makes one")
-            return newest[0]
-        name = Path(selector).name
-        exact = self.runs(ids=[name])
-        found = exact or (self.runs(prefix=name, limit=_LISTED + 1) if name else ())
-        if len(found) == 1:
-            return found[0]
-        listed = ", ".join(run.run for run in found[:_LISTED]) + (" ..." if len(found) > _LISTED else "")
-        if found:
-            raise UsageError(f"{selector!r} means several runs", hint=f"one of {listed}; or @last")
-        raise UsageError(f"{selector!r} means no run", hint="`karolos runs list` shows them; @last is the newest")
+        return selectors.only(selector, selectors.select(self, selector, unfinished_ids=True))
+
+    def select(self, selector: str) -> tuple[RunSummary, ...]:
+        """The runs that a selector means, the newest first: one, or all of an experiment.
+
+        Raises:
+            UsageError: it means no run, or it is the beginning of several ids or hashes.
+        """
+        return selectors.select(self, selector)
 
     def tests(self, run: str) -> tuple[StoredTest, ...]:
         """The tests of a run in the order of their steps."""
         query = select(TestRow.__table__).where(TestRow.run == run).order_by(TestRow.steps)
         return tuple(StoredTest(*row) for row in self._read(query))
 
+    def tests_of(self, runs: Sequence[str]) -> dict[str, tuple[StoredTest, ...]]:
+        """The tests of each of these runs in the order of their steps."""
+        found: dict[str, list[StoredTest]] = {run: [] for run in runs}
+        for portion in chunks(runs):
+            query = select(TestRow.__table__).where(TestRow.run.in_(portion)).order_by(TestRow.run, TestRow.steps)
+            for row in self._read(query):
+                found[row.run].append(StoredTest(*row))
+        return {run: tuple(tests) for run, tests in found.items()}
+
     def spec(self, experiment: str) -> dict[str, Any]:
-        """Resolved spec of an experiment, without its seeds.
+        """Resolved spec of an experiment, without its seeds; that of its oldest run.
 
         Raises:
             UsageError: there is no such experiment.
         """
-        rows = self._read(select(ExperimentRow.spec).where(ExperimentRow.hash == experiment))
+        query = select(SpecRow.spec).join(RunRow, RunRow.spec == SpecRow.digest)
+        rows = self._read(query.where(RunRow.experiment == experiment).order_by(RunRow.created, RunRow.run).limit(1))
         if not rows:
             raise UsageError(f"there is no experiment {experiment!r}", hint="`karolos runs list --json` names them")
         spec: dict[str, Any] = rows[0][0]
         return spec
 
-    def _read(self, query: Select[Any]) -> Sequence[Any]:
-        with explained(self.url), self._reading.connect() as connection:
+    def parameters(self, run: str) -> dict[str, Any]:
+        """The settings of a run's spec by their key paths, e.g. {"agent.learning_rate": 0.001}."""
+        query = select(ParameterRow.key, ParameterRow.value).join(RunRow, RunRow.spec == ParameterRow.spec)
+        return stored_parameters(self._read(query.where(RunRow.run == run).order_by(ParameterRow.key)))
+
+    def versions(self, run: str) -> dict[str, str]:
+        """Versions of the software that a run was made with; empty where they are not known."""
+        query = select(VersionRow.package, VersionRow.version).join(RunRow, RunRow.software == VersionRow.software)
+        rows = self._read(query.where(RunRow.run == run).order_by(VersionRow.package))
+        return {row.package: row.version for row in rows}
+
+    def _unknown(self, run: str) -> StoreError:
+        return StoreError(
+            f"the run {run} is not in the database",
+            where=display(self.url),
+            hint="was the database exchanged while the run went on? Its folder is complete; `karolos db reindex`",
+        )
+
+    @contextmanager
+    def writing(self) -> Iterator[Connection]:
+        """A transaction that writes, while no other does."""
+        with explained(self.url), self._engine.begin() as connection:
+            lock_writers(connection, self._timeout)
+            yield connection
+
+    @contextmanager
+    def reading(self) -> Iterator[Connection]:
+        """A transaction that only reads, and so waits for none that writes."""
+        with explained(self.url), self._readers.connect() as connection:
+            yield connection
+
+    def _read(self, query: Executable) -> Sequence[Any]:
+        with self.reading() as connection:
             return connection.execute(query).all()
-
-    def _to_row(self, summary: RunSummary) -> dict[str, Any]:
-        """Columns of a summary: a folder below the database is kept relative to it, so that both can move together."""
-        folder = Path(summary.folder)
-        if self._home and folder.is_relative_to(self._home):
-            folder = folder.relative_to(self._home)
-        return asdict(summary) | {"folder": folder.as_posix(), "seed": str(summary.seed)}
-
-    def _current(self, row: Any) -> RunSummary:
-        """The run as it is now."""
-        values = {name: getattr(row, name) for name in _SUMMARY_FIELDS}
-        folder = (self._home or Path()) / values["folder"]
-        indexed = RunSummary(**values | {"folder": str(folder), "seed": int(values["seed"])})
-        if indexed.state not in UNFINISHED or not os.path.isdir(folder):
-            return indexed
-        try:
-            opened = RunFolder.open(folder)
-            return indexed if opened.is_locked() else opened.summary()
-        except RunError:
-            return replace(indexed, state="lost")
-
-
-def without_seeds(spec: Mapping[str, Any]) -> dict[str, Any]:
-    """A resolved spec as all runs of an experiment share it."""
-    return {key: value for key, value in spec.items() if key != "seeds"}
-
-
-def _test_row(test: StoredTest) -> dict[str, Any]:
-    return {
-        "run": test.run,
-        "steps": test.steps,
-        "seconds": test.seconds,
-        "episodes": test.episodes,
-        "successes_any": test.any,
-        "successes_end": test.end,
-        "solved_at_reset": test.reset,
-    }
-
-
-def _upsert(
-    connection: Connection, table: type[Table], row: dict[str, Any], *, keys: Sequence[str], replace_old: bool = True
-) -> None:
-    """Insert a row; where its key is there, replace the row or leave it."""
-    dialect = postgresql if connection.dialect.name == "postgresql" else sqlite
-    new = dialect.insert(table).values(**row)
-    rest = {name: value for name, value in row.items() if name not in keys}
-    statement = (
-        new.on_conflict_do_update(index_elements=keys, set_=rest)
-        if replace_old
-        else new.on_conflict_do_nothing(index_elements=keys)
-    )
-    connection.execute(statement)

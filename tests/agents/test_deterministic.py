@@ -70,10 +70,9 @@ def test_policy_and_targets_move_when_it_is_their_turn(agent: Any, every: int) -
     made = make(agent)
     for update in range(1, 7):
         before = {name: getattr(made.core, name).vector.clone() for name in ("policy", "target", "target_policy")}
-        metrics = made.learn(batch(32, signature(), update))
+        made.learn(batch(32, signature(), update))
         moved = {name: not torch.equal(getattr(made.core, name).vector, old) for name, old in before.items()}
         assert set(moved.values()) == {update % every == 0}
-        assert ("policy_loss" in metrics) is (update % every == 0)
 
 
 @pytest.mark.parametrize("agent", AGENTS)

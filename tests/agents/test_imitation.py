@@ -57,10 +57,11 @@ def test_the_term_is_the_mean_over_demonstrated_rows_alone() -> None:
     data = demonstrated(0.5, size=4)
     inputs = learning_inputs(data, agent.normaliser, agent.device)
     action = torch.zeros(4, 2)
-    found = imitation_loss(action, torch.tensor([True, False, True, True]), inputs)
+    found, slope = imitation_loss(action, torch.tensor([True, False, True, True]), inputs)
     assert found.item() == pytest.approx((data.action[0] ** 2).sum() / 2)
+    torch.testing.assert_close(slope, torch.cat((-inputs.action[:1], torch.zeros(3, 2))))  # 2 (0 - a) / 2
     none = learning_inputs(demonstrated(0.0, size=4), agent.normaliser, agent.device)
-    assert imitation_loss(action, torch.ones(4, dtype=torch.bool), none).item() == 0
+    assert imitation_loss(action, torch.ones(4, dtype=torch.bool), none)[0].item() == 0
 
 
 @pytest.mark.parametrize("agent", AGENTS)

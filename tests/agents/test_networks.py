@@ -59,6 +59,48 @@ def test_stacked_members_equal_separate_networks_in_outputs_and_gradients(
     torch.testing.assert_close(for_vector, torch.cat([flat_gradient(s) for s in separate]), rtol=1e-3, atol=1e-4)
     torch.testing.assert_close(for_x, plain.grad, rtol=1e-3, atol=1e-4)
 
+    network.gradient.zero_()
+    _, tapes = network.forward(plain.detach())
+    columns = network.backward(pull, tapes, parameters=False, columns=slice(2, 4))
+    torch.testing.assert_close(columns, plain.grad[:, 2:4], rtol=1e-3, atol=1e-4)
+    assert not network.gradient.any()
+
+
+@pytest.mark.parametrize("layer_norm", [False, True])
+@pytest.mark.parametrize("low", [False, True])
+def test_some_rows_of_a_pass_have_the_gradient_of_a_pass_of_their_own(low: bool, layer_norm: bool) -> None:
+    network = MLP(Shape(SIZES, low=low, layer_norm=layer_norm), generator(), "cpu")
+    x, pull = torch.randn((32, 20), generator=generator(1)), torch.randn((16, 3), generator=generator(2))
+    outputs, tapes = network.forward(x)
+    network.backward(pull, [tape.rows(16, 16) for tape in tapes])
+    found = network.gradient.clone()
+    own, tapes = network.forward(x[16:])
+    network.backward(pull, tapes)
+    torch.testing.assert_close(outputs[16:], own)
+    torch.testing.assert_close(found, network.gradient)
+
+
+@pytest.mark.parametrize("low", [False, True])
+def test_the_first_member_is_computed_alone_as_among_the_others(low: bool) -> None:
+    network = MLP(Shape((20, 64, 48, 1), members=2, low=low), generator(), "cpu")
+    x, pull = torch.randn((32, 20), generator=generator(1)), torch.zeros((2, 32, 1))
+    pull[0] = torch.randn((32, 1), generator=generator(2))
+    both, tapes = network.forward(x)
+    expected = network.backward(pull, tapes, parameters=False, columns=slice(16, None))
+    first, tapes = network.forward(x, first=True)
+    assert torch.equal(first[0], both[0])
+    assert torch.equal(network.backward(pull[:1], tapes, parameters=False, columns=slice(16, None)), expected)
+
+
+def test_one_outputs_gradient_by_the_inputs_is_the_same_in_bfloat16() -> None:
+    low, exact = (MLP(Shape((20, 64, 48, 1), members=2, low=low), generator(), "cpu") for low in (True, False))
+    x, pull = torch.randn((64, 20), generator=generator(1)), torch.randn((2, 64, 1), generator=generator(2))
+    found = []
+    for network in (low, exact):
+        _, tapes = network.forward(x)
+        found.append(network.backward(pull, tapes, parameters=False, columns=slice(None)))
+    assert torch.cosine_similarity(*[each.flatten() for each in found], dim=0) > 0.99
+
 
 def test_a_network_alone_equals_torch_in_outputs_and_gradients() -> None:
     network = MLP(Shape(SIZES), generator(), "cpu")
@@ -134,8 +176,7 @@ def test_state_of_another_shape_is_refused_with_both_shapes() -> None:
 def test_members_computed_in_one_product_equal_those_computed_one_by_one(layer_norm: bool) -> None:
     shape = Shape(SIZES, members=2, layer_norm=layer_norm)
     apart, together = (MLP(shape, generator(), "cpu") for _ in range(2))
-    together._groups = [slice(0, 2)]  # as on a GPU
-    together._exact = together._maps(together.vector)
+    together._group(stacked=True)  # as on a GPU
     x = torch.randn((16, 20), generator=generator(1)).requires_grad_()
     found = []
     for network in (apart, together):

@@ -11,7 +11,7 @@ import torch
 from parts import batch, signature
 from pydantic import ValidationError
 
-from karolos.agents.inputs import learning_inputs
+from karolos.agents.inputs import ALL_OBSERVED, OBSERVED_EVERY, Inputs, learning_inputs
 from karolos.agents.sac import SAC
 from karolos.core import Batch, Discrete, Signature
 from karolos.errors import UsageError
@@ -28,6 +28,11 @@ def values(agent: SAC, of: Batch) -> torch.Tensor:
     with torch.no_grad():
         inputs = learning_inputs(of, agent.normaliser, agent.device)
         return agent.critic(torch.cat((inputs.here, inputs.action), 1)).squeeze(-1)
+
+
+def targets_of(agent: SAC, inputs: Inputs) -> torch.Tensor:
+    with torch.no_grad():
+        return agent.targets(inputs, agent._draw(inputs.there)[0])
 
 
 def leaves(state: Any) -> list[Any]:
@@ -57,11 +62,11 @@ def test_the_target_discounts_by_what_the_batch_says() -> None:
     data = batch(16, signature(), discount=0.5, reward=2)
     inputs = learning_inputs(data, agent.normaliser, agent.device)
     generator = agent.generator.get_state()
-    half = agent.targets(inputs)
+    half = targets_of(agent, inputs)
     agent.generator.set_state(generator)
-    none = agent.targets(inputs._replace(discount=inputs.discount * 0))
+    none = targets_of(agent, inputs._replace(discount=inputs.discount * 0))
     agent.generator.set_state(generator)
-    full = agent.targets(inputs._replace(discount=inputs.discount * 2))
+    full = targets_of(agent, inputs._replace(discount=inputs.discount * 2))
     assert (none == 2).all()
     torch.testing.assert_close(half - 2, (full - 2) / 2)
 
@@ -71,20 +76,20 @@ def test_targets_stay_within_what_rewards_make_possible() -> None:
     agent = make(bounded, discount=0.9)
     far = batch(64, bounded, reward=0, discount=0.9)
     agent.target.named["layer2.bias"].fill_(-100)
-    assert agent.targets(learning_inputs(far, agent.normaliser, agent.device)).min() == pytest.approx(-10)
+    assert targets_of(agent, learning_inputs(far, agent.normaliser, agent.device)).min() == pytest.approx(-10)
     agent.target.named["layer2.bias"].fill_(100)
-    assert agent.targets(learning_inputs(far, agent.normaliser, agent.device)).max() == 0
+    assert targets_of(agent, learning_inputs(far, agent.normaliser, agent.device)).max() == 0
     free = make(bounded, discount=0.9, clip_targets=False)
     free.target.named["layer2.bias"].fill_(100)
-    assert free.targets(learning_inputs(far, free.normaliser, free.device)).min() > 50
+    assert targets_of(free, learning_inputs(far, free.normaliser, free.device)).min() > 50
 
 
 def test_entropy_enters_the_target_only_when_asked() -> None:
     plain = make(temperature=1.0)
     soft = make(temperature=1.0, entropy_in_target=True, clip_targets=False)
     data = batch(64, signature())
-    hard_targets = plain.targets(learning_inputs(data, plain.normaliser, plain.device))
-    soft_targets = soft.targets(learning_inputs(data, soft.normaliser, soft.device))
+    hard_targets = targets_of(plain, learning_inputs(data, plain.normaliser, plain.device))
+    soft_targets = targets_of(soft, learning_inputs(data, soft.normaliser, soft.device))
     assert (hard_targets - soft_targets).abs().min() > 0
 
 
@@ -107,9 +112,9 @@ def test_smaller_critic_counts_in_targets() -> None:
     agent = make()
     inputs = learning_inputs(batch(32, signature(), reward=0, discount=1), agent.normaliser, agent.device)
     agent.target.named["layer2.bias"][1] += 100
-    high = agent.targets(inputs)
+    high = targets_of(agent, inputs)
     agent.target.named["layer2.bias"][0] -= 100
-    low = agent.targets(inputs)
+    low = targets_of(agent, inputs)
     assert high.max() < 50
     assert low.max() < -50
 
@@ -122,8 +127,9 @@ def test_entropy_comes_near_its_target(target: float) -> None:
     for seed in range(400):
         data = batch(64, of, seed, discount=0)
         metrics = agent.learn(data._replace(reward=-((data.action[:, 0] - 0.5) ** 2)))
-        entropies.append(float(metrics["entropy"]))
-    assert np.mean(entropies[-100:]) == pytest.approx(target, abs=0.15)
+        if "entropy" in metrics:
+            entropies.append(float(metrics["entropy"]))
+    assert np.mean(entropies[-12:]) == pytest.approx(target, abs=0.15)
 
 
 def test_temperature_never_falls_below_its_minimum() -> None:
@@ -179,6 +185,15 @@ def test_statistics_include_the_goals_of_the_batch() -> None:
     agent = make()
     agent.learn(batch(32, signature(), desired_goal=7))
     torch.testing.assert_close(agent.normaliser.mean[3:], torch.full((2,), 7.0, dtype=torch.float64))
+
+
+def test_of_later_batches_one_in_four_enters_the_statistics() -> None:
+    agent = make()
+    agent.learn(batch(32, signature()))
+    agent.optimisers["critic"].steps = ALL_OBSERVED
+    for _ in range(2 * OBSERVED_EVERY):
+        agent.learn(batch(32, signature()))
+    assert agent.normaliser.count == 3 * 32
 
 
 def test_the_share_of_random_actions_is_what_was_asked() -> None:

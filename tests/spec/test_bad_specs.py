@@ -134,7 +134,7 @@ CASES = {
     "only comments": ("# robot: arm\n", "s.yaml:1:1: the file is empty"),
     "not a mapping": ("- robot\n", "s.yaml:1:1: a spec is a mapping of keys to values"),
     "merge key of YAML 1.1": (GOOD + "training: {<<: {steps: 1}}\n", "s.yaml:4:12: training.<<: no such key"),
-    "sweep, which this version has not": (GOOD + "sweep: {trials: 3}\n", "s.yaml:4:1: sweep: no such key"),
+    "a sweep without a space": (GOOD + "sweep: {trials: 3}\n", "s.yaml:4:1: sweep.space: is missing"),
 }
 
 

@@ -25,7 +25,8 @@ def test_robot_task_and_agent_are_enough():
     assert (spec.name, spec.seeds) == ("arm_reach", (0,))
     assert (spec.environment.name, spec.buffer.name, spec.orchestrator.name) == ("robot_task", "uniform", "local")
     amounts = {"steps": 100_000, "batch_size": 256, "replay_ratio": 64.0, "warmup_episodes": 20}
-    assert spec.training.model_dump() == {**amounts, "device": "cpu", "threads": None}
+    rest = {"device": "cpu", "threads": None, "mode": "lockstep", "minimum_batch": None}
+    assert spec.training.model_dump() == {**amounts, **rest}
     assert spec.testing.model_dump() == {"interval": 5000, "episodes": 100, "seed": 0}
 
 
@@ -98,6 +99,8 @@ CHANGES = {
     "threads": ({"training": {"threads": 3}}, True),
     "layout of environments": ({"orchestrator": {"name": "local", "processes": 2, "environments": 4}}, True),
     "written default": ({"training": {"steps": 1e5}}, True),
+    "lockstep spelt out": ({"training": {"mode": "lockstep", "minimum_batch": None}}, True),
+    "async": ({"training": {"mode": "async"}}, False),
     "number of environments": ({"orchestrator": {"name": "local", "environments": 9}}, False),
     "steps": ({"training": {"steps": 1}}, False),
     "setting of a part": ({"agent": {"name": "learner", "discount": 0.5}}, False),
@@ -111,6 +114,14 @@ CHANGES = {
 def test_hash_names_what_results_depend_on(change):
     changed, same = CHANGES[change]
     assert (Spec.from_dict({**SMALL, **changed}).hash() == Spec.from_dict(SMALL).hash()) is same
+
+
+def test_waiting_for_one_environment_is_what_async_does_unless_told_otherwise():
+    one, none, two = (
+        Spec.from_dict({**SMALL, "training": {"mode": "async", **batch}}).hash()
+        for batch in ({"minimum_batch": 1}, {}, {"minimum_batch": 2})
+    )
+    assert one == none != two
 
 
 def test_specs_that_resolve_alike_are_equal(tmp_path):

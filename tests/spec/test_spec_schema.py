@@ -50,7 +50,7 @@ def test_good_specs_fit_the_schema(fake_plugins, text):
         "robot: arm\ntask: reach\nagent: learner\ntraining: {steps: 0}",
         "robot: arm\ntask: reach\nagent: learner\nrandomization: {gravity: {name: normal, mean: 1, std: 1}}",
         "robot: arm\ntask: reach\nagent: learner\nname: ../x",
-        "robot: arm\ntask: reach\nagent: learner\nsweep: {}",
+        "robot: arm\ntask: reach\nagent: learner\nsweep: {trails: 3}",
     ],
 )
 def test_bad_specs_do_not(fake_plugins, text):

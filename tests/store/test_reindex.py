@@ -26,10 +26,10 @@ def result(steps: int, successes: int) -> TestResult:
     return TestResult(steps, steps / 7, flags, flags, (False,) * 4, (-1.5,) * 4, (9,) * 4)
 
 
-def make_run(store: Store, runs: Path, state: str, experiment: str, tests: list[tuple[int, int]]) -> str:
-    with RunFolder.create(runs, "x", 0) as run:
-        run.describe({"name": "x", "agent": {"name": "sac"}}, experiment=experiment)
-        store.add_run(run.summary(), run.spec())
+def make_run(store: Store, runs: Path, state: str, experiment: str, tests: list[tuple[int, int]], seed: int = 0) -> str:
+    with RunFolder.create(runs, "x", seed) as run:
+        run.describe({"name": "x", "agent": {"name": "sac"}}, experiment=experiment, source=runs)
+        store.add_run(run.summary(), run.spec(), run.versions())
         for steps, successes in tests:
             run.add_test(result(steps, successes))
             store.add_test(run.id, result(steps, successes))
@@ -57,7 +57,10 @@ def test_rebuilt_index_gives_the_same_answers(made: list[tuple[str, str, list[tu
 def test_reindex_forgets_what_is_gone_and_keeps_what_lies_elsewhere(tmp_path: Path) -> None:
     runs, elsewhere = tmp_path / "runs", tmp_path / "elsewhere"
     with Store(Store.default_url(tmp_path)) as store:
-        kept, gone, other = (make_run(store, place, "finished", "abc", [(1, 2)]) for place in (runs, runs, elsewhere))
+        kept, gone, other = (
+            make_run(store, place, "finished", "abc", [(1, 2)], seed)
+            for seed, place in enumerate((runs, runs, elsewhere))  # ids in different folders could be the same
+        )
         shutil.rmtree(runs / gone)
         shutil.rmtree(elsewhere)
         done = reindex(store, runs)

@@ -7,9 +7,11 @@ import sys
 from pathlib import Path
 
 import pytest
+from databases import KINDS, empty_database
 from store_samples import SPEC, bare, new_run, result
 
 from karolos.errors import StoreError, UsageError
+from karolos.run_folder import RunFolder
 from karolos.store import Store, StoredTest
 
 
@@ -164,11 +166,12 @@ MANY = """
 import os, sys
 from dataclasses import replace
 from pathlib import Path
+from karolos import labels
 from karolos.store import Store
 from karolos.run_folder import RunFolder
 from karolos.testing import TestResult
 
-runs, start = Path(sys.argv[1]), os.pipe()
+runs, url, start = Path(sys.argv[1]), sys.argv[2], os.pipe()
 children = []
 for index in range(16):
     child = os.fork()
@@ -176,15 +179,19 @@ for index in range(16):
         os.close(start[1])
         os.read(start[0], 1)  # all begin at once
         run = RunFolder.create(runs, "x", index)
-        run.describe({"name": "x"}, experiment="same")
-        with Store(Store.default_url(runs)) as store:
-            store.add_run(run.summary(), run.spec())
+        run.describe({"name": "x"}, experiment="same", source=runs)
+        with Store(url) as store:
+            store.add_run(run.summary(), run.spec(), run.versions())
             for steps in range(5):
                 store.add_test(run.id, TestResult(steps, 1.0, (True,), (True,), (False,), (0.0,), (1,)))
                 run.set_state("running", steps=steps)
                 store.update_run(run.summary())
             run.set_state("finished", steps=5)
             store.update_run(run.summary())
+            shared = RunFolder.open(runs / "shared")
+            store.add_records([shared.record()])  # by each: none may bring back what it read before others wrote
+            labels.add_tags(shared.path, [f"tag{index}"])
+            store.refresh_labels(shared)
         os._exit(0)
     children.append(child)
 os.close(start[1])
@@ -193,9 +200,16 @@ sys.exit(any(os.waitpid(child, 0)[1] for child in children))
 
 
 @pytest.mark.skipif(not hasattr(os, "fork"), reason="forks")
-def test_sixteen_processes_make_the_database_at_once_and_lose_nothing(tmp_path: Path) -> None:
-    subprocess.run([sys.executable, "-c", MANY, str(tmp_path)], check=True, timeout=60)
-    with Store(Store.default_url(tmp_path)) as store:
-        runs = store.runs()
-        assert {(run.seed, run.state, run.steps) for run in runs} == {(seed, "finished", 5) for seed in range(16)}
-        assert all(len(store.tests(run.run)) == 5 for run in runs)
+@pytest.mark.parametrize("kind", KINDS)
+def test_sixteen_processes_make_the_database_at_once_and_lose_nothing(tmp_path: Path, kind: str) -> None:
+    with empty_database(kind, tmp_path) as url:
+        with RunFolder.create(tmp_path, "x", 99) as shared:
+            shared.describe({"name": "x"}, experiment="same", source=tmp_path)
+        shared.path.rename(tmp_path / "shared")
+        subprocess.run([sys.executable, "-c", MANY, str(tmp_path), url], check=True, timeout=60)
+        with Store(url) as store:
+            (labelled,) = store.runs(ids=[shared.id])
+            assert set(labelled.tags) == {f"tag{index}" for index in range(16)}
+            runs = store.runs(where="not seed = 99")
+            assert {(run.seed, run.state, run.steps) for run in runs} == {(seed, "finished", 5) for seed in range(16)}
+            assert all(len(tests) == 5 for tests in store.tests_of([run.run for run in runs]).values())

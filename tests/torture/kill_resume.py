@@ -3,9 +3,11 @@
     python tests/torture/kill_resume.py --kills 100 [--spec SPEC] [--seed 0] [--runs DIR]
 
 A run is started, killed with SIGKILL after a random time, resumed, killed again ... The times are drawn so that kills
-fall into training, testing, checkpoints and index writes alike. When a run has finished another one begins, until the
-kills are done. Each finished run is compared with one that nobody disturbed: weights, buffer, counters and generators
-of the last checkpoint, tests, training episodes, and what the database says. Ends with 1 at the first difference.
+fall into training, testing, checkpoints and index writes alike; a third of the kills wait for the next checkpoint to be
+amid its writing. After each, every process that the run had started has to end by itself. When a run has finished
+another one begins, until the kills are done. Each finished run is compared with one that nobody disturbed: weights,
+buffer, counters and generators of the last checkpoint, tests, training episodes, and what the database says. Ends with
+1 at the first difference.
 """
 
 from __future__ import annotations
@@ -18,6 +20,7 @@ import subprocess
 import sys
 import tempfile
 import time
+from contextlib import suppress
 from pathlib import Path
 
 import numpy as np
@@ -26,6 +29,10 @@ from karolos import checkpoint
 from karolos.run_folder import RunFolder
 from karolos.store import Store
 
+PATIENCE = 15.0
+"""Seconds that a killed run's workers have to notice and to end."""
+AMID_CHECKPOINT = 1 / 3
+"""Share of the kills that hit the writing of a checkpoint."""
 TOY = """
 name: torture
 environment: toy
@@ -47,15 +54,43 @@ def karolos(*arguments: str) -> subprocess.Popen[bytes]:
     )
 
 
-def finish(process: subprocess.Popen[bytes], seconds: float) -> int | None:
-    """The exit code, or None when the process had to be killed after `seconds`."""
-    try:
-        process.wait(seconds)
-    except subprocess.TimeoutExpired:
-        os.kill(process.pid, signal.SIGKILL)
-        process.wait()
-        return None
+def finish(process: subprocess.Popen[bytes], seconds: float, home: Path | None = None) -> int | None:
+    """The exit code, or None when the process had to be killed after `seconds`.
+
+    Args:
+        process: as `karolos` started it.
+        seconds: to let it run.
+        home: wait further, until a run in this folder is amid writing a checkpoint.
+    """
+    deadline = time.monotonic() + seconds
+    while process.poll() is None:
+        if time.monotonic() > deadline and (home is None or any(home.glob("*/checkpoints/.*.new"))):
+            os.kill(process.pid, signal.SIGKILL)
+            process.wait()
+            await_the_end_of_the_others(process.pid)
+            return None
+        time.sleep(0.001)
     return process.returncode
+
+
+def await_the_end_of_the_others(session: int) -> None:
+    """Raise SystemExit when processes of the session outlive its first for long; only Linux can tell."""
+    deadline = time.monotonic() + PATIENCE
+    while left := members(session):
+        if time.monotonic() > deadline:
+            raise SystemExit(f"orphans after a kill: {left}")
+        time.sleep(0.05)
+
+
+def members(session: int) -> dict[int, str]:
+    """The living processes of a session, with their command lines."""
+    found = {}
+    for path in Path("/proc").glob("[0-9]*"):
+        with suppress(OSError):  # it has ended meanwhile
+            state, _, _, its_session = (path / "stat").read_text().rpartition(")")[2].split()[:4]
+            if int(its_session) == session and state != "Z":
+                found[int(path.name)] = (path / "cmdline").read_bytes().replace(b"\0", b" ").decode()
+    return found
 
 
 def differences(one: object, other: object, path: str = "") -> list[str]:
@@ -117,7 +152,7 @@ def torture(spec: Path, runs: Path, kills: int, draw: random.Random) -> int:
             arguments = ("resume", str(folders[0])) if folders else ("run", str(spec))
             process = karolos(*arguments, "--runs", str(home), "--quiet")
             patience = draw.uniform(0.2, 1.1) * whole if done < kills else 600.0
-            code = finish(process, patience)
+            code = finish(process, patience, home if draw.random() < AMID_CHECKPOINT and done < kills else None)
             assert process.stderr is not None
             errors = process.stderr.read().decode() if code is not None else ""
             if code is None:

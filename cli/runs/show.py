@@ -1,4 +1,4 @@
-"""`karolos runs`: what was run and what became of it."""
+"""`karolos runs show`: all about one run."""
 
 from __future__ import annotations
 
@@ -11,8 +11,8 @@ from typing import TYPE_CHECKING, Annotated, Any
 
 import typer
 
-from .common import RUN_HELP, Database, Json, Runs, print_rich, rows
-from .selection import open_store
+from ..common import RUN_HELP, Database, Json, Runs, print_rich, rows
+from ..selection import find_run
 
 if TYPE_CHECKING:
     from karolos.run_folder import RunFolder
@@ -20,37 +20,7 @@ if TYPE_CHECKING:
     from karolos.store import Store, StoredTest
     from karolos.testing import TestResult
 
-app = typer.Typer(name="runs", help="List runs and show what became of them.", no_args_is_help=True)
 
-
-@app.command("list")
-def list_runs(
-    runs: Runs = Path("runs"),
-    database: Database = None,
-    json: Json = False,
-    state: Annotated[
-        str | None, typer.Option(help="Only runs that are created, running, finished, failed, stopped or lost.")
-    ] = None,
-    limit: Annotated[int | None, typer.Option(min=1, help="Not more than that many, the newest first.")] = None,
-) -> None:
-    """List runs, the newest first."""
-    store = open_store(runs, database)
-    if store is None:
-        print(f"no runs in {runs} yet; `karolos run SPEC` makes one", file=sys.stderr)
-        return
-    with store:
-        found = store.runs(state=state, limit=limit)
-    if json:
-        rows([run.row() for run in found], json=True)
-    elif found:
-        from karolos.report.tables import runs_table
-
-        print_rich(runs_table(found))
-    else:
-        print("no runs" + (f" are {state}" if state else " yet"), file=sys.stderr)
-
-
-@app.command()
 def show(
     run: Annotated[str, typer.Argument(metavar="RUN", help=RUN_HELP)],
     runs: Runs = Path("runs"),
@@ -58,13 +28,8 @@ def show(
     json: Json = False,
 ) -> None:
     """Show a run: its state, tests with 95 % intervals, spec, checkpoints and what it was made with."""
-    from karolos.errors import UsageError
-
-    store = open_store(runs, database)
-    if store is None:
-        raise UsageError(f"{run!r} means no run: there are none in {runs} yet", hint="`karolos run SPEC` makes one")
+    store, summary = find_run(run, runs, database)
     with store:
-        summary = store.find(run)
         view = _from_folder(summary) if os.path.isdir(summary.folder) else _from_index(store, summary)
     if json:
         rows([view.row()], json=True)
@@ -115,7 +80,7 @@ def _from_folder(summary: RunSummary) -> _View:
         spec=record.spec,
         checkpoints=checkpoints,
         problems=(*record.problems, *damaged),
-        results=record.tests,
+        results=folder.tests(),
         about={key: description.get(key) for key in ("versions", "machine", "command", "git")},
     )
 
@@ -175,6 +140,8 @@ def _print_view(view: _View) -> None:
         "created": run.created,
         "updated": run.updated,
         "folder": run.folder,
+        "tags": ", ".join(run.tags) or None,
+        "note": run.note,
         "checkpoints": ", ".join(f"{point['name']} ({point.get('steps', 0):,} steps)" for point in view.checkpoints)
         or "none",
         "command": " ".join(about["command"]) if about.get("command") else None,

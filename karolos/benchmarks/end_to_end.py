@@ -1,0 +1,144 @@
+"""Seconds from a process's start until its agent reaches, karolos's or the peer's; tests are not counted in either.
+
+As a module it is that process: python -m karolos.benchmarks.end_to_end karolos|peer SEED
+"""
+
+from __future__ import annotations
+
+import json
+import os
+import signal
+import subprocess
+import sys
+import tempfile
+import time
+from dataclasses import asdict, dataclass
+from importlib import import_module
+from importlib.resources import as_file, files
+from importlib.util import find_spec
+from typing import Any
+
+from ..errors import MachineError, RunError
+from ..spec import Spec, load_spec
+from . import agent_peers
+
+PEER = "stable-baselines3 and panda-gym"
+SUCCESS = 0.95
+PEER_STEPS = 30_000
+"""After which the peer is given up."""
+INTERVAL = 500
+"""Environment steps between two tests, of both."""
+EPISODES = 100
+"""Per test, of both."""
+
+
+@dataclass(frozen=True)
+class Found:
+    """When the first test found enough successes."""
+
+    steps: int
+    training: float
+    """Seconds of collecting and learning."""
+    whole: float
+    """Seconds since the process was asked for, without those of tests."""
+
+
+def reach(*overrides: str) -> Spec:
+    """What specs/panda_reach.yaml says, which does not come with the package."""
+    with as_file(files(__package__) / "specs") as folder:
+        own = (f"testing.interval={INTERVAL}", f"testing.episodes={EPISODES}")
+        return load_spec(folder / "panda_reach_sac.yaml", (*own, *overrides))
+
+
+def require_peer() -> None:
+    """Raise a MachineError where the peer is missing."""
+    missing = [name for name in ("stable_baselines3", "panda_gym") if find_spec(name) is None]
+    if missing:
+        raise MachineError(
+            f"{', '.join(missing)} not installed, so there is no peer to train",
+            hint="pip install stable-baselines3, and panda-gym with --no-deps, in an environment of its own",
+        )
+
+
+def first_success(seed: int, *, peer: bool = False) -> Found:
+    """Train in a fresh process that may use all cores as its library sees fit. Raises RunError when it fails."""
+    environment = {key: value for key, value in os.environ.items() if key != "OMP_NUM_THREADS"}
+    who = "peer" if peer else "karolos"
+    command = [sys.executable, "-m", __name__, who, str(seed), repr(time.time())]
+    done = subprocess.run(command, env=environment, capture_output=True, text=True, check=False)
+    if done.returncode:
+        raise RunError(f"{who} ended with {done.returncode}: {done.stderr.strip()[-500:]}", where=__name__)
+    return Found(**json.loads(done.stdout.splitlines()[-1]))
+
+
+def _karolos(seed: int, asked: float) -> Found | None:
+    """An ordinary run, stopped at the test that finds enough."""
+    from ..events import RunAdvanced, RunEvent, RunTested  # noqa: PLC0415  (what follows belongs to the start)
+    from ..experiment import Experiment  # noqa: PLC0415
+
+    startup: list[float] = []
+    found: list[Found] = []
+
+    def tell(event: RunEvent) -> None:
+        if isinstance(event, RunAdvanced) and not startup:
+            startup.append(time.time() - asked - event.seconds)
+        elif isinstance(event, RunTested) and event.result.success_any >= SUCCESS and not found:
+            result = event.result
+            found.append(Found(result.steps, result.seconds, startup[0] + result.seconds))
+            signal.raise_signal(signal.SIGTERM)
+
+    with tempfile.TemporaryDirectory() as runs:
+        Experiment(reach(f"seeds=[{seed}]")).run(runs, listener=tell)
+    return found[0] if found else None
+
+
+def _peer(seed: int, asked: float) -> Found | None:
+    """stable-baselines3's SAC with hindsight on panda-gym's task, tested as often and on as many episodes."""
+    import gymnasium  # noqa: PLC0415
+
+    import_module("panda_gym")
+    library = import_module("stable_baselines3")
+    callbacks = import_module("stable_baselines3.common.callbacks")
+    environment, tests = gymnasium.make("PandaReach-v3"), gymnasium.make("PandaReach-v3")
+    settings = {
+        **agent_peers.RECIPES["panda_reach_sac"].settings,
+        "replay_buffer_class": library.HerReplayBuffer,
+        "replay_buffer_kwargs": {"n_sampled_goal": 4, "goal_selection_strategy": "future"},
+    }
+    model = library.SAC("MultiInputPolicy", environment, seed=seed, device="cpu", **settings)
+    startup, begun, tested = time.time() - asked, time.perf_counter(), 0.0
+    found: list[Found] = []
+
+    def step(known: dict[str, Any], _: dict[str, Any]) -> bool:
+        nonlocal tested
+        steps = int(known["self"].num_timesteps)
+        if steps % INTERVAL:
+            return True
+        before = time.perf_counter()
+        success = sum(_reaches(model, tests, 1000 + episode) for episode in range(EPISODES))
+        if success >= SUCCESS * EPISODES:
+            seconds = before - begun - tested
+            found.append(Found(steps, seconds, startup + seconds))
+        tested += time.perf_counter() - before
+        return not found
+
+    model.learn(PEER_STEPS, callback=callbacks.ConvertCallback(step))
+    return found[0] if found else None
+
+
+def _reaches(model: Any, environment: Any, seed: int) -> bool:
+    """Whether the deterministic policy reaches the goal at some step of the episode."""
+    observation, _ = environment.reset(seed=seed)
+    while True:
+        action, _ = model.predict(observation, deterministic=True)
+        observation, _, terminated, truncated, info = environment.step(action)
+        if info["is_success"] or terminated or truncated:
+            return bool(info["is_success"])
+
+
+if __name__ == "__main__":
+    who, seed, asked = sys.argv[1:]
+    found = (_peer if who == "peer" else _karolos)(int(seed), float(asked))
+    if found is None:
+        raise SystemExit(f"no test found {SUCCESS:g} success")
+    print(json.dumps(asdict(found)))

@@ -1,0 +1,24 @@
+"""From runs to the numbers that compare experiments. Draws nothing; `karolos.report` does."""
+
+from .contenders import ComparedRun, Contender, Success, gather
+from .curves import Curve, densities, learning_curve
+from .differences import MISSING, differences
+from .scores import Comparison, Estimate, Improvement, Reaching, Scores, compare
+
+__all__ = [
+    "MISSING",
+    "ComparedRun",
+    "Comparison",
+    "Contender",
+    "Curve",
+    "Estimate",
+    "Improvement",
+    "Reaching",
+    "Scores",
+    "Success",
+    "compare",
+    "densities",
+    "differences",
+    "gather",
+    "learning_curve",
+]

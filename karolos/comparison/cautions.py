@@ -1,0 +1,78 @@
+"""What to beware of when experiments are compared: what differs besides what was meant to."""
+
+from __future__ import annotations
+
+from collections.abc import Callable, Mapping, Sequence
+from functools import partial
+
+from .contenders import ComparedRun, Contender
+
+
+def cautions(contenders: Sequence[Contender]) -> tuple[str, ...]:
+    """One line each, the most telling first."""
+    found = [problem for contender in contenders for problem in contender.problems]
+    found += _different(contenders, "they do different tasks", _task)
+    found += _unfinished(contenders)
+    found += _different(contenders, "they ended at different steps", lambda run: f"{run.tests[-1].steps:,}")
+    counts = [len(contender.runs) for contender in contenders]
+    if len(set(counts)) > 1:
+        found.append(f"unequal numbers of seeds: {_each(contenders, counts)}")
+    found += _different(contenders, "tests of different numbers of episodes", lambda run: run.tests[-1].episodes)
+    for key, what in (
+        ("seed", "tests on different episodes (testing.seed)"),
+        ("interval", "tests at different intervals, which steps to a ratio depend on (testing.interval)"),
+    ):
+        found += _different(contenders, what, partial(_testing, key))
+    found += _versions(contenders)
+    found += _different(contenders, "made from different code (git commit, + with changes)", lambda run: run.commit)
+    return tuple(found)
+
+
+def _unfinished(contenders: Sequence[Contender]) -> list[str]:
+    found = []
+    for contender in contenders:
+        open_ = [run.summary for run in contender.runs if not run.finished]
+        if open_:
+            named = ", ".join(f"{run.run} {run.state} at {run.steps:,} steps" for run in open_)
+            found.append(f"{contender.label}: {len(open_)} of {len(contender.runs)} runs are not finished: {named}")
+    return found
+
+
+def _versions(contenders: Sequence[Contender]) -> list[str]:
+    """A line for each package whose version is not the same in all runs; karolos and plugins stand among them."""
+    names = sorted({name for contender in contenders for run in contender.runs for name in run.versions})
+    found: list[str] = []
+    for name in names:
+        found += _different(contenders, f"different versions of {name}", partial(_version, name))
+    return found
+
+
+def _different(contenders: Sequence[Contender], what: str, of: Callable[[ComparedRun], object]) -> list[str]:
+    """One line if the runs do not all have the same; runs of which it is not known do not count."""
+    values = [
+        sorted({str(value) for value in map(of, contender.runs) if value is not None}) for contender in contenders
+    ]
+    if len({value for listed in values for value in listed}) < 2:
+        return []
+    return [f"{what}: {_each(contenders, [' and '.join(listed) or 'not known' for listed in values])}"]
+
+
+def _each(contenders: Sequence[Contender], values: Sequence[object]) -> str:
+    return "; ".join(f"{contender.label} {value}" for contender, value in zip(contenders, values, strict=True))
+
+
+def _testing(key: str, run: ComparedRun) -> object:
+    return (run.spec.get("testing") or {}).get(key)
+
+
+def _version(package: str, run: ComparedRun) -> str | None:
+    return run.versions.get(package)
+
+
+def _task(run: ComparedRun) -> str | None:
+    """Name of the task, or of the environment where there is none, with its id."""
+    name = run.summary.task or run.summary.environment
+    environment = run.spec.get("environment")
+    if run.summary.task or not isinstance(environment, Mapping) or "id" not in environment:
+        return name
+    return f"{name} {environment['id']}"

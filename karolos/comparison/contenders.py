@@ -1,0 +1,137 @@
+"""What is compared: experiments, each with the runs that speak for it, one per seed."""
+
+from __future__ import annotations
+
+import os
+from collections.abc import Mapping, Sequence
+from dataclasses import dataclass
+from pathlib import Path
+from typing import Any, Literal
+
+from .. import checkpoint
+from ..errors import RunError, UsageError
+from ..run_folder import RunFolder
+from ..run_records import RunSummary
+from ..store import Store, StoredTest
+
+Success = Literal["any", "end"]
+"""Which way to count success: the goal was reached at some step, or it held at the last."""
+
+LISTED = 5
+
+
+@dataclass(frozen=True)
+class ComparedRun:
+    """One run: its row, its tests, and what it was made with, as far as its folder is still there."""
+
+    summary: RunSummary
+    tests: tuple[StoredTest, ...]
+    spec: Mapping[str, Any]
+    versions: Mapping[str, str]
+    commit: str | None
+    """Git commit, with a + when files differed from it."""
+    updates_per_second: float | None
+    """Gradient updates per second of collecting and learning; None without a checkpoint."""
+
+    def ratios(self, success: Success) -> tuple[float, ...]:
+        """Success ratio of each test."""
+        return tuple(getattr(test, success) / test.episodes for test in self.tests)
+
+    def last(self, success: Success) -> float:
+        """Success ratio of the last test."""
+        return self.ratios(success)[-1]
+
+    @property
+    def finished(self) -> bool:
+        return self.summary.state == "finished"
+
+
+@dataclass(frozen=True)
+class Contender:
+    """An experiment with its runs that have a test, one per seed, in the order of the seeds.
+
+    Args:
+        label: how tables and figures call it.
+        runs: at least one.
+        problems: what a reader has to know of the choice of runs, one line each.
+    """
+
+    label: str
+    runs: tuple[ComparedRun, ...]
+    problems: tuple[str, ...] = ()
+
+    @property
+    def experiment(self) -> str:
+        return self.runs[0].summary.experiment
+
+    @property
+    def spec(self) -> Mapping[str, Any]:
+        """Resolved spec of its first run: the others differ in what does not count as a change, if at all."""
+        return self.runs[0].spec
+
+
+def gather(store: Store, runs: Sequence[RunSummary], label: str) -> Contender:
+    """A contender from runs of one experiment; of several with the same seed, the newest that is finished.
+
+    Raises:
+        UsageError: they belong to several experiments, or none of them has been tested yet.
+    """
+    experiments = sorted({run.experiment for run in runs})
+    if len(experiments) > 1:
+        shown = ", ".join(experiment[:12] for experiment in experiments[:LISTED])
+        more = f" and {len(experiments) - LISTED} more" if len(experiments) > LISTED else ""
+        raise UsageError(
+            f"{label} means {len(experiments)} experiments, whose specs differ",
+            hint=f"name one by its hash: {shown}{more}",
+        )
+    chosen: dict[int, RunSummary] = {}
+    for run in sorted(runs, key=lambda run: (run.state == "finished", run.created)):
+        chosen[run.seed] = run
+    problems = []
+    if len(chosen) < len(runs):
+        problems.append(
+            f"{label}: {len(runs) - len(chosen)} of {len(runs)} runs repeat a seed; of each the newest finished run "
+            "is taken, or the newest where none is"
+        )
+    tests = store.tests_of([run.run for run in chosen.values()])
+    loaded = [_load(store, chosen[seed], tests[chosen[seed].run]) for seed in sorted(chosen)]
+    tested = tuple(run for run in loaded if run.tests)
+    if not tested:
+        raise UsageError(f"{label} has no test yet", hint="`karolos runs list` shows how far its runs are")
+    untested = [run.summary.run for run in loaded if not run.tests]
+    if untested:
+        problems.append(f"{label}: left out for want of a test: {', '.join(untested)}")
+    return Contender(label, tested, tuple(problems))
+
+
+def _load(store: Store, run: RunSummary, tests: tuple[StoredTest, ...]) -> ComparedRun:
+    about, spec, rate = _from_folder(Path(run.folder))
+    git = about.get("git") or {}
+    return ComparedRun(
+        summary=run,
+        tests=tests,
+        spec=spec or store.spec(run.experiment),
+        versions=about.get("versions") or store.versions(run.run),
+        commit=f"{git['commit'][:8]}{'+' if git.get('dirty') else ''}" if git.get("commit") else None,
+        updates_per_second=rate,
+    )
+
+
+def _from_folder(path: Path) -> tuple[Mapping[str, Any], Mapping[str, Any], float | None]:
+    """What run.json and resolved.json say, and updates per second; all empty where the folder is gone or damaged."""
+    if not os.path.isdir(path):
+        return {}, {}, None
+    try:
+        folder = RunFolder.open(path)
+    except RunError:  # the index has what a comparison cannot do without
+        return {}, {}, None
+    return folder.description(), folder.spec(), _updates_per_second(folder.checkpoints)
+
+
+def _updates_per_second(checkpoints: Path) -> float | None:
+    try:
+        meta = checkpoint.read_meta(checkpoints, "last")
+    except checkpoint.CheckpointError:
+        return None
+    updates, seconds = meta.get("updates"), meta.get("seconds")
+    return updates / seconds if updates is not None and seconds else None

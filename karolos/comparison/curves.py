@@ -1,0 +1,83 @@
+"""Learning curves of several seeds: brought to common points, summed up, and as densities."""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+from dataclasses import dataclass
+from typing import Literal
+
+import numpy as np
+from numpy.typing import NDArray
+
+from .. import aggregates, statistics
+from ..seeding import Generator
+from .contenders import ComparedRun, Success
+
+Axis = Literal["steps", "seconds"]
+POINTS = 101
+"""Most points of a curve over seeds whose tests lie at different places."""
+
+_Floats = NDArray[np.float64]
+
+
+@dataclass(frozen=True)
+class Curve:
+    """Success over training, of all seeds together.
+
+    Args:
+        at: (t,) environment steps or seconds, ascending.
+        middle: (t,) the statistic at each.
+        low: (t,) lower end of the band.
+        high: (t,) upper end.
+    """
+
+    at: _Floats
+    middle: _Floats
+    low: _Floats
+    high: _Floats
+
+
+def places(run: ComparedRun, axis: Axis) -> _Floats:
+    """Where a run's tests lie: (t,)."""
+    return np.array([getattr(test, axis) for test in run.tests], float)
+
+
+def along(runs: Sequence[ComparedRun], axis: Axis, success: Success) -> tuple[_Floats, _Floats]:
+    """Success ratios of all seeds at common points: (t,) and (t, n).
+
+    The points lie where every seed is known: from where all have been tested to where the first unfinished run ends. A
+    finished run keeps its last value. Between a seed's tests its value is interpolated linearly; where all seeds were
+    tested at the same places, those are the points and nothing is interpolated.
+    """
+    own = [places(run, axis) for run in runs]
+    ratios = [run.ratios(success) for run in runs]
+    start = max(at[0] for at in own)
+    open_ends = [at[-1] for at, run in zip(own, runs, strict=True) if not run.finished]
+    end = max(min(open_ends) if open_ends else max(at[-1] for at in own), start)
+    points = np.unique(np.concatenate([at[(at >= start) & (at <= end)] for at in own]))
+    if axis == "seconds" or points.size > POINTS:
+        points = np.linspace(start, end, POINTS) if end > start else np.array([start])
+    return points, np.stack([np.interp(points, at, ratio) for at, ratio in zip(own, ratios, strict=True)], axis=1)
+
+
+def learning_curve(
+    runs: Sequence[ComparedRun], axis: Axis, success: Success, statistic: aggregates.Statistic, generator: Generator
+) -> Curve:
+    """A statistic over the seeds with its band: Wilson's for one run, the range for 2 - 4, else bootstrap (95 %)."""
+    at, values = along(runs, axis, success)
+    middle = statistic(values)
+    found = aggregates.band(values, statistic, generator)
+    if found is not None:
+        low, high = found
+    elif len(runs) > 1:
+        low, high = values.min(axis=1), values.max(axis=1)
+    else:
+        ends = [statistics.wilson(getattr(test, success), test.episodes) for test in runs[0].tests]
+        low, high = (np.interp(at, places(runs[0], axis), [pair[side] for pair in ends]) for side in (0, 1))
+    return Curve(at, middle, low, high)
+
+
+def densities(runs: Sequence[ComparedRun], success: Success) -> tuple[_Floats, tuple[statistics.Density, ...]]:
+    """Density over the seeds at each common test point: environment steps (t,) and as many densities."""
+    at, values = along(runs, "steps", success)
+    return at, tuple(statistics.kde(row) for row in values)

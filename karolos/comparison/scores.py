@@ -1,0 +1,193 @@
+"""The numbers of a comparison. The seed is the unit: a run gives one number, an experiment one per seed.
+
+A run's success is that of its last test.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Mapping, Sequence
+from dataclasses import asdict, dataclass
+from typing import Any, Literal
+
+import numpy as np
+
+from .. import aggregates, statistics
+from ..seeding import SeedTree
+from ..store.rows import without_seeds
+from .cautions import cautions
+from .contenders import ComparedRun, Contender, Success
+from .curves import places
+from .differences import MISSING, differences
+
+IntervalKind = Literal["wilson", "range", "approximate", "bootstrap"]
+"""What low and high are: Wilson's interval of one run; smallest and largest of 2 - 4 seeds; a bootstrap interval over
+5 - 9 seeds, whose coverage falls short; or one over 10 seeds and more. At 95 %, but for the range."""
+RATIOS = (0.5, 0.9)
+"""Success ratios whose first test is looked for."""
+
+
+@dataclass(frozen=True)
+class Estimate:
+    """A number over the seeds, and what `kind` says of its low and high."""
+
+    value: float
+    low: float
+    high: float
+    kind: IntervalKind
+
+
+@dataclass(frozen=True)
+class Improvement:
+    """Probability that a run is better than one of the first contender (ties one half), and its bootstrap interval.
+
+    low and high are None where a side has fewer than 5 seeds; `approximate` where one has fewer than 10.
+    """
+
+    probability: float
+    low: float | None
+    high: float | None
+    approximate: bool
+
+
+@dataclass(frozen=True)
+class Reaching:
+    """When a test first showed a success ratio: medians over the seeds, None where half of them or more never did."""
+
+    ratio: float
+    reached: int
+    """Seeds that got there."""
+    seeds: int
+    steps: float | None
+    seconds: float | None
+
+
+@dataclass(frozen=True)
+class Scores:
+    """One contender's numbers. `iqm`, `reaching`, `improvement` and `density` go by the comparison's success."""
+
+    any: Estimate
+    end: Estimate
+    iqm: Estimate
+    reaching: tuple[Reaching, ...]
+    improvement: Improvement | None
+    """None for the first contender."""
+    density: statistics.Density | None
+    """Over the seeds; None for a single one."""
+    steps: float
+    """Environment steps of a run, mean over seeds; so are the following."""
+    seconds: float
+    updates_per_second: float | None
+
+
+@dataclass(frozen=True)
+class Comparison:
+    """Contenders with their scores in the same order, what differs in their specs, and what to beware of."""
+
+    success: Success
+    contenders: tuple[Contender, ...]
+    scores: tuple[Scores, ...]
+    parameters: Mapping[str, tuple[Any, ...]]
+    """Key path -> the value in each contender's spec, MISSING where it has no such key; only those that differ."""
+    warnings: tuple[str, ...]
+
+    def rows(self) -> list[dict[str, Any]]:
+        """One JSON object per contender."""
+        return [self._row(place) for place in range(len(self.contenders))]
+
+    def _row(self, place: int) -> dict[str, Any]:
+        contender, scores = self.contenders[place], self.scores[place]
+        runs, density = contender.runs, scores.density
+        reached = {
+            f"{unit}_to_{one.ratio * 100:g}": {"median": getattr(one, unit), "reached": one.reached, "of": one.seeds}
+            for one in scores.reaching
+            for unit in ("steps", "seconds")
+        }
+        return {
+            "label": contender.label,
+            "experiment": contender.experiment,
+            "name": runs[0].summary.name,
+            "n": len(runs),
+            "seeds": [run.summary.seed for run in runs],
+            "runs": [run.summary.run for run in runs],
+            "success": self.success,
+            "success_any": asdict(scores.any) | {"seeds": [run.last("any") for run in runs]},
+            "success_end": asdict(scores.end) | {"seeds": [run.last("end") for run in runs]},
+            "iqm": asdict(scores.iqm),
+            "density": density and {key: getattr(density, key) for key in ("modes", "mean", "low", "high")},
+            **reached,
+            "improvement": scores.improvement and asdict(scores.improvement),
+            "steps": scores.steps,
+            "seconds": scores.seconds,
+            "updates_per_second": scores.updates_per_second,
+            "parameters": {
+                path: values[place] for path, values in self.parameters.items() if values[place] is not MISSING
+            },
+            "warnings": list(self.warnings),
+        }
+
+
+def compare(contenders: Sequence[Contender], success: Success = "any") -> Comparison:
+    """The numbers of contenders, the first of which is what the others are measured against."""
+    tree = SeedTree(0).child("compare")
+    scores = tuple(
+        _scores(contender, contenders[0] if place else None, success, tree.child(place))
+        for place, contender in enumerate(contenders)
+    )
+    parameters = differences([without_seeds(contender.spec) for contender in contenders])
+    return Comparison(success, tuple(contenders), scores, parameters, cautions(contenders))
+
+
+def _scores(contender: Contender, first: Contender | None, success: Success, tree: SeedTree) -> Scores:
+    runs = contender.runs
+    values = [run.last(success) for run in runs]
+    rates = [run.updates_per_second for run in runs if run.updates_per_second is not None]
+    return Scores(
+        any=_estimate(runs, "any", aggregates.mean, tree.child("any")),
+        end=_estimate(runs, "end", aggregates.mean, tree.child("end")),
+        iqm=_estimate(runs, success, aggregates.iqm, tree.child("iqm")),
+        reaching=tuple(_reaching(runs, success, ratio) for ratio in RATIOS),
+        improvement=None if first is None else _improvement(runs, first.runs, success, tree.child("improvement")),
+        density=statistics.kde(values) if len(values) > 1 else None,
+        steps=float(np.mean([run.summary.steps for run in runs])),
+        seconds=float(np.mean([run.summary.seconds for run in runs])),
+        updates_per_second=float(np.mean(rates)) if rates else None,
+    )
+
+
+def _estimate(
+    runs: Sequence[ComparedRun], success: Success, statistic: aggregates.Statistic, tree: SeedTree
+) -> Estimate:
+    """A statistic of the last tests with the interval that fits the number of seeds."""
+    values = [run.last(success) for run in runs]
+    middle = float(statistic(np.array(values)))
+    if len(runs) == 1:
+        test = runs[0].tests[-1]
+        return Estimate(middle, *statistics.wilson(getattr(test, success), test.episodes), "wilson")
+    found = aggregates.interval(values, statistic, tree.generator())
+    if found is None:
+        return Estimate(middle, min(values), max(values), "range")
+    usual = aggregates.reliability(len(values)) == "usual"
+    return Estimate(middle, *found, "bootstrap" if usual else "approximate")
+
+
+def _reaching(runs: Sequence[ComparedRun], success: Success, ratio: float) -> Reaching:
+    at = {
+        axis: [aggregates.first_reaching(run.ratios(success), list(places(run, axis)), ratio) for run in runs]
+        for axis in ("steps", "seconds")
+    }
+    return Reaching(
+        ratio=ratio,
+        reached=sum(place is not None for place in at["steps"]),
+        seeds=len(runs),
+        steps=aggregates.median_reaching(at["steps"]),
+        seconds=aggregates.median_reaching(at["seconds"]),
+    )
+
+
+def _improvement(
+    ours: Sequence[ComparedRun], theirs: Sequence[ComparedRun], success: Success, tree: SeedTree
+) -> Improvement:
+    one, other = [run.last(success) for run in ours], [run.last(success) for run in theirs]
+    low, high = aggregates.improvement_interval(one, other, tree.generator()) or (None, None)
+    approximate = low is not None and "approximate" in {aggregates.reliability(len(side)) for side in (one, other)}
+    return Improvement(aggregates.improvement(one, other), low, high, approximate)

@@ -1,0 +1,113 @@
+"""What two runs, or specs as they would run now, were made from, and where that differs."""
+
+from __future__ import annotations
+
+import difflib
+import re
+from collections.abc import Iterator, Mapping
+from dataclasses import dataclass
+from pathlib import Path
+from typing import Any
+
+from .. import provenance
+from ..run_folder import RunFolder
+from ..spec import Spec
+from ..store.rows import without_seeds
+from .differences import MISSING, differences
+
+_FILE = re.compile(r"^diff --git a/.* b/(.*)$", re.MULTILINE)
+
+
+@dataclass(frozen=True)
+class Side:
+    """One of two: its resolved spec, versions by package, seed, git commit, and what was changed since that commit."""
+
+    name: str
+    spec: Mapping[str, Any]
+    versions: Mapping[str, str]
+    seed: int | None
+    commit: str | None
+    patch: str
+
+
+@dataclass(frozen=True)
+class Difference:
+    """One thing that is not the same; MISSING on the side that does not have it.
+
+    Args:
+        part: run, spec, version or code.
+        key: key path of the spec, package, or file.
+    """
+
+    part: str
+    key: str
+    a: Any
+    b: Any
+
+    def row(self) -> dict[str, Any]:
+        """As JSON values: null where a side does not have it, and in `missing` which side that is."""
+        sides = {"a": self.a, "b": self.b}
+        missing = next((side for side, value in sides.items() if value is MISSING), None)
+        values = {side: None if value is MISSING else value for side, value in sides.items()}
+        return {"part": self.part, "key": self.key, **values, "missing": missing}
+
+
+def of_run(folder: RunFolder) -> Side:
+    """What a run was made from, as its folder tells."""
+    about = folder.description()
+    path = folder.path / "code.diff"
+    return Side(
+        name=folder.id,
+        spec=folder.spec(),
+        versions=about.get("versions") or {},
+        seed=about["seed"],
+        commit=(about.get("git") or {}).get("commit"),
+        patch=path.read_text("utf-8", "replace") if path.is_file() else "",
+    )
+
+
+def of_spec(spec: Spec, name: str) -> Side:
+    """What a run of this spec would be made from here and now."""
+    code = provenance.code(Path.cwd())
+    return Side(
+        name, spec.dump(), provenance.versions(), None, code.commit if code else None, code.diff if code else ""
+    )
+
+
+def compare_sides(a: Side, b: Side) -> Iterator[Difference]:
+    """Everything that differs: seed, settings, versions, commit, changed files."""
+    if a.seed is not None and b.seed is not None and a.seed != b.seed:
+        yield Difference("run", "seed", a.seed, b.seed)
+    for key, (one, other) in differences([without_seeds(a.spec), without_seeds(b.spec)]).items():
+        yield Difference("spec", key, one, other)
+    for key, (one, other) in differences([a.versions, b.versions]).items():
+        yield Difference("version", key, one, other)
+    if a.commit != b.commit:
+        yield Difference("code", "commit", a.commit or MISSING, b.commit or MISSING)
+    ours, theirs = _changed(a.patch), _changed(b.patch)
+    for file in sorted({*ours, *theirs}):
+        if ours.get(file) != theirs.get(file):
+            one, other = (_lines(side[file]) if file in side else MISSING for side in (ours, theirs))
+            yield Difference("code", file, one, other)
+
+
+def patch_difference(a: Side, b: Side) -> str:
+    """How what was changed since the commit differs: a unified diff of the two code.diff; empty if not at all."""
+    lines = difflib.unified_diff(
+        a.patch.splitlines(), b.patch.splitlines(), f"{a.name}/code.diff", f"{b.name}/code.diff", lineterm=""
+    )
+    return "\n".join(lines)
+
+
+def _changed(patch: str) -> dict[str, str]:
+    """A patch cut into files: name -> its part."""
+    _, *pieces = _FILE.split(patch)
+    return dict(zip(pieces[::2], pieces[1::2], strict=True))
+
+
+def _lines(patch: str) -> str:
+    """How much a file was changed."""
+    lines = patch.splitlines()
+    added = sum(line.startswith("+") and not line.startswith("+++") for line in lines)
+    removed = sum(line.startswith("-") and not line.startswith("---") for line in lines)
+    return f"changed: +{added} -{removed}"

@@ -1,0 +1,222 @@
+"""A sweep's search space against the plugins' settings, and the spec of one trial.
+
+A range is tried at both ends and a choice at every value: what a setting refuses there is told at the place where the
+number or the choice is written.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Callable, Iterator, Mapping, Set
+from itertools import islice
+from typing import Any
+
+from pydantic import ValidationError
+
+from ..registry import alternatives
+from .checks import environment_problems, pairing_problems
+from .merge import RANDOMIZATION, SWEEP, merged, normalised, segments
+from .model import Spec
+from .nodes import Located, Mark, Node, from_plain
+from .parts import validate_strictly
+from .problems import located_problems
+from .sweep import Parameter, Sweep
+
+SEARCHABLE = ("robot", "task", "environment", "agent", "buffer", RANDOMIZATION, "demonstrations", "training")
+"""Keys of a spec below which settings can be searched."""
+KEPT = {
+    "training.steps": "every trial has the same budget",
+    "training.device": "it does not change what is learned",
+    "training.threads": "it does not change what is learned",
+    "testing": "every trial is tested alike",
+    "orchestrator": "it says how the machine is shared",
+    "seeds": "sweep.seeds says on which seeds",
+    "name": "the sweep names its trials",
+}
+"""What is the same in all trials, and why."""
+MOST_COMBINATIONS = 200
+"""Of choices that a parameter depends on, with which it is tried."""
+
+
+def application_order(keys: Iterator[str] | Mapping[str, Any]) -> list[str]:
+    """Parameters in the order in which they are laid over a spec: what replaces a whole part before what lies in it."""
+    return sorted(keys, key=lambda key: (len(segments(key)), segments(key)[-1] != "name"))
+
+
+def trial_spec(base: Spec, drawn: Mapping[str, Any], name: str, seeds: tuple[int, ...], source: str) -> Node:
+    """The tree of nodes of a trial: the base with what was drawn laid over it.
+
+    Args:
+        base: the spec that has the sweep.
+        drawn: parameter -> number, or label of a choice.
+        name: of the trial's runs.
+        seeds: on which it is run.
+        source: what its settings are marked with, e.g. "trial 7".
+    """
+    assert base.sweep is not None  # only such a spec has trials
+    mark = Mark(source)
+    tree = from_plain({**base.alone().dump(), "name": name, "seeds": list(seeds)}, mark)
+    for key in application_order(drawn):
+        value = from_plain(base.sweep.space[key].value(drawn[key]), mark)
+        tree = merged(tree, _nested(key, value))
+    return tree
+
+
+def space_problems(tree: Node, sweep: Sweep, complete: Callable[[Node], Node]) -> list[Located]:
+    """What is wrong with a sweep's search space.
+
+    Args:
+        tree: the spec, sound but for its sweep.
+        sweep: as it stands in the tree.
+        complete: fills in the parts that a spec may leave out, once names have changed.
+    """
+    space = tree.get(SWEEP, "space")
+    assert space is not None  # the sweep was validated
+    problems = [*_wrong_keys(space), *_wrong_conditions(space, sweep)]
+    if problems:
+        return problems
+    entries = {key: node for key, node in (tree.mapping or {}).items() if key != SWEEP}
+    base = Node(entries, tree.at, tree.key)
+    found: dict[Located, None] = {}
+    refused: set[tuple[str, Any]] = set()
+    for key in sorted(sweep.space, key=lambda one: len(_depends(sweep, one))):
+        node = space.get(key)
+        assert node is not None  # the sweep was made from this tree
+        for value, probe in _probes(base, space, sweep, key, refused):
+            wrong = [probe] if isinstance(probe, Located) else _wrong_values(complete(probe))
+            found.update(dict.fromkeys(_told_at(node, key, problem) for problem in wrong))
+            if wrong:
+                refused.add((key, value))  # and tell no more of what depends on it
+    return list(found)
+
+
+def _told_at(node: Node, key: str, problem: Located) -> Located:
+    """The problem at the parameter that brings it about, when what is told lies elsewhere."""
+    marks = set(_marks(node))
+    if problem.mark in marks:
+        return problem
+    return Located(node.place, f"sweep.space.{key}", f"{problem.path}: {problem.what}", problem.hint)
+
+
+def _marks(node: Node) -> Iterator[Mark]:
+    yield node.at
+    if node.key is not None:
+        yield node.key
+    for below in (node.mapping or {}).values():
+        yield from _marks(below)
+    for below in node.items or []:
+        yield from _marks(below)
+
+
+def _wrong_keys(space: Node) -> Iterator[Located]:
+    for key, node in (space.mapping or {}).items():
+        path = f"sweep.space.{key}"
+        first = key.partition(".")[0]
+        kept = next((why for prefix, why in KEPT.items() if key == prefix or key.startswith(f"{prefix}.")), None)
+        if kept is not None:
+            yield Located(node.place, path, f"cannot be searched: {kept}", "remove it")
+        elif first not in SEARCHABLE:
+            yield Located(node.place, path, "no such setting", alternatives(first, SEARCHABLE))
+        elif not all(segments(key)):
+            yield Located(node.place, path, "is not a path of keys", "write e.g. agent.learning_rate")
+
+
+def _wrong_conditions(space: Node, sweep: Sweep) -> Iterator[Located]:
+    order = sweep.order()
+    for key, parameter in sweep.space.items():
+        for on, condition in parameter.when.items():
+            node = space.get(key, "when", on)
+            assert node is not None  # the sweep was made from this tree
+            path = f"sweep.space.{key}.when.{on}"
+            other = sweep.space.get(on)
+            if other is None or other.choice is None:
+                what = "is not a parameter of this sweep" if other is None else "is a range, not a choice"
+                names = [name for name, one in sweep.space.items() if one.choice is not None and name != key]
+                hint = alternatives(on, names) if names else "name a choice of this sweep"
+                yield Located(node.place, path, what, hint)
+                continue
+            for unknown in sorted(other.accepted(condition).difference(other.labels)):
+                what = f"{on} is never {unknown!r}"
+                yield Located(node.at, path, what, alternatives(unknown, other.labels))
+        if key not in order:
+            place = space.get(key, "when")
+            assert place is not None  # nothing without a condition lies on a circle
+            yield Located(place.place, f"sweep.space.{key}.when", "goes in a circle", "remove one of the conditions")
+
+
+def _probes(
+    base: Node, space: Node, sweep: Sweep, key: str, refused: Set[tuple[str, Any]]
+) -> Iterator[tuple[Any, Node | Located]]:
+    """Each extreme value of a parameter and the spec with it, under every combination of the choices it depends on.
+
+    Choices in `refused` are left out. Where the parameter cannot be laid over the spec, the problem stands instead.
+    """
+    parameter = sweep.space[key]
+    depends = _depends(sweep, key)
+    part = Sweep.model_construct(space={name: sweep.space[name] for name in depends})
+    for drawn in islice(part.combinations(), MOST_COMBINATIONS):
+        if not sweep.is_active(key, drawn) or refused & drawn.items():
+            continue
+        tree = base
+        above = [name for name in application_order(drawn) if name in drawn]
+        for name in above:
+            tree = merged(tree, _nested(name, _written(space, name, sweep.space[name], drawn[name])))
+        home = tree.get(*segments(key)[:-1])
+        if home is not None and home.mapping is None:
+            off = next((name for name in reversed(above) if key.startswith(f"{name}.")), None)
+            if off is not None:
+                node = space.get(key)
+                assert node is not None  # the sweep was made from this tree
+                what = f"{off} holds no such setting where it is {drawn[off]!r}"
+                yield None, Located(node.place, f"sweep.space.{key}", what, f"add when: {{{off}: ...}}")
+                continue
+        values = parameter.labels if parameter.choice is not None else parameter.bounds
+        for value in values:
+            yield value, merged(tree, _nested(key, _written(space, key, parameter, value)))
+
+
+def _depends(sweep: Sweep, key: str) -> list[str]:
+    """The choices that decide whether a parameter is active, or which plugin or mapping it lies in."""
+    found: dict[str, None] = {}
+    waiting = [key]
+    while waiting:
+        one = waiting.pop()
+        around = [
+            name
+            for name, other in sweep.space.items()
+            if other.choice is not None and name != one and one.startswith(f"{name.removesuffix('.name')}.")
+        ]
+        more = [name for name in (*around, *sweep.space[one].when) if name != key and name not in found]
+        found.update(dict.fromkeys(more))
+        waiting.extend(more)
+    return list(found)
+
+
+def _written(space: Node, key: str, parameter: Parameter, value: Any) -> Node:
+    """The node in the spec that holds this value of a parameter, so that it points at where it was written."""
+    node = space.get(key)
+    assert node is not None  # the sweep was made from this tree
+    kind = "choice" if parameter.choice is not None else "float" if parameter.float is not None else "int"
+    if kind == "choice":
+        place: str | int = value if isinstance(parameter.choice, dict) else parameter.labels.index(value)
+    else:
+        place = parameter.bounds.index(value)
+    found = node.get(kind, place)
+    assert found is not None
+    return found.with_key(node.key)
+
+
+def _nested(key: str, value: Node) -> Node:
+    """The value at its path, as a tree to lay over a spec."""
+    tree = value
+    for step in reversed(segments(key)):
+        tree = Node({step: tree}, value.at, value.key)
+    return normalised(tree)
+
+
+def _wrong_values(tree: Node) -> list[Located]:
+    problems = [*environment_problems(tree), *pairing_problems(tree)]
+    try:
+        validate_strictly(Spec, tree.plain())
+    except ValidationError as error:
+        problems.extend(located_problems(error, tree))
+    return problems

@@ -1,0 +1,237 @@
+"""The sampler, the pruner and the journal: the only home of Optuna.
+
+One process asks and tells; the trials' own processes know nothing of the study. What trial k draws depends on the
+sweep's seed, k and the trials before it, so that a sweep with one job at a time draws the same however often it was
+interrupted.
+"""
+
+from __future__ import annotations
+
+import math
+import warnings
+from collections.abc import Iterator, Mapping, Sequence
+from contextlib import contextmanager
+from pathlib import Path
+from typing import Any
+
+import optuna
+from optuna.storages import JournalStorage
+from optuna.storages.journal import JournalFileBackend, JournalFileOpenLock
+from optuna.trial import FrozenTrial, TrialState
+
+from ..files import FileLock
+from ..seeding import SeedTree
+from ..spec import Sweep
+from ..spec.sweep import OBJECTIVES
+from .records import State, Trial
+
+_STATES: dict[TrialState, State] = {
+    TrialState.RUNNING: "running",
+    TrialState.COMPLETE: "complete",
+    TrialState.PRUNED: "pruned",
+    TrialState.FAIL: "failed",
+}
+_LOCK_SECONDS = 60.0
+_RUNS, _ERROR = "runs", "error"
+optuna.logging.set_verbosity(optuna.logging.ERROR)  # the sweep tells its own progress
+FEW_TRIALS = 4
+"""Fewer complete trials say nothing about which parameter matters."""
+
+
+class _JournalLock(JournalFileOpenLock):
+    """The journal's lock; unlike Optuna's own it dies with its process."""
+
+    def __init__(self, journal: Path) -> None:
+        super().__init__(str(journal))
+        self._lock = FileLock(journal.with_suffix(".lock"))
+
+    def acquire(self) -> bool:
+        return self._lock.acquire(_LOCK_SECONDS)
+
+    def release(self) -> None:
+        self._lock.release()
+
+
+class OpenTrial:
+    """A trial that goes on."""
+
+    def __init__(self, trial: optuna.Trial, drawn: Mapping[str, Any]) -> None:
+        self._trial = trial
+        self.number = trial.number
+        self.drawn = drawn
+
+    def is_hopeless(self, value: float, step: int) -> bool:
+        """Report the objective so far; whether the pruner gives the trial up. A step is reported once."""
+        if step not in self._trial.study.get_trials(deepcopy=False)[self.number].intermediate_values:
+            self._trial.report(value, step)
+        return self._trial.should_prune()
+
+    def describe(self, runs: Sequence[str], error: str | None) -> None:
+        """Note the ids of its runs, and why it failed if it did."""
+        self._trial.set_user_attr(_RUNS, list(runs))
+        if error is not None:
+            self._trial.set_user_attr(_ERROR, error)
+
+
+class Study:
+    """The trials of a sweep, in its journal.
+
+    Args:
+        journal: the file; made if it is not there.
+        sweep: the search.
+        name: of the sweep; trials are called `<name>-t000` and so on.
+        steps: of training, in each run.
+    """
+
+    def __init__(self, journal: Path, sweep: Sweep, name: str, steps: int) -> None:
+        self._sweep = sweep
+        self._name = name
+        self._grid = list(sweep.combinations()) if sweep.sampler == "grid" else []
+        storage = JournalStorage(JournalFileBackend(str(journal), lock_obj=_JournalLock(journal)))
+        self._study = optuna.create_study(
+            storage=storage,
+            study_name=name,
+            directions=[OBJECTIVES[objective] for objective in sweep.objectives],
+            pruner=self._pruner(steps),
+            load_if_exists=True,
+        )
+        with _experiments_allowed():  # names for optuna-dashboard
+            self._study.set_metric_names(list(sweep.objectives))
+
+    @staticmethod
+    def draws(sweep: Sweep, count: int) -> list[dict[str, Any]]:
+        """What so many trials might draw, at random."""
+        study = optuna.create_study(sampler=optuna.samplers.RandomSampler(seed=_seed(sweep, 0)))
+        return [dict(_drawn(study.ask(), sweep).drawn) for _ in range(count)]
+
+    def trials(self) -> tuple[Trial, ...]:
+        """All trials begun, by number."""
+        return tuple(self._record(one) for one in self._all() if one.state in _STATES)
+
+    def trial(self, number: int) -> Trial:
+        return self._record(self._all()[number])
+
+    def unfinished(self) -> list[OpenTrial]:
+        """Trials that an interrupted sweep left, to go on with. Nobody else works on them: the sweep's lock is held."""
+        found = []
+        for one in self._all():
+            if one.state == TrialState.RUNNING:
+                self._study.sampler = self._sampler(one.number)
+                found.append(_drawn(optuna.Trial(self._study, one._trial_id), self._sweep))
+        return found
+
+    def ask(self) -> OpenTrial:
+        """Draw one more trial. Of a grid, the next combination that no trial has had."""
+        trials = self._all()
+        waiting = any(one.state == TrialState.WAITING for one in trials)
+        if self._grid and not waiting:
+            place = len(trials)
+            self._study.enqueue_trial(self._grid[place])
+        self._study.sampler = self._sampler(len(trials) - waiting)
+        return _drawn(self._study.ask(), self._sweep)
+
+    def complete(self, trial: OpenTrial, values: Sequence[float]) -> None:
+        self._study.tell(trial.number, list(values))
+
+    def prune(self, trial: OpenTrial) -> None:
+        self._study.tell(trial.number, state=TrialState.PRUNED)
+
+    def fail(self, trial: OpenTrial) -> None:
+        self._study.tell(trial.number, state=TrialState.FAIL)
+
+    def ranked(self) -> list[Trial]:
+        """The complete trials, best first: by the first objective, then the next; of equals the earlier."""
+        return sorted((trial for trial in self.trials() if trial.values is not None), key=self.rank)
+
+    def rank(self, trial: Trial) -> tuple[float, ...]:
+        """Smaller is better."""
+        return (*self.merit(trial.values or ()), trial.number)
+
+    def merit(self, values: Sequence[float]) -> tuple[float, ...]:
+        """Objectives so turned that smaller is better."""
+        signs = [-1 if OBJECTIVES[name] == "maximize" else 1 for name in self._sweep.objectives]
+        return tuple(sign * value for sign, value in zip(signs, values, strict=False))
+
+    def front(self) -> tuple[Trial, ...]:
+        """The trials that no other beats in every objective; with one objective the best."""
+        if len(self._sweep.objectives) == 1:
+            return tuple(self.ranked()[:1])
+        return tuple(self._record(one) for one in self._study.best_trials)
+
+    def importances(self) -> dict[str, float]:
+        """How much each parameter drawn in every trial matters to the first objective; they sum to 1.
+
+        Source: Watanabe et al. 2023, "PED-ANOVA". Empty for fewer than 4 complete trials, or when they do not differ.
+        """
+        complete = [one for one in self._all() if one.state == TrialState.COMPLETE]
+        if len(complete) < FEW_TRIALS or len({one.values[0] for one in complete}) < 2:
+            return {}
+        sign = -1 if OBJECTIVES[self._sweep.objectives[0]] == "maximize" else 1
+        with warnings.catch_warnings():
+            warnings.simplefilter("ignore")  # PED-ANOVA's remark on targets
+            found = optuna.importance.get_param_importances(
+                self._study,
+                evaluator=optuna.importance.PedAnovaImportanceEvaluator(),
+                target=lambda one: sign * one.values[0],  # with a target, smaller is taken to be better
+            )
+        return {key: float(value) for key, value in found.items() if math.isfinite(value)}
+
+    def _all(self) -> list[FrozenTrial]:
+        return self._study.get_trials(deepcopy=False)
+
+    def _record(self, one: FrozenTrial) -> Trial:
+        return Trial(
+            number=one.number,
+            name=f"{self._name}-t{one.number:03}",
+            state=_STATES[one.state],
+            drawn=dict(one.params),
+            values=tuple(one.values) if one.state == TrialState.COMPLETE else None,
+            runs=tuple(one.user_attrs.get(_RUNS, ())),
+            error=one.user_attrs.get(_ERROR),
+        )
+
+    def _sampler(self, number: int) -> optuna.samplers.BaseSampler:
+        seed = _seed(self._sweep, number)
+        if self._sweep.sampler == "gp":
+            return optuna.samplers.GPSampler(seed=seed, warn_independent_sampling=False)
+        if self._sweep.sampler == "tpe":
+            conditional = any(parameter.when for parameter in self._sweep.space.values())
+            with _experiments_allowed():  # `group`, which draws together what is drawn under the same conditions
+                return optuna.samplers.TPESampler(seed=seed, multivariate=True, group=conditional)
+        return optuna.samplers.RandomSampler(seed=seed)
+
+    def _pruner(self, steps: int) -> optuna.pruners.BasePruner:
+        settings = self._sweep.pruner
+        if settings is None:
+            return optuna.pruners.NopPruner()
+        warmup = math.ceil(settings.warmup * steps)
+        return optuna.pruners.MedianPruner(n_startup_trials=settings.startup, n_warmup_steps=warmup)
+
+
+@contextmanager
+def _experiments_allowed() -> Iterator[None]:
+    """No warning of what Optuna calls experimental; its version is pinned by the project's constraints."""
+    with warnings.catch_warnings():
+        warnings.simplefilter("ignore", optuna.exceptions.ExperimentalWarning)
+        yield
+
+
+def _seed(sweep: Sweep, number: int) -> int:
+    """Of the sampler that draws this trial: 32 bits."""
+    return SeedTree(sweep.seed).child("sampler", number).integer() % 2**32
+
+
+def _drawn(trial: optuna.Trial, sweep: Sweep) -> OpenTrial:
+    """Draw every parameter whose conditions hold. What a trial has drawn already it draws again."""
+    drawn: dict[str, Any] = {}
+    for key in sweep.order():
+        parameter = sweep.space[key]
+        if not sweep.is_active(key, drawn):
+            continue
+        if parameter.choice is not None:
+            drawn[key] = trial.suggest_categorical(key, parameter.labels)
+        elif parameter.int is not None:
+            drawn[key] = trial.suggest_int(key, *parameter.int, log=parameter.log)
+        else:
+            drawn[key] = trial.suggest_float(key, *parameter.bounds, log=parameter.log)
+    return OpenTrial(trial, drawn)

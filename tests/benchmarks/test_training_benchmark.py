@@ -1,0 +1,94 @@
+import json
+from pathlib import Path
+
+import numpy as np
+import pytest
+from karolos_cli.bench import app
+from karolos_cli.bench.output import COLUMNS
+from typer.testing import CliRunner
+
+from karolos.assembly import make_agent, make_buffer, make_orchestrator
+from karolos.benchmarks import end_to_end
+from karolos.benchmarks.training import WithoutOverlap
+from karolos.errors import MachineError
+from karolos.seeding import SeedTree
+from karolos.spec import Spec, load_spec
+from karolos.training import Training
+
+SPECS = Path(__file__).parents[2] / "specs"
+
+
+def test_a_quick_run_prints_overlap_and_async_beside_training_without_overlap():
+    result = CliRunner().invoke(app, ["training", "--quick", "--json"])
+    assert result.exit_code == 0, result.output
+    rows = [json.loads(line) for line in result.stdout.splitlines()]
+    assert all(tuple(row) == COLUMNS for row in rows)
+    assert [row["case"].rsplit(", ", 1)[1] for row in rows] == ["lockstep", "async"]
+    assert all(row["value"] > 0 and row["peer"] == "lockstep without overlap" for row in rows)
+    assert "an update" in result.stderr
+
+
+def test_what_is_run_to_success_is_the_shipped_spec():
+    assert end_to_end.reach().hash() == load_spec(SPECS / "panda_reach.yaml").hash()
+
+
+def test_a_missing_peer_is_told_before_anything_is_measured(monkeypatch):
+    monkeypatch.setattr(end_to_end, "find_spec", lambda _: None)
+    result = CliRunner().invoke(app, ["training", "--peers"])
+    assert isinstance(result.exception, MachineError)
+    assert "stable_baselines3, panda_gym not installed" in str(result.exception)
+    assert not result.stdout
+
+
+def learned(*, overlap: bool) -> dict[str, dict]:
+    spec = Spec.from_dict(
+        {
+            "environment": "toy",
+            "agent": {"name": "sac", "hidden": [16], "precision": "float32"},
+            "buffer": {"capacity": 1000, "hindsight": {"strategy": "future"}},
+            "orchestrator": {"processes": 1, "environments": 4},
+            "training": {"steps": 240, "batch_size": 16, "replay_ratio": 8, "warmup_episodes": 4},
+        }
+    )
+    seeds = SeedTree(0)
+    with make_orchestrator(spec, randomize=True) as made:
+        environments = made if overlap else WithoutOverlap(made)
+        agent = make_agent(spec, environments.signature, seeds)
+        buffer = make_buffer(spec, environments.signature, seeds, environments=4, discount=agent.discount)
+        training = Training(environments, agent, buffer, spec.training, seeds)
+        assert list(training.rounds())[-1].updates > 40
+        return {"agent": agent.state(), "buffer": buffer.state(), "training": training.state()}
+
+
+def same(one, other):
+    if isinstance(one, dict):
+        assert one.keys() == other.keys()
+        for key in one.keys() - {"seconds"}:
+            same(one[key], other[key])
+    else:
+        np.testing.assert_array_equal(np.asarray(one), np.asarray(other))
+
+
+def test_overlap_changes_nothing_that_is_learned():
+    same(learned(overlap=True), learned(overlap=False))
+
+
+@pytest.mark.parametrize("answers", [None, 1])
+def test_without_overlap_a_command_has_been_carried_out_when_it_returns(answers):
+    calls = []
+
+    class Told:
+        signature, size = None, 2
+
+        def step(self, environments, actions, *, updates):
+            calls.append(("step", updates))
+
+        def receive(self, at_least=None):
+            calls.append(("receive", at_least))
+            return "received"
+
+    environments = WithoutOverlap(Told())
+    environments.step([0], np.zeros((1, 1)), updates=3)
+    assert calls == [("step", 3), ("receive", None)]
+    assert environments.receive(answers) == "received"
+    assert len(calls) == 2

@@ -1,0 +1,240 @@
+"""`karolos compare` and `karolos diff` over run folders and their index."""
+
+from __future__ import annotations
+
+import json
+import shutil
+import subprocess
+import sys
+from pathlib import Path
+from typing import Any
+
+import pytest
+import typer
+from commands import call
+from karolos_cli.compare import compare
+from karolos_cli.diff import diff
+
+from karolos import labels
+from karolos.run_folder import RunFolder
+from karolos.spec import load_spec
+from karolos.store import Store, reindex
+from karolos.testing import TestResult
+
+A, B = "a1" * 32, "b2" * 32
+SPEC = {"name": "reach", "seeds": [0], "environment": {"name": "toy"}, "agent": {"name": "sac", "learning_rate": 1e-3}}
+
+app = typer.Typer()
+app.command()(compare)
+app.command()(diff)
+
+
+def add_run(
+    runs: Path,
+    seed: int,
+    successes: tuple[int, ...] = (5, 15),
+    *,
+    name: str = "reach",
+    experiment: str = A,
+    spec: dict[str, Any] | None = None,
+    state: str = "finished",
+) -> str:
+    with RunFolder.create(runs, name, seed) as run:
+        run.describe(spec or SPEC | {"name": name}, experiment=experiment)
+        for place, k in enumerate(successes, 1):
+            flags = tuple(index < k for index in range(20))
+            run.add_test(TestResult(place * 1000, place * 10.0, flags, flags, (False,) * 20, (0.0,) * 20, (9,) * 20))
+        run.set_state(state, steps=1000 * len(successes), seconds=10.0 * len(successes))
+        return run.id
+
+
+@pytest.fixture
+def runs(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> Path:
+    monkeypatch.delenv("KAROLOS_RUNS", raising=False)
+    monkeypatch.delenv("KAROLOS_DATABASE", raising=False)
+    return tmp_path / "runs"
+
+
+def index(runs: Path) -> None:
+    with Store(Store.default_url(runs)) as store:
+        reindex(store, runs)
+
+
+def rows(*arguments: object) -> list[dict[str, Any]]:
+    code, out, err = call(app, *map(str, arguments), "--json")
+    assert code == 0, err
+    return [json.loads(line) for line in out.splitlines()]
+
+
+def refused(*arguments: object) -> str:
+    code, out, err = call(app, *map(str, arguments))
+    assert (code, out) == (2, "")
+    return err
+
+
+def test_experiments_are_compared_seed_by_seed(runs: Path) -> None:
+    for seed, k in enumerate((12, 16)):
+        add_run(runs, seed, (4, k))
+        add_run(runs, seed, (4, k + 4), name="better", experiment=B)
+    index(runs)
+    first, second = rows("compare", "reach", "better", "--runs", runs)
+    assert (first["label"], first["n"], first["seeds"]) == ("reach", 2, [0, 1])
+    assert first["success_any"] == {"value": 0.7, "low": 0.6, "high": 0.8, "kind": "range", "seeds": [0.6, 0.8]}
+    assert second["improvement"] == {
+        "probability": (1 + 0.5 + 1 + 1) / 4,
+        "low": None,
+        "high": None,
+        "approximate": False,
+    }
+    assert first["steps_to_90"] == {"median": None, "reached": 0, "of": 2}
+    assert second["seconds_to_50"] == {"median": 20.0, "reached": 2, "of": 2}
+    assert [row["parameters"] for row in (first, second)] == [{"name": "reach"}, {"name": "better"}]
+
+
+def test_experiment_is_named_by_name_hash_spec_file_or_run(runs: Path, tmp_path: Path) -> None:
+    file = tmp_path / "toy.yaml"
+    file.write_text("environment: toy\nagent: sac\n")
+    run = add_run(runs, 0, experiment=load_spec(file).hash())
+    add_run(runs, 0, name="other", experiment=B)
+    newest = add_run(runs, 1, name="other", experiment=B)
+    index(runs)
+    for selector, n in ((file, 1), ("reach", 1), (run, 1), (B[:8], 2), ("other", 2), (newest, 1), ("@last", 1)):
+        [row] = rows("compare", selector, "--runs", runs)
+        assert (row["n"], row["experiment"] == B) == (n, selector not in {file, "reach", run})
+
+
+def test_of_several_runs_with_one_seed_the_newest_finished_counts(runs: Path) -> None:
+    add_run(runs, 0, (1, 2))
+    chosen = add_run(runs, 0, (1, 3))
+    add_run(runs, 0, (1, 4), state="failed")
+    index(runs)
+    [row] = rows("compare", "reach", "--runs", runs)
+    assert row["runs"] == [chosen]
+    assert "2 of 3 runs repeat a seed" in row["warnings"][0]
+
+
+def test_run_without_a_test_is_left_out_and_named(runs: Path) -> None:
+    add_run(runs, 0)
+    untested = add_run(runs, 1, (), state="failed")
+    index(runs)
+    [row] = rows("compare", "reach", "--runs", runs)
+    assert row["n"] == 1
+    assert row["warnings"] == [f"reach: left out for want of a test: {untested}"]
+
+
+def test_experiment_whose_folders_are_gone_is_compared_from_the_index(runs: Path) -> None:
+    run = add_run(runs, 0)
+    index(runs)
+    shutil.rmtree(runs / run)
+    [row] = rows("compare", "reach", "--runs", runs)
+    assert row["success_any"]["value"] == 0.75
+
+
+def test_warnings_go_to_stderr_and_numbers_to_stdout(runs: Path) -> None:
+    add_run(runs, 0)
+    add_run(runs, 0, name="better", experiment=B)
+    add_run(runs, 1, name="better", experiment=B, state="stopped")
+    index(runs)
+    code, out, err = call(app, "compare", "reach", "better", "--runs", str(runs))
+    assert code == 0
+    assert "0.750 [0.531, 0.888]" in out
+    assert "settings that differ" in out
+    assert "warning: unequal numbers of seeds: reach 1; better 2" in err
+    assert "stopped at 2,000 steps" in err
+
+
+def test_page_and_figures_are_written(runs: Path, tmp_path: Path) -> None:
+    run = add_run(runs, 0)
+    labels.add_tags(runs / run, ["<script>alert(1)</script>"])
+    labels.set_note(runs / run, "<img src=x>")
+    add_run(runs, 1)
+    index(runs)
+    page, figures = tmp_path / "page.html", tmp_path / "figures"
+    code, _, err = call(app, "compare", "reach", "--runs", str(runs), "--html", str(page), "--figures", str(figures))
+    assert (code, err) == (0, f"wrote {page}\nwrote 10 figures into {figures}\n")
+    text = page.read_text()
+    assert "&lt;script&gt;alert(1)&lt;/script&gt;" in text
+    assert "&lt;img src=x&gt;" in text
+    assert "<script" not in text
+    assert len(list(figures.iterdir())) == 10
+
+
+def test_arguments_that_cannot_be_meant_are_refused(runs: Path, tmp_path: Path) -> None:
+    there = ("--runs", runs)
+    runs.mkdir()
+    assert "there are no runs" in refused("compare", "reach", *there)
+    add_run(runs, 0)
+    add_run(runs, 1, experiment=B)
+    add_run(runs, 0, (), name="new", experiment="c3" * 32, state="created")
+    index(runs)
+    err = refused("compare", "reach", *there)
+    assert f"reach means 2 experiments, whose specs differ; name one by its hash: {A[:12]}, {B[:12]}" in err
+    assert "means no run" in refused("compare", "nothing", *there)
+    assert "'a1a1a1' and 'a1a1a1a1' mean the same runs" in refused("compare", "a1a1a1", "a1a1a1a1", *there)
+    assert "new has no test yet" in refused("compare", "new", *there)
+    assert "there is no folder" in refused("compare", "a1a1a1", *there, "--html", tmp_path / "no" / "page.html")
+    assert "is a folder" in refused("compare", "a1a1a1", *there, "--html", tmp_path)
+    file = tmp_path / "toy.yaml"
+    file.write_text("environment: toy\nagent: sac\n")
+    assert "is a file" in refused("compare", "a1a1a1", *there, "--figures", file)
+    assert "there are no runs of" in refused("compare", file, *there)
+
+
+def test_experiments_of_the_same_name_are_told_apart(runs: Path) -> None:
+    add_run(runs, 0)
+    add_run(runs, 1)
+    run = add_run(runs, 0, experiment=B)
+    index(runs)
+    assert [row["label"] for row in rows("compare", A[:8], B[:8], "--runs", runs)] == [f"reach {A[:8]}", run]
+
+
+def test_diff_shows_what_two_runs_were_made_from(runs: Path) -> None:
+    one = add_run(runs, 0)
+    other = add_run(runs, 1, spec=SPEC | {"agent": {"name": "sac", "learning_rate": 1e-4}}, experiment=B)
+    index(runs)
+    assert rows("diff", one, other, "--runs", runs) == [
+        {"part": "run", "key": "seed", "a": 0, "b": 1, "missing": None},
+        {"part": "spec", "key": "agent.learning_rate", "a": 1e-3, "b": 1e-4, "missing": None},
+    ]
+    code, out, _ = call(app, "diff", one, other, "--runs", str(runs))
+    assert code == 0
+    assert "spec: agent.learning_rate" in out
+    assert call(app, "diff", one, one, "--runs", str(runs)) == (0, "", "no difference in settings, versions and code\n")
+
+
+def test_diff_shows_versions_commit_and_changed_files(runs: Path) -> None:
+    one, other = add_run(runs, 0), add_run(runs, 0)
+    path = runs / other / "run.json"
+    about = json.loads(path.read_text())
+    about["versions"]["torch"] = "1.0"
+    path.write_text(json.dumps(about | {"git": {"commit": "abc", "dirty": True}}))
+    (runs / one / "code.diff").unlink(missing_ok=True)
+    (runs / other / "code.diff").write_text(
+        "diff --git a/x.py b/x.py\n--- a/x.py\n+++ b/x.py\n@@ -1 +1 @@\n-a\n+\x1b[2Jb\n"
+    )
+    index(runs)
+    found = {(row["part"], row["key"]): row["b"] for row in rows("diff", one, other, "--runs", runs)}
+    assert found == {("version", "torch"): "1.0", ("code", "commit"): "abc", ("code", "x.py"): "changed: +1 -1"}
+    code, out, _ = call(app, "diff", one, other, "--patch", "--runs", str(runs))
+    assert code == 0
+    assert "++\ufffd[2Jb" in out
+
+
+def test_diff_of_spec_files(runs: Path, tmp_path: Path) -> None:
+    for name, steps in (("a", 100), ("b", 200)):
+        (tmp_path / f"{name}.yaml").write_text(f"environment: toy\nagent: sac\ntraining: {{steps: {steps}}}\n")
+    found = rows("diff", tmp_path / "a.yaml", tmp_path / "b.yaml", "--runs", runs)
+    assert [(row["key"], row["a"], row["b"]) for row in found] == [("name", "a", "b"), ("training.steps", 100, 200)]
+
+
+def test_comparing_imports_nothing_that_trains_and_draws_pages_without_matplotlib(runs: Path) -> None:
+    add_run(runs, 0)
+    index(runs)
+    script = (
+        "import sys, typer; from karolos_cli.compare import compare\n"
+        "app = typer.Typer(); app.command()(compare)\n"
+        "app(['reach', '--runs', sys.argv[1], '--html', sys.argv[1] + '/page.html'], standalone_mode=False)\n"
+        "heavy = {'torch', 'pybullet', 'optuna', 'scipy', 'gymnasium', 'matplotlib'} & set(sys.modules)\n"
+        "assert not heavy, heavy\n"
+    )
+    subprocess.run([sys.executable, "-c", script, str(runs)], check=True, capture_output=True)

@@ -1,0 +1,79 @@
+from __future__ import annotations
+
+import shutil
+import sqlite3
+from pathlib import Path
+
+import pytest
+from karolos_cli.db import app
+from karolos_cli.runs import app as runs_app
+from run_commands import add_run, call, rows
+
+from karolos.errors import StoreError
+from karolos.store import Store
+
+ASSETS = Path(__file__).parents[1] / "store" / "assets"
+
+
+@pytest.fixture
+def runs(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> Path:
+    monkeypatch.delenv("KAROLOS_DATABASE", raising=False)
+    monkeypatch.setenv("KAROLOS_RUNS", str(tmp_path / "runs"))
+    (tmp_path / "runs").mkdir()
+    return tmp_path / "runs"
+
+
+def test_reindex_rebuilds_what_was_removed_and_names_what_is_damaged(runs: Path) -> None:
+    first, second = add_run(runs, 0), add_run(runs, 1)
+    before = rows(runs_app, "list")
+    (runs / "karolos.sqlite").unlink()
+    assert "2 runs entered, 0 forgotten" in call(app, "reindex", "--jobs", 1).stderr
+    assert rows(runs_app, "list") == before
+    with (runs / first / "tests.jsonl").open("a") as file:
+        file.write('{"steps":')
+    (runs / second / "run.json").write_text("{")
+    told = call(app, "reindex", "--jobs", 1).stderr
+    assert f"warning: {first}: tests.jsonl:2: the last line is torn; left out" in told
+    assert "run.json is damaged" in told
+    assert "1 runs entered, 0 forgotten" in told
+    assert len(rows(runs_app, "list")) == 2  # damaged is not gone
+
+
+def test_check_is_silent_or_lists_differences_and_ends_with_4(runs: Path) -> None:
+    first, second = add_run(runs, 0), add_run(runs, 1)
+    fine = call(app, "check", "--json")
+    assert (fine.stdout, fine.stderr) == ("", "the database agrees with the run folders\n")
+    with Store(Store.default_url(runs)) as store:
+        store.remove_runs([first])
+    shutil.rmtree(runs / second)
+    told = call(app, "check", exit_code=4)
+    assert f"{first}" in told.stdout
+    assert "it has a folder, and is not in the database" in told.stdout
+    assert "it is in the database, and its folder is gone" in told.stdout
+    assert "2 differences; `karolos db reindex`" in told.stderr
+    call(app, "reindex", "--jobs", 1)
+    assert call(app, "check").stdout == ""
+
+
+def test_check_of_nothing_is_told_and_makes_nothing(runs: Path) -> None:
+    with pytest.raises(StoreError, match="there is no database; `karolos db reindex` makes one"):
+        call(app, "check")
+    assert list(runs.iterdir()) == []
+
+
+def test_upgrade_brings_an_old_database_up_to_date_and_fills_it(runs: Path) -> None:
+    run = add_run(runs, 0)
+    (runs / "karolos.sqlite").unlink()
+    with sqlite3.connect(runs / "karolos.sqlite") as old:
+        old.executescript((ASSETS / "schema1.sql").read_text())
+    old.close()
+    with pytest.raises(StoreError, match="`karolos db upgrade` brings it up to date and keeps a copy"):
+        call(runs_app, "list")
+    told = call(app, "upgrade", "--jobs", 1).stderr
+    assert "from schema 1 to 2" in told
+    assert str(runs / "karolos.sqlite.schema1") in told
+    assert "1 runs entered" in told
+    found = rows(runs_app, "list")
+    assert len(found) == 4
+    assert found[0]["run"] == run
+    assert "nothing to do" in call(app, "upgrade").stderr

@@ -1,0 +1,171 @@
+"""`karolos runs`: filters, CSV, labels, trash, archives."""
+
+from __future__ import annotations
+
+import csv
+import io
+from pathlib import Path
+from typing import Any
+
+import pytest
+import run_commands
+from karolos_cli.runs import app
+from run_commands import add_run
+from typer.testing import Result
+
+from karolos.errors import RunError, UsageError
+from karolos.run_folder import RunFolder
+from karolos.store import Store
+
+
+@pytest.fixture
+def runs(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> Path:
+    monkeypatch.delenv("KAROLOS_DATABASE", raising=False)
+    monkeypatch.setenv("KAROLOS_RUNS", str(tmp_path / "runs"))
+    (tmp_path / "runs").mkdir()
+    return tmp_path / "runs"
+
+
+def call(*arguments: object) -> Result:
+    return run_commands.call(app, *arguments)
+
+
+def rows(*arguments: object) -> list[dict[str, Any]]:
+    return run_commands.rows(app, *arguments)
+
+
+def ids(*arguments: object) -> list[str]:
+    return [row["run"] for row in rows("list", *arguments)]
+
+
+def test_list_takes_a_filter(runs: Path) -> None:
+    first, second = add_run(runs, 0), add_run(runs, 1, rate=1e-4)
+    assert ids("task=reach and agent.learning_rate<1e-3 and state=finished") == [second]
+    assert ids("task=reach", "--limit", 1) == [second]
+    assert ids("seed in (0, 5)") == [first]
+    nothing = call("list", "task=push")
+    assert (nothing.stdout, nothing.stderr) == ("", "no runs fit the filter\n")
+    with pytest.raises(UsageError, match=r"filter, column 1: no run has 'agent\.learning_rat'; did you mean"):
+        call("list", "agent.learning_rat=1")
+    with pytest.raises(UsageError, match=r"filter, column 6: .* is no value"):
+        call("list", "task=")
+
+
+def test_csv_has_all_columns_and_no_formulas(runs: Path) -> None:
+    first = add_run(runs, 0)
+    call("tag", "--", first, "=1+1", "-x")
+    call("note", first, '=HYPERLINK("http://x"), "quoted"\nsecond line \x1b[2J')
+    (row,) = csv.DictReader(io.StringIO(call("list", "--csv").stdout))
+    assert list(row)[:4] == ["run", "experiment", "seed", "state"]
+    assert row["run"] == first
+    assert row["tags"] == "'-x; =1+1"
+    assert row["note"] == '\'=HYPERLINK("http://x"), "quoted"\nsecond line \N{REPLACEMENT CHARACTER}[2J'
+    assert row["success_any"] == "0.95"
+
+
+def test_tags_and_notes_are_found_shown_and_taken_away(runs: Path) -> None:
+    first, second = add_run(runs, 0), add_run(runs, 1)
+    call("tag", first, "good", "<script>alert(1)</script>")
+    call("note", first, "fell \x1b[2Jover")
+    assert ids("tags=good") == ids("note~over") == [first]
+    assert "<script>alert(1)</script>, good" in call("list").stdout
+    shown = call("show", first).stdout
+    assert "good" in shown
+    assert "<script>alert(1)</script>" in shown
+    assert "\x1b[2J" not in shown
+    assert rows("tag", "reach", "all")[0]["tags"] == ["all"]  # the experiment's name: both runs
+    assert sorted(ids("tags=all")) == sorted([first, second])
+    call("tag", first, "good", "--remove")
+    call("note", first, "--remove")
+    assert ids("tags=good") == ids("note!=null") == []
+    assert RunFolder.open(runs / first).labels().tags == ("<script>alert(1)</script>", "all")
+    for wrong in (["note", first], ["note", first, "text", "--remove"], ["note", first, ""]):
+        with pytest.raises(UsageError, match="a note needs a text"):
+            call(*wrong)
+    with pytest.raises(UsageError, match="is no tag"):
+        call("tag", first, "two\nlines")
+
+
+def test_removed_runs_come_back_with_all_they_had(runs: Path) -> None:
+    first, second = add_run(runs, 0), add_run(runs, 1)
+    call("tag", first, "good")
+    before = rows("list")
+    assert first in call("rm", first).stdout
+    assert ids() == [second]
+    assert [row["run"] for row in rows("list", "--trash")] == [first]
+    assert call("list", "--trash").stdout == f"{first}\n"
+    call("restore", first[:8])
+    assert rows("list") == before
+    assert call("list", "--trash").stdout == ""
+
+
+def test_filter_chooses_what_is_removed(runs: Path) -> None:
+    first, second = add_run(runs, 0), add_run(runs, 1, rate=1e-4)
+    with pytest.raises(UsageError, match="which runs"):
+        call("rm")
+    with pytest.raises(UsageError, match="no runs fit the filter"):
+        call("rm", first, "--where", "seed=1")
+    with pytest.raises(UsageError, match="'reach-' means several runs"):
+        call("rm", "reach-")
+    call("rm", "--where", "agent.learning_rate<1e-3")
+    assert ids() == [first]
+    call("rm", "reach")
+    assert ids() == []
+    assert len(rows("list", "--trash")) == 2
+    with pytest.raises(UsageError, match="--purge empties the trash and takes no RUN"):
+        call("rm", second, "--purge")
+    assert "2 runs removed for good" in call("rm", "--purge").stderr
+    assert rows("list", "--trash") == []
+
+
+def test_run_that_goes_on_is_not_removed(runs: Path) -> None:
+    first = add_run(runs, 0)
+    with RunFolder.open(runs / first) as folder:
+        folder.lock()
+        with pytest.raises(RunError, match="another process is running it"):
+            call("rm", first)
+    assert ids() == [first]
+
+
+@pytest.mark.parametrize("name", ["x.tar.gz", "x.zip"])
+def test_exported_runs_come_in_elsewhere(runs: Path, tmp_path: Path, name: str) -> None:
+    first, second = add_run(runs, 0), add_run(runs, 1)
+    call("tag", first, "good")
+    call("export", tmp_path / name, "reach")
+    other = tmp_path / "other"
+    assert set(call("import", tmp_path / name, "--runs", other).stdout.split()) == {first, second}
+    came = rows("list", "--runs", other)
+    assert [{**row, "folder": ""} for row in came] == [{**row, "folder": ""} for row in rows("list")]
+    with Store(Store.default_url(other)) as store:
+        assert len(store.tests(first)) == 1
+    with pytest.raises(UsageError, match=r"is here already; `karolos runs rm`"):
+        call("import", tmp_path / name, "--runs", other)
+    assert rows("list", "--runs", other) == came
+
+
+def test_selectors_mean_one_run_or_say_which(runs: Path, tmp_path: Path) -> None:
+    first, second = add_run(runs, 0), add_run(runs, 1)
+    assert rows("show", "@last")[0]["run"] == second
+    assert rows("show", "@last-1")[0]["run"] == first
+    assert rows("show", runs / first)[0]["run"] == first
+    with pytest.raises(UsageError, match=r"'@last-2' means no run; there are 2"):
+        call("show", "@last-2")
+    with pytest.raises(UsageError, match="'reach' means several runs"):
+        call("show", "reach")
+    (tmp_path / "toy.yaml").write_text("environment: toy\nagent: sac\n")
+    with pytest.raises(UsageError, match=r"there are no runs of .*toy\.yaml; `karolos run"):
+        call("show", tmp_path / "toy.yaml")
+
+
+def test_spec_file_means_the_runs_of_its_experiment(runs: Path, tmp_path: Path) -> None:
+    from karolos.spec import load_spec
+
+    path = tmp_path / "toy.yaml"
+    path.write_text("environment: toy\nagent: sac\n")
+    add_run(runs, 0)
+    spec = load_spec(path)
+    with RunFolder.create(runs, "toy", 0) as run, Store(Store.default_url(runs)) as store:
+        run.describe(spec.dump(), experiment=spec.hash(), source=runs)
+        store.add_run(run.summary(), spec.dump(), run.versions())
+    assert rows("show", path)[0]["run"] == run.id
+    assert [row["run"] for row in rows("tag", path, "mine")] == [run.id]

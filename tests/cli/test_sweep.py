@@ -1,0 +1,87 @@
+"""`karolos sweep`: what it says before and after the trials, which tests/test_sweep.py runs."""
+
+from __future__ import annotations
+
+import json
+import shutil
+
+import pytest
+import typer
+import yaml
+from commands import call
+from sweep_samples import LEARNING_RATE, sweep_spec
+
+from karolos.spec import Spec
+from karolos.sweep.records import Final, Outcome, Trial, TrialBegan, TrialEnded
+from karolos_cli.sweep import _report, _Teller, sweep
+
+app = typer.Typer()
+app.command()(sweep)
+
+
+@pytest.fixture
+def home(tmp_path, monkeypatch):
+    monkeypatch.chdir(tmp_path)
+    monkeypatch.setenv("COLUMNS", "200")
+    (tmp_path / "line.yaml").write_text(yaml.safe_dump(sweep_spec(LEARNING_RATE)))
+    return tmp_path
+
+
+def test_a_dry_run_prints_specs_and_runs_nothing(home):
+    code, out, err = call(app, "line.yaml", "--dry-run", "--trials", "3", "--json")
+    found = [json.loads(line) for line in out.splitlines()]
+    assert (code, len(found)) == (0, 3)
+    for row in found:
+        assert Spec.from_dict(row["spec"]).agent.settings.learning_rate == row["agent.learning_rate"]
+    assert "3 trials, 1 seeds of 200 steps each" in err
+    assert not (home / "runs").exists()
+
+
+@pytest.mark.parametrize(
+    ("arguments", "code", "words"),
+    [
+        (["sweep.space.agent.learning_rate={float: [0, 1]}"], 2, ["agent.learning_rate", "greater than 0"]),
+        (["sweep.space.agent.learning_rat={float: [1, 2]}"], 2, ["'learning_rate'"]),
+        (["sweep.objective=sucess_end"], 2, ["'sucess_end'", "success_end"]),
+        (["sweep.space={}", "sweep.space.agent.learning_rate=null"], 2, ["sweep.space"]),
+        (["sweep=null"], 2, ["no sweep"]),
+        (["--time-limit", "soon"], 2, ["no duration"]),
+        (["training.batch_size=4000"], 2, ["buffer"]),
+    ],
+)
+def test_bad_input_is_told_before_the_first_trial(home, arguments, code, words):
+    found, out, err = call(app, "line.yaml", *arguments)
+    assert (found, out) == (code, "")
+    assert all(word in err for word in words), err
+    assert not (home / "runs" / "sweeps").exists()
+
+
+def test_without_the_dashboard_it_says_what_to_install(home, monkeypatch):
+    monkeypatch.setattr(shutil, "which", lambda *_, **__: None)
+    code, _, err = call(app, "line.yaml", "--dashboard")
+    assert code == 3
+    assert "pip install optuna-dashboard" in err
+
+
+def test_rows_and_words_tell_what_was_chosen_and_how_far_to_trust_it(home, capsys):
+    search = Spec.from_dict(sweep_spec(LEARNING_RATE)).sweep
+    trials = (
+        Trial(0, "line-t000", "complete", {"agent.learning_rate": 1e-3}, (0.9,), ("a",), None),
+        Trial(1, "line-t001", "failed", {"agent.learning_rate": 1e-1}, None, (), "a loss that is nan\x1b[2J"),
+    )
+    final = Final(0, (2,), (3, 4), (0.9,), {0: (0.8,)}, (0.75,))
+    outcome = Outcome(search, trials, 2, trials[0], trials[:1], final, home)
+    teller = _Teller(outcome.objectives, quiet=False)
+    for place, trial in enumerate(trials):
+        teller(TrialBegan(trial))
+        teller(TrialEnded(trial, place + 1, 2))
+    _report(outcome, quiet=False, json=True)
+    out, err = capsys.readouterr()
+    rows = [json.loads(line) for line in out.splitlines()]
+    assert [row["success_end"] for row in rows] == [0.9, None]
+    assert (rows[0]["success_end_fresh"], rows[0]["success_end_unused"]) == (0.8, 0.75)
+    assert rows[0]["agent.learning_rate"] == 1e-3
+    assert "trial 1 failed: a loss that is nan" in err
+    assert "\x1b" not in err
+    assert "gap +0.15" in err
+    assert outcome.exit_code == 0

@@ -1,0 +1,55 @@
+from __future__ import annotations
+
+from typing import Any
+
+import pytest
+from compared_runs import SPEC, contender, run
+
+from karolos.comparison import Contender, compare
+from karolos.comparison.cautions import cautions
+
+A = contender("a", [[50], [60]])
+
+
+def test_experiments_that_differ_in_nothing_else_need_no_warning() -> None:
+    other = SPEC | {"agent": {"name": "ppo"}}
+    assert cautions([A, contender("b", [[50], [60]], spec=other)]) == ()
+
+
+@pytest.mark.parametrize(
+    ("other", "warning"),
+    [
+        ({"versions": {"karolos": "2"}}, "different versions of karolos: a 1; b 2"),
+        ({"commit": "def+"}, "made from different code (git commit, + with changes): a abc; b def+"),
+        ({"task": "push"}, "they do different tasks: a reach; b push"),
+        ({"episodes": 50}, "tests of different numbers of episodes: a 100; b 50"),
+        (
+            {"spec": SPEC | {"testing": {"interval": 1000, "seed": 7}}},
+            "tests on different episodes (testing.seed): a 0; b 7",
+        ),
+        ({"interval": 500}, "they ended at different steps: a 1,000; b 500"),
+    ],
+)
+def test_what_differs_besides_the_spec_is_told(other: dict[str, Any], warning: str) -> None:
+    usual = {"versions": {"karolos": "1"}, "commit": "abc"}
+    one, two = contender("a", [[50], [60]], **usual), contender("b", [[50], [60]], **usual | other)
+    assert cautions([one, two]) == (warning,)
+
+
+def test_unequal_numbers_of_seeds_are_told() -> None:
+    assert cautions([A, contender("b", [[50]])]) == ("unequal numbers of seeds: a 2; b 1",)
+
+
+@pytest.mark.parametrize("state", ["running", "stopped", "failed", "lost"])
+def test_runs_that_are_not_finished_are_named(state: str) -> None:
+    runs = (run(0, [50, 60]), run(1, [50, 60], state=state, steps=2500))
+    assert cautions([Contender("a", runs)]) == (f"a: 1 of 2 runs are not finished: reach-s1 {state} at 2,500 steps",)
+
+
+def test_versions_that_are_not_known_are_no_difference() -> None:
+    assert cautions([contender("a", [[5]], versions={"karolos": "1"}), contender("b", [[5]])]) == ()
+
+
+def test_warnings_stand_in_every_row() -> None:
+    rows = compare([A, contender("b", [[50]])]).rows()
+    assert [row["warnings"] for row in rows] == [["unequal numbers of seeds: a 2; b 1"]] * 2

@@ -1,0 +1,102 @@
+"""Numbers of a comparison against samples worked out by hand."""
+
+from __future__ import annotations
+
+import json
+from typing import Any
+
+import pytest
+from compared_runs import SPEC, contender, run
+
+from karolos.comparison import Contender, compare
+from karolos.statistics import wilson
+
+FIVE = [[0, 50, 90], [0, 40, 100], [10, 60, 95], [0, 0, 0], [0, 20, 85]]
+
+
+def test_one_run_has_the_wilson_interval_of_its_last_test() -> None:
+    [scores] = compare([contender("a", [[10, 80]])]).scores
+    assert (scores.any.value, scores.any.low, scores.any.high) == (0.8, *wilson(80, 100))
+    assert (scores.end.value, scores.end.low, scores.end.high) == (0.4, *wilson(40, 100))
+    assert scores.any.kind == "wilson"
+    assert scores.density is None
+
+
+def test_two_to_four_seeds_have_their_range() -> None:
+    [scores] = compare([contender("a", [[20], [60], [100]])]).scores
+    assert (scores.any.value, scores.any.low, scores.any.high) == (pytest.approx(0.6), 0.2, 1.0)
+    assert scores.any.kind == "range"
+
+
+@pytest.mark.parametrize(("seeds", "kind"), [(5, "approximate"), (9, "approximate"), (10, "bootstrap")])
+def test_five_seeds_and_more_have_a_bootstrap_interval(seeds: int, kind: str) -> None:
+    [scores] = compare([contender("a", [[10 * seed] for seed in range(seeds)])]).scores
+    assert scores.any.kind == kind
+    assert 0 <= scores.any.low < scores.any.value < scores.any.high <= 0.9
+
+
+def test_inter_quartile_mean_leaves_out_a_quarter_at_each_end() -> None:
+    [scores] = compare([contender("a", FIVE)]).scores
+    assert scores.iqm.value == pytest.approx((0.85 + 0.90 + 0.95) / 3)
+    assert scores.any.value == pytest.approx((0.85 + 0.90 + 0.95 + 1.0) / 5)
+
+
+def test_steps_and_time_to_a_ratio_are_medians_with_those_that_never_got_there_counted_last() -> None:
+    [scores] = compare([contender("a", FIVE)]).scores
+    half, most = scores.reaching
+    assert (half.ratio, half.reached, half.seeds, half.steps, half.seconds) == (0.5, 4, 5, 3000, 30)
+    assert (most.ratio, most.reached, most.seeds, most.steps, most.seconds) == (0.9, 3, 5, 3000, 30)
+
+
+def test_ratio_that_half_of_the_seeds_never_reach_has_no_median() -> None:
+    [scores] = compare([contender("a", [[90], [90], [0], [0]])]).scores
+    assert [(one.reached, one.steps, one.seconds) for one in scores.reaching] == [(2, None, None)] * 2
+
+
+def test_improvement_counts_pairs_and_halves_ties() -> None:
+    first, second = compare([contender("a", [[50], [60]]), contender("b", [[60], [70]])]).scores
+    assert first.improvement is None
+    assert second.improvement is not None
+    assert second.improvement.probability == (1 + 0.5 + 1 + 1) / 4
+    assert second.improvement.low is None  # two seeds
+
+
+def test_success_at_the_end_can_be_what_counts() -> None:
+    comparison = compare([contender("a", [[100], [80]]), contender("b", [[100], [90]])], "end")
+    assert comparison.scores[0].iqm.value == pytest.approx(0.45)
+    assert comparison.scores[0].reaching[0].reached == 1
+    assert comparison.scores[1].improvement is not None
+    assert comparison.scores[1].improvement.probability == (0.5 + 0 + 1 + 1) / 4
+
+
+def test_two_modes_of_the_seeds_are_told() -> None:
+    [scores] = compare([contender("a", [[0]] * 5 + [[100]] * 5)]).scores
+    assert scores.density is not None
+    assert scores.density.modes == (0.0, 1.0)
+
+
+def test_only_parameters_that_differ_are_listed() -> None:
+    other = SPEC | {"seeds": [7], "agent": {"name": "sac", "learning_rate": 1e-4, "hidden": [256, 256], "more": None}}
+    comparison = compare([contender("a", [[1]]), contender("b", [[1]], spec=other)])
+    rows = comparison.rows()
+    assert rows[0]["parameters"] == {"agent.learning_rate": 1e-3}
+    assert rows[1]["parameters"] == {"agent.learning_rate": 1e-4, "agent.more": None}
+
+
+def test_rows_are_json_and_the_same_each_time() -> None:
+    def text() -> list[str]:
+        rows = compare([contender("a", FIVE), contender("b", FIVE[::-1])]).rows()
+        return [json.dumps(row, allow_nan=False) for row in rows]
+
+    assert text() == text()
+    row: dict[str, Any] = json.loads(text()[1])
+    assert row["n"] == 5
+    assert row["steps_to_90"] == {"median": 3000, "reached": 3, "of": 5}
+    assert row["updates_per_second"] == 50.0
+    assert row["improvement"]["probability"] == 0.5
+
+
+def test_cost_is_the_mean_over_runs() -> None:
+    runs = (run(0, [1], rate=100), run(1, [1, 1], rate=50))
+    [scores] = compare([Contender("a", runs)]).scores
+    assert (scores.steps, scores.seconds) == (1500, 25)

@@ -1,0 +1,82 @@
+from __future__ import annotations
+
+from hypothesis import given
+from hypothesis import strategies as st
+
+from karolos.comparison import MISSING, differences
+from karolos.comparison.sides import Side, compare_sides, patch_difference
+
+LEAF = st.none() | st.booleans() | st.integers() | st.text(max_size=3) | st.lists(st.integers(), max_size=2)
+KEY = st.text("abc", min_size=1, max_size=2)
+SPEC = st.recursive(
+    st.dictionaries(KEY, LEAF, max_size=3), lambda inner: st.dictionaries(KEY, LEAF | inner, max_size=3), max_leaves=8
+)
+
+
+@given(SPEC)
+def test_spec_does_not_differ_from_itself(spec: dict[str, object]) -> None:
+    assert differences([spec, spec, spec]) == {}
+
+
+@given(SPEC, SPEC)
+def test_difference_is_the_same_from_both_sides(one: dict[str, object], other: dict[str, object]) -> None:
+    there, back = differences([one, other]), differences([other, one])
+    assert {key: pair[::-1] for key, pair in there.items()} == back
+    assert bool(there) == (one != other)
+
+
+def test_missing_key_is_told_from_null() -> None:
+    assert differences([{"a": {"b": None, "c": 1}}, {"a": {"c": 1}}]) == {"a.b": (None, MISSING)}
+
+
+def test_part_against_none_lists_its_settings() -> None:
+    assert differences([{"robot": {"name": "ur5"}, "x": 1}, {"robot": None, "x": 1}]) == {
+        "robot": (MISSING, None),
+        "robot.name": ("ur5", MISSING),
+    }
+
+
+def test_settings_of_one_part_stand_together() -> None:
+    one, other = {"agent": {"name": "sac", "tau": 1}, "buffer": 1}, {"agent": {"name": "ppo", "clip": 1}, "buffer": 2}
+    assert list(differences([one, other])) == ["agent.name", "agent.tau", "agent.clip", "buffer"]
+
+
+PATCH = "diff --git a/x.py b/x.py\n--- a/x.py\n+++ b/x.py\n@@ -1 +1,2 @@\n-old\n+new\n+newer\n"
+MORE = "diff --git a/y.py b/y.py\n--- a/y.py\n+++ b/y.py\n@@ -1 +1 @@\n-a\n+b\n"
+
+
+def side(name: str = "one", **values: object) -> Side:
+    return Side(**{"name": name, "spec": {}, "versions": {}, "seed": 0, "commit": "abc", "patch": ""} | values)  # type: ignore[arg-type]
+
+
+def found(one: Side, other: Side) -> list[tuple[object, ...]]:
+    return [(each.part, each.key, each.a, each.b) for each in compare_sides(one, other)]
+
+
+def test_runs_are_compared_by_seed_settings_versions_and_code() -> None:
+    one = side(spec={"seeds": [1], "steps": 1}, versions={"torch": "1"})
+    other = side(spec={"seeds": [2], "steps": 2}, versions={"torch": "2"}, seed=4, commit="def")
+    assert found(one, other) == [
+        ("run", "seed", 0, 4),
+        ("spec", "steps", 1, 2),
+        ("version", "torch", "1", "2"),
+        ("code", "commit", "abc", "def"),
+    ]
+
+
+def test_changed_files_are_compared_one_by_one() -> None:
+    assert found(side(patch=PATCH + MORE), side(patch=MORE)) == [("code", "x.py", "changed: +2 -1", MISSING)]
+    assert found(side(patch=PATCH), side(patch=PATCH.replace("newer", "other"))) == [
+        ("code", "x.py", "changed: +2 -1", "changed: +2 -1")
+    ]
+
+
+def test_row_says_which_side_misses_a_key() -> None:
+    [row] = [each.row() for each in compare_sides(side(spec={"a": None}), side("two"))]
+    assert row == {"part": "spec", "key": "a", "a": None, "b": None, "missing": "b"}
+
+
+def test_patches_are_compared_line_by_line() -> None:
+    text = patch_difference(side(patch=PATCH), side("two", patch=PATCH.replace("+newer", "+other")))
+    assert "-+newer\n++other" in text
+    assert patch_difference(side(patch=PATCH), side("two", patch=PATCH)) == ""

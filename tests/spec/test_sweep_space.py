@@ -1,0 +1,154 @@
+"""The `sweep` of a spec: its search space against the settings of the plugins, and the specs of its trials."""
+
+from __future__ import annotations
+
+import pytest
+from spec_files import GOOD, problems_of, write
+
+from karolos.errors import SpecError
+from karolos.spec import Spec, load_spec, spec_of_trial
+
+pytestmark = pytest.mark.usefixtures("fake_plugins")
+
+SPACE = """\
+sweep:
+  space:
+    agent.learning_rate: {float: [1e-5, 1e-2], log: true}
+    agent.hidden: {choice: [[64, 64], [256]]}
+    buffer.hindsight: {choice: {off: null, on: {strategy: final}}}
+    buffer.hindsight.ratio: {float: [0.5, 0.9], when: {buffer.hindsight: on}}
+"""
+
+
+@pytest.fixture
+def path(tmp_path):
+    return write(tmp_path, "s.yaml", GOOD + SPACE)
+
+
+def test_a_spec_with_a_sweep_dumps_and_loads_as_itself(path):
+    spec = load_spec(path)
+    assert Spec.from_dict(spec.dump()) == spec
+    assert spec.dump()["sweep"]["space"]["buffer.hindsight"]["choice"] == {"off": None, "on": {"strategy": "final"}}
+
+
+def test_a_sweep_is_no_part_of_the_experiment(path):
+    spec = load_spec(path)
+    assert spec.hash() == spec.alone().hash()
+    assert "sweep" not in spec.alone().dump()
+    assert spec.alone().origins == spec.origins
+
+
+@pytest.mark.parametrize(
+    ("override", "words"),
+    [
+        ("sweep.space.agent.learning_rate={float: [-1, 1]}", ["agent.learning_rate", "greater than 0", "-1"]),
+        ("sweep.space.agent.discount={float: [0.5, 1]}", ["agent.discount", "less than 1"]),
+        ("sweep.space.agent.discont={float: [0.5, 0.9]}", ["agent.discont", "no such key", "'discount'"]),
+        ("sweep.space.agent.learning_rate={int: [1.5, 2]}", ["integer"]),
+        ("sweep.space.agent.learning_rate={float: [2, 1]}", ["lowest value 2"]),
+        ("sweep.space.agent.learning_rate={float: [0, 1], log: true}", ["log needs values above 0"]),
+        ("sweep.space.agent.learning_rate={float: [1, 2], int: [1, 2]}", ["one of float, int and choice"]),
+        ("sweep.space.agent.learning_rate={log: true}", ["one of float, int and choice"]),
+        ("sweep.space.agent.hidden={choice: [[64], ab]}", ["agent.hidden", "'ab'"]),
+        ("sweep.space.agent.hidden={choice: [[64], [64]]}", ["twice"]),
+        ("sweep.space.agent={choice: [learner, leaner]}", ["'leaner'", "'learner'"]),
+        ("sweep.space.agent={choice: [learner, latest]}", ["latest", "replays old ones"]),
+        ("sweep.space.agnt.discount={float: [0.5, 0.9]}", ["no such setting", "'agent'"]),
+        ("sweep.space.testing.interval={int: [5, 9]}", ["tested alike"]),
+        ("sweep.space.training.steps={int: [5, 9]}", ["same budget"]),
+        ("sweep.space.seeds={int: [5, 9]}", ["sweep.seeds"]),
+        ("sweep.space.buffer.hindsight.ratio={float: [0.5, 0.9]}", ["buffer.hindsight holds no such setting", "when"]),
+        (
+            "sweep.space.buffer.hindsight.ratio={float: [0.5, 0.9], when: {buffer.hindsight: yes}}",
+            ["never 'yes'", "off, on"],
+        ),
+        (
+            "sweep.space.buffer.hindsight.ratio={float: [0.5, 0.9], when: {buffer.hindsigt: on}}",
+            ["is not a parameter", "'buffer.hindsight'"],
+        ),
+        (
+            "sweep.space.agent.discount={float: [0.5, 0.9], when: {agent.learning_rate: 1e-3}}",
+            ["is a range, not a choice"],
+        ),
+        ("sweep.space.agent.hidden={choice: [[1], [2]], when: {agent.hidden: [1]}}", ["circle"]),
+        ("sweep.objective=succes", ["'succes'", "success_end"]),
+        ("sweep.objective=[success_end, success_end]", ["twice"]),
+        ("sweep.pruner={warmup: 0.1}", ["sweep.pruner.warmup", "0.3"]),
+        ("sweep={objective: [success_end, steps_to_95], pruner: {}}", ["compares one objective"]),
+        ("sweep.sampler=grid", ["points", "agent.learning_rate"]),
+        ("sweep.seeds=[1,1]", ["none twice"]),
+        ("sweep.trails=3", ["no such key", "'trials'"]),
+        ("sweep.space=null", ["sweep.space"]),
+    ],
+)
+def test_a_search_that_cannot_be_is_told_before_it_begins(path, override, words):
+    (problem,) = problems_of(path, override)
+    assert problem.startswith("override sweep")
+    assert all(word in problem for word in words), problem
+
+
+def test_a_space_without_parameters_is_refused(tmp_path):
+    path = write(tmp_path, "s.yaml", GOOD + "sweep: {space: {}}\n")
+    (problem,) = problems_of(path)
+    assert problem.startswith("s.yaml:4:16: sweep.space: ")
+
+
+def test_the_place_of_a_value_out_of_range_is_that_of_the_value(tmp_path):
+    text = GOOD + "sweep:\n  space:\n    agent.discount: {float: [0.5, 1.5]}\n    task.threshold: {choice: [0.1, -1]}\n"
+    problems = problems_of(write(tmp_path, "s.yaml", text))
+    assert [problem.partition(": ")[0] for problem in problems] == ["s.yaml:6:35", "s.yaml:7:36"]
+
+
+def test_a_parameter_is_tried_with_every_plugin_that_it_may_belong_to(tmp_path):
+    text = GOOD + "sweep:\n  space:\n    robot.name: {choice: [arm, other_arm]}\n    robot.step: {float: [0.1, 0.2]"
+    (problem,) = problems_of(write(tmp_path, "a.yaml", text + "}\n"))
+    assert "robot.step: no such key" in problem
+    load_spec(write(tmp_path, "b.yaml", text + ", when: {robot.name: arm}}\n"))
+
+
+def test_an_inherited_parameter_is_replaced_or_dropped(path, tmp_path):
+    above = "extends: s.yaml\nsweep: {space: {agent.learning_rate: {choice: [0.1, 0.2]}, agent.hidden: null}}\n"
+    sweep = load_spec(write(tmp_path, "above.yaml", above)).sweep
+    assert sweep.space["agent.learning_rate"].labels == ["0.1", "0.2"]
+    assert set(sweep.space) == {"agent.learning_rate", "buffer.hindsight", "buffer.hindsight.ratio"}
+
+
+def test_a_trial_is_the_spec_with_what_was_drawn(path):
+    spec = load_spec(path)
+    drawn = {"buffer.hindsight.ratio": 0.6, "buffer.hindsight": "on", "agent.hidden": "[256]"}
+    trial = spec_of_trial(spec, drawn, "s-t003", (4, 5), "trial 3").dump()
+    assert (trial["name"], trial["seeds"], trial.get("sweep")) == ("s-t003", [4, 5], None)
+    assert trial["buffer"]["hindsight"] == {"strategy": "final", "ratio": 0.6}
+    assert trial["agent"]["hidden"] == [256]
+    assert trial["agent"]["learning_rate"] == 1e-3
+
+
+def test_another_plugin_is_drawn_before_its_settings(tmp_path):
+    text = GOOD + (
+        "sweep:\n  space:\n    robot.speed: {float: [1, 2], when: {robot.name: other_arm}}\n"
+        "    robot.name: {choice: [arm, other_arm]}\n"
+    )
+    spec = load_spec(write(tmp_path, "s.yaml", text))
+    drawn = {"robot.speed": 1.5, "robot.name": "other_arm"}
+    assert spec_of_trial(spec, drawn, "t", (0,), "trial 0").dump()["robot"] == {"name": "other_arm", "speed": 1.5}
+    assert spec.sweep.order() == ["robot.name", "robot.speed"]
+
+
+def test_values_that_do_not_go_together_are_told_of_their_trial(tmp_path):
+    text = "environment: point\nagent: learner\nsweep: {space: {agent.discount: {float: [0.1, 0.9]}}}\n"
+    spec = load_spec(write(tmp_path, "s.yaml", text))
+    with pytest.raises(SpecError, match=r"trial 7: agent\.discount"):
+        spec_of_trial(spec, {"agent.discount": 2.0}, "t", (0,), "trial 7")
+
+
+def test_a_grid_has_every_combination_once_and_no_more(tmp_path):
+    text = GOOD + (
+        "sweep:\n  sampler: grid\n  space:\n"
+        "    agent.learning_rate: {float: [1e-4, 1e-2], log: true, points: 3}\n"
+        "    buffer.hindsight: {choice: {off: null, on: {}}}\n"
+        "    buffer.hindsight.ratio: {float: [0.2, 0.8], points: 2, when: {buffer.hindsight: on}}\n"
+    )
+    found = list(load_spec(write(tmp_path, "s.yaml", text)).sweep.combinations())
+    assert len(found) == 3 * (1 + 2)
+    assert found[0] == {"agent.learning_rate": 1e-4, "buffer.hindsight": "off"}
+    assert sorted({one["agent.learning_rate"] for one in found}) == pytest.approx([1e-4, 1e-3, 1e-2])

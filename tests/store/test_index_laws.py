@@ -1,0 +1,211 @@
+"""The database says what the folders say, whatever was done before."""
+
+from __future__ import annotations
+
+import itertools
+import json
+import tempfile
+from dataclasses import dataclass, field
+from pathlib import Path
+from typing import Any
+
+import pytest
+from databases import KINDS, empty_database
+from hypothesis import HealthCheck, given, settings
+from hypothesis import strategies as st
+from store_samples import result
+
+from karolos import labels, trash
+from karolos.run_folder import RunFolder
+from karolos.store import Store, check, reindex
+from karolos.store.summaries import success_summaries
+
+texts = st.text(st.characters(exclude_categories=["Cs", "Cc"]), min_size=1, max_size=5).filter(
+    lambda text: text.strip()
+)
+which = st.integers(0, 5)
+operations = st.lists(
+    st.one_of(
+        st.tuples(st.just("run"), st.sampled_from("ab"), st.floats(1e-4, 1e-2), st.sampled_from(["1.0", "2.0"])),
+        st.tuples(st.just("test"), which, st.integers(0, 3), st.integers(0, 20)),
+        st.tuples(st.just("state"), which, st.sampled_from(["running", "finished", "failed", "stopped"])),
+        st.tuples(st.just("tag"), which, texts.map(str.strip)),
+        st.tuples(st.just("untag"), which, texts.map(str.strip)),
+        st.tuples(st.just("note"), which, texts),
+        st.tuples(st.just("remove"), which),
+        st.tuples(st.just("restore"), which),
+        st.tuples(st.just("summaries"), st.sampled_from("ab")),
+    ),
+    min_size=1,
+    max_size=20,
+)
+
+
+@dataclass
+class World:
+    """A runs folder and its index, changed as commands and runs do it."""
+
+    runs: Path
+    store: Store
+    folders: list[RunFolder] = field(default_factory=list)
+    thrown: list[Path] = field(default_factory=list)
+    number: Any = field(default_factory=itertools.count)
+
+    def apply(self, operation: str, *values: Any) -> None:
+        if operation == "run":
+            self._run(*values)
+        elif operation == "summaries":
+            success_summaries(self.store, values[0])
+        elif operation == "restore":
+            if self.thrown:
+                folder = trash.restore(self.thrown.pop(values[0] % len(self.thrown)))
+                self.store.add_records([folder.record()])
+                self.folders.append(folder)
+        elif self.folders:
+            getattr(self, f"_{operation}")(self.folders[values[0] % len(self.folders)], *values[1:])
+
+    def _run(self, experiment: str, rate: float, version: str) -> None:
+        folder = RunFolder.create(self.runs, "x", next(self.number))
+        spec = {"name": "x", "agent": {"name": "sac", "learning_rate": rate}, "seeds": [1]}
+        folder.describe(spec, experiment=experiment, source=self.runs)
+        run = folder.path / "run.json"
+        run.write_text(json.dumps(json.loads(run.read_text()) | {"versions": {"karolos": version}}))
+        folder.release()
+        folder = RunFolder.open(folder.path)
+        self.store.add_run(folder.summary(), spec, folder.versions())
+        self.folders.append(folder)
+
+    def _test(self, folder: RunFolder, steps: int, successes: int) -> None:
+        folder.add_test(result(steps, successes))
+        self.store.add_test(folder.id, result(steps, successes))
+        self.store.update_run(folder.summary())
+
+    def _state(self, folder: RunFolder, state: str) -> None:
+        folder.set_state(state, steps=7)
+        self.store.update_run(folder.summary())
+
+    def _tag(self, folder: RunFolder, tag: str) -> None:
+        labels.add_tags(folder.path, [tag])
+        self.store.refresh_labels(folder)
+
+    def _untag(self, folder: RunFolder, tag: str) -> None:
+        labels.remove_tags(folder.path, [*folder.labels().tags[:1], tag])
+        self.store.refresh_labels(folder)
+
+    def _note(self, folder: RunFolder, note: str) -> None:
+        labels.set_note(folder.path, note)
+        self.store.refresh_labels(folder)
+
+    def _remove(self, folder: RunFolder) -> None:
+        self.folders.remove(folder)
+        self.thrown.append(trash.throw_away(folder))
+        self.store.remove_runs([folder.id])
+
+
+def answers(store: Store) -> list[Any]:
+    runs = store.runs()
+    experiments = sorted({run.experiment for run in runs})
+    return [
+        runs,
+        store.tests_of([run.run for run in runs]),
+        [(store.parameters(run.run), store.versions(run.run)) for run in runs],
+        [(store.spec(name), success_summaries(store, name)) for name in experiments],
+        sorted(len(store.runs(where=f"tags = {json.dumps(tag)}")) for run in runs for tag in run.tags),
+    ]
+
+
+def rows(store: Store) -> dict[str, int]:
+    with store._engine.connect() as connection:
+        names = ("experiments", "specs", "parameters", "versions", "tags", "tests", "runs", "success_summaries")
+        return {name: connection.exec_driver_sql(f"SELECT count(*) FROM {name}").scalar_one() for name in names}
+
+
+@pytest.mark.parametrize("kind", KINDS)
+@settings(max_examples=15, deadline=None, suppress_health_check=[HealthCheck.too_slow])
+@given(operations)
+def test_rebuilt_index_gives_the_same_answers_whatever_was_done(kind: str, done: list[tuple[Any, ...]]) -> None:
+    with tempfile.TemporaryDirectory() as place:
+        runs = Path(place) / "runs"
+        runs.mkdir()
+        with empty_database(kind, runs) as url, Store(url) as store:
+            world = World(runs, store)
+            for operation in done:
+                world.apply(*operation)
+            assert list(check(store, runs)) == []
+            before, counted = answers(store), rows(store)
+            reindex(store, runs)
+            assert answers(store) == before
+        with empty_database("sqlite", Path(place)) as url, Store(url) as store:
+            reindex(store, runs)
+            assert answers(store) == before
+            assert rows(store) == counted  # and nothing is left of what was removed
+            assert list(check(store, runs)) == []
+
+
+def test_check_names_every_kind_of_difference(tmp_path: Path) -> None:
+    with Store(Store.default_url(tmp_path)) as store:
+        world = World(tmp_path, store)
+        for _ in range(6):
+            world.apply("run", "a", 0.001, "1.0")
+        unknown, gone, stale, untested, labelled, torn = world.folders
+        store.remove_runs([unknown.id])
+        gone.path.rename(tmp_path / "elsewhere.removed")
+        (tmp_path / "elsewhere.removed" / "run.json").unlink()
+        stale.set_state("finished", steps=9)
+        untested.add_test(result(5, 3))
+        labels.add_tags(labelled.path, ["good"])
+        (torn.path / "tests.jsonl").write_text('{"steps":')
+        with store._engine.begin() as connection:
+            connection.exec_driver_sql("PRAGMA foreign_keys = OFF")
+            connection.exec_driver_sql("UPDATE parameters SET value = '0.5' WHERE key = 'agent.learning_rate'")
+        found: dict[str | None, list[str]] = {}
+        for one in check(store, tmp_path):
+            found.setdefault(one.run, []).append(one.what)
+    others = "the settings of its spec are others in the database"
+    assert found[unknown.id] == ["it has a folder, and is not in the database"]
+    assert found[gone.id] == ["it is in the database, and its folder is gone"]
+    assert others in found[stale.id]
+    assert any(what == "its folder has 1 tests, the database 0 or others" for what in found[untested.id])
+    assert "tags is ['good'] in its folder and [] in the database" in found[labelled.id]
+    assert any("tests.jsonl:1: the last line is torn" in what for what in found[torn.id])
+
+
+def test_check_names_a_database_that_contradicts_itself(tmp_path: Path) -> None:
+    with Store(Store.default_url(tmp_path)) as store:
+        World(tmp_path, store).apply("run", "a", 0.001, "1.0")
+        import sqlite3
+
+        with sqlite3.connect(tmp_path / "karolos.sqlite") as connection:
+            connection.execute("INSERT INTO tags VALUES ('no run', 'x')")
+        assert [one.what for one in check(store, tmp_path)] == ["a row of tags refers to one of runs that is not there"]
+
+
+def test_two_folders_of_one_run_are_told_and_the_first_is_kept(tmp_path: Path) -> None:
+    import shutil
+
+    with Store(Store.default_url(tmp_path)) as store:
+        world = World(tmp_path, store)
+        world.apply("run", "a", 0.001, "1.0")
+        (folder,) = world.folders
+        shutil.copytree(folder.path, tmp_path / "z-copy")
+        done = reindex(store, tmp_path)
+        assert done.runs == 1
+        assert any(f"z-copy: says that it is the run {folder.id}" in problem for problem in done.problems)
+        assert store.runs()[0].folder == str(folder.path)
+        assert any("two folders say that they are this run" in one.what for one in check(store, tmp_path))
+
+
+def test_folders_read_by_several_processes_give_the_same_index(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
+    monkeypatch.setattr("karolos.store.folders.FEW", 1)
+    with Store(Store.default_url(tmp_path)) as store:
+        world = World(tmp_path, store)
+        for index in range(3):
+            world.apply("run", "a", 0.001, "1.0")
+            world.apply("test", index, 1, index)
+        (tmp_path / "broken").mkdir()
+        (tmp_path / "broken" / "run.json").write_text("{")
+        before = answers(store)
+        done = reindex(store, tmp_path, jobs=2)
+        assert (done.runs, done.forgotten, len(done.problems)) == (3, 0, 1)
+        assert answers(store) == before
+        assert len(list(check(store, tmp_path, jobs=2))) == 1

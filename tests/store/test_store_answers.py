@@ -1,0 +1,165 @@
+"""What the store knows beside runs and tests, and how it is asked."""
+
+from __future__ import annotations
+
+import sqlite3
+from collections.abc import Iterator
+from pathlib import Path
+
+import pytest
+from databases import KINDS, empty_database
+from store_samples import bare, result
+
+from karolos import labels
+from karolos.errors import StoreError, UsageError
+from karolos.run_folder import RunFolder
+from karolos.statistics import kde
+from karolos.store import Store
+from karolos.store.summaries import success_summaries
+
+
+@pytest.fixture(params=KINDS)
+def store(request: pytest.FixtureRequest, tmp_path: Path) -> Iterator[Store]:
+    with empty_database(request.param, tmp_path) as url, Store(url) as found:
+        yield found
+
+
+def add(store: Store, runs: Path, seed: int, rate: float = 0.001, experiment: str = "a" * 64) -> RunFolder:
+    with RunFolder.create(runs, f"exp-{experiment[0]}", seed) as run:
+        spec = {
+            "name": "x",
+            "task": {"name": "reach"},
+            "agent": {"name": "sac", "learning_rate": rate, "hidden": [8, 8]},
+        }
+        run.describe(spec, experiment=experiment, source=runs)
+        run.set_state("finished", steps=100 * seed)
+        store.add_run(run.summary(), spec, run.versions())
+        return run
+
+
+def seeds(store: Store, where: str) -> list[int]:
+    return sorted(run.seed for run in store.runs(where=where))
+
+
+def test_filters_know_columns_settings_labels_and_versions(store: Store, tmp_path: Path) -> None:
+    first, second, third = add(store, tmp_path, 1), add(store, tmp_path, 2, 1e-4), add(store, tmp_path, 3, 1e-4)
+    labels.add_tags(first.path, ["good", "to show"])
+    labels.set_note(second.path, 'fell "over"')
+    for run in (first, second):
+        store.refresh_labels(run)
+    third.set_state("running")  # and nobody runs it
+    store.update_run(third.summary())
+    assert seeds(store, "task=reach and agent.learning_rate<1e-3") == [2, 3]
+    assert seeds(store, "agent.learning_rate<1e-3 and state=finished") == [2]
+    assert seeds(store, "state=lost") == [3]
+    assert seeds(store, "tags=good") == seeds(store, "tags ~ SHOW") == [1]
+    assert seeds(store, "tags != good") == [2, 3]
+    assert seeds(store, "note ~ over") == seeds(store, """note = 'fell "over"'""") == [2]
+    assert seeds(store, "note = null") == [1, 3]
+    assert seeds(store, "agent.hidden = '[8, 8]' and seed >= 2") == [2, 3]
+    assert seeds(store, "steps in (100, 300) or seed = 2") == [1, 2, 3]
+    assert seeds(store, f"versions.karolos = {first.versions()['karolos']}") == [1, 2, 3]
+    assert seeds(store, f"folder = '{first.path}'") == [1]
+    assert seeds(store, "created > 2020-01-01") == [1, 2, 3]
+    assert [run.seed for run in store.runs(where="task=reach", limit=2)] == [3, 2]
+    assert store.runs(where="tags=good") == (first.summary(),)
+
+
+@pytest.mark.parametrize(
+    ("where", "told"),
+    [
+        ("stat=finished", "filter, column 1: no run has 'stat'; did you mean state"),
+        (
+            "seed=1 and learning_rate<1",
+            "filter, column 12: no run has 'learning_rate'; did you mean agent.learning_rate",
+        ),
+        ("versions.karlos=1", "no run has 'versions.karlos'; did you mean versions.karolos"),
+        ("zzzzzzzz=1", "no run has 'zzzzzzzz'; `karolos runs show RUN` shows"),
+    ],
+)
+def test_filter_with_an_unknown_key_names_the_closest(store: Store, tmp_path: Path, where: str, told: str) -> None:
+    add(store, tmp_path, 1)
+    with pytest.raises(UsageError) as caught:
+        store.runs(where=where)
+    assert told in str(caught.value)
+
+
+def test_run_comes_with_its_own_settings_and_versions(store: Store, tmp_path: Path) -> None:
+    run = add(store, tmp_path, 1, 0.25)
+    expected = {"name": "x", "task.name": "reach", "agent.name": "sac", "agent.learning_rate": 0.25}
+    assert store.parameters(run.id) == expected | {"agent.hidden": [8, 8]}
+    assert store.versions(run.id) == run.versions() != {}
+    assert store.parameters("none") == store.versions("none") == {}
+
+
+def test_selector_means_a_run_or_all_of_an_experiment(store: Store, tmp_path: Path) -> None:
+    ab, ac = "ab" * 32, "abac" * 16
+    runs = [add(store, tmp_path, seed, experiment=ab if seed < 3 else ac) for seed in (1, 2, 3)]
+    first, second, third = (run.summary() for run in runs)
+    assert store.select("exp-a") == (third, second, first)
+    assert store.select("ababab") == (second, first)
+    assert store.select("abacab") == (third,)
+    assert store.select("@last-1") == (second,)
+    assert store.select(first.run) == (first,)
+    assert store.select(first.run[:8]) == (first,)
+    assert store.find("abacab") == third
+    with pytest.raises(UsageError, match="'ababab' means several runs"):
+        store.find("ababab")
+    with pytest.raises(UsageError, match=r"'@last-3' means no run; there are 3, from @last on"):
+        store.select("@last-3")
+    with pytest.raises(UsageError, match="'exp-' means several runs"):
+        store.select("exp-")
+    with pytest.raises(UsageError, match="'ffffff' means no run"):
+        store.select("ffffff")
+
+
+def test_hash_that_begins_several_experiments_names_them(store: Store) -> None:
+    for tail in "12":
+        bare(store, f"run{tail}", experiment="abcdef" + tail * 58)
+    with pytest.raises(UsageError, match="'abcdef' begins several experiments; add digits: abcdef111111, abcdef222222"):
+        store.select("abcdef")
+
+
+def test_summaries_follow_the_tests_and_runs_of_the_experiment(store: Store, tmp_path: Path) -> None:
+    runs = [add(store, tmp_path, seed) for seed in (1, 2, 3)]
+    for run, successes in zip(runs, (20, 18, 4), strict=True):
+        store.add_test(run.id, result(100, successes))
+    reached, ended = success_summaries(store, "a" * 64)
+    density = kde([1.0, 0.9, 0.2])
+    assert (reached.steps, reached.counting, reached.runs) == (100, "any", 3)
+    assert (reached.mode, reached.modes) == (density.mode, density.modes)
+    assert (reached.mean, reached.low, reached.high) == pytest.approx((density.mean, density.low, density.high))
+    assert (ended.counting, ended.mode) == ("end", 1.0)
+    assert success_summaries(store, "a" * 64) == (reached, ended)
+    store.add_test(runs[0].id, result(200, 20))
+    assert [(one.steps, one.runs) for one in success_summaries(store, "a" * 64)] == [(100, 3)] * 2 + [(200, 1)] * 2
+    store.remove_runs([runs[0].id])
+    assert [(one.steps, one.runs) for one in success_summaries(store, "a" * 64)] == [(100, 2)] * 2
+    assert success_summaries(store, "none") == ()
+
+
+def test_database_that_may_only_be_read_still_answers(tmp_path: Path) -> None:
+    with Store(Store.default_url(tmp_path)) as store:
+        run = add(store, tmp_path, 1)
+        store.add_test(run.id, result(100, 20))
+
+        def read_only(connection: sqlite3.Connection, _: object) -> None:
+            connection.execute("PRAGMA query_only = ON")
+
+        from sqlalchemy import event
+
+        event.listen(store._engine, "connect", read_only)
+        assert [one.mode for one in success_summaries(store, "a" * 64)] == [1.0, 1.0]
+        assert store.runs(where="task=reach") == (run.summary(),)
+        with pytest.raises(StoreError, match="the database is read-only"):
+            store.add_test(run.id, result(200, 1))
+
+
+def test_specs_that_no_run_has_any_more_are_forgotten(store: Store, tmp_path: Path) -> None:
+    first, second = add(store, tmp_path, 1, 0.5), add(store, tmp_path, 2, 0.25)
+    assert store.spec("a" * 64)["agent"]["learning_rate"] == 0.5  # of the oldest
+    store.remove_runs([first.id])
+    assert store.spec("a" * 64)["agent"]["learning_rate"] == 0.25
+    store.remove_runs([second.id])
+    with pytest.raises(UsageError, match="there is no experiment"):
+        store.spec("a" * 64)

@@ -1,0 +1,118 @@
+"""What is killed: a run again and again, which then ends as if it had not been; its workers, which are replaced."""
+
+from __future__ import annotations
+
+import json
+import multiprocessing
+import os
+import random
+import signal
+import sys
+import threading
+from pathlib import Path
+from typing import Any
+
+import pytest
+from kill_resume import TOY, torture
+
+from karolos.events import RunAdvanced, RunWarned
+from karolos.experiment import Experiment, resume_run
+from karolos.run_folder import RunFolder
+from karolos.store import Store
+
+
+@pytest.mark.skipif(sys.platform != "linux", reason="looks for orphans in /proc")
+def test_a_run_killed_at_random_moments_ends_like_one_that_nobody_disturbed(tmp_path: Path) -> None:
+    """The short version of kill_resume.py; also that no process outlives the killed one for long."""
+    spec = tmp_path / "torture.yaml"
+    spec.write_text(TOY.replace("steps: 1600", "steps: 400"))
+    assert torture(spec, tmp_path / "runs", kills=3, draw=random.Random(1)) >= 1
+
+
+LEARNS: dict[str, Any] = {
+    "name": "toy",
+    "environment": {"name": "toy", "threshold": 0.3, "reward": "dense"},
+    "agent": {"name": "sac", "hidden": [32], "precision": "float32", "discount": 0.9, "learning_rate": 3e-3},
+    "buffer": {"capacity": 4000},
+    "orchestrator": {"processes": 2, "environments": 2},
+    "training": {"steps": 2000, "batch_size": 64, "replay_ratio": 16, "warmup_episodes": 8},
+    "testing": {"interval": 1000, "episodes": 20},
+}
+"""Undisturbed it reaches 1.0 within 1500 steps, in either mode."""
+
+
+class Killer:
+    """A listener that kills one of the run's workers, training's or the tests', every so many steps, amid the work."""
+
+    def __init__(self, interval: int) -> None:
+        self.interval = interval
+        self.next = interval
+        self.killed = 0
+        self.warnings: list[str] = []
+        self._draw = random.Random(0)
+
+    def __call__(self, event: object) -> None:
+        if isinstance(event, RunWarned):
+            self.warnings.append(event.warning)
+        if isinstance(event, RunAdvanced) and event.steps >= self.next:
+            self.next = event.steps + self.interval
+            threading.Timer(self._draw.uniform(0, 0.01), self._kill).start()
+
+    def _kill(self) -> None:
+        workers = [child for child in multiprocessing.active_children() if child.name.startswith("worker")]
+        victim = self._draw.choice(sorted(workers, key=lambda child: child.pid or 0))
+        assert victim.pid
+        os.kill(victim.pid, signal.SIGKILL)
+        self.killed += 1
+
+
+@pytest.mark.skipif(not hasattr(signal, "SIGKILL"), reason="kills as POSIX does")
+@pytest.mark.parametrize("mode", ["lockstep", "async"])
+def test_a_run_whose_workers_are_killed_reaches_what_an_undisturbed_one_reaches(mode: str, tmp_path: Path) -> None:
+    killer = Killer(interval=350)
+    before = shared_memory()
+    spec = LEARNS | {"training": LEARNS["training"] | {"mode": mode}}
+    (run,) = Experiment(spec).run(tmp_path, listener=killer).runs
+    assert run.state == "finished"
+    assert killer.killed >= 3
+    assert sum("SIGKILL" in warning for warning in killer.warnings) >= 2
+    folder = RunFolder.open(run.folder)
+    assert folder.tests()[-1].success_any >= 0.9
+    told = [event for event in folder.events() if event["event"] == "warning"]
+    assert len(told) == len(killer.warnings)
+    assert not [child for child in multiprocessing.active_children() if child.name.startswith("worker")]
+    assert shared_memory() <= before
+
+
+def shared_memory() -> set[str]:
+    """The machine's named blocks of Python's."""
+    shm = Path("/dev/shm")
+    return {path.name for path in shm.glob("psm_*")} if shm.is_dir() else set()
+
+
+@pytest.mark.parametrize("mode", ["lockstep", "async"])
+def test_a_resumed_run_says_whether_it_goes_on_bit_for_bit(mode: str, tmp_path: Path) -> None:
+    spec = LEARNS | {"training": LEARNS["training"] | {"mode": mode, "steps": 600}}
+    spec["testing"] = {"interval": 200, "episodes": 4}
+    first = Experiment(spec).run(tmp_path, listener=stop_after(200))
+    assert first.runs[0].state == "stopped"
+    folder = RunFolder.open(first.runs[0].folder)
+    outcome = resume_run(folder, Store.default_url(tmp_path))
+    assert outcome.runs[0].state == "finished"
+    assert outcome.runs[0].steps >= 600
+    assert [test.steps // 200 for test in folder.tests()] == [1, 2, 3]
+    (resumed,) = [event for event in folder.events() if event["event"] == "resumed"]
+    assert resumed["bit_exact"] is (mode == "lockstep")
+    rows = [json.loads(line) for line in (folder.path / "episodes.jsonl").read_text().splitlines()]
+    episodes = [(row["environment"], row["index"]) for row in rows]
+    assert len(set(episodes)) == len(episodes) > 20
+
+
+def stop_after(steps: int):
+    """A listener that asks to stop when the run has come so far."""
+
+    def tell(event: object) -> None:
+        if isinstance(event, RunAdvanced) and event.steps > steps:
+            signal.raise_signal(signal.SIGTERM)
+
+    return tell
