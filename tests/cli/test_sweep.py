@@ -1,4 +1,4 @@
-"""`karolos sweep`: what it says before and after the trials, which tests/test_sweep.py runs."""
+"""`karolos sweep`: what it says before and after the trials, which tests/test_sweep_search.py runs."""
 
 from __future__ import annotations
 
@@ -9,11 +9,11 @@ import pytest
 import typer
 import yaml
 from commands import call
+from karolos_cli.sweep import _report, _Teller, sweep
 from sweep_samples import LEARNING_RATE, sweep_spec
 
 from karolos.spec import Spec
 from karolos.sweep.records import Final, Outcome, Trial, TrialBegan, TrialEnded
-from karolos_cli.sweep import _report, _Teller, sweep
 
 app = typer.Typer()
 app.command()(sweep)
