@@ -87,7 +87,7 @@ class Experiment:
             jobs: seeds that run at the same time, each in a process of its own.
             existing: what to do with runs of this experiment that are there already. "skip": seeds that are finished
                 are not run again. "resume": nor those, and runs that ended too soon go on from their newest checkpoint,
-                bit for bit.
+                bit for bit in lockstep.
             time_limit: seconds after which to stop.
             listener: is called with every RunEvent.
             text: the spec as its author wrote it, kept beside the resolved one.
@@ -127,7 +127,9 @@ class Experiment:
 def resume_run(
     folder: RunFolder, url: str, *, time_limit: float | None = None, listener: Listener | None = None
 ) -> Outcome:
-    """Go on with one run from its newest checkpoint, bit for bit as if it had not ended. A finished one stays.
+    """Go on with one run from its newest checkpoint. A finished one stays.
+
+    In lockstep it is bit for bit as if it had not ended.
 
     Args:
         folder: the run's.

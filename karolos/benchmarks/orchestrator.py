@@ -19,7 +19,7 @@ import numpy as np
 
 from ..core import Orchestrator, random_actions
 from ..orchestrator.local import Local
-from ..orchestrator.probe import Measured, choose, cores, process_counts, steps_per_second
+from ..orchestrator.probe import DRAWN, Measured, choose, cores, process_counts, steps_per_second
 from ..registry import load
 from ..report.boxes import Panel
 from ..spec.recipe import Part, Recipe
@@ -169,7 +169,8 @@ def lockstep(orchestrator: Orchestrator, seconds: float) -> float:
 def asynchronous(orchestrator: Orchestrator, seconds: float) -> float:
     """Steps per second when half of the environments are enough to act on."""
     half = max(orchestrator.size // 2, 1)
-    signature, generator = orchestrator.signature, np.random.Generator(np.random.PCG64(0))
+    generator = np.random.Generator(np.random.PCG64(0))
+    actions = [random_actions(orchestrator.signature, orchestrator.size, generator) for _ in range(DRAWN)]
     orchestrator.reset(range(orchestrator.size), range(orchestrator.size))
     steps, started = 0, perf_counter()
     while steps == 0 or perf_counter() - started < seconds:
@@ -179,7 +180,7 @@ def asynchronous(orchestrator: Orchestrator, seconds: float) -> float:
         if over.any():
             orchestrator.reset(ready[over], (steps + ready[over]).tolist())
         if going.size:
-            orchestrator.step(going, random_actions(signature, going.size, generator))
+            orchestrator.step(going, actions[steps % DRAWN][: going.size])
         steps += going.size
     rate = steps / (perf_counter() - started)
     orchestrator.receive()
@@ -200,10 +201,11 @@ def _peer_steps(robot: str, task: str, processes: int, amounts: Amounts) -> floa
         together = SyncVectorEnv([make] * amounts.environments)
     together.reset(seed=0)
     together.action_space.seed(0)
-    together.step(together.action_space.sample())
+    actions = [together.action_space.sample() for _ in range(DRAWN)]
+    together.step(actions[0])
     steps, started = 0, perf_counter()
     while steps == 0 or perf_counter() - started < amounts.seconds:
-        together.step(together.action_space.sample())
+        together.step(actions[steps // together.num_envs % DRAWN])
         steps += together.num_envs
     rate = steps / (perf_counter() - started)
     together.close()

@@ -1,7 +1,9 @@
 """What overlapping collection with learning saves, and how soon an agent can do something, beside a peer.
 
-The first: a Panda learns to reach with as many updates as make learning as dear as collecting, in one worker process;
-in lockstep, in lockstep without overlap (the loop waits for the environments before it learns), and asynchronously.
+The first: a Panda learns to reach with one update per round, and as many environments in one worker process as make a
+round's steps as dear as its update; in lockstep, in lockstep without overlap (the loop waits for the environments
+before it learns), and asynchronously. They take turns of one episode, many times over; ratios are medians of the
+turns', because a machine is never alone.
 The second: seconds until a test finds .95 success on the same task, beside stable-baselines3's SAC with hindsight on
 panda-gym; each in a process of its own.
 """
@@ -9,8 +11,8 @@ panda-gym; each in a process of its own.
 from __future__ import annotations
 
 from collections.abc import Callable, Iterator, Sequence
+from contextlib import ExitStack
 from dataclasses import dataclass
-from itertools import islice
 from statistics import median
 from time import perf_counter
 
@@ -18,6 +20,7 @@ from ..agents.device import use_threads
 from ..assembly import make_agent, make_buffer, make_orchestrator
 from ..core import Array, FloatArray, Orchestrator, Received
 from ..orchestrator.probe import steps_per_second
+from ..progress import Progress
 from ..seeding import SeedTree
 from ..spec import Spec
 from ..training import Training
@@ -25,6 +28,8 @@ from .end_to_end import PEER, first_success, reach, require_peer
 from .row import Row
 
 NAME = "training"
+EPISODE = 50
+"""Steps of an episode of reaching."""
 OVERLAP, WITHOUT, ASYNC = "lockstep", "lockstep without overlap", "async"
 
 
@@ -32,17 +37,17 @@ OVERLAP, WITHOUT, ASYNC = "lockstep", "lockstep without overlap", "async"
 class Amounts:
     """How much to measure."""
 
-    steps: int = 6_000
-    """Environment steps with learning, of each variant and repeat."""
-    repeats: int = 3
+    turns: int = 24
+    """Episodes of every environment, with learning, in each variant."""
     probe: float = 2.0
     """Seconds in which the speed of collecting and of learning is found out, each."""
-    environments: int = 8
+    environments: int = 256
+    """At most."""
     seeds: tuple[int, ...] = (0,)
     """Of the runs from start to success; as many of the peer's."""
 
 
-QUICK = Amounts(steps=80, repeats=1, probe=0.05, environments=2)
+QUICK = Amounts(turns=2, probe=0.05, environments=2)
 
 
 class WithoutOverlap(Orchestrator):
@@ -103,30 +108,42 @@ def measure(
 
 
 def overlap(amounts: Amounts, say: Callable[[str], object]) -> Iterator[Row]:
-    """Seconds for the same number of steps and updates with and without overlap, and asynchronously; medians."""
+    """Seconds for the same number of steps and updates with and without overlap, and asynchronously."""
     use_threads(1)
     spec = balanced(amounts, say)
-    variants: dict[str, Callable[[Orchestrator], tuple[Orchestrator, int | None]]] = {
-        OVERLAP: lambda environments: (environments, None),
-        WITHOUT: lambda environments: (WithoutOverlap(environments), None),
-        ASYNC: lambda environments: (environments, max(amounts.environments // 4, 1)),
+    size = spec.orchestrator.settings.size
+    variants: dict[str, tuple[Callable[[Orchestrator], Orchestrator], int | None]] = {
+        OVERLAP: (lambda environments: environments, None),
+        WITHOUT: (WithoutOverlap, None),
+        ASYNC: (lambda environments: environments, max(size // 2, 1)),
     }
     times: dict[str, list[float]] = {name: [] for name in variants}
-    for repeat in range(amounts.repeats):
-        for name, vary in variants.items():
-            times[name].append(_seconds(spec, amounts.steps, vary))
-        say(f"repeat {repeat + 1}: " + ", ".join(f"{name} {found[-1]:.2f} s" for name, found in times.items()))
-    ratios = {name: median(a / b for a, b in zip(times[name], times[WITHOUT], strict=True)) for name in variants}
+    with ExitStack() as stack:
+        rounds = {}
+        for name, (vary, at_least) in variants.items():
+            environments = vary(stack.enter_context(make_orchestrator(spec, randomize=True)))
+            rounds[name] = _training(spec, environments, at_least).rounds()
+            warm = next(progress for progress in rounds[name] if not progress.warming_up)
+            _turn(rounds[name], warm.steps + size * EPISODE)  # the first updates set things up
+        for turn in range(2, amounts.turns + 2):
+            for name, found in times.items():
+                started = perf_counter()
+                _turn(rounds[name], size * EPISODE * (turn + 1))
+                found.append(perf_counter() - started)
+    base = median(times[WITHOUT])
     for name in (OVERLAP, ASYNC):
-        case = f"panda reach, {amounts.steps} steps, {spec.training.replay_ratio:.3g} replay ratio, {name}"
-        base = median(times[WITHOUT])
-        # The ratio is the median of the pairs': a machine that others use too changes its speed between repeats.
-        yield Row(NAME, case, ratios[name] * base, "s", WITHOUT, base)
+        ratio = median(own / without for own, without in zip(times[name], times[WITHOUT], strict=True))
+        yield Row(NAME, f"panda reach, {size * EPISODE} steps, {name}", ratio * base, "s", WITHOUT, base)
+
+
+def _turn(rounds: Iterator[Progress], steps: int) -> None:
+    """Train until so many steps have been taken."""
+    next(progress for progress in rounds if progress.steps >= steps)
 
 
 def balanced(amounts: Amounts, say: Callable[[str], object]) -> Spec:
-    """A spec by which learning costs about as much as collecting on this machine, as measured."""
-    spec = _spec(amounts.environments)
+    """A spec by which a round's one update costs about as much as its steps on this machine, as measured."""
+    spec = _spec(min(8, amounts.environments))
     with make_orchestrator(spec, randomize=True) as environments:
         collecting = 1 / steps_per_second(environments, amounts.probe)
         training = _training(spec, environments, None)
@@ -136,14 +153,14 @@ def balanced(amounts: Amounts, say: Callable[[str], object]) -> Spec:
             training.agent.learn(training.buffer.sample(spec.training.batch_size))
             updates += 1
         learning = (perf_counter() - started) / updates
-    ratio = spec.training.batch_size * collecting / learning
-    say(f"a step takes {1e3 * collecting:.3f} ms, an update {1e3 * learning:.3f} ms")
-    return _spec(amounts.environments, replay_ratio=ratio, steps=10**9)
+    size = min(max(round(learning / collecting), 2), amounts.environments)
+    say(f"a step takes {1e3 * collecting:.3f} ms, an update {1e3 * learning:.3f} ms: {size} environments")
+    return _spec(size, replay_ratio=spec.training.batch_size / size, steps=10**9)
 
 
 def _spec(environments: int, **training: float) -> Spec:
     """Of the overlap experiment; warm-up is one episode of each environment."""
-    chosen = {"steps": 50 * environments, "warmup_episodes": environments, **training}
+    chosen = {"steps": EPISODE * environments, "warmup_episodes": environments, **training}
     layout = f"orchestrator={{processes: 1, environments: {environments}}}"
     return reach(layout, *(f"training.{name}={value}" for name, value in chosen.items()))
 
@@ -153,19 +170,6 @@ def _training(spec: Spec, environments: Orchestrator, at_least: int | None) -> T
     agent = make_agent(spec, environments.signature, seeds)
     buffer = make_buffer(spec, environments.signature, seeds, environments=environments.size, discount=agent.discount)
     return Training(environments, agent, buffer, spec.training, seeds, at_least)
-
-
-def _seconds(spec: Spec, steps: int, vary: Callable[[Orchestrator], tuple[Orchestrator, int | None]]) -> float:
-    """For so many steps after warm-up."""
-    with make_orchestrator(spec, randomize=True) as made:
-        environments, at_least = vary(made)
-        rounds = _training(spec, environments, at_least).rounds()
-        warm = next(progress for progress in rounds if not progress.warming_up)
-        list(islice(rounds, 2))  # the first updates set things up
-        started = perf_counter()
-        end = next(progress for progress in rounds if progress.steps >= warm.steps + steps)
-        elapsed = perf_counter() - started
-        return elapsed * steps / (end.steps - warm.steps)
 
 
 def _sooner(seeds: Sequence[int], *, peers: bool, say: Callable[[str], object]) -> Iterator[Row]:

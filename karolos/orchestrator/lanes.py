@@ -14,7 +14,6 @@ import numpy as np
 
 from ..errors import WorkerError
 from .block import Block
-from .channel import Channel
 from .crew import Group, Ids
 from .start import WorkerProcess, start_worker
 
@@ -30,7 +29,6 @@ class Lane:
         self.connection = connection
         self.ids = ids
         self.ready = False
-        self._channel = Channel(connection)
         self._under_way: deque[Group] = deque()
         self._backlog: list[bytes] = []
         self._sent = 0
@@ -43,15 +41,12 @@ class Lane:
         return bool(self._under_way) or not self.ready
 
     def send(self, message: bytes, group: Group) -> None:
-        """Ask for a command, a framed message, on a group; kept until the lane is ready.
-
-        Raises nothing: its end is heard, not felt.
-        """
+        """Ask for a command on a group; kept until the lane is ready. Raises nothing: its end is heard, not felt."""
         self._under_way.append(group)
         self._sent += 1
         if self.ready:
             with suppress(OSError):
-                self._channel.send(message)
+                self.connection.send_bytes(message)
         else:
             self._backlog.append(message)
 
@@ -60,13 +55,13 @@ class Lane:
         self.ready = True
         with suppress(OSError):
             for message in self._backlog:
-                self._channel.send(message)
+                self.connection.send_bytes(message)
         self._backlog.clear()
 
-    def receive(self) -> list[bytes] | None:
-        """The messages that have come; None when there will be none."""
+    def receive(self) -> bytes | None:
+        """The next message; None when there will be none."""
         try:
-            return self._channel.receive()
+            return self.connection.recv_bytes()
         except (EOFError, OSError):
             return None
 

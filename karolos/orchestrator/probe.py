@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import itertools
 import os
 from collections.abc import Iterator, Sequence
 from dataclasses import asdict, dataclass
@@ -17,6 +18,8 @@ from .local import Local
 
 THREADS = 4
 """Threads per process that are tried once the number of processes is known."""
+DRAWN = 64
+"""Rounds of random actions that are drawn before the clock starts, and played again and again."""
 WORTHWHILE = 1.1
 """How many times faster a layout with more workers has to be: each takes memory, and time of the learner's cores."""
 
@@ -49,18 +52,22 @@ def steps_per_second(orchestrator: Orchestrator, seconds: float) -> float:
     """
     everything = np.arange(orchestrator.size)
     generator = np.random.Generator(np.random.PCG64(0))
+    actions = [random_actions(orchestrator.signature, orchestrator.size, generator) for _ in range(DRAWN)]
     orchestrator.reset(everything, range(orchestrator.size))
     orchestrator.receive()
     steps, started = 0, perf_counter()
-    while steps == 0 or perf_counter() - started < seconds:
-        orchestrator.step(everything, random_actions(orchestrator.signature, orchestrator.size, generator))
+    for drawn in itertools.cycle(actions):
+        orchestrator.step(everything, drawn)
         step = orchestrator.receive().step
         steps += orchestrator.size
         over = np.flatnonzero(step.terminated | step.truncated)
         if over.size:
             orchestrator.reset(over, (steps + over).tolist())
             orchestrator.receive()
-    return steps / (perf_counter() - started)
+        elapsed = perf_counter() - started
+        if elapsed >= seconds:
+            break
+    return steps / elapsed
 
 
 def probe(recipe: Any, size: int, seconds: float, build: Build = build_environment) -> list[Measured]:

@@ -25,12 +25,10 @@ from numpy.typing import NDArray
 
 from ..errors import KarolosError
 from .block import Block, SharedBytes
-from .channel import Channel, framed
 from .commands import FAILURES, Executor, as_karolos_error, pack_errors
 
 DONE = b"."
 FAILED = b"!"
-_DONE = framed(DONE)
 NOBODY = -1
 """Stands for an environment's id in an error from before there were any."""
 ORPHAN_PATIENCE = 2.0
@@ -78,30 +76,29 @@ def _drive(where: str, recipe: bytes, lane: Lane, size: int) -> None:
     """Build the lane's environments and run commands until the connection ends."""
     connection, ids = lane
     with connection, suppress(EOFError, ConnectionError), ExitStack() as stack:
-        channel = Channel(connection)
         try:
             build, contents = pickle.loads(recipe)
             executor = Executor(build, contents, len(ids), stack)
             signature = executor.signature
             answer = DONE + pickle.dumps(signature)
         except FAILURES as error:
-            channel.send(framed(FAILED + pack_errors([(NOBODY, as_karolos_error(error, where))])))
+            connection.send_bytes(FAILED + pack_errors([(NOBODY, as_karolos_error(error, where))]))
             return
-        channel.send(framed(answer))
+        connection.send_bytes(answer)
         buffer = SharedBytes.receive(connection, Block.size(signature, size))
         executor.attach(Block.over(buffer, signature, size), ids.start)
         while True:
-            for message in channel.receive():
-                channel.send(_obey(executor, message, where))
+            message = connection.recv_bytes()
+            connection.send_bytes(_obey(executor, message, where))
 
 
 def packed(command: bytes, ids: NDArray[np.int64]) -> bytes:
-    """A message to the worker, framed."""
-    return framed(command + ids.astype(np.uint32).tobytes())
+    """A message to the worker."""
+    return command + ids.astype(np.uint32).tobytes()
 
 
 def _obey(executor: Executor, message: bytes, where: str) -> bytes:
-    """Run a message's command on each environment that it names; the answer, framed."""
+    """Run a message's command on each environment that it names; the answer."""
     command = message[:1]
     errors: list[tuple[int, KarolosError]] = []
     for index in np.frombuffer(message, np.uint32, offset=1).tolist():
@@ -109,4 +106,4 @@ def _obey(executor: Executor, message: bytes, where: str) -> bytes:
             executor.run(command, index)
         except FAILURES as error:
             errors.append((index, as_karolos_error(error, f"{where}, environment {index}")))
-    return framed(FAILED + pack_errors(errors)) if errors else _DONE
+    return FAILED + pack_errors(errors) if errors else DONE

@@ -122,15 +122,10 @@ class Workers(Crew):
         return answers
 
     def _hear(self, lane: Lane, answers: Answers) -> None:
-        messages = lane.receive()
-        if messages is None:
+        message = lane.receive()
+        if message is None:
             self._lose(lane.worker, answers)
-            return
-        for message in messages:
-            self._understand(lane, message, answers)
-
-    def _understand(self, lane: Lane, message: bytes, answers: Answers) -> None:
-        if not lane.ready:
+        elif not lane.ready:
             self._meet(lane, message, answers)
         elif message[:1] == DONE:
             answers.done.append(lane.answered())

@@ -15,10 +15,10 @@ from ..events import RunWarned
 from ..signals import StopRequest
 from ..spec import Spec, spec_of_trial
 from ..spec.sweep import Final as Settings
+from .crew import Crew, Job
 from .objectives import measure
 from .records import Final, FinalBegan, SweepListener, Trial
 from .study import Study
-from .workers import Crew, Job
 
 
 def choose(

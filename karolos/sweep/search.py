@@ -20,11 +20,11 @@ from ..spec.sweep import DEFAULT_TRIALS
 from ..store import Store
 from ..transfer import pinned
 from . import choosing
+from .crew import Crew, Job
 from .folder import FOLDER, SweepFolder
 from .objectives import measure, nominal_steps, so_far
 from .records import Final, Outcome, SweepEvent, SweepListener, Trial, TrialBegan, TrialEnded
 from .study import OpenTrial, Study
-from .workers import Crew, Job
 
 LONGEST_NAME = 58
 """Of a sweep, so that its trials' runs can be called <name>-t0000."""

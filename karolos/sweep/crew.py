@@ -1,38 +1,30 @@
-"""Processes that carry out runs, one after another: what is imported once serves a whole sweep.
-
-Each holds a lock file for its life, so that a sweep whose parent was killed is not begun again beside its orphans.
-They notice on their own that the parent is gone, write a checkpoint and end.
-"""
+"""A crew of worker processes and the jobs it carries out: what is imported once serves a whole sweep."""
 
 from __future__ import annotations
 
 import multiprocessing
-import signal
 from collections import deque
-from collections.abc import Callable
 from contextlib import suppress
-from dataclasses import dataclass, field, replace
+from dataclasses import dataclass, field
 from multiprocessing.connection import Connection, wait
 from pathlib import Path
 from types import TracebackType
 from typing import Any, Protocol
 
-from ..assembly import check_parts
-from ..errors import KarolosError, MachineError
-from ..events import RunEvent, RunStarted, RunTested, RunWarned
+from ..errors import MachineError
+from ..events import RunStarted, RunTested, RunWarned
 from ..experiment import SeedRunner
-from ..files import FileLock
 from ..jobs import POLL_SECONDS, sigint_ignored
 from ..resuming import find_run
 from ..run_folder import RunFolder
 from ..run_records import RunSummary
-from ..signals import StopRequest, stop_on_signals
+from ..signals import StopRequest
 from ..spec import Spec
 from ..testing import TestResult
+from .worker import Begin, Halt, Ready, Refused, work
 
 PATIENCE = 2
 """Processes that may die on a run before it counts as failed; the second goes on from the checkpoint of the first."""
-_LOCK_SECONDS = 10.0
 
 
 @dataclass(eq=False)
@@ -86,29 +78,6 @@ class Feed(Protocol):
 
     def warned(self, event: RunWarned) -> None:
         """A run can go on, but not as it should."""
-
-
-@dataclass(frozen=True)
-class _Begin:
-    seed: int
-    spec: dict[str, Any]
-
-
-@dataclass(frozen=True)
-class _Halt:
-    word: str
-
-
-@dataclass(frozen=True)
-class _Ready:
-    """The worker holds its lock, and does nothing."""
-
-
-@dataclass(frozen=True)
-class _Refused:
-    """The run could not be begun."""
-
-    error: str
 
 
 @dataclass
@@ -186,14 +155,14 @@ class Crew:
         for worker in idle:
             if worker.ready and self._waiting:
                 worker.job, worker.seed = self._waiting.popleft()
-                _send(worker, _Begin(worker.seed, worker.job.spec.dump()))
+                _send(worker, Begin(worker.seed, worker.job.spec.dump()))
 
     def _hire(self) -> _Worker:
         taken = {worker.lock.name for worker in self._workers}
         lock = next(self._locks / f"{place}.lock" for place in range(self._size) if f"{place}.lock" not in taken)
         context = multiprocessing.get_context("spawn")
         ours, theirs = context.Pipe()
-        process = context.Process(target=_work, args=(theirs, lock, self._runner))
+        process = context.Process(target=work, args=(theirs, lock, self._runner))
         with sigint_ignored():  # inherited by the child: Ctrl-C reaches the parent, which decides
             process.start()
         theirs.close()
@@ -204,11 +173,11 @@ class Crew:
     def _hear(self, worker: _Worker, feed: Feed) -> None:
         try:
             message = worker.pipe.recv()
-        except (EOFError, ConnectionResetError):
+        except (EOFError, OSError):  # at a message's end, or in the middle of one
             self._bury(worker)
             return
         job, seed = worker.job, worker.seed
-        if isinstance(message, _Ready):
+        if isinstance(message, Ready):
             worker.ready = True
         if job is None:
             return
@@ -221,13 +190,13 @@ class Crew:
         elif isinstance(message, RunSummary):
             job.take(message)
             worker.job = None
-        elif isinstance(message, _Refused):
+        elif isinstance(message, Refused):
             worker.job = None
         self._judge(job, message, feed)
 
     def _judge(self, job: Job, message: object, feed: Feed) -> None:
         """Stop a job of which a run has failed, or which the feed gives up."""
-        error = message.error if isinstance(message, _Refused | RunSummary) else None
+        error = message.error if isinstance(message, Refused | RunSummary) else None
         if error is not None and not job.halted:
             job.error = error
             self._halt(job, "another run of this trial failed")
@@ -243,7 +212,7 @@ class Crew:
         self._waiting = deque((one, seed) for one, seed in self._waiting if one is not job)
         for worker in self._workers:
             if worker.job is job:
-                _send(worker, _Halt(word))
+                _send(worker, Halt(word))
 
     def _bury(self, worker: _Worker) -> None:
         """A process has died: its run is begun again where it was, once."""
@@ -264,45 +233,6 @@ class Crew:
         self._halt(job, "another run of this trial failed")
 
 
-def _send(worker: _Worker, message: _Begin | _Halt) -> None:
+def _send(worker: _Worker, message: Begin | Halt) -> None:
     with suppress(BrokenPipeError, ConnectionResetError):  # it has died, which is heard at the other end of the pipe
         worker.pipe.send(message)
-
-
-def _work(pipe: Connection, lock: Path, runner: SeedRunner) -> None:
-    """A worker's life: one run after another until the parent closes the pipe or is gone."""
-    life = FileLock(lock)
-    if not life.acquire(_LOCK_SECONDS):
-        raise SystemExit(f"{lock} is held by another process")
-    with stop_on_signals(interrupt=False) as stop:
-
-        def tell(event: RunEvent) -> None:
-            try:
-                pipe.send(event)
-                while pipe.poll():
-                    message = pipe.recv()
-                    if isinstance(message, _Halt):
-                        stop.word = message.word
-            except (BrokenPipeError, ConnectionResetError, EOFError):  # nobody listens: end like after SIGTERM
-                stop.signal = signal.SIGTERM
-
-        try:
-            pipe.send(_Ready())
-            while stop.signal is None:
-                message = pipe.recv()
-                if isinstance(message, _Begin):  # or a halt that came too late
-                    stop.word = None
-                    pipe.send(_outcome(replace(runner, resolved=message.spec), message.seed, tell, stop))
-        except (BrokenPipeError, ConnectionResetError, EOFError):
-            pass
-    life.release()
-
-
-def _outcome(
-    runner: SeedRunner, seed: int, tell: Callable[[RunEvent], None], stop: StopRequest
-) -> RunSummary | _Refused:
-    try:
-        check_parts(Spec.from_dict(runner.resolved))
-        return runner(seed, tell, stop)
-    except KarolosError as error:
-        return _Refused(str(error))

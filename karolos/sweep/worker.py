@@ -1,0 +1,91 @@
+"""One worker process of a sweep: it carries out one run after another for the crew that has hired it.
+
+It holds a lock file for its life, so that a sweep whose parent was killed is not begun again beside its orphans. It
+notices on its own that the parent is gone, writes a checkpoint and ends.
+"""
+
+from __future__ import annotations
+
+import signal
+from collections.abc import Callable
+from dataclasses import dataclass, replace
+from multiprocessing.connection import Connection
+from pathlib import Path
+from typing import Any
+
+from ..assembly import check_parts
+from ..errors import KarolosError
+from ..events import RunEvent
+from ..experiment import SeedRunner
+from ..files import FileLock
+from ..run_records import RunSummary
+from ..signals import StopRequest, stop_on_signals
+from ..spec import Spec
+
+_LOCK_SECONDS = 10.0
+
+
+@dataclass(frozen=True)
+class Begin:
+    """To the worker: carry out this run."""
+
+    seed: int
+    spec: dict[str, Any]
+
+
+@dataclass(frozen=True)
+class Halt:
+    """To the worker: stop the run, with a checkpoint."""
+
+    word: str
+
+
+@dataclass(frozen=True)
+class Ready:
+    """From the worker: it holds its lock, and does nothing."""
+
+
+@dataclass(frozen=True)
+class Refused:
+    """From the worker: the run could not be begun."""
+
+    error: str
+
+
+def work(pipe: Connection, lock: Path, runner: SeedRunner) -> None:
+    """A worker's life: one run after another until the parent closes the pipe or is gone."""
+    life = FileLock(lock)
+    if not life.acquire(_LOCK_SECONDS):
+        raise SystemExit(f"{lock} is held by another process")
+    with stop_on_signals(interrupt=False) as stop:
+
+        def tell(event: RunEvent) -> None:
+            try:
+                pipe.send(event)
+                while pipe.poll():
+                    message = pipe.recv()
+                    if isinstance(message, Halt):
+                        stop.word = message.word
+            except (BrokenPipeError, ConnectionResetError, EOFError):  # nobody listens: end like after SIGTERM
+                stop.signal = signal.SIGTERM
+
+        try:
+            pipe.send(Ready())
+            while stop.signal is None:
+                message = pipe.recv()
+                if isinstance(message, Begin):  # or a halt that came too late
+                    stop.word = None
+                    pipe.send(_outcome(replace(runner, resolved=message.spec), message.seed, tell, stop))
+        except (BrokenPipeError, ConnectionResetError, EOFError):
+            pass
+    life.release()
+
+
+def _outcome(
+    runner: SeedRunner, seed: int, tell: Callable[[RunEvent], None], stop: StopRequest
+) -> RunSummary | Refused:
+    try:
+        check_parts(Spec.from_dict(runner.resolved))
+        return runner(seed, tell, stop)
+    except KarolosError as error:
+        return Refused(str(error))
