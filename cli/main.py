@@ -15,9 +15,11 @@ from .board import board
 from .check import check
 from .compare import compare
 from .diff import diff
+from .export import export
 from .play import play
 from .run import resume, run
 from .sweep import sweep
+from .test import transfer
 
 app = typer.Typer(
     name="karolos",
@@ -37,7 +39,9 @@ app.add_typer(db.app)
 app.command()(sweep)
 app.command()(compare)
 app.command()(diff)
+app.command("test")(transfer)
 app.command()(play)
+app.command()(export)
 app.command()(board)
 app.add_typer(bench.app, name="bench")
 

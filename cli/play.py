@@ -14,7 +14,7 @@ import typer
 from karolos.errors import UsageError
 
 from .common import Database, Runs
-from .selection import open_run
+from .selection import check_checkpoint, open_run
 
 if TYPE_CHECKING:
     import numpy as np
@@ -51,8 +51,7 @@ def play(
     With a display it opens a window. Without one, or with --record, it writes a film; by default play.mp4 in the run's
     folder, or NAME.mp4 here for the spec of that name.
     """
-    if checkpoint not in ("best", "last"):
-        raise UsageError(f"there is no checkpoint {checkpoint!r}", hint="a run keeps best and last")
+    check_checkpoint(checkpoint)
     if width % 2 or height % 2:
         raise UsageError(f"a film of {width} x {height} pixels cannot be coded", hint="use even numbers")
     window = record is None and _has_display()

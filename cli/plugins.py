@@ -1,8 +1,9 @@
-"""`karolos plugins`: what is installed, and what can be set."""
+"""`karolos plugins`: what is installed, what can be set, and a package to begin one's own from."""
 
 from __future__ import annotations
 
 import json as json_text
+from pathlib import Path
 from typing import TYPE_CHECKING, Annotated, Any
 
 import typer
@@ -14,7 +15,9 @@ from .common import Json, rows, table
 if TYPE_CHECKING:
     from pydantic import BaseModel
 
-app = typer.Typer(name="plugins", help="List robots, tasks, agents, ... and their settings.", no_args_is_help=True)
+app = typer.Typer(
+    name="plugins", help="List robots, tasks, agents, ... and their settings, or begin a new one.", no_args_is_help=True
+)
 Kind = Annotated[str, typer.Argument(metavar="KIND", help="robot, task, environment, agent, buffer, ...")]
 
 
@@ -69,6 +72,23 @@ def show(
         print("no settings")
         return
     table([_cells(row) for row in settings], ["setting", "type", "default", "description"])
+
+
+@app.command()
+def new(
+    kind: Annotated[
+        str, typer.Argument(metavar="KIND", help="robot, task, agent, buffer, environment or distribution.")
+    ],
+    name: Annotated[str, typer.Argument(metavar="NAME", help="What specs will call it, e.g. my_arm.")],
+    out: Annotated[
+        Path | None, typer.Option(metavar="DIR", help="Folder to write; karolos-NAME if not given.", show_default=False)
+    ] = None,
+) -> None:
+    """Write a package with a plugin that works and is tested, to be changed into one's own. Prints its files."""
+    from karolos.starter import write_starter
+
+    for path in write_starter(kind, name, out or Path(f"karolos-{name.replace('_', '-')}")):
+        print(clean(str(path)))
 
 
 def _kind(text: str) -> str:

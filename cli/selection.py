@@ -62,6 +62,12 @@ def open_run(selector: str, runs: Path, database: str | None) -> RunFolder:
     return RunFolder.open(summary.folder)
 
 
+def check_checkpoint(name: str) -> None:
+    """Refuse (UsageError) a checkpoint that no run keeps."""
+    if name not in ("best", "last"):
+        raise UsageError(f"there is no checkpoint {name!r}", hint="a run keeps best and last")
+
+
 def find_run(selector: str, runs: Path, database: str | None) -> tuple[Store, RunSummary]:
     """The open index, and the one run in it that a selector means.
 

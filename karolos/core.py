@@ -21,6 +21,7 @@ from typing_extensions import TypeVar
 from .errors import KarolosError, UsageError
 
 if TYPE_CHECKING:
+    from .deployed import Deployed
     from .seeding import SeedTree
 
 Array = NDArray[Any]
@@ -322,6 +323,16 @@ class Agent(ABC, Generic[Experience]):
         non-negative number for each transition, the size of its error; and "updates": how many updates it took, if not
         one.
         """
+
+    def deployed(self) -> Deployed:
+        """How it acts without exploration, as plain arrays, for use outside karolos.
+
+        Raises:
+            UsageError: this kind of agent cannot be written down so.
+        """
+        raise UsageError(
+            f"{type(self).__name__} cannot be exported", hint="its class would have to say how it acts: `deployed`"
+        )
 
     @abstractmethod
     def state(self) -> State:

@@ -8,14 +8,12 @@ from dataclasses import dataclass, replace
 import numpy as np
 from numpy.typing import NDArray
 
-from . import checkpoint
-from .core import Agent, Environment, Step
+from .core import Environment, Step
 from .environments.build import build_environment
 from .environments.robot_task import RobotTask
 from .errors import MachineError, UsageError
-from .registry import load
+from .policies import load_agent
 from .run_folder import RunFolder
-from .seeding import SeedTree
 from .spec import Spec
 from .spec.recipe import Recipe
 from .testing import test_seeds
@@ -57,11 +55,9 @@ def load_player(folder: RunFolder, name: str = "best", *, window: bool = False) 
         RunError: the run has no such checkpoint, or it is damaged.
         MachineError: a window is asked for and there is no display.
     """
-    spec = Spec.from_dict(folder.spec())
-    parts, _ = checkpoint.load(folder.checkpoints, name)
+    saved = load_agent(folder, name)
+    spec, agent = saved.spec, saved.agent
     environment = _environment(spec, window)
-    agent: Agent = load("agents", spec.agent.name)(spec.agent.settings, environment.signature, SeedTree(0), "cpu")
-    agent.load_state(parts["agent"])
 
     def policy(state: Step) -> NDArray[np.float32]:
         return np.asarray(agent.act(state.observation[None], state.desired_goal[None], explore=False)[0])

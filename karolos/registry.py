@@ -17,6 +17,17 @@ from .errors import PluginError, UsageError
 
 KINDS = ("robots", "tasks", "environments", "agents", "buffers", "distributions", "orchestrators")
 
+NEEDED = {
+    "robots": ("prepare", "build", "apply", "reset", "act", "read", "observe"),
+    "tasks": ("fit", "build", "reset", "observe", "achieved"),
+    "environments": ("reset", "step", "close"),
+    "agents": ("on_policy", "act", "learn", "state", "load_state"),
+    "buffers": ("on_policy", "add", "cut", "sample", "state", "load_state"),
+    "distributions": ("draw",),
+    "orchestrators": ("reset", "step", "receive", "close"),
+}
+"""What a class of each kind must have to be one, whether or not it inherits from karolos's interface."""
+
 
 @dataclass(frozen=True)
 class Entry:
@@ -71,7 +82,8 @@ def load(kind: str, name: str) -> Any:
 
     Raises:
         UsageError: no such kind or no such name; says what there is, and the closest match.
-        PluginError: two distributions claim the name, the plugin does not import, or it has no usable `Settings`.
+        PluginError: two distributions claim the name, the plugin does not import, it has no usable `Settings`, or it
+            lacks a part of its kind's interface.
     """
     return _load(find(kind, name))
 
@@ -117,11 +129,11 @@ def _load(entry: Entry) -> Any:
             where=where,
             hint=f"repair {entry.target}, or uninstall {entry.distribution}",
         ) from error
-    _check(plugin, where)
+    _check(plugin, entry.kind, where)
     return plugin
 
 
-def _check(plugin: object, where: str) -> None:
+def _check(plugin: object, kind: str, where: str) -> None:
     from pydantic import BaseModel  # noqa: PLC0415  (30 ms that listing names does not need)
 
     settings = getattr(plugin, "Settings", None)
@@ -131,3 +143,11 @@ def _check(plugin: object, where: str) -> None:
         raise PluginError("has no settings", where=where, hint="nest a pydantic model called Settings in the class")
     if "name" in settings.model_fields:
         raise PluginError("has a setting called 'name'", where=where, hint="a spec's `name` says which plugin; rename")
+    abstract: frozenset[str] = getattr(plugin, "__abstractmethods__", frozenset())
+    lacking = sorted({*abstract, *(name for name in NEEDED[kind] if not hasattr(plugin, name))})
+    if lacking:
+        raise PluginError(
+            f"{plugin.__name__} is no {singular(kind)}: it lacks {', '.join(lacking)}",
+            where=where,
+            hint=f"a {singular(kind)} has {', '.join(NEEDED[kind])}",
+        )

@@ -10,11 +10,13 @@
     episodes.jsonl  one line per training episode, with what domain randomization drew
     tensorboard/    series
     checkpoints/    best and last
+    export/         its policy for use without karolos, if somebody asked for it
+    transfers.jsonl one line per test of its policy under changed settings
     labels.json     tags and note, whoever wrote them
     lock            held by the process that runs it, for as long as it lives
 
-Only the process that holds the lock writes, but for labels.json, which has a lock of its own. The state `lost` is never
-written: whoever reads `created` or `running` and finds the lock free knows that the process died.
+Only the process that holds the lock writes, but for transfers.jsonl and labels.json, which have locks of their own. The
+state `lost` is never written: whoever reads `created` or `running` and finds the lock free knows that the process died.
 """
 
 from __future__ import annotations

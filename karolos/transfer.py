@@ -12,12 +12,13 @@ from pathlib import Path
 from . import checkpoint
 from .assembly import located
 from .core import Agent, Discrete, Layout, Signature, State
-from .environments.build import build_environment
 from .errors import RunError, UsageError
+from .policies import signature_of
 from .run_folder import RunFolder
 from .spec import Spec
 
 WHERE = "agent.start_from"
+SAME_LAYOUTS = "robots have the same layouts where control is cartesian and the task is the same"
 SHAPING = ("hidden", "layer_norm", "critic", "dueling", "members")
 """Settings of agents that decide what their weights mean."""
 
@@ -70,7 +71,7 @@ def find(spec: Spec, runs: Path) -> Start | None:
         raise UsageError(f"{named!r}: {error.what}", where=WHERE, hint=error.hint) from error
     source = Spec.from_dict(folder.spec())
     _check_agents(spec, source)
-    _check_layouts(_signature(spec), _signature(source))
+    _check_layouts(signature_of(spec), signature_of(source))
     name = settings.start_checkpoint
     parts, meta = checkpoint.load(folder.checkpoints, name)
     sha256 = checkpoint.digest(folder.checkpoints, name, "agent")
@@ -111,6 +112,17 @@ def _check_agents(spec: Spec, source: Spec) -> None:
 
 
 def _check_layouts(here: Signature, there: Signature) -> None:
+    told = layout_differences(here, there)
+    if told:
+        raise UsageError(
+            "the run's agent sees and does other things than this one: " + "; ".join(told),
+            where=WHERE,
+            hint=SAME_LAYOUTS,
+        )
+
+
+def layout_differences(here: Signature, there: Signature) -> list[str]:
+    """Why an agent that was trained there cannot act here: each layout that differs, as it is on both sides."""
     told = []
     for part in ("observation", "action", "desired_goal"):
         mine, its = _words(getattr(here, part)), _words(getattr(there, part))
@@ -126,24 +138,10 @@ def _check_layouts(here: Signature, there: Signature) -> None:
                 if text
             )
             told.append(f"{part} is [{', '.join(mine)}] here and [{', '.join(its)}] there ({what})")
-    if told:
-        raise UsageError(
-            "the run's agent sees and does other things than this one: " + "; ".join(told),
-            where=WHERE,
-            hint="robots have the same layouts where control is cartesian and the task is the same",
-        )
+    return told
 
 
 def _words(layout: Layout | Discrete) -> list[str]:
     if isinstance(layout, Discrete):
         return list(layout.labels)
     return [f"{field.name} {field.size} {field.unit}" for field in layout.fields]
-
-
-def _signature(spec: Spec) -> Signature:
-    """What the agent of this spec may know of its environment; no world is simulated."""
-    environment = build_environment(spec.recipe(randomize=False))
-    try:
-        return environment.signature
-    finally:
-        environment.close()

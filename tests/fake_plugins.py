@@ -8,6 +8,7 @@ from pydantic import BaseModel, model_validator
 from pydantic import Field as Setting
 
 from karolos.core import Settings
+from karolos.randomization.distribution import Distribution
 
 
 class Fake:
@@ -19,6 +20,9 @@ class Fake:
     def __init__(self, *_: Any, **__: Any) -> None: ...
 
     def close(self) -> None: ...
+
+    reset = step = receive = draw = prepare = fit = build = apply = act = read = observe = achieved = close
+    learn = add = cut = sample = state = load_state = close
 
 
 class Arm(Fake):
@@ -134,6 +138,17 @@ class WithoutSettings:
 class WithName:
     class Settings(BaseModel):
         name: str = "x"
+
+
+class Unfinished:
+    """Has settings, and nothing that its kind asks for."""
+
+    class Settings(Settings):
+        pass
+
+
+class Abstract(Unfinished, Distribution):
+    """Says that it is a distribution, and draws nothing."""
 
 
 def not_a_class() -> None:

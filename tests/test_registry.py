@@ -92,6 +92,24 @@ def test_plugin_without_usable_settings_is_refused(fake_plugins, target, what):
         registry.load("robots", "odd")
 
 
+@pytest.mark.parametrize("kind", registry.KINDS)
+def test_plugin_of_a_wrong_interface_is_refused_when_used_naming_what_it_lacks(fake_plugins, kind):
+    fake_plugins(kind, "unfinished", "fake_plugins:Unfinished", distribution="shaky")
+    assert "unfinished" in registry.names(kind)
+    with pytest.raises(PluginError, match=f"Unfinished is no {registry.singular(kind)}: it lacks") as caught:
+        registry.load(kind, "unfinished")
+    assert "shaky 1.0" in str(caught.value)
+    for name in registry.NEEDED[kind]:
+        assert name in str(caught.value)
+    assert caught.value.exit_code == 3
+
+
+def test_plugin_that_leaves_a_method_abstract_is_refused(fake_plugins):
+    fake_plugins("distributions", "abstract", "fake_plugins:Abstract")
+    with pytest.raises(PluginError, match="Abstract is no distribution: it lacks __init__, draw"):
+        registry.load("distributions", "abstract")
+
+
 def test_every_installed_plugin_loads():
     for kind in registry.KINDS:
         for name in registry.names(kind):

@@ -19,6 +19,7 @@ if TYPE_CHECKING:
     from karolos.run_records import RunSummary
     from karolos.store import Store, StoredTest
     from karolos.testing import TestResult
+    from karolos.transfers import Transfer
 
 
 def show(
@@ -48,6 +49,8 @@ class _View:
     problems: Sequence[str] = ()
     results: Sequence[TestResult] = ()
     """The tests episode by episode, as far as the folder has them."""
+    transfers: Sequence[Transfer] = ()
+    """Tests under changed settings (`karolos test`)."""
     about: Mapping[str, Any] = field(default_factory=dict)
     """Versions, machine, command and git commit."""
 
@@ -59,6 +62,7 @@ class _View:
         return {
             **self.summary.row(),
             "tests": [_test_row(test) | near.get(test.steps, {}) for test in self.tests],
+            "transfers": [transfer.row() for transfer in self.transfers],
             "checkpoints": list(self.checkpoints),
             "problems": list(self.problems),
             "spec": self.spec,
@@ -67,6 +71,7 @@ class _View:
 
 
 def _from_folder(summary: RunSummary) -> _View:
+    from karolos import transfers
     from karolos.run_folder import RunFolder
     from karolos.store import StoredTest
 
@@ -74,13 +79,15 @@ def _from_folder(summary: RunSummary) -> _View:
     record = folder.record()
     checkpoints, damaged = _checkpoints(folder)
     description = folder.description()
+    transferred, unreadable = transfers.read(folder)
     return _View(
         summary=record.summary,
         tests=[StoredTest.of(folder.id, result) for result in record.tests],
         spec=record.spec,
         checkpoints=checkpoints,
-        problems=(*record.problems, *damaged),
+        problems=(*record.problems, *damaged, *unreadable),
         results=folder.tests(),
+        transfers=transferred,
         about={key: description.get(key) for key in ("versions", "machine", "command", "git")},
     )
 
@@ -124,7 +131,7 @@ def _checkpoints(folder: RunFolder) -> tuple[list[dict[str, Any]], list[str]]:
 
 
 def _print_view(view: _View) -> None:
-    from karolos.report.tables import duration, facts_table, flatten, table_of_tests
+    from karolos.report.tables import duration, facts_table, flatten, table_of_tests, transfers_table
 
     run, about = view.summary, view.about
     git = about.get("git") or {}
@@ -150,6 +157,8 @@ def _print_view(view: _View) -> None:
     }
     print_rich(facts_table(facts))
     print_rich(table_of_tests(view.tests, view.results, title="tests") if view.tests else "\nno tests yet\n")
+    if view.transfers:
+        print_rich(transfers_table(view.transfers, title="tests under changed settings"))
     print_rich(facts_table(dict(flatten(view.spec)), title="spec"))
     for problem in view.problems:
         print(f"warning: {problem}", file=sys.stderr)

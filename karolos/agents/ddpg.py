@@ -9,6 +9,7 @@ from numpy import int64
 from numpy.typing import NDArray
 
 from ..core import Agent, Batch, FloatArray, Signature, State
+from ..deployed import Deployed
 from ..seeding import SeedTree
 from .deterministic import LEARNED, Deterministic, DeterministicSettings, Variant
 
@@ -49,6 +50,9 @@ class DDPG(Agent):
 
     def learn(self, batch: Batch) -> Mapping[str, Any]:
         return self.core.learn(batch)
+
+    def deployed(self) -> Deployed:
+        return self.core.deployed()
 
     def state(self) -> State:
         return self.core.state()

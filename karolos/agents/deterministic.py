@@ -13,6 +13,7 @@ from pydantic import Field as Setting
 from torch import Tensor
 
 from ..core import Batch, FloatArray, Signature, State
+from ..deployed import Deployed
 from ..seeding import SeedTree
 from .actor_critic import (
     WATCHED_EVERY,
@@ -23,6 +24,7 @@ from .actor_critic import (
     parts_state,
     squared_loss,
 )
+from .deployment import deployed
 from .device import is_low
 from .inputs import (
     Inputs,
@@ -179,6 +181,10 @@ class Deterministic:
         self.policy.backward(for_action * (1 - action.square()), tapes)
         gradient, name = self.policy.gradient, "policy_gradient_norm"
         return metrics | self.optimisers["policy"].step_watched(gradient, name, watch=watch)
+
+    def deployed(self) -> Deployed:
+        """The policy, squashed."""
+        return deployed(self.policy, self.normaliser, "tanh")
 
     def state(self) -> State:
         """Everything that learning and acting depend on."""

@@ -14,9 +14,11 @@ from torch import Tensor
 from torch.nn.functional import smooth_l1_loss
 
 from ..core import Agent, Batch, Discrete, FloatArray, Signature, State
+from ..deployed import Deployed
 from ..errors import UsageError
 from ..schedules import Linear
 from ..seeding import SeedTree
+from .deployment import deployed
 from .device import Precision, is_low
 from .inputs import Inputs, acting_inputs, learning_inputs, to_array, value_bounds
 from .networks import MLP, Shape
@@ -150,6 +152,10 @@ class DQN(Agent):
         choosing = self._values(self.network(inputs.there)) if self.settings.double_q else there
         value = there.gather(1, choosing.argmax(1, keepdim=True)).squeeze(1)
         return torch.addcmul(inputs.reward, inputs.discount, value).clamp_(*self._bounds)
+
+    def deployed(self) -> Deployed:
+        """The action of the largest value; with a dueling head of the largest advantage, which is the same."""
+        return deployed(self.network, self.normaliser, "argmax", columns=slice(int(self.settings.dueling), None))
 
     def state(self) -> State:
         """Everything that learning and acting depend on."""

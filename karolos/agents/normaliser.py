@@ -25,7 +25,7 @@ class Normaliser:
     """
 
     def __init__(self, columns: int, device: str, *, clip: float = CLIP) -> None:
-        self._clip = clip
+        self.clip = clip
         self.count = 0
         self.mean = torch.zeros(columns, dtype=torch.float64, device=device)
         self._squares = torch.zeros(columns, dtype=torch.float64, device=device)
@@ -38,6 +38,11 @@ class Normaliser:
         if not self.count:
             return torch.ones_like(self.mean)
         return (self._squares / self.count).sqrt_().clamp_(min=SMALLEST_SPREAD)
+
+    @property
+    def terms(self) -> tuple[Tensor, Tensor]:
+        """What is taken off each column, and what it is multiplied by then: float32, (columns,) each."""
+        return self._shift, self._scale
 
     def update(self, rows: Tensor) -> None:
         """Take rows (n, columns) into the statistics."""
@@ -56,7 +61,7 @@ class Normaliser:
 
     def __call__(self, rows: Tensor) -> Tensor:
         """(n, columns) normalised and clipped; a new tensor."""
-        return (rows - self._shift).mul_(self._scale).clamp_(-self._clip, self._clip)
+        return (rows - self._shift).mul_(self._scale).clamp_(-self.clip, self.clip)
 
     def inverse(self, rows: Tensor) -> Tensor:
         """What `__call__` was given, where it clipped nothing."""

@@ -12,10 +12,12 @@ from pydantic import Field as Setting
 from torch import Tensor
 
 from ..core import Agent, Discrete, FloatArray, Rollout, Signature, State
+from ..deployed import Deployed
 from ..errors import UsageError
 from ..seeding import SeedTree
 from .advantages import advantages
 from .categorical import Categorical
+from .deployment import deployed
 from .gaussian import Gaussian
 from .inputs import acting_inputs, saturation, to_array
 from .networks import MLP, Shape
@@ -227,6 +229,10 @@ class PPO(Agent[Rollout]):
         """Take what the rollout observed into the statistics that inputs are normalised by."""
         rows = torch.from_numpy(np.concatenate((rollout.observation, rollout.desired_goal), -1)[rollout.stored])
         self.normaliser.update(rows.to(self.device))
+
+    def deployed(self) -> Deployed:
+        """The mean action, cut to [-1, 1], or the likeliest of a discrete set."""
+        return deployed(self.policy, self.normaliser, "clip" if isinstance(self.distribution, Gaussian) else "argmax")
 
     def state(self) -> State:
         """Everything that learning and acting depend on."""

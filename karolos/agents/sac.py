@@ -14,6 +14,7 @@ from pydantic import model_validator
 from torch import Tensor
 
 from ..core import Agent, Batch, FloatArray, Signature, State
+from ..deployed import Deployed
 from ..seeding import SeedTree
 from .actor_critic import (
     WATCHED_EVERY,
@@ -25,6 +26,7 @@ from .actor_critic import (
     squared_loss,
 )
 from .chain import Tape
+from .deployment import deployed
 from .device import is_low
 from .inputs import (
     Inputs,
@@ -228,6 +230,11 @@ class SAC(Agent):
         self.optimisers["temperature"].step_watched(pull, "", watch=False)
         if self.settings.temperature_min:
             self.log_temperature.clamp_(min=self._least_log_temperature)
+
+    def deployed(self) -> Deployed:
+        """The mean of the policy, squashed."""
+        columns = self.policy.shape.sizes[-1] // 2  # the others are the log spread
+        return deployed(self.policy, self.normaliser, "tanh", columns=slice(columns))
 
     def state(self) -> State:
         """Everything that learning and acting depend on."""

@@ -10,6 +10,7 @@ from numpy.typing import NDArray
 from pydantic import Field as Setting
 
 from ..core import Agent, Batch, FloatArray, Signature, State
+from ..deployed import Deployed
 from ..seeding import SeedTree
 from .deterministic import LEARNED, Deterministic, DeterministicSettings, Variant
 
@@ -57,6 +58,9 @@ class TD3(Agent):
 
     def learn(self, batch: Batch) -> Mapping[str, Any]:
         return self.core.learn(batch)
+
+    def deployed(self) -> Deployed:
+        return self.core.deployed()
 
     def state(self) -> State:
         return self.core.state()

@@ -16,6 +16,7 @@ from ..statistics import wilson
 from ..store import StoredTest
 from ..terminal import clean
 from ..testing import WITHIN, TestResult
+from ..transfers import Transfer
 
 _STATE_STYLES = {
     "finished": "green",
@@ -99,6 +100,26 @@ def table_of_tests(
             count(test.episodes),
             count(test.reset),
             *(shares if near else ()),
+        )
+    return table
+
+
+def transfers_table(transfers: Sequence[Transfer], *, title: str | None = None) -> Table:
+    """One row per test under changed settings, both ways to count success with their 95 % intervals."""
+    table = _table("changed", "checkpoint", title=title)
+    for heading in ("success any", "success end", "episodes", "seed", "when"):
+        table.add_column(heading, justify="right")
+    for transfer in transfers:
+        result = transfer.result
+        changed = [*transfer.overrides, *(["randomized"] if transfer.randomized else [])]
+        table.add_row(
+            _plain(", ".join(changed) or "nothing"),
+            _plain(f"{transfer.checkpoint} ({result.steps:,} steps)"),
+            success(result.success_any, result.episodes),
+            success(result.success_end, result.episodes),
+            count(result.episodes),
+            str(transfer.seed),
+            _plain(transfer.time[:16].replace("T", " ")),
         )
     return table
 

@@ -1,0 +1,1 @@
+"""Order-based cutting of boards with defects, an environment plugin of karolos."""

@@ -1,0 +1,1 @@
+"""The robot `desk_arm`, a plugin of karolos."""

@@ -1,0 +1,69 @@
+"""The reader of an exported policy.npz. Needs numpy and nothing else: copy this file to where the policy is used."""
+
+from __future__ import annotations
+
+from os import PathLike
+
+import numpy as np
+from numpy.typing import ArrayLike, NDArray
+
+FORMAT = 1
+"""Version of the file's layout."""
+
+
+class NumpyPolicy:
+    """A policy that acts as the agent it was exported from does without exploration.
+
+    Args:
+        path: of policy.npz.
+
+    Raises:
+        ValueError: it is of another format.
+    """
+
+    def __init__(self, path: str | PathLike[str]) -> None:
+        with np.load(path, allow_pickle=False) as file:
+            found = int(file["format"]) if "format" in file else None
+            if found != FORMAT:
+                raise ValueError(f"{path}: a policy of format {found}; this reads format {FORMAT}")
+            self.shift: NDArray[np.float32] = file["shift"]
+            self.scale: NDArray[np.float32] = file["scale"]
+            self.clip = float(file["clip"])
+            self.epsilon = float(file["layer_norm"])
+            """Added to the variance in layer normalisation; nan: hidden layers are not normalised."""
+            self.output = str(file["output"])
+            """tanh, clip or argmax."""
+            count = int(file["layers"])
+            self.layers: list[tuple[NDArray[np.float32], NDArray[np.float32]]] = [
+                (file[f"weight{place}"], file[f"bias{place}"]) for place in range(count)
+            ]
+            """Weight (out, in) and bias (out,) of each layer."""
+
+    def __call__(self, observation: ArrayLike, desired_goal: ArrayLike = ()) -> NDArray[np.float32] | NDArray[np.int64]:
+        """The action for an observation (o,) and a goal (g,), or the actions for (n, o) and (n, g).
+
+        Returns:
+            (a,) or (n, a), float32 in [-1, 1]; for a discrete set the index, () or (n,), int64.
+
+        Raises:
+            ValueError: observation and goal together have another size than the policy takes.
+        """
+        parts = [np.asarray(observation, np.float32), np.asarray(desired_goal, np.float32)]
+        x: NDArray[np.float32] = np.concatenate([part for part in parts if part.shape[-1]], axis=-1)
+        if x.shape[-1] != self.shift.size:
+            raise ValueError(f"observation and goal have {x.shape[-1]} numbers, the policy takes {self.shift.size}")
+        x = ((x - self.shift) * self.scale).clip(-self.clip, self.clip)
+        for place, (weight, bias) in enumerate(self.layers):
+            if place:
+                x = np.maximum(self._normalised(x), 0)
+            x = x @ weight.T + bias
+        if self.output == "argmax":
+            return np.asarray(x.argmax(-1))
+        return np.asarray(np.tanh(x), np.float32) if self.output == "tanh" else x.clip(-1, 1)
+
+    def _normalised(self, x: NDArray[np.float32]) -> NDArray[np.float32]:
+        if np.isnan(self.epsilon):
+            return x
+        centred = x - x.mean(-1, keepdims=True)
+        variance = np.square(centred).mean(-1, keepdims=True)
+        return np.asarray(centred / np.sqrt(variance + self.epsilon), np.float32)

@@ -1,0 +1,122 @@
+"""`karolos plugins new`: its package works, is tested, and is the one that docs/extending.md and examples/ show."""
+
+from __future__ import annotations
+
+import re
+from pathlib import Path
+
+import pytest
+from commands import call
+from karolos_cli.plugins import app
+from plugin_packages import STARTERS, install, python
+
+ROOT = Path(__file__).parents[2]
+CONTRACTS = {
+    "agent": "test_agent.py",
+    "buffer": "test_buffer.py",
+    "environment": "test_environment.py",
+    "distribution": None,
+}
+"""The contract tests of karolos itself for kinds without physics; CI asks the same of the robot in examples/."""
+
+
+@pytest.fixture(scope="module")
+def packages(tmp_path_factory: pytest.TempPathFactory) -> dict[str, Path]:
+    """A starter of each kind, installed."""
+    folder = tmp_path_factory.mktemp("starters")
+    found = {}
+    for kind, name in STARTERS.items():
+        found[kind] = folder / name
+        code, _, err = call(app, "new", kind, name, "--out", str(found[kind]))
+        assert code == 0, err
+        install(found[kind])
+    return found
+
+
+def test_starters_pass_their_tests_as_written(packages):
+    folders = [str(package / "tests") for package in packages.values()]
+    sources = [package / "src" for package in packages.values()]
+    ran = python("-m", "pytest", "-p", "no:cacheprovider", *folders, "-v", sources=sources, folder=packages["robot"])
+    assert ran.returncode == 0, ran.stdout + ran.stderr
+    assert "skipped" not in ran.stdout
+    for name in STARTERS.values():
+        assert f"test_{name}.py::test_it_is_found_by_its_entry_point PASSED" in ran.stdout
+
+
+def test_starters_pass_the_contract_tests_of_karolos(packages):
+    files = [f"tests/contracts/{name}" for name in CONTRACTS.values() if name]
+    names = " or ".join(STARTERS[kind] for kind in CONTRACTS)
+    sources = [packages[kind] / "src" for kind in CONTRACTS]
+    ran = python("-m", "pytest", "-p", "no:cacheprovider", *files, "-k", names, sources=sources, folder=ROOT)
+    assert ran.returncode == 0, ran.stdout + ran.stderr
+    assert " passed" in ran.stdout
+
+
+def test_starters_are_found_and_checked_in_a_spec_without_a_line_changed_in_karolos(packages, tmp_path):
+    spec = tmp_path / "mine.yaml"
+    spec.write_text(
+        "robot: desk_arm\ntask: my_task\nagent: my_agent\nbuffer: my_buffer\n"
+        "environment: {name: robot_task, actions: discrete}\n"
+        "randomization: {task.gravity: {name: my_distribution, low: -10.5, mode: -9.81, high: -9}}\n"
+    )
+    sources = [package / "src" for package in packages.values()]
+    ran = python("-m", "karolos_cli", "check", str(spec), sources=sources, folder=tmp_path)
+    assert ran.returncode == 0, ran.stderr
+
+
+def test_the_robot_in_examples_is_the_starter(packages):
+    written = packages["robot"]
+    example = ROOT / "examples" / "karolos-desk-arm"
+    for path in ("pyproject.toml", "tests/test_desk_arm.py", *(f"src/karolos_desk_arm/{end}" for end in (
+        "__init__.py", "desk_arm.py", "desk_arm.urdf",
+    ))):  # fmt: skip
+        assert (example / path).read_text() == (written / path).read_text(), path
+
+
+def test_the_code_in_the_guide_is_that_of_the_starters(packages):
+    text = (ROOT / "docs" / "extending.md").read_text()
+    blocks = re.findall(r"<!-- from (\w+) (\w+): (\S+) -->\n```\w+\n(.*?)```", text, re.DOTALL)
+    assert len(blocks) == text.count("```") // 2, "every block of code says where it is from"
+    assert {kind for kind, *_ in blocks} == set(STARTERS)
+    for kind, name, path, code in blocks:
+        assert name == STARTERS[kind]
+        assert code in (packages[kind] / path).read_text(), code
+
+
+def test_its_files_are_printed_and_the_folder_has_the_name_of_the_package(tmp_path, monkeypatch):
+    monkeypatch.chdir(tmp_path)
+    code, out, _ = call(app, "new", "distribution", "two_words")
+    assert code == 0
+    assert "class TwoWords(Distribution)" in Path("karolos-two-words/src/karolos_two_words/two_words.py").read_text()
+    listed = out.splitlines()
+    assert sorted(listed) == sorted(str(path) for path in Path("karolos-two-words").rglob("*") if path.is_file())
+
+
+@pytest.mark.parametrize(
+    ("kind", "name", "what"),
+    [
+        ("robbot", "x", "did you mean 'robot'"),
+        ("orchestrator", "x", "no starter for 'orchestrator'"),
+        ("robot", "My-Arm", "cannot be the name"),
+        ("robot", "class", "cannot be the name"),
+        ("robot", "../x", "cannot be the name"),
+        ("robot", "a__b", "cannot be the name"),
+    ],
+)
+def test_what_cannot_be_written_is_refused_and_leaves_nothing(tmp_path, kind, name, what):
+    out = tmp_path / "new"
+    code, printed, err = call(app, "new", kind, name, "--out", str(out))
+    assert (code, printed) == (2, "")
+    assert what in err
+    assert not out.exists()
+
+
+def test_a_folder_that_holds_something_is_not_written_to(tmp_path):
+    (tmp_path / "mine.txt").write_text("mine")
+    code, _, err = call(app, "new", "robot", "x", "--out", str(tmp_path))
+    assert code == 2
+    assert "is there already" in err
+    assert [path.name for path in tmp_path.iterdir()] == ["mine.txt"]
+    code, _, err = call(app, "new", "robot", "x", "--out", str(tmp_path / "mine.txt"))
+    assert code == 2
+    assert "is there already" in err

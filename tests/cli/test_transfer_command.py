@@ -1,0 +1,84 @@
+"""`karolos test` and `karolos export`: what they print, keep and refuse."""
+
+from __future__ import annotations
+
+import json
+from pathlib import Path
+
+import pytest
+from commands import call
+from karolos_cli.export import export
+from karolos_cli.runs.show import show
+from karolos_cli.test import transfer
+from typer import Typer
+
+from karolos.experiment import Experiment
+from karolos.report.tables import success
+from karolos.statistics import wilson
+
+TOY = {
+    "name": "toy",
+    "environment": "toy",
+    "agent": {"name": "sac", "hidden": [8]},
+    "orchestrator": {"processes": 0, "environments": 2},
+    "training": {"steps": 40, "batch_size": 8, "replay_ratio": 2, "warmup_episodes": 1},
+    "testing": {"interval": 40, "episodes": 4},
+}
+transfer_app, export_app, show_app = Typer(), Typer(), Typer()
+transfer_app.command()(transfer)
+export_app.command()(export)
+show_app.command()(show)
+
+
+@pytest.fixture(scope="module")
+def runs(tmp_path_factory: pytest.TempPathFactory) -> Path:
+    folder = tmp_path_factory.mktemp("runs")
+    Experiment(TOY).run(folder)
+    return folder
+
+
+def test_a_row_has_the_overrides_and_both_successes_beside_the_runs_own(runs: Path) -> None:
+    arguments = ("@last", "environment.threshold=0.9", "--episodes", "5", "--seed", "3", "--runs", str(runs))
+    code, out, err = call(transfer_app, *arguments, "--json")
+    assert code == 0, err
+    row = json.loads(out)
+    assert (row["overrides"], row["episodes"], row["seed"]) == (["environment.threshold=0.9"], 5, 3)
+    for way in ("success_any", "success_end"):
+        assert row[f"{way}_interval"] == list(wilson(round(row[way] * 5), 5))
+    assert row["success_any"] >= row["success_end"]
+    assert row["own"]["episodes"] == 4
+    code, out, _ = call(transfer_app, *arguments)
+    assert code == 0
+    assert "environment.threshold=0.9" in out
+    assert success(row["success_any"], 5) in out
+    assert "the run's own last test" in out
+
+
+def test_what_was_tested_is_shown_with_the_run(runs: Path) -> None:
+    call(transfer_app, "@last", "environment.max_steps=7", "--runs", str(runs))
+    _, out, _ = call(show_app, "@last", "--runs", str(runs))
+    assert "tests under changed settings" in out
+    assert "environment.max_steps=7" in out
+    row = json.loads(call(show_app, "@last", "--runs", str(runs), "--json")[1])
+    assert row["transfers"][-1]["overrides"] == ["environment.max_steps=7"]
+
+
+def test_files_are_written_beside_the_run_or_where_they_are_asked_for(runs: Path, tmp_path: Path) -> None:
+    code, out, err = call(export_app, "@last", "--no-onnx", "--runs", str(runs), "--json")
+    assert code == 0, err
+    row = json.loads(out)
+    assert row["files"] == ["policy.npz", "policy.json", "golden.npz"]
+    assert Path(row["folder"]) == runs / row["run"] / "export"
+    assert row["error"] < 1e-5
+    call(export_app, "@last", "--no-onnx", "--runs", str(runs), "--out", str(tmp_path / "out"))
+    assert (tmp_path / "out" / "policy.npz").is_file()
+
+
+@pytest.mark.parametrize("app", [transfer_app, export_app])
+def test_checkpoints_and_runs_that_are_not_there_are_refused(app: Typer, runs: Path) -> None:
+    code, _, err = call(app, "@last", "--checkpoint", "worst", "--runs", str(runs))
+    assert code == 2
+    assert "there is no checkpoint 'worst'" in err
+    code, _, err = call(app, "nobody", "--runs", str(runs))
+    assert code == 2
+    assert "nobody" in err

@@ -1,0 +1,141 @@
+"""Exported policies act as their agents do; what cannot be exported is refused, and nothing wrong is left behind."""
+
+from __future__ import annotations
+
+import json
+import sys
+from dataclasses import replace
+from pathlib import Path
+
+import numpy as np
+import pytest
+from exported_policies import CASES, asked, trained
+
+from karolos import checkpoint
+from karolos.core import Agent
+from karolos.deployed import Deployed, Layer
+from karolos.errors import MachineError, RunError, UsageError
+from karolos.export import NumpyPolicy, export_policy
+from karolos.export.onnx_file import run_onnx
+from karolos.registry import load, names
+
+TOLERANCE = 1e-5
+
+
+def actions_of(case: str) -> tuple[np.ndarray, np.ndarray, np.ndarray]:
+    saved, observation, goal, action = asked(trained(case))
+    discrete = saved.agent.deployed().output == "argmax"
+    return observation, goal, action[:, 0].astype(np.int64) if discrete else action
+
+
+def test_every_agent_that_ships_is_exported_in_some_case() -> None:
+    ships = {name for name in names("agents") if load("agents", name).__module__.startswith("karolos.")}
+    assert ships == {case["agent"]["name"] for case in CASES.values()}
+
+
+@pytest.mark.parametrize("case", CASES)
+def test_the_numpy_policy_acts_as_the_agent_does(case: str, tmp_path: Path) -> None:
+    done = export_policy(trained(case), tmp_path, checkpoint="last", onnx=False)
+    assert done.error < TOLERANCE
+    policy = NumpyPolicy(tmp_path / "policy.npz")
+    observation, goal, action = actions_of(case)
+    found = policy(observation, goal)
+    assert found.dtype == action.dtype
+    np.testing.assert_allclose(found, action, atol=TOLERANCE)
+    assert len(np.unique(found, axis=0)) > 1, "a policy that always does the same would prove nothing"
+    np.testing.assert_allclose(policy(observation[3], goal[3]), action[3], atol=TOLERANCE)
+
+
+@pytest.mark.parametrize("case", CASES)
+def test_the_onnx_model_acts_as_the_agent_does(case: str, tmp_path: Path) -> None:
+    pytest.importorskip("onnx")
+    export_policy(trained(case), tmp_path, checkpoint="last")
+    observation, goal, action = actions_of(case)
+    inputs = {"observation": observation} | ({"desired_goal": goal} if goal.shape[1] else {})
+    found = run_onnx(tmp_path / "policy.onnx", inputs)
+    assert found.dtype == action.dtype
+    np.testing.assert_allclose(found, action, atol=TOLERANCE)
+    runtime = pytest.importorskip("onnxruntime")
+    session = runtime.InferenceSession(str(tmp_path / "policy.onnx"), providers=["CPUExecutionProvider"])
+    assert [entry.name for entry in session.get_inputs()] == list(inputs)
+    (found,) = session.run(["action"], inputs)
+    np.testing.assert_allclose(found, action, atol=TOLERANCE)
+    told = json.loads(session.get_modelmeta().custom_metadata_map["karolos"])
+    assert told == json.loads((tmp_path / "policy.json").read_text())
+
+
+def test_golden_samples_are_the_agents_own_actions_and_reach_beyond_the_clipping(tmp_path: Path) -> None:
+    export_policy(trained("sac"), tmp_path, checkpoint="last", onnx=False)
+    golden = np.load(tmp_path / "golden.npz")
+    saved = asked(trained("sac"))[0]
+    expected = saved.agent.act(golden["observation"], golden["desired_goal"], explore=False)
+    np.testing.assert_array_equal(golden["action"], expected)
+    policy = NumpyPolicy(tmp_path / "policy.npz")
+    rows = np.concatenate((golden["observation"], golden["desired_goal"]), 1)
+    assert (np.abs((rows - policy.shift) * policy.scale) > policy.clip).any()
+
+
+def test_inputs_and_outputs_are_described_with_names_and_units(tmp_path: Path) -> None:
+    export_policy(trained("sac"), tmp_path, checkpoint="last", onnx=False)
+    told = json.loads((tmp_path / "policy.json").read_text())
+    assert told["observation"] == [{"name": "position", "size": 2, "unit": "1"}]
+    assert told["action"] == [{"name": "displacement", "size": 2, "unit": "1"}]
+    assert (told["run"], told["checkpoint"], told["steps"]) == (trained("sac").id, "last", 120)
+    assert told["sha256"] == checkpoint.digest(trained("sac").checkpoints, "last", "agent")
+    export_policy(trained("dqn"), tmp_path, checkpoint="last", onnx=False)
+    labels = json.loads((tmp_path / "policy.json").read_text())["action"]["labels"]
+    assert len(labels) == 4, "one for each bit"
+
+
+def test_a_model_of_another_policy_does_not_stay_beside_the_new_arrays(tmp_path: Path) -> None:
+    (tmp_path / "policy.onnx").write_bytes(b"another")
+    done = export_policy(trained("td3"), tmp_path, checkpoint="last", onnx=False)
+    assert sorted(path.name for path in tmp_path.iterdir()) == sorted(path.name for path in done.files)
+
+
+def test_without_onnx_the_error_says_what_to_do_before_anything_is_written(
+    tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    monkeypatch.setitem(sys.modules, "onnx", None)
+    with pytest.raises(MachineError, match="--no-onnx"):
+        export_policy(trained("td3"), tmp_path / "out")
+    assert not (tmp_path / "out").exists()
+
+
+def test_a_checkpoint_that_is_not_there_is_refused(tmp_path: Path) -> None:
+    with pytest.raises(RunError, match="never"):
+        export_policy(trained("td3"), tmp_path / "out", checkpoint="never", onnx=False)
+    assert not (tmp_path / "out").exists()
+
+
+def test_an_agent_that_does_not_say_how_it_acts_is_refused() -> None:
+    saved = asked(trained("sac"), 1)[0]
+    with pytest.raises(UsageError, match="SAC cannot be exported"):
+        Agent.deployed(saved.agent)
+
+
+def test_a_policy_that_would_act_otherwise_or_is_no_number_is_refused(
+    tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    folder = trained("td3")
+    agent = type(asked(folder, 1)[0].agent)
+    right = agent.deployed
+
+    def shifted(self: Agent) -> Deployed:
+        found = right(self)
+        return replace(found, shift=found.shift + 1)
+
+    monkeypatch.setattr(agent, "deployed", shifted)
+    with pytest.raises(RunError, match="does not act as the agent does"):
+        export_policy(folder, tmp_path, checkpoint="last", onnx=False)
+    assert not (tmp_path / "policy.npz").exists()
+    monkeypatch.setattr(agent, "deployed", lambda self: replace(right(self), scale=right(self).scale * np.nan))
+    with pytest.raises(RunError, match="numbers that are none"):
+        export_policy(folder, tmp_path, checkpoint="last", onnx=False)
+
+
+def test_layers_that_do_not_fit_are_refused() -> None:
+    layer = Layer(np.zeros((2, 3), np.float32), np.zeros(2, np.float32))
+    inputs = np.zeros(4, np.float32)
+    with pytest.raises(ValueError, match="do not go through layers"):
+        Deployed(inputs, inputs, 5.0, (layer,), "tanh")
