@@ -15,7 +15,7 @@ from .results import TestResult
 _FLAGS = rb"\[([01,]+)\]"
 _NUMBERS = rb'\[([-+0-9.,eainf"]+)\]'  # nan and inf stand in quotes
 _LINE = re.compile(
-    rb'\{"steps":(0|[1-9]\d*),"seconds":(\d+\.\d+(?:e[-+]\d+)?),"any":%b,"end":%b,"reset":%b,"returns":%b,"lengths":%b'
+    rb'\{"steps":(0|[1-9]\d*),"seconds":(\d+\.\d+|\d+(?:\.\d+)?e[-+]\d+),"any":%b,"end":%b,"reset":%b,"returns":%b,"lengths":%b'
     rb'(?:,"distances":%b)?\}' % (_FLAGS, _FLAGS, _FLAGS, _NUMBERS, _NUMBERS, _NUMBERS)
 )
 
