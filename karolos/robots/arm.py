@@ -9,7 +9,7 @@ from __future__ import annotations
 from collections import deque
 from collections.abc import Mapping, Sequence
 from functools import cached_property
-from math import atan2, cos, sin
+from math import atan2, cos, dist, hypot, sin
 from operator import truediv
 from typing import ClassVar
 
@@ -29,6 +29,8 @@ from .model import PARAMETERS, ArmModel, ArmSettings, pad_friction
 
 POSTURE_GAIN = 0.1
 """Share of the way back to the home pose, per control step, that the null space is used for."""
+PLACED = 5e-4
+"""How near, in m, and how upright, in rad, `place_tool` brings the tool."""
 NOMINAL = {name: parameter.nominal for name, parameter in PARAMETERS.items()}
 
 
@@ -178,6 +180,8 @@ class Arm:
         joints: list[float] = list(self.model.home)
         for _ in range(100):
             at = self.chain.forward(joints)
+            if dist(at.tool.position, position) < PLACED and hypot(*at.tool.z[:2]) < PLACED:
+                break
             change = self.chain.step(at, position, self.home_yaw, self._posture(joints))
             joints = [
                 min(max(value + turn, low), high)
