@@ -382,11 +382,12 @@ class Buffer(ABC, Generic[Experience]):
         The arrays are valid until the next call; those of a rollout until the next `add`.
         """
 
-    def keep(self, episodes: Sequence[Transitions]) -> None:  # noqa: ARG002 (part of the interface)
-        """Store demonstrations for good, beside the environments' transitions and sampled as they are.
+    def keep(self, episodes: Sequence[Transitions], share: float | None = None) -> None:  # noqa: ARG002 (interface)
+        """Store demonstrations for good, beside the environments' transitions.
 
         Args:
             episodes: whole ones, each with its steps along the leading axis; `environment` is not looked at.
+            share: of each batch that comes from demonstrations; None: they are sampled as all else is.
 
         Raises:
             UsageError: this buffer has no place for them.

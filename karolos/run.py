@@ -113,7 +113,8 @@ class Run:
             if self.snapshot is None or not self.snapshot.parts:
                 self._start(agent)
                 self._demonstrate(buffer, seeds)
-            training = Training(environments, agent, buffer, spec.training, seeds, spec.training.at_least)
+            before = spec.demonstrations.updates if spec.demonstrations else 0
+            training = Training(environments, agent, buffer, spec.training, seeds, spec.training.at_least, before)
             self._restore(training)
             scalars = Scalars(self.folder.tensorboard, purge=training.steps if self.snapshot else None)
             stack.callback(scalars.close)
@@ -135,7 +136,7 @@ class Run:
         if settings is None:
             return
         found = collect(self.spec.recipe(randomize=True), settings, seeds)
-        buffer.keep(found.episodes)
+        buffer.keep(found.episodes, settings.share)
         self.folder.event(
             "demonstrated",
             episodes=len(found.episodes),

@@ -27,6 +27,7 @@ from .core import (
     Agent,
     Buffer,
     Discrete,
+    Failure,
     FloatArray,
     Orchestrator,
     Received,
@@ -41,6 +42,9 @@ from .progress import Amounts, Metrics, PolicyLag, Progress
 from .schedules import Ratio
 from .seeding import SeedTree, generator_state, load_generator_state
 
+UPDATES_AT_ONCE = 64
+"""Of those before the first step, in a round."""
+
 
 @dataclass
 class Training:
@@ -49,6 +53,7 @@ class Training:
     Args:
         at_least: answers that a round waits for; None: those of all environments (lockstep), which is the only way for
             an on-policy agent.
+        updates_before: the first step: from what the buffer holds already.
     """
 
     orchestrator: Orchestrator
@@ -57,6 +62,7 @@ class Training:
     amounts: Amounts
     seeds: SeedTree
     at_least: int | None = None
+    updates_before: int = 0
     steps: int = 0
     episodes: int = 0
     updates: int = 0
@@ -87,6 +93,12 @@ class Training:
         """Rounds until `amounts.steps` environment steps are taken."""
         while self.steps < self.amounts.steps:
             started = time.perf_counter()
+            if self._latest is None and self.updates < self.updates_before:
+                count = min(UPDATES_AT_ONCE, self.updates_before - self.updates)
+                metrics = tuple(self._learn(self.amounts.batch_size) for _ in range(count))
+                self.seconds += time.perf_counter() - started
+                yield self._progress(metrics=metrics)
+                continue
             if self._latest is None:
                 self._latest = nothing_yet(self.orchestrator)
                 self._ready = self._all[:0]
@@ -95,16 +107,21 @@ class Training:
             finished, metrics = self._round(self._latest)
             self.seconds += time.perf_counter() - started
             failures, self._running.failures = self._running.failures, ()
-            yield Progress(
-                steps=self.steps,
-                episodes=self.episodes,
-                updates=self.updates,
-                seconds=self.seconds,
-                warming_up=self._learning_since is None,
-                finished=finished,
-                metrics=metrics,
-                failures=failures,
-            )
+            yield self._progress(finished, metrics, failures)
+
+    def _progress(
+        self, finished: tuple[Episode, ...] = (), metrics: Metrics = (), failures: tuple[Failure, ...] = ()
+    ) -> Progress:
+        return Progress(
+            steps=self.steps,
+            episodes=self.episodes,
+            updates=self.updates,
+            seconds=self.seconds,
+            warming_up=self._learning_since is None,
+            finished=finished,
+            metrics=metrics,
+            failures=failures,
+        )
 
     def _round(self, latest: Step) -> tuple[tuple[Episode, ...], Metrics]:
         """One step of the environments that are ready. Afterwards `latest` is what each was last heard to observe."""

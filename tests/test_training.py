@@ -50,6 +50,16 @@ def test_learning_starts_after_warm_up_and_keeps_the_replay_ratio():
     assert recorder.learned == training.updates == len(recorder.priorities)
 
 
+def test_updates_before_the_first_step_come_before_anything_is_collected():
+    progress, recorder, training = train(updates_before=150, steps=30)
+    _, _, without = train(steps=30)
+    assert [(round.steps, round.updates) for round in progress[:4]] == [(0, 64), (0, 128), (0, 150), (3, 150)]
+    assert all(round.warming_up for round in progress[:3])
+    assert [stored for _, stored in recorder.sampled[:151]] == [0] * 150 + [recorder.sampled[150][1]]
+    assert recorder.sampled[150][1] > 0
+    assert training.updates == without.updates + 150
+
+
 def test_an_update_learns_from_what_was_stored_before_the_round():
     progress, recorder, _ = train()
     updates_of_round = [len(round.metrics) for round in progress]

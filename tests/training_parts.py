@@ -116,10 +116,10 @@ class OnPolicyRecorder(Recorder):
         return {"loss": np.float32(self.learned), "updates": 5}
 
 
-def train(environments=3, recorder=None, failures=0, **amounts):
+def train(environments=3, recorder=None, failures=0, updates_before=0, **amounts):
     amounts = {"steps": 60, "batch_size": 4, "replay_ratio": 2.0, "warmup_episodes": 2} | amounts
     recorder = Recorder() if recorder is None else recorder
     settings = Local.Settings(processes=0, environments=environments, failures=failures)
     with Local(settings, None, build=lambda _: Counter()) as local:
-        training = Training(local, recorder, recorder, SimpleNamespace(**amounts), SeedTree(7))
+        training = Training(local, recorder, recorder, SimpleNamespace(**amounts), SeedTree(7), None, updates_before)
         return list(training.rounds()), recorder, training

@@ -68,6 +68,7 @@ class SAC(Agent):
         target_entropy: float | None = Setting(None, description="in nats; null: minus the number of action columns")
         entropy_in_target: bool = Setting(False, description="count the next action's entropy in the critics' target")
         critic: Quantiles | None = Setting(None, description="critics that give quantiles (TQC); null: values")
+        policy_delay: int = Setting(1, ge=1, description="critic updates for each update of policy and temperature")
         noise: NoiseSettings = Setting(
             default_factory=NoiseSettings, description="of exploring actions; the policy gives its size"
         )
@@ -134,13 +135,16 @@ class SAC(Agent):
         Gradients are written down: autograd takes as long for a loss of 256 numbers as a product of two layers does.
         """
         update = self.optimisers["critic"].steps
-        watch = update % WATCHED_EVERY == 0
+        watch = update % (WATCHED_EVERY * self.settings.policy_delay) == 0
         inputs = learning_inputs(batch, self.normaliser, self.device, observe=is_observed(update))
-        drawn, tapes = self._draw(inputs.observed)  # for both ends of the transitions: the policy changes after both
-        metrics = self._learn_critic(inputs, drawn, watch=watch)
-        count = len(inputs.action)
-        here = [tape.rows(count, count) for tape in tapes]
-        metrics |= self._learn_policy(inputs, drawn.rows(count), here, watch=watch)
+        if update % self.settings.policy_delay:
+            metrics = self._learn_critic(inputs, self._draw(inputs.there)[0], watch=watch)
+        else:
+            drawn, tapes = self._draw(inputs.observed)  # for both ends of the transitions: the policy changes after
+            metrics = self._learn_critic(inputs, drawn, watch=watch)
+            count = len(inputs.action)
+            here = [tape.rows(count, count) for tape in tapes]
+            metrics |= self._learn_policy(inputs, drawn.rows(count), here, watch=watch)
         self.target.follow(self.critic, self.settings.tau)
         return metrics
 

@@ -86,12 +86,12 @@ class Priority(Buffer):
         if len(self._new) >= NEW_CALLS:
             self._enter()
 
-    def keep(self, episodes: Sequence[Transitions]) -> None:
+    def keep(self, episodes: Sequence[Transitions], share: float | None = None) -> None:
         """Store demonstrations beside what the environments give, with the largest priority. Raises as `add` does."""
         self._enter()
         before = self._replay.storage.used()
         odds = self._tree[before]
-        slots = self._replay.keep(episodes)
+        slots = self._replay.keep(episodes, share)
         self._tree = SumTree(len(self._replay.storage.table))
         self._tree[np.concatenate((before, slots))] = np.concatenate((odds, np.full(slots.size, self._largest)))
 
@@ -114,13 +114,27 @@ class Priority(Buffer):
         """
         self._replay.require_some()
         self._enter()
-        total = self._tree.total
-        shares = (np.arange(size) + self._generator.random(size)) * (total / size)
-        slots = self._tree.find(shares)
-        weights = (self._tree[slots] * (len(self) / total)) ** -self.beta
+        slots, odds = self._draw(size)
+        weights = (odds * len(self)) ** -self.beta
         self._batches += 1
         names = self._replay.storage.names(slots)
         return self._replay.batch(slots, (weights / weights.max()).astype(np.float32), names, self._generator)
+
+    def _draw(self, size: int) -> tuple[Slots, Numbers]:
+        """Slots by their priorities, and how likely each one was: (n,) both."""
+        tree, storage, shown = self._tree, self._replay.storage, self._replay.shown(size)
+        total, evenly = tree.total, np.arange(size) + self._generator.random(size)
+        if shown is None:
+            slots = tree.find(evenly * (total / size))
+            return slots, tree[slots] / total
+        # Two strata, each by its own priorities; demonstrations lie behind all else.
+        others, border = size - shown, storage.environments * storage.lane_size
+        before = tree.before(border)
+        masses = evenly * (before / max(others, 1))
+        masses[others:] = before + (evenly[others:] - others) * ((total - before) / max(shown, 1))
+        slots = tree.find(masses)
+        strata = np.where(slots < border, others / (size * max(before, 1e-300)), shown / (size * (total - before)))
+        return slots, tree[slots] * strata
 
     def update_priorities(self, slot: NDArray[np.int64], priorities: Any) -> None:
         """Set the odds of a batch's transitions by their errors: (n,) non-negative, an array or a tensor.

@@ -45,6 +45,18 @@ class Replay:
         self._n_step = NStep(n_step, discount, self.storage, signature.goal_rule) if n_step > 1 else None
         self._discount = np.float32(discount)
         self._discounts = np.zeros(0, np.float32)
+        self._share: float | None = None
+
+    def shown(self, size: int) -> int | None:
+        """How many of a batch's rows have to be demonstrations; None: as it comes.
+
+        All of them while nothing else is stored, none where there are none.
+        """
+        if self._share is None:
+            return None
+        if not self.storage.kept:
+            return 0
+        return size if self.storage.kept == len(self.storage) else round(self._share * size)
 
     def add(self, transitions: Transitions) -> Slots:
         """Store one transition of each environment named; where they went.
@@ -56,8 +68,9 @@ class Replay:
             self._hindsight.check(transitions)
         return self.storage.add(transitions)
 
-    def keep(self, episodes: Sequence[Transitions]) -> Slots:
+    def keep(self, episodes: Sequence[Transitions], share: float | None) -> Slots:
         """Store demonstrations where nothing overwrites them; where they went. Raises as `add` does."""
+        self._share = share
         if self._hindsight is not None:
             for episode in episodes:
                 self._hindsight.check(episode)
@@ -99,8 +112,9 @@ class Replay:
         )
 
     def state(self) -> State:
-        return self.storage.state()
+        return {**self.storage.state(), "share": self._share}
 
     def load_state(self, state: State) -> None:
         """Raises UsageError when the state is of a buffer of another shape."""
         self.storage.load_state(state)
+        self._share = state.get("share")  # checkpoints of karolos 0.1 before demonstrations.share have none

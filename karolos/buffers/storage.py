@@ -123,6 +123,11 @@ class Storage:
     def __len__(self) -> int:
         return int(self.filled.sum())
 
+    @property
+    def kept(self) -> int:
+        """Transitions of demonstrations."""
+        return int(self.written[self.environments :].sum())
+
     def add(self, transitions: Transitions) -> Slots:
         """Store one transition of each environment named; returns where. Each environment is named once per call."""
         lanes = transitions.environment

@@ -39,6 +39,15 @@ class SumTree:
             nodes = nodes >> 1
             self._nodes[nodes] = self._nodes[2 * nodes] + self._nodes[2 * nodes + 1]
 
+    def before(self, index: int) -> float:
+        """The sum of the numbers that come before this index."""
+        node, found = index + self._first, 0.0
+        while node > 1:
+            if node & 1:
+                found += float(self._nodes[node - 1])
+            node >>= 1
+        return found
+
     def find(self, masses: Numbers) -> Indices:
         """For each mass in [0, total), (n,): the index i with sum(numbers[:i]) <= mass < sum(numbers[:i + 1]).
 

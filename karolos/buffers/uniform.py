@@ -59,9 +59,9 @@ class Uniform(Buffer):
         """Store one transition of each environment named, in any order, any subset. Raises as `Replay.add` does."""
         self._replay.add(transitions)
 
-    def keep(self, episodes: Sequence[Transitions]) -> None:
+    def keep(self, episodes: Sequence[Transitions], share: float | None = None) -> None:
         """Store demonstrations beside what the environments give. Raises as `Replay.add` does."""
-        self._replay.keep(episodes)
+        self._replay.keep(episodes, share)
 
     def cut(self, environments: NDArray[np.int64]) -> None:
         """End the running episodes of these environments as they stand."""
@@ -74,7 +74,13 @@ class Uniform(Buffer):
             RunError: nothing is stored yet.
         """
         self._replay.require_some()
-        slots = self._replay.storage.at(self._generator.integers(0, len(self), size))
+        storage, shown, draw = self._replay.storage, self._replay.shown(size), self._generator.integers
+        if shown is None:
+            ranks = draw(0, len(self), size)
+        else:
+            others = len(self) - storage.kept
+            ranks = np.concatenate((draw(0, max(others, 1), size - shown), draw(others, max(len(self), 1), shown)))
+        slots = storage.at(ranks)
         if self._ones.size != size:
             self._ones = np.ones(size, np.float32)
         return self._replay.batch(slots, self._ones, slots, self._generator)

@@ -73,6 +73,12 @@ class Demonstrations(Settings):
         default=0.1, ge=0, description="standard deviation of the Gaussian noise on the expert's actions"
     )
     random: float = Setting(default=0.05, ge=0, le=1, description="share of actions drawn uniformly instead")
+    share: float | None = Setting(
+        default=None, ge=0, lt=1, description="of each batch, taken from them; null: they are sampled as all else is"
+    )
+    updates: int = Setting(
+        default=0, ge=0, description="updates from them alone, before the first step is taken in an environment"
+    )
 
 
 class Testing(Settings):

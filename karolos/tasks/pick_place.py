@@ -2,12 +2,14 @@
 
 from __future__ import annotations
 
+from collections.abc import Mapping
 from typing import Literal
 
 import numpy as np
 from pydantic import Field as Setting
 
 from ..core import Field, FloatArray, Layout
+from ..randomization.parameter import Parameter
 from ..seeding import Generator
 from ..simulation.body import Vector
 from ..simulation.interface import Box, Expert, RobotView
@@ -29,7 +31,8 @@ class PickPlace(CubeTask):
 
     What is randomised: cube and goal, uniformly in a square of .3 m in the middle of the workspace (`goals: workspace`:
     in all of it); 30 % of the goals lie on the surface, 70 % in the air up to .2 m; never so that the cube is there at
-    the start. A share `start_grasped` of the episodes begins with the cube in the gripper.
+    the start. A share `start_grasped` of the episodes begins with the cube in the gripper; as a parameter of domain
+    randomization it does so in training alone, which is how Andrychowicz et al. 2017 begin half of their episodes.
 
     What counts as success: the centre of the cube lies within `threshold` of the goal. Only time ends an episode.
 
@@ -55,6 +58,7 @@ class PickPlace(CubeTask):
 
     def __init__(self, settings: PickPlace.Settings) -> None:
         self.settings = settings
+        self._start_grasped = settings.start_grasped
         self.goal = np.zeros(3, np.float32)
         if settings.reward == "dense":
             self.achieved_goal = Layout(
@@ -83,9 +87,20 @@ class PickPlace(CubeTask):
         super().build(world)
         self._marker = world.marker(self.settings.threshold, GOAL_COLOUR)
 
+    @property
+    def parameters(self) -> Mapping[str, Parameter]:
+        odds = Parameter("1", self.settings.start_grasped, 0.0, 1.0, "odds that the cube starts in the gripper")
+        return {**super().parameters, "start_grasped": odds}
+
+    def apply(self, world: World, name: str, value: float) -> None:
+        if name == "start_grasped":
+            self._start_grasped = value
+        else:
+            super().apply(world, name, value)
+
     def reset(self, generator: Generator) -> None:
         self.cube.place(place(generator, self.ground, lambda _: True, "the cube").tolist(), aligned(self._robot))
-        if generator.uniform() < self.settings.start_grasped:
+        if generator.uniform() < self._start_grasped:
             self.cube.put_in_gripper(self._robot, self.cube.position)
         start = self.achieved()
         box = self.air if generator.uniform() < AIR else self.ground

@@ -215,3 +215,16 @@ def test_bounds_that_do_not_hold_are_refused() -> None:
         SAC.Settings(entropy_in_target=True)
     with pytest.raises(ValidationError, match="below temperature_min"):
         SAC.Settings(temperature=0.01, temperature_min=0.02)
+
+
+def test_the_policy_and_its_temperature_wait_for_the_critics_as_often_as_asked() -> None:
+    agent = make(policy_delay=3)
+    of = batch(16, signature(), 0)
+    changed = []
+    for _ in range(6):
+        before = [agent.policy.vector.clone(), agent.log_temperature.clone(), agent.critic.vector.clone()]
+        agent.learn(of)
+        now = [agent.policy.vector, agent.log_temperature, agent.critic.vector]
+        changed.append([not torch.equal(one, other) for one, other in zip(before, now, strict=True)])
+    learned, waited = [True, True, True], [False, False, True]
+    assert changed == [learned, waited, waited, learned, waited, waited]

@@ -117,3 +117,45 @@ def test_demonstrations_begin_with_the_largest_priority_and_what_was_there_keeps
     assert after["priority_max"] == before["priority_max"] == pytest.approx(7, rel=1e-5)
     total = before["priority_mean"] * before["transitions"] + 10 * 7
     assert after["priority_mean"] * after["transitions"] == pytest.approx(total, rel=1e-5)
+
+
+@pytest.mark.parametrize("buffer", BUFFERS)
+def test_a_share_of_each_batch_is_demonstrated(buffer: Any) -> None:
+    made = make(buffer)
+    made.keep(episodes(2), 0.25)
+    assert made.sample(40).demonstrated.all()  # there is nothing else
+    world = filled(made, 12)
+    for _ in range(5):
+        batch = made.sample(40)
+        assert batch.demonstrated.sum() == 10
+        np.testing.assert_array_equal(batch.demonstrated, batch.observation[:, 1] >= 100)
+        made.update_priorities(batch.slot, np.linspace(0.1, 5, 40, dtype=np.float32))
+    assert sampled(made) == {(episode, step) for episode in (100, 101) for step in range(STEPS)} | world.kept(12)
+
+
+def test_a_share_is_sampled_by_priority_within_and_weighed_by_its_odds() -> None:
+    made = make(Priority, alpha=1.0, beta=1.0)
+    made.keep(episodes(2), 0.5)
+    filled(made, 10)
+    batch = made.sample(400)
+    errors = np.where(batch.observation[:, 2] == 0, 4.0, 1.0).astype(np.float32)
+    made.update_priorities(batch.slot, errors)
+    batch = made.sample(4000)
+    shown, first = batch.demonstrated > 0, batch.observation[:, 2] == 0
+    assert shown.mean() == 0.5
+    for stratum in (shown, ~shown):  # first steps: 4 of 4 + 1 + 1 + 1 + 1
+        assert first[stratum].mean() == pytest.approx(0.5, abs=0.02)
+    # what is drawn 4 times as often counts a quarter, and the 10 demonstrations half of what the 20 others do
+    assert batch.weight[~shown & ~first].min() == batch.weight.max() == 1
+    assert batch.weight[~shown & first] == pytest.approx(0.25, rel=1e-4)
+    assert batch.weight[shown & ~first] == pytest.approx(0.5, rel=1e-4)
+
+
+@pytest.mark.parametrize("buffer", BUFFERS)
+def test_the_share_goes_on_in_a_loaded_buffer(buffer: Any) -> None:
+    first, second = make(buffer), make(buffer)
+    first.keep(episodes(2), 0.25)
+    filled(first, 12)
+    second.load_state(first.state())
+    np.testing.assert_array_equal(first.sample(64).observation, second.sample(64).observation)
+    assert second.sample(64).demonstrated.sum() == 16

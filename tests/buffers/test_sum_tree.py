@@ -49,6 +49,17 @@ def test_find_gives_the_number_under_which_the_mass_falls_and_never_one_that_is_
     assert (masses >= ends[found] - plain[found] - slack).all()
 
 
+@given(writes(), st.integers(0, 40))
+def test_before_is_the_sum_of_the_numbers_in_front(history, place):
+    size, batches = history
+    tree, plain = SumTree(size), np.zeros(size)
+    for places, values in batches:
+        tree[np.array(places)] = np.array(values)
+        plain[places] = values
+    place = min(place, size - 1)
+    np.testing.assert_allclose(tree.before(place), plain[:place].sum(), rtol=1e-12)
+
+
 def test_the_tree_depends_on_its_numbers_alone_not_on_how_they_came():
     generator = np.random.default_rng(0)
     one, values = SumTree(1000), generator.random(1000)
