@@ -19,6 +19,7 @@ from .nodes import DEFAULT, Located, Mark, Node, from_plain, leaves, refuse
 from .parts import validate_strictly
 from .problems import located_problems
 from .space import space_problems, trial_spec
+from .switch import keeping_what_fits
 
 
 def load_spec(path: str | Path, overrides: Iterable[str] = ()) -> Spec:
@@ -49,7 +50,7 @@ def spec_from_dict(spec: Mapping[str, Any], overrides: Iterable[str] = ()) -> Sp
 
 def _resolve(tree: Node, overrides: Iterable[Node], problems: list[Located], stem: str | None) -> Spec:
     for override in overrides:
-        tree = merged(tree, override)
+        tree = merged(tree, keeping_what_fits(tree, override))
     tree = _with_defaults(_without_nulls(tree), stem)
     problems = [*problems, *environment_problems(tree), *pairing_problems(tree)]
     spec: Spec | None = None

@@ -40,8 +40,9 @@ def normalised(node: Node, path: tuple[str, ...] = ()) -> Node:
 def merged(below: Node, above: Node, path: tuple[str, ...] = ()) -> Node:
     """`above` laid over `below`, mapping by mapping; whatever is no mapping is replaced.
 
-    A part whose name changes replaces the whole part: the settings of another plugin mean nothing to it. A parameter of
-    a search space is replaced as a whole.
+    A part whose name changes replaces the whole part: the settings of another plugin mean nothing to it. (An override
+    that only names another plugin brings those along that fit, see `switch`.) A parameter of a search space is replaced
+    as a whole.
     """
     if below.mapping is None or above.mapping is None:
         return above

@@ -34,7 +34,7 @@ def spec_schema() -> tuple[Schema, list[PluginError]]:
         **{key: _part(kind, definitions, broken) for key, kind in PARTS.items()},
         RANDOMIZATION: {
             "type": "object",
-            "patternProperties": {PARAMETER: _part("distributions", definitions, broken)},
+            "patternProperties": {PARAMETER: _or_null(_part("distributions", definitions, broken))},
             "additionalProperties": False,
         },
         "demonstrations": _settings(Demonstrations, "demonstrations", definitions),

@@ -50,3 +50,16 @@ def test_environments_are_described_without_torch_or_pybullet():
         "assert not {'torch', 'pybullet', 'sqlalchemy', 'typer'} & set(sys.modules)"
     )
     subprocess.run([sys.executable, "-c", code], check=True, timeout=60)
+
+
+def test_override_of_a_name_keeps_the_settings_that_both_plugins_have_and_origins_tell():
+    path = SPECS / "panda_reach.yaml"
+    before, after = load_spec(path), load_spec(path, ["buffer.name=priority"])
+    assert after.buffer.name == "priority"
+    assert after.buffer.settings.hindsight == before.buffer.settings.hindsight
+    assert after.buffer.settings.hindsight is not None
+    assert "bases/sac_hindsight.yaml" in after.origins["buffer.hindsight.ratio"]
+    agent = load_spec(path, ["agent.noise.kind=gaussian", "agent.tau=0.1", "agent.name=td3"]).agent
+    assert agent.settings.learning_rate == before.agent.settings.learning_rate
+    assert agent.settings.tau == 0.1
+    assert agent.settings.noise.std == 0.2  # td3's own: its noise has another type
