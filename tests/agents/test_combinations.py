@@ -1,0 +1,88 @@
+"""Every agent learns with every buffer that goes with it, with and without hindsight and several steps at once."""
+
+from __future__ import annotations
+
+from collections.abc import Iterator
+from typing import Any
+
+import numpy as np
+import pytest
+
+from karolos.assembly import check_parts, make_agent, make_buffer, make_orchestrator
+from karolos.registry import load, names
+from karolos.seeding import SeedTree
+from karolos.spec import Spec
+from karolos.testing import play_episodes, test_seeds
+from karolos.training import Training
+
+SHIPPED = ("sac", "td3", "ddpg", "dqn", "ppo")
+LINE = {"name": "toy", "dimensions": 1, "threshold": 0.2, "max_steps": 10}
+BITS = {"name": "bit_flip", "bits": 4}
+SMALL = {"hidden": [32, 32], "learning_rate": 3e-3, "discount": 0.9}
+
+
+def combinations() -> Iterator[tuple[str, dict[str, Any]]]:
+    """Agents and buffers that learn from the same kind of experience; with the options that such a buffer has."""
+    for agent in SHIPPED:
+        for buffer in names("buffers"):
+            if load("agents", agent).on_policy != load("buffers", buffer).on_policy:
+                continue
+            known = load("buffers", buffer).Settings.model_fields
+            for hindsight in ({"ratio": 0.5}, None) if "hindsight" in known else (None,):
+                for n_step in (1, 3) if "n_step" in known else (1,):
+                    options = {"hindsight": hindsight} if hindsight else {}
+                    options |= {"n_step": n_step} if n_step > 1 else {}
+                    options |= {"capacity": 10_000} if "capacity" in known else {}
+                    yield agent, {"name": buffer, **options}
+
+
+def spec_of(agent: str, buffer: dict[str, Any]) -> Spec:
+    tuned = {
+        "sac": {"tau": 0.05},
+        "td3": {"tau": 0.05},
+        "ddpg": {"tau": 0.05},
+        "dqn": {"tau": 0.05, "epsilon_steps": 500},
+    }
+    training: dict[str, Any] = {"steps": 8_000}
+    if agent != "ppo":
+        training = {"steps": 1_600, "batch_size": 64, "replay_ratio": 64, "warmup_episodes": 16}
+    return Spec.from_dict(
+        {
+            "environment": BITS if agent == "dqn" else LINE,
+            "agent": {"name": agent, **SMALL, **tuned.get(agent, {})},
+            "buffer": buffer,
+            "orchestrator": {"name": "local", "processes": 0, "environments": 8},
+            "training": training,
+        }
+    )
+
+
+def named(combination: tuple[str, dict[str, Any]]) -> str:
+    agent, buffer = combination
+    return " ".join([agent, buffer["name"], *(key for key in ("hindsight", "n_step") if key in buffer)])
+
+
+@pytest.mark.parametrize("combination", list(combinations()), ids=named)
+def test_it_learns(combination: tuple[str, dict[str, Any]]) -> None:
+    spec, seeds = spec_of(*combination), SeedTree(0)
+    check_parts(spec)
+    with make_orchestrator(spec, randomize=True) as environments, make_orchestrator(spec, randomize=False) as tests:
+        agent = make_agent(spec, environments.signature, seeds)
+        buffer = make_buffer(
+            spec, environments.signature, seeds, environments=environments.size, discount=agent.discount
+        )
+
+        def success() -> float:
+            result = play_episodes(tests, agent, test_seeds(0, 64), steps=0, seconds=0.0)
+            return float(np.mean(result.end))
+
+        before = success()
+        for _ in Training(environments, agent, buffer, spec.training, seeds).rounds():
+            pass
+        assert before < 0.5
+        assert success() > 0.9
+
+
+def test_every_agent_that_ships_is_there() -> None:
+    assert set(SHIPPED) <= set(names("agents"))
+    assert len(list(combinations())) >= 4 * 2 * 2 * 2 + 1
