@@ -11,7 +11,7 @@ from typing import Literal
 import numpy as np
 from pydantic import Field as Setting
 
-from ..core import Array, Signature, Transitions
+from ..core import Array, GoalRule, Signature, Transitions
 from ..core import Settings as BaseSettings
 from ..errors import PluginError, UsageError
 from .storage import Rows, Slots, Storage
@@ -64,6 +64,8 @@ class Hindsight:
             )
         self.settings = settings
         self._rule = signature.goal_rule
+        self._ends = type(signature.goal_rule).terminated is not GoalRule.terminated
+        """Whether reaching a goal can end an episode."""
         self._size = signature.desired_goal.size
         self._checked = 0
 
@@ -107,9 +109,10 @@ class Hindsight:
             chosen, goals = chosen[moved], goals[moved]
         achieved = rows["next_achieved_goal"][chosen]
         desired, terminated = rows["desired_goal"], rows.number("terminated")
-        # An end that the old goal does not explain (a fall, say) is one under the new goal too.
-        for_other_reasons = (terminated[chosen] > 0) & ~self._rule.terminated(achieved, desired[chosen])
-        terminated[chosen] = for_other_reasons | self._rule.terminated(achieved, goals)
+        if self._ends:
+            # An end that the old goal does not explain (a fall, say) is one under the new goal too.
+            for_other_reasons = (terminated[chosen] > 0) & ~self._rule.terminated(achieved, desired[chosen])
+            terminated[chosen] = for_other_reasons | self._rule.terminated(achieved, goals)
         rows.number("reward")[chosen] = self._rule.reward(achieved, goals)
         desired[chosen] = goals
         return chosen

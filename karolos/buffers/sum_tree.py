@@ -35,9 +35,11 @@ class SumTree:
         """Change the numbers at these indices (n,); of one that is named twice, the last counts."""
         nodes = indices + self._first
         self._nodes[nodes] = numbers
+        take = self._nodes.take
         for _ in range(self._levels):
             nodes = nodes >> 1
-            self._nodes[nodes] = self._nodes[2 * nodes] + self._nodes[2 * nodes + 1]
+            left = nodes << 1
+            self._nodes[nodes] = take(left, mode="clip") + take(left + 1, mode="clip")
 
     def before(self, index: int) -> float:
         """The sum of the numbers that come before this index."""
@@ -55,10 +57,26 @@ class SumTree:
         """
         nodes = np.ones(masses.size, np.int64)
         left_over = masses.astype(np.float64)
+        left = np.empty_like(left_over)
+        for _ in range(self._levels):
+            nodes <<= 1
+            np.take(self._nodes, nodes, out=left, mode="clip")  # no index is out of bounds; checking takes longer
+            goes_right = left_over >= left
+            left_over -= np.multiply(left, goes_right, out=left)
+            nodes += goes_right
+        empty = self._nodes[nodes] <= 0  # rounding has led past the last number of a branch
+        if empty.any():
+            nodes[empty] = self._find_something(masses[empty])
+        return nodes - self._first
+
+    def _find_something(self, masses: Numbers) -> Indices:
+        """Nodes as `find` would, never entering a branch that holds nothing."""
+        nodes = np.ones(masses.size, np.int64)
+        left_over = masses.astype(np.float64)
         for _ in range(self._levels):
             nodes = 2 * nodes
             left, right = self._nodes[nodes], self._nodes[nodes + 1]
             goes_right = ((left_over >= left) & (right > 0)) | (left <= 0)
             left_over = np.where(goes_right, left_over - left, left_over)
             nodes += goes_right
-        return nodes - self._first
+        return nodes
