@@ -27,10 +27,12 @@ from .actor_critic import (
 from .deployment import deployed
 from .device import is_low
 from .inputs import (
+    Fed,
     Inputs,
     acting_inputs,
+    feed,
     is_observed,
-    learning_inputs,
+    normalised,
     require_continuous,
     saturation,
     some_random,
@@ -41,6 +43,7 @@ from .networks import MLP, Shape
 from .noise import Noise, ScaledNoiseSettings
 from .normaliser import Normaliser
 from .optimisation import Adam
+from .recording import Recorder
 
 LEARNED = ("policy", "critic", "target_policy", "target", "normaliser")
 
@@ -106,6 +109,8 @@ class Deterministic:
         self.generator = torch.Generator(self.device).manual_seed(seeds.child("noise").integer())
         self._bounds = value_bounds(signature, settings.discount, clip=settings.clip_targets)
         self._updates = 0
+        networks = (self.policy, self.critic, self.target_policy, self.target)
+        self._recorder = Recorder(self.device, networks, self.generator)
 
     @torch.inference_mode()
     def act(
@@ -128,11 +133,24 @@ class Deterministic:
     @torch.no_grad()
     def learn(self, batch: Batch) -> Mapping[str, Any]:
         """One update of the critics, and of policy and targets when it is their turn; metrics as in SAC."""
-        inputs = learning_inputs(batch, self.normaliser, self.device, observe=is_observed(self._updates))
-        watch = self._updates // self.variant.policy_delay % WATCHED_EVERY == 0
-        metrics = self._learn_critic(inputs, watch=watch)
+        observe, delay = is_observed(self._updates), self.variant.policy_delay
+        watch = self._updates // delay % WATCHED_EVERY == 0
         self._updates += 1
-        if self._updates % self.variant.policy_delay == 0:
+        policy = self._updates % delay == 0
+        self.optimisers["critic"].begin()
+        if policy:
+            self.optimisers["policy"].begin()
+
+        def work(fed: Fed) -> dict[str, Any]:
+            return self._update(normalised(fed, self.normaliser, observe=observe), watch=watch, policy=policy)
+
+        metrics = self._recorder.run((watch, observe, policy), feed(batch), work)
+        return metrics | self.optimisers["critic"].rate_watched(watch=watch)
+
+    def _update(self, inputs: Inputs, *, watch: bool, policy: bool) -> dict[str, Any]:
+        """`Recorder` says what it may do."""
+        metrics = self._learn_critic(inputs, watch=watch)
+        if policy:
             metrics |= self._learn_policy(inputs, watch=watch)
             self.target.follow(self.critic, self.settings.tau)
             self.target_policy.follow(self.policy, self.settings.tau)
@@ -154,7 +172,7 @@ class Deterministic:
         values, tapes = self.critic.forward(torch.cat((inputs.here, inputs.action), 1))
         loss, slope = squared_loss(values, targets, inputs.share)
         self.critic.backward(slope, tapes)
-        length = self.optimisers["critic"].step_watched(self.critic.gradient, "critic_gradient_norm", watch=watch)
+        length = self.optimisers["critic"].move(self.critic.gradient, "critic_gradient_norm", watch=watch)
         return critic_metrics(loss, values.squeeze(-1), targets, watch=watch) | length
 
     def _learn_policy(self, inputs: Inputs, *, watch: bool) -> dict[str, Any]:
@@ -180,7 +198,7 @@ class Deterministic:
             for_action.add_(for_shown, alpha=settings.imitation)
         self.policy.backward(for_action * (1 - action.square()), tapes)
         gradient, name = self.policy.gradient, "policy_gradient_norm"
-        return metrics | self.optimisers["policy"].step_watched(gradient, name, watch=watch)
+        return metrics | self.optimisers["policy"].move(gradient, name, watch=watch)
 
     def deployed(self) -> Deployed:
         """The policy, squashed."""

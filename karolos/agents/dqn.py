@@ -11,19 +11,20 @@ from numpy.typing import NDArray
 from pydantic import Field as Setting
 from pydantic import model_validator
 from torch import Tensor
-from torch.nn.functional import smooth_l1_loss
 
 from ..core import Agent, Batch, Discrete, FloatArray, Signature, State
 from ..deployed import Deployed
 from ..errors import UsageError
 from ..schedules import Linear
 from ..seeding import SeedTree
+from .actor_critic import WATCHED_EVERY
 from .deployment import deployed
 from .device import Precision, is_low
-from .inputs import Inputs, acting_inputs, learning_inputs, to_array, value_bounds
+from .inputs import Fed, Inputs, acting_inputs, feed, is_observed, normalised, to_array, value_bounds
 from .networks import MLP, Shape
 from .normaliser import Normaliser
 from .optimisation import Adam, OptimiserSettings
+from .recording import Recorder
 
 
 class DQN(Agent):
@@ -84,6 +85,7 @@ class DQN(Agent):
         self._generator = torch.Generator(self.device).manual_seed(seeds.child("noise").integer())
         self._bounds = value_bounds(signature, settings.discount, clip=settings.clip_targets)
         self._schedule = Linear(settings.epsilon_start, settings.epsilon_end, settings.epsilon_steps)
+        self._recorder = Recorder(self.device, (self.network, self.target), self._generator)
         self._explored = 0
         self._updates = 0
 
@@ -119,31 +121,60 @@ class DQN(Agent):
         state, advantages = head[:, :1], head[:, 1:]
         return state + advantages - advantages.mean(1, keepdim=True)
 
+    @torch.no_grad()
     def learn(self, batch: Batch) -> Mapping[str, Any]:
-        """One update of the network, and of its target when it is its turn; metrics as tensors."""
-        inputs = learning_inputs(batch, self.normaliser, self.device)
+        """One update of the network, and of its target when it is its turn; now and then metrics, as tensors."""
+        watch, observe = self._updates % WATCHED_EVERY == 0, is_observed(self._updates)
+        self._updates += 1
+        follow = self._updates % self.settings.target_interval == 0
+        self._optimiser.begin()
+
+        def work(fed: Fed) -> dict[str, Any]:
+            return self._update(normalised(fed, self.normaliser, observe=observe), watch=watch, follow=follow)
+
+        metrics = self._recorder.run((watch, observe, follow), feed(batch), work)
+        if watch:
+            metrics["epsilon"] = torch.tensor(self.epsilon)
+        return metrics | self._optimiser.rate_watched(watch=watch)
+
+    def _update(self, inputs: Inputs, *, watch: bool, follow: bool) -> dict[str, Any]:
+        """Gradients are written down, as in SAC. `Recorder` says what an update may do."""
         targets = self.targets(inputs)
         index = inputs.action.long()  # floats hold every index exactly
-        values = self._values(self.network(inputs.here, learn=True)).gather(1, index).squeeze(1)
+        head, tapes = self.network.forward(inputs.here)
+        values = self._values(head).gather(1, index).squeeze(1)
         errors = values - targets
-        zero = torch.zeros_like(errors)
-        huber = self.settings.loss == "huber"
-        each = smooth_l1_loss(errors, zero, reduction="none") if huber else errors.square()
-        loss = (inputs.weight * each).mean()
-        gradient_norm = self._optimiser.step(loss)
-        self._updates += 1
-        if self._updates % self.settings.target_interval == 0:
+        slope = errors.clamp(-1, 1) if self.settings.loss == "huber" else 2 * errors
+        self.network.backward(self._head_gradient(head, index, inputs.share * slope), tapes)
+        length = self._optimiser.move(self.network.gradient, "gradient_norm", watch=watch)
+        if follow:
             self.target.follow(self.network, self.settings.tau)
-        values, errors = values.detach(), errors.detach()
+        if not watch:
+            return {"priorities": errors.abs_()}
+        each = slope * (errors - slope / 2) if self.settings.loss == "huber" else errors.square()
         return {
-            "value_loss": loss.detach(),
+            **length,
+            "value_loss": torch.dot(inputs.share, each),
             "value_mean": values.mean(),
             "value_max": values.max(),
             "target_mean": targets.mean(),
-            "gradient_norm": gradient_norm,
-            "epsilon": torch.full((), self.epsilon, device=self.device),
             "priorities": errors.abs(),
         }
+
+    def _head_gradient(self, head: Tensor, index: Tensor, pull: Tensor) -> Tensor:
+        """The gradient of the network's outputs from that of the values of the actions taken.
+
+        Args:
+            head: the outputs, (n, columns).
+            index: the actions taken, (n, 1).
+            pull: the gradient of their values, (n,).
+        """
+        column = pull.unsqueeze(1)
+        if not self.settings.dueling:
+            return torch.zeros_like(head).scatter_(1, index, column)
+        found = (column / -self._actions).repeat(1, head.shape[1])  # each advantage lowers the mean
+        found[:, :1] = column
+        return found.scatter_add_(1, index + 1, column)
 
     @torch.no_grad()
     def targets(self, inputs: Inputs) -> Tensor:

@@ -3,7 +3,8 @@
 from __future__ import annotations
 
 import math
-from typing import NamedTuple
+from collections.abc import Callable
+from typing import Any, NamedTuple
 
 import numpy as np
 import torch
@@ -19,13 +20,11 @@ OBSERVED_EVERY = 4
 """And after them one of so many: thirteen operations that take 2 % of an update."""
 
 
-class Inputs(NamedTuple):
-    """A batch on the device; observation and goal side by side, normalised."""
+class Fed(NamedTuple):
+    """A batch as tensors, before anything is computed from it."""
 
-    observed: Tensor
-    """(2 n, columns): where the transitions lead, then where they begin."""
-    there: Tensor
-    here: Tensor
+    rows: Tensor
+    """Observation and goal side by side, (2 n, columns): where the transitions lead, then where they begin."""
     action: Tensor
     reward: Tensor
     discount: Tensor
@@ -36,31 +35,51 @@ class Inputs(NamedTuple):
     demonstrated: Tensor | None
     """1 where an expert took the action, else 0: (n,)."""
 
+    def to(self, device: torch.device) -> Fed:
+        """The same, there."""
+        return self._each(lambda field: field.to(device))
+
+    def clone(self) -> Fed:
+        """A copy in memory of its own."""
+        return self._each(torch.clone)
+
+    def _each(self, change: Callable[[Tensor], Tensor]) -> Fed:
+        changed: dict[str, Any] = {
+            name: None if field is None else change(field) for name, field in self._asdict().items()
+        }
+        return Fed(**changed)
+
+
+class Inputs(NamedTuple):
+    """A batch on the device; observation and goal side by side, normalised. Other fields as in `Fed`."""
+
+    observed: Tensor
+    """(2 n, columns): where the transitions lead, then where they begin."""
+    there: Tensor
+    here: Tensor
+    action: Tensor
+    reward: Tensor
+    discount: Tensor
+    weight: Tensor
+    share: Tensor
+    demonstrated: Tensor | None
+
 
 def is_observed(update: int) -> bool:
     """Whether the batch of this update (the first is 0) enters the statistics: later ones hardly move them."""
     return update < ALL_OBSERVED or update % OBSERVED_EVERY == 0
 
 
-def learning_inputs(batch: Batch, normaliser: Normaliser, device: torch.device, *, observe: bool = True) -> Inputs:
-    """The batch as losses need it. If asked to, what it observes enters the statistics first, relabelled goals too."""
-
-    def tensor(array: FloatArray) -> Tensor:
-        return torch.from_numpy(array).to(device)
-
+def feed(batch: Batch) -> Fed:
+    """The batch as tensors, on the CPU."""
     count, columns = batch.observation.shape
     rows = np.empty((2 * count, columns + batch.desired_goal.shape[1]), np.float32)
     rows[:count, :columns] = batch.next_observation
     rows[count:, :columns] = batch.observation
     rows[:count, columns:] = rows[count:, columns:] = batch.desired_goal
-    raw = tensor(rows)
-    if observe:
-        normaliser.update(raw[count:])
-    observed = normaliser(raw)
-    return Inputs(
-        observed=observed,
-        there=observed[:count],
-        here=observed[count:],
+    tensor = torch.from_numpy
+    return Fed(
+        rows=tensor(rows),
         action=tensor(batch.action),
         reward=tensor(batch.reward),
         discount=tensor(batch.discount * (1 - batch.terminated)),
@@ -68,6 +87,15 @@ def learning_inputs(batch: Batch, normaliser: Normaliser, device: torch.device, 
         share=tensor(batch.weight / np.float32(count)),
         demonstrated=None if batch.demonstrated is None else tensor(batch.demonstrated),
     )
+
+
+def normalised(fed: Fed, normaliser: Normaliser, *, observe: bool = True) -> Inputs:
+    """The batch as losses need it. If asked to, what it observes enters the statistics first, relabelled goals too."""
+    count = len(fed.reward)
+    if observe:
+        normaliser.update(fed.rows[count:])
+    observed = normaliser(fed.rows)
+    return Inputs(observed, observed[:count], observed[count:], *fed[1:])
 
 
 def acting_inputs(

@@ -141,6 +141,10 @@ class MLP:
             return found
         return self.forward(x, exact=exact)[0]
 
+    def touch(self) -> None:
+        """Say that the parameters have changed in a way that torch has not seen."""
+        torch.autograd.graph.increment_version(self.vector)
+
     def _hidden_maps(self, *, low: bool) -> list[list[Affine]]:
         """The hidden layers with parameters in the type that they compute in; rounded anew when they have changed."""
         if not low:

@@ -16,7 +16,8 @@ SMALLEST_SPREAD = 0.01
 class Normaliser:
     """Running mean and spread of columns, over all rows it was shown (Chan et al. 1979 for the merging).
 
-    `update` is for learning only: acting and tests leave the statistics as they are.
+    `update` is for learning only: acting and tests leave the statistics as they are. All of it lies in tensors that
+    stay where they are, so that an update can be recorded.
 
     Args:
         columns: how many.
@@ -26,18 +27,22 @@ class Normaliser:
 
     def __init__(self, columns: int, device: str, *, clip: float = CLIP) -> None:
         self.clip = clip
-        self.count = 0
+        self._count = torch.zeros((), dtype=torch.float64, device=device)
         self.mean = torch.zeros(columns, dtype=torch.float64, device=device)
         self._squares = torch.zeros(columns, dtype=torch.float64, device=device)
         self._shift = torch.zeros(columns, device=device)
         self._scale = torch.ones(columns, device=device)
 
     @property
+    def count(self) -> int:
+        """Rows shown so far."""
+        return int(self._count)
+
+    @property
     def spread(self) -> Tensor:
         """Standard deviation of each column, at least SMALLEST_SPREAD; 1 before the first update."""
-        if not self.count:
-            return torch.ones_like(self.mean)
-        return (self._squares / self.count).sqrt_().clamp_(min=SMALLEST_SPREAD)
+        spread = (self._squares / self._count.clamp(min=1)).sqrt_().clamp_(min=SMALLEST_SPREAD)
+        return torch.where(self._count > 0, spread, 1.0)
 
     @property
     def terms(self) -> tuple[Tensor, Tensor]:
@@ -46,18 +51,17 @@ class Normaliser:
 
     def update(self, rows: Tensor) -> None:
         """Take rows (n, columns) into the statistics."""
-        count = rows.shape[0]
-        total = self.count + count
+        self._count += rows.shape[0]
         deviation = rows.double().sub_(self.mean)  # from the mean so far: sums of squares then cancel nothing
         sums = deviation.sum(0)
-        self._squares.add_(deviation.square_().sum(0)).addcmul_(sums, sums, value=-1 / total)
-        self.mean.add_(sums, alpha=1 / total)
-        self.count = total
+        change = sums / self._count
+        self._squares.add_(deviation.square_().sum(0)).addcmul_(sums, change, value=-1)
+        self.mean.add_(change)
         self._refresh()
 
     def _refresh(self) -> None:
-        self._shift = self.mean.float()
-        self._scale = self.spread.reciprocal_().float()
+        self._shift.copy_(self.mean)
+        self._scale.copy_(self.spread.reciprocal_())
 
     def __call__(self, rows: Tensor) -> Tensor:
         """(n, columns) normalised and clipped; a new tensor."""
@@ -71,7 +75,7 @@ class Normaliser:
         return {"count": self.count, "mean": self.mean.clone(), "squares": self._squares.clone()}
 
     def load_state(self, state: State) -> None:
-        self.count = int(state["count"])
+        self._count.fill_(int(state["count"]))
         self.mean.copy_(torch.as_tensor(state["mean"]))
         self._squares.copy_(torch.as_tensor(state["squares"]))
         self._refresh()

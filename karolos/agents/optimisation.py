@@ -58,6 +58,8 @@ class Adam:
         self.norm = norm
         self.steps = 0
         """Taken so far."""
+        # Where updates may be recorded; on a CPU a number is quicker.
+        self._rate = None if vector.device.type == "cpu" else torch.full((), rate, device=vector.device)
         self._state = {
             "step": torch.zeros((), device=vector.device),
             "exp_avg": torch.zeros_like(vector, requires_grad=False),
@@ -70,26 +72,38 @@ class Adam:
 
     def step_along(self, gradient: Tensor) -> Tensor:
         """Step as if `gradient`, of the vector's shape, were a loss's. Returns its length; may change it in place."""
-        length: Tensor = torch.linalg.vector_norm(gradient)
-        if self.norm is not None:
-            gradient.mul_((self.norm / length).clamp_(max=1))
-        self._move(gradient)
-        return length
+        self.begin()
+        return self.move(gradient, "length", watch=True)["length"]
 
-    def step_watched(self, gradient: Tensor, name: str, *, watch: bool) -> dict[str, Tensor]:
-        """As `step_along`; the length under a name if somebody watches. Measuring it takes a third of the step."""
-        if not watch and self.norm is None:
-            self._move(gradient)
-            return {}
-        length = self.step_along(gradient)
-        return {name: length} if watch else {}
-
-    def _move(self, gradient: Tensor) -> None:
+    def begin(self) -> None:
+        """Count a step and set its learning rate; then `move`. Apart because Python counts and a recorded update
+        cannot.
+        """
         if self._schedule is not None:
             self.learning_rate = self._schedule(self.steps)
+        if self._rate is not None:
+            self._rate.fill_(self.learning_rate)
         self.steps += 1
+
+    def move(self, gradient: Tensor, name: str = "", *, watch: bool = False) -> dict[str, Tensor]:
+        """Step along a gradient of the vector's shape, which may be changed in place.
+
+        Returns its length before it was cut, under that name, if somebody watches: measuring it takes a third of the
+        step.
+        """
+        measured = {}
+        if watch or self.norm is not None:
+            length = torch.linalg.vector_norm(gradient)
+            measured = {name: length} if watch else {}
+            if self.norm is not None:
+                gradient.mul_((self.norm / length).clamp_(max=1))
         self._fused_step(gradient)
         torch.autograd.graph.increment_version(self._vector)  # which a fused step forgets; networks look at it
+        return measured
+
+    def rate_watched(self, *, watch: bool) -> dict[str, Tensor]:
+        """The learning rate of the latest step, if somebody watches."""
+        return {"learning_rate": torch.tensor(self.learning_rate)} if watch else {}
 
     @torch.no_grad()
     def _fused_step(self, gradient: Tensor) -> None:
@@ -102,7 +116,7 @@ class Adam:
             [self._state["exp_avg_sq"]],
             [],
             [self._state["step"]],
-            lr=self.learning_rate,
+            lr=self.learning_rate if self._rate is None else self._rate,
             beta1=0.9,
             beta2=0.999,
             weight_decay=0.0,

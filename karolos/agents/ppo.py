@@ -219,7 +219,7 @@ class PPO(Agent[Rollout]):
         found = {
             "explained_variance": torch.where(whole > 0, 1 - left / whole, torch.zeros_like(whole)),
             "value_mean": taken.value.mean(),
-            "learning_rate": torch.tensor(self._optimisers["policy"].learning_rate),
+            **self._optimisers["policy"].rate_watched(watch=True),
         }
         if isinstance(self.distribution, Gaussian):
             found |= {"action_saturation": saturation(taken.action), "std": self.distribution.log_std.exp().mean()}

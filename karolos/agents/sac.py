@@ -29,10 +29,12 @@ from .chain import Tape
 from .deployment import deployed
 from .device import is_low
 from .inputs import (
+    Fed,
     Inputs,
     acting_inputs,
+    feed,
     is_observed,
-    learning_inputs,
+    normalised,
     require_continuous,
     saturation,
     some_random,
@@ -44,6 +46,7 @@ from .noise import Noise, NoiseSettings
 from .normaliser import Normaliser
 from .optimisation import Adam
 from .quantiles import Quantiles, quantile_huber, truncated
+from .recording import Recorder
 from .squashed_gaussian import Sample, head_gradient, log_probability, mode, sample
 
 PARTS = ("policy", "critic", "target", "normaliser", "noise")
@@ -104,6 +107,7 @@ class SAC(Agent):
             "temperature": Adam(self.log_temperature, settings.rate),
         }
         self.generator = torch.Generator(self.device).manual_seed(seeds.child("noise").integer())
+        self._recorder = Recorder(self.device, (self.policy, self.critic, self.target), self.generator)
         self._target_entropy = -float(actions) if settings.target_entropy is None else settings.target_entropy
         self._least_log_temperature = math.log(settings.temperature_min) if settings.temperature_min else -math.inf
         self._bounds = value_bounds(signature, settings.discount, clip=settings.clip_targets)
@@ -130,14 +134,26 @@ class SAC(Agent):
 
     @torch.no_grad()
     def learn(self, batch: Batch) -> Mapping[str, Any]:
-        """One update of critics, policy, temperature and targets, in this order; now and then metrics, as tensors.
-
-        Gradients are written down: autograd takes as long for a loss of 256 numbers as a product of two layers does.
-        """
+        """One update of critics, policy, temperature and targets, in this order; now and then metrics, as tensors."""
+        delay = self.settings.policy_delay
         update = self.optimisers["critic"].steps
-        watch = update % (WATCHED_EVERY * self.settings.policy_delay) == 0
-        inputs = learning_inputs(batch, self.normaliser, self.device, observe=is_observed(update))
-        if update % self.settings.policy_delay:
+        watch, observe, policy = update % (WATCHED_EVERY * delay) == 0, is_observed(update), update % delay == 0
+        for name, optimiser in self.optimisers.items():
+            if policy or name == "critic":
+                optimiser.begin()
+
+        def work(fed: Fed) -> dict[str, Any]:
+            return self._update(normalised(fed, self.normaliser, observe=observe), watch=watch, policy=policy)
+
+        metrics = self._recorder.run((watch, observe, policy), feed(batch), work)
+        return metrics | self.optimisers["critic"].rate_watched(watch=watch)
+
+    def _update(self, inputs: Inputs, *, watch: bool, policy: bool) -> dict[str, Any]:
+        """Gradients are written down: autograd takes as long for a loss of 256 numbers as a product of two layers does.
+
+        `Recorder` says what an update may do.
+        """
+        if not policy:
             metrics = self._learn_critic(inputs, self._draw(inputs.there)[0], watch=watch)
         else:
             drawn, tapes = self._draw(inputs.observed)  # for both ends of the transitions: the policy changes after
@@ -176,7 +192,7 @@ class SAC(Agent):
         loss_of = quantile_huber if self.settings.critic else squared_loss
         loss, slope = loss_of(values, targets, inputs.share)
         self.critic.backward(slope, tapes)
-        length = self.optimisers["critic"].step_watched(self.critic.gradient, "critic_gradient_norm", watch=watch)
+        length = self.optimisers["critic"].move(self.critic.gradient, "critic_gradient_norm", watch=watch)
         if self.settings.critic:
             return critic_metrics(loss, values.mean(-1), targets.mean(-1), watch=watch) | length
         return critic_metrics(loss, values.squeeze(-1), targets, watch=watch) | length
@@ -215,7 +231,7 @@ class SAC(Agent):
             for_head[:, : middle.shape[1]] += settings.imitation * for_middle * (1 - middle.square())
             metrics["imitation_loss"] = distance
         self.policy.backward(for_head, tapes)
-        metrics |= self.optimisers["policy"].step_watched(self.policy.gradient, "policy_gradient_norm", watch=watch)
+        metrics |= self.optimisers["policy"].move(self.policy.gradient, "policy_gradient_norm", watch=watch)
         entropy = -log_probabilities.mean()
         self._learn_temperature(entropy)
         if not watch:
@@ -231,7 +247,7 @@ class SAC(Agent):
     def _learn_temperature(self, entropy: Tensor) -> None:
         """Raise the temperature while the policy's entropy is under its target. The gradient is written down."""
         pull = (entropy - self._target_entropy).view(1)
-        self.optimisers["temperature"].step_watched(pull, "", watch=False)
+        self.optimisers["temperature"].move(pull)
         if self.settings.temperature_min:
             self.log_temperature.clamp_(min=self._least_log_temperature)
 

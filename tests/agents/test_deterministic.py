@@ -11,7 +11,7 @@ import torch
 from parts import batch, signature
 
 from karolos.agents.ddpg import DDPG
-from karolos.agents.inputs import learning_inputs
+from karolos.agents.inputs import feed, normalised
 from karolos.agents.td3 import TD3
 from karolos.core import Discrete, Signature
 from karolos.errors import UsageError
@@ -34,7 +34,7 @@ def test_values_look_beyond_a_truncation_and_not_beyond_a_termination(
     for seed in range(400):
         made.learn(batch(32, signature(), seed % 20, reward=1, terminated=terminated, discount=0.8))
     core = made.core
-    inputs = learning_inputs(batch(200, signature(), 99), core.normaliser, core.device)
+    inputs = normalised(feed(batch(200, signature(), 99)), core.normaliser)
     found = core.critic(torch.cat((inputs.here, inputs.action), 1)).detach()
     assert found.mean().item() == pytest.approx(value, rel=0.05)
 
@@ -44,14 +44,14 @@ def test_targets_stay_within_what_rewards_make_possible(agent: Any) -> None:
     bounded = replace(signature(), reward_range=(-1.0, 0.0))
     made = make(agent, bounded, discount=0.9).core
     far = batch(64, bounded, reward=-100, discount=0.9)
-    assert made.targets(learning_inputs(far, made.normaliser, made.device)).min() == pytest.approx(-10)
+    assert made.targets(normalised(feed(far), made.normaliser)).min() == pytest.approx(-10)
     free = make(agent, bounded, discount=0.9, clip_targets=False).core
-    assert free.targets(learning_inputs(far, free.normaliser, free.device)).max() < -50
+    assert free.targets(normalised(feed(far), free.normaliser)).max() < -50
 
 
 def test_the_smaller_of_td3s_critics_counts() -> None:
     core = make(TD3, target_noise=0.0).core
-    inputs = learning_inputs(batch(32, signature(), reward=0, discount=1), core.normaliser, core.device)
+    inputs = normalised(feed(batch(32, signature(), reward=0, discount=1)), core.normaliser)
     action = torch.tanh(core.target_policy(inputs.there))
     both = core.target(torch.cat((inputs.there, action), 1)).squeeze(-1).detach()
     assert (both[0] != both[1]).all()
@@ -61,7 +61,7 @@ def test_the_smaller_of_td3s_critics_counts() -> None:
 def test_td3_smooths_its_targets_over_actions_nearby_and_ddpg_does_not() -> None:
     for agent, draws in ((TD3, True), (DDPG, False)):
         core = make(agent).core
-        inputs = learning_inputs(batch(32, signature()), core.normaliser, core.device)
+        inputs = normalised(feed(batch(32, signature())), core.normaliser)
         assert torch.equal(core.targets(inputs), core.targets(inputs)) is not draws
 
 

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+from dataclasses import replace
 from typing import Any
 
 import numpy as np
@@ -9,12 +10,14 @@ import pytest
 import torch
 from parts import batch, signature
 from torch import Tensor
+from torch.nn.functional import mse_loss, smooth_l1_loss
 
 from karolos.agents.ddpg import DDPG
-from karolos.agents.inputs import Inputs, learning_inputs
+from karolos.agents.dqn import DQN
+from karolos.agents.inputs import Inputs, feed, normalised
 from karolos.agents.sac import SAC
 from karolos.agents.td3 import TD3
-from karolos.core import Batch
+from karolos.core import Batch, Discrete
 from karolos.seeding import SeedTree
 
 OPTIONS: list[dict[str, Any]] = [
@@ -54,7 +57,7 @@ def test_sacs_gradients_are_those_of_its_losses(options: dict[str, Any]) -> None
     agent.learn(data())
     found = {"policy": agent.policy.gradient.clone(), "critic": agent.critic.gradient.clone()}
 
-    inputs = learning_inputs(data(), agent.normaliser, agent.device, observe=False)
+    inputs = normalised(feed(data()), agent.normaliser, observe=False)
     noise = torch.randn((128, 2), generator=agent.generator.set_state(before))
 
     def policys(values: Tensor) -> Tensor:
@@ -92,7 +95,7 @@ def test_deterministic_agents_gradients_are_those_of_their_losses(agent: Any, op
     core.learn(data())
     found = {"policy": core.policy.gradient.clone(), "critic": core.critic.gradient.clone()}
 
-    inputs = learning_inputs(data(), core.normaliser, core.device, observe=False)
+    inputs = normalised(feed(data()), core.normaliser, observe=False)
     action = torch.tanh(core.policy(inputs.here, learn=True))
     own, demonstrated = (value(core.critic, inputs, a)[0, :, 0] for a in (action, inputs.action))
     loss = (-inputs.weight * own).mean() + settings.action_penalty * action.square().mean()
@@ -105,3 +108,28 @@ def test_deterministic_agents_gradients_are_those_of_their_losses(agent: Any, op
     error = (inputs.weight * (values - targets).square()).mean(1).sum()
     expected = torch.autograd.grad(error, core.critic.leaf)[0]
     torch.testing.assert_close(found["critic"], expected, rtol=1e-3, atol=1e-6)
+
+
+@pytest.mark.parametrize("dueling", [False, True])
+@pytest.mark.parametrize("options", [{}, {"loss": "squared"}, {"layer_norm": True}, {"double_q": False}])
+def test_dqns_gradient_is_that_of_its_loss(options: dict[str, Any], dueling: bool) -> None:
+    actions = 4
+    of = replace(signature(), action=Discrete(tuple(map(str, range(actions)))))
+    taken = np.random.default_rng(1).integers(actions, size=(64, 1))
+    weight = np.linspace(0.5, 1.5, 64)
+    reward = np.linspace(-3, 3, 64)  # errors on both sides of huber's corners
+    played = batch(64, of, discount=0.5, action=taken, weight=weight, reward=reward)
+    settings = DQN.Settings.model_validate({**STILL, "dueling": dueling, **options})
+    agent = DQN(settings, of, SeedTree(0))
+    told = agent.learn(played)
+    found = agent.network.gradient.clone()
+
+    inputs = normalised(feed(played), agent.normaliser, observe=False)
+    head = agent.network(inputs.here, learn=True)
+    values = head[:, :1] + head[:, 1:] - head[:, 1:].mean(1, keepdim=True) if dueling else head
+    targets = agent.targets(inputs)
+    mine = values.gather(1, inputs.action.long()).squeeze(1)
+    loss_of = smooth_l1_loss if settings.loss == "huber" else mse_loss
+    loss = (inputs.weight * loss_of(mine, targets, reduction="none")).mean()
+    torch.testing.assert_close(told["value_loss"], loss.detach())
+    torch.testing.assert_close(found, torch.autograd.grad(loss, agent.network.leaf)[0], rtol=1e-3, atol=1e-6)

@@ -10,7 +10,7 @@ import torch
 from parts import batch, signature
 from pydantic import ValidationError
 
-from karolos.agents.inputs import learning_inputs
+from karolos.agents.inputs import feed, normalised
 from karolos.agents.quantiles import Quantiles, quantile_huber, truncated
 from karolos.agents.sac import SAC
 from karolos.seeding import SeedTree
@@ -55,7 +55,7 @@ def test_the_loss_is_the_quantile_huber_loss_and_the_gradient_is_its_own() -> No
 def test_targets_leave_out_the_largest_quantiles_of_both_critics_together() -> None:
     agent = make(critic={"quantiles": 5, "drop": 1})
     data = batch(6, signature(), discount=0.5)
-    inputs = learning_inputs(data, agent.normaliser, agent.device)
+    inputs = normalised(feed(data), agent.normaliser)
     drawn, _ = agent._draw(inputs.observed)
     found = agent.targets(inputs, drawn)
     both = agent.target(torch.cat((inputs.there, drawn.action[:6]), 1)).detach().numpy()
@@ -75,7 +75,7 @@ def test_quantiles_look_beyond_a_truncation_and_not_beyond_a_termination(termina
     for seed in range(600):
         agent.learn(batch(32, signature(), seed % 20, reward=1, terminated=terminated, discount=0.8))
     data = batch(200, signature(), 99)
-    inputs = learning_inputs(data, agent.normaliser, agent.device)
+    inputs = normalised(feed(data), agent.normaliser)
     found = agent.critic(torch.cat((inputs.here, inputs.action), 1)).detach()
     assert found.mean().item() == pytest.approx(value, rel=0.06)
 

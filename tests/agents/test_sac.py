@@ -11,7 +11,7 @@ import torch
 from parts import batch, signature
 from pydantic import ValidationError
 
-from karolos.agents.inputs import ALL_OBSERVED, OBSERVED_EVERY, Inputs, learning_inputs
+from karolos.agents.inputs import ALL_OBSERVED, OBSERVED_EVERY, Inputs, feed, normalised
 from karolos.agents.sac import SAC
 from karolos.core import Batch, Discrete, Signature
 from karolos.errors import UsageError
@@ -26,7 +26,7 @@ def make(of: Signature | None = None, seed: int = 0, **settings: Any) -> SAC:
 
 def values(agent: SAC, of: Batch) -> torch.Tensor:
     with torch.no_grad():
-        inputs = learning_inputs(of, agent.normaliser, agent.device)
+        inputs = normalised(feed(of), agent.normaliser)
         return agent.critic(torch.cat((inputs.here, inputs.action), 1)).squeeze(-1)
 
 
@@ -60,7 +60,7 @@ def test_values_look_beyond_a_truncation_and_not_beyond_a_termination(terminated
 def test_the_target_discounts_by_what_the_batch_says() -> None:
     agent = make()
     data = batch(16, signature(), discount=0.5, reward=2)
-    inputs = learning_inputs(data, agent.normaliser, agent.device)
+    inputs = normalised(feed(data), agent.normaliser)
     generator = agent.generator.get_state()
     half = targets_of(agent, inputs)
     agent.generator.set_state(generator)
@@ -76,20 +76,20 @@ def test_targets_stay_within_what_rewards_make_possible() -> None:
     agent = make(bounded, discount=0.9)
     far = batch(64, bounded, reward=0, discount=0.9)
     agent.target.named["layer2.bias"].fill_(-100)
-    assert targets_of(agent, learning_inputs(far, agent.normaliser, agent.device)).min() == pytest.approx(-10)
+    assert targets_of(agent, normalised(feed(far), agent.normaliser)).min() == pytest.approx(-10)
     agent.target.named["layer2.bias"].fill_(100)
-    assert targets_of(agent, learning_inputs(far, agent.normaliser, agent.device)).max() == 0
+    assert targets_of(agent, normalised(feed(far), agent.normaliser)).max() == 0
     free = make(bounded, discount=0.9, clip_targets=False)
     free.target.named["layer2.bias"].fill_(100)
-    assert targets_of(free, learning_inputs(far, free.normaliser, free.device)).min() > 50
+    assert targets_of(free, normalised(feed(far), free.normaliser)).min() > 50
 
 
 def test_entropy_enters_the_target_only_when_asked() -> None:
     plain = make(temperature=1.0)
     soft = make(temperature=1.0, entropy_in_target=True, clip_targets=False)
     data = batch(64, signature())
-    hard_targets = targets_of(plain, learning_inputs(data, plain.normaliser, plain.device))
-    soft_targets = targets_of(soft, learning_inputs(data, soft.normaliser, soft.device))
+    hard_targets = targets_of(plain, normalised(feed(data), plain.normaliser))
+    soft_targets = targets_of(soft, normalised(feed(data), soft.normaliser))
     assert (hard_targets - soft_targets).abs().min() > 0
 
 
@@ -110,7 +110,7 @@ def test_transitions_that_weigh_nothing_teach_nothing() -> None:
 
 def test_smaller_critic_counts_in_targets() -> None:
     agent = make()
-    inputs = learning_inputs(batch(32, signature(), reward=0, discount=1), agent.normaliser, agent.device)
+    inputs = normalised(feed(batch(32, signature(), reward=0, discount=1)), agent.normaliser)
     agent.target.named["layer2.bias"][1] += 100
     high = targets_of(agent, inputs)
     agent.target.named["layer2.bias"][0] -= 100

@@ -1,0 +1,112 @@
+"""What agents say of their updates, by the names under which it stands in TensorBoard."""
+
+from __future__ import annotations
+
+import re
+from collections.abc import Iterator
+from dataclasses import replace
+from itertools import islice
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+import pytest
+from parts import batch, signature
+
+from karolos.agents.actor_critic import WATCHED_EVERY
+from karolos.agents.ddpg import DDPG
+from karolos.agents.dqn import DQN
+from karolos.agents.ppo import PPO
+from karolos.agents.sac import SAC
+from karolos.agents.td3 import TD3
+from karolos.core import Discrete, Rollout, Signature
+from karolos.seeding import SeedTree
+
+CRITICS = {"critic_loss", "value_mean", "value_max", "target_mean", "critic_gradient_norm", "learning_rate"}
+POLICY = {"policy_loss", "policy_gradient_norm", "action_saturation"}
+ENTROPY = {"entropy", "temperature"}
+PPOS = {
+    "policy_loss",
+    "value_loss",
+    "kl",
+    "clip_fraction",
+    "entropy",
+    "gradient_norm",
+    "value_gradient_norm",
+    "explained_variance",
+    "value_mean",
+    "learning_rate",
+}
+REPLAYING = [
+    (SAC, {}, CRITICS | POLICY | ENTROPY),
+    (SAC, {"critic": {}}, CRITICS | POLICY | ENTROPY),
+    (SAC, {"policy_delay": 2}, CRITICS | POLICY | ENTROPY),
+    (SAC, {"imitation": 1.0}, CRITICS | POLICY | ENTROPY | {"imitation_loss"}),
+    (TD3, {}, CRITICS | POLICY),
+    (TD3, {"policy_delay": 3, "imitation": 1.0}, CRITICS | POLICY | {"imitation_loss"}),
+    (DDPG, {}, CRITICS | POLICY),
+    (DQN, {}, {"value_loss", "value_mean", "value_max", "target_mean", "gradient_norm", "epsilon", "learning_rate"}),
+]
+DISCRETE = replace(signature(), action=Discrete(("left", "right", "wait")))
+
+
+def updates(kind: Any, options: dict[str, Any], count: int) -> Iterator[dict[str, Any]]:
+    """What so many updates in a row say, demonstrations among what is learned from."""
+    of = DISCRETE if kind is DQN else signature()
+    agent = kind(kind.Settings.model_validate({"hidden": (8,), **options}), of, SeedTree(0))
+    for seed in range(count):
+        data = batch(16, of, seed, **({"action": 1} if kind is DQN else {}))
+        yield dict(agent.learn(data._replace(demonstrated=np.ones(16, np.float32))))
+
+
+@pytest.mark.parametrize(("kind", "options", "series"), REPLAYING)
+def test_replaying_agents_say_what_their_authors_would_look_at(
+    kind: Any, options: dict[str, Any], series: set[str]
+) -> None:
+    every = WATCHED_EVERY * options.get("policy_delay", 2 if kind is TD3 else 1)
+    made = updates(kind, options, 2 * every)
+    for _ in range(2):  # in each stretch of updates, not in the first alone
+        told: dict[str, Any] = {}
+        for metrics in islice(made, every):
+            told |= metrics
+        assert set(told) == series | {"priorities"}
+        assert all(np.isfinite(float(value)) for name, value in told.items() if name != "priorities")
+
+
+@pytest.mark.parametrize(("kind", "options"), [(kind, options) for kind, options, _ in REPLAYING if not options])
+def test_most_updates_say_priorities_alone_and_take_no_time_for_more(kind: Any, options: dict[str, Any]) -> None:
+    told = [set(metrics) for metrics in updates(kind, options, 4 * WATCHED_EVERY)]
+    assert sum(names == {"priorities"} for names in told) == len(told) * (1 - 1 / WATCHED_EVERY)
+
+
+def rollout(of: Signature, columns: int) -> Rollout:
+    generator = np.random.default_rng(0)
+    observation = generator.normal(size=(9, 4, of.observation.size)).astype(np.float32)
+    return Rollout(
+        observation=observation[:-1],
+        desired_goal=generator.normal(size=(8, 4, of.desired_goal.size)).astype(np.float32),
+        action=np.ones((8, 4, columns), np.float32),
+        reward=generator.normal(size=(8, 4)).astype(np.float32),
+        next_observation=observation[1:],
+        terminated=np.zeros((8, 4), np.bool_),
+        ended=np.arange(8)[:, None].repeat(4, 1) == 7,
+        stored=np.ones((8, 4), np.bool_),
+    )
+
+
+@pytest.mark.parametrize(
+    ("of", "series"), [(signature(), PPOS | {"action_saturation", "std"}), (DISCRETE, PPOS)], ids=["arm", "discrete"]
+)
+def test_ppo_says_of_each_rollout_what_its_authors_would_look_at(of: Signature, series: set[str]) -> None:
+    agent = PPO(PPO.Settings(hidden=(8,), epochs=2, minibatches=2), of, SeedTree(0))
+    for _ in range(2):
+        told = dict(agent.learn(rollout(of, of.action.size)))
+        assert told.pop("updates") == 4
+        assert set(told) == series
+        assert all(np.isfinite(float(value)) for value in told.values())
+
+
+def test_the_page_on_tensorboard_lists_what_agents_say_and_nothing_else() -> None:
+    page = (Path(__file__).parents[2] / "docs" / "tensorboard.md").read_text()
+    listed = set(re.findall(r"^\| `agent/(\w+)`", page, re.MULTILINE))
+    assert listed == set.union(PPOS, {"action_saturation", "std"}, *(series for _, _, series in REPLAYING))
