@@ -21,6 +21,7 @@ if TYPE_CHECKING:
     from numpy.typing import NDArray
 
     from karolos.playing import Moment
+    from karolos.run_folder import RunFolder
 
 FRAMES_PER_SECOND = 24
 """The control rate of robot tasks, so that a film runs in real time."""
@@ -40,7 +41,13 @@ def play(
         Path | None, typer.Option(help="Film to write: FILE.mp4 or FILE.gif.", show_default=False)
     ] = None,
     episodes: Annotated[int, typer.Option(min=1, help="Episodes to play.")] = 5,
-    checkpoint: Annotated[str, typer.Option(help="Which checkpoint to play: best or last.")] = "best",
+    checkpoint: Annotated[
+        str | None,
+        typer.Option(
+            help="Which checkpoint to play: best or last. By default best, or last before the run's first test.",
+            show_default=False,
+        ),
+    ] = None,
     width: Annotated[int, typer.Option(min=16, max=4096, help="Width of the film in pixels.")] = 640,
     height: Annotated[int, typer.Option(min=16, max=4096, help="Height of the film in pixels.")] = 480,
     runs: Runs = Path("runs"),
@@ -51,7 +58,8 @@ def play(
     With a display it opens a window. Without one, or with --record, it writes a film; by default play.mp4 in the run's
     folder, or NAME.mp4 here for the spec of that name.
     """
-    check_checkpoint(checkpoint)
+    if checkpoint is not None:
+        check_checkpoint(checkpoint)
     if width % 2 or height % 2:
         raise UsageError(f"a film of {width} x {height} pixels cannot be coded", hint="use even numbers")
     window = record is None and _has_display()
@@ -72,7 +80,7 @@ def play(
     if expert:
         environment, policy = load_expert(spec, window=window)
     else:
-        spec, environment, policy = load_player(folder, checkpoint, window=window)
+        spec, environment, policy = load_player(folder, checkpoint or _best_or_last(folder), window=window)
     moments = _tell(play_episodes(environment, policy, episodes=episodes, seed=spec.testing.seed))
     try:
         if window:
@@ -83,6 +91,17 @@ def play(
     finally:
         environment.close()
     print(target)
+
+
+def _best_or_last(folder: RunFolder) -> str:
+    """The checkpoint to play when none was named; `last`, which is said, of a run that ended before its first test."""
+    from karolos.checkpoint import names
+
+    there = names(folder.checkpoints)
+    if "best" in there or "last" not in there:
+        return "best"
+    print(f"{folder.id} was never tested and has no checkpoint best: playing last", file=sys.stderr)
+    return "last"
 
 
 def _pictures(moments: Iterator[Moment], width: int, height: int) -> Iterator[NDArray[np.uint8]]:

@@ -1,6 +1,7 @@
 from __future__ import annotations
 
 import errno
+import importlib
 import os
 import resource
 import subprocess
@@ -115,19 +116,21 @@ def test_process_killed_between_renames_leaves_a_checkpoint(whole: Path, place: 
     assert [path.name for path in whole.parent.iterdir()] == ["best"]
 
 
-@pytest.mark.parametrize("moment", ["_read_manifest", "_verify", "_read_part"])
+@pytest.mark.parametrize("moment", ["folder.read_manifest", "parts._verify", "folder.read_part"])
 def test_reader_of_a_run_that_goes_on_gets_the_old_or_the_new(
     whole: Path, moment: str, monkeypatch: pytest.MonkeyPatch
 ) -> None:
-    function = getattr(checkpoint, moment)
+    module, name = moment.split(".")
+    home = importlib.import_module(f"karolos.checkpoint.{module}")
+    function = getattr(home, name)
     new = {"agent": {"weight": torch.ones(3)}}
 
     def replaced_before(*arguments: Any) -> Any:
-        monkeypatch.setattr(checkpoint, moment, function)
+        monkeypatch.setattr(home, name, function)
         save(whole.parent, "best", new, {"steps": 8})
         return function(*arguments)
 
-    monkeypatch.setattr(checkpoint, moment, replaced_before)
+    monkeypatch.setattr(home, name, replaced_before)
     parts, meta = load(whole.parent, "best")
     assert meta == {"steps": 8}
     assert same(parts, new)

@@ -11,8 +11,8 @@ import pytest
 import torch
 from checkpoint_samples import META, PARTS
 
-from karolos import checkpoint
 from karolos.checkpoint import CheckpointError, load, save
+from karolos.checkpoint.manifest import FORMAT, seal
 from karolos.errors import RunError
 
 
@@ -80,12 +80,12 @@ def rewrite(path: Path, **changes: Any) -> None:
         }
         for part in manifest["files"]
     }
-    manifest["sha256"] = checkpoint._digest(manifest)
+    manifest["sha256"] = seal(manifest)
     (path / "manifest.json").write_text(json.dumps(manifest))
 
 
 def test_newer_format_is_named(whole: Path) -> None:
-    rewrite(whole, format=checkpoint.FORMAT + 1)
+    rewrite(whole, format=FORMAT + 1)
     with pytest.raises(CheckpointError, match="format 2, this karolos knows 1; update karolos"):
         load(whole.parent, "best")
 
@@ -131,7 +131,7 @@ def test_forged_state_is_refused(whole: Path, state: Any) -> None:
 def test_forged_part_name_leads_nowhere(whole: Path) -> None:
     manifest = json.loads((whole / "manifest.json").read_text())
     manifest["files"] = {"../../agent": manifest["files"]["agent"]}
-    manifest["sha256"] = checkpoint._digest(manifest)
+    manifest["sha256"] = seal(manifest)
     (whole / "manifest.json").write_text(json.dumps(manifest))
     with pytest.raises(CheckpointError, match="changed"):
         load(whole.parent, "best")

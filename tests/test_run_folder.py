@@ -34,7 +34,7 @@ def test_collision_adds_a_number(tmp_path: Path, monkeypatch: pytest.MonkeyPatch
         def now(cls, tz: Any = None) -> datetime:
             return datetime(2026, 1, 2, 3, 4, 5, tzinfo=UTC)
 
-    monkeypatch.setattr("karolos.run_folder.datetime", Clock)
+    monkeypatch.setattr("karolos.run_folder.folder.datetime", Clock)
     ids = [RunFolder.create(tmp_path, "reach", 0).id for _ in range(3)]
     assert ids == ["reach-s0-20260102-030405", "reach-s0-20260102-030405-2", "reach-s0-20260102-030405-3"]
 

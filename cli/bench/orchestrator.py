@@ -13,9 +13,9 @@ from .output import print_rows
 def orchestrator(
     robot: Annotated[str, typer.Option(help="Name of a robot.")] = "panda",
     task: Annotated[str, typer.Option(help="Name of a task.")] = "reach",
-    figure: Annotated[Path, typer.Option(help="Where the box plots go: .svg, .png or .pdf.")] = Path(
-        "bench_orchestrator.svg"
-    ),
+    figure: Annotated[
+        Path | None, typer.Option(help="Write the box plots: FILE.svg, .png or .pdf.", show_default=False)
+    ] = None,
     quick: Annotated[bool, typer.Option("--quick", help="Seconds, not minutes; the figures mean little.")] = False,
     as_json: Annotated[bool, typer.Option("--json", help="One JSON object per line.")] = False,
 ) -> None:
@@ -23,9 +23,12 @@ def orchestrator(
     from karolos.benchmarks.orchestrator import QUICK, Amounts, measure
     from karolos.report.boxes import check_format, draw_boxes
 
-    check_format(figure)
+    if figure is not None:
+        check_format(figure)
     report = measure(robot, task, QUICK if quick else Amounts())
     print_rows(report.rows, as_json=as_json)
-    draw_boxes(report.panels, figure)
-    for line in (*report.advice, f"The box plots are in {figure}."):
+    for line in report.advice:
         typer.echo(line, err=True)
+    if figure is not None:
+        draw_boxes(report.panels, figure)
+        typer.echo(f"wrote the box plots into {figure}", err=True)

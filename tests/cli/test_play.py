@@ -1,5 +1,6 @@
 from __future__ import annotations
 
+import shutil
 from pathlib import Path
 
 import imageio.v3 as imageio
@@ -7,6 +8,8 @@ import pytest
 from commands import call
 from karolos_cli.play import play
 from typer import Typer
+
+from karolos.experiment import Experiment
 
 app = Typer()
 app.command()(play)
@@ -54,3 +57,32 @@ def test_a_spec_without_a_task_has_no_expert(tmp_path: Path) -> None:
     code, _, err = call(app, str(path), "--expert", "--record", str(tmp_path / "film.gif"))
     assert code == 2
     assert "there is no expert for this environment" in err
+
+
+TOY = {
+    "name": "toy",
+    "environment": {"name": "toy", "max_steps": 7},
+    "agent": {"name": "sac", "hidden": [8]},
+    "orchestrator": {"processes": 0, "environments": 2},
+    "training": {"steps": 40, "batch_size": 8, "replay_ratio": 2, "warmup_episodes": 2},
+    "testing": {"interval": 40, "episodes": 2},
+}
+
+
+def test_a_run_without_a_best_checkpoint_plays_its_last_and_says_so(tmp_path: Path) -> None:
+    folder = Path(Experiment(TOY).run(tmp_path / "runs").runs[0].folder)
+    film = ("--record", str(tmp_path / "film.gif"), "--episodes", "1", "--width", "64", "--height", "48")
+    code, _, err = call(app, str(folder), *film)
+    assert (code, [line.split(":")[0] for line in err.splitlines()]) == (0, ["episode 1"])
+    shutil.rmtree(folder / "checkpoints" / "best")  # as in a run that was stopped before its first test
+    code, _, err = call(app, str(folder), *film)
+    assert code == 0, err
+    assert err.splitlines()[0] == f"{folder.name} was never tested and has no checkpoint best: playing last"
+    code, _, err = call(app, str(folder), *film, "--checkpoint", "best")
+    assert code == 1
+    assert "there is no checkpoint 'best'" in err
+    shutil.rmtree(folder / "checkpoints" / "last")
+    shutil.rmtree(folder / "checkpoints" / "previous", ignore_errors=True)
+    code, _, err = call(app, str(folder), *film)
+    assert code == 1
+    assert "there is no checkpoint 'best'" in err

@@ -1,56 +1,34 @@
-"""The run folder: the truth about one run, in files that anybody can read.
-
-    spec.yaml       the spec as its author wrote it, if there was a file
-    resolved.json   the spec with every default filled in
-    run.json        id, experiment, name, seed, time, versions, command line, git commit
-    code.diff       how the code differed from that commit
-    state.json      state, steps, seconds, attempt, error; replaced as a whole
-    tests.jsonl     one line per test
-    events.jsonl    one line per thing that happened
-    episodes.jsonl  one line per training episode, with what domain randomization drew
-    tensorboard/    series
-    checkpoints/    best and last
-    export/         its policy for use without karolos, if somebody asked for it
-    transfers.jsonl one line per test of its policy under changed settings
-    labels.json     tags and note, whoever wrote them
-    lock            held by the process that runs it, for as long as it lives
-
-Only the process that holds the lock writes, but for transfers.jsonl and labels.json, which have locks of their own. The
-state `lost` is never written: whoever reads `created` or `running` and finds the lock free knows that the process died.
-"""
+"""One run's folder: made, locked, written and read."""
 
 from __future__ import annotations
 
 import os
-from collections.abc import Iterable, Iterator, Mapping
+from collections.abc import Iterable, Mapping
 from datetime import UTC, datetime
-from fnmatch import fnmatchcase
 from pathlib import Path
 from types import TracebackType
 from typing import Any
 
-from . import labels, provenance
-from .counting import TestCounts, count_lines
-from .errors import MachineError, RunError, UsageError
-from .files import FileLock, append_lines, parse_object, read_lines, write_json, write_whole, writing
-from .labels import Labels
-from .results import TestResult
-from .run_records import (
+from .. import labels, provenance
+from ..errors import RunError, UsageError
+from ..files import FileLock, append_lines, read_lines, write_json, write_whole, writing
+from ..labels import Labels
+from ..results import TestResult
+from ..run_records import (
     FORMAT,
     RunRecord,
     RunState,
     RunSummary,
     check_name,
-    decode_test,
     encode_test,
-    is_description,
     summarise,
     timestamp,
 )
+from .making import check_writable, make_folder
+from .reading import count_tests, read_description, read_object, read_state, read_tests
 
 LOCK_SECONDS = 0.5
 """A reader that looks whether a run lives holds the lock for an instant; its owner waits that long for it."""
-_FOLDERS = 10_000
 
 
 class RunFolder:
@@ -79,19 +57,8 @@ class RunFolder:
         check_name(name)
         if seed < 0:
             raise UsageError(f"the seed is {seed}", hint="seeds are not negative")
-        root, now = Path(runs), datetime.now(UTC)
-        stem = f"{name}-s{seed}-{now:%Y%m%d-%H%M%S}"
-        with writing(root):
-            root.mkdir(parents=True, exist_ok=True)
-            for attempt in range(1, _FOLDERS):
-                path = root / (stem if attempt == 1 else f"{stem}-{attempt}")
-                try:
-                    path.mkdir()  # by one process only, however many try
-                except FileExistsError:
-                    continue
-                break
-            else:
-                raise MachineError(f"{stem} is taken", where=str(root))
+        now = datetime.now(UTC)
+        path = make_folder(Path(runs), f"{name}-s{seed}-{now:%Y%m%d-%H%M%S}")
         folder = cls(path)
         folder.lock()
         folder._run = {"format": FORMAT, "id": path.name, "name": name, "seed": seed, "created": timestamp(now)}
@@ -105,34 +72,12 @@ class RunFolder:
             RunError: it is no run folder, or a newer karolos made it.
         """
         folder = cls(Path(path))
-        try:
-            run = parse_object((folder.path / "run.json").read_bytes())
-        except OSError as error:
-            raise RunError(
-                f"this is no run folder ({error.strerror})", where=str(path), hint="`karolos runs list` shows the runs"
-            ) from error
-        if run is None or not is_description(run):
-            raise RunError("run.json is damaged", where=str(path), hint="restore the folder from a copy, or remove it")
-        if run["format"] > FORMAT:
-            raise RunError("a newer karolos made this run folder", where=str(path), hint="update karolos")
+        run = read_description(folder.path)
         folder._run = run
         folder.id = run["id"]  # a folder that was renamed is still the same run
         return folder
 
-    @staticmethod
-    def check_writable(runs: str | Path) -> None:
-        """Make the runs folder if it is not there, and write into it.
-
-        Raises:
-            MachineError: that is not possible.
-        """
-        root = Path(runs)
-        with writing(root):
-            root.mkdir(parents=True, exist_ok=True)
-            probe = FileLock(root / ".write-test")
-            probe.acquire()
-            probe.release()
-            probe.path.unlink(missing_ok=True)
+    check_writable = staticmethod(check_writable)
 
     def __enter__(self) -> RunFolder:
         return self
@@ -197,7 +142,7 @@ class RunFolder:
 
     def spec(self) -> dict[str, Any]:
         """The resolved spec; empty where its file is missing or damaged (`record().problems` says so)."""
-        return self._object("resolved.json") or {}
+        return read_object(self.path / "resolved.json") or {}
 
     def set_state(
         self, state: str, *, steps: int | None = None, seconds: float | None = None, error: str | None = None
@@ -210,14 +155,14 @@ class RunFolder:
             seconds: wall-clock seconds of collecting and learning so far.
             error: why it failed, in one line.
         """
-        before = self._stored_state()
+        before = read_state(self.path)
         steps = before.steps if steps is None else int(steps)
         seconds = before.seconds if seconds is None else float(seconds)
         self._write_state(RunState(state, steps, seconds, before.attempt, error, timestamp()))
 
     def next_attempt(self) -> int:
         """Count one more process that goes on with this run; returns its number, from 1."""
-        before = self._stored_state()
+        before = read_state(self.path)
         attempt = before.attempt + 1
         self._write_state(RunState("created", before.steps, before.seconds, attempt, None, timestamp()))
         return attempt
@@ -259,26 +204,28 @@ class RunFolder:
 
         Lines that cannot be read are left out and named by `record().problems`.
         """
-        return self._read_tests()[0]
+        return read_tests(self.path)[0]
 
     def state(self) -> RunState:
         """The state now, `lost` included."""
-        stored = self._stored_state()
+        stored = read_state(self.path)
         if stored.unfinished and not self.is_locked():
-            stored = self._stored_state()  # it may have ended, and said so, between the two looks
+            stored = read_state(self.path)  # it may have ended, and said so, between the two looks
             return stored.as_lost() if stored.unfinished else stored
         return stored
 
     def summary(self) -> RunSummary:
         """The run in one row, as the store keeps it."""
-        return summarise(self.path.resolve(), self._run, self.state(), self.spec(), self._counts()[0], self.labels())
+        return summarise(
+            self.path.resolve(), self._run, self.state(), self.spec(), count_tests(self.path)[0], self.labels()
+        )
 
     def record(self) -> RunRecord:
         """All that the folder says, read once, and what is damaged or missing in it."""
-        tests, problems = self._counts()
+        tests, problems = count_tests(self.path)
         spec = self.spec()
         for name in ("resolved.json", "state.json"):
-            if self._object(name) is None:
+            if read_object(self.path / name) is None:
                 problems += (f"{name}: missing or damaged",)
         if labels.is_damaged(self.path):
             problems += ("labels.json: damaged; tags and note cannot be read",)
@@ -291,60 +238,5 @@ class RunFolder:
         found = self._run.get("versions")
         return {str(name): str(version) for name, version in found.items()} if isinstance(found, dict) else None
 
-    def _counts(self) -> tuple[tuple[TestCounts, ...], tuple[str, ...]]:
-        """The tests by their counts, and what is damaged."""
-        try:
-            counted = count_lines((self.path / "tests.jsonl").read_bytes())
-        except OSError:
-            counted = None
-        if counted is None:
-            results, problems = self._read_tests()
-            return tuple(TestCounts.of(result) for result in results), problems
-        unique = {test.steps: test for test in counted}
-        return tuple(unique[steps] for steps in sorted(unique)), ()
-
-    def _read_tests(self) -> tuple[tuple[TestResult, ...], tuple[str, ...]]:
-        rows, problems = read_lines(self.path / "tests.jsonl")
-        decoded = [decode_test(row) for row in rows]
-        unique = {result.steps: result for result in decoded if result is not None}
-        odd = decoded.count(None)
-        if odd:
-            problems += (f"tests.jsonl: {odd} lines are no test results; left out",)
-        return tuple(unique[steps] for steps in sorted(unique)), problems
-
-    def _object(self, name: str) -> dict[str, Any] | None:
-        try:
-            return parse_object((self.path / name).read_bytes())
-        except OSError:
-            return None
-
-    def _stored_state(self) -> RunState:
-        return RunState.from_row(self._object("state.json") or {})
-
     def _write_state(self, state: RunState) -> None:
         write_json(self.path / "state.json", state.to_row())
-
-
-def paths(runs: str | Path, pattern: str = "*") -> list[Path]:
-    """The folders in a runs folder that are those of runs, sound or damaged, by name; other folders are passed over.
-
-    Args:
-        runs: the runs folder; one that is not there holds none.
-        pattern: of the folders' names, as a shell's.
-    """
-    try:
-        found = sorted(path for path in Path(runs).iterdir() if fnmatchcase(path.name, pattern))
-    except FileNotFoundError:
-        return []
-    except OSError as error:
-        raise MachineError(f"cannot be read ({error.strerror})", where=str(runs), hint="name a runs folder") from error
-    return [path for path in found if os.path.isfile(path / "run.json")]
-
-
-def scan(runs: str | Path, pattern: str = "*") -> Iterator[RunFolder | RunError]:
-    """The run folders in a runs folder, by name; for a damaged one its error. Arguments as those of `paths`."""
-    for path in paths(runs, pattern):
-        try:
-            yield RunFolder.open(path)
-        except RunError as error:
-            yield error

@@ -1,0 +1,68 @@
+"""The manifest of a checkpoint: format, meta, size and sha256 of each file, blocks, sha256 of itself."""
+
+from __future__ import annotations
+
+import hashlib
+import json
+import os
+import re
+from collections.abc import Mapping
+from pathlib import Path
+from typing import Any
+
+from ..files import parse_object, sync_folder
+from .errors import CheckpointError, damaged
+
+FORMAT = 1
+"""Version of the encoding and of the manifest."""
+PART = re.compile(r"[a-z][a-z0-9_]{0,31}")
+"""Names of checkpoints and of their parts."""
+_MANIFEST = "manifest.json"
+_MANIFEST_BYTES = 1 << 24
+
+
+def read_manifest(path: Path) -> dict[str, Any]:
+    """Manifest of the checkpoint in the folder `path`, verified in itself: format, meta, files.
+
+    Raises:
+        CheckpointError: it is missing, damaged or of a newer format.
+    """
+    try:
+        with (path / _MANIFEST).open("rb") as file:
+            manifest = parse_object(file.read(_MANIFEST_BYTES))
+    except OSError as error:
+        raise damaged(path, f"its {_MANIFEST} is missing ({error.strerror})") from error
+    if manifest is None:
+        raise damaged(path, f"its {_MANIFEST} cannot be read")
+    version = manifest.get("format")
+    if isinstance(version, int) and version > FORMAT:
+        raise CheckpointError(
+            f"the checkpoint has format {version}, this karolos knows {FORMAT}", where=str(path), hint="update karolos"
+        )
+    files = manifest.get("files")
+    sound = (
+        manifest.get("sha256") == seal(manifest)
+        and isinstance(manifest.get("meta"), dict)
+        and isinstance(files, dict)
+        and all(PART.fullmatch(part) for part in files)
+    )
+    if not sound:
+        raise damaged(path, f"its {_MANIFEST} was changed")
+    return manifest
+
+
+def write_manifest(path: Path, content: Mapping[str, Any]) -> None:
+    """Write the manifest of the checkpoint in the folder `path` for good. Raises OSError when that cannot be done."""
+    manifest: dict[str, Any] = {"format": FORMAT, **content}
+    manifest["sha256"] = seal(manifest)
+    with (path / _MANIFEST).open("w", encoding="utf-8", newline="\n") as file:
+        json.dump(manifest, file, indent=2, allow_nan=False)
+        file.flush()
+        os.fsync(file.fileno())
+    sync_folder(path)
+
+
+def seal(manifest: Mapping[str, Any]) -> str:
+    """sha256 of a manifest without its own."""
+    rest = {key: value for key, value in manifest.items() if key != "sha256"}
+    return hashlib.sha256(json.dumps(rest, sort_keys=True).encode()).hexdigest()
