@@ -10,6 +10,7 @@ from .environment import environment
 from .experts import experts
 from .orchestrator import orchestrator
 from .store import store
+from .survival import survival
 from .training import training
 from .updates import updates
 
@@ -20,6 +21,7 @@ app.command()(environment)
 app.command()(orchestrator)
 app.command()(experts)
 app.command()(store)
+app.command()(survival)
 app.command()(training)
 app.command()(updates)
 

@@ -23,9 +23,7 @@ import time
 from contextlib import suppress
 from pathlib import Path
 
-import numpy as np
-
-from karolos import checkpoint
+from karolos.benchmarks.survival import differences_of
 from karolos.run_folder import RunFolder
 from karolos.store import Store
 
@@ -93,45 +91,6 @@ def members(session: int) -> dict[int, str]:
     return found
 
 
-def differences(one: object, other: object, path: str = "") -> list[str]:
-    """Key paths at which two states differ, but for the seconds that training took."""
-    if isinstance(one, dict) and isinstance(other, dict):
-        if one.keys() != other.keys():
-            return [f"{path}: {sorted(one)} and {sorted(other)}"]
-        return [
-            found for key in one if key != "seconds" for found in differences(one[key], other[key], f"{path}.{key}")
-        ]
-    if isinstance(one, list | tuple) and isinstance(other, list | tuple):
-        if len(one) != len(other):
-            return [f"{path}: {len(one)} and {len(other)} entries"]
-        pairs = enumerate(zip(one, other, strict=True))
-        return [found for index, (a, b) in pairs for found in differences(a, b, f"{path}[{index}]")]
-    return [] if np.array_equal(np.asarray(one), np.asarray(other), equal_nan=_is_float(one)) else [path]
-
-
-def _is_float(value: object) -> bool:
-    return np.asarray(value).dtype.kind == "f"
-
-
-def compare(folder: RunFolder, reference: RunFolder, database: str) -> list[str]:
-    """What tells a run from the undisturbed one."""
-    found = differences(
-        checkpoint.load(folder.checkpoints, "last")[0], checkpoint.load(reference.checkpoints, "last")[0], "last"
-    )
-    tests = [(test.steps, test.any, test.end, test.returns) for test in folder.tests()]
-    if tests != [(test.steps, test.any, test.end, test.returns) for test in reference.tests()]:
-        found.append("tests.jsonl")
-    if (folder.path / "episodes.jsonl").read_text() != (reference.path / "episodes.jsonl").read_text():
-        found.append("episodes.jsonl")
-    with Store(database) as store:
-        stored = [(test.steps, test.any, test.end) for test in store.tests(folder.id)]
-        if stored != [(test.steps, sum(test.any), sum(test.end)) for test in folder.tests()]:
-            found.append(f"tests in the database: {stored}")
-        if store.find(folder.id) != folder.summary():
-            found.append("the run's row in the database")
-    return found
-
-
 def torture(spec: Path, runs: Path, kills: int, draw: random.Random) -> int:
     """Returns how many finished runs were compared; raises SystemExit at a difference."""
     started = time.monotonic()
@@ -162,7 +121,7 @@ def torture(spec: Path, runs: Path, kills: int, draw: random.Random) -> int:
                 raise SystemExit(f"after {done} kills, {' '.join(arguments)} ended with {code}: {errors}")
             break
         folder = next(RunFolder.open(path.parent) for path in home.glob("*/run.json"))
-        found = compare(folder, reference, database)
+        found = differences_of(folder, reference, database)
         compared += 1
         print(f"{done} kills, run {compared} in attempt {folder.state().attempt}: {found or 'equal'}", flush=True)
         if found:

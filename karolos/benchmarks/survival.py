@@ -1,0 +1,202 @@
+"""What a run survives: being killed half-way, and having its workers killed again and again.
+
+A killed and resumed run is compared with one that nobody disturbed, bit for bit: weights, buffer, counters and random
+streams of the last checkpoint, tests, training episodes, and what the database says.
+"""
+
+from __future__ import annotations
+
+import multiprocessing
+import os
+import random
+import signal
+import subprocess
+import sys
+import tempfile
+import threading
+import time
+from collections.abc import Callable, Iterator, Mapping
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+import yaml
+
+from .. import checkpoint
+from ..errors import MachineError, RunError
+from ..experiment import Experiment
+from ..run_folder import RunFolder
+from ..spec import Spec
+from ..store import Store
+from .end_to_end import reach
+from .row import Row
+
+STEPS = 50_000
+TESTS = 5
+"""Of a run that is killed; the kill comes after half of them."""
+BETWEEN_KILLS = 2.0
+"""Seconds from one killed worker to the next."""
+CASES: dict[str, dict[str, Any]] = {
+    "sac, priority, hindsight, PandaPickPlace, 2 processes": {
+        "robot": {"name": "panda", "control": "cartesian", "tool_step": 0.025},
+        "task": {"name": "pick_place", "reward": "sparse"},
+        "agent": {"name": "sac", "learning_rate": 1e-3, "discount": 0.95, "layer_norm": True, "policy_delay": 2},
+        "buffer": {"name": "priority", "capacity": 1_000_000, "hindsight": {"strategy": "future", "ratio": 0.8}},
+        "orchestrator": {"name": "local", "processes": 2, "environments": 32},
+        "training": {"batch_size": 256, "replay_ratio": 16, "warmup_episodes": 32},
+    },
+    "ppo, PandaReach": {
+        "robot": {"name": "panda", "control": "cartesian"},
+        "task": {"name": "reach", "reward": "dense"},
+        "agent": {"name": "ppo", "discount": 0.95},
+        "buffer": {"name": "on_policy", "rollout": 50},
+        "orchestrator": {"name": "local", "processes": 1, "environments": 8},
+    },
+}
+
+
+def measure(
+    *, steps: int = STEPS, seconds: float = BETWEEN_KILLS, say: Callable[[str], object] = lambda _: None
+) -> Iterator[Row]:
+    """Differences between a killed run and an undisturbed one, and what a run reaches whose workers are killed.
+
+    Args:
+        steps: of the runs that are killed.
+        seconds: between two killed workers.
+        say: is told what happens.
+
+    Raises:
+        MachineError: this system cannot kill as POSIX does.
+        RunError: a run failed.
+    """
+    if not hasattr(signal, "SIGKILL"):
+        raise MachineError("this system has no SIGKILL", hint="measure on Linux or macOS")
+    with tempfile.TemporaryDirectory() as temporary:
+        for number, (case, parts) in enumerate(CASES.items()):
+            found = _killed(case, parts, steps, Path(temporary) / str(number), say)
+            yield Row("survival", f"{case}: {steps:,} steps, killed half-way", float(len(found)), "differences")
+        yield _workers_killed(Path(temporary) / "workers", seconds, say)
+
+
+def _killed(case: str, parts: Mapping[str, Any], steps: int, home: Path, say: Callable[[str], object]) -> list[str]:
+    """What tells the killed and resumed run from the whole one."""
+    home.mkdir(parents=True)
+    training = {**parts.get("training", {}), "steps": steps}
+    testing = {"interval": max(steps // TESTS, 1), "episodes": 20}
+    spec = home / "survival.yaml"
+    spec.write_text(yaml.safe_dump({"name": "survival", **parts, "training": training, "testing": testing}), "utf-8")
+    whole = _run(home / "whole", spec)
+    say(f"{case}: undisturbed in {whole.state().seconds:.0f} s")
+    process = _start("run", str(spec), "--runs", str(home / "broken"))
+    while process.poll() is None and _steps(home / "broken") < steps // 2:
+        time.sleep(0.05)
+    time.sleep(random.Random(0).uniform(0.2, 1.0))  # into the training that follows a test
+    if process.poll() is not None:
+        raise RunError(f"the run ended with {process.returncode} before it was killed", where=case)
+    process.kill()
+    process.wait()
+    reached = _steps(home / "broken")
+    broken = _run(home / "broken", None)
+    found = differences_of(broken, whole, Store.default_url(home / "broken"))
+    say(f"{case}: killed after {reached:,} steps and resumed; {', '.join(found) or 'equal'}")
+    return found
+
+
+def _start(*arguments: str) -> subprocess.Popen[bytes]:
+    command = [sys.executable, "-m", "karolos_cli", *arguments, "--quiet"]
+    return subprocess.Popen(command, stdout=subprocess.DEVNULL, stderr=subprocess.PIPE)
+
+
+def _run(home: Path, spec: Path | None) -> RunFolder:
+    """Run the spec, or go on with what lies there. Raises RunError where that fails."""
+    arguments = ("run", str(spec)) if spec else ("resume", str(next(home.glob("*/run.json")).parent))
+    process = _start(*arguments, "--runs", str(home))
+    errors = process.communicate()[1].decode()
+    if process.returncode:
+        raise RunError(errors.strip().splitlines()[-1] if errors.strip() else "a run failed", where="survival")
+    return RunFolder.open(next(home.glob("*/run.json")).parent)
+
+
+def _steps(home: Path) -> int:
+    """Steps at the latest test of the run that lies there; 0 before."""
+    folder = next(iter(home.glob("*/run.json")), None)
+    return RunFolder.open(folder.parent).state().steps if folder else 0
+
+
+def _workers_killed(home: Path, seconds: float, say: Callable[[str], object]) -> Row:
+    """The success of a run whose workers are killed, beside that of one that nobody disturbs."""
+    spec = reach("orchestrator.processes=2", "orchestrator.failures=1000", "testing.interval=3000")
+    undisturbed = _success(spec, home / "undisturbed")
+    over, killed = threading.Event(), [0]
+    draw = random.Random(0)
+
+    def kill() -> None:
+        while not over.wait(seconds):
+            workers = [child for child in multiprocessing.active_children() if child.name.startswith("worker")]
+            if workers:
+                victim = draw.choice(sorted(workers, key=lambda child: child.pid or 0))
+                os.kill(victim.pid or 0, signal.SIGKILL)
+                killed[0] += 1
+
+    thread = threading.Thread(target=kill, daemon=True)
+    thread.start()
+    try:
+        disturbed = _success(spec, home / "killed")
+    finally:
+        over.set()
+        thread.join()
+    say(f"{killed[0]} workers killed")
+    case = f"PandaReach, a worker killed every {seconds:g} s ({killed[0]} of them)"
+    return Row("survival", case, disturbed, "success", "undisturbed", undisturbed)
+
+
+def _success(spec: Spec, home: Path) -> float:
+    (run,) = Experiment(spec).run(home).runs
+    if run.state != "finished":
+        raise RunError(f"the run is {run.state}: {run.error}", where="survival")
+    return RunFolder.open(run.folder).tests()[-1].success_end
+
+
+def differences_of(folder: RunFolder, reference: RunFolder, database: str) -> list[str]:
+    """What tells a run from an undisturbed one of the same spec and seed, but for the seconds it took.
+
+    Args:
+        folder: of the run.
+        reference: of the undisturbed one.
+        database: URL of the index that knows the run.
+    """
+    found = differences(
+        checkpoint.load(folder.checkpoints, "last")[0], checkpoint.load(reference.checkpoints, "last")[0], "last"
+    )
+    tests = [(test.steps, test.any, test.end, test.returns) for test in folder.tests()]
+    if tests != [(test.steps, test.any, test.end, test.returns) for test in reference.tests()]:
+        found.append("tests.jsonl")
+    if (folder.path / "episodes.jsonl").read_text() != (reference.path / "episodes.jsonl").read_text():
+        found.append("episodes.jsonl")
+    with Store(database) as store:
+        stored = [(test.steps, test.any, test.end) for test in store.tests(folder.id)]
+        if stored != [(test.steps, sum(test.any), sum(test.end)) for test in folder.tests()]:
+            found.append(f"tests in the database: {stored}")
+        if store.find(folder.id) != folder.summary():
+            found.append("the run's row in the database")
+    return found
+
+
+def differences(one: object, other: object, path: str = "") -> list[str]:
+    """Key paths at which two states differ, but for the seconds that training took."""
+    if isinstance(one, dict) and isinstance(other, dict):
+        if one.keys() != other.keys():
+            return [f"{path}: {sorted(one)} and {sorted(other)}"]
+        return [
+            found for key in one if key != "seconds" for found in differences(one[key], other[key], f"{path}.{key}")
+        ]
+    if isinstance(one, list | tuple) and isinstance(other, list | tuple):
+        if len(one) != len(other):
+            return [f"{path}: {len(one)} and {len(other)} entries"]
+        pairs = enumerate(zip(one, other, strict=True))
+        return [found for index, (a, b) in pairs for found in differences(a, b, f"{path}[{index}]")]
+    return [] if np.array_equal(np.asarray(one), np.asarray(other), equal_nan=_is_float(one)) else [path]
+
+
+def _is_float(value: object) -> bool:
+    return np.asarray(value).dtype.kind == "f"
