@@ -75,6 +75,8 @@ def _reindex(store: Store, runs: Path, jobs: int | None) -> None:
     for problem in done.problems:
         print(f"warning: {clean(problem)}", file=sys.stderr)
     print(f"{done.runs} runs entered, {done.forgotten} forgotten", file=sys.stderr)
+    if done.sweeps or done.forgotten_sweeps:
+        print(f"{done.sweeps} sweeps entered, {done.forgotten_sweeps} forgotten", file=sys.stderr)
 
 
 def _cores() -> int:

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import gc
 import sys
 import traceback
 
@@ -10,7 +11,7 @@ import typer
 from karolos.errors import KarolosError, PluginError
 from karolos.terminal import clean
 
-from . import bench, db, inspect, plugins, runs, spec
+from . import bench, db, inspect, plugins, runs, spec, sweeps
 from .board import board
 from .check import check
 from .compare import compare
@@ -20,6 +21,10 @@ from .play import play
 from .run import resume, run
 from .sweep import sweep
 from .test import transfer
+
+OBJECTS_PER_COLLECTION = 50_000
+"""New objects until Python looks for garbage: by its default an eighth of a short command's time goes into looking
+among what imports have made."""
 
 app = typer.Typer(
     name="karolos",
@@ -37,6 +42,7 @@ app.add_typer(inspect.app)
 app.add_typer(runs.app)
 app.add_typer(db.app)
 app.command()(sweep)
+app.add_typer(sweeps.app)
 app.command()(compare)
 app.command()(diff)
 app.command("test")(transfer)
@@ -53,6 +59,7 @@ def root() -> None:
 
 def main() -> None:
     """Run the command line; a KarolosError is a line on stderr and its exit code, a second Ctrl-C is 130."""
+    gc.set_threshold(OBJECTS_PER_COLLECTION)
     try:
         app()
     except KarolosError as error:

@@ -3,11 +3,14 @@
 from __future__ import annotations
 
 import json as json_text
+import sys
+import traceback
 from pathlib import Path
 from typing import TYPE_CHECKING, Annotated, Any
 
 import typer
 
+from karolos.errors import KarolosError, PluginError
 from karolos.terminal import clean
 
 from .common import Json, rows, table
@@ -15,8 +18,10 @@ from .common import Json, rows, table
 if TYPE_CHECKING:
     from pydantic import BaseModel
 
+    from karolos.contracts import Case
+
 app = typer.Typer(
-    name="plugins", help="List robots, tasks, agents, ... and their settings, or begin a new one.", no_args_is_help=True
+    name="plugins", help="List, show and check robots, tasks, agents, ..., or begin a new one.", no_args_is_help=True
 )
 Kind = Annotated[str, typer.Argument(metavar="KIND", help="robot, task, environment, agent, buffer, ...")]
 
@@ -89,6 +94,53 @@ def new(
 
     for path in write_starter(kind, name, out or Path(f"karolos-{name.replace('_', '-')}")):
         print(clean(str(path)))
+
+
+@app.command()
+def check(
+    kind: Kind,
+    name: Annotated[str, typer.Argument(metavar="NAME", help="The name that a spec uses.")],
+    settings: Annotated[
+        list[str] | None,
+        typer.Argument(metavar="[SETTING=VALUE]...", help="Settings other than its defaults.", show_default=False),
+    ] = None,
+    json: Json = False,
+) -> None:
+    """Check what plugins of that kind promise, as karolos's own tests do; exit code 3 if a promise is broken.
+
+    A robot is checked with every installed task, a task with every installed robot, which takes a minute.
+    """
+    from karolos.contracts import candidate, cases
+    from karolos.spec import parse_settings
+
+    found = cases(candidate(_kind(kind), name, **parse_settings(settings or ())))
+    broken = 0
+    for case in found:
+        problem = _problem(case)
+        broken += problem is not None
+        if json:
+            rows([{"promise": str(case), "text": case.text, "kept": problem is None, "problem": problem}], json=True)
+        else:
+            print(clean(f"{'ok    ' if problem is None else 'BROKEN'} {case}"), flush=True)
+            for line in () if problem is None else (case.text, problem):
+                print(clean(f"       {line}"), flush=True)
+    print(f"{len(found) - broken} of {len(found)} promises are kept", file=sys.stderr)
+    if broken:
+        raise typer.Exit(PluginError.exit_code)
+
+
+def _problem(case: Case) -> str | None:
+    """What is wrong, in one line; None where the promise is kept."""
+    try:
+        case()
+    except AssertionError as error:
+        return str(error)
+    except KarolosError as error:
+        return " ".join(str(error).splitlines())
+    except Exception as error:  # a plugin's code may raise anything; its author needs to see where
+        traceback.print_exception(error)
+        return f"{type(error).__name__}: {' '.join(str(error).splitlines())}"
+    return None
 
 
 def _kind(text: str) -> str:

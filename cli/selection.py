@@ -36,7 +36,7 @@ def open_store(runs: Path, database: str | None) -> Store | None:
     url = database or Store.default_url(runs)
     if Store.exists(url):
         return Store(url)
-    if not any(runs.glob("*/run.json")):
+    if not any(runs.glob("*/run.json")) and not any(runs.glob("sweeps/*/sweep.json")):
         return None
     store = Store(url)
     done = reindex(store, runs)

@@ -6,18 +6,17 @@ import shutil
 import subprocess
 import sys
 from pathlib import Path
-from typing import TYPE_CHECKING, Annotated, Any
+from typing import TYPE_CHECKING, Annotated
 
 import typer
 
 from karolos.errors import MachineError, SpecError, UsageError
-from karolos.terminal import clean
 
 from .common import Database, Json, Runs, rows
 from .run import TimeLimit, seconds
+from .sweep_output import Teller, report
 
 if TYPE_CHECKING:
-    from karolos.sweep.records import Final, Outcome, SweepEvent, Trial
     from karolos.sweep.search import Search
 
 SAMPLES = 5
@@ -65,9 +64,9 @@ def sweep(
     if dry_run:
         _sample(search, json=json)
         return
-    teller = _Teller(search.sweep.objectives, quiet=quiet)
+    teller = Teller(search.sweep.objectives, quiet=quiet)
     outcome = search.run(runs, database=database, jobs=jobs, time_limit=seconds(time_limit), listener=teller)
-    _report(outcome, quiet=quiet, json=json)
+    report(outcome, quiet=quiet, json=json)
     raise typer.Exit(outcome.exit_code)
 
 
@@ -77,11 +76,16 @@ def _open_dashboard(journal: Path) -> int:
         raise MachineError(f"{DASHBOARD} is not installed", hint=f"`pip install {DASHBOARD}`, then try again")
     if not journal.is_file():
         raise UsageError(f"there is no sweep at {journal.parent} yet", hint="`karolos sweep SPEC` begins one")
-    process = subprocess.Popen([program, str(journal)])
+    from karolos.jobs import sigint_ignored
+
+    with sigint_ignored():  # inherited: at Ctrl-C, which is how one leaves it, it would end with a traceback
+        process = subprocess.Popen([program, str(journal)])
     try:
         return process.wait()
     except KeyboardInterrupt:
-        return process.wait()  # it got the same signal
+        process.terminate()
+        process.wait()
+        return 0
 
 
 def _sample(search: Search, *, json: bool) -> None:
@@ -103,86 +107,3 @@ def _sample(search: Search, *, json: bool) -> None:
     )
     each = f"{len(search.sweep.seeds)} seeds of {search.spec.training.steps:,} steps each"
     print(f"{search.asked} trials, {each}; nothing was run", file=sys.stderr)
-
-
-class _Teller:
-    """One line per trial, on stderr."""
-
-    def __init__(self, objectives: tuple[str, ...], *, quiet: bool) -> None:
-        self._objectives = objectives
-        self._quiet = quiet
-
-    def __call__(self, event: SweepEvent) -> None:
-        from karolos.events import RunWarned
-        from karolos.sweep.records import TrialBegan, TrialEnded
-
-        if isinstance(event, RunWarned):
-            self._say(f"{event.run}: {event.warning}")
-        elif isinstance(event, TrialEnded) and event.trial.state == "failed":
-            self._say(f"trial {event.trial.number} failed: {event.trial.error} [{event.done}/{event.asked}]")
-        elif self._quiet:
-            return
-        elif isinstance(event, TrialBegan):
-            self._say(f"trial {event.trial.number}: {_drawn(event.trial)}")
-        elif isinstance(event, TrialEnded):
-            found = self._values(event.trial.values) if event.trial.values else ""
-            self._say(f"trial {event.trial.number} {event.trial.state}{found} [{event.done}/{event.asked}]")
-        else:
-            who = ", ".join(map(str, event.trials))
-            self._say(f"trials {who} on seeds {', '.join(map(str, event.seeds))}, to {event.purpose}")
-
-    def _values(self, values: tuple[float, ...]) -> str:
-        return ": " + ", ".join(f"{name} {value:.4g}" for name, value in zip(self._objectives, values, strict=True))
-
-    @staticmethod
-    def _say(text: str) -> None:
-        print(clean(text), file=sys.stderr, flush=True)
-
-
-def _drawn(trial: Trial) -> str:
-    return ", ".join(
-        f"{key}={value:.4g}" if isinstance(value, float) else f"{key}={value}" for key, value in trial.drawn.items()
-    )
-
-
-def _report(outcome: Outcome, *, quiet: bool, json: bool) -> None:
-    """The trials to stdout; what was chosen, and how far to trust it, to stderr."""
-    if json or not quiet:
-        rows([_row(trial, outcome) for trial in outcome.trials], json=json)
-    if quiet:
-        return
-    for trial in outcome.front if len(outcome.objectives) > 1 else ():
-        print(clean(f"no trial beats trial {trial.number} in every objective: {_drawn(trial)}"), file=sys.stderr)
-    if outcome.best is None:
-        print("no trial is complete yet", file=sys.stderr)
-        return
-    print(clean(f"best: trial {outcome.best.number}, {_drawn(outcome.best)}"), file=sys.stderr)
-    if outcome.final is not None:
-        _tell_final(outcome.final, outcome.objectives)
-    print(f"`karolos run {outcome.folder / 'best.yaml'}` runs it; figures in {outcome.folder}", file=sys.stderr)
-
-
-def _row(trial: Trial, outcome: Outcome) -> dict[str, Any]:
-    """A trial as a row: objectives, the same on fresh and on unused seeds where it came so far, settings, runs."""
-    row: dict[str, Any] = {"trial": trial.number, "state": trial.state}
-    final = outcome.final
-    for place, name in enumerate(outcome.objectives):
-        row[name] = trial.values[place] if trial.values else None
-        if final is not None:
-            fresh = final.fresh.get(trial.number)
-            row[f"{name}_fresh"] = fresh[place] if fresh else None
-            unused = final.reported if trial.number == final.chosen else None
-            row[f"{name}_unused"] = unused[place] if unused else None
-    return {**row, **outcome.settings(trial), "error": trial.error, "runs": list(trial.runs)}
-
-
-def _tell_final(final: Final, objectives: tuple[str, ...]) -> None:
-    for place, name in enumerate(objectives):
-        line = (
-            f"{name}: {final.tuned[place]:.4g} on the seeds it was tuned on, "
-            f"{final.fresh[final.chosen][place]:.4g} on {len(final.seeds)} fresh ones that it was chosen by"
-        )
-        if final.reported is not None:
-            gap = final.tuned[place] - final.reported[place]
-            line += f", {final.reported[place]:.4g} on {len(final.report_seeds)} used for nothing else: gap {gap:+.4g}"
-        print(line, file=sys.stderr)

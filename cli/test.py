@@ -75,7 +75,7 @@ def transfer(
 
 
 def _own(result: TestResult) -> dict[str, Any]:
-    from karolos.statistics import wilson
+    from karolos.intervals import wilson
 
     return {
         "steps": result.steps,

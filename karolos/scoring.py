@@ -8,9 +8,9 @@ import numpy as np
 from numpy.typing import NDArray
 
 from .core import Environment, Step, random_actions
+from .intervals import wilson
 from .playing import Policy, play
 from .seeding import SeedTree
-from .statistics import wilson
 
 
 @dataclass(frozen=True)

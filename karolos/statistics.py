@@ -7,7 +7,6 @@ from __future__ import annotations
 
 import math
 from dataclasses import dataclass
-from statistics import NormalDist
 
 import numpy as np
 from numpy.typing import ArrayLike, NDArray
@@ -18,29 +17,6 @@ SMALLEST_BANDWIDTH = 0.02
 """Two grid steps: narrower kernels the grid could not show, and equal values would have no width at all."""
 
 _Floats = NDArray[np.float64]
-
-
-def wilson(successes: int, episodes: int, level: float = 0.95) -> tuple[float, float]:
-    """Interval of the success probability behind k successes in n independent episodes: low, high in [0, 1].
-
-    Wilson's score interval keeps its level at 0 and at n successes, where the textbook's normal one has no width.
-    Source: Wilson 1927, J. Am. Stat. Assoc. 22, 209; recommended by Brown, Cai, DasGupta 2001, Stat. Sci. 16, 101.
-
-    Raises:
-        ValueError: no episodes, successes outside 0 .. episodes, or a level outside (0, 1).
-    """
-    if episodes < 1 or not 0 <= successes <= episodes:
-        raise ValueError(f"{successes} successes of {episodes} episodes")
-    if not 0 < level < 1:
-        raise ValueError(f"level {level} is not between 0 and 1")
-    z = NormalDist().inv_cdf((1 + level) / 2)
-    share = successes / episodes
-    scale = 1 + z**2 / episodes
-    middle = (share + z**2 / (2 * episodes)) / scale
-    half = z / scale * math.sqrt(share * (1 - share) / episodes + z**2 / (4 * episodes**2))
-    low: float = 0.0 if successes == 0 else max(middle - half, 0.0)  # exact where rounding would leave 1e-17
-    high: float = 1.0 if successes == episodes else min(middle + half, 1.0)
-    return low, high
 
 
 @dataclass(frozen=True)

@@ -11,10 +11,10 @@ from typing import Any
 
 from .errors import MachineError
 from .files import FileLock, append_lines, read_lines
+from .intervals import wilson
 from .results import TestResult
 from .run_folder import RunFolder
 from .run_records import decode_test, encode_test
-from .statistics import wilson
 
 FILE = "transfers.jsonl"
 LOCK_SECONDS = 20.0

@@ -2,7 +2,13 @@
 
 from __future__ import annotations
 
+import json
+from dataclasses import replace
+from pathlib import Path
 from typing import Any
+
+from karolos.sweep_reading import DESCRIPTION, FINAL, FOLDER, TRIALS
+from karolos.sweep_records import Final, SweepRecord, Trial
 
 
 def sweep_spec(space: dict[str, Any], **sweep: Any) -> dict[str, Any]:
@@ -19,3 +25,38 @@ def sweep_spec(space: dict[str, Any], **sweep: Any) -> dict[str, Any]:
 
 
 LEARNING_RATE = {"agent.learning_rate": {"float": [1e-6, 1e-1], "log": True}}
+
+
+def write_sweep(runs: Path, name: str, trials: list[Trial], final: Final | None = None, **known: Any) -> SweepRecord:
+    """A sweep's folder as `karolos sweep` leaves it; returns what it says."""
+    folder = runs / FOLDER / name
+    folder.mkdir(parents=True, exist_ok=True)
+    values = {
+        "sweep": f"{name}-20260101-000000",
+        "experiment": "abc",
+        "objectives": ("success_end", "steps_to_95"),
+        "directions": ("maximize", "minimize"),
+        "parameters": ("agent.learning_rate",),
+        "seeds": (0, 2**70),
+        "asked": 3,
+        "wants_final": final is not None,
+        "created": "2026-01-01T00:00:00.000000Z",
+    }
+    record = SweepRecord(name=name, folder=str(folder.resolve()), **(values | known))
+    (folder / DESCRIPTION).write_text(json.dumps(record.description()))
+    (folder / TRIALS).write_text("".join(json.dumps(trial.row()) + "\n" for trial in trials))
+    if final is not None:
+        (folder / FINAL).write_text(json.dumps(final.row()))
+    return replace(record, trials=tuple(trials), final=final)
+
+
+def some_trial(number: int, state: Any = "complete", value: float = 0.5) -> Trial:
+    return Trial(
+        number,
+        f"x-t{number:03}",
+        state,
+        {"agent.learning_rate": 10.0**-number},
+        (value, 1000.0) if state == "complete" else None,
+        (f"x-t{number:03}-s0-20260101-000000",) if state != "running" else (),
+        "a loss that is nan" if state == "failed" else None,
+    )

@@ -7,9 +7,9 @@ import pytest
 
 from karolos.core import Array, Environment, Field, Layout, Signature, Step
 from karolos.environments.toy import Toy
+from karolos.intervals import wilson
 from karolos.playing import Policy
 from karolos.scoring import random_policy, score
-from karolos.statistics import wilson
 
 
 class Scripted(Environment):

@@ -7,7 +7,8 @@ from hypothesis import strategies as st
 from scipy import stats
 from scipy.integrate import simpson
 
-from karolos.statistics import SMALLEST_BANDWIDTH, bandwidth, integral, kde, wilson
+from karolos.intervals import wilson
+from karolos.statistics import SMALLEST_BANDWIDTH, bandwidth, integral, kde
 
 ratios = st.lists(st.floats(0, 1), min_size=1, max_size=20)
 

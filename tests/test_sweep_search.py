@@ -14,14 +14,17 @@ from collections import Counter
 import pytest
 from sweep_samples import LEARNING_RATE, sweep_spec
 
-from karolos.errors import RunError, UsageError
-from karolos.events import RunTested
+from karolos.errors import RunError, StoreError, UsageError
+from karolos.events import RunTested, RunWarned
 from karolos.experiment import Experiment
 from karolos.files import FileLock
 from karolos.run_folder import RunFolder
 from karolos.spec import Spec, load_spec
+from karolos.store import Store, check, reindex
+from karolos.store.sweeps import Sweeps
 from karolos.sweep.records import Outcome, TrialBegan
 from karolos.sweep.search import Search, samples
+from karolos.sweep_reading import read
 
 TRIALS = 5
 SPEC = sweep_spec(
@@ -118,6 +121,45 @@ def test_the_folder_says_it_all_without_optuna(killed):
     assert all(len(row["runs"]) == 1 and row["values"] for row in rows)
     assert Spec.from_dict(SPEC) == load_spec(killed.folder / "sweep.yaml")
     assert (killed.folder / "figures" / "search.svg").read_text().count("agent.learning_rate") >= 1
+
+
+def test_the_store_knows_the_sweep_as_its_folder_does_and_a_rebuilt_one_too(killed):
+    runs = killed.folder.parents[1]
+    with Store(Store.default_url(runs)) as store:
+        assert list(check(store, runs)) == []
+        before = store.sweeps.find("line")
+        assert (before.trials, before.final, before.best) == (killed.trials, killed.final, killed.best)
+        assert before.state() == "finished"
+        assert {run for trial in before.trials for run in trial.runs} <= {run.run for run in store.runs()}
+        store.sweeps.remove([before.sweep])
+        assert reindex(store, runs).sweeps == 1
+        assert store.sweeps.all() == (before,)
+
+
+def test_the_store_hears_of_trials_as_they_begin_and_end_and_one_that_fails_ends_no_sweep(tmp_path, monkeypatch):
+    heard, warnings = [], []
+
+    def refuse(store: object, records: object) -> None:
+        raise StoreError("the disk is full")
+
+    def listen(event: object) -> None:
+        if isinstance(event, RunWarned):
+            warnings.append((event.run, event.warning))
+            return
+        with Store(Store.default_url(tmp_path)) as store:
+            found = store.sweeps.find("line")
+        heard.append([trial.state for trial in found.trials])
+        if len(heard) == 3:
+            monkeypatch.setattr(Sweeps, "add", refuse)
+
+    space = {"agent.learning_rate": {"choice": [1e-3, 1e-2]}}
+    spec = sweep_spec(space, sampler="grid") | {"training": {"steps": 8, "batch_size": 4}}
+    outcome = Search(spec).run(tmp_path, listener=listen)
+    assert heard == [["running"], ["complete"], ["complete", "running"], ["complete", "running"]]
+    assert [trial.state for trial in outcome.trials] == ["complete", "complete"]
+    found, problems = read(outcome.folder)
+    assert (found.trials, problems) == (outcome.trials, ())
+    assert (found.sweep, "the disk is full (the sweep goes on; its folder is complete)") in warnings
 
 
 def test_another_search_of_the_same_name_is_refused(killed):

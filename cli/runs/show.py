@@ -103,7 +103,7 @@ def _from_index(store: Store, summary: RunSummary) -> _View:
 
 
 def _test_row(test: StoredTest) -> dict[str, Any]:
-    from karolos.statistics import wilson
+    from karolos.intervals import wilson
 
     return {
         "steps": test.steps,

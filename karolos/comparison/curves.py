@@ -10,6 +10,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from .. import aggregates, statistics
+from ..intervals import wilson
 from ..seeding import Generator
 from .contenders import ComparedRun, Success
 
@@ -72,7 +73,7 @@ def learning_curve(
     elif len(runs) > 1:
         low, high = values.min(axis=1), values.max(axis=1)
     else:
-        ends = [statistics.wilson(getattr(test, success), test.episodes) for test in runs[0].tests]
+        ends = [wilson(getattr(test, success), test.episodes) for test in runs[0].tests]
         low, high = (np.interp(at, places(runs[0], axis), [pair[side] for pair in ends]) for side in (0, 1))
     return Curve(at, middle, low, high)
 

@@ -12,6 +12,7 @@ from typing import Any, Literal
 import numpy as np
 
 from .. import aggregates, statistics
+from ..intervals import wilson
 from ..seeding import SeedTree
 from ..store.rows import without_seeds
 from .cautions import cautions
@@ -162,7 +163,7 @@ def _estimate(
     middle = float(statistic(np.array(values)))
     if len(runs) == 1:
         test = runs[0].tests[-1]
-        return Estimate(middle, *statistics.wilson(getattr(test, success), test.episodes), "wilson")
+        return Estimate(middle, *wilson(getattr(test, success), test.episodes), "wilson")
     found = aggregates.interval(values, statistic, tree.generator())
     if found is None:
         return Estimate(middle, min(values), max(values), "range")

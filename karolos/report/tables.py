@@ -11,11 +11,11 @@ from rich.table import Table
 from rich.text import Text
 
 from .. import run_records
+from ..intervals import wilson
+from ..results import WITHIN, TestResult
 from ..run_records import RunSummary
-from ..statistics import wilson
 from ..store import StoredTest
 from ..terminal import clean
-from ..testing import WITHIN, TestResult
 from ..transfers import Transfer
 
 _STATE_STYLES = {

@@ -1,9 +1,21 @@
 """Specs: YAML or a dictionary in, a checked, frozen and hashed description of an experiment out."""
 
 from .load import load_spec, spec_of_trial
+from .merge import parse_settings
 from .model import Spec, Testing, Training
 from .recipe import Part, Recipe
 from .sweep import Sweep
 from .yaml_text import to_yaml
 
-__all__ = ["Part", "Recipe", "Spec", "Sweep", "Testing", "Training", "load_spec", "spec_of_trial", "to_yaml"]
+__all__ = [
+    "Part",
+    "Recipe",
+    "Spec",
+    "Sweep",
+    "Testing",
+    "Training",
+    "load_spec",
+    "parse_settings",
+    "spec_of_trial",
+    "to_yaml",
+]

@@ -3,8 +3,9 @@
 from __future__ import annotations
 
 from collections.abc import Iterable
+from typing import Any
 
-from .nodes import Located, Mark, Node, shown
+from .nodes import Located, Mark, Node, refuse, shown
 from .yaml_text import BrokenTextError, read
 
 PARTS = {
@@ -73,6 +74,17 @@ def override_trees(overrides: Iterable[str], rank: int, problems: list[Located])
         except BrokenTextError as broken:
             problems.append(broken.problem)
     return trees
+
+
+def parse_settings(overrides: Iterable[str]) -> dict[str, Any]:
+    """Each `path.to.key=value` as in an override, put together as one dictionary. Raises SpecError."""
+    problems: list[Located] = []
+    tree = Node({}, Mark("settings"))
+    for override in override_trees(overrides, 0, problems):
+        tree = merged(tree, override)
+    refuse(problems)
+    found: dict[str, Any] = tree.plain()
+    return found
 
 
 def _override(text: str, mark: Mark, problems: list[Located]) -> Node:

@@ -1,27 +1,30 @@
-"""Whether the index says what the run folders say."""
+"""Whether the index says what the folders of runs and sweeps say."""
 
 from __future__ import annotations
 
 from collections.abc import Iterator, Mapping, Sequence
-from dataclasses import asdict, dataclass
+from dataclasses import asdict, dataclass, fields
 from pathlib import Path
 from typing import Any
 
 from sqlalchemy import select, text
 
 from ..run_records import RunSummary, flatten
-from .folders import read_folders
-from .models import RunRow
+from ..sweep_reading import FOLDER
+from ..sweep_records import is_running
+from .folders import is_gone, read_folders, read_sweeps
 from .rows import digest, without_seeds
 from .store import Store
+from .tables import RUNS
 from .writing import Entry
 
 _RUNS_AT_ONCE = 100
+_GONE = "it is in the database, and its folder is gone"
 
 
 @dataclass(frozen=True)
 class Difference:
-    """Something that is not as it should be; `run` None: with the database itself."""
+    """Something that is not as it should be with a run or a sweep, by its id; `run` None: with the database itself."""
 
     run: str | None
     what: str
@@ -32,9 +35,9 @@ class Difference:
 
 
 def check(store: Store, runs: str | Path, *, jobs: int = 1) -> Iterator[Difference]:
-    """Compare the index with the folders in `runs`, run by run; nothing is changed.
+    """Compare the index with the folders in `runs`, run by run and sweep by sweep; nothing is changed.
 
-    A run that a process is working on is passed over: it changes while one looks. `jobs` as in `reindex`.
+    What a process is working on is passed over: it changes while one looks. `jobs` as in `reindex`.
 
     Raises:
         StoreError: the database cannot be read.
@@ -60,9 +63,28 @@ def check(store: Store, runs: str | Path, *, jobs: int = 1) -> Iterator[Differen
             waiting.clear()
     yield from comparison.differences(waiting)
     for run in store.runs():
-        folder = Path(run.folder)
-        if run.run not in known and folder.parent == root and not folder.exists():
-            yield Difference(run.run, "it is in the database, and its folder is gone")
+        if run.run not in known and is_gone(run.folder, root):
+            yield Difference(run.run, _GONE)
+    yield from _sweeps(store, root)
+
+
+def _sweeps(store: Store, root: Path) -> Iterator[Difference]:
+    records, problems = read_sweeps(root)
+    yield from (Difference(None, f"a sweep's folder: {problem}") for problem in problems)
+    stored = {record.sweep: record for record in store.sweeps.all()}
+    for record in records:
+        if is_running(Path(record.folder)):
+            continue
+        indexed = stored.get(record.sweep)
+        if indexed is None:
+            yield Difference(record.sweep, "it has a folder, and is not in the database")
+        elif indexed != record:
+            names = [each.name for each in fields(record) if getattr(record, each.name) != getattr(indexed, each.name)]
+            yield Difference(record.sweep, f"{', '.join(names)}: its folder and the database differ")
+    there = {record.sweep for record in records}
+    for one in stored.values():
+        if one.sweep not in there and is_gone(one.folder, root / FOLDER):
+            yield Difference(one.sweep, _GONE)
 
 
 def _integrity(store: Store) -> Iterator[Difference]:
@@ -87,7 +109,7 @@ class _Comparison:
         stored = {run.run: run for run in self._store.runs(ids=names)}
         tests = self._store.tests_of(names)
         with self._store.reading() as connection:
-            query = select(RunRow.run, RunRow.spec, RunRow.software).where(RunRow.run.in_(names))
+            query = select(RUNS.c.run, RUNS.c.spec, RUNS.c.software).where(RUNS.c.run.in_(names))
             shared = {row.run: row for row in connection.execute(query)}
         for entry in entries:
             run = entry.summary.run

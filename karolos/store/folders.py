@@ -1,15 +1,15 @@
-"""What the run folders say, read by one or several processes: most of the time goes into their JSON."""
+"""What the folders of runs and sweeps say. Those of many runs are read by several processes: their JSON takes time."""
 
 from __future__ import annotations
 
-import multiprocessing
 from collections.abc import Iterator
-from concurrent.futures import ProcessPoolExecutor
 from dataclasses import dataclass
 from pathlib import Path
 
+from .. import sweep_reading
 from ..errors import RunError
 from ..run_folder import RunFolder, paths
+from ..sweep_records import SweepRecord
 from .writing import Entry
 
 FEW = 200
@@ -40,6 +40,9 @@ def read_folders(root: Path, jobs: int = 1, *, living: bool = True) -> Iterator[
     if jobs == 1 or len(found) <= FEW:
         yield from (_read(path, living) for path in found)
         return
+    import multiprocessing  # noqa: PLC0415  (both take longer to import than the index takes to answer)
+    from concurrent.futures import ProcessPoolExecutor  # noqa: PLC0415
+
     with ProcessPoolExecutor(jobs, mp_context=multiprocessing.get_context("spawn")) as pool:
         yield from pool.map(_read, found, [living] * len(found), chunksize=_AT_ONCE)
 
@@ -55,3 +58,28 @@ def _read(path: Path, living: bool) -> Found:
     record = folder.record()
     problems = tuple(f"{path.name}: {problem}" for problem in record.problems)
     return Found(path.name, folder.id, Entry.of(record), alive, problems)
+
+
+def read_sweeps(root: Path) -> tuple[tuple[SweepRecord, ...], tuple[str, ...]]:
+    """The sweeps in a runs folder, each once, by the names of their folders; and what is damaged, one line each."""
+    found: dict[str, SweepRecord] = {}
+    problems: list[str] = []
+    for path in sweep_reading.paths(root):
+        try:
+            record, damaged = sweep_reading.read(path)
+        except RunError as error:
+            problems.append(str(error))
+            continue
+        problems += damaged
+        if record.sweep in found:
+            other = Path(found[record.sweep].folder).name
+            problems.append(f"{path.name}: says that it is the sweep {record.sweep}, as {other} does; left out")
+        else:
+            found[record.sweep] = record
+    return tuple(found.values()), tuple(problems)
+
+
+def is_gone(folder: str, home: Path) -> bool:
+    """Whether a folder that lay in `home` is not there any more."""
+    path = Path(folder)
+    return path.parent == home and not path.exists()

@@ -1,11 +1,12 @@
-"""Rebuilding the index from the run folders, which are the truth."""
+"""Rebuilding the index from the folders of runs and sweeps, which are the truth."""
 
 from __future__ import annotations
 
 from dataclasses import dataclass
 from pathlib import Path
 
-from .folders import read_folders
+from ..sweep_reading import FOLDER
+from .folders import is_gone, read_folders, read_sweeps
 from .store import Store
 from .writing import Entry
 
@@ -14,15 +15,17 @@ _RUNS_PER_TRANSACTION = 100
 
 @dataclass(frozen=True)
 class Reindexed:
-    """Runs entered, runs forgotten because their folders are gone, and what is damaged, one line each."""
+    """Runs and sweeps entered, those forgotten because their folders are gone, and what is damaged, one line each."""
 
     runs: int
     forgotten: int
     problems: tuple[str, ...]
+    sweeps: int = 0
+    forgotten_sweeps: int = 0
 
 
 def reindex(store: Store, runs: str | Path, *, jobs: int = 1) -> Reindexed:
-    """Make the index agree with the folders in `runs`; runs that lie elsewhere stay as they are.
+    """Make the index agree with the folders in `runs`; what lies elsewhere stays as it is.
 
     Args:
         store: the index.
@@ -50,10 +53,11 @@ def reindex(store: Store, runs: str | Path, *, jobs: int = 1) -> Reindexed:
             waiting.clear()
     if waiting:
         store.add_entries(waiting)
-    gone = [
-        run.run
-        for run in store.runs()
-        if run.run not in known and Path(run.folder).parent == root and not Path(run.folder).exists()
-    ]
+    gone = [run.run for run in store.runs() if run.run not in known and is_gone(run.folder, root)]
     store.remove_runs(gone)
-    return Reindexed(len(known), len(gone), tuple(problems))
+    sweeps, damaged = read_sweeps(root)
+    store.sweeps.add(sweeps)
+    there = {record.sweep for record in sweeps}
+    lost = [one.sweep for one in store.sweeps.all() if one.sweep not in there and is_gone(one.folder, root / FOLDER)]
+    store.sweeps.remove(lost)
+    return Reindexed(len(known), len(gone), (*problems, *damaged), len(sweeps), len(lost))

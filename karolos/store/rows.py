@@ -6,16 +6,15 @@ import hashlib
 import json
 from collections.abc import Iterator, Mapping, Sequence
 from dataclasses import dataclass, fields
+from importlib import import_module
 from pathlib import Path
 from typing import Any
 
-from sqlalchemy import Connection, insert
-from sqlalchemy.dialects import postgresql, sqlite
+from sqlalchemy import Connection, Table, insert
 
 from ..counting import TestCounts
 from ..results import TestResult
 from ..run_records import RunSummary, flatten
-from .models import Table
 
 SUMMARY_COLUMNS = tuple(field.name for field in fields(RunSummary) if field.name != "tags")
 ROWS_PER_STATEMENT = 500
@@ -51,23 +50,32 @@ class StoredTest:
         }
 
 
-def run_row(summary: RunSummary, home: Path | None) -> dict[str, Any]:
-    """Columns of a run but its labels, which have a way of their own.
+def as_stored(folder: str, home: Path | None) -> str:
+    """A folder as the index keeps it.
 
     Args:
-        home: the database's folder. A run folder below it is kept relative to it, so that both can move together.
+        folder: its path.
+        home: the database's folder. What lies below it is kept relative to it, so that both can move together.
     """
-    folder = Path(summary.folder)
-    if home and folder.is_relative_to(home):
-        folder = folder.relative_to(home)
+    path = Path(folder)
+    return (path.relative_to(home) if home and path.is_relative_to(home) else path).as_posix()
+
+
+def where_it_lies(stored: str, home: Path | None) -> str:
+    """The path of a folder that the index keeps."""
+    return str((home or Path()) / stored)
+
+
+def run_row(summary: RunSummary, home: Path | None) -> dict[str, Any]:
+    """Columns of a run but its labels, which have a way of their own; `home` as for `as_stored`."""
     row = {name: getattr(summary, name) for name in SUMMARY_COLUMNS if name != "note"}
-    return row | {"folder": folder.as_posix(), "seed": str(summary.seed)}
+    return row | {"folder": as_stored(summary.folder, home), "seed": str(summary.seed)}
 
 
 def summary_of(row: Any, tags: Sequence[str], home: Path | None) -> RunSummary:
     """The run that a row of `runs` tells of."""
     values = {name: getattr(row, name) for name in SUMMARY_COLUMNS}
-    values |= {"folder": str((home or Path()) / values["folder"]), "seed": int(values["seed"])}
+    values |= {"folder": where_it_lies(values["folder"], home), "seed": int(values["seed"])}
     return RunSummary(**values, tags=tuple(sorted(tags)))
 
 
@@ -89,7 +97,7 @@ def parameter_rows(spec: Mapping[str, Any], name: str) -> list[dict[str, Any]]:
 
 def upsert(
     connection: Connection,
-    table: type[Table],
+    table: Table,
     rows: Sequence[Mapping[str, Any]],
     *,
     keys: Sequence[str],
@@ -98,7 +106,8 @@ def upsert(
     """Insert rows; where a key is there, replace the row or leave it."""
     if not rows:
         return
-    dialect = postgresql if connection.dialect.name == "postgresql" else sqlite
+    # Both have the same methods; that of the other database would take longer to import than most queries.
+    dialect: Any = import_module(f"sqlalchemy.dialects.{connection.dialect.name}")
     new = dialect.insert(table)
     rest = {name: new.excluded[name] for name in rows[0] if name not in keys}
     statement = (
@@ -109,7 +118,7 @@ def upsert(
     connection.execute(statement, [dict(row) for row in rows])
 
 
-def put(connection: Connection, table: type[Table], rows: Sequence[Mapping[str, Any]]) -> None:
+def put(connection: Connection, table: Table, rows: Sequence[Mapping[str, Any]]) -> None:
     """Insert rows, if there are any."""
     if rows:
         connection.execute(insert(table), [dict(row) for row in rows])

@@ -11,7 +11,7 @@ from sqlalchemy import URL, Connection, Engine, insert, inspect, select
 from ..errors import StoreError
 from ..files import FileLock, writing
 from .connection import READ, display, explained, lock_writers, sqlite_file
-from .models import SCHEMA, SchemaVersion, Table
+from .tables import SCHEMA, SCHEMA_VERSION, TABLES
 
 
 def ensure_schema(engine: Engine, url: URL, timeout: float) -> None:
@@ -56,13 +56,13 @@ def schema_version(connection: Connection, url: URL) -> int | None:
         StoreError: the database belongs to something else, or to a newer karolos.
     """
     tables = set(inspect(connection).get_table_names())
-    if SchemaVersion.__tablename__ not in tables:
+    if SCHEMA_VERSION.name not in tables:
         if tables:
             raise StoreError(
                 "this database belongs to something else", where=display(url), hint="name another with --database"
             )
         return None
-    version: int | None = connection.scalar(select(SchemaVersion.version))
+    version: int | None = connection.scalar(select(SCHEMA_VERSION.c.version))
     if version is None:
         raise StoreError("the database is damaged: it has no version", where=display(url), hint="move it away")
     if version > SCHEMA:
@@ -84,8 +84,8 @@ def _create(engine: Engine, url: URL, timeout: float) -> None:
     with explained(url), engine.begin() as connection:
         lock_writers(connection, timeout)
         if not _check(connection, url):
-            Table.metadata.create_all(connection)
-            connection.execute(insert(SchemaVersion).values(version=SCHEMA))
+            TABLES.create_all(connection)
+            connection.execute(insert(SCHEMA_VERSION).values(version=SCHEMA))
 
 
 def _check(connection: Connection, url: URL) -> bool:

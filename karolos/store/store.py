@@ -18,10 +18,11 @@ from ..run_folder import RunFolder
 from ..run_records import STATES, RunRecord, RunSummary
 from . import selectors, writing
 from .connection import READ, display, explained, lock_writers, make_engine, parse_url, sqlite_file
-from .models import ParameterRow, RunRow, SpecRow, SuccessRow, TestRow, VersionRow
 from .reading import Index, stored_parameters
 from .rows import StoredTest, chunks, run_row, upsert
 from .schema import ensure_schema
+from .sweeps import Sweeps
+from .tables import PARAMETERS, RUNS, SPECS, SUCCESSES, TESTS, VERSIONS
 from .writing import Entry
 
 BUSY_SECONDS = 20.0
@@ -37,6 +38,10 @@ class Store:
             A SQLite file that is not there is made.
         timeout: seconds a transaction that writes waits for other processes.
 
+    Attributes:
+        home: folder of a SQLite database, None for any other.
+        sweeps: the searches over specs, and their trials.
+
     Raises:
         StoreError: from every method, when the database is locked, read-only, damaged, newer or not ours.
     """
@@ -44,7 +49,8 @@ class Store:
     def __init__(self, url: str, *, timeout: float = BUSY_SECONDS) -> None:
         self.url = parse_url(url)
         path = sqlite_file(self.url)
-        self._home = path.resolve().parent if path else None
+        self.home = path.resolve().parent if path else None
+        self.sweeps = Sweeps(self)
         self._timeout = timeout
         self._engine = make_engine(self.url, timeout)
         self._readers = self._engine.execution_options(**{READ: True})
@@ -82,7 +88,7 @@ class Store:
             versions: of the software that it is made with (`RunFolder.versions`).
         """
         with self.writing() as connection:
-            writing.enter(connection, [Entry(summary, spec, versions, None)], self._home)
+            writing.enter(connection, [Entry(summary, spec, versions, None)], self.home)
 
     def add_records(self, records: Sequence[RunRecord]) -> None:
         """Enter runs with all their tests, in place of those stored, in one transaction."""
@@ -91,7 +97,7 @@ class Store:
     def add_entries(self, entries: Sequence[Entry]) -> None:
         """Enter runs in place of those stored, in one transaction."""
         with self.writing() as connection:
-            writing.enter(connection, entries, self._home)
+            writing.enter(connection, entries, self.home)
 
     def update_run(self, summary: RunSummary) -> None:
         """Bring a run's row up to date, but for its labels (`refresh_labels`).
@@ -99,9 +105,9 @@ class Store:
         Raises:
             StoreError: the run is not there.
         """
-        row = run_row(summary, self._home)
+        row = run_row(summary, self.home)
         with self.writing() as connection:
-            changed = connection.execute(update(RunRow).where(RunRow.run == summary.run).values(**row))
+            changed = connection.execute(update(RUNS).where(RUNS.c.run == summary.run).values(**row))
             if changed.rowcount == 0:
                 raise self._unknown(summary.run)
 
@@ -117,10 +123,10 @@ class Store:
 
     def add_test(self, run: str, result: TestResult) -> None:
         """Enter a test of a run; one at the same steps, which a resumed run repeats, is replaced."""
-        experiment = select(RunRow.experiment).where(RunRow.run == run).scalar_subquery()
+        experiment = select(RUNS.c.experiment).where(RUNS.c.run == run).scalar_subquery()
         with self.writing() as connection:
-            upsert(connection, TestRow, [StoredTest.of(run, result).to_row()], keys=("run", "steps"))
-            connection.execute(delete(SuccessRow).where(SuccessRow.experiment == experiment))
+            upsert(connection, TESTS, [StoredTest.of(run, result).to_row()], keys=("run", "steps"))
+            connection.execute(delete(SUCCESSES).where(SUCCESSES.c.experiment == experiment))
 
     def remove_runs(self, runs: Sequence[str]) -> None:
         """Take runs out of the index, with their tests and what no other run shares; folders stay."""
@@ -159,16 +165,16 @@ class Store:
         if state is not None and state not in STATES:
             raise UsageError(f"there is no state {state!r}", hint=f"there are {', '.join(STATES)}")
         condition = filters.parse(where) if where is not None else None
-        query = select(RunRow.__table__).order_by(RunRow.created.desc(), RunRow.run.desc())
-        for column, beginning in ((RunRow.run, prefix), (RunRow.experiment, experiment)):
+        query = select(RUNS).order_by(RUNS.c.created.desc(), RUNS.c.run.desc())
+        for column, beginning in ((RUNS.c.run, prefix), (RUNS.c.experiment, experiment)):
             if beginning is not None:
                 query = query.where(func.substr(column, 1, len(beginning)) == beginning)  # LIKE may ignore case
         if name is not None:
-            query = query.where(RunRow.name == name)
+            query = query.where(RUNS.c.name == name)
         if ids is not None:
-            query = query.where(RunRow.run.in_(ids))
+            query = query.where(RUNS.c.run.in_(ids))
         with self.reading() as connection:
-            return Index(connection, self._home).find(query, state, condition, limit)
+            return Index(connection, self.home).find(query, state, condition, limit)
 
     def find(self, selector: str) -> RunSummary:
         """The one run that a selector means (`selectors.select`).
@@ -188,14 +194,14 @@ class Store:
 
     def tests(self, run: str) -> tuple[StoredTest, ...]:
         """The tests of a run in the order of their steps."""
-        query = select(TestRow.__table__).where(TestRow.run == run).order_by(TestRow.steps)
+        query = select(TESTS).where(TESTS.c.run == run).order_by(TESTS.c.steps)
         return tuple(StoredTest(*row) for row in self._read(query))
 
     def tests_of(self, runs: Sequence[str]) -> dict[str, tuple[StoredTest, ...]]:
         """The tests of each of these runs in the order of their steps."""
         found: dict[str, list[StoredTest]] = {run: [] for run in runs}
         for portion in chunks(runs):
-            query = select(TestRow.__table__).where(TestRow.run.in_(portion)).order_by(TestRow.run, TestRow.steps)
+            query = select(TESTS).where(TESTS.c.run.in_(portion)).order_by(TESTS.c.run, TESTS.c.steps)
             for row in self._read(query):
                 found[row.run].append(StoredTest(*row))
         return {run: tuple(tests) for run, tests in found.items()}
@@ -206,8 +212,8 @@ class Store:
         Raises:
             UsageError: there is no such experiment.
         """
-        query = select(SpecRow.spec).join(RunRow, RunRow.spec == SpecRow.digest)
-        rows = self._read(query.where(RunRow.experiment == experiment).order_by(RunRow.created, RunRow.run).limit(1))
+        query = select(SPECS.c.spec).join(RUNS, RUNS.c.spec == SPECS.c.digest)
+        rows = self._read(query.where(RUNS.c.experiment == experiment).order_by(RUNS.c.created, RUNS.c.run).limit(1))
         if not rows:
             raise UsageError(f"there is no experiment {experiment!r}", hint="`karolos runs list --json` names them")
         spec: dict[str, Any] = rows[0][0]
@@ -215,13 +221,13 @@ class Store:
 
     def parameters(self, run: str) -> dict[str, Any]:
         """The settings of a run's spec by their key paths, e.g. {"agent.learning_rate": 0.001}."""
-        query = select(ParameterRow.key, ParameterRow.value).join(RunRow, RunRow.spec == ParameterRow.spec)
-        return stored_parameters(self._read(query.where(RunRow.run == run).order_by(ParameterRow.key)))
+        query = select(PARAMETERS.c.key, PARAMETERS.c.value).join(RUNS, RUNS.c.spec == PARAMETERS.c.spec)
+        return stored_parameters(self._read(query.where(RUNS.c.run == run).order_by(PARAMETERS.c.key)))
 
     def versions(self, run: str) -> dict[str, str]:
         """Versions of the software that a run was made with; empty where they are not known."""
-        query = select(VersionRow.package, VersionRow.version).join(RunRow, RunRow.software == VersionRow.software)
-        rows = self._read(query.where(RunRow.run == run).order_by(VersionRow.package))
+        query = select(VERSIONS.c.package, VERSIONS.c.version).join(RUNS, RUNS.c.software == VERSIONS.c.software)
+        rows = self._read(query.where(RUNS.c.run == run).order_by(VERSIONS.c.package))
         return {row.package: row.version for row in rows}
 
     def _unknown(self, run: str) -> StoreError:

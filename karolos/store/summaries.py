@@ -11,9 +11,9 @@ from sqlalchemy import Connection, select
 
 from ..statistics import kde
 from .connection import ReadOnlyError
-from .models import RunRow, SuccessRow, TestRow
 from .rows import put
 from .store import Store
+from .tables import RUNS, SUCCESSES, TESTS
 from .writing import forget_summaries
 
 
@@ -60,7 +60,7 @@ def success_summaries(store: Store, experiment: str) -> tuple[SuccessSummary, ..
         with store.writing() as connection:
             forget_summaries(connection, [experiment])
             found = _computed(connection, experiment)
-            put(connection, SuccessRow, [vars(one) | {"modes": list(one.modes)} for one in found])
+            put(connection, SUCCESSES, [vars(one) | {"modes": list(one.modes)} for one in found])
     except ReadOnlyError:
         with store.reading() as connection:
             found = _computed(connection, experiment)
@@ -69,19 +69,19 @@ def success_summaries(store: Store, experiment: str) -> tuple[SuccessSummary, ..
 
 def _stored(connection: Connection, experiment: str) -> tuple[SuccessSummary, ...]:
     """The summaries that stand in the database, in order of steps."""
-    columns = SuccessRow.__table__
-    query = select(columns).where(columns.c.experiment == experiment).order_by(columns.c.steps, columns.c.counting)
+    found = SUCCESSES.c
+    query = select(SUCCESSES).where(found.experiment == experiment).order_by(found.steps, found.counting)
     return tuple(SuccessSummary(**{**row._mapping, "modes": tuple(row.modes)}) for row in connection.execute(query))
 
 
 def _computed(connection: Connection, experiment: str) -> tuple[SuccessSummary, ...]:
     """The summaries of the tests that stand in the database, in order of steps."""
-    tests = TestRow
+    tests = TESTS.c
     query = (
         select(tests.steps, tests.successes_any, tests.successes_end, tests.episodes)
-        .join(RunRow, RunRow.run == tests.run)
-        .where(RunRow.experiment == experiment)
-        .order_by(tests.steps, RunRow.created, RunRow.run)
+        .join(RUNS, RUNS.c.run == tests.run)
+        .where(RUNS.c.experiment == experiment)
+        .order_by(tests.steps, RUNS.c.created, RUNS.c.run)
     )
     found = []
     for steps, group in groupby(connection.execute(query), key=lambda row: row.steps):

@@ -16,8 +16,8 @@ from sqlalchemy import URL, Connection, Engine, text, update
 from ..errors import StoreError
 from ..files import writing
 from .connection import display, explained, lock_writers, make_engine, parse_url, sqlite_file
-from .models import SCHEMA, SchemaVersion
 from .schema import alone, schema_version
+from .tables import SCHEMA, SCHEMA_VERSION
 
 SECONDS = 20.0
 """How long an upgrade waits for whoever uses the database."""
@@ -68,7 +68,7 @@ def _upgrade(engine: Engine, url: URL, path: Path | None, timeout: float) -> Upg
         backup = None if path is None else _copy(path, before)
         for version in range(before + 1, SCHEMA + 1):
             _migrate(connection, url, version)
-        connection.execute(update(SchemaVersion).values(version=SCHEMA))
+        connection.execute(update(SCHEMA_VERSION).values(version=SCHEMA))
         _check_references(connection, url)
     return Upgraded(before, SCHEMA, backup)
 

@@ -7,13 +7,13 @@ from dataclasses import dataclass
 from pathlib import Path
 from typing import Any
 
-from sqlalchemy import Connection, delete, select, update
+from sqlalchemy import Connection, Table, delete, select, update
 
 from .. import labels
 from ..labels import Labels
 from ..run_records import RunRecord, RunSummary
-from .models import ExperimentRow, ParameterRow, RunRow, SpecRow, SuccessRow, TagRow, TestRow, VersionRow
 from .rows import StoredTest, chunks, digest, parameter_rows, put, run_row, upsert, without_seeds
+from .tables import EXPERIMENTS, PARAMETERS, RUNS, SPECS, SUCCESSES, TAGS, TESTS, VERSIONS
 
 
 @dataclass(frozen=True)
@@ -52,7 +52,7 @@ def enter(connection: Connection, entries: Sequence[Entry], home: Path | None) -
     _add_software(connection, software)
     experiments = {entry.summary.experiment for entry in entries}
     hashes = [{"hash": name} for name in sorted(experiments)]
-    upsert(connection, ExperimentRow, hashes, keys=("hash",), replace_old=False)
+    upsert(connection, EXPERIMENTS, hashes, keys=("hash",), replace_old=False)
     written = {entry.summary.run: current_labels(entry.summary) for entry in entries}
     rows = [
         {
@@ -63,11 +63,11 @@ def enter(connection: Connection, entries: Sequence[Entry], home: Path | None) -
         }
         for entry in entries
     ]
-    upsert(connection, RunRow, rows, keys=("run",))
+    upsert(connection, RUNS, rows, keys=("run",))
     _write_tags(connection, written)
     tested = {entry.summary.run: entry.tests for entry in entries if entry.tests is not None}
-    _remove(connection, TestRow, tested)
-    put(connection, TestRow, [test.to_row() for tests in tested.values() for test in tests])
+    _remove(connection, TESTS, tested)
+    put(connection, TESTS, [test.to_row() for tests in tested.values() for test in tests])
     forget_summaries(connection, sorted(experiments | before.experiments))
     _prune(connection, before)
 
@@ -75,7 +75,7 @@ def enter(connection: Connection, entries: Sequence[Entry], home: Path | None) -
 def remove(connection: Connection, runs: Sequence[str]) -> None:
     """Take runs and all that is theirs alone out of the index."""
     before = _shared(connection, runs)
-    _remove(connection, RunRow, runs)
+    _remove(connection, RUNS, runs)
     forget_summaries(connection, sorted(before.experiments))
     _prune(connection, before)
 
@@ -84,7 +84,7 @@ def refresh_labels(connection: Connection, run: str, folder: Path) -> bool:
     """Make the index agree with the labels in a run folder; says whether it knows the run."""
     # Read inside the transaction: who comes last has read all that was written before.
     found = labels.read(folder)
-    changed = connection.execute(update(RunRow).where(RunRow.run == run).values(note=found.note))
+    changed = connection.execute(update(RUNS).where(RUNS.c.run == run).values(note=found.note))
     if changed.rowcount:
         _write_tags(connection, {run: found})
     return bool(changed.rowcount)
@@ -93,7 +93,7 @@ def refresh_labels(connection: Connection, run: str, folder: Path) -> bool:
 def forget_summaries(connection: Connection, experiments: Sequence[str]) -> None:
     """Drop what is written down of how the success ratios of experiments are spread."""
     for experiment in experiments:
-        connection.execute(delete(SuccessRow).where(SuccessRow.experiment == experiment))
+        connection.execute(delete(SUCCESSES).where(SUCCESSES.c.experiment == experiment))
 
 
 def current_labels(summary: RunSummary) -> Labels:
@@ -103,28 +103,28 @@ def current_labels(summary: RunSummary) -> Labels:
 
 
 def _write_tags(connection: Connection, written: Mapping[str, Labels]) -> None:
-    _remove(connection, TagRow, written)
-    put(connection, TagRow, [{"run": run, "tag": tag} for run, found in written.items() for tag in found.tags])
+    _remove(connection, TAGS, written)
+    put(connection, TAGS, [{"run": run, "tag": tag} for run, found in written.items() for tag in found.tags])
 
 
-def _remove(connection: Connection, table: type[RunRow | TagRow | TestRow], runs: Iterable[str]) -> None:
+def _remove(connection: Connection, table: Table, runs: Iterable[str]) -> None:
     for portion in chunks(list(runs)):
-        connection.execute(delete(table).where(table.run.in_(portion)))
+        connection.execute(delete(table).where(table.c.run.in_(portion)))
 
 
 def _add_specs(connection: Connection, specs: Mapping[str, Mapping[str, Any]]) -> None:
-    new = _missing(connection, SpecRow.digest, specs)
-    put(connection, SpecRow, [{"digest": name, "spec": specs[name]} for name in new])
-    put(connection, ParameterRow, [row for name in new for row in parameter_rows(specs[name], name)])
+    new = _missing(connection, SPECS.c.digest, specs)
+    put(connection, SPECS, [{"digest": name, "spec": specs[name]} for name in new])
+    put(connection, PARAMETERS, [row for name in new for row in parameter_rows(specs[name], name)])
 
 
 def _add_software(connection: Connection, software: Mapping[str, Mapping[str, str]]) -> None:
     rows = [
         {"software": name, "package": package, "version": version}
-        for name in _missing(connection, VersionRow.software, software)
+        for name in _missing(connection, VERSIONS.c.software, software)
         for package, version in software[name].items()
     ]
-    put(connection, VersionRow, rows)
+    put(connection, VERSIONS, rows)
 
 
 def _missing(connection: Connection, column: Any, names: Collection[str]) -> list[str]:
@@ -137,7 +137,7 @@ def _missing(connection: Connection, column: Any, names: Collection[str]) -> lis
 def _shared(connection: Connection, runs: Sequence[str]) -> _Shared:
     rows: list[Any] = []
     for portion in chunks(runs):
-        query = select(RunRow.experiment, RunRow.spec, RunRow.software).where(RunRow.run.in_(portion))
+        query = select(RUNS.c.experiment, RUNS.c.spec, RUNS.c.software).where(RUNS.c.run.in_(portion))
         rows += connection.execute(query).all()
     return _Shared(
         frozenset(row.experiment for row in rows),
@@ -149,11 +149,11 @@ def _shared(connection: Connection, runs: Sequence[str]) -> _Shared:
 def _prune(connection: Connection, before: _Shared) -> None:
     """Remove what no run refers to any more."""
     places: tuple[tuple[Any, Any, frozenset[str]], ...] = (
-        (ExperimentRow.hash, RunRow.experiment, before.experiments),
-        (SpecRow.digest, RunRow.spec, before.specs),
-        (VersionRow.software, RunRow.software, before.software),
+        (EXPERIMENTS.c.hash, RUNS.c.experiment, before.experiments),
+        (SPECS.c.digest, RUNS.c.spec, before.specs),
+        (VERSIONS.c.software, RUNS.c.software, before.software),
     )
     for column, reference, names in places:
         for portion in chunks(sorted(names)):
             used = select(reference).where(reference == column).exists()
-            connection.execute(delete(column.class_).where(column.in_(portion), ~used))
+            connection.execute(delete(column.table).where(column.in_(portion), ~used))

@@ -15,9 +15,10 @@ from ..events import RunWarned
 from ..signals import StopRequest
 from ..spec import Spec, spec_of_trial
 from ..spec.sweep import Final as Settings
+from ..sweep_records import Final, Trial, merit
 from .crew import Crew, Job
-from .objectives import measure
-from .records import Final, FinalBegan, SweepListener, Trial
+from .objectives import directions, measure
+from .records import FinalBegan, SweepListener
 from .study import Study
 
 
@@ -38,7 +39,8 @@ def choose(
     fresh = _values(base, best, seeds, crew, tell, stop)
     if stop.asked or not fresh:
         return None
-    chosen = min((trial for trial in best if trial.number in fresh), key=lambda one: study.merit(fresh[one.number]))
+    ways = directions(sweep.objectives)
+    chosen = min((trial for trial in best if trial.number in fresh), key=lambda one: merit(fresh[one.number], ways))
     tell(FinalBegan((chosen.number,), report_seeds, "report"))
     reported = _values(base, [chosen], report_seeds, crew, tell, stop)
     if stop.asked:

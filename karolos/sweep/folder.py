@@ -2,7 +2,8 @@
 
 runs/sweeps/<name>/
     sweep.yaml      the resolved spec with its sweep
-    journal.log     every trial, as Optuna's journal: the truth
+    sweep.json      id and what is searched; this, trials.jsonl and final.json are what `karolos.sweep_reading` reads
+    journal.log     every trial, as Optuna's journal: what a sweep goes on from
     trials.jsonl    the same, one line per trial, for whoever reads it without Optuna
     best.yaml       the best trial as a spec that runs
     final.json      the best trials on fresh seeds
@@ -15,21 +16,24 @@ from __future__ import annotations
 import hashlib
 import json
 import time
-from collections.abc import Iterable, Mapping
+from collections.abc import Iterable
+from datetime import UTC, datetime
 from pathlib import Path
 from types import TracebackType
-from typing import Any
 
 from ..errors import RunError, UsageError
 from ..files import FileLock, append_lines, write_json, write_whole, writing
+from ..run_records import timestamp
 from ..spec import Spec, load_spec, to_yaml
-from .records import Trial
+from ..sweep_reading import DESCRIPTION, FINAL, TRIALS, read_description
+from ..sweep_records import LOCK, Final, SweepRecord, Trial
+from .objectives import directions
 
-FOLDER = "sweeps"
-"""In the runs folder."""
 ORPHAN_SECONDS = 60.0
 """How long the processes of a sweep that was killed are waited for: they notice, write a checkpoint and end."""
 _POLL_SECONDS = 0.05
+_LOCK_SECONDS = 0.5
+"""A reader that looks whether a sweep goes on holds the lock for an instant."""
 _FREE = ("trials", "final")
 """What of a sweep may change between two calls: it adds trials, and changes none."""
 
@@ -40,6 +44,7 @@ class SweepFolder:
     Args:
         path: the folder.
         spec: with its sweep.
+        asked: how many trials it is to have.
 
     Raises:
         RunError: another process carries this sweep out.
@@ -47,18 +52,19 @@ class SweepFolder:
         MachineError: from every method that writes.
     """
 
-    def __init__(self, path: Path, spec: Spec) -> None:
+    def __init__(self, path: Path, spec: Spec, asked: int) -> None:
         self.path = path
         self.journal = path / "journal.log"
         self.workers = path / "workers"
         self.figures = path / "figures"
         self._spec = spec
-        self._lock = FileLock(path / "lock")
+        self._asked = asked
+        self._lock = FileLock(path / LOCK)
 
     def __enter__(self) -> SweepFolder:
         with writing(self.path):
             self.workers.mkdir(parents=True, exist_ok=True)
-        if not self._lock.acquire():
+        if not self._lock.acquire(_LOCK_SECONDS):
             raise RunError("another process carries this sweep out", where=str(self.path), hint="wait for it")
         try:
             self._claim()
@@ -76,7 +82,7 @@ class SweepFolder:
 
     def write_trials(self, trials: Iterable[Trial]) -> None:
         lines = [json.dumps(trial.row(), separators=(",", ":"), allow_nan=False) for trial in trials]
-        write_whole(self.path / "trials.jsonl", "".join(f"{line}\n" for line in lines))
+        write_whole(self.path / TRIALS, "".join(f"{line}\n" for line in lines))
 
     def write_best(self, spec: Spec, comment: Iterable[str]) -> Path:
         """The spec under the words that say where it comes from."""
@@ -84,8 +90,14 @@ class SweepFolder:
         write_whole(path, "".join(f"# {line}\n" for line in comment) + to_yaml(spec.dump()))
         return path
 
-    def write_final(self, final: Mapping[str, Any]) -> None:
-        write_json(self.path / "final.json", final)
+    def write_final(self, final: Final | None) -> None:
+        """What the best trials came to on fresh seeds; None takes away what an earlier call found."""
+        path = self.path / FINAL
+        if final is None:
+            with writing(path):
+                path.unlink(missing_ok=True)
+        else:
+            write_json(path, final.row())
 
     def _claim(self) -> None:
         """Write the spec down, or see that what was written down searches the same."""
@@ -97,6 +109,30 @@ class SweepFolder:
                 hint="give this one another name (name=...), or remove that folder",
             )
         write_whole(path, to_yaml(self._spec.dump()))
+        write_json(self.path / DESCRIPTION, self._described().description())
+
+    def _described(self) -> SweepRecord:
+        """What sweep.json is to say; id and time are those of the first call."""
+        sweep = self._spec.sweep
+        assert sweep is not None  # only such a spec has a folder
+        now = datetime.now(UTC)
+        identity, created = f"{self._spec.name}-{now:%Y%m%d-%H%M%S}", timestamp(now)
+        if (self.path / DESCRIPTION).exists():
+            known = read_description(self.path)
+            identity, created = known.sweep, known.created
+        return SweepRecord(
+            sweep=identity,
+            name=self._spec.name,
+            experiment=self._spec.hash(),
+            objectives=sweep.objectives,
+            directions=directions(sweep.objectives),
+            parameters=tuple(sweep.space),
+            seeds=sweep.seeds,
+            asked=self._asked,
+            wants_final=sweep.final is not None,
+            created=created,
+            folder=str(self.path),
+        )
 
     def _await_orphans(self) -> None:
         deadline = time.monotonic() + ORPHAN_SECONDS

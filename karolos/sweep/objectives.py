@@ -3,16 +3,23 @@
 from __future__ import annotations
 
 from collections.abc import Mapping, Sequence
+from typing import Literal
 
 import numpy as np
 
 from ..aggregates import first_reaching
+from ..spec.sweep import OBJECTIVES
 from ..testing import TestResult
 
 CENSORED = 2
 """A run that never reached the threshold counts as having taken this many times its steps (PAR2)."""
 Tests = Mapping[int, Sequence[TestResult]]
 """Seed -> its tests, in order."""
+
+
+def directions(objectives: Sequence[str]) -> tuple[Literal["maximize", "minimize"], ...]:
+    """maximize or minimize, for each objective."""
+    return tuple(OBJECTIVES[name] for name in objectives)
 
 
 def measure(objective: str, tests: Tests, steps: int) -> float:

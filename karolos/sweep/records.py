@@ -1,64 +1,15 @@
-"""What is known of a sweep, as frozen values."""
+"""What becomes of a sweep, and what is told while it goes on, as frozen values."""
 
 from __future__ import annotations
 
-from collections.abc import Callable, Mapping
-from dataclasses import asdict, dataclass
+from collections.abc import Callable
+from dataclasses import dataclass
 from pathlib import Path
-from typing import Any, Literal
+from typing import Literal
 
 from ..events import RunWarned
 from ..spec import Sweep
-
-State = Literal["running", "complete", "pruned", "failed"]
-
-
-@dataclass(frozen=True)
-class Trial:
-    """One trial: what was drawn, and what came of it."""
-
-    number: int
-    """From 0."""
-    name: str
-    """Of its runs."""
-    state: State
-    drawn: Mapping[str, Any]
-    """Parameter -> number, or label of a choice; parameters whose condition did not hold are missing."""
-    values: tuple[float, ...] | None
-    """One for each objective; None unless complete."""
-    runs: tuple[str, ...]
-    """Ids of its runs, in the order of the seeds."""
-    error: str | None
-
-    def row(self) -> dict[str, Any]:
-        """As JSON values."""
-        return asdict(self) | {"values": self.values and list(self.values), "runs": list(self.runs)}
-
-
-@dataclass(frozen=True)
-class Final:
-    """The best trials on seeds that they were not tuned on."""
-
-    chosen: int
-    """Number of the trial that did best on the fresh seeds."""
-    seeds: tuple[int, ...]
-    report_seeds: tuple[int, ...]
-    tuned: tuple[float, ...]
-    """The chosen trial's objectives on the sweep's seeds, by which it came among the best: too good on the whole."""
-    fresh: Mapping[int, tuple[float, ...]]
-    """Trial -> objectives on the fresh seeds; a trial that failed there is missing."""
-    reported: tuple[float, ...] | None
-    """The chosen trial's objectives on seeds used for nothing else; None where a run failed."""
-
-    def row(self) -> dict[str, Any]:
-        """As JSON values; `gap` is tuned minus reported, one for each objective."""
-        gap = None
-        if self.reported is not None:
-            gap = [tuned - reported for tuned, reported in zip(self.tuned, self.reported, strict=True)]
-        return asdict(self) | {
-            "fresh": {str(number): list(values) for number, values in self.fresh.items()},
-            "gap": gap,
-        }
+from ..sweep_records import Final, Trial
 
 
 @dataclass(frozen=True)
@@ -80,10 +31,6 @@ class Outcome:
     @property
     def objectives(self) -> tuple[str, ...]:
         return self.sweep.objectives
-
-    def settings(self, trial: Trial) -> dict[str, Any]:
-        """What a trial drew, every parameter of the sweep; None for those that it did not draw."""
-        return {key: trial.drawn.get(key) for key in self.sweep.space}
 
     @property
     def exit_code(self) -> int:

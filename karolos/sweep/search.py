@@ -2,33 +2,31 @@
 
 from __future__ import annotations
 
-import math
 from collections.abc import Iterator, Mapping
-from dataclasses import dataclass, field
 from itertools import islice
 from pathlib import Path
 from typing import Any
 
 from ..assembly import check_parts
 from ..errors import SpecError, UsageError
-from ..events import RunWarned
 from ..experiment import SeedRunner
 from ..run_folder import RunFolder
 from ..signals import StopRequest, stop_on_signals
 from ..spec import Spec, Sweep, spec_of_trial
 from ..spec.sweep import DEFAULT_TRIALS
 from ..store import Store
+from ..sweep_reading import FOLDER
+from ..sweep_records import Final, Trial
 from ..transfer import pinned
 from . import choosing
-from .crew import Crew, Job
-from .folder import FOLDER, SweepFolder
-from .objectives import measure, nominal_steps, so_far
-from .records import Final, Outcome, SweepEvent, SweepListener, Trial, TrialBegan, TrialEnded
-from .study import OpenTrial, Study
+from .crew import Crew
+from .folder import SweepFolder
+from .records import Outcome, SweepEvent, SweepListener
+from .study import Study
+from .trials import Book, Trials
 
 LONGEST_NAME = 58
 """Of a sweep, so that its trials' runs can be called <name>-t0000."""
-PRUNED = "pruned"
 
 
 class Search:
@@ -98,25 +96,30 @@ class Search:
         url = database or Store.default_url(root)
         check_parts(self.spec)
         RunFolder.check_writable(root)
-        Store(url).close()
         runner = SeedRunner({}, root, url, self._text, "resume")
         tell = listener or _ignore
         base = pinned(self.spec, root)
         size = jobs * len(self.sweep.seeds)
-        folder = SweepFolder(self.folder(root), self.spec)
-        with folder, stop_on_signals(time_limit=time_limit) as stop, Crew(size, folder.workers, runner) as crew:
+        folder = SweepFolder(self.folder(root), self.spec, self.asked)
+        with (
+            Store(url) as store,
+            folder,
+            stop_on_signals(time_limit=time_limit) as stop,
+            Crew(size, folder.workers, runner) as crew,
+        ):
             study = Study(folder.journal, self.sweep, self.spec.name, self.spec.training.steps)
-            feed = _Trials(base, self.sweep, study, jobs, self.asked, tell, stop, folder)
-            crew.run(feed, stop)
+            book = Book(folder, study, store, tell)
+            book.write()
+            crew.run(Trials(base, self.sweep, study, jobs, self.asked, tell, stop, book), stop)
             final = None
             if self.sweep.final is not None and not stop.asked and study.ranked():
                 final = choosing.choose(base, self.sweep.final, study, crew, tell, stop)
-            return self._conclude(study, folder, final, stop)
+            return self._conclude(book, final, stop)
 
-    def _conclude(self, study: Study, folder: SweepFolder, final: Final | None, stop: StopRequest) -> Outcome:
+    def _conclude(self, book: Book, final: Final | None, stop: StopRequest) -> Outcome:
         from ..report.search import write_search_figures  # noqa: PLC0415  (matplotlib takes half a second)
 
-        folder.write_trials(study.trials())
+        folder, study = book.folder, book.study
         ranked = study.ranked()
         best = study.trial(final.chosen) if final is not None else ranked[0] if ranked else None
         if best is not None:
@@ -126,8 +129,8 @@ class Search:
             write_search_figures(
                 study.trials(), self.sweep.objectives[0], self.sweep.space, study.importances(), folder.figures
             )
-        if final is not None:
-            folder.write_final({"objectives": list(self.sweep.objectives), **final.row()})
+        folder.write_final(final)
+        book.write()
         return Outcome(
             sweep=self.sweep,
             trials=study.trials(),
@@ -150,102 +153,6 @@ def samples(spec: Spec, count: int) -> Iterator[tuple[dict[str, Any], Spec | Spe
             yield values, spec_of_trial(spec, values, name, sweep.seeds, name)
         except SpecError as error:
             yield values, error
-
-
-@dataclass
-class _Trials:
-    """The sweep's trials as a crew's jobs."""
-
-    base: Spec
-    sweep: Sweep
-    study: Study
-    jobs: int
-    asked: int
-    tell: SweepListener
-    stop: StopRequest
-    folder: SweepFolder
-    _open: dict[Job, OpenTrial] = field(default_factory=dict)
-    _reported: dict[Job, int] = field(default_factory=dict)
-    _left: list[OpenTrial] | None = None
-
-    def next(self) -> Job | None:
-        if self._left is None:
-            self._left = self.study.unfinished()
-        while len(self._open) < self.jobs:
-            if self._left:
-                trial = self._left.pop(0)
-            elif len(self.study.trials()) < self.asked:
-                trial = self.study.ask()
-            else:
-                return None
-            job = self._begin(trial)
-            if job is not None:
-                return job
-        return None
-
-    def _begin(self, trial: OpenTrial) -> Job | None:
-        record = self.study.trial(trial.number)
-        self.tell(TrialBegan(record))
-        try:
-            spec = spec_of_trial(self.base, trial.drawn, record.name, self.sweep.seeds, record.name)
-        except SpecError as error:
-            self._fail(trial, (), str(error).replace("\n", "; "))
-            return None
-        job = Job(spec)
-        self._open[job] = trial
-        self._reported[job] = 0
-        return job
-
-    def tested(self, job: Job) -> str | None:
-        """Report the mean at each test that every seed has had; PRUNED once the pruner gives the trial up."""
-        if self.sweep.pruner is None:
-            return None
-        results, settings = job.results(), job.spec
-        while (count := self._reported[job] + 1) <= min(len(tests) for tests in results.values()):
-            self._reported[job] = count
-            last = next(iter(results.values()))[count - 1]
-            step = nominal_steps(last.steps, settings.testing.interval, settings.training.steps)
-            value = so_far(self.sweep.objectives[0], results, count)
-            if step >= settings.training.steps or not math.isfinite(value):
-                continue  # it is over anyway, and no number is a failure and no reason to prune
-            if self._open[job].is_hopeless(value, step):
-                return PRUNED
-        return None
-
-    def ended(self, job: Job) -> None:
-        trial = self._open.pop(job)
-        runs = tuple(job.summaries[seed].run for seed in job.spec.seeds if seed in job.summaries)
-        if job.finished:
-            values = [measure(name, job.results(), job.spec.training.steps) for name in self.sweep.objectives]
-            if all(math.isfinite(value) for value in values):
-                trial.describe(runs, None)
-                self.study.complete(trial, values)
-                self._ended(trial)
-            else:
-                self._fail(trial, runs, f"{' and '.join(self.sweep.objectives)} came to {values}")
-        elif job.error is not None:
-            self._fail(trial, runs, job.error)
-        elif job.halted == PRUNED:
-            trial.describe(runs, None)
-            self.study.prune(trial)
-            self._ended(trial)
-        elif not self.stop.asked:
-            self._fail(trial, runs, "a run was stopped from outside")
-        # else it stays open, and the next call of the sweep goes on with it
-
-    def warned(self, event: RunWarned) -> None:
-        self.tell(event)
-
-    def _fail(self, trial: OpenTrial, runs: tuple[str, ...], error: str) -> None:
-        trial.describe(runs, error)
-        self.study.fail(trial)
-        self._ended(trial)
-
-    def _ended(self, trial: OpenTrial) -> None:
-        trials = self.study.trials()
-        self.folder.write_trials(trials)
-        done = sum(one.state != "running" for one in trials)
-        self.tell(TrialEnded(trials[trial.number], done, self.asked))
 
 
 def _sweep_of(spec: Spec) -> Sweep:

@@ -22,8 +22,8 @@ from optuna.trial import FrozenTrial, TrialState
 from ..files import FileLock
 from ..seeding import SeedTree
 from ..spec import Sweep
-from ..spec.sweep import OBJECTIVES
-from .records import State, Trial
+from ..sweep_records import State, Trial, rank
+from .objectives import directions
 
 _STATES: dict[TrialState, State] = {
     TrialState.RUNNING: "running",
@@ -86,12 +86,13 @@ class Study:
     def __init__(self, journal: Path, sweep: Sweep, name: str, steps: int) -> None:
         self._sweep = sweep
         self._name = name
+        self._directions = directions(sweep.objectives)
         self._grid = list(sweep.combinations()) if sweep.sampler == "grid" else []
         storage = JournalStorage(JournalFileBackend(str(journal), lock_obj=_JournalLock(journal)))
         self._study = optuna.create_study(
             storage=storage,
             study_name=name,
-            directions=[OBJECTIVES[objective] for objective in sweep.objectives],
+            directions=self._directions,
             pruner=self._pruner(steps),
             load_if_exists=True,
         )
@@ -141,16 +142,7 @@ class Study:
 
     def ranked(self) -> list[Trial]:
         """The complete trials, best first: by the first objective, then the next; of equals the earlier."""
-        return sorted((trial for trial in self.trials() if trial.values is not None), key=self.rank)
-
-    def rank(self, trial: Trial) -> tuple[float, ...]:
-        """Smaller is better."""
-        return (*self.merit(trial.values or ()), trial.number)
-
-    def merit(self, values: Sequence[float]) -> tuple[float, ...]:
-        """Objectives so turned that smaller is better."""
-        signs = [-1 if OBJECTIVES[name] == "maximize" else 1 for name in self._sweep.objectives]
-        return tuple(sign * value for sign, value in zip(signs, values, strict=False))
+        return rank(self.trials(), self._directions)
 
     def front(self) -> tuple[Trial, ...]:
         """The trials that no other beats in every objective; with one objective the best."""
@@ -166,7 +158,7 @@ class Study:
         complete = [one for one in self._all() if one.state == TrialState.COMPLETE]
         if len(complete) < FEW_TRIALS or len({one.values[0] for one in complete}) < 2:
             return {}
-        sign = -1 if OBJECTIVES[self._sweep.objectives[0]] == "maximize" else 1
+        sign = -1 if self._directions[0] == "maximize" else 1
         with warnings.catch_warnings():
             warnings.simplefilter("ignore")  # PED-ANOVA's remark on targets
             found = optuna.importance.get_param_importances(

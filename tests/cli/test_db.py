@@ -11,6 +11,7 @@ from run_commands import add_run, call, rows
 
 from karolos.errors import StoreError
 from karolos.store import Store
+from karolos.store.tables import SCHEMA
 
 ASSETS = Path(__file__).parents[1] / "store" / "assets"
 
@@ -70,7 +71,7 @@ def test_upgrade_brings_an_old_database_up_to_date_and_fills_it(runs: Path) -> N
     with pytest.raises(StoreError, match="`karolos db upgrade` brings it up to date and keeps a copy"):
         call(runs_app, "list")
     told = call(app, "upgrade", "--jobs", 1).stderr
-    assert "from schema 1 to 2" in told
+    assert f"from schema 1 to {SCHEMA}" in told
     assert str(runs / "karolos.sqlite.schema1") in told
     assert "1 runs entered" in told
     found = rows(runs_app, "list")

@@ -3,17 +3,23 @@
 from __future__ import annotations
 
 import json
+import os
 import shutil
+import signal
+import subprocess
+import sys
 
 import pytest
 import typer
 import yaml
 from commands import call
-from karolos_cli.sweep import _report, _Teller, sweep
+from karolos_cli.sweep import sweep
+from karolos_cli.sweep_output import Teller, report
 from sweep_samples import LEARNING_RATE, sweep_spec
 
 from karolos.spec import Spec
-from karolos.sweep.records import Final, Outcome, Trial, TrialBegan, TrialEnded
+from karolos.sweep.records import Outcome, TrialBegan, TrialEnded
+from karolos.sweep_records import Final, Trial
 
 app = typer.Typer()
 app.command()(sweep)
@@ -63,6 +69,32 @@ def test_without_the_dashboard_it_says_what_to_install(home, monkeypatch):
     assert "pip install optuna-dashboard" in err
 
 
+def test_the_dashboard_is_given_the_journal_and_left_with_ctrl_c(home):
+    """Optuna's own is not installed for the tests: its place takes a program that answers Ctrl-C as it does."""
+    program = home / "bin" / "optuna-dashboard"
+    program.parent.mkdir()
+    program.write_text(
+        f"#!{sys.executable}\nimport sys, time\nprint('showing', sys.argv[1], flush=True)\ntime.sleep(60)\n"
+    )
+    program.chmod(0o755)
+    journal = home / "runs" / "sweeps" / "line" / "journal.log"
+    journal.parent.mkdir(parents=True)
+    journal.write_text("")
+    command = [sys.executable, "-m", "karolos_cli", "sweep", "line.yaml", "--dashboard"]
+    with subprocess.Popen(
+        command,
+        env={**os.environ, "PATH": f"{program.parent}:{os.environ['PATH']}"},
+        stdout=subprocess.PIPE,
+        stderr=subprocess.PIPE,
+        text=True,
+        start_new_session=True,
+    ) as process:
+        assert process.stdout.readline() == "showing runs/sweeps/line/journal.log\n"
+        os.killpg(process.pid, signal.SIGINT)
+        _, told = process.communicate(timeout=60)
+    assert (process.returncode, told) == (0, "")
+
+
 def test_rows_and_words_tell_what_was_chosen_and_how_far_to_trust_it(home, capsys):
     search = Spec.from_dict(sweep_spec(LEARNING_RATE)).sweep
     trials = (
@@ -71,11 +103,11 @@ def test_rows_and_words_tell_what_was_chosen_and_how_far_to_trust_it(home, capsy
     )
     final = Final(0, (2,), (3, 4), (0.9,), {0: (0.8,)}, (0.75,))
     outcome = Outcome(search, trials, 2, trials[0], trials[:1], final, home)
-    teller = _Teller(outcome.objectives, quiet=False)
+    teller = Teller(outcome.objectives, quiet=False)
     for place, trial in enumerate(trials):
         teller(TrialBegan(trial))
         teller(TrialEnded(trial, place + 1, 2))
-    _report(outcome, quiet=False, json=True)
+    report(outcome, quiet=False, json=True)
     out, err = capsys.readouterr()
     rows = [json.loads(line) for line in out.splitlines()]
     assert [row["success_end"] for row in rows] == [0.9, None]

@@ -13,8 +13,8 @@ from karolos_cli.test import transfer
 from typer import Typer
 
 from karolos.experiment import Experiment
+from karolos.intervals import wilson
 from karolos.report.tables import success
-from karolos.statistics import wilson
 
 TOY = {
     "name": "toy",

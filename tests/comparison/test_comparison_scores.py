@@ -9,7 +9,7 @@ import pytest
 from compared_runs import SPEC, contender, run
 
 from karolos.comparison import Contender, compare
-from karolos.statistics import wilson
+from karolos.intervals import wilson
 
 FIVE = [[0, 50, 90], [0, 40, 100], [10, 60, 95], [0, 0, 0], [0, 20, 85]]
 

@@ -9,8 +9,9 @@ from hypothesis import strategies as st
 from karolos import aggregates
 from karolos.comparison import densities, learning_curve
 from karolos.comparison.curves import POINTS, along
+from karolos.intervals import wilson
 from karolos.seeding import SeedTree
-from karolos.statistics import integral, wilson
+from karolos.statistics import integral
 
 
 def generator() -> np.random.Generator:

@@ -4,21 +4,26 @@ from __future__ import annotations
 
 import itertools
 import json
+import shutil
 import tempfile
 from dataclasses import dataclass, field
 from pathlib import Path
-from typing import Any
+from typing import Any, get_args
 
 import pytest
 from databases import KINDS, empty_database
 from hypothesis import HealthCheck, given, settings
 from hypothesis import strategies as st
 from store_samples import result
+from sweep_samples import some_trial, write_sweep
 
 from karolos import labels, trash
+from karolos.files import FileLock
 from karolos.run_folder import RunFolder
 from karolos.store import Store, check, reindex
 from karolos.store.summaries import success_summaries
+from karolos.store.tables import TABLES
+from karolos.sweep_records import Final, State
 
 texts = st.text(st.characters(exclude_categories=["Cs", "Cc"]), min_size=1, max_size=5).filter(
     lambda text: text.strip()
@@ -35,6 +40,13 @@ operations = st.lists(
         st.tuples(st.just("remove"), which),
         st.tuples(st.just("restore"), which),
         st.tuples(st.just("summaries"), st.sampled_from("ab")),
+        st.tuples(
+            st.just("sweep"),
+            st.sampled_from(["line", "other"]),
+            st.lists(st.tuples(st.sampled_from(get_args(State)), st.floats(-1, 1)), max_size=3),
+            st.booleans(),
+        ),
+        st.tuples(st.just("unsweep"), st.sampled_from(["line", "other"])),
     ),
     min_size=1,
     max_size=20,
@@ -54,6 +66,11 @@ class World:
     def apply(self, operation: str, *values: Any) -> None:
         if operation == "run":
             self._run(*values)
+        elif operation == "sweep":
+            self._sweep(*values)
+        elif operation == "unsweep":
+            shutil.rmtree(self.runs / "sweeps" / values[0], ignore_errors=True)
+            reindex(self.store, self.runs)
         elif operation == "summaries":
             success_summaries(self.store, values[0])
         elif operation == "restore":
@@ -74,6 +91,15 @@ class World:
         folder = RunFolder.open(folder.path)
         self.store.add_run(folder.summary(), spec, folder.versions())
         self.folders.append(folder)
+
+    def _sweep(self, name: str, trials: list[tuple[State, float]], with_final: bool) -> None:
+        made = [some_trial(number, state, value) for number, (state, value) in enumerate(trials)]
+        best = next((trial for trial in made if trial.values), None)
+        final = None
+        if with_final and best is not None:
+            final = Final(best.number, (1,), (2,), best.values or (), {best.number: (0.25, 7.0)}, None)
+        shutil.rmtree(self.runs / "sweeps" / name, ignore_errors=True)
+        self.store.sweeps.add([write_sweep(self.runs, name, made, final)])
 
     def _test(self, folder: RunFolder, steps: int, successes: int) -> None:
         folder.add_test(result(steps, successes))
@@ -110,13 +136,14 @@ def answers(store: Store) -> list[Any]:
         store.tests_of([run.run for run in runs]),
         [(store.parameters(run.run), store.versions(run.run)) for run in runs],
         [(store.spec(name), success_summaries(store, name)) for name in experiments],
+        [(sweep, sweep.row(), sweep.best) for sweep in store.sweeps.all()],
         sorted(len(store.runs(where=f"tags = {json.dumps(tag)}")) for run in runs for tag in run.tags),
     ]
 
 
 def rows(store: Store) -> dict[str, int]:
     with store._engine.connect() as connection:
-        names = ("experiments", "specs", "parameters", "versions", "tags", "tests", "runs", "success_summaries")
+        names = sorted(table for table in TABLES.tables if table != "karolos_schema")
         return {name: connection.exec_driver_sql(f"SELECT count(*) FROM {name}").scalar_one() for name in names}
 
 
@@ -181,8 +208,6 @@ def test_check_names_a_database_that_contradicts_itself(tmp_path: Path) -> None:
 
 
 def test_two_folders_of_one_run_are_told_and_the_first_is_kept(tmp_path: Path) -> None:
-    import shutil
-
     with Store(Store.default_url(tmp_path)) as store:
         world = World(tmp_path, store)
         world.apply("run", "a", 0.001, "1.0")
@@ -209,3 +234,26 @@ def test_folders_read_by_several_processes_give_the_same_index(tmp_path: Path, m
         assert (done.runs, done.forgotten, len(done.problems)) == (3, 0, 1)
         assert answers(store) == before
         assert len(list(check(store, tmp_path, jobs=2))) == 1
+
+
+def test_check_names_every_difference_of_a_sweep(tmp_path: Path) -> None:
+    with Store(Store.default_url(tmp_path)) as store:
+        records = [write_sweep(tmp_path, name, [some_trial(0)]) for name in ("fine", "gone", "stale", "torn", "going")]
+        store.sweeps.add(records)
+        write_sweep(tmp_path, "unknown", [])
+        shutil.rmtree(tmp_path / "sweeps" / "gone")
+        write_sweep(tmp_path, "stale", [some_trial(0), some_trial(1, "running")], asked=7)
+        (tmp_path / "sweeps" / "torn" / "trials.jsonl").open("a").write('{"number":')
+        shutil.copytree(tmp_path / "sweeps" / "fine", tmp_path / "sweeps" / "fine2")
+        write_sweep(tmp_path, "going", [])
+        lock = FileLock(tmp_path / "sweeps" / "going" / "lock")
+        lock.acquire()  # somebody carries it out
+        found = {(one.run or "", one.what) for one in check(store, tmp_path)}
+        lock.release()
+    assert found == {
+        ("unknown-20260101-000000", "it has a folder, and is not in the database"),
+        ("gone-20260101-000000", "it is in the database, and its folder is gone"),
+        ("stale-20260101-000000", "asked, trials: its folder and the database differ"),
+        ("", "a sweep's folder: torn: trials.jsonl:2: the last line is torn; left out"),
+        ("", "a sweep's folder: fine2: says that it is the sweep fine-20260101-000000, as fine does; left out"),
+    }

@@ -12,7 +12,7 @@ from karolos.errors import MachineError, StoreError
 from karolos.run_records import RunSummary
 from karolos.store import Store
 from karolos.store.connection import explained, parse_url
-from karolos.store.models import SCHEMA
+from karolos.store.tables import SCHEMA
 
 
 @pytest.fixture

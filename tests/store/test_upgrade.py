@@ -14,7 +14,7 @@ from sqlalchemy import create_engine, inspect
 
 from karolos.errors import StoreError
 from karolos.store import Store
-from karolos.store.models import SCHEMA, Table
+from karolos.store.tables import SCHEMA, TABLES
 from karolos.store.upgrade import upgrade
 
 ASSETS = Path(__file__).parent / "assets"
@@ -71,7 +71,7 @@ def test_upgraded_tables_are_those_of_a_new_database(url: str, version: int) -> 
     engine = create_engine(url)
     with engine.connect() as connection:
         context = MigrationContext.configure(connection, opts={"compare_type": True})
-        assert compare_metadata(context, Table.metadata) == []
+        assert compare_metadata(context, TABLES) == []
         # Alembic does not compare what happens to rows that refer to a removed one.
         kept = {key["name"] or "": key["options"] for key in inspect(connection).get_foreign_keys("tests")}
         assert list(kept.values()) == [{"ondelete": "CASCADE"}]

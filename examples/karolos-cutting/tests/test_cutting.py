@@ -10,6 +10,7 @@ from karolos_cutting.boards import CLEAR, CRACK, KNOT, Order, best_value, draw_b
 from karolos_cutting.cutting import Cutting
 from karolos_cutting.greedy import greedy
 
+from karolos.contracts import check_environment
 from karolos.core import Step, random_actions
 from karolos.environments.build import build_environment
 from karolos.registry import find, load
@@ -50,6 +51,10 @@ def test_the_package_is_found_by_its_entry_point_and_made_from_a_recipe() -> Non
     plugin = load("environments", "cutting")
     made = build_environment(Recipe(environment=Part("environments", "cutting", plugin.Settings())))
     assert type(made).__name__ == "Cutting"
+
+
+def test_it_keeps_what_every_environment_promises() -> None:
+    check_environment("cutting")
 
 
 def test_a_delivered_piece_pays_its_value_and_the_return_is_the_yield(saw: Cutting) -> None:

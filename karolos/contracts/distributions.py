@@ -1,0 +1,34 @@
+"""What every distribution promises."""
+
+from __future__ import annotations
+
+import math
+
+import numpy as np
+
+from .case import Candidate, demand
+
+DRAWS = 1000
+
+
+def values_are_finite_floats(one: Candidate) -> None:
+    """`draw` gives a Python float that is finite."""
+    found = _drawn(one, 0)
+    demand(all(type(value) is float for value in found), "a value is no Python float")
+    demand(all(map(math.isfinite, found)), "a value is not finite")
+
+
+def the_generator_alone_determines_the_values(one: Candidate) -> None:
+    """The same generator gives the same values; another gives others, unless there is one value only."""
+    first = _drawn(one, 1)
+    demand(first == _drawn(one, 1), "the same generator gives other values: draw from the one that is given")
+    demand(len(set(first)) == 1 or first != _drawn(one, 2), "another generator gives the very same values")
+
+
+PROMISES = (values_are_finite_floats, the_generator_alone_determines_the_values)
+
+
+def _drawn(one: Candidate, seed: int) -> list[float]:
+    made = one.plugin(one.settled())
+    generator = np.random.Generator(np.random.PCG64(seed))
+    return [made.draw(generator) for _ in range(DRAWS)]

@@ -1,0 +1,57 @@
+"""What every task promises, whatever robot does it; they are asked of it with the robot given."""
+
+from __future__ import annotations
+
+import pickle
+
+import numpy as np
+
+from .case import Candidate, demand, demand_same
+from .joined import joined
+
+HEADINGS = ("What to do:", "What is randomised:", "What counts as success:")
+REWARDS = ("sparse", "dense")
+
+
+def the_docstring_says_what_to_do_what_is_randomised_and_what_counts(_: Candidate, task: Candidate) -> None:
+    """The class's text has the headings "What to do:", "What is randomised:" and "What counts as success:"."""
+    for heading in HEADINGS:
+        demand(heading in (task.plugin.__doc__ or ""), f'the docstring lacks "{heading}"')
+
+
+def the_goal_rule_survives_pickling_and_works_on_leading_axes(robot: Candidate, task: Candidate) -> None:
+    """The goal rule can be pickled and judges many goals at once as it judges each."""
+    known = task.plugin.Settings.model_fields
+    for reward in REWARDS if "reward" in known else (None,):
+        with joined(robot, task, **({} if reward is None else {"reward": reward})) as environment:
+            signature = environment.signature
+        rule = signature.goal_rule
+        if rule is None:
+            raise AssertionError("a task has a goal rule, and this one has none")
+        draws = np.random.default_rng(0)
+        achieved = draws.normal(0, 0.05, (4, 3, signature.achieved_goal.size)).astype(np.float32)
+        desired = draws.normal(0, 0.05, (4, 3, signature.desired_goal.size)).astype(np.float32)
+        copy = pickle.loads(pickle.dumps(rule))
+        for name in ("reward", "success", "terminated"):
+            whole = getattr(rule, name)(achieved, desired)
+            demand(whole.shape == (4, 3), f"{name} of goals (4, 3, n) has the shape {whole.shape} instead of (4, 3)")
+            demand_same(whole, getattr(copy, name)(achieved, desired), f"{name} of a pickled rule")
+            for index in np.ndindex(4, 3):
+                demand_same(getattr(rule, name)(achieved[index], desired[index]), whole[index], f"{name} of one goal")
+
+
+def declared_parameters_have_a_nominal_value_in_their_range(robot: Candidate, task: Candidate) -> None:
+    """Every parameter of robot and task has unit, description and a nominal value within its range."""
+    with joined(robot, task) as environment:
+        for who, declared in ((task.name, environment.task.parameters), (robot.name, environment.robot.parameters)):
+            demand(declared, f"{who} declares no parameter")
+            for name, one in declared.items():
+                demand(one.low <= one.nominal <= one.high, f"{name}: {one.nominal} is not in {one.low} .. {one.high}")
+                demand(one.unit and one.description, f"{name} has no unit or no description")
+
+
+PROMISES = (
+    the_docstring_says_what_to_do_what_is_randomised_and_what_counts,
+    the_goal_rule_survives_pickling_and_works_on_leading_axes,
+    declared_parameters_have_a_nominal_value_in_their_range,
+)

@@ -1,0 +1,151 @@
+"""Tables of the results database. Times are ISO 8601 text in UTC, which sorts like the time on every database.
+
+Plain tables: no rows are mapped to objects here, and SQLAlchemy's mapper would take longer to import than most queries.
+"""
+
+from __future__ import annotations
+
+from typing import Any
+
+from sqlalchemy import JSON, BigInteger, Boolean, Column, Float, ForeignKey, Integer, MetaData, String, Table, Text
+from sqlalchemy.types import TypeEngine
+
+SCHEMA = 3
+"""Version of these tables, kept in `karolos_schema`; a higher one comes with a migration in `migrations`."""
+TABLES = MetaData()
+
+
+def _column(name: str, kind: TypeEngine[Any], *, index: bool = False) -> Column[Any]:
+    """A column in which there is always a value."""
+    return Column(name, kind, nullable=False, index=index)
+
+
+def _part_of_key(name: str, kind: TypeEngine[Any] | ForeignKey, *, index: bool = False) -> Column[Any]:
+    return Column(name, kind, primary_key=True, index=index, autoincrement=False)
+
+
+def _owner(column: str) -> ForeignKey:
+    """What a row belongs to, and goes with."""
+    return ForeignKey(column, ondelete="CASCADE")
+
+
+SCHEMA_VERSION = Table("karolos_schema", TABLES, _part_of_key("version", Integer()))
+"""One row: the version of the tables. Its presence tells a karolos database from any other."""
+
+EXPERIMENTS = Table("experiments", TABLES, _part_of_key("hash", String(128)))
+"""What runs of the same hash have in common: their results may be put together."""
+
+SPECS = Table("specs", TABLES, _part_of_key("digest", String(64)), _column("spec", JSON()))
+"""A resolved spec without its seeds, once for all runs that have the very same one.
+
+Specs of one experiment may differ in what results do not depend on: name, device, threads.
+"""
+
+PARAMETERS = Table(
+    "parameters",
+    TABLES,
+    _part_of_key("spec", _owner("specs.digest")),
+    _part_of_key("key", Text(), index=True),
+    _column("value", Text()),
+)
+"""One setting of a spec: its key path (agent.learning_rate) and its value as JSON."""
+
+VERSIONS = Table(
+    "versions",
+    TABLES,
+    _part_of_key("software", String(64)),
+    _part_of_key("package", String(200)),
+    _column("version", Text()),
+)
+"""One package of the software that a run was made with; `software` is the digest of all of them together."""
+
+RUNS = Table(
+    "runs",
+    TABLES,
+    _part_of_key("run", String(200)),
+    Column("experiment", ForeignKey("experiments.hash"), nullable=False, index=True),
+    _column("seed", String(64)),  # text: a seed may have more than 64 bits
+    _column("state", String(16), index=True),
+    _column("steps", BigInteger()),
+    _column("seconds", Float(53)),
+    Column("success_any", Float(53)),
+    Column("success_end", Float(53)),
+    Column("steps_to_95", BigInteger()),
+    Column("seconds_to_95", Float(53)),
+    _column("name", String(64), index=True),
+    Column("episodes", Integer()),
+    Column("environment", String(128)),
+    Column("robot", String(128)),
+    Column("task", String(128)),
+    Column("agent", String(128)),
+    _column("attempt", Integer()),
+    Column("error", Text()),
+    _column("created", String(32), index=True),
+    _column("updated", String(32)),
+    _column("folder", Text()),
+    Column("note", Text()),
+    Column("spec", ForeignKey("specs.digest"), nullable=False, index=True),
+    Column("software", String(64), index=True),  # null: not known
+)
+"""One spec, one seed: the fields of RunSummary. `folder` is relative to the database's own folder below it."""
+
+TAGS = Table(
+    "tags",
+    TABLES,
+    _part_of_key("run", _owner("runs.run")),
+    _part_of_key("tag", String(200), index=True),
+)
+"""A word that somebody gave a run. It stands in the run folder, too."""
+
+TESTS = Table(
+    "tests",
+    TABLES,
+    _part_of_key("run", _owner("runs.run")),
+    _part_of_key("steps", BigInteger()),
+    _column("seconds", Float(53)),
+    *(_column(name, Integer()) for name in ("episodes", "successes_any", "successes_end", "solved_at_reset")),
+)
+"""One test of a run: k of n, by both ways to count success. Episode by episode it stands in the run folder."""
+
+SUCCESSES = Table(
+    "success_summaries",
+    TABLES,
+    _part_of_key("experiment", _owner("experiments.hash")),
+    _part_of_key("steps", BigInteger()),
+    _part_of_key("counting", String(8)),  # any or end
+    _column("runs", Integer()),
+    _column("bandwidth", Float(53)),
+    _column("mode", Float(53)),
+    _column("modes", JSON()),
+    *(_column(name, Float(53)) for name in ("mean", "low", "high")),
+)
+"""The density of the success ratios of an experiment's runs after the same steps; see `SuccessSummary`."""
+
+SWEEPS = Table(
+    "sweeps",
+    TABLES,
+    _part_of_key("sweep", String(200)),
+    _column("name", String(64), index=True),
+    _column("experiment", String(128)),  # of no run: trials have other settings
+    *(_column(name, JSON()) for name in ("objectives", "directions", "parameters", "seeds")),
+    _column("asked", Integer()),
+    _column("wants_final", Boolean()),
+    _column("created", String(32)),
+    _column("folder", Text()),
+    Column("final", JSON(none_as_null=True)),
+)
+"""A search over the settings of a spec: the fields of SweepRecord. `folder` is kept as that of a run."""
+
+TRIALS = Table(
+    "trials",
+    TABLES,
+    _part_of_key("sweep", _owner("sweeps.sweep")),
+    _part_of_key("number", Integer()),
+    _column("name", String(64)),
+    _column("state", String(16)),
+    _column("drawn", JSON()),
+    Column("values", JSON(none_as_null=True)),  # one for each objective
+    _column("runs", JSON()),  # no foreign key: a run may go to the trash and come back
+    Column("error", Text()),
+)
+"""One trial of a sweep: what it drew, its runs, one per seed, and what they came to."""

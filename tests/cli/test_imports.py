@@ -1,0 +1,60 @@
+"""Commands that only ask the index start fast: what they do not need is not imported."""
+
+from __future__ import annotations
+
+import subprocess
+import sys
+from pathlib import Path
+
+import pytest
+from run_commands import add_run
+
+HEAVY = (
+    "alembic",
+    "gymnasium",
+    "imageio",
+    "matplotlib",
+    "multiprocessing.connection",
+    "numpy",
+    "onnx",
+    "optuna",
+    "pybullet",
+    "scipy",
+    "sqlalchemy.orm",
+    "sqlalchemy.dialects.postgresql",
+    "tensorboard",
+    "torch",
+    "yaml",
+)
+CALL = """
+import sys
+from karolos_cli import main
+sys.argv = ["karolos", *sys.argv[2:]]
+heavy = {heavy!r}
+try:
+    main()
+except SystemExit as end:
+    assert not end.code, end.code
+print("imported:", *[name for name in heavy if name in sys.modules], file=sys.stderr)
+"""
+
+
+@pytest.mark.parametrize(
+    ("command", "more"),
+    [
+        ("runs list", []),
+        ("runs list agent=sac --json", ["rich"]),
+        ("runs list --csv", ["rich"]),
+        ("sweeps list", ["rich"]),
+    ],
+)
+def test_asking_the_index_imports_nothing_that_is_not_needed(tmp_path: Path, command: str, more: list[str]) -> None:
+    add_run(tmp_path, 0)
+    code = CALL.format(heavy=[*HEAVY, *more])
+    ended = subprocess.run(
+        [sys.executable, "-c", code, "-", *command.split(), "--runs", str(tmp_path)],
+        capture_output=True,
+        text=True,
+        check=True,
+    )
+    assert ended.stderr.splitlines()[-1] == "imported:", ended.stderr

@@ -1,0 +1,79 @@
+from __future__ import annotations
+
+from pathlib import Path
+
+import pytest
+from karolos_cli.db import app as db
+from karolos_cli.sweeps import app
+from run_commands import call, rows
+from sweep_samples import some_trial, write_sweep
+
+from karolos.errors import UsageError
+from karolos.files import FileLock
+from karolos.store import Store
+from karolos.sweep_records import Final
+
+
+@pytest.fixture
+def runs(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> Path:
+    """A runs folder with a sweep that came to its end, and one that was interrupted."""
+    monkeypatch.delenv("KAROLOS_DATABASE", raising=False)
+    monkeypatch.setenv("KAROLOS_RUNS", str(tmp_path))
+    trials = [some_trial(0, value=0.9), some_trial(1, "failed"), some_trial(2, value=0.8)]
+    final = Final(2, (1,), (2,), (0.8, 1000.0), {0: (0.6, 1500.0), 2: (0.7, 1200.0)}, (0.65, 1300.0))
+    write_sweep(tmp_path, "done", trials, final)
+    write_sweep(tmp_path, "half", [some_trial(0), some_trial(1, "running")], created="2026-01-02T00:00:00.000000Z")
+    return tmp_path
+
+
+def test_list_says_how_far_sweeps_are_and_which_trial_is_best(runs: Path) -> None:
+    found = call(app, "list").stdout.splitlines()
+    assert found[0].split() == ["sweep", "state", "trials", "objective", "best", "trial", "settings"]
+    assert found[1].split()[:6] == ["half-20260101-000000", "stopped", "1/3", "success_end", "0.5", "0"]
+    assert found[2].split()[:6] == ["done-20260101-000000", "finished", "3/3", "success_end", "0.8", "2"]
+    lock = FileLock(runs / "sweeps" / "half" / "lock")
+    assert lock.acquire()
+    assert [(row["name"], row["state"], row["best"]) for row in rows(app, "list")] == [
+        ("half", "running", 0),
+        ("done", "finished", 2),
+    ]
+    lock.release()
+
+
+def test_show_tells_trials_and_how_far_to_trust_the_best(runs: Path) -> None:
+    told = call(app, "show", "done")
+    lines = told.stdout.splitlines()
+    assert "success_end_fresh" in lines[0]
+    assert "agent.learning_rate" in lines[0]
+    assert lines[3].split()[:5] == ["2", "complete", "0.8", "0.7", "0.65"]
+    assert "a loss that is nan" in lines[2]
+    assert "best: trial 2" in told.stderr
+    assert "gap +0.15" in told.stderr
+    (row,) = rows(app, "show", "done-20260101-000000")
+    assert (row["state"], row["final"]["chosen"], len(row["trials"])) == ("finished", 2, 3)
+
+
+def test_a_trial_that_nobody_works_on_is_open_and_not_running(runs: Path) -> None:
+    assert call(app, "show", "half").stdout.splitlines()[2].split()[:2] == ["1", "open"]
+
+
+def test_a_name_of_no_sweep_or_of_several_is_told(runs: Path, tmp_path: Path) -> None:
+    with pytest.raises(UsageError, match="there is no sweep 'dome'; `karolos sweeps list` shows them"):
+        call(app, "show", "dome")
+    with Store(Store.default_url(runs)) as store:
+        store.sweeps.add([write_sweep(tmp_path / "other", "done", [], sweep="done-20270101-000000")])
+    with pytest.raises(UsageError, match="'done' means several sweeps; one of done-2"):
+        call(app, "show", "done")
+
+
+def test_without_sweeps_it_says_how_to_make_one(tmp_path: Path) -> None:
+    told = call(app, "list", "--runs", tmp_path)
+    assert (told.stdout, told.stderr) == ("", f"no sweeps in {tmp_path} yet; `karolos sweep SPEC` makes one\n")
+
+
+def test_reindex_enters_sweeps_and_names_what_is_damaged(runs: Path) -> None:
+    (runs / "sweeps" / "half" / "sweep.json").write_text("{}")
+    told = call(db, "reindex", "--jobs", 1).stderr
+    assert "1 sweeps entered, 0 forgotten" in told
+    assert "half: sweep.json is damaged; remove that file: `karolos sweep SPEC` writes it again" in told
+    assert [row["name"] for row in rows(app, "list")] == ["done"]
