@@ -6,6 +6,7 @@ streams of the last checkpoint, tests, training episodes, and what the database 
 
 from __future__ import annotations
 
+import json
 import multiprocessing
 import os
 import random
@@ -20,7 +21,6 @@ from pathlib import Path
 from typing import Any
 
 import numpy as np
-import yaml
 
 from .. import checkpoint
 from ..errors import MachineError, RunError
@@ -84,7 +84,7 @@ def _killed(case: str, parts: Mapping[str, Any], steps: int, home: Path, say: Ca
     training = {**parts.get("training", {}), "steps": steps}
     testing = {"interval": max(steps // TESTS, 1), "episodes": 20}
     spec = home / "survival.yaml"
-    spec.write_text(yaml.safe_dump({"name": "survival", **parts, "training": training, "testing": testing}), "utf-8")
+    spec.write_text(json.dumps({"name": "survival", **parts, "training": training, "testing": testing}), "utf-8")
     whole = _run(home / "whole", spec)
     say(f"{case}: undisturbed in {whole.state().seconds:.0f} s")
     process = _start("run", str(spec), "--runs", str(home / "broken"))
