@@ -104,10 +104,10 @@ class Hindsight:
         chosen = np.flatnonzero(generator.random(slots.size, np.float32) < self.settings.ratio)
         goals = storage.column("next_achieved_goal", goal_slots[chosen])[:, : self._size]
         if self.settings.min_displacement > 0:
-            before = rows["achieved_goal"][chosen, : self._size]
-            moved = np.square(goals - before).sum(1) >= self.settings.min_displacement**2
-            chosen, goals = chosen[moved], goals[moved]
-        achieved = rows["next_achieved_goal"][chosen]
+            way = goals - rows["achieved_goal"].take(chosen, axis=0)[:, : self._size]
+            moved = np.flatnonzero(np.vecdot(way, way) >= self.settings.min_displacement**2)
+            chosen, goals = chosen[moved], goals.take(moved, axis=0)
+        achieved = rows["next_achieved_goal"].take(chosen, axis=0)
         desired, terminated = rows["desired_goal"], rows.number("terminated")
         if self._ends:
             # An end that the old goal does not explain (a fall, say) is one under the new goal too.
@@ -124,6 +124,7 @@ class Hindsight:
         if self.settings.strategy == "final":
             return storage.shifted(slots, left - 1)
         if self.settings.strategy == "future":
-            return storage.shifted(slots, generator.integers(0, left))
+            # an index below `left`; drawn as a share of it, in a third of the time that integers take
+            return storage.shifted(slots, (generator.random(slots.size) * left).astype(np.int64))
         kept_before = np.minimum(step, storage.older(slots))  # the ring may have overwritten the episode's beginning
         return storage.shifted(slots, generator.integers(-kept_before, left))

@@ -98,6 +98,9 @@ class Storage:
         """Transitions ever written to each lane."""
         self.running = np.zeros(0, np.int64)
         """Steps so far of the episode that each lane's environment plays."""
+        self._counted: tuple[Array, Array] | None = None
+        self._full = False
+        """Whether every lane is, so that counts stay as they are."""
         self._set_lanes(environments)
 
     @property
@@ -112,6 +115,7 @@ class Storage:
         self.table = np.zeros((self.lane_size * lanes, self.layout.size), np.float32)
         self.written, self.running = np.zeros(lanes, np.int64), np.zeros(lanes, np.int64)
         self.written[:stay], self.running[:stay] = written[:stay], running[:stay]
+        self._counted = None
         used = self.used()
         self.table[used] = table[used]
 
@@ -121,7 +125,16 @@ class Storage:
         return np.minimum(self.written, self.lane_size)
 
     def __len__(self) -> int:
-        return int(self.filled.sum())
+        return int(self._counts()[0][-1])
+
+    def _counts(self) -> tuple[Array, Array]:
+        """How many transitions lie in each lane and those before it, and what leads from a rank to a slot: (lanes,)."""
+        if self._counted is None:
+            filled = self.filled
+            ends = np.cumsum(filled)
+            self._counted = ends, np.arange(self.lanes) * self.lane_size - ends + filled
+            self._full = bool((filled == self.lane_size).all())
+        return self._counted
 
     @property
     def kept(self) -> int:
@@ -144,6 +157,8 @@ class Storage:
         self.table[slots] = rows.table
         self.written[lanes] += 1
         self.running[lanes] += 1
+        if not self._full:
+            self._counted = None
         for lane in lanes[np.asarray(transitions.terminated | transitions.truncated, np.bool_)].tolist():
             self._end_episode(lane)
         return slots
@@ -187,10 +202,9 @@ class Storage:
 
     def at(self, ranks: Array) -> Slots:
         """The slots of the transitions with these ranks (n,), counted lane by lane over all that is stored."""
-        ends = np.cumsum(self.filled)
-        lanes = np.searchsorted(ends, ranks, side="right")
+        ends, offsets = self._counts()
         # A lane fills from its first row on, so the k-th transition of a lane lies in its k-th row.
-        return np.asarray(ranks + (np.arange(self.lanes) * self.lane_size - ends + self.filled)[lanes])
+        return np.asarray(ranks + offsets[np.searchsorted(ends, ranks, side="right")])
 
     def names(self, slots: Slots) -> Slots:
         """A number for the transition that lies in each slot now, which no later one there shares: (n,) int64."""
@@ -250,6 +264,7 @@ class Storage:
         self._set_lanes(len(written))
         self.written[:] = written
         self.running[:] = state["running"]
+        self._counted = None
         self.table[self.used()] = table
 
     def used(self) -> Slots:
