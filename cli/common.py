@@ -31,14 +31,14 @@ Json = Annotated[bool, typer.Option("--json", help="One JSON object per row.")]
 
 
 def rows(found: Iterable[Mapping[str, Any]], *, json: bool) -> None:
-    """Print rows to stdout: one JSON object each, or columns under their names."""
+    """Print rows to stdout: one JSON object each, or columns under their names; without those where nothing stands."""
     listed = list(found)
     if json:
         for row in listed:
             print(json_text.dumps(_finite(row), allow_nan=False, default=str))
         return
     if listed:
-        names = list(listed[0])
+        names = [name for name in listed[0] if any(row.get(name) not in (None, "", []) for row in listed)]
         table([[_text(row.get(name)) for name in names] for row in listed], names)
 
 
@@ -87,7 +87,7 @@ def _text(value: Any) -> str:
         return ""
     if isinstance(value, float):
         return f"{value:.6g}"
-    return str(value)
+    return " ".join(map(str, value)) if isinstance(value, list | tuple) else str(value)
 
 
 def print_rich(what: object) -> None:
