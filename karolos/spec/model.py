@@ -74,7 +74,7 @@ class Demonstrations(Settings):
     )
     random: float = Setting(default=0.05, ge=0, le=1, description="share of actions drawn uniformly instead")
     share: float | None = Setting(
-        default=None, ge=0, lt=1, description="of each batch, taken from them; null: they are sampled as all else is"
+        default=None, gt=0, lt=1, description="of each batch, taken from them; null: they are sampled as all else is"
     )
     updates: int = Setting(
         default=0, ge=0, description="updates from them alone, before the first step is taken in an environment"
