@@ -8,6 +8,9 @@ from numpy.typing import NDArray
 Numbers = NDArray[np.float64]
 Indices = NDArray[np.int64]
 
+MANY = 256
+"""Nodes of which it pays to find those that are named twice: neighbours have the same parent."""
+
 
 class SumTree:
     """`size` numbers, all 0 at first. Changing or finding n of them takes O(n log size), vectorised over n.
@@ -38,6 +41,8 @@ class SumTree:
         take = self._nodes.take
         for _ in range(self._levels):
             nodes = nodes >> 1
+            if nodes.size > MANY:
+                nodes = np.unique(nodes)
             left = nodes << 1
             self._nodes[nodes] = take(left, mode="clip") + take(left + 1, mode="clip")
 

@@ -69,3 +69,13 @@ def test_the_tree_depends_on_its_numbers_alone_not_on_how_they_came():
     other = SumTree(1000)
     other[np.arange(1000)] = values
     np.testing.assert_array_equal(one._nodes, other._nodes)
+
+
+def test_many_numbers_at_once_are_the_same_as_few_at_a_time():
+    places, values = np.arange(100, 1000), np.random.default_rng(0).random(900)
+    whole, parts = SumTree(1024), SumTree(1024)
+    whole[places] = values
+    for start in range(0, 900, 50):
+        parts[places[start : start + 50]] = values[start : start + 50]
+    np.testing.assert_array_equal(whole._nodes, parts._nodes)
+    np.testing.assert_allclose(whole.total, values.sum(), rtol=1e-12)
