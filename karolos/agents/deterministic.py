@@ -24,6 +24,7 @@ from .actor_critic import (
     parts_state,
     squared_loss,
 )
+from .cuda_graphs import GraphedUpdates
 from .deployment import deployed
 from .device import is_low
 from .inputs import (
@@ -43,7 +44,6 @@ from .networks import MLP, Shape
 from .noise import Noise, ScaledNoiseSettings
 from .normaliser import Normaliser
 from .optimisation import Adam
-from .recording import Recorder
 
 LEARNED = ("policy", "critic", "target_policy", "target", "normaliser")
 
@@ -110,7 +110,7 @@ class Deterministic:
         self._bounds = value_bounds(signature, settings.discount, clip=settings.clip_targets)
         self._updates = 0
         networks = (self.policy, self.critic, self.target_policy, self.target)
-        self._recorder = Recorder(self.device, networks, self.generator)
+        self._graphed = GraphedUpdates(self.device, networks, self.generator)
 
     @torch.inference_mode()
     def act(
@@ -144,11 +144,11 @@ class Deterministic:
         def work(fed: Fed) -> dict[str, Any]:
             return self._update(normalised(fed, self.normaliser, observe=observe), watch=watch, policy=policy)
 
-        metrics = self._recorder.run((watch, observe, policy), feed(batch), work)
+        metrics = self._graphed.run((watch, observe, policy), feed(batch), work)
         return metrics | self.optimisers["critic"].rate_watched(watch=watch)
 
     def _update(self, inputs: Inputs, *, watch: bool, policy: bool) -> dict[str, Any]:
-        """`Recorder` says what it may do."""
+        """`GraphedUpdates` says what it may do."""
         metrics = self._learn_critic(inputs, watch=watch)
         if policy:
             metrics |= self._learn_policy(inputs, watch=watch)

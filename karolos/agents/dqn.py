@@ -18,13 +18,13 @@ from ..errors import UsageError
 from ..schedules import Linear
 from ..seeding import SeedTree
 from .actor_critic import WATCHED_EVERY
+from .cuda_graphs import GraphedUpdates
 from .deployment import deployed
 from .device import Precision, is_low
 from .inputs import Fed, Inputs, acting_inputs, feed, is_observed, normalised, to_array, value_bounds
 from .networks import MLP, Shape
 from .normaliser import Normaliser
 from .optimisation import Adam, OptimiserSettings
-from .recording import Recorder
 
 
 class DQN(Agent):
@@ -85,7 +85,7 @@ class DQN(Agent):
         self._generator = torch.Generator(self.device).manual_seed(seeds.child("noise").integer())
         self._bounds = value_bounds(signature, settings.discount, clip=settings.clip_targets)
         self._schedule = Linear(settings.epsilon_start, settings.epsilon_end, settings.epsilon_steps)
-        self._recorder = Recorder(self.device, (self.network, self.target), self._generator)
+        self._graphed = GraphedUpdates(self.device, (self.network, self.target), self._generator)
         self._explored = 0
         self._updates = 0
 
@@ -132,13 +132,13 @@ class DQN(Agent):
         def work(fed: Fed) -> dict[str, Any]:
             return self._update(normalised(fed, self.normaliser, observe=observe), watch=watch, follow=follow)
 
-        metrics = self._recorder.run((watch, observe, follow), feed(batch), work)
+        metrics = self._graphed.run((watch, observe, follow), feed(batch), work)
         if watch:
             metrics["epsilon"] = torch.tensor(self.epsilon)
         return metrics | self._optimiser.rate_watched(watch=watch)
 
     def _update(self, inputs: Inputs, *, watch: bool, follow: bool) -> dict[str, Any]:
-        """Gradients are written down, as in SAC. `Recorder` says what an update may do."""
+        """Gradients are written down, as in SAC. `GraphedUpdates` says what an update may do."""
         targets = self.targets(inputs)
         index = inputs.action.long()  # floats hold every index exactly
         head, tapes = self.network.forward(inputs.here)

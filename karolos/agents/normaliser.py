@@ -17,7 +17,7 @@ class Normaliser:
     """Running mean and spread of columns, over all rows it was shown (Chan et al. 1979 for the merging).
 
     `update` is for learning only: acting and tests leave the statistics as they are. All of it lies in tensors that
-    stay where they are, so that an update can be recorded.
+    stay where they are, so that an update can be captured.
 
     Args:
         columns: how many.

@@ -58,7 +58,7 @@ class Adam:
         self.norm = norm
         self.steps = 0
         """Taken so far."""
-        # Where updates may be recorded; on a CPU a number is quicker.
+        # Where updates may be captured; on a CPU a number is quicker.
         self._rate = None if vector.device.type == "cpu" else torch.full((), rate, device=vector.device)
         self._state = {
             "step": torch.zeros((), device=vector.device),
@@ -76,7 +76,7 @@ class Adam:
         return self.move(gradient, "length", watch=True)["length"]
 
     def begin(self) -> None:
-        """Count a step and set its learning rate; then `move`. Apart because Python counts and a recorded update
+        """Count a step and set its learning rate; then `move`. Apart because Python counts and a captured update
         cannot.
         """
         if self._schedule is not None:

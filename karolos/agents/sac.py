@@ -26,6 +26,7 @@ from .actor_critic import (
     squared_loss,
 )
 from .chain import Tape
+from .cuda_graphs import GraphedUpdates
 from .deployment import deployed
 from .device import is_low
 from .inputs import (
@@ -46,7 +47,6 @@ from .noise import Noise, NoiseSettings
 from .normaliser import Normaliser
 from .optimisation import Adam
 from .quantiles import Quantiles, quantile_huber, truncated
-from .recording import Recorder
 from .squashed_gaussian import Sample, head_gradient, log_probability, mode, sample
 
 PARTS = ("policy", "critic", "target", "normaliser", "noise")
@@ -107,7 +107,7 @@ class SAC(Agent):
             "temperature": Adam(self.log_temperature, settings.rate),
         }
         self.generator = torch.Generator(self.device).manual_seed(seeds.child("noise").integer())
-        self._recorder = Recorder(self.device, (self.policy, self.critic, self.target), self.generator)
+        self._graphed = GraphedUpdates(self.device, (self.policy, self.critic, self.target), self.generator)
         self._target_entropy = -float(actions) if settings.target_entropy is None else settings.target_entropy
         self._least_log_temperature = math.log(settings.temperature_min) if settings.temperature_min else -math.inf
         self._bounds = value_bounds(signature, settings.discount, clip=settings.clip_targets)
@@ -145,13 +145,13 @@ class SAC(Agent):
         def work(fed: Fed) -> dict[str, Any]:
             return self._update(normalised(fed, self.normaliser, observe=observe), watch=watch, policy=policy)
 
-        metrics = self._recorder.run((watch, observe, policy), feed(batch), work)
+        metrics = self._graphed.run((watch, observe, policy), feed(batch), work)
         return metrics | self.optimisers["critic"].rate_watched(watch=watch)
 
     def _update(self, inputs: Inputs, *, watch: bool, policy: bool) -> dict[str, Any]:
         """Gradients are written down: autograd takes as long for a loss of 256 numbers as a product of two layers does.
 
-        `Recorder` says what an update may do.
+        `GraphedUpdates` says what an update may do.
         """
         if not policy:
             metrics = self._learn_critic(inputs, self._draw(inputs.there)[0], watch=watch)

@@ -43,7 +43,7 @@ def test_later_overrides_win(path):
     assert load_spec(path, ["training.steps=1", "training.steps=2"]).training.steps == 2
 
 
-def test_override_of_a_name_replaces_the_part(path):
+def test_override_of_a_name_drops_what_the_other_plugin_does_not_have(path):
     spec = load_spec(path, ["robot.step=0.3", "robot=other_arm"])
     assert spec.robot.dump() == {"name": "other_arm", "speed": 1.0}
 

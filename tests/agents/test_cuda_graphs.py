@@ -16,10 +16,10 @@ from parts import batch, signature
 from torch.utils._python_dispatch import TorchDispatchMode
 from torch.utils._pytree import tree_leaves
 
+from karolos.agents.cuda_graphs import RUNS_BEFORE, GraphedUpdates
 from karolos.agents.ddpg import DDPG
 from karolos.agents.dqn import DQN
 from karolos.agents.networks import MLP
-from karolos.agents.recording import RUNS_BEFORE, Recorder
 from karolos.agents.sac import SAC
 from karolos.agents.td3 import TD3
 from karolos.core import Discrete, Signature
@@ -57,7 +57,7 @@ class Tape:
         self._generator = generator
         type(self).made += 1
 
-    def record(self, work: Callable[[], dict[str, Any]]) -> dict[str, Any]:
+    def capture(self, work: Callable[[], dict[str, Any]]) -> dict[str, Any]:
         drawn = self._generator.get_state()
         with Keeping() as keeping:
             found = work()
@@ -89,7 +89,7 @@ def recorded(agent: Any) -> Any:
     inner = getattr(with_rates_in_memory(agent), "core", agent)
     networks = [value for value in vars(inner).values() if isinstance(value, MLP)]
     generator = getattr(inner, "generator", None) or inner._generator
-    inner._recorder = Recorder(torch.device("cpu"), networks, generator, Tape)
+    inner._graphed = GraphedUpdates(torch.device("cpu"), networks, generator, Tape)
     return agent
 
 
@@ -160,14 +160,14 @@ def test_a_batch_of_another_size_is_another_recording() -> None:
     for size in (8, 16) * (2 * RUNS_BEFORE + 2):
         agent.learn(batch(size, signature(), size))
     assert Tape.made >= 2
-    assert {size for _, size in agent._recorder._recordings} == {8, 16}
+    assert {size for _, size in agent._graphed._captures} == {8, 16}
 
 
 def test_nothing_is_recorded_on_a_cpu() -> None:
     agent = SAC(SAC.Settings.model_validate({"hidden": (8,)}), signature(), SeedTree(0))
     for seed in range(10):
         agent.learn(batch(8, signature(), seed))
-    assert not agent._recorder._recordings
+    assert not agent._graphed._captures
 
 
 def test_a_number_that_python_computes_would_show() -> None:
@@ -181,7 +181,7 @@ def test_a_number_that_python_computes_would_show() -> None:
         return {"total": total}
 
     tape = Tape(torch.Generator())
-    tape.record(work)
+    tape.capture(work)
     assert total == 0
     tape.replay()
     tape.replay()
