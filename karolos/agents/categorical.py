@@ -32,6 +32,23 @@ class Categorical:
         log_probability = torch.log_softmax(head, -1)
         return -(log_probability.exp() * log_probability).sum(-1)
 
+    def backward(self, head: Tensor, action: Tensor, for_log_probability: Tensor, for_entropy: float) -> Tensor:
+        """The gradient of the network's output (n, count).
+
+        With p = softmax(head) and entropy H: d log p_a / d head_j = (j = a) - p_j, d H / d head_j = -p_j (log p_j + H).
+
+        Args:
+            head: the network's output.
+            action: indices, (n, 1).
+            for_log_probability: the loss's gradient by each action's log probability, (n,).
+            for_entropy: the same by each entropy.
+        """
+        log_probability, pull = torch.log_softmax(head, -1), for_log_probability.unsqueeze(-1)
+        probability = log_probability.exp()
+        entropy = -(probability * log_probability).sum(-1, keepdim=True)
+        found = (log_probability + entropy).mul_(-for_entropy).sub_(pull).mul_(probability)
+        return found.scatter_add_(-1, action.long(), pull)
+
     def state(self) -> State:
         """Nothing: all that is learned is the network's."""
         return {}

@@ -103,8 +103,8 @@ class Deterministic:
         self.normaliser = Normaliser(inputs, device)
         self.noise = Noise(settings.noise, inputs, actions, self.device)
         self.optimisers = {
-            "policy": Adam(self.policy.leaf, settings.rate, norm=settings.gradient_norm),
-            "critic": Adam(self.critic.leaf, settings.rate, norm=settings.gradient_norm),
+            "policy": Adam(self.policy.vector, settings.rate, norm=settings.gradient_norm),
+            "critic": Adam(self.critic.vector, settings.rate, norm=settings.gradient_norm),
         }
         self.generator = torch.Generator(self.device).manual_seed(seeds.child("noise").integer())
         self._bounds = value_bounds(signature, settings.discount, clip=settings.clip_targets)
@@ -130,7 +130,7 @@ class Deterministic:
         noisy = torch.add(action, noise, alpha=self.settings.noise.std).clamp_(-1, 1)
         return to_array(some_random(noisy, self.settings.random_actions, self.generator))
 
-    @torch.no_grad()
+    @torch.inference_mode()
     def learn(self, batch: Batch) -> Mapping[str, Any]:
         """One update of the critics, and of policy and targets when it is their turn; metrics as in SAC."""
         observe, delay = is_observed(self._updates), self.variant.policy_delay
@@ -156,7 +156,6 @@ class Deterministic:
             self.target_policy.follow(self.policy, self.settings.tau)
         return metrics
 
-    @torch.no_grad()
     def targets(self, inputs: Inputs) -> Tensor:
         """What the critics should say: (n,)."""
         action = torch.tanh(self.target_policy(inputs.there))

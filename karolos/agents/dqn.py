@@ -81,7 +81,7 @@ class DQN(Agent):
         self.network = MLP(shape, torch.Generator().manual_seed(seeds.child("weights").integer()), device)
         self.target = self.network.copy()
         self.normaliser = Normaliser(inputs, device)
-        self._optimiser = Adam(self.network.leaf, settings.rate, norm=settings.gradient_norm)
+        self._optimiser = Adam(self.network.vector, settings.rate, norm=settings.gradient_norm)
         self._generator = torch.Generator(self.device).manual_seed(seeds.child("noise").integer())
         self._bounds = value_bounds(signature, settings.discount, clip=settings.clip_targets)
         self._schedule = Linear(settings.epsilon_start, settings.epsilon_end, settings.epsilon_steps)
@@ -121,7 +121,7 @@ class DQN(Agent):
         state, advantages = head[:, :1], head[:, 1:]
         return state + advantages - advantages.mean(1, keepdim=True)
 
-    @torch.no_grad()
+    @torch.inference_mode()
     def learn(self, batch: Batch) -> Mapping[str, Any]:
         """One update of the network, and of its target when it is its turn; now and then metrics, as tensors."""
         watch, observe = self._updates % WATCHED_EVERY == 0, is_observed(self._updates)
@@ -176,7 +176,6 @@ class DQN(Agent):
         found[:, :1] = column
         return found.scatter_add_(1, index + 1, column)
 
-    @torch.no_grad()
     def targets(self, inputs: Inputs) -> Tensor:
         """What the network should say of the actions taken: (n,)."""
         there = self._values(self.target(inputs.there))

@@ -29,8 +29,9 @@ class Gaussian:
         self.columns = columns
         """Outputs that the policy network needs."""
         self.log_std = torch.full((columns,), math.log(std), device=device)
-        self.leaf = self.log_std.detach().requires_grad_()
-        """The same memory, for autograd and the optimiser."""
+        """The learned parameters, (a,). Change it in place."""
+        self.gradient = torch.zeros_like(self.log_std)
+        """What the latest `backward` found."""
 
     def sample(self, head: Tensor, generator: torch.Generator) -> Tensor:
         """Unclipped actions (n, a) from the network's output (n, a)."""
@@ -43,14 +44,32 @@ class Gaussian:
 
     def log_probability(self, head: Tensor, action: Tensor) -> Tensor:
         """Log density of unclipped actions, (n,)."""
-        distance = (action - head) * torch.exp(-self.leaf)
+        distance = (action - head) * torch.exp(-self.log_std)
         constant = 0.5 * math.log(2 * math.pi) * self.columns
-        return -(distance.square().mul(0.5) + self.leaf).sum(-1) - constant
+        return -(distance.square().mul(0.5) + self.log_std).sum(-1) - constant
 
     def entropy(self, head: Tensor) -> Tensor:
         """In nats, of the unclipped action: (n,)."""
-        each = self.leaf.sum() + 0.5 * self.columns * (1 + math.log(2 * math.pi))
+        each = self.log_std.sum() + 0.5 * self.columns * (1 + math.log(2 * math.pi))
         return each.expand(len(head))
+
+    def backward(self, head: Tensor, action: Tensor, for_log_probability: Tensor, for_entropy: float) -> Tensor:
+        """The gradient of the network's output (n, a); that of the spread is left in `gradient`.
+
+        With d = (action - head) / std: d log p / d head = d / std, d log p / d log std = d^2 - 1, and the entropy grows
+        by 1 with each log std.
+
+        Args:
+            head: the network's output.
+            action: unclipped, (n, a).
+            for_log_probability: the loss's gradient by each action's log density, (n,).
+            for_entropy: the same by each entropy.
+        """
+        inverse, pull = torch.exp(-self.log_std), for_log_probability.unsqueeze(-1)
+        distance = (action - head) * inverse
+        torch.sum((distance.square() - 1).mul_(pull), 0, out=self.gradient)
+        self.gradient.add_(for_entropy * len(head))
+        return distance.mul_(pull).mul_(inverse)
 
     def keep_bounds(self) -> None:
         """To be called after each step of the optimiser."""

@@ -1,8 +1,8 @@
 """Multi-layer perceptrons whose parameters lie in one vector, alone or several of one shape side by side.
 
 At the size of robot-task networks an update is made of hundreds of operations of a few microseconds each. Hence one
-vector for all parameters (an optimiser step, a step of a target network or a checkpoint is one operation) and one node
-of the autograd graph per network, with the chain rule written down.
+vector for all parameters (an optimiser step, a step of a target network or a checkpoint is one operation), and the
+chain rule written down instead of a graph for autograd.
 """
 
 from __future__ import annotations
@@ -11,7 +11,6 @@ import math
 from collections.abc import Mapping
 from dataclasses import dataclass
 from itertools import pairwise
-from typing import Any
 
 import torch
 from torch import Tensor
@@ -55,8 +54,7 @@ class MLP:
     Several members are computed as one product per layer on a GPU, where launches cost. On a CPU they are computed one
     after the other: two products of half the size take as long as one, and half-size activations stay in the cache.
 
-    Agents that know their losses' gradients call `forward` and `backward`; a call of the network itself does the same
-    as one node of the autograd graph.
+    Agents write down their losses' gradients and call `forward` and `backward`; autograd sees nothing of either.
 
     Args:
         shape: layers, members, options.
@@ -70,9 +68,7 @@ class MLP:
         self._shapes = list(shape.parameters().values())
         size = sum(map(math.prod, self._shapes))
         self.vector = torch.zeros(self._members * size, device=device)
-        """All parameters, one member after the other. Change it in place; gradients are those of `leaf`."""
-        self.leaf = self.vector.detach().requires_grad_()
-        """The same memory, for autograd and the optimiser."""
+        """All parameters, one member after the other. Change it in place."""
         self.gradient = torch.zeros_like(self.vector)
         """What the latest `backward` found."""
         for layer, fan_in in enumerate(shape.sizes[:-1]):
@@ -128,17 +124,13 @@ class MLP:
         views = self._table_views(self.vector)
         return views if self.shape.members else {name: view[0] for name, view in views.items()}
 
-    def __call__(self, x: Tensor, *, learn: bool = False, exact: bool = False) -> Tensor:
+    def __call__(self, x: Tensor, *, exact: bool = False) -> Tensor:
         """(n, in) -> (n, out), or (members, n, out).
 
         Args:
             x: inputs, the same for all members.
-            learn: let gradients flow to `leaf`; to the inputs they always do.
-            exact: compute in float32 whatever the shape says; only without gradients.
+            exact: compute in float32 whatever the shape says.
         """
-        if torch.is_grad_enabled():
-            found: Tensor = _Pass.apply(x, self.leaf if learn else self.vector, self)  # type: ignore[no-untyped-call]
-            return found
         return self.forward(x, exact=exact)[0]
 
     def touch(self) -> None:
@@ -155,7 +147,7 @@ class MLP:
         return self._rounded_maps
 
     def forward(self, x: Tensor, *, exact: bool = False, first: bool = False) -> tuple[Tensor, list[Tape]]:
-        """Outputs as of a call, and what `backward` needs: a tape for each group. Not seen by autograd.
+        """Outputs as of a call, and what `backward` needs: a tape for each group.
 
         With `first` the first member is enough: the others are left out where members are computed one by one.
         """
@@ -230,24 +222,6 @@ class MLP:
             )
         for name, view in self.named.items():
             view.copy_(torch.as_tensor(state[name]))
-
-
-class _Pass(torch.autograd.Function):
-    """One network as one node of the graph."""
-
-    @staticmethod
-    def forward(ctx: Any, x: Tensor, vector: Tensor, network: MLP) -> Tensor:  # noqa: ARG004 (asks for its gradient)
-        outputs, ctx.tapes = network.forward(x)
-        ctx.network = network
-        return outputs
-
-    @staticmethod
-    def backward(ctx: Any, gradient: Tensor) -> tuple[Tensor | None, ...]:
-        inputs, parameters, _ = ctx.needs_input_grad
-        network: MLP = ctx.network
-        columns = slice(None) if inputs else None
-        for_x = network.backward(gradient, ctx.tapes, parameters=parameters, columns=columns)
-        return for_x, network.gradient.clone() if parameters else None, None
 
 
 def _words(shapes: Mapping[str, tuple[int, ...]]) -> str:

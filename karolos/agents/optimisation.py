@@ -41,7 +41,7 @@ class Adam:
     """Steps one parameter vector.
 
     Args:
-        vector: a leaf of the graph.
+        vector: the parameters, changed in place.
         learning_rate: size of a step; may be set anew before each. A schedule goes by the steps taken.
         epsilon: keeps steps small where gradients have been about this size.
         norm: longer gradients are cut to this length; None: never.
@@ -62,16 +62,12 @@ class Adam:
         self._rate = None if vector.device.type == "cpu" else torch.full((), rate, device=vector.device)
         self._state = {
             "step": torch.zeros((), device=vector.device),
-            "exp_avg": torch.zeros_like(vector, requires_grad=False),
-            "exp_avg_sq": torch.zeros_like(vector, requires_grad=False),
+            "exp_avg": torch.zeros_like(vector),
+            "exp_avg_sq": torch.zeros_like(vector),
         }
 
-    def step(self, loss: Tensor) -> Tensor:
-        """Lower the loss. Only this vector gets a gradient; its length before it was cut, a scalar."""
-        return self.step_along(torch.autograd.grad(loss, self._vector)[0])
-
-    def step_along(self, gradient: Tensor) -> Tensor:
-        """Step as if `gradient`, of the vector's shape, were a loss's. Returns its length; may change it in place."""
+    def step(self, gradient: Tensor) -> Tensor:
+        """Step along a gradient of the vector's shape, which may be changed in place. Returns its length before."""
         self.begin()
         return self.move(gradient, "length", watch=True)["length"]
 
@@ -105,7 +101,6 @@ class Adam:
         """The learning rate of the latest step, if somebody watches."""
         return {"learning_rate": torch.tensor(self.learning_rate)} if watch else {}
 
-    @torch.no_grad()
     def _fused_step(self, gradient: Tensor) -> None:
         """What torch.optim.Adam(fused=True) calls in the end; its own way there takes longer than the step itself."""
         self._state["step"].add_(1)

@@ -10,7 +10,6 @@ RECTIFIER_GAIN = 2**0.5
 """Keeps the size of signals through rectifiers. Source: He et al. 2015."""
 
 
-@torch.no_grad()
 def make_orthogonal(network: MLP, generator: torch.Generator, *, last_gain: float) -> None:
     """Give a network orthogonal weights and no biases.
 

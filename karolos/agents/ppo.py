@@ -90,12 +90,12 @@ class PPO(Agent[Rollout]):
         make_orthogonal(self.policy, drawn, last_gain=0.01)
         self.value = Value((inputs, *settings.hidden), drawn, device)
         self.normaliser = Normaliser(inputs, device, clip=CLIP)
-        self._leaves = {"policy": self.policy.leaf, "value": self.value.network.leaf}
+        learned = {"policy": self.policy.vector, "value": self.value.network.vector}
         if isinstance(self.distribution, Gaussian):
-            self._leaves["std"] = self.distribution.leaf
+            learned["std"] = self.distribution.log_std
         self._optimisers = {
-            name: Adam(leaf, settings.rate, epsilon=1e-5, norm=settings.gradient_norm)
-            for name, leaf in self._leaves.items()
+            name: Adam(vector, settings.rate, epsilon=1e-5, norm=settings.gradient_norm)
+            for name, vector in learned.items()
         }
         self._generator = torch.Generator(self.device).manual_seed(seeds.child("noise").integer())
 
@@ -114,6 +114,7 @@ class PPO(Agent[Rollout]):
             return to_array(self.distribution.sample(head, self._generator))
         return to_array(self.distribution.mode(head))
 
+    @torch.inference_mode()
     def learn(self, batch: Rollout) -> Mapping[str, Any]:
         """`epochs` times through the rollout in `minibatches` updates each; metrics are means over the updates.
 
@@ -131,7 +132,6 @@ class PPO(Agent[Rollout]):
         means = {name: torch.stack([metrics[name] for metrics in updates]).mean() for name in updates[0]}
         return means | self._of_rollout(taken) | {"updates": len(updates)}
 
-    @torch.no_grad()
     def _taken(self, rollout: Rollout) -> _Taken:
         """The rollout with what policy and value say of it before they learn from it."""
         size = rollout.reward.shape
@@ -178,40 +178,42 @@ class PPO(Agent[Rollout]):
             yield from order.tensor_split(self.settings.minibatches)
 
     def _update(self, taken: _Taken) -> dict[str, Tensor] | None:
-        """One gradient update of policy and value; None if the policy has moved too far already."""
-        settings = self.settings
-        head = self.policy(taken.inputs, learn=True)
+        """One gradient update of policy and value; None if the policy has moved too far already.
+
+        Gradients are written down, as in SAC.
+        """
+        settings, count = self.settings, len(taken.inputs)
+        head, tapes = self.policy.forward(taken.inputs)
         difference = self.distribution.log_probability(head, taken.action) - taken.log_probability
         ratio = difference.exp()
-        moved = (ratio.detach() - 1 - difference.detach()).mean()  # http://joschu.net/blog/kl-approx.html, k3
+        moved = (ratio - 1 - difference).mean()  # http://joschu.net/blog/kl-approx.html, k3
         if settings.target_kl is not None and float(moved) > KL_SLACK * settings.target_kl:
             return None
         advantage = taken.advantage - taken.advantage.mean()
         advantage = advantage / (taken.advantage.std(correction=0) + 1e-8)
-        clipped = ratio.clamp(1 - settings.clip, 1 + settings.clip)
-        gain = torch.minimum(ratio * advantage, clipped * advantage).mean()
+        free, clipped = ratio * advantage, ratio.clamp(1 - settings.clip, 1 + settings.clip) * advantage
+        gain = torch.minimum(free, clipped).mean()
         entropy = self.distribution.entropy(head).mean()
-        policy_norm = self._step_policy(-gain - settings.entropy * entropy)
-        value_loss = self.value.loss(taken.inputs, taken.target, taken.value, settings.value_clip)
-        value_norm = self._optimisers["value"].step(value_loss)
+        # d ratio / d log p = ratio; the clipped gain is the smaller one only where it does not move
+        for_log_probability = torch.where(free <= clipped, free, 0) / -count
+        weight = -settings.entropy / count
+        for_head = self.distribution.backward(head, taken.action, for_log_probability, weight)
+        self.policy.backward(for_head, tapes)
+        policy_norm = self._optimisers["policy"].step(self.policy.gradient)
+        if isinstance(self.distribution, Gaussian):
+            self._optimisers["std"].step(self.distribution.gradient)
+            self.distribution.keep_bounds()
+        value_loss = self.value.learn(taken.inputs, taken.target, taken.value, settings.value_clip)
+        value_norm = self._optimisers["value"].step(self.value.network.gradient)
         return {
-            "policy_loss": -gain.detach(),
-            "value_loss": value_loss.detach(),
+            "policy_loss": -gain,
+            "value_loss": value_loss,
             "kl": moved,
-            "clip_fraction": ((ratio.detach() - 1).abs() > settings.clip).float().mean(),
-            "entropy": entropy.detach(),
+            "clip_fraction": ((ratio - 1).abs() > settings.clip).float().mean(),
+            "entropy": entropy,
             "gradient_norm": policy_norm,
             "value_gradient_norm": value_norm,
         }
-
-    def _step_policy(self, loss: Tensor) -> Tensor:
-        """Lower the loss; length of its gradient in the network's parameters."""
-        names = [name for name in self._leaves if name != "value"]
-        gradients = torch.autograd.grad(loss, [self._leaves[name] for name in names])
-        lengths = [self._optimisers[name].step_along(gradient) for name, gradient in zip(names, gradients, strict=True)]
-        if isinstance(self.distribution, Gaussian):
-            self.distribution.keep_bounds()
-        return lengths[0]
 
     def _of_rollout(self, taken: _Taken) -> dict[str, Tensor]:
         """What can be said of a rollout as a whole."""

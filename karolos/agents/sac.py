@@ -102,8 +102,8 @@ class SAC(Agent):
         self.noise = Noise(settings.noise, inputs, actions, self.device)
         self.log_temperature = torch.full((1,), math.log(settings.temperature), device=self.device)
         self.optimisers = {
-            "policy": Adam(self.policy.leaf, settings.rate, norm=settings.gradient_norm),
-            "critic": Adam(self.critic.leaf, settings.rate, norm=settings.gradient_norm),
+            "policy": Adam(self.policy.vector, settings.rate, norm=settings.gradient_norm),
+            "critic": Adam(self.critic.vector, settings.rate, norm=settings.gradient_norm),
             "temperature": Adam(self.log_temperature, settings.rate),
         }
         self.generator = torch.Generator(self.device).manual_seed(seeds.child("noise").integer())
@@ -132,7 +132,7 @@ class SAC(Agent):
     def begin_episodes(self, environments: NDArray[int64]) -> None:
         self.noise.begin(environments)
 
-    @torch.no_grad()
+    @torch.inference_mode()
     def learn(self, batch: Batch) -> Mapping[str, Any]:
         """One update of critics, policy, temperature and targets, in this order; now and then metrics, as tensors."""
         delay = self.settings.policy_delay
@@ -170,7 +170,6 @@ class SAC(Agent):
         noise = torch.randn((len(rows), head.shape[1] // 2), generator=self.generator, device=self.device)
         return sample(head, noise), tapes
 
-    @torch.no_grad()
     def targets(self, inputs: Inputs, following: Sample) -> Tensor:
         """What the critics should say: (n,), or (n, k) samples of it where they give quantiles.
 

@@ -37,7 +37,6 @@ class Value:
         mean, spread = self._scale()
         return torch.addcmul(mean, self.network(inputs).squeeze(-1), spread)
 
-    @torch.no_grad()
     def fit_scale(self, returns: Tensor) -> None:
         """Take returns (n,) into mean and spread; values stay as they are."""
         mean, spread = self._scale()
@@ -48,8 +47,8 @@ class Value:
         weight.mul_(spread / new_spread)
         bias.mul_(spread).add_(mean - new_mean).div_(new_spread)
 
-    def loss(self, inputs: Tensor, target: Tensor, before: Tensor, clip: float | None) -> Tensor:
-        """Half the mean squared error, in spreads of the returns.
+    def learn(self, inputs: Tensor, target: Tensor, before: Tensor, clip: float | None) -> Tensor:
+        """Half the mean squared error, in spreads of the returns; its gradient is left in the network's.
 
         Args:
             inputs: normalised observations (n, i).
@@ -59,12 +58,17 @@ class Value:
         """
         mean, spread = self._scale()
         target = (target - mean) / spread
-        value = self.network(inputs, learn=True).squeeze(-1)
-        error = (value - target).square()
+        head, tapes = self.network.forward(inputs)
+        value = head.squeeze(-1)
+        slope = value - target
+        error = slope.square()
         if clip is not None:
             before = (before - mean) / spread
             near = before + (value - before).clamp(-clip, clip)
-            error = torch.maximum(error, (near - target).square())
+            clipped = (near - target).square()
+            slope = slope * (error >= clipped)  # the clipped error is the larger one only where it does not move
+            error = torch.maximum(error, clipped)
+        self.network.backward((slope / len(slope)).unsqueeze(-1), tapes)
         return 0.5 * error.mean()
 
     def state(self) -> State:

@@ -6,7 +6,7 @@ The times are medians over many calls in turn, because a machine is never alone.
 from __future__ import annotations
 
 import os
-from collections.abc import Callable, Iterator
+from collections.abc import Iterator
 from dataclasses import dataclass, field
 from pathlib import Path
 from statistics import median
@@ -16,7 +16,7 @@ from typing import Any
 import numpy as np
 
 from ..buffers.storage import row_layout
-from ..core import Signature, Transitions
+from ..core import FloatArray, Signature, Transitions
 from ..environments.build import build_environment
 from ..registry import load
 from ..seeding import SeedTree
@@ -32,11 +32,30 @@ _STATM = Path("/proc/self/statm")
 
 @dataclass
 class _Case:
-    """Something that is timed: what it is called, one call of it, and its milliseconds."""
+    """A full buffer, and how long it takes to do what training asks of it."""
 
     name: str
-    call: Callable[[], object]
-    times: list[float] = field(default_factory=list)
+    buffer: Any
+    adding: list[float] = field(default_factory=list)
+    """Milliseconds for each ADDED transitions."""
+    sampling: list[float] = field(default_factory=list)
+    """Milliseconds for each batch, its priorities updated where there are some."""
+
+    def turn(self, source: _Source, errors: FloatArray) -> None:
+        """As many steps as give ADDED transitions, a batch after each: what came in since enters the sum tree then."""
+        adding = 0.0
+        for _ in range(ADDED // ENVIRONMENTS):
+            transitions = source.next()
+            started = perf_counter()
+            self.buffer.add(transitions)
+            added = perf_counter()
+            batch = self.buffer.sample(BATCH)
+            if self.name == "priority":
+                self.buffer.update_priorities(batch.slot, errors)
+            ended = perf_counter()
+            adding += added - started
+            self.sampling.append(1e3 * (ended - added))
+        self.adding.append(1e3 * adding)
 
 
 def measure(*, transitions: int = 1_000_000, seconds: float = 10.0) -> Iterator[Row]:
@@ -49,42 +68,27 @@ def measure(*, transitions: int = 1_000_000, seconds: float = 10.0) -> Iterator[
     environment = build_environment(Spec.from_dict(dict(SPEC)).recipe(randomize=False))
     signature = environment.signature
     environment.close()
-    cases = []
+    source, cases = _Source(signature), []
     size = f"{transitions:,} transitions"
     for name in ("uniform", "priority"):
-        before, source = _resident(), _Source(signature)
-        buffer = _filled(name, signature, source, transitions)
+        before = _resident()
+        cases.append(_Case(name, _filled(name, signature, source, transitions)))
         if before is not None:
             yield Row("buffers", f"{name}, memory of {size}", ((_resident() or 0) - before) / 1e9, "GB")
-        cases += list(_cases(name, buffer, source))
     layout = row_layout(signature).size * 4 * transitions / 1e9
     yield Row("buffers", f"rows of {size} as laid out", layout, "GB")
+    errors = np.random.Generator(np.random.PCG64(1)).random(BATCH, np.float32)
     end, turns = perf_counter() + seconds, 0
     while perf_counter() < end or turns < 10:
         for case in cases:
-            started = perf_counter()
-            case.call()
-            case.times.append(1e3 * (perf_counter() - started))
+            case.turn(source, errors)
         turns += 1
     for case in cases:
-        yield Row("buffers", case.name, median(case.times), "ms")
-
-
-def _cases(name: str, buffer: Any, source: _Source) -> Iterator[_Case]:
-    errors = np.random.Generator(np.random.PCG64(1)).random(BATCH, np.float32)
-
-    def sample() -> None:
-        batch = buffer.sample(BATCH)
-        if name == "priority":
-            buffer.update_priorities(batch.slot, errors)
-
-    def add() -> None:
-        for _ in range(ADDED // ENVIRONMENTS):
-            buffer.add(source.next())
-
-    update = ", priorities updated" if name == "priority" else ""
-    yield _Case(f"{name}, batch of {BATCH} with hindsight{update}", sample)
-    yield _Case(f"{name}, adding {ADDED:,} transitions of {ENVIRONMENTS} environments", add)
+        update = ", priorities updated" if case.name == "priority" else ""
+        what = f"{case.name}, batch of {BATCH} with hindsight{update}, a step of {ENVIRONMENTS} environments before"
+        yield Row("buffers", what, median(case.sampling), "ms")
+        what = f"{case.name}, adding {ADDED:,} transitions of {ENVIRONMENTS} environments, a batch after each step"
+        yield Row("buffers", what, median(case.adding), "ms")
 
 
 class _Source:

@@ -5,7 +5,11 @@ from __future__ import annotations
 from typing import Any
 
 import numpy as np
+import torch
+from torch import Tensor
+from torch.nn.functional import layer_norm, linear
 
+from karolos.agents.networks import MLP
 from karolos.core import Batch, Field, Layout, Signature
 
 
@@ -21,6 +25,35 @@ def signature(
         achieved_goal=goals,
         desired_goal=goals,
     )
+
+
+def leaf(network: MLP) -> Tensor:
+    """The network's parameters, for autograd."""
+    return network.vector.clone().requires_grad_()
+
+
+def plain(network: MLP, x: Tensor, parameters: Tensor | None = None) -> Tensor:
+    """What a network gives for x, in torch's own float32 operations: (n, out) or (members, n, out).
+
+    Args:
+        network: says the shape.
+        x: (n, in).
+        parameters: laid out as its own, which they are by default.
+    """
+    shape = network.shape
+    table = (network.vector if parameters is None else parameters).view(max(shape.members, 1), -1)
+    found = []
+    for row in table:
+        h, place, sizes = x, 0, list(shape.parameters().values())
+        for number, ((outs, ins), _) in enumerate(zip(sizes[::2], sizes[1::2], strict=True)):
+            weight = row[place : place + outs * ins].view(outs, ins)
+            place += outs * ins
+            h = linear(h, weight, row[place : place + outs])
+            place += outs
+            if number < len(shape.sizes) - 2:
+                h = torch.relu(layer_norm(h, h.shape[-1:]) if shape.layer_norm else h)
+        found.append(h)
+    return torch.stack(found) if shape.members else found[0]
 
 
 def batch(size: int, of: Signature, seed: int = 0, **fixed: Any) -> Batch:

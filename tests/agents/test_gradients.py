@@ -8,16 +8,19 @@ from typing import Any
 import numpy as np
 import pytest
 import torch
-from parts import batch, signature
+from parts import batch, leaf, plain, signature
 from torch import Tensor
 from torch.nn.functional import mse_loss, smooth_l1_loss
 
 from karolos.agents.ddpg import DDPG
 from karolos.agents.dqn import DQN
+from karolos.agents.gaussian import Gaussian
 from karolos.agents.inputs import Inputs, feed, normalised
+from karolos.agents.networks import MLP
+from karolos.agents.ppo import PPO, _Taken
 from karolos.agents.sac import SAC
 from karolos.agents.td3 import TD3
-from karolos.core import Batch, Discrete
+from karolos.core import Batch, Discrete, Signature
 from karolos.seeding import SeedTree
 
 OPTIONS: list[dict[str, Any]] = [
@@ -36,10 +39,17 @@ def data() -> Batch:
     return batch(64, signature(), discount=0.5)._replace(weight=weight, demonstrated=shown)
 
 
-def value(critic: Any, inputs: Inputs, action: Tensor) -> Tensor:
+def value(critic: MLP, inputs: Inputs, action: Tensor) -> Tensor:
     """(members, n, quantiles)."""
-    found: Tensor = critic(torch.cat((inputs.here, action), 1))
-    return found
+    return plain(critic, torch.cat((inputs.here, action), 1))
+
+
+def critics_gradient(critic: MLP, inputs: Inputs, targets: Tensor) -> Tensor:
+    """Of the weighted mean squared error, summed over the critics."""
+    parameters = leaf(critic)
+    values = plain(critic, torch.cat((inputs.here, inputs.action), 1), parameters).squeeze(-1)
+    error = (inputs.weight * (values - targets).square()).mean(1).sum()
+    return torch.autograd.grad(error, parameters)[0]
 
 
 def shown(action: Tensor, better: Tensor, inputs: Inputs) -> Tensor:
@@ -63,7 +73,8 @@ def test_sacs_gradients_are_those_of_its_losses(options: dict[str, Any]) -> None
     def policys(values: Tensor) -> Tensor:
         return values.mean((0, 2)) if settings.critic else values.squeeze(-1).min(0).values
 
-    mean, log_std = agent.policy(inputs.here, learn=True).chunk(2, -1)
+    policy = leaf(agent.policy)
+    mean, log_std = plain(agent.policy, inputs.here, policy).chunk(2, -1)
     gaussian = torch.distributions.Normal(mean, log_std.exp())
     unbounded = mean + log_std.exp() * noise[64:]
     action = torch.tanh(unbounded)
@@ -73,17 +84,13 @@ def test_sacs_gradients_are_those_of_its_losses(options: dict[str, Any]) -> None
     middle = torch.tanh(mean)
     better = policys(value(agent.critic, inputs, inputs.action)) > policys(value(agent.critic, inputs, middle))
     loss = loss + settings.imitation * shown(middle, better, inputs)
-    expected = torch.autograd.grad(loss, agent.policy.leaf)[0]
+    expected = torch.autograd.grad(loss, policy)[0]
     torch.testing.assert_close(found["policy"], expected, rtol=1e-3, atol=1e-6)
     if settings.critic is None:
         agent.generator.set_state(before)
-        with torch.no_grad():
-            targets = agent.targets(inputs, agent._draw(inputs.observed)[0])
-        values = agent.critic(torch.cat((inputs.here, inputs.action), 1), learn=True).squeeze(-1)
-        error = (inputs.weight * (values - targets).square()).mean(1).sum()
-        torch.testing.assert_close(
-            found["critic"], torch.autograd.grad(error, agent.critic.leaf)[0], rtol=1e-3, atol=1e-6
-        )
+        targets = agent.targets(inputs, agent._draw(inputs.observed)[0])
+        expected = critics_gradient(agent.critic, inputs, targets)
+        torch.testing.assert_close(found["critic"], expected, rtol=1e-3, atol=1e-6)
 
 
 @pytest.mark.parametrize("agent", [DDPG, TD3])
@@ -96,17 +103,14 @@ def test_deterministic_agents_gradients_are_those_of_their_losses(agent: Any, op
     found = {"policy": core.policy.gradient.clone(), "critic": core.critic.gradient.clone()}
 
     inputs = normalised(feed(data()), core.normaliser, observe=False)
-    action = torch.tanh(core.policy(inputs.here, learn=True))
+    policy = leaf(core.policy)
+    action = torch.tanh(plain(core.policy, inputs.here, policy))
     own, demonstrated = (value(core.critic, inputs, a)[0, :, 0] for a in (action, inputs.action))
     loss = (-inputs.weight * own).mean() + settings.action_penalty * action.square().mean()
     loss = loss + settings.imitation * shown(action, demonstrated > own, inputs)
-    expected = torch.autograd.grad(loss, core.policy.leaf)[0]
+    expected = torch.autograd.grad(loss, policy)[0]
     torch.testing.assert_close(found["policy"], expected, rtol=1e-3, atol=1e-6)
-    with torch.no_grad():
-        targets = core.targets(inputs)
-    values = core.critic(torch.cat((inputs.here, inputs.action), 1), learn=True).squeeze(-1)
-    error = (inputs.weight * (values - targets).square()).mean(1).sum()
-    expected = torch.autograd.grad(error, core.critic.leaf)[0]
+    expected = critics_gradient(core.critic, inputs, core.targets(inputs))
     torch.testing.assert_close(found["critic"], expected, rtol=1e-3, atol=1e-6)
 
 
@@ -125,11 +129,73 @@ def test_dqns_gradient_is_that_of_its_loss(options: dict[str, Any], dueling: boo
     found = agent.network.gradient.clone()
 
     inputs = normalised(feed(played), agent.normaliser, observe=False)
-    head = agent.network(inputs.here, learn=True)
+    network = leaf(agent.network)
+    head = plain(agent.network, inputs.here, network)
     values = head[:, :1] + head[:, 1:] - head[:, 1:].mean(1, keepdim=True) if dueling else head
     targets = agent.targets(inputs)
     mine = values.gather(1, inputs.action.long()).squeeze(1)
     loss_of = smooth_l1_loss if settings.loss == "huber" else mse_loss
     loss = (inputs.weight * loss_of(mine, targets, reduction="none")).mean()
     torch.testing.assert_close(told["value_loss"], loss.detach())
-    torch.testing.assert_close(found, torch.autograd.grad(loss, agent.network.leaf)[0], rtol=1e-3, atol=1e-6)
+    torch.testing.assert_close(found, torch.autograd.grad(loss, network)[0], rtol=1e-3, atol=1e-6)
+
+
+@pytest.mark.parametrize("options", [{}, {"entropy": 0.3}, {"value_clip": 0.1, "clip": 0.05}])
+@pytest.mark.parametrize("discrete", [False, True])
+def test_ppos_gradients_are_those_of_its_losses(discrete: bool, options: dict[str, Any]) -> None:
+    settings = PPO.Settings.model_validate(
+        {"hidden": (32, 24), "learning_rate": 1e-12, "gradient_norm": None, **options}
+    )
+    agent = PPO(settings, _for_ppo(discrete=discrete), SeedTree(0))
+    generator = torch.Generator().manual_seed(1)
+
+    def noise(*size: int) -> Tensor:
+        return torch.randn(size, generator=generator)
+
+    inputs = noise(64, 5)
+    agent.policy.vector.add_(noise(len(agent.policy.vector)), alpha=0.1)  # away from even odds and zero means
+    action = torch.randint(3, (64, 1), generator=generator).float() if discrete else noise(64, 2)
+    taken = _Taken(
+        inputs=inputs,
+        action=action,
+        log_probability=agent.distribution.log_probability(agent.policy(inputs), action) + 0.3 * noise(64),
+        advantage=noise(64),
+        value=agent.value(inputs) + 0.1 * noise(64),
+        target=noise(64),
+    )
+    policy, value = leaf(agent.policy), leaf(agent.value.network)
+    log_std = torch.zeros(2, requires_grad=True)
+    told = agent._update(taken)
+    assert told is not None
+
+    head = plain(agent.policy, inputs, policy)
+    if discrete:
+        odds: Any = torch.distributions.Categorical(logits=head)
+        log_probability, entropy = odds.log_prob(action[:, 0]), odds.entropy()
+    else:
+        odds = torch.distributions.Normal(head, log_std.exp())
+        log_probability, entropy = odds.log_prob(action).sum(1), odds.entropy().sum(1)
+    ratio = torch.exp(log_probability - taken.log_probability)
+    better = (taken.advantage - taken.advantage.mean()) / taken.advantage.std(correction=0)
+    gain = torch.minimum(ratio * better, ratio.clamp(1 - settings.clip, 1 + settings.clip) * better).mean()
+    loss = -gain - settings.entropy * entropy.mean()
+    torch.testing.assert_close(told["policy_loss"], -gain.detach())
+    assert (told["clip_fraction"] > 0.05).item(), "some rows are clipped"
+    expected = torch.autograd.grad(loss, [policy] if discrete else [policy, log_std])
+    torch.testing.assert_close(agent.policy.gradient, expected[0], rtol=1e-3, atol=1e-6)
+    if isinstance(agent.distribution, Gaussian):
+        torch.testing.assert_close(agent.distribution.gradient, expected[1], rtol=1e-3, atol=1e-6)
+
+    values = plain(agent.value.network, inputs, value).squeeze(-1)  # before any return the scale is 1
+    error = (values - taken.target).square()
+    if settings.value_clip is not None:
+        near = taken.value + (values - taken.value).clamp(-settings.value_clip, settings.value_clip)
+        assert (near != values).any()
+        error = torch.maximum(error, (near - taken.target).square())
+    torch.testing.assert_close(told["value_loss"], 0.5 * error.mean().detach())
+    expected = torch.autograd.grad(0.5 * error.mean(), value)
+    torch.testing.assert_close(agent.value.network.gradient, expected[0], rtol=1e-3, atol=1e-6)
+
+
+def _for_ppo(*, discrete: bool) -> Signature:
+    return replace(signature(), action=Discrete(("a", "b", "c"))) if discrete else signature()

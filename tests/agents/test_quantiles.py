@@ -58,7 +58,7 @@ def test_targets_leave_out_the_largest_quantiles_of_both_critics_together() -> N
     inputs = normalised(feed(data), agent.normaliser)
     drawn, _ = agent._draw(inputs.observed)
     found = agent.targets(inputs, drawn)
-    both = agent.target(torch.cat((inputs.there, drawn.action[:6]), 1)).detach().numpy()
+    both = agent.target(torch.cat((inputs.there, drawn.action[:6]), 1)).numpy()
     kept = np.sort(np.concatenate((both[0], both[1]), axis=1), axis=1)[:, :8]
     np.testing.assert_allclose(found, data.reward[:, None] + 0.5 * kept, rtol=1e-5)
 
@@ -76,7 +76,7 @@ def test_quantiles_look_beyond_a_truncation_and_not_beyond_a_termination(termina
         agent.learn(batch(32, signature(), seed % 20, reward=1, terminated=terminated, discount=0.8))
     data = batch(200, signature(), 99)
     inputs = normalised(feed(data), agent.normaliser)
-    found = agent.critic(torch.cat((inputs.here, inputs.action), 1)).detach()
+    found = agent.critic(torch.cat((inputs.here, inputs.action), 1))
     assert found.mean().item() == pytest.approx(value, rel=0.06)
 
 
