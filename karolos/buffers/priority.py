@@ -68,7 +68,7 @@ class Priority(Buffer):
             discount=discount,
         )
         self._tree = SumTree(len(self._replay.storage.table))
-        self._new: list[tuple[Slots, Numbers]] = []
+        self._new: list[tuple[Slots, float]] = []
         self._largest = 1.0
         self._batches = 0
         self._generator = seeds.child("sample").generator()
@@ -81,8 +81,7 @@ class Priority(Buffer):
 
     def add(self, transitions: Transitions) -> None:
         """Store one transition of each environment named, with the largest priority. Raises as `Replay.add` does."""
-        slots = self._replay.add(transitions)
-        self._new.append((slots, np.full(slots.size, self._largest)))
+        self._new.append((self._replay.add(transitions), self._largest))
         if len(self._new) >= NEW_CALLS:
             self._enter()
 
@@ -99,7 +98,7 @@ class Priority(Buffer):
         """Enter new transitions into the tree; together, because each walk through it costs 40 us."""
         if self._new:
             slots, odds = zip(*self._new, strict=True)
-            self._tree[np.concatenate(slots)] = np.concatenate(odds)
+            self._tree[np.concatenate(slots)] = np.repeat(odds, [part.size for part in slots])
             self._new.clear()
 
     def cut(self, environments: NDArray[np.int64]) -> None:

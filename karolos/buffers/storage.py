@@ -51,11 +51,13 @@ class Rows:
         self._columns = {field.name: layout.slice(field.name) for field in layout.fields}
         self.table = np.zeros((0, layout.size), np.float32)
         self._views: dict[str, FloatArray] = {}
+        self._numbers: dict[str, FloatArray] = {}
 
     def resize(self, size: int) -> None:
         if size != self.table.shape[0]:
             self.table = np.empty((size, self.table.shape[1]), np.float32)
             self._views = {name: self.table[:, columns] for name, columns in self._columns.items()}
+            self._numbers = {name: view[:, 0] for name, view in self._views.items() if view.shape[1] == 1}
 
     def __getitem__(self, name: str) -> FloatArray:
         """The named columns of all rows, (n, size of the field): a view, also for writing."""
@@ -63,7 +65,7 @@ class Rows:
 
     def number(self, name: str) -> FloatArray:
         """A field of one column, (n,): a view."""
-        return self._views[name][:, 0]
+        return self._numbers[name]
 
 
 class Storage:
