@@ -92,12 +92,14 @@ class Result:
 
     def row(self) -> Row:
         rival = fmean(self.peer_values) if self.peer_values else None
-        return Row("agents", self.case, fmean(self.values), self.unit, agent_peers.PEER if rival else None, rival)
+        peer = None if rival is None else agent_peers.PEER
+        return Row("agents", self.case, fmean(self.values), self.unit, peer, rival)
 
 
 def measure(
     folder: Path,
     *,
+    overrides: Sequence[str] = (),
     only: Sequence[str] = (),
     seeds: int = 5,
     peers: bool = False,
@@ -109,6 +111,7 @@ def measure(
 
     Args:
         folder: runs folder; what is finished there is not run again.
+        overrides: of every spec, PATH=VALUE.
         only: entries whose names begin with one of these; all by default.
         seeds: how many of each: 0, 1, ...
         peers: also train stable-baselines3 for the same number of steps, where it has the algorithm.
@@ -118,6 +121,7 @@ def measure(
 
     Raises:
         UsageError: no entry has such a name.
+        SpecError: an override does not fit an entry that is chosen.
         MachineError: peers asked for and not installed.
         RunError: a run failed.
     """
@@ -126,7 +130,7 @@ def measure(
     results = []
     for case in chosen(only):
         entry = ENTRIES[case]
-        spec = entry_spec(entry, quick=quick)
+        spec = entry_spec(entry, overrides, quick=quick)
         values, rivals = [], []
         for seed in range(seeds):
             values.append(_value(spec, seed, entry.unit, folder, listener))
@@ -154,10 +158,10 @@ def chosen(only: Sequence[str]) -> list[str]:
     ]
 
 
-def entry_spec(entry: Entry, *, quick: bool = False) -> Spec:
-    """The spec of an entry, from the package's own files."""
+def entry_spec(entry: Entry, overrides: Sequence[str] = (), *, quick: bool = False) -> Spec:
+    """The spec of an entry, from the package's own files. Raises SpecError where an override does not fit."""
     with as_file(files(__package__) / "specs") as folder:
-        return load_spec(folder / f"{entry.spec}.yaml", (*entry.overrides, *(QUICK if quick else ())))
+        return load_spec(folder / f"{entry.spec}.yaml", (*entry.overrides, *(QUICK if quick else ()), *overrides))
 
 
 def _value(spec: Spec, seed: int, unit: str, folder: Path, listener: Listener | None) -> float:
@@ -191,16 +195,20 @@ def _write(folder: Path, results: Sequence[Result]) -> None:
     ]
     for result in results:
         fails = ENTRIES[result.case].fails
-        rival = f"{fmean(result.peer_values):.4g}" if result.peer_values else "-"
+        rival = f"{fmean(result.peer_values):.4g}: {_each(result.peer_values)}" if result.peer_values else "-"
         cells = (
             result.case,
             f"{result.steps:,}",
             str(len(result.values)),
             f"{fmean(result.values):.4g} ({result.unit})",
-            " ".join(f"{value:.4g}" for value in result.values),
+            _each(result.values),
             f"{'<=' if fails else '>='} {result.target:g}",
             "yes" if result.met else "no",
             rival,
         )
         lines.append(f"| {' | '.join(cells)} |")
     write_whole(folder / "agents.md", "\n".join(lines) + "\n")
+
+
+def _each(values: Sequence[float]) -> str:
+    return " ".join(f"{value:.4g}" for value in values)

@@ -1,5 +1,6 @@
 """How fast buffers store and sample, and how much memory they take: 1M pick-and-place transitions from 16 environments.
 
+As in training, a batch follows each step of the environments, so that each finds what the other has left of the caches.
 The times are medians over many calls in turn, because a machine is never alone.
 """
 
@@ -85,9 +86,9 @@ def measure(*, transitions: int = 1_000_000, seconds: float = 10.0) -> Iterator[
         turns += 1
     for case in cases:
         update = ", priorities updated" if case.name == "priority" else ""
-        what = f"{case.name}, batch of {BATCH} with hindsight{update}, a step of {ENVIRONMENTS} environments before"
+        what = f"{case.name}, batch of {BATCH} with hindsight{update}"
         yield Row("buffers", what, median(case.sampling), "ms")
-        what = f"{case.name}, adding {ADDED:,} transitions of {ENVIRONMENTS} environments, a batch after each step"
+        what = f"{case.name}, adding {ADDED:,} transitions of {ENVIRONMENTS} environments"
         yield Row("buffers", what, median(case.adding), "ms")
 
 

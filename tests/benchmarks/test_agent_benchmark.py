@@ -10,7 +10,7 @@ from typer.testing import CliRunner
 from karolos.assembly import check_parts
 from karolos.benchmarks import agent_peers
 from karolos.benchmarks.agents import ENTRIES, chosen, entry_spec
-from karolos.errors import UsageError
+from karolos.errors import SpecError, UsageError
 from karolos.run_folder import scan
 
 
@@ -48,6 +48,13 @@ def test_a_finished_seed_is_not_run_again_and_the_table_is_written(tmp_path: Pat
     (stored,) = json.loads((tmp_path / "agents.json").read_text())["rows"]
     assert len(stored["values"]) == 2
     assert row["value"] == pytest.approx(sum(stored["values"]) / 2)
+
+
+def test_overrides_hold_for_every_entry_that_is_chosen() -> None:
+    for case in chosen(["pendulum sac"]):
+        assert entry_spec(ENTRIES[case], ["agent.precision=float32"]).agent.settings.precision == "float32"
+    with pytest.raises(SpecError, match="precision"):
+        entry_spec(ENTRIES["pendulum ppo"], ["agent.precision=float32"])
 
 
 def test_entries_are_chosen_by_how_their_names_begin() -> None:
