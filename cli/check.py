@@ -13,7 +13,14 @@ from .common import Json, rows
 
 
 def check(
-    specs: Annotated[list[Path], typer.Argument(metavar="SPEC...", help="YAML specs to check.", show_default=False)],
+    arguments: Annotated[
+        list[str],
+        typer.Argument(
+            metavar="SPEC... [PATH=VALUE]...",
+            help="YAML specs to check, and settings that replace those of each.",
+            show_default=False,
+        ),
+    ],
     json: Json = False,
 ) -> None:
     """Check specs and print every problem found, as file:line:column: key: what is wrong.
@@ -21,14 +28,18 @@ def check(
     The parts of a spec without mistakes are put together once, to see that they can work with each other; nothing runs.
     Ends with 0 if all are right, 2 if one is not, 3 if a plugin that one names is broken.
     """
-    from karolos.errors import KarolosError, SpecError
+    from karolos.errors import KarolosError, SpecError, UsageError
     from karolos.spec import load_spec
 
     worst = 0
+    overrides = [argument for argument in arguments if is_override(argument)]
+    specs = [Path(argument) for argument in arguments if not is_override(argument)]
+    if not specs:
+        raise UsageError(f"{' '.join(overrides)} names no spec", hint="karolos check SPEC... [PATH=VALUE]...")
     for path in specs:
         found: list[dict[str, Any]] = []
         try:
-            spec = load_spec(path)
+            spec = load_spec(path, overrides)
             from karolos.assembly import check_parts
 
             check_parts(spec)
@@ -43,6 +54,11 @@ def check(
         else:
             _print(path, found)
     raise typer.Exit(worst)
+
+
+def is_override(argument: str) -> bool:
+    """Whether this sets something, rather than naming a file."""
+    return "=" in argument and not Path(argument).exists()
 
 
 def _row(path: Path, where: str | None, key: str, what: str | None, hint: str | None) -> dict[str, Any]:

@@ -109,10 +109,8 @@ def report(outcome: Outcome, runs: Path, *, quiet: bool, json: bool) -> NoReturn
 
         print_rich(runs_table(outcome.runs))
         last = outcome.runs[-1]
-        print(
-            f"\nresults in {runs}; `karolos runs show {last.run}` tells more, `karolos play @last` shows it",
-            file=sys.stderr,
-        )
+        plays = ", `karolos play @last` shows it" if last.success_any is not None else ""
+        print(f"\nresults in {runs}; `karolos runs show {last.run}` tells more{plays}", file=sys.stderr)
     raise typer.Exit(outcome.exit_code)
 
 

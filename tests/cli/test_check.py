@@ -30,6 +30,22 @@ def test_good_specs_are_named_and_the_exit_code_is_0(specs):
     assert (code, out, err) == (0, f"{specs}/good.yaml: ok\n", "")
 
 
+def test_overrides_hold_for_every_spec_and_may_be_wrong(specs):
+    (specs / "other.yaml").write_text(GOOD)
+    paths = [str(specs / "good.yaml"), str(specs / "other.yaml")]
+    assert call(app, *paths, "agent.discount=0.5")[0] == 0
+    code, out, _ = call(app, *paths, "agent.discount=2")
+    assert code == 2
+    assert len(out.splitlines()) == 2
+    assert all("agent.discount" in line for line in out.splitlines())
+
+
+def test_overrides_alone_are_no_spec():
+    code, _, err = call(app, "agent.discount=2")
+    assert code == 2
+    assert "names no spec" in err
+
+
 def test_every_problem_of_every_bad_spec_is_printed_and_the_exit_code_is_2(specs):
     code, out, _ = call(app, str(specs / "bad.yaml"), str(specs / "good.yaml"), str(specs / "none.yaml"))
     assert code == 2
