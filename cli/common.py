@@ -27,6 +27,14 @@ Database = Annotated[
 RUN_HELP = "A run's id or how it begins, @last for the newest, @last-1 for the one before, or a run folder."
 PIPE_WIDTH = 500
 """Columns of a table that goes into a pipe."""
+Overrides = Annotated[
+    list[str] | None,
+    typer.Argument(
+        metavar="[PATH=VALUE]...",
+        help="Settings that replace the spec's, e.g. agent.learning_rate=1e-4 seeds=[0,1].",
+        show_default=False,
+    ),
+]
 Json = Annotated[bool, typer.Option("--json", help="One JSON object per row.")]
 
 

@@ -11,7 +11,7 @@ import typer
 
 from karolos.errors import UsageError
 
-from .common import RUN_HELP, Database, Json, Runs, print_rich, rows
+from .common import RUN_HELP, Database, Json, Overrides, Runs, print_rich, rows
 from .selection import open_run
 
 if TYPE_CHECKING:
@@ -29,14 +29,7 @@ TimeLimit = Annotated[
 
 def run(
     spec: Annotated[Path, typer.Argument(metavar="SPEC", help="The YAML spec to run.", show_default=False)],
-    overrides: Annotated[
-        list[str] | None,
-        typer.Argument(
-            metavar="[PATH=VALUE]...",
-            help="Settings that replace the spec's, e.g. agent.learning_rate=1e-4 seeds=[0,1].",
-            show_default=False,
-        ),
-    ] = None,
+    overrides: Overrides = None,
     runs: Runs = Path("runs"),
     database: Database = None,
     jobs: Annotated[int, typer.Option(min=1, help="Seeds to run at the same time, each in its own process.")] = 1,

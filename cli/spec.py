@@ -11,7 +11,7 @@ import typer
 
 from karolos.terminal import clean
 
-from .common import Json, rows
+from .common import Json, Overrides, rows
 
 app = typer.Typer(name="spec", help="Show what a spec resolves to, and the schema of specs.", no_args_is_help=True)
 
@@ -19,10 +19,7 @@ app = typer.Typer(name="spec", help="Show what a spec resolves to, and the schem
 @app.command()
 def show(
     spec: Annotated[Path, typer.Argument(help="The YAML spec.", show_default=False)],
-    overrides: Annotated[
-        list[str] | None,
-        typer.Argument(metavar="PATH=VALUE...", help="Settings that replace the spec's.", show_default=False),
-    ] = None,
+    overrides: Overrides = None,
     origin: Annotated[bool, typer.Option("--origin", help="Say of each value where it comes from.")] = False,
     json: Json = False,
 ) -> None:

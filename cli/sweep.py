@@ -12,7 +12,7 @@ import typer
 
 from karolos.errors import MachineError, SpecError, UsageError
 
-from .common import Database, Json, Runs, rows
+from .common import Database, Json, Overrides, Runs, rows
 from .run import TimeLimit, seconds
 from .sweep_output import Teller, report
 
@@ -26,14 +26,7 @@ DASHBOARD = "optuna-dashboard"
 
 def sweep(
     spec: Annotated[Path, typer.Argument(metavar="SPEC", help="A YAML spec with a sweep.", show_default=False)],
-    overrides: Annotated[
-        list[str] | None,
-        typer.Argument(
-            metavar="[PATH=VALUE]...",
-            help="Settings that replace the spec's, e.g. training.steps=5000 sweep.sampler=random.",
-            show_default=False,
-        ),
-    ] = None,
+    overrides: Overrides = None,
     runs: Runs = Path("runs"),
     database: Database = None,
     trials: Annotated[

@@ -7,18 +7,12 @@ from typing import Annotated
 
 import typer
 
+from ..common import Overrides
 from .output import print_rows
 
 
 def agents(
-    overrides: Annotated[
-        list[str] | None,
-        typer.Argument(
-            metavar="[PATH=VALUE]...",
-            help="Settings of all entries chosen, e.g. agent.precision=float32.",
-            show_default=False,
-        ),
-    ] = None,
+    overrides: Overrides = None,
     folder: Annotated[Path, typer.Option("--runs", help="Folder of the runs and of the table.")] = Path("runs/bench"),
     only: Annotated[str | None, typer.Option(help="Beginnings of entries, by comma: pendulum,panda_reach sac.")] = None,
     seeds: Annotated[int, typer.Option(min=1, help="How many runs of each.")] = 5,

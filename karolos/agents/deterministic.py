@@ -2,9 +2,10 @@
 
 from __future__ import annotations
 
+from abc import abstractmethod
 from collections.abc import Mapping
 from dataclasses import dataclass
-from typing import Any
+from typing import Any, ClassVar
 
 import torch
 from numpy import int64
@@ -12,7 +13,7 @@ from numpy.typing import NDArray
 from pydantic import Field as Setting
 from torch import Tensor
 
-from ..core import Batch, FloatArray, Signature, State
+from ..core import Agent, Batch, FloatArray, Signature, State
 from ..deployed import Deployed
 from ..seeding import SeedTree
 from .actor_critic import (
@@ -45,8 +46,6 @@ from .noise import Noise, ScaledNoiseSettings
 from .normaliser import Normaliser
 from .optimisation import Adam
 
-LEARNED = ("policy", "critic", "target_policy", "target", "normaliser")
-
 
 class DeterministicSettings(ActorCriticSettings):
     """Settings of every agent with a deterministic policy."""
@@ -74,25 +73,22 @@ class Variant:
     policy_delay: int = 1
 
 
-class Deterministic:
-    """Networks, exploration and updates of an agent with a deterministic policy.
-
-    Args:
-        settings: shared settings.
-        variant: the algorithm.
-        signature: of the environments.
-        seeds: the agent's node of the tree.
-        device: where the networks live.
+class Deterministic(Agent):
+    """Networks, exploration and updates of an agent with a deterministic policy; which one, `variant_of` says.
 
     Raises:
         UsageError: the environment takes discrete actions.
     """
 
+    on_policy: ClassVar[bool] = False
+    learned: ClassVar[tuple[str, ...]] = ("policy", "critic", "target_policy", "target", "normaliser")
+
     def __init__(
-        self, settings: DeterministicSettings, variant: Variant, signature: Signature, seeds: SeedTree, device: str
+        self, settings: DeterministicSettings, signature: Signature, seeds: SeedTree, device: str = "cpu"
     ) -> None:
+        self.variant = variant = self.variant_of(settings)
         actions = require_continuous(signature, variant.name)
-        self.settings, self.variant, self.device = settings, variant, torch.device(device)
+        self.settings, self.device, self.discount = settings, torch.device(device), settings.discount
         inputs = signature.observation.size + signature.desired_goal.size
         low = is_low(settings.precision, device)
         drawn = torch.Generator().manual_seed(seeds.child("weights").integer())
@@ -112,6 +108,11 @@ class Deterministic:
         networks = (self.policy, self.critic, self.target_policy, self.target)
         self._graphed = GraphedUpdates(self.device, networks, self.generator)
 
+    @staticmethod
+    @abstractmethod
+    def variant_of(settings: Any) -> Variant:
+        """The algorithm with these settings."""
+
     @torch.inference_mode()
     def act(
         self,
@@ -129,6 +130,9 @@ class Deterministic:
         noise = self.noise.draw(rows, self.generator, environments)
         noisy = torch.add(action, noise, alpha=self.settings.noise.std).clamp_(-1, 1)
         return to_array(some_random(noisy, self.settings.random_actions, self.generator))
+
+    def begin_episodes(self, environments: NDArray[int64]) -> None:
+        self.noise.begin(environments)
 
     @torch.inference_mode()
     def learn(self, batch: Batch) -> Mapping[str, Any]:
@@ -205,9 +209,9 @@ class Deterministic:
 
     def state(self) -> State:
         """Everything that learning and acting depend on."""
-        return {**parts_state(self, (*LEARNED, "noise")), "updates": self._updates}
+        return {**parts_state(self, (*self.learned, "noise")), "updates": self._updates}
 
     def load_state(self, state: State) -> None:
         """Raises UsageError when the state is of networks of another shape."""
-        load_parts(self, (*LEARNED, "noise"), state)
+        load_parts(self, (*self.learned, "noise"), state)
         self._updates = int(state["updates"])

@@ -77,8 +77,7 @@ class Tape:
 
 def with_rates_in_memory(agent: Any) -> Any:
     """The same agent; its optimisers take their learning rates from tensors, as on a GPU."""
-    inner = getattr(agent, "core", agent)
-    optimisers = getattr(inner, "optimisers", None) or {"network": inner._optimiser}
+    optimisers = getattr(agent, "optimisers", None) or {"network": agent._optimiser}
     for optimiser in optimisers.values():
         optimiser._rate = torch.full((), optimiser.learning_rate)
     return agent
@@ -86,10 +85,10 @@ def with_rates_in_memory(agent: Any) -> Any:
 
 def recorded(agent: Any) -> Any:
     """The same agent, as if on a device where updates are recorded."""
-    inner = getattr(with_rates_in_memory(agent), "core", agent)
-    networks = [value for value in vars(inner).values() if isinstance(value, MLP)]
-    generator = getattr(inner, "generator", None) or inner._generator
-    inner._graphed = GraphedUpdates(torch.device("cpu"), networks, generator, Tape)
+    agent = with_rates_in_memory(agent)
+    networks = [value for value in vars(agent).values() if isinstance(value, MLP)]
+    generator = getattr(agent, "generator", None) or agent._generator
+    agent._graphed = GraphedUpdates(torch.device("cpu"), networks, generator, Tape)
     return agent
 
 

@@ -33,45 +33,44 @@ def test_values_look_beyond_a_truncation_and_not_beyond_a_termination(
     made = make(agent, discount=0.8)
     for seed in range(400):
         made.learn(batch(32, signature(), seed % 20, reward=1, terminated=terminated, discount=0.8))
-    core = made.core
-    inputs = normalised(feed(batch(200, signature(), 99)), core.normaliser)
-    found = core.critic(torch.cat((inputs.here, inputs.action), 1)).detach()
+    inputs = normalised(feed(batch(200, signature(), 99)), made.normaliser)
+    found = made.critic(torch.cat((inputs.here, inputs.action), 1))
     assert found.mean().item() == pytest.approx(value, rel=0.05)
 
 
 @pytest.mark.parametrize("agent", AGENTS)
 def test_targets_stay_within_what_rewards_make_possible(agent: Any) -> None:
     bounded = replace(signature(), reward_range=(-1.0, 0.0))
-    made = make(agent, bounded, discount=0.9).core
+    made = make(agent, bounded, discount=0.9)
     far = batch(64, bounded, reward=-100, discount=0.9)
     assert made.targets(normalised(feed(far), made.normaliser)).min() == pytest.approx(-10)
-    free = make(agent, bounded, discount=0.9, clip_targets=False).core
+    free = make(agent, bounded, discount=0.9, clip_targets=False)
     assert free.targets(normalised(feed(far), free.normaliser)).max() < -50
 
 
 def test_the_smaller_of_td3s_critics_counts() -> None:
-    core = make(TD3, target_noise=0.0).core
-    inputs = normalised(feed(batch(32, signature(), reward=0, discount=1)), core.normaliser)
-    action = torch.tanh(core.target_policy(inputs.there))
-    both = core.target(torch.cat((inputs.there, action), 1)).squeeze(-1).detach()
+    made = make(TD3, target_noise=0.0)
+    inputs = normalised(feed(batch(32, signature(), reward=0, discount=1)), made.normaliser)
+    action = torch.tanh(made.target_policy(inputs.there))
+    both = made.target(torch.cat((inputs.there, action), 1)).squeeze(-1)
     assert (both[0] != both[1]).all()
-    torch.testing.assert_close(core.targets(inputs), both.amin(0))
+    torch.testing.assert_close(made.targets(inputs), both.amin(0))
 
 
 def test_td3_smooths_its_targets_over_actions_nearby_and_ddpg_does_not() -> None:
     for agent, draws in ((TD3, True), (DDPG, False)):
-        core = make(agent).core
-        inputs = normalised(feed(batch(32, signature())), core.normaliser)
-        assert torch.equal(core.targets(inputs), core.targets(inputs)) is not draws
+        made = make(agent)
+        inputs = normalised(feed(batch(32, signature())), made.normaliser)
+        assert torch.equal(made.targets(inputs), made.targets(inputs)) is not draws
 
 
 @pytest.mark.parametrize(("agent", "every"), [(DDPG, 1), (TD3, 2)])
 def test_policy_and_targets_move_when_it_is_their_turn(agent: Any, every: int) -> None:
     made = make(agent)
     for update in range(1, 7):
-        before = {name: getattr(made.core, name).vector.clone() for name in ("policy", "target", "target_policy")}
+        before = {name: getattr(made, name).vector.clone() for name in ("policy", "target", "target_policy")}
         made.learn(batch(32, signature(), update))
-        moved = {name: not torch.equal(getattr(made.core, name).vector, old) for name, old in before.items()}
+        moved = {name: not torch.equal(getattr(made, name).vector, old) for name, old in before.items()}
         assert set(moved.values()) == {update % every == 0}
 
 
@@ -79,7 +78,7 @@ def test_policy_and_targets_move_when_it_is_their_turn(agent: Any, every: int) -
 def test_learns_the_best_action_of_a_bandit(agent: Any) -> None:
     made = make(agent, discount=0.0, noise={"std": 0.1})
     best = np.array([0.4, -0.3], np.float32)
-    for seed in range(1000 * made.core.variant.policy_delay):
+    for seed in range(1000 * made.variant.policy_delay):
         data = batch(64, signature(), seed)
         reward = -3 * np.square(data.action - best).sum(1)
         made.learn(data._replace(reward=reward, terminated=np.ones(64, np.float32)))

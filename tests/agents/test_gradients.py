@@ -98,19 +98,19 @@ def test_sacs_gradients_are_those_of_its_losses(options: dict[str, Any]) -> None
 def test_deterministic_agents_gradients_are_those_of_their_losses(agent: Any, options: dict[str, Any]) -> None:
     more = {"policy_delay": 1, "target_noise": 0.0} if agent is TD3 else {}
     settings = agent.Settings.model_validate({**STILL, **more, **options})
-    core = agent(settings, signature(), SeedTree(0)).core
-    core.learn(data())
-    found = {"policy": core.policy.gradient.clone(), "critic": core.critic.gradient.clone()}
+    made = agent(settings, signature(), SeedTree(0))
+    made.learn(data())
+    found = {"policy": made.policy.gradient.clone(), "critic": made.critic.gradient.clone()}
 
-    inputs = normalised(feed(data()), core.normaliser, observe=False)
-    policy = leaf(core.policy)
-    action = torch.tanh(plain(core.policy, inputs.here, policy))
-    own, demonstrated = (value(core.critic, inputs, a)[0, :, 0] for a in (action, inputs.action))
+    inputs = normalised(feed(data()), made.normaliser, observe=False)
+    policy = leaf(made.policy)
+    action = torch.tanh(plain(made.policy, inputs.here, policy))
+    own, demonstrated = (value(made.critic, inputs, a)[0, :, 0] for a in (action, inputs.action))
     loss = (-inputs.weight * own).mean() + settings.action_penalty * action.square().mean()
     loss = loss + settings.imitation * shown(action, demonstrated > own, inputs)
     expected = torch.autograd.grad(loss, policy)[0]
     torch.testing.assert_close(found["policy"], expected, rtol=1e-3, atol=1e-6)
-    expected = critics_gradient(core.critic, inputs, core.targets(inputs))
+    expected = critics_gradient(made.critic, inputs, made.targets(inputs))
     torch.testing.assert_close(found["critic"], expected, rtol=1e-3, atol=1e-6)
 
 

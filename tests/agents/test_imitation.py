@@ -33,7 +33,7 @@ def demonstrated(share: float, seed: int = 0, size: int = 64) -> Batch:
 
 def prefer(agent: Any, *, shown: bool) -> None:
     """Make the critics like large actions (what is shown is 1, the policy gives about 0), or dislike them."""
-    critic = getattr(agent, "core", agent).critic
+    critic = agent.critic
     critic.vector.zero_()
     named = critic.named
     for column in (5, 6):  # behind 3 columns of observation and 2 of goal
@@ -75,11 +75,10 @@ def test_without_demonstrations_in_the_buffer_there_is_no_term(agent: type[Agent
 def test_imitation_draws_the_policy_to_what_is_shown(agent: type[Agent], weight: float) -> None:
     made = make(agent, imitation=weight, discount=0.0)
     prefer(made, shown=True)
-    core = getattr(made, "core", made)
-    core.critic.named["layer0.bias"][:, 0, 0] = -1  # flat where the policy acts: no way uphill
-    core.policy.vector.mul_(0.1)
+    made.critic.named["layer0.bias"][:, 0, 0] = -1  # flat where the policy acts: no way uphill
+    made.policy.vector.mul_(0.1)
     if agent is SAC:
-        core.policy.named["layer2.bias"][:, 2:] = -9  # clamped: its spread stays as small as it may be
+        made.policy.named["layer2.bias"][:, 2:] = -9  # clamped: its spread stays as small as it may be
     for seed in range(60):
         shown = demonstrated(1.0, seed % 10)._replace(action=np.ones((64, 2), np.float32))
         made.learn(shown._replace(reward=np.ones(64, np.float32), terminated=np.ones(64, np.float32)))
