@@ -14,7 +14,7 @@ import os
 import sys
 import time
 from collections.abc import Mapping
-from typing import Any
+from typing import TYPE_CHECKING, Any
 
 import gymnasium
 import numpy as np
@@ -22,6 +22,9 @@ from numpy.typing import NDArray
 
 from .errors import UsageError
 from .registry import alternatives, entries
+
+if TYPE_CHECKING:
+    from .core import Environment
 
 NAMESPACE = "karolos"
 FRAMES_PER_SECOND = 24
@@ -36,56 +39,34 @@ def _render_modes() -> list[str]:
     return ["human", "rgb_array"] if sys.platform != "linux" or os.environ.get("DISPLAY") else ["rgb_array"]
 
 
-class RobotTaskEnv(gymnasium.Env[Observation, NDArray[np.float32]]):
-    """One robot with one task, by gymnasium's interface for goal environments.
+class GoalEnv(gymnasium.Env[Observation, NDArray[np.float32]]):
+    """An environment of karolos that has goals, by gymnasium's interface for goal environments.
 
     Observation: a dict of `observation` (o,), `achieved_goal` (a,) and `desired_goal` (d,), float32. Action: (n,) in
-    [-1, 1], or with `actions="discrete"` the number of one. An episode is truncated after the task's `max_steps` by the
-    environment itself. `reset(seed=s)` begins the very episode that karolos has under the seed s.
+    [-1, 1], or the number of a discrete one. An episode is truncated by the environment itself. `reset(seed=s)` begins
+    the very episode that karolos has under the seed s.
 
     Args:
-        robot: name of a robot.
-        task: name of a task.
-        render_mode: None, "rgb_array", or "human" (a window in real time).
+        environment: closed with this one.
+        render_mode: None, "rgb_array", or "human" (a window in real time, which the environment has to have).
         width: of a picture in pixels.
         height: of a picture in pixels.
-        randomization: as in a spec, e.g. {"task.gravity": {"name": "normal", "mean": -9.81, "std": 0.1}}.
-        settings: of the robot, of the task and of the environment that joins them (`substeps`, `actions`); each goes to
-            whoever declares it.
 
     Raises:
-        UsageError: a setting that nobody declares, or a value that is not allowed.
-        PluginError: robot and task do not go together.
+        UsageError: the environment has no goals.
     """
 
     metadata = {"render_modes": _render_modes(), "render_fps": FRAMES_PER_SECOND}  # noqa: RUF012  (gymnasium reads it from the class)
 
     def __init__(
-        self,
-        robot: str,
-        task: str,
-        *,
-        render_mode: str | None = None,
-        width: int = 640,
-        height: int = 480,
-        randomization: Mapping[str, Mapping[str, Any]] | None = None,
-        **settings: Any,
+        self, environment: Environment, *, render_mode: str | None = None, width: int = 640, height: int = 480
     ) -> None:
-        if render_mode is not None and render_mode not in self.metadata["render_modes"]:
-            raise UsageError(
-                f"there is no render mode {render_mode!r}",
-                hint=alternatives(render_mode, self.metadata["render_modes"]) + "; human needs a display",
-            )
-        from .environments.build import build_environment  # noqa: PLC0415  (plugins, when one is wanted)
-
+        signature = environment.signature
+        if signature.goal_rule is None:
+            raise UsageError("the environment has no goals", where="environment")
         self.render_mode = render_mode
         self._size = (width, height)
-        chosen = {"robot": robot, "task": task, "environment": "robot_task"}
-        window = {"window": True} if render_mode == "human" else {}
-        self._environment = build_environment(_recipe(chosen, {**settings, **window}, randomization or {}))
-        signature = self._environment.signature
-        if signature.goal_rule is None:
-            raise UsageError(f"task {task!r} has no goals", where="task")
+        self._environment = environment
         self._rule = signature.goal_rule
         self._parameters = signature.parameters.names
         self._drawn = 0.0
@@ -150,6 +131,48 @@ class RobotTaskEnv(gymnasium.Env[Observation, NDArray[np.float32]]):
 
     def close(self) -> None:
         self._environment.close()
+
+
+class RobotTaskEnv(GoalEnv):
+    """One robot with one task, for gymnasium.
+
+    Args:
+        robot: name of a robot.
+        task: name of a task.
+        render_mode: as of every `GoalEnv`.
+        width: of a picture in pixels.
+        height: of a picture in pixels.
+        randomization: as in a spec, e.g. {"task.gravity": {"name": "normal", "mean": -9.81, "std": 0.1}}.
+        settings: of the robot, of the task and of the environment that joins them (`substeps`, `actions`); each goes to
+            whoever declares it.
+
+    Raises:
+        UsageError: a setting that nobody declares, or a value that is not allowed.
+        PluginError: robot and task do not go together.
+    """
+
+    def __init__(
+        self,
+        robot: str,
+        task: str,
+        *,
+        render_mode: str | None = None,
+        width: int = 640,
+        height: int = 480,
+        randomization: Mapping[str, Mapping[str, Any]] | None = None,
+        **settings: Any,
+    ) -> None:
+        if render_mode is not None and render_mode not in self.metadata["render_modes"]:
+            raise UsageError(
+                f"there is no render mode {render_mode!r}",
+                hint=alternatives(render_mode, self.metadata["render_modes"]) + "; human needs a display",
+            )
+        from .environments.build import build_environment  # noqa: PLC0415  (plugins, when one is wanted)
+
+        chosen = {"robot": robot, "task": task, "environment": "robot_task"}
+        window = {"window": True} if render_mode == "human" else {}
+        environment = build_environment(_recipe(chosen, {**settings, **window}, randomization or {}))
+        super().__init__(environment, render_mode=render_mode, width=width, height=height)
 
 
 def _action_space(action: Any) -> Any:

@@ -1,7 +1,8 @@
 """stable-baselines3 on the benchmark's tasks, at the settings that rl-baselines3-zoo tuned for them.
 
 Source of the settings: https://github.com/DLR-RM/rl-baselines3-zoo, hyperparams/{dqn,ppo,sac,td3,ddpg}.yml; reaching is
-tuned there for Fetch (sac.yml, FetchReach), and taken over for TD3 and DDPG. The number of steps is that of karolos.
+tuned there for Fetch (sac.yml, FetchReach), and taken over for TD3 and DDPG. What it has not tuned (DQN with hindsight,
+PPO on reaching) gets karolos's own settings. The number of steps is that of karolos.
 """
 
 from __future__ import annotations
@@ -17,8 +18,10 @@ from typing import Any
 import gymnasium
 import numpy as np
 
+from ..environments.build import build_environment
 from ..errors import MachineError
 from ..files import parse_object, write_json
+from ..gymnasium_envs import GoalEnv
 from ..spec import Spec
 
 PEER = "stable-baselines3"
@@ -47,6 +50,16 @@ _PENDULUM: dict[str, Any] = {
     "policy_kwargs": {"net_arch": [400, 300]},
 }
 _REACH: dict[str, Any] = {"gamma": 0.95, "learning_rate": 1e-3, "batch_size": 256, "learning_starts": 1000}
+
+_DISCRETE: dict[str, Any] = {
+    "learning_rate": 1e-3,
+    "buffer_size": 1_000_000,
+    "learning_starts": 300,
+    "tau": 0.05,
+    "target_update_interval": 1,
+    "exploration_final_eps": 0.05,
+    "policy_kwargs": {"net_arch": [256, 256]},
+}
 
 RECIPES = {
     "cartpole_dqn": _Recipe(
@@ -96,6 +109,21 @@ RECIPES = {
         },
         environments=4,
     ),
+    "bit_flip": _Recipe(
+        "DQN",
+        {**_DISCRETE, "gamma": 0.98, "batch_size": 128, "train_freq": 4, "exploration_fraction": 5 / 20},
+        hindsight=True,
+    ),
+    "panda_reach_dqn": _Recipe(
+        "DQN",
+        {**_DISCRETE, "gamma": 0.95, "batch_size": 256, "train_freq": 2, "exploration_fraction": 5 / 6},
+        hindsight=True,
+    ),
+    "panda_reach_ppo": _Recipe(
+        "PPO",
+        {"n_steps": 50, "batch_size": 50, "n_epochs": 10, "gamma": 0.95, "learning_rate": 1e-3},
+        environments=8,
+    ),
     "panda_reach_sac": _Recipe("SAC", _REACH, hindsight=True),
     "panda_reach_td3": _Recipe("TD3", _REACH, noise=0.2, hindsight=True),
     "panda_reach_ddpg": _Recipe("DDPG", _REACH, noise=0.2, hindsight=True),
@@ -140,11 +168,9 @@ def value(name: str, spec: Spec, seed: int, unit: str, folder: Path) -> float | 
 
 
 def _one(spec: Spec) -> Any:
-    if spec.robot is None:
+    if spec.environment.name == "gymnasium":
         return gymnasium.make(spec.environment.settings.id)
-    from .. import gymnasium_envs  # noqa: F401, PLC0415  (registers its environments)
-
-    return gymnasium.make("karolos/PandaReach-v1", **spec.robot.settings.model_dump(include={"control"}))
+    return GoalEnv(build_environment(spec.recipe(randomize=False)))
 
 
 def _model(recipe: _Recipe, spec: Spec, seed: int) -> Any:
@@ -162,7 +188,8 @@ def _model(recipe: _Recipe, spec: Spec, seed: int) -> Any:
         settings["replay_buffer_kwargs"] = {"n_sampled_goal": 4, "goal_selection_strategy": "future"}
     many = vectors.DummyVecEnv([lambda: _one(spec)] * recipe.environments)
     kind = getattr(library, recipe.algorithm)
-    return kind("MultiInputPolicy" if recipe.hindsight else "MlpPolicy", many, seed=seed, device="cpu", **settings)
+    goals = spec.environment.name != "gymnasium"
+    return kind("MultiInputPolicy" if goals else "MlpPolicy", many, seed=seed, device="cpu", **settings)
 
 
 def _falling(start: float) -> Callable[[float], float]:

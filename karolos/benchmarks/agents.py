@@ -135,7 +135,8 @@ def measure(
         for seed in range(seeds):
             values.append(_value(spec, seed, entry.unit, folder, listener))
             say(f"{case}, seed {seed}: {values[-1]:.4g}")
-            rival = agent_peers.value(entry.spec, spec, seed, entry.unit, folder) if peers else None
+            beside = peers and not entry.fails
+            rival = agent_peers.value(entry.spec, spec, seed, entry.unit, folder) if beside else None
             if rival is not None:
                 rivals.append(rival)
                 say(f"{case}, seed {seed}, {agent_peers.PEER}: {rival:.4g}")

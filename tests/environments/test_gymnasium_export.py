@@ -11,8 +11,10 @@ import numpy as np
 import pytest
 from gymnasium.utils.env_checker import check_env
 
+from karolos.environments.build import build_environment
 from karolos.errors import UsageError
-from karolos.gymnasium_envs import environment_ids
+from karolos.gymnasium_envs import GoalEnv, environment_ids
+from karolos.spec import Spec
 
 IDS = sorted(environment_ids())
 
@@ -30,6 +32,18 @@ def test_environment_passes_gymnasiums_own_check(name: str) -> None:
         warnings.filterwarnings("ignore", message=".*is (-)?infinity")  # how far things fly has no bound
         check_env(environment)
     environment.close()
+
+
+def goal_env(**environment: object) -> GoalEnv:
+    spec = Spec.from_dict({"environment": environment, "agent": "dqn", "buffer": "uniform"})
+    return GoalEnv(build_environment(spec.recipe(randomize=False)))
+
+
+@pytest.mark.filterwarnings("ignore::UserWarning")  # unbounded observations, no id
+def test_an_environment_without_a_robot_passes_the_check_too_if_it_has_goals() -> None:
+    check_env(goal_env(name="bit_flip", bits=6))
+    with pytest.raises(UsageError, match="no goals"):
+        goal_env(name="gymnasium", id="CartPole-v1", reward_range=[0, 1])
 
 
 @pytest.mark.parametrize("name", IDS)
