@@ -2,12 +2,13 @@
 
 from __future__ import annotations
 
+import math
 from dataclasses import dataclass
 
 import numpy as np
 
 from .core import Failure, FloatArray, Orchestrator, Received, State, Step
-from .errors import UsageError
+from .errors import PluginError, UsageError
 from .seeding import SeedTree
 
 
@@ -77,7 +78,11 @@ class Episodes:
         self._orchestrator.step(environments, actions, updates=updates)
 
     def receive(self, at_least: int | None = None) -> Received:
-        """Wait for all answers, or for so many, and count what they tell; as `Orchestrator.receive`."""
+        """Wait for all answers, or for so many, and count what they tell; as `Orchestrator.receive`.
+
+        Raises:
+            PluginError: a reward is not a finite number.
+        """
         received = self._orchestrator.receive(at_least)
         self.failures += received.failures
         fresh = begun(received)
@@ -92,6 +97,14 @@ class Episodes:
         return received
 
     def _count(self, environments: np.ndarray, step: Step) -> None:
+        if not math.isfinite(step.reward.sum()) and not np.isfinite(step.reward).all():  # a sum costs less
+            first = int(np.flatnonzero(~np.isfinite(step.reward))[0])
+            raise PluginError(
+                f"the environment gave the reward {step.reward[first]} after step"
+                f" {self._steps[environments[first]] + 1} of an episode",
+                where=f"environment {environments[first]}",
+                hint="a reward is a finite number: look at how the environment or the task computes it",
+            )
         self._steps[environments] += 1
         self._total_reward[environments] += step.reward
         self._any[environments] |= step.success

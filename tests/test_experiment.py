@@ -247,6 +247,25 @@ def test_a_loss_that_is_not_a_number_stops_the_run_and_names_it(tmp_path, monkey
         Experiment(spec()).run(tmp_path)
 
 
+def test_a_reward_that_is_not_a_number_stops_the_run_and_names_the_environment(tmp_path, monkeypatch):
+    from karolos.environments.toy import Toy
+
+    step, taken = Toy.step, []
+
+    def broken(self, action):
+        taken.append(self)
+        found = step(self, action)
+        return found._replace(reward=float("nan")) if len(taken) == 30 else found
+
+    monkeypatch.setattr(Toy, "step", broken)
+    one = {"name": "local", "processes": 0, "environments": 2}
+    plain = {"name": "uniform", "capacity": 1000}
+    with pytest.raises(
+        RunError, match=r"environment 1: the environment gave the reward nan after step \d+ of an episode"
+    ):
+        Experiment(spec(orchestrator=one, buffer=plain)).run(tmp_path)
+
+
 def test_a_checkpoint_that_finds_the_disk_full_costs_a_warning_not_the_run(tmp_path, monkeypatch):
     def full(*_):
         raise MachineError("no space left on the disk", hint="free some")
