@@ -32,8 +32,8 @@ def check(
     from karolos.spec import load_spec
 
     worst = 0
-    overrides = [argument for argument in arguments if is_override(argument)]
-    specs = [Path(argument) for argument in arguments if not is_override(argument)]
+    overrides = [argument for argument in arguments if _is_override(argument)]
+    specs = [Path(argument) for argument in arguments if not _is_override(argument)]
     if not specs:
         raise UsageError(f"{' '.join(overrides)} names no spec", hint="karolos check SPEC... [PATH=VALUE]...")
     for path in specs:
@@ -56,7 +56,7 @@ def check(
     raise typer.Exit(worst)
 
 
-def is_override(argument: str) -> bool:
+def _is_override(argument: str) -> bool:
     """Whether this sets something, rather than naming a file."""
     return "=" in argument and not Path(argument).exists()
 

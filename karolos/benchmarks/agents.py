@@ -120,11 +120,15 @@ def measure(
         listener: hears the runs' events.
 
     Raises:
-        UsageError: no entry has such a name.
+        UsageError: no entry has such a name; peers asked for with overrides.
         SpecError: an override does not fit an entry that is chosen.
         MachineError: peers asked for and not installed.
         RunError: a run failed.
     """
+    if peers and overrides:  # its numbers are kept by name, steps and seed
+        raise UsageError(
+            "the peer is trained on the entries as they are", where="--peers", hint="leave out --peers or the overrides"
+        )
     if peers:
         agent_peers.require()
     results = []

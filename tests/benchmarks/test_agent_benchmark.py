@@ -57,6 +57,12 @@ def test_overrides_hold_for_every_entry_that_is_chosen() -> None:
         entry_spec(ENTRIES["pendulum ppo"], ["agent.precision=float32"])
 
 
+def test_a_peer_is_not_compared_with_entries_that_are_overridden(tmp_path: Path) -> None:
+    result = CliRunner().invoke(app, ["agents", "agent.precision=float32", "--peers", "--runs", str(tmp_path)])
+    assert isinstance(result.exception, UsageError)
+    assert not list(tmp_path.iterdir())
+
+
 def test_entries_are_chosen_by_how_their_names_begin() -> None:
     assert chosen(["pendulum sac"]) == ["pendulum sac", "pendulum sac priority"]
     with pytest.raises(UsageError, match="no entry"):
