@@ -7,7 +7,7 @@ from typing import Annotated, Any
 
 import typer
 
-from karolos.terminal import clean
+from karolos.report.terminal import clean
 
 from .common import Json, rows
 
@@ -40,7 +40,7 @@ def check(
         found: list[dict[str, Any]] = []
         try:
             spec = load_spec(path, overrides)
-            from karolos.assembly import check_parts
+            from karolos.training.assembly import check_parts
 
             check_parts(spec)
         except SpecError as error:

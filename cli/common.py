@@ -12,7 +12,7 @@ from typing import Annotated, Any
 
 import typer
 
-from karolos.terminal import clean
+from karolos.report.terminal import clean
 
 Runs = Annotated[Path, typer.Option("--runs", envvar="KAROLOS_RUNS", help="Folder of the run folders.", file_okay=True)]
 Database = Annotated[

@@ -10,7 +10,7 @@ from typing import TYPE_CHECKING, Annotated, Literal
 import typer
 
 from karolos.errors import UsageError
-from karolos.terminal import clean
+from karolos.report.terminal import clean
 
 from .common import Database, Json, Runs, print_rich, rows
 from .selection import MANY_HELP, open_store, select
@@ -19,7 +19,7 @@ if TYPE_CHECKING:
     from collections.abc import Sequence
 
     from karolos.comparison import Comparison
-    from karolos.run_records import RunSummary
+    from karolos.records.run_records import RunSummary
 
 
 def compare(

@@ -9,7 +9,7 @@ from typing import TYPE_CHECKING, Annotated
 import typer
 
 from karolos.errors import StoreError
-from karolos.terminal import clean
+from karolos.report.terminal import clean
 
 from .common import Database, Json, Runs, rows
 

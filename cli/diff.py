@@ -8,7 +8,7 @@ from typing import TYPE_CHECKING, Annotated
 
 import typer
 
-from karolos.terminal import clean
+from karolos.report.terminal import clean
 
 from .common import Database, Json, Runs, print_rich, rows
 from .selection import is_spec, open_run

@@ -11,7 +11,7 @@ from typing import TextIO
 from rich.console import Console
 from rich.progress import BarColumn, MofNCompleteColumn, Progress, TaskID, TextColumn, TimeRemainingColumn
 
-from karolos.events import RunAdvanced, RunEnded, RunEvent, RunStarted, RunTested, RunWarned
+from karolos.experiment.events import RunAdvanced, RunEnded, RunEvent, RunStarted, RunTested, RunWarned
 
 SPEED_WINDOW = 50
 """Reports over which the speeds shown are averaged: about five seconds."""

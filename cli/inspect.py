@@ -9,12 +9,12 @@ from typing import TYPE_CHECKING, Annotated
 import typer
 
 from karolos.errors import MachineError, UsageError
-from karolos.terminal import clean
+from karolos.report.terminal import clean
 
 from .common import Json, rows
 
 if TYPE_CHECKING:
-    from karolos.inspection import Inspection
+    from karolos.plugins.inspection import Inspection
 
 app = typer.Typer(name="inspect", help="Show a robot or a task: a picture and its numbers.", no_args_is_help=True)
 Picture = Annotated[
@@ -36,7 +36,7 @@ def robot(
 ) -> None:
     """Show a robot: joints with limits, workspace, control modes, layouts, and what can be randomized."""
     target = _target(picture, name)
-    from karolos.inspection import inspect_robot
+    from karolos.plugins.inspection import inspect_robot
 
     _show("robot", inspect_robot(name, size=(width, height)), target, json=json)
 
@@ -54,13 +54,13 @@ def task(
 ) -> None:
     """Show a task: goal rule, layouts, settings, and what can be randomized; or the floor a random policy sets."""
     if floor:
-        from karolos.inspection import floor as random_policy
+        from karolos.plugins.inspection import floor as random_policy
 
         found = random_policy(robot, name, episodes=episodes)
         rows([{"robot": robot, "task": name, **asdict(found)}], json=json)
         return
     target = _target(picture, name)
-    from karolos.inspection import inspect_task
+    from karolos.plugins.inspection import inspect_task
 
     _show("task", inspect_task(name, robot, size=(width, height)), target, json=json)
 

@@ -9,7 +9,7 @@ import traceback
 import typer
 
 from karolos.errors import KarolosError, PluginError
-from karolos.terminal import clean
+from karolos.report.terminal import clean
 
 from . import bench, db, inspect, plugins, runs, spec, sweeps
 from .board import board

@@ -20,8 +20,8 @@ if TYPE_CHECKING:
     import numpy as np
     from numpy.typing import NDArray
 
-    from karolos.playing import Moment
-    from karolos.run_folder import RunFolder
+    from karolos.evaluation.playing import Moment
+    from karolos.records import RunFolder
 
 FRAMES_PER_SECOND = 24
 """The control rate of robot tasks, so that a film runs in real time."""
@@ -63,8 +63,8 @@ def play(
     if width % 2 or height % 2:
         raise UsageError(f"a film of {width} x {height} pixels cannot be coded", hint="use even numbers")
     window = record is None and _has_display()
-    from karolos.playing import load_expert, load_player
-    from karolos.playing import play as play_episodes
+    from karolos.evaluation.playing import load_expert, load_player
+    from karolos.evaluation.playing import play as play_episodes
     from karolos.report.video import check_video_path, write_video
 
     if expert:

@@ -11,14 +11,14 @@ from typing import TYPE_CHECKING, Annotated, Any
 import typer
 
 from karolos.errors import KarolosError, PluginError
-from karolos.terminal import clean
+from karolos.report.terminal import clean
 
 from .common import Json, rows, table
 
 if TYPE_CHECKING:
     from pydantic import BaseModel
 
-    from karolos.contracts import Case
+    from karolos.plugins.contracts import Case
 
 app = typer.Typer(
     name="plugins", help="List, show and check robots, tasks, agents, ..., or begin a new one.", no_args_is_help=True
@@ -90,7 +90,7 @@ def new(
     ] = None,
 ) -> None:
     """Write a package with a plugin that works and is tested, to be changed into one's own. Prints its files."""
-    from karolos.starter import write_starter
+    from karolos.plugins.starter import write_starter
 
     for path in write_starter(kind, name, out or Path(f"karolos-{name.replace('_', '-')}")):
         print(clean(str(path)))
@@ -110,7 +110,7 @@ def check(
 
     A robot is checked with every installed task, a task with every installed robot, which takes a minute.
     """
-    from karolos.contracts import candidate, cases
+    from karolos.plugins.contracts import candidate, cases
     from karolos.spec import parse_settings
 
     found = cases(candidate(_kind(kind), name, **parse_settings(settings or ())))

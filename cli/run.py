@@ -15,7 +15,7 @@ from .common import RUN_HELP, Database, Json, Overrides, Runs, print_rich, rows
 from .selection import open_run
 
 if TYPE_CHECKING:
-    from karolos.experiment import Outcome
+    from karolos.experiment.experiment import Outcome
 
 TimeLimit = Annotated[
     str | None,
@@ -49,7 +49,7 @@ def run(
     from karolos.spec import load_spec
 
     found = load_spec(spec, overrides or ())
-    from karolos.experiment import Experiment
+    from karolos.experiment.experiment import Experiment
 
     from .display import choose_display
 
@@ -79,7 +79,7 @@ def resume(
 
     What it computes is bit for bit what it would have computed without the break (on the CPU, in lockstep).
     """
-    from karolos.experiment import resume_run
+    from karolos.experiment.experiment import resume_run
     from karolos.store import Store
 
     from .display import choose_display

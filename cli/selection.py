@@ -9,11 +9,11 @@ from pathlib import Path
 from typing import TYPE_CHECKING
 
 from karolos.errors import UsageError
-from karolos.terminal import clean
+from karolos.report.terminal import clean
 
 if TYPE_CHECKING:
-    from karolos.run_folder import RunFolder
-    from karolos.run_records import RunSummary
+    from karolos.records import RunFolder
+    from karolos.records.run_records import RunSummary
     from karolos.store import Store
 
 FILTER_HELP = (
@@ -53,7 +53,7 @@ def open_run(selector: str, runs: Path, database: str | None) -> RunFolder:
         UsageError: it means no run or several.
         RunError: its folder is gone or damaged.
     """
-    from karolos.run_folder import RunFolder
+    from karolos.records import RunFolder
 
     if (Path(selector) / "run.json").is_file():
         return RunFolder.open(selector)

@@ -9,7 +9,7 @@ from typing import Annotated
 
 import typer
 
-from karolos.terminal import clean
+from karolos.report.terminal import clean
 
 from .common import Json, Overrides, rows
 

@@ -69,7 +69,7 @@ def _open_dashboard(journal: Path) -> int:
         raise MachineError(f"{DASHBOARD} is not installed", hint=f"`pip install {DASHBOARD}`, then try again")
     if not journal.is_file():
         raise UsageError(f"there is no sweep at {journal.parent} yet", hint="`karolos sweep SPEC` begins one")
-    from karolos.jobs import sigint_ignored
+    from karolos.experiment.jobs import sigint_ignored
 
     with sigint_ignored():  # inherited: at Ctrl-C, which is how one leaves it, it would end with a traceback
         process = subprocess.Popen([program, str(journal)])

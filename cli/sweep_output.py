@@ -7,13 +7,13 @@ from collections.abc import Iterable, Sequence
 from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
-from karolos.terminal import clean
+from karolos.report.terminal import clean
 
 from .common import rows
 
 if TYPE_CHECKING:
+    from karolos.records.sweep_records import Final, Trial
     from karolos.sweep.records import Outcome, SweepEvent
-    from karolos.sweep_records import Final, Trial
 
 
 class Teller:
@@ -24,7 +24,7 @@ class Teller:
         self._quiet = quiet
 
     def __call__(self, event: SweepEvent) -> None:
-        from karolos.events import RunWarned
+        from karolos.experiment.events import RunWarned
         from karolos.sweep.records import TrialBegan, TrialEnded
 
         if isinstance(event, RunWarned):

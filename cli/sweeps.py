@@ -9,14 +9,14 @@ from typing import TYPE_CHECKING, Annotated, Any
 import typer
 
 from karolos.errors import UsageError
-from karolos.terminal import clean
+from karolos.report.terminal import clean
 
 from .common import Database, Json, Runs, rows
 from .selection import open_store
 from .sweep_output import drawn_text, tell_final, trial_row, where_next
 
 if TYPE_CHECKING:
-    from karolos.sweep_records import SweepRecord
+    from karolos.records.sweep_records import SweepRecord
 
 app = typer.Typer(name="sweeps", help="List sweeps, and show the trials of one.", no_args_is_help=True)
 

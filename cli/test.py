@@ -8,14 +8,14 @@ from typing import TYPE_CHECKING, Annotated, Any
 
 import typer
 
-from karolos.terminal import clean
+from karolos.report.terminal import clean
 
 from .common import RUN_HELP, Database, Json, Runs, print_rich, rows
 from .selection import check_checkpoint, open_run
 
 if TYPE_CHECKING:
     from karolos.core import Failure
-    from karolos.results import TestResult
+    from karolos.records.results import TestResult
 
 
 def transfer(
@@ -51,7 +51,7 @@ def transfer(
     """
     check_checkpoint(checkpoint)
     folder = open_run(run, runs, database)
-    from karolos.transfer_testing import transfer_test
+    from karolos.evaluation.transfer_test import transfer_test
 
     done = transfer_test(
         folder,
@@ -75,7 +75,7 @@ def transfer(
 
 
 def _own(result: TestResult) -> dict[str, Any]:
-    from karolos.intervals import wilson
+    from karolos.statistics.intervals import wilson
 
     return {
         "steps": result.steps,

@@ -5,4 +5,4 @@ import sys
 __version__ = "0.1.0"
 
 if "gymnasium" in sys.modules:  # whoever uses gymnasium finds the environments there; nobody else pays for it
-    from . import gymnasium_envs as gymnasium_envs
+    from .environments import gymnasium_export  # noqa: F401

@@ -7,7 +7,7 @@ from importlib.metadata import EntryPoint
 from types import SimpleNamespace
 
 import pytest
-from fake_plugins import FAKES
+from support.fake_plugins import FAKES
 
 from karolos import registry
 
@@ -26,7 +26,7 @@ def fake_plugins(monkeypatch: pytest.MonkeyPatch) -> Iterator[Install]:
 
     for kind, plugins in FAKES.items():
         for name, target in plugins.items():
-            install(kind, name, f"fake_plugins:{target}")
+            install(kind, name, f"support.fake_plugins:{target}")
 
     def entry_points(group: str) -> list[SimpleNamespace]:
         return points[group.removeprefix("karolos.")]

@@ -48,14 +48,14 @@ def test_unknown_kind_is_refused(fake_plugins):
 
 
 def test_name_of_two_distributions_is_refused_naming_both(fake_plugins):
-    fake_plugins("robots", "arm", "fake_plugins:OtherArm", distribution="another")
+    fake_plugins("robots", "arm", "support.fake_plugins:OtherArm", distribution="another")
     assert registry.names("robots") == ["arm", "other_arm"]
     with pytest.raises(PluginError, match="'arm' is claimed by another and fakes"):
         registry.load("robots", "arm")
     assert registry.load("robots", "other_arm")
 
 
-@pytest.mark.parametrize("target", ["no_such_module_anywhere:Robot", "fake_plugins:NoSuchClass"])
+@pytest.mark.parametrize("target", ["no_such_module_anywhere:Robot", "support.fake_plugins:NoSuchClass"])
 def test_plugin_that_does_not_import_fails_only_when_used(fake_plugins, target):
     fake_plugins("robots", "broken", target, distribution="shaky")
     assert "broken" in registry.names("robots")
@@ -87,14 +87,14 @@ def test_error_inside_a_plugin_module_keeps_its_cause(fake_plugins, tmp_path, mo
     ],
 )
 def test_plugin_without_usable_settings_is_refused(fake_plugins, target, what):
-    fake_plugins("robots", "odd", f"fake_plugins:{target}")
+    fake_plugins("robots", "odd", f"support.fake_plugins:{target}")
     with pytest.raises(PluginError, match=what):
         registry.load("robots", "odd")
 
 
 @pytest.mark.parametrize("kind", registry.KINDS)
 def test_plugin_of_a_wrong_interface_is_refused_when_used_naming_what_it_lacks(fake_plugins, kind):
-    fake_plugins(kind, "unfinished", "fake_plugins:Unfinished", distribution="shaky")
+    fake_plugins(kind, "unfinished", "support.fake_plugins:Unfinished", distribution="shaky")
     assert "unfinished" in registry.names(kind)
     with pytest.raises(PluginError, match=f"Unfinished is no {registry.singular(kind)}: it lacks") as caught:
         registry.load(kind, "unfinished")
@@ -105,7 +105,7 @@ def test_plugin_of_a_wrong_interface_is_refused_when_used_naming_what_it_lacks(f
 
 
 def test_plugin_that_leaves_a_method_abstract_is_refused(fake_plugins):
-    fake_plugins("distributions", "abstract", "fake_plugins:Abstract")
+    fake_plugins("distributions", "abstract", "support.fake_plugins:Abstract")
     with pytest.raises(PluginError, match="Abstract is no distribution: it lacks __init__, draw"):
         registry.load("distributions", "abstract")
 

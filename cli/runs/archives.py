@@ -8,7 +8,7 @@ from typing import Annotated
 
 import typer
 
-from karolos.terminal import clean
+from karolos.report.terminal import clean
 
 from ..common import Database, Json, Runs, rows
 from ..selection import FILTER_HELP, MANY_HELP, open_store, select_runs
@@ -23,8 +23,7 @@ def export_runs(
     database: Database = None,
 ) -> None:
     """Write run folders into an archive that `karolos runs import` takes in elsewhere."""
-    from karolos import archive
-    from karolos.run_folder import RunFolder
+    from karolos.records import RunFolder, archive
 
     store, found = select_runs(run or (), where, runs, database)
     store.close()
@@ -41,7 +40,7 @@ def import_runs(
     json: Json = False,
 ) -> None:
     """Take runs in from an archive: all that are in it, or none. A run that is here already is refused."""
-    from karolos import archive
+    from karolos.records import archive
     from karolos.store import Store
 
     runs.mkdir(parents=True, exist_ok=True)

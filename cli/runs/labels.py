@@ -24,7 +24,7 @@ def tag(
     json: Json = False,
 ) -> None:
     """Give a run tags, or all runs of an experiment. `karolos runs list 'tags=good'` finds them."""
-    from karolos import labels
+    from karolos.records import labels
 
     change = labels.remove_tags if remove else labels.add_tags
     _relabel(run, lambda folder: change(folder, tags), runs, database, json=json)
@@ -39,7 +39,7 @@ def note(
     json: Json = False,
 ) -> None:
     """Write a note on a run, or on all runs of an experiment, in place of the one before."""
-    from karolos import labels
+    from karolos.records import labels
 
     if (text is None) != remove or text == "":
         raise UsageError("a note needs a text", hint="karolos runs note RUN TEXT, or --remove and no text")
@@ -48,7 +48,7 @@ def note(
 
 def _relabel(selector: str, change: Callable[[Path], None], runs: Path, database: str | None, *, json: bool) -> None:
     """Write into the folders, which are the truth, and let the index read them again."""
-    from karolos.run_folder import RunFolder
+    from karolos.records import RunFolder
 
     store, found = select_runs([selector], None, runs, database)
     with store:

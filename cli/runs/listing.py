@@ -50,7 +50,7 @@ def list_runs(
 
 
 def _list_trash(runs: Path, *, json: bool, other: object) -> None:
-    from karolos import trash
+    from karolos.records import trash
 
     if other:
         raise UsageError("--trash takes no filter, state or --csv", hint="`karolos runs restore RUN` brings one back")

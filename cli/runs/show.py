@@ -15,11 +15,11 @@ from ..common import RUN_HELP, Database, Json, Runs, print_rich, rows
 from ..selection import find_run
 
 if TYPE_CHECKING:
-    from karolos.run_folder import RunFolder
-    from karolos.run_records import RunSummary
+    from karolos.evaluation.testing import TestResult
+    from karolos.records import RunFolder
+    from karolos.records.run_records import RunSummary
+    from karolos.records.transfer_results import Transfer
     from karolos.store import Store, StoredTest
-    from karolos.testing import TestResult
-    from karolos.transfers import Transfer
 
 
 def show(
@@ -55,7 +55,7 @@ class _View:
     """Versions, machine, command and git commit."""
 
     def row(self) -> dict[str, Any]:
-        from karolos.testing import WITHIN
+        from karolos.evaluation.testing import WITHIN
 
         known = [result for result in self.results if result.distances]
         near = {one.steps: {"within_m": {f"{far:g}": one.within(far) for far in WITHIN}} for one in known}
@@ -71,8 +71,8 @@ class _View:
 
 
 def _from_folder(summary: RunSummary) -> _View:
-    from karolos import transfers
-    from karolos.run_folder import RunFolder
+    from karolos.records import RunFolder
+    from karolos.records import transfer_results as transfers
     from karolos.store import StoredTest
 
     folder = RunFolder.open(summary.folder)
@@ -103,7 +103,7 @@ def _from_index(store: Store, summary: RunSummary) -> _View:
 
 
 def _test_row(test: StoredTest) -> dict[str, Any]:
-    from karolos.intervals import wilson
+    from karolos.statistics.intervals import wilson
 
     return {
         "steps": test.steps,

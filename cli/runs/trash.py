@@ -9,7 +9,7 @@ from typing import Annotated
 import typer
 
 from karolos.errors import UsageError
-from karolos.terminal import clean
+from karolos.report.terminal import clean
 
 from ..common import Database, Json, Runs, rows
 from ..selection import FILTER_HELP, MANY_HELP, open_store, select_runs
@@ -24,8 +24,7 @@ def remove(
     json: Json = False,
 ) -> None:
     """Throw runs away: into .trash in the runs folder, from where `karolos runs restore` brings them back."""
-    from karolos import trash
-    from karolos.run_folder import RunFolder
+    from karolos.records import RunFolder, trash
 
     if purge:
         if run or where:
@@ -53,7 +52,7 @@ def restore(
     json: Json = False,
 ) -> None:
     """Bring runs back out of the trash, with their tests, tags and note."""
-    from karolos import trash
+    from karolos.records import trash
     from karolos.store import Store
 
     paths = list(dict.fromkeys(trash.find(runs, selector) for selector in run))

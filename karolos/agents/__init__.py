@@ -1,0 +1,1 @@
+"""Algorithms, one file each, with the losses, networks and optimisers they are made of."""

@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from ..deployed import Deployed, Layer, Output
+from ..core.deployed import Deployed, Layer, Output
 from .chain import EPSILON
 from .inputs import to_array
 from .networks import MLP

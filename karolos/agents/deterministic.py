@@ -14,8 +14,8 @@ from pydantic import Field as Setting
 from torch import Tensor
 
 from ..core import Agent, Batch, FloatArray, Signature, State
-from ..deployed import Deployed
-from ..seeding import SeedTree
+from ..core.deployed import Deployed
+from ..core.seeding import SeedTree
 from .actor_critic import (
     WATCHED_EVERY,
     ActorCriticSettings,

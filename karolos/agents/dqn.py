@@ -13,10 +13,10 @@ from pydantic import model_validator
 from torch import Tensor
 
 from ..core import Agent, Batch, Discrete, FloatArray, Signature, State
-from ..deployed import Deployed
+from ..core.deployed import Deployed
+from ..core.schedules import Linear
+from ..core.seeding import SeedTree
 from ..errors import UsageError
-from ..schedules import Linear
-from ..seeding import SeedTree
 from .actor_critic import WATCHED_EVERY
 from .cuda_graphs import GraphedUpdates
 from .deployment import deployed

@@ -10,7 +10,7 @@ from pydantic import model_validator
 from torch import Tensor
 
 from ..core import AgentSettings, State
-from ..schedules import Linear
+from ..core.schedules import Linear
 
 
 class OptimiserSettings(AgentSettings):

@@ -12,9 +12,9 @@ from pydantic import Field as Setting
 from torch import Tensor
 
 from ..core import Agent, Discrete, FloatArray, Rollout, Signature, State
-from ..deployed import Deployed
+from ..core.deployed import Deployed
+from ..core.seeding import SeedTree
 from ..errors import UsageError
-from ..seeding import SeedTree
 from .advantages import advantages
 from .categorical import Categorical
 from .deployment import deployed

@@ -19,9 +19,9 @@ import gymnasium
 import numpy as np
 
 from ..environments.build import build_environment
+from ..environments.gymnasium_export import GoalEnv
 from ..errors import MachineError
 from ..files import parse_object, write_json
-from ..gymnasium_envs import GoalEnv
 from ..spec import Spec
 
 PEER = "stable-baselines3"

@@ -13,11 +13,11 @@ from pathlib import Path
 from statistics import fmean
 
 from ..errors import RunError, UsageError
-from ..events import Listener
-from ..experiment import Experiment
+from ..experiment.events import Listener
+from ..experiment.experiment import Experiment
 from ..files import write_json, write_whole
+from ..records import RunFolder, scan
 from ..registry import alternatives, names
-from ..run_folder import RunFolder, scan
 from ..spec import Spec, load_spec
 from . import agent_peers
 from .row import Row

@@ -18,9 +18,9 @@ import numpy as np
 
 from ..buffers.storage import row_layout
 from ..core import FloatArray, Signature, Transitions
+from ..core.seeding import SeedTree
 from ..environments.build import build_environment
 from ..registry import load
-from ..seeding import SeedTree
 from ..spec import Spec
 from .row import Row
 

@@ -75,8 +75,8 @@ def first_success(seed: int, *, peer: bool = False) -> Found:
 
 def _karolos(seed: int, asked: float) -> Found | None:
     """An ordinary run, stopped at the test that finds enough."""
-    from ..events import RunAdvanced, RunEvent, RunTested  # noqa: PLC0415  (what follows belongs to the start)
-    from ..experiment import Experiment  # noqa: PLC0415
+    from ..experiment.events import RunAdvanced, RunEvent, RunTested  # noqa: PLC0415  (what follows belongs to the start)
+    from ..experiment.experiment import Experiment  # noqa: PLC0415
 
     startup: list[float] = []
     found: list[Found] = []

@@ -10,10 +10,10 @@ from dataclasses import dataclass
 from itertools import product
 
 from ..errors import KarolosError
-from ..inspection import floor, pair
-from ..playing import expert_policy
+from ..evaluation.playing import expert_policy
+from ..evaluation.scoring import Score, score
+from ..plugins.inspection import floor, pair
 from ..registry import names
-from ..scoring import Score, score
 from .row import Row
 
 PEER = "random policy"

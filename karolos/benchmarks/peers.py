@@ -34,7 +34,7 @@ def measure(*, seconds: float = 10.0) -> list[Row]:
     import gymnasium  # noqa: PLC0415
     import panda_gym  # type: ignore[import-not-found]  # noqa: F401, PLC0415  (registers its environments)
 
-    from .. import gymnasium_envs  # noqa: F401, PLC0415
+    from ..environments import gymnasium_export  # noqa: F401, PLC0415
 
     rows = []
     for task, ids in TASKS.items():

@@ -19,12 +19,12 @@ from statistics import median
 from time import perf_counter
 
 from ..errors import RunError
+from ..evaluation.testing import TestResult
 from ..orchestrator.probe import cores
-from ..provenance import versions
-from ..run_records import FORMAT, RunState, RunSummary, encode_test
+from ..records.provenance import versions
+from ..records.run_records import FORMAT, RunState, RunSummary, encode_test
 from ..spec import Spec
 from ..store import Store, check, reindex
-from ..testing import TestResult
 from .row import Row
 
 SEEDS = 10

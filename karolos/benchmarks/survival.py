@@ -24,8 +24,8 @@ import numpy as np
 
 from .. import checkpoint
 from ..errors import MachineError, RunError
-from ..experiment import Experiment
-from ..run_folder import RunFolder
+from ..experiment.experiment import Experiment
+from ..records import RunFolder
 from ..spec import Spec
 from ..store import Store
 from .end_to_end import reach

@@ -17,13 +17,13 @@ from statistics import median
 from time import perf_counter
 
 from ..agents.device import use_threads
-from ..assembly import make_agent, make_buffer, make_orchestrator
 from ..core import Array, FloatArray, Orchestrator, Received
+from ..core.seeding import SeedTree
 from ..orchestrator.probe import steps_per_second
-from ..progress import Progress
-from ..seeding import SeedTree
 from ..spec import Spec
-from ..training import Training
+from ..training.assembly import make_agent, make_buffer, make_orchestrator
+from ..training.progress import Progress
+from ..training.training import Training
 from .end_to_end import PEER, first_success, reach, require_peer
 from .row import Row
 

@@ -21,9 +21,9 @@ import numpy as np
 
 from ..agents.device import synchronise, use_threads
 from ..core import Discrete, Field, Layout, Signature, Transitions
+from ..core.seeding import SeedTree
 from ..errors import MachineError
 from ..registry import load, names
-from ..seeding import SeedTree
 from . import update_peers
 from .row import Row
 

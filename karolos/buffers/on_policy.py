@@ -10,8 +10,8 @@ from pydantic import Field as Setting
 
 from ..core import Buffer, Rollout, Signature, State, Transitions
 from ..core import Settings as BaseSettings
+from ..core.seeding import SeedTree
 from ..errors import RunError, UsageError
-from ..seeding import SeedTree
 
 
 class OnPolicy(Buffer[Rollout]):

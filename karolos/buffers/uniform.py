@@ -11,7 +11,7 @@ from pydantic import Field as Setting
 
 from ..core import Batch, Buffer, Signature, State, Transitions
 from ..core import Settings as BaseSettings
-from ..seeding import SeedTree, generator_state, load_generator_state
+from ..core.seeding import SeedTree, generator_state, load_generator_state
 from .hindsight import Hindsight
 from .replay import Replay
 

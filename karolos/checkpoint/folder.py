@@ -9,10 +9,10 @@ from collections.abc import Collection, Mapping
 from pathlib import Path
 from typing import Any
 
-from ..blocks import Blocks
 from ..core import State
-from ..encoding import encode
 from ..files import below, sync_folder, writing
+from .array_files import Blocks
+from .encoding import encode
 from .errors import CheckpointError
 from .manifest import PART, read_manifest, write_manifest
 from .parts import read_part, write_part

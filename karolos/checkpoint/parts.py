@@ -9,9 +9,9 @@ from io import BufferedReader
 from pathlib import Path
 from typing import Any, BinaryIO
 
-from ..blocks import BlockError, Blocks
 from ..core import State
-from ..encoding import decode
+from .array_files import BlockError, Blocks
+from .encoding import decode
 from .errors import CheckpointError, damaged
 
 _MALFORMED = (RuntimeError, ValueError, KeyError, TypeError, AttributeError, AssertionError, EOFError, OverflowError)

@@ -10,8 +10,8 @@ from typing import Any, Literal
 
 from .. import checkpoint
 from ..errors import RunError, UsageError
-from ..run_folder import RunFolder
-from ..run_records import RunSummary
+from ..records import RunFolder
+from ..records.run_records import RunSummary
 from ..store import Store, StoredTest
 
 Success = Literal["any", "end"]

@@ -9,9 +9,10 @@ from typing import Literal
 import numpy as np
 from numpy.typing import NDArray
 
-from .. import aggregates, statistics
-from ..intervals import wilson
-from ..seeding import Generator
+from ..core.seeding import Generator
+from ..statistics import aggregates
+from ..statistics import density as statistics
+from ..statistics.intervals import wilson
 from .contenders import ComparedRun, Success
 
 Axis = Literal["steps", "seconds"]

@@ -6,7 +6,7 @@ from collections.abc import Mapping, Sequence
 from enum import Enum
 from typing import Any, Final
 
-from ..run_records import flatten
+from ..records.run_records import flatten
 
 
 class Missing(Enum):

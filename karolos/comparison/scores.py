@@ -11,9 +11,10 @@ from typing import Any, Literal
 
 import numpy as np
 
-from .. import aggregates, statistics
-from ..intervals import wilson
-from ..seeding import SeedTree
+from ..core.seeding import SeedTree
+from ..statistics import aggregates
+from ..statistics import density as statistics
+from ..statistics.intervals import wilson
 from ..store.rows import without_seeds
 from .cautions import cautions
 from .contenders import ComparedRun, Contender, Success

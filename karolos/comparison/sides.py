@@ -9,8 +9,7 @@ from dataclasses import dataclass
 from pathlib import Path
 from typing import Any
 
-from .. import provenance
-from ..run_folder import RunFolder
+from ..records import RunFolder, provenance
 from ..spec import Spec
 from ..store.rows import without_seeds
 from .differences import MISSING, differences

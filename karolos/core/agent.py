@@ -16,8 +16,8 @@ from .experience import Experience
 from .signature import Signature
 
 if TYPE_CHECKING:
-    from ..deployed import Deployed
-    from ..seeding import SeedTree
+    from .deployed import Deployed
+    from .seeding import SeedTree
 
 
 class Agent(ABC, Generic[Experience]):

@@ -16,7 +16,7 @@ from .experience import Experience, Transitions
 from .signature import Signature
 
 if TYPE_CHECKING:
-    from ..seeding import SeedTree
+    from .seeding import SeedTree
 
 
 class Buffer(ABC, Generic[Experience]):

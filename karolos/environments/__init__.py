@@ -1,0 +1,1 @@
+"""Environments: robots with tasks, gymnasium in both directions, toys."""

@@ -11,10 +11,10 @@ from pydantic import Field as Setting
 
 from ..core import Array, Environment, FloatArray, GoalRule, Signature, Step
 from ..core import Settings as BaseSettings
+from ..core.seeding import SeedTree
 from ..errors import UsageError
 from ..randomization.distribution import Distribution
 from ..randomization.randomization import Randomization
-from ..seeding import SeedTree
 from ..simulation.interface import Expert, Robot, Task
 from ..simulation.world import World
 from .action_set import ActionSet, chosen

@@ -18,12 +18,12 @@ import numpy as np
 
 from .. import __version__
 from ..core import Discrete, Layout, Signature
-from ..deployed import Deployed
+from ..core.deployed import Deployed
+from ..core.seeding import SeedTree
 from ..errors import RunError
+from ..evaluation.policies import SavedAgent, load_agent
 from ..files import write_json, writing
-from ..policies import SavedAgent, load_agent
-from ..run_folder import RunFolder
-from ..seeding import SeedTree
+from ..records import RunFolder
 from .numpy_policy import FORMAT, NumpyPolicy
 from .onnx_file import check_onnx, run_onnx, write_onnx
 

@@ -9,7 +9,7 @@ from typing import Any
 import numpy as np
 
 from ..core import FloatArray
-from ..deployed import Deployed
+from ..core.deployed import Deployed
 from ..errors import MachineError
 from ..files import writing
 

@@ -1,0 +1,1 @@
+"""Environments over processes and threads: actions in, steps out, in shared memory."""

@@ -1,0 +1,1 @@
+"""Distributions, and domain randomization of the parameters that robots and tasks declare."""

@@ -7,7 +7,7 @@ from typing import Any, ClassVar
 
 from pydantic import BaseModel
 
-from ..seeding import Generator
+from ..core.seeding import Generator
 
 
 class Distribution(ABC):

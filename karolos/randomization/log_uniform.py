@@ -8,7 +8,7 @@ from pydantic import Field as Setting
 from pydantic import model_validator
 
 from ..core import Settings as BaseSettings
-from ..seeding import Generator
+from ..core.seeding import Generator
 from .distribution import Distribution
 
 

@@ -5,7 +5,7 @@ from __future__ import annotations
 from pydantic import Field as Setting
 
 from ..core import Settings as BaseSettings
-from ..seeding import Generator
+from ..core.seeding import Generator
 from .distribution import Distribution
 
 

@@ -5,9 +5,9 @@ from __future__ import annotations
 from collections.abc import Mapping
 
 from ..core import Field, Layout
+from ..core.seeding import Generator
 from ..errors import RunError, UsageError
 from ..registry import alternatives
-from ..seeding import Generator
 from .distribution import Distribution
 from .parameter import Parameter
 

@@ -1,0 +1,1 @@
+"""From compared numbers to tables, figures, pages and films."""

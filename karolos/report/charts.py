@@ -7,12 +7,12 @@ from collections.abc import Iterator
 import numpy as np
 from numpy.typing import NDArray
 
-from .. import aggregates
 from ..comparison import Comparison, Contender, densities, learning_curve
 from ..comparison.curves import Axis as Along
 from ..comparison.curves import places
-from ..seeding import SeedTree
-from ..statistics import Density
+from ..core.seeding import SeedTree
+from ..statistics import aggregates
+from ..statistics.density import Density
 from .chart import Axis, Band, Chart, Dots, Label, Line, Mark, Shades, ratio_axis, seconds_axis, steps_axis
 
 _Floats = NDArray[np.float64]

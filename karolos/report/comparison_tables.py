@@ -10,8 +10,8 @@ from rich.text import Text
 
 from ..comparison import Comparison
 from ..comparison.sides import Difference
-from ..terminal import clean
 from .comparison_cells import Row, cell, parameter_rows, score_rows
+from .terminal import clean
 
 
 def scores_table(comparison: Comparison) -> Table:

@@ -10,7 +10,7 @@ from pathlib import Path
 from .. import __version__
 from ..comparison import ComparedRun, Comparison
 from ..files import write_whole
-from ..intervals import wilson
+from ..statistics.intervals import wilson
 from . import charts, svg
 from .chart import LIGHT, Chart
 from .comparison_cells import Row, explanations, parameter_rows, score_rows

@@ -10,13 +10,13 @@ from rich import box
 from rich.table import Table
 from rich.text import Text
 
-from .. import run_records
-from ..intervals import wilson
-from ..results import WITHIN, TestResult
-from ..run_records import RunSummary
+from ..records import run_records
+from ..records.results import WITHIN, TestResult
+from ..records.run_records import RunSummary
+from ..records.transfer_results import Transfer
+from ..statistics.intervals import wilson
 from ..store import StoredTest
-from ..terminal import clean
-from ..transfers import Transfer
+from .terminal import clean
 
 _STATE_STYLES = {
     "finished": "green",

@@ -1,0 +1,1 @@
+"""Robots, one file each. No robot knows a task."""

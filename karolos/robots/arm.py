@@ -16,9 +16,9 @@ from typing import ClassVar
 import numpy as np
 
 from ..core import Field, FloatArray, Layout
+from ..core.seeding import Generator
 from ..errors import PluginError, UsageError
 from ..randomization.parameter import Parameter
-from ..seeding import Generator
 from ..simulation import urdf
 from ..simulation.body import Body, Vector
 from ..simulation.interface import Gripper, JointLimits

@@ -9,9 +9,9 @@ from typing import Any
 
 from sqlalchemy import select, text
 
-from ..run_records import RunSummary, flatten
-from ..sweep_reading import FOLDER
-from ..sweep_records import is_running
+from ..records.run_records import RunSummary, flatten
+from ..records.sweep_reading import FOLDER
+from ..records.sweep_records import is_running
 from .folders import is_gone, read_folders, read_sweeps
 from .rows import digest, without_seeds
 from .store import Store

@@ -18,7 +18,7 @@ from sqlalchemy.exc import ArgumentError, DBAPIError, NoSuchModuleError
 from sqlalchemy.pool import NullPool
 
 from ..errors import StoreError
-from ..provenance import redact
+from ..records.provenance import redact
 
 READ = "karolos_read"
 """Execution option of a connection that only reads, and so must not wait for writers."""

@@ -6,10 +6,9 @@ from collections.abc import Iterator
 from dataclasses import dataclass
 from pathlib import Path
 
-from .. import sweep_reading
 from ..errors import RunError
-from ..run_folder import RunFolder, paths
-from ..sweep_records import SweepRecord
+from ..records import RunFolder, paths, sweep_reading
+from ..records.sweep_records import SweepRecord
 from .writing import Entry
 
 FEW = 200

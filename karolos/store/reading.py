@@ -14,10 +14,10 @@ from typing import Any, NamedTuple
 from sqlalchemy import Connection, Select, select
 
 from ..errors import RunError
-from ..filters import Filter
+from ..records import RunFolder
+from ..records.run_records import UNFINISHED, RunSummary
 from ..registry import closest
-from ..run_folder import RunFolder
-from ..run_records import UNFINISHED, RunSummary
+from .filters import Filter
 from .rows import ROWS_PER_STATEMENT, SUMMARY_COLUMNS, chunks, summary_of, where_it_lies
 from .tables import PARAMETERS, RUNS, TAGS, VERSIONS
 

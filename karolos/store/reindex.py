@@ -5,7 +5,7 @@ from __future__ import annotations
 from dataclasses import dataclass
 from pathlib import Path
 
-from ..sweep_reading import FOLDER
+from ..records.sweep_reading import FOLDER
 from .folders import is_gone, read_folders, read_sweeps
 from .store import Store
 from .writing import Entry

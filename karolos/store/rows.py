@@ -12,9 +12,9 @@ from typing import Any
 
 from sqlalchemy import Connection, Table, insert
 
-from ..counting import TestCounts
-from ..results import TestResult
-from ..run_records import RunSummary, flatten
+from ..records.counting import TestCounts
+from ..records.results import TestResult
+from ..records.run_records import RunSummary, flatten
 
 SUMMARY_COLUMNS = tuple(field.name for field in fields(RunSummary) if field.name != "tags")
 ROWS_PER_STATEMENT = 500

@@ -8,7 +8,7 @@ from pathlib import Path
 from typing import TYPE_CHECKING
 
 from ..errors import UsageError
-from ..run_records import RunSummary
+from ..records.run_records import RunSummary
 
 if TYPE_CHECKING:
     from .store import Store

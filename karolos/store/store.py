@@ -11,12 +11,11 @@ from typing import Any
 
 from sqlalchemy import Connection, Executable, delete, func, select, update
 
-from .. import filters
 from ..errors import StoreError, UsageError
-from ..results import TestResult
-from ..run_folder import RunFolder
-from ..run_records import STATES, RunRecord, RunSummary
-from . import selectors, writing
+from ..records import RunFolder
+from ..records.results import TestResult
+from ..records.run_records import STATES, RunRecord, RunSummary
+from . import filters, selectors, writing
 from .connection import READ, display, explained, lock_writers, make_engine, parse_url, sqlite_file
 from .reading import Index, stored_parameters
 from .rows import StoredTest, chunks, run_row, upsert

@@ -9,7 +9,7 @@ from typing import Any
 
 from sqlalchemy import Connection, select
 
-from ..statistics import kde
+from ..statistics.density import kde
 from .connection import ReadOnlyError
 from .rows import put
 from .store import Store

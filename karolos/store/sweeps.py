@@ -10,7 +10,7 @@ from typing import TYPE_CHECKING, Any
 from sqlalchemy import delete, select
 
 from ..errors import UsageError
-from ..sweep_records import Final, SweepRecord, Trial
+from ..records.sweep_records import Final, SweepRecord, Trial
 from .rows import as_stored, put, where_it_lies
 from .tables import SWEEPS, TRIALS
 

@@ -9,9 +9,9 @@ from typing import Any
 
 from sqlalchemy import Connection, Table, delete, select, update
 
-from .. import labels
-from ..labels import Labels
-from ..run_records import RunRecord, RunSummary
+from ..records import labels
+from ..records.labels import Labels
+from ..records.run_records import RunRecord, RunSummary
 from .rows import StoredTest, chunks, digest, parameter_rows, put, run_row, upsert, without_seeds
 from .tables import EXPERIMENTS, PARAMETERS, RUNS, SPECS, SUCCESSES, TAGS, TESTS, VERSIONS
 

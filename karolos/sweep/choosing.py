@@ -11,11 +11,11 @@ from collections.abc import Sequence
 from dataclasses import dataclass
 from itertools import count, islice
 
-from ..events import RunWarned
-from ..signals import StopRequest
+from ..experiment.events import RunWarned
+from ..experiment.signals import StopRequest
+from ..records.sweep_records import Final, Trial, merit
 from ..spec import Spec, spec_of_trial
 from ..spec.sweep import Final as Settings
-from ..sweep_records import Final, Trial, merit
 from .crew import Crew, Job
 from .objectives import directions, measure
 from .records import FinalBegan, SweepListener

@@ -12,15 +12,15 @@ from types import TracebackType
 from typing import Any, Protocol
 
 from ..errors import MachineError
-from ..events import RunStarted, RunTested, RunWarned
-from ..experiment import SeedRunner
-from ..jobs import POLL_SECONDS, sigint_ignored
-from ..resuming import find_run
-from ..run_folder import RunFolder
-from ..run_records import RunSummary
-from ..signals import StopRequest
+from ..evaluation.testing import TestResult
+from ..experiment.events import RunStarted, RunTested, RunWarned
+from ..experiment.experiment import SeedRunner
+from ..experiment.jobs import POLL_SECONDS, sigint_ignored
+from ..experiment.resuming import find_run
+from ..experiment.signals import StopRequest
+from ..records import RunFolder
+from ..records.run_records import RunSummary
 from ..spec import Spec
-from ..testing import TestResult
 from .worker import Begin, Halt, Ready, Refused, work
 
 PATIENCE = 2

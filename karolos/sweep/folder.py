@@ -23,10 +23,10 @@ from types import TracebackType
 
 from ..errors import RunError, UsageError
 from ..files import FileLock, append_lines, write_json, write_whole, writing
-from ..run_records import timestamp
+from ..records.run_records import timestamp
+from ..records.sweep_reading import DESCRIPTION, FINAL, TRIALS, read_description
+from ..records.sweep_records import LOCK, Final, SweepRecord, Trial
 from ..spec import Spec, load_spec, to_yaml
-from ..sweep_reading import DESCRIPTION, FINAL, TRIALS, read_description
-from ..sweep_records import LOCK, Final, SweepRecord, Trial
 from .objectives import directions
 
 ORPHAN_SECONDS = 60.0

@@ -7,9 +7,9 @@ from typing import Literal
 
 import numpy as np
 
-from ..aggregates import first_reaching
+from ..evaluation.testing import TestResult
 from ..spec.sweep import OBJECTIVES
-from ..testing import TestResult
+from ..statistics.aggregates import first_reaching
 
 CENSORED = 2
 """A run that never reached the threshold counts as having taken this many times its steps (PAR2)."""

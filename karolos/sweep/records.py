@@ -7,9 +7,9 @@ from dataclasses import dataclass
 from pathlib import Path
 from typing import Literal
 
-from ..events import RunWarned
+from ..experiment.events import RunWarned
+from ..records.sweep_records import Final, Trial
 from ..spec import Sweep
-from ..sweep_records import Final, Trial
 
 
 @dataclass(frozen=True)

@@ -7,17 +7,17 @@ from itertools import islice
 from pathlib import Path
 from typing import Any
 
-from ..assembly import check_parts
 from ..errors import SpecError, UsageError
-from ..experiment import SeedRunner
-from ..run_folder import RunFolder
-from ..signals import StopRequest, stop_on_signals
+from ..experiment.experiment import SeedRunner
+from ..experiment.signals import StopRequest, stop_on_signals
+from ..experiment.start_from import pinned
+from ..records import RunFolder
+from ..records.sweep_reading import FOLDER
+from ..records.sweep_records import Final, Trial
 from ..spec import Spec, Sweep, spec_of_trial
 from ..spec.sweep import DEFAULT_TRIALS
 from ..store import Store
-from ..sweep_reading import FOLDER
-from ..sweep_records import Final, Trial
-from ..transfer import pinned
+from ..training.assembly import check_parts
 from . import choosing
 from .crew import Crew
 from .folder import SweepFolder

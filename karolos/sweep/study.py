@@ -19,10 +19,10 @@ from optuna.storages import JournalStorage
 from optuna.storages.journal import JournalFileBackend, JournalFileOpenLock
 from optuna.trial import FrozenTrial, TrialState
 
+from ..core.seeding import SeedTree
 from ..files import FileLock
-from ..seeding import SeedTree
+from ..records.sweep_records import State, Trial, rank
 from ..spec import Sweep
-from ..sweep_records import State, Trial, rank
 from .objectives import directions
 
 _STATES: dict[TrialState, State] = {

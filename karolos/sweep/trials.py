@@ -6,11 +6,11 @@ import math
 from dataclasses import dataclass, field
 
 from ..errors import SpecError, StoreError
-from ..events import RunWarned
-from ..signals import StopRequest
+from ..experiment.events import RunWarned
+from ..experiment.signals import StopRequest
+from ..records.sweep_reading import read
 from ..spec import Spec, Sweep, spec_of_trial
 from ..store import Store
-from ..sweep_reading import read
 from .crew import Job
 from .folder import SweepFolder
 from .objectives import measure, nominal_steps, so_far

@@ -13,14 +13,14 @@ from multiprocessing.connection import Connection
 from pathlib import Path
 from typing import Any
 
-from ..assembly import check_parts
 from ..errors import KarolosError
-from ..events import RunEvent
-from ..experiment import SeedRunner
+from ..experiment.events import RunEvent
+from ..experiment.experiment import SeedRunner
+from ..experiment.signals import StopRequest, stop_on_signals
 from ..files import FileLock
-from ..run_records import RunSummary
-from ..signals import StopRequest, stop_on_signals
+from ..records.run_records import RunSummary
 from ..spec import Spec
+from ..training.assembly import check_parts
 
 _LOCK_SECONDS = 10.0
 

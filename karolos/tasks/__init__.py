@@ -1,0 +1,1 @@
+"""Tasks, one file each with its scripted expert. No task knows a robot."""

@@ -9,8 +9,8 @@ import numpy as np
 from pydantic import Field as Setting
 
 from ..core import Field, FloatArray, Layout
+from ..core.seeding import Generator
 from ..randomization.parameter import Parameter
-from ..seeding import Generator
 from ..simulation.body import Vector
 from ..simulation.interface import Box, Expert, RobotView
 from ..simulation.world import World

@@ -7,8 +7,8 @@ from collections.abc import Callable
 import numpy as np
 
 from ..core import FloatArray
+from ..core.seeding import Generator
 from ..errors import RunError
-from ..seeding import Generator
 from ..simulation.interface import Box
 
 ATTEMPTS = 1000

@@ -8,7 +8,7 @@ import numpy as np
 from pydantic import Field as Setting
 
 from ..core import Field, FloatArray, Layout
-from ..seeding import Generator
+from ..core.seeding import Generator
 from ..simulation.interface import Expert, RobotView
 from ..simulation.world import World
 from .cube import FAR, CubeSettings, CubeTask, aligned

@@ -9,7 +9,7 @@ from pydantic import Field as Setting
 
 from ..core import Field, FloatArray, Layout
 from ..core import Settings as BaseSettings
-from ..seeding import Generator
+from ..core.seeding import Generator
 from ..simulation.interface import Box, Expert, RobotView, Task
 from ..simulation.world import World
 from .fitting import fitting_threshold

@@ -9,8 +9,8 @@ import numpy as np
 from pydantic import Field as Setting
 
 from ..core import Field, FloatArray, Layout
+from ..core.seeding import Generator
 from ..errors import UsageError
-from ..seeding import Generator
 from ..simulation.camera import Camera
 from ..simulation.interface import Box, Expert, RobotView
 from ..simulation.world import GRAVITY, World

@@ -8,12 +8,12 @@ from typing import Any
 import numpy as np
 import pytest
 
-from karolos.assembly import check_parts, make_agent, make_buffer, make_orchestrator
+from karolos.core.seeding import SeedTree
+from karolos.evaluation.testing import play_episodes, test_seeds
 from karolos.registry import load, names
-from karolos.seeding import SeedTree
 from karolos.spec import Spec
-from karolos.testing import play_episodes, test_seeds
-from karolos.training import Training
+from karolos.training.assembly import check_parts, make_agent, make_buffer, make_orchestrator
+from karolos.training.training import Training
 
 SHIPPED = ("sac", "td3", "ddpg", "dqn", "ppo")
 LINE = {"name": "toy", "dimensions": 1, "threshold": 0.2, "max_steps": 10}

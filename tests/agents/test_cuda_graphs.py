@@ -12,7 +12,7 @@ from typing import Any
 import numpy as np
 import pytest
 import torch
-from parts import batch, signature
+from support.parts import batch, signature
 from torch.utils._python_dispatch import TorchDispatchMode
 from torch.utils._pytree import tree_leaves
 
@@ -23,7 +23,7 @@ from karolos.agents.networks import MLP
 from karolos.agents.sac import SAC
 from karolos.agents.td3 import TD3
 from karolos.core import Discrete, Signature
-from karolos.seeding import SeedTree
+from karolos.core.seeding import SeedTree
 
 
 class Keeping(TorchDispatchMode):

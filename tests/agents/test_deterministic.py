@@ -8,14 +8,14 @@ from typing import Any
 import numpy as np
 import pytest
 import torch
-from parts import batch, signature
+from support.parts import batch, signature
 
 from karolos.agents.ddpg import DDPG
 from karolos.agents.inputs import feed, normalised
 from karolos.agents.td3 import TD3
 from karolos.core import Discrete, Signature
+from karolos.core.seeding import SeedTree
 from karolos.errors import UsageError
-from karolos.seeding import SeedTree
 
 SMALL = {"hidden": (32, 32), "learning_rate": 3e-3, "tau": 0.1, "precision": "float32"}
 AGENTS = [DDPG, TD3]

@@ -8,16 +8,16 @@ from typing import Any
 import numpy as np
 import pytest
 import torch
-from parts import batch, signature
 from pydantic import ValidationError
+from support.parts import batch, signature
 
 from karolos.agents.dqn import DQN
 from karolos.agents.inputs import Inputs, feed, normalised
 from karolos.buffers.uniform import Uniform
 from karolos.core import Discrete, Signature, Transitions
+from karolos.core.seeding import SeedTree
 from karolos.environments.bit_flip import BitFlip
 from karolos.errors import UsageError
-from karolos.seeding import SeedTree
 
 SMALL = {"hidden": (32, 32), "learning_rate": 3e-3, "tau": 0.1, "precision": "float32"}
 ACTIONS = 4

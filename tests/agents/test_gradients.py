@@ -8,7 +8,7 @@ from typing import Any
 import numpy as np
 import pytest
 import torch
-from parts import batch, leaf, plain, signature
+from support.parts import batch, leaf, plain, signature
 from torch import Tensor
 from torch.nn.functional import mse_loss, smooth_l1_loss
 
@@ -21,7 +21,7 @@ from karolos.agents.ppo import PPO, _Taken
 from karolos.agents.sac import SAC
 from karolos.agents.td3 import TD3
 from karolos.core import Batch, Discrete, Signature
-from karolos.seeding import SeedTree
+from karolos.core.seeding import SeedTree
 
 OPTIONS: list[dict[str, Any]] = [
     {},

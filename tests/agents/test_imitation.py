@@ -7,7 +7,7 @@ from typing import Any
 import numpy as np
 import pytest
 import torch
-from parts import batch, signature
+from support.parts import batch, signature
 
 from karolos.agents.actor_critic import imitation_loss
 from karolos.agents.ddpg import DDPG
@@ -15,7 +15,7 @@ from karolos.agents.inputs import feed, normalised
 from karolos.agents.sac import SAC
 from karolos.agents.td3 import TD3
 from karolos.core import Agent, Batch
-from karolos.seeding import SeedTree
+from karolos.core.seeding import SeedTree
 
 AGENTS = [SAC, DDPG, TD3]
 

@@ -10,8 +10,8 @@ import pytest
 from karolos.agents.sac import SAC
 from karolos.buffers.uniform import Uniform
 from karolos.core import Transitions
+from karolos.core.seeding import SeedTree
 from karolos.environments.toy import Toy
-from karolos.seeding import SeedTree
 
 ENVIRONMENTS = 16
 

@@ -7,15 +7,15 @@ from typing import Any
 import numpy as np
 import pytest
 import torch
-from parts import batch, signature
 from pydantic import ValidationError
+from support.parts import batch, signature
 
 from karolos.agents.ddpg import DDPG
 from karolos.agents.noise import Noise, NoiseSettings
 from karolos.agents.sac import SAC
 from karolos.agents.td3 import TD3
 from karolos.core import Agent
-from karolos.seeding import SeedTree
+from karolos.core.seeding import SeedTree
 
 ENVIRONMENTS = 2000
 

@@ -7,7 +7,7 @@ import torch
 from pydantic import ValidationError
 
 from karolos.agents.optimisation import Adam, OptimiserSettings
-from karolos.schedules import Linear
+from karolos.core.schedules import Linear
 
 
 def test_the_learning_rate_falls_with_the_steps_and_stays() -> None:

@@ -9,16 +9,16 @@ from typing import Any
 import numpy as np
 import pytest
 import torch
-from parts import signature
 from pydantic import ValidationError
+from support.parts import signature
 
 from karolos.agents.advantages import advantages
 from karolos.agents.categorical import Categorical
 from karolos.agents.gaussian import Gaussian
 from karolos.agents.ppo import PPO
 from karolos.core import Discrete, Rollout, Signature
+from karolos.core.seeding import SeedTree
 from karolos.errors import UsageError
-from karolos.seeding import SeedTree
 
 SMALL = {"hidden": (16,), "minibatches": 4, "epochs": 3}
 

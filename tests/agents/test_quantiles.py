@@ -7,13 +7,13 @@ from typing import Any
 import numpy as np
 import pytest
 import torch
-from parts import batch, signature
 from pydantic import ValidationError
+from support.parts import batch, signature
 
 from karolos.agents.inputs import feed, normalised
 from karolos.agents.quantiles import Quantiles, quantile_huber, truncated
 from karolos.agents.sac import SAC
-from karolos.seeding import SeedTree
+from karolos.core.seeding import SeedTree
 
 
 def make(**settings: Any) -> SAC:

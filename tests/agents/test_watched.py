@@ -11,7 +11,7 @@ from typing import Any
 
 import numpy as np
 import pytest
-from parts import batch, signature
+from support.parts import batch, signature
 
 from karolos.agents.actor_critic import WATCHED_EVERY
 from karolos.agents.ddpg import DDPG
@@ -20,7 +20,7 @@ from karolos.agents.ppo import PPO
 from karolos.agents.sac import SAC
 from karolos.agents.td3 import TD3
 from karolos.core import Discrete, Rollout, Signature
-from karolos.seeding import SeedTree
+from karolos.core.seeding import SeedTree
 
 CRITICS = {"critic_loss", "value_mean", "value_max", "target_mean", "critic_gradient_norm", "learning_rate"}
 POLICY = {"policy_loss", "policy_gradient_norm", "action_saturation"}

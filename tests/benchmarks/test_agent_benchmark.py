@@ -7,11 +7,11 @@ import pytest
 from karolos_cli.bench import app
 from typer.testing import CliRunner
 
-from karolos.assembly import check_parts
 from karolos.benchmarks import agent_peers
 from karolos.benchmarks.agents import ENTRIES, chosen, entry_spec
 from karolos.errors import SpecError, UsageError
-from karolos.run_folder import scan
+from karolos.records import scan
+from karolos.training.assembly import check_parts
 
 
 @pytest.mark.parametrize("case", ENTRIES)

@@ -1,7 +1,7 @@
 from __future__ import annotations
 
 from karolos.benchmarks.experts import Case, all_cases, measure
-from karolos.inspection import floor
+from karolos.plugins.inspection import floor
 from karolos.registry import names
 
 

@@ -9,8 +9,8 @@ from typing import Any
 import pytest
 
 from karolos.benchmarks import survival
-from karolos.experiment import Experiment
-from karolos.run_folder import RunFolder
+from karolos.experiment.experiment import Experiment
+from karolos.records import RunFolder
 from karolos.spec import Spec
 from karolos.store import Store
 

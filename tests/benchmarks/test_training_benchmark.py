@@ -7,13 +7,13 @@ from karolos_cli.bench import app
 from karolos_cli.bench.output import COLUMNS
 from typer.testing import CliRunner
 
-from karolos.assembly import make_agent, make_buffer, make_orchestrator
 from karolos.benchmarks import end_to_end
 from karolos.benchmarks.training import WithoutOverlap
+from karolos.core.seeding import SeedTree
 from karolos.errors import MachineError
-from karolos.seeding import SeedTree
 from karolos.spec import Spec, load_spec
-from karolos.training import Training
+from karolos.training.assembly import make_agent, make_buffer, make_orchestrator
+from karolos.training.training import Training
 
 SPECS = Path(__file__).parents[2] / "specs"
 

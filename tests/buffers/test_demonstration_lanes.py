@@ -6,12 +6,12 @@ from typing import Any
 
 import numpy as np
 import pytest
-from worlds import Counting, SameStep, counting_signature
+from support.worlds import Counting, SameStep, counting_signature
 
 from karolos.buffers.priority import Priority
 from karolos.buffers.uniform import Uniform
 from karolos.core import Transitions
-from karolos.seeding import SeedTree
+from karolos.core.seeding import SeedTree
 
 BUFFERS = [Uniform, Priority]
 STEPS = 5

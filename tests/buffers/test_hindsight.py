@@ -4,8 +4,8 @@ from __future__ import annotations
 
 import numpy as np
 import pytest
+from support.worlds import Counting, SameStep, counting_signature
 from test_uniform import goals, make, places
-from worlds import Counting, SameStep, counting_signature
 
 from karolos.errors import PluginError
 

@@ -6,11 +6,11 @@ import numpy as np
 import pytest
 from hypothesis import given, settings
 from hypothesis import strategies as st
-from worlds import Counting, SameStep, counting_signature
+from support.worlds import Counting, SameStep, counting_signature
 
 from karolos.buffers.uniform import Uniform
 from karolos.core import Batch
-from karolos.seeding import SeedTree
+from karolos.core.seeding import SeedTree
 
 DISCOUNT = 0.9
 

@@ -6,12 +6,12 @@ from typing import Any
 
 import numpy as np
 import pytest
-from worlds import Counting, counting_signature
+from support.worlds import Counting, counting_signature
 
 from karolos.buffers.on_policy import OnPolicy
 from karolos.core import Rollout
+from karolos.core.seeding import SeedTree
 from karolos.errors import RunError, UsageError
-from karolos.seeding import SeedTree
 
 
 def made(*, rollout: int, environments: int) -> OnPolicy:

@@ -4,12 +4,12 @@ from __future__ import annotations
 
 import numpy as np
 import pytest
-from worlds import Counting, counting_signature
+from support.worlds import Counting, counting_signature
 
 from karolos.buffers.priority import Priority
 from karolos.core import Batch
+from karolos.core.seeding import SeedTree
 from karolos.errors import RunError
-from karolos.seeding import SeedTree
 
 
 def make(capacity: int = 40, *, environments: int = 1, max_steps: int = 5, **settings: object) -> Priority:

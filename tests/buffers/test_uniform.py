@@ -6,12 +6,12 @@ import numpy as np
 import pytest
 from hypothesis import given, settings
 from hypothesis import strategies as st
-from worlds import Counting, counting_signature
+from support.worlds import Counting, counting_signature
 
 from karolos.buffers.uniform import Uniform
 from karolos.core import Batch, Field, Layout, Signature
+from karolos.core.seeding import SeedTree
 from karolos.errors import PluginError, RunError, UsageError
-from karolos.seeding import SeedTree
 
 
 def make(

@@ -2,8 +2,8 @@ from __future__ import annotations
 
 import json
 
-from commands import call
 from karolos_cli.bench import app
+from support.commands import call
 
 
 def test_rows_say_how_expert_and_random_policy_do_in_the_same_episodes() -> None:

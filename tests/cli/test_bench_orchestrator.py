@@ -5,8 +5,8 @@ from __future__ import annotations
 from pathlib import Path
 
 import pytest
-from commands import call
 from karolos_cli.bench.orchestrator import orchestrator
+from support.commands import call
 from typer import Typer
 
 from karolos.benchmarks.orchestrator import Report

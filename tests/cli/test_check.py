@@ -6,8 +6,8 @@ import json
 
 import pytest
 import typer
-from commands import call
 from karolos_cli.check import check
+from support.commands import call
 
 GOOD = "robot: arm\ntask: reach\nagent: learner\n"
 app = typer.Typer()

@@ -11,15 +11,14 @@ from typing import Any
 
 import pytest
 import typer
-from commands import call
 from karolos_cli.compare import compare
 from karolos_cli.diff import diff
+from support.commands import call
 
-from karolos import labels
-from karolos.run_folder import RunFolder
+from karolos.evaluation.testing import TestResult
+from karolos.records import RunFolder, labels
 from karolos.spec import load_spec
 from karolos.store import Store, reindex
-from karolos.testing import TestResult
 
 A, B = "a1" * 32, "b2" * 32
 SPEC = {"name": "reach", "seeds": [0], "environment": {"name": "toy"}, "agent": {"name": "sac", "learning_rate": 1e-3}}

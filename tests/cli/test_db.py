@@ -7,7 +7,7 @@ from pathlib import Path
 import pytest
 from karolos_cli.db import app
 from karolos_cli.runs import app as runs_app
-from run_commands import add_run, call, rows
+from support.run_commands import add_run, call, rows
 
 from karolos.errors import StoreError
 from karolos.store import Store

@@ -5,11 +5,11 @@ from pathlib import Path
 
 import numpy as np
 import pytest
-from commands import call
 from karolos_cli.inspect import app
 from PIL import Image
+from support.commands import call
 
-from karolos.inspection import halved
+from karolos.plugins.inspection import halved
 from karolos.registry import names
 
 SMALL = ("--width", "32", "--height", "24")

@@ -5,11 +5,11 @@ from pathlib import Path
 
 import imageio.v3 as imageio
 import pytest
-from commands import call
 from karolos_cli.play import play
+from support.commands import call
 from typer import Typer
 
-from karolos.experiment import Experiment
+from karolos.experiment.experiment import Experiment
 
 app = Typer()
 app.command()(play)

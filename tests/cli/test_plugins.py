@@ -6,8 +6,8 @@ import json
 import sys
 
 import pytest
-from commands import call
 from karolos_cli.plugins import app
+from support.commands import call
 
 pytestmark = pytest.mark.usefixtures("fake_plugins")
 
@@ -21,7 +21,7 @@ def test_list_names_every_plugin_and_its_distribution():
         "name": "arm",
         "distribution": "fakes",
         "version": "1.0",
-        "target": "fake_plugins:Arm",
+        "target": "support.fake_plugins:Arm",
     } in found
     assert {row["kind"] for row in found} == {
         "robot", "task", "environment", "agent", "buffer", "orchestrator", "distribution",

@@ -5,9 +5,9 @@ from __future__ import annotations
 from pathlib import Path
 
 import pytest
-from plugin_packages import install, python
+from support.plugin_packages import install, python
 
-from karolos.starter import write_starter
+from karolos.plugins.starter import write_starter
 
 SPEC = "environment: {environment}\nagent: sac\nbuffer: uniform\ntraining: {{steps: 100}}\n"
 

@@ -6,9 +6,9 @@ import re
 from pathlib import Path
 
 import pytest
-from commands import call
 from karolos_cli.plugins import app
-from plugin_packages import STARTERS, install, python
+from support.commands import call
+from support.plugin_packages import STARTERS, install, python
 
 ROOT = Path(__file__).parents[2]
 

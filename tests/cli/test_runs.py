@@ -13,9 +13,9 @@ from typer.testing import CliRunner, Result
 
 from karolos import checkpoint
 from karolos.errors import KarolosError, RunError, StoreError, UsageError
-from karolos.run_folder import RunFolder
+from karolos.evaluation.testing import TestResult
+from karolos.records import RunFolder
 from karolos.store import Store
-from karolos.testing import TestResult
 
 SPEC = {"name": "reach", "environment": {"name": "toy"}, "robot": None, "agent": {"name": "sac"}, "seeds": [0, 1]}
 

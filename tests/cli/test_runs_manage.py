@@ -8,13 +8,13 @@ from pathlib import Path
 from typing import Any
 
 import pytest
-import run_commands
 from karolos_cli.runs import app
-from run_commands import add_run
+from support import run_commands
+from support.run_commands import add_run
 from typer.testing import Result
 
 from karolos.errors import RunError, UsageError
-from karolos.run_folder import RunFolder
+from karolos.records import RunFolder
 from karolos.store import Store
 
 

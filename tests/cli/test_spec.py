@@ -5,9 +5,9 @@ from __future__ import annotations
 import json
 
 import pytest
-from commands import call
 from jsonschema import Draft202012Validator
 from karolos_cli.spec import app
+from support.commands import call
 
 from karolos.spec import load_spec
 

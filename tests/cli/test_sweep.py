@@ -12,14 +12,14 @@ import sys
 import pytest
 import typer
 import yaml
-from commands import call
 from karolos_cli.sweep import sweep
 from karolos_cli.sweep_output import Teller, report
-from sweep_samples import LEARNING_RATE, sweep_spec
+from support.commands import call
+from support.sweep_samples import LEARNING_RATE, sweep_spec
 
+from karolos.records.sweep_records import Final, Trial
 from karolos.spec import Spec
 from karolos.sweep.records import Outcome, TrialBegan, TrialEnded
-from karolos.sweep_records import Final, Trial
 
 app = typer.Typer()
 app.command()(sweep)

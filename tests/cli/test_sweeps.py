@@ -5,13 +5,13 @@ from pathlib import Path
 import pytest
 from karolos_cli.db import app as db
 from karolos_cli.sweeps import app
-from run_commands import call, rows
-from sweep_samples import some_trial, write_sweep
+from support.run_commands import call, rows
+from support.sweep_samples import some_trial, write_sweep
 
 from karolos.errors import UsageError
 from karolos.files import FileLock
+from karolos.records.sweep_records import Final
 from karolos.store import Store
-from karolos.sweep_records import Final
 
 
 @pytest.fixture

@@ -6,15 +6,15 @@ import json
 from pathlib import Path
 
 import pytest
-from commands import call
 from karolos_cli.export import export
 from karolos_cli.runs.show import show
 from karolos_cli.test import transfer
+from support.commands import call
 from typer import Typer
 
-from karolos.experiment import Experiment
-from karolos.intervals import wilson
+from karolos.experiment.experiment import Experiment
 from karolos.report.tables import success
+from karolos.statistics.intervals import wilson
 
 TOY = {
     "name": "toy",

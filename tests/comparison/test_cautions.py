@@ -3,7 +3,7 @@ from __future__ import annotations
 from typing import Any
 
 import pytest
-from compared_runs import SPEC, contender, run
+from support.compared_runs import SPEC, contender, run
 
 from karolos.comparison import Contender, compare
 from karolos.comparison.cautions import cautions

@@ -6,10 +6,10 @@ import json
 from typing import Any
 
 import pytest
-from compared_runs import SPEC, contender, run
+from support.compared_runs import SPEC, contender, run
 
 from karolos.comparison import Contender, compare
-from karolos.intervals import wilson
+from karolos.statistics.intervals import wilson
 
 FIVE = [[0, 50, 90], [0, 40, 100], [10, 60, 95], [0, 0, 0], [0, 20, 85]]
 

@@ -2,16 +2,16 @@ from __future__ import annotations
 
 import numpy as np
 import pytest
-from compared_runs import run
 from hypothesis import given
 from hypothesis import strategies as st
+from support.compared_runs import run
 
-from karolos import aggregates
 from karolos.comparison import densities, learning_curve
 from karolos.comparison.curves import POINTS, along
-from karolos.intervals import wilson
-from karolos.seeding import SeedTree
-from karolos.statistics import integral
+from karolos.core.seeding import SeedTree
+from karolos.statistics import aggregates
+from karolos.statistics.density import integral
+from karolos.statistics.intervals import wilson
 
 
 def generator() -> np.random.Generator:

@@ -11,14 +11,14 @@ import numpy as np
 import pytest
 from gymnasium.utils.env_checker import check_env
 
-import karolos.gymnasium_envs  # noqa: F401  (registers the ids)
+import karolos.environments.gymnasium_export  # noqa: F401  (registers the ids)
 from karolos.core import Discrete, Field, Layout
 from karolos.environments.action_set import ActionSet, chosen
 from karolos.environments.build import build_environment
 from karolos.environments.robot_task import RobotTask
 from karolos.errors import UsageError
+from karolos.evaluation.playing import load_expert
 from karolos.orchestrator.local import Local
-from karolos.playing import load_expert
 from karolos.registry import load
 from karolos.spec import Spec
 from karolos.spec.recipe import Part, Recipe

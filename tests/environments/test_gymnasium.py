@@ -72,8 +72,11 @@ def test_success_is_a_return_at_the_end(threshold: float, success: bool) -> None
         ({"id": "nowhere:Foo-v1"}, "environment.id"),
         ({"id": "a b"}, "environment.id"),
         ({"id": "CartPole-v1", "kwargs": {"foo": 1}}, "environment.kwargs"),
-        ({"id": "karolos.gymnasium_envs:karolos/PandaReach-v1"}, "environment.id"),
-        ({"id": "karolos.gymnasium_envs:karolos/PandaReach-v1", "flatten_goals": True}, "environment.max_steps"),
+        ({"id": "karolos.environments.gymnasium_export:karolos/PandaReach-v1"}, "environment.id"),
+        (
+            {"id": "karolos.environments.gymnasium_export:karolos/PandaReach-v1", "flatten_goals": True},
+            "environment.max_steps",
+        ),
     ],
 )
 def test_what_cannot_work_is_one_clear_line_about_a_setting(settings: dict[str, Any], where: str) -> None:
@@ -84,7 +87,7 @@ def test_what_cannot_work_is_one_clear_line_about_a_setting(settings: dict[str, 
 
 
 def test_goals_may_be_taken_as_observations() -> None:
-    name = "karolos.gymnasium_envs:karolos/PandaReach-v1"
+    name = "karolos.environments.gymnasium_export:karolos/PandaReach-v1"
     environment = make(id=name, flatten_goals=True, max_steps=50)
     assert set(environment.signature.observation.names) == {"achieved_goal", "desired_goal", "observation"}
     assert environment.reset(0).observation.shape == (environment.signature.observation.size,)

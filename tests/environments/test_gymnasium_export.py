@@ -12,8 +12,8 @@ import pytest
 from gymnasium.utils.env_checker import check_env
 
 from karolos.environments.build import build_environment
+from karolos.environments.gymnasium_export import GoalEnv, environment_ids
 from karolos.errors import UsageError
-from karolos.gymnasium_envs import GoalEnv, environment_ids
 from karolos.spec import Spec
 
 IDS = sorted(environment_ids())

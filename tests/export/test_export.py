@@ -9,11 +9,11 @@ from pathlib import Path
 
 import numpy as np
 import pytest
-from exported_policies import CASES, asked, trained
+from support.exported_policies import CASES, asked, trained
 
 from karolos import checkpoint
 from karolos.core import Agent
-from karolos.deployed import Deployed, Layer
+from karolos.core.deployed import Deployed, Layer
 from karolos.errors import MachineError, RunError, UsageError
 from karolos.export import NumpyPolicy, export_policy
 from karolos.export.onnx_file import run_onnx

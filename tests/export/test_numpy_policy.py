@@ -9,7 +9,7 @@ from pathlib import Path
 
 import numpy as np
 import pytest
-from exported_policies import trained
+from support.exported_policies import trained
 
 from karolos.export import NumpyPolicy, export_policy, numpy_policy
 

@@ -2,8 +2,8 @@
 
 import numpy as np
 import pytest
-from fake_environments import FINE, RAISE, SLOW
-from layouts import IN_PROCESS, ONE, THREADS, TWO, make, reset, step
+from support.fake_environments import FINE, RAISE, SLOW
+from support.layouts import IN_PROCESS, ONE, THREADS, TWO, make, reset, step
 
 every_layout = pytest.mark.parametrize("layout", [IN_PROCESS, ONE, TWO, THREADS], ids=["0", "1", "2", "threads"])
 

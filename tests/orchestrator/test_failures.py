@@ -7,11 +7,24 @@ import threading
 from pathlib import Path
 from time import monotonic, sleep
 
-import fake_environments
 import numpy as np
 import pytest
-from fake_environments import COMPLAIN, DIE, EXIT, FINE, HANG, INTERRUPT, QUIRKY, RAISE, SEGFAULT, SLOW, Fake, Fickle
-from layouts import IN_PROCESS, ONE, THREADS, TWO, make, reset, step
+from support import fake_environments
+from support.fake_environments import (
+    COMPLAIN,
+    DIE,
+    EXIT,
+    FINE,
+    HANG,
+    INTERRUPT,
+    QUIRKY,
+    RAISE,
+    SEGFAULT,
+    SLOW,
+    Fake,
+    Fickle,
+)
+from support.layouts import IN_PROCESS, ONE, THREADS, TWO, make, reset, step
 
 from karolos.errors import KarolosError, MachineError, PluginError, WorkerError
 from karolos.orchestrator import lanes, start, workers

@@ -4,10 +4,10 @@ import pickle
 
 import numpy as np
 import pytest
-from fake_environments import FINE, Fake
 from hypothesis import given
 from hypothesis import strategies as st
 from pydantic import ValidationError
+from support.fake_environments import FINE, Fake
 
 from karolos.core import Field, Layout, Signature
 from karolos.orchestrator.block import ALIGNMENT, Block, SharedBytes

@@ -9,12 +9,12 @@ from time import monotonic, sleep
 
 import pytest
 
-HERE = Path(__file__).parent
+TESTS = Path(__file__).parents[1]
 HEAD = f"""
 import sys
-sys.path.insert(0, {str(HERE)!r})
+sys.path.insert(0, {str(TESTS)!r})
 import numpy as np
-from fake_environments import FINE, HANG, PRINT, Fake
+from support.fake_environments import FINE, HANG, PRINT, Fake
 from karolos.orchestrator import start
 from karolos.orchestrator.local import Local
 MARK_OF_THE_USERS_SCRIPT = True

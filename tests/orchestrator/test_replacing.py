@@ -6,8 +6,8 @@ from time import sleep
 
 import numpy as np
 import pytest
-from fake_environments import COMPLAIN, DIE, END, FINE, HANG, RAISE, SEGFAULT
-from layouts import IN_PROCESS, ONE, THREADS, TWO, make, reset, step
+from support.fake_environments import COMPLAIN, DIE, END, FINE, HANG, RAISE, SEGFAULT
+from support.layouts import IN_PROCESS, ONE, THREADS, TWO, make, reset, step
 
 from karolos.environments.toy import Toy
 from karolos.errors import MachineError, PluginError, WorkerError
@@ -102,7 +102,7 @@ def test_a_worker_that_hangs_is_killed_and_replaced():
 
 def test_the_time_limit_is_one_steps_and_not_all_steps_of_a_worker(monkeypatch):
     """Four steps of .1 s each in one worker, with a limit of .3 s; nor does the time between commands count."""
-    from fake_environments import SLOW
+    from support.fake_environments import SLOW
 
     with make(ONE, time_limit=0.3) as orchestrator:
         reset(orchestrator)

@@ -8,6 +8,7 @@ from hypothesis import given
 from hypothesis import strategies as st
 from pydantic import ValidationError
 
+from karolos.core.seeding import Generator
 from karolos.errors import RunError, UsageError
 from karolos.randomization.choice import Choice
 from karolos.randomization.log_uniform import LogUniform
@@ -15,7 +16,6 @@ from karolos.randomization.normal import Normal
 from karolos.randomization.parameter import Parameter
 from karolos.randomization.randomization import Randomization
 from karolos.randomization.uniform import Uniform
-from karolos.seeding import Generator
 
 DECLARED = {"task.gravity": Parameter("m/s2", -9.81, -20.0, 0.0), "robot.link_mass": Parameter("1", 1.0, 0.5, 2.0)}
 

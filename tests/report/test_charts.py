@@ -2,9 +2,9 @@ from __future__ import annotations
 
 import numpy as np
 import pytest
-from compared_runs import contender, run
 from hypothesis import given
 from hypothesis import strategies as st
+from support.compared_runs import contender, run
 
 from karolos.comparison import Contender, compare
 from karolos.report import charts

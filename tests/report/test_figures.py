@@ -4,7 +4,7 @@ from pathlib import Path
 from xml.etree import ElementTree
 
 import pytest
-from compared_runs import contender
+from support.compared_runs import contender
 
 from karolos.comparison import Comparison, compare
 from karolos.errors import MachineError

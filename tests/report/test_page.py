@@ -9,7 +9,7 @@ from dataclasses import replace
 from pathlib import Path
 
 import pytest
-from compared_runs import SPEC, contender
+from support.compared_runs import SPEC, contender
 
 from karolos.comparison import Comparison, Contender, compare
 from karolos.errors import MachineError

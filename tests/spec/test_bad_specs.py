@@ -5,7 +5,7 @@ from __future__ import annotations
 import os
 
 import pytest
-from spec_files import GOOD, problems_of, write
+from support.spec_files import GOOD, problems_of, write
 
 from karolos.errors import PluginError, SpecError
 from karolos.spec import Spec, load_spec

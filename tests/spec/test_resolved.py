@@ -11,7 +11,7 @@ import pytest
 from hypothesis import HealthCheck, given, settings
 from hypothesis import strategies as st
 from pydantic import ValidationError
-from spec_files import GOOD, write
+from support.spec_files import GOOD, write
 
 from karolos.spec import Spec, load_spec, to_yaml
 

@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 import pytest
-from spec_files import GOOD, problems_of, write
+from support.spec_files import GOOD, problems_of, write
 
 from karolos.errors import SpecError
 from karolos.spec import Spec, load_spec, spec_of_trial

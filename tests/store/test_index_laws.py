@@ -11,19 +11,18 @@ from pathlib import Path
 from typing import Any, get_args
 
 import pytest
-from databases import KINDS, empty_database
 from hypothesis import HealthCheck, given, settings
 from hypothesis import strategies as st
-from store_samples import result
-from sweep_samples import some_trial, write_sweep
+from support.databases import KINDS, empty_database
+from support.store_samples import result
+from support.sweep_samples import some_trial, write_sweep
 
-from karolos import labels, trash
 from karolos.files import FileLock
-from karolos.run_folder import RunFolder
+from karolos.records import RunFolder, labels, trash
+from karolos.records.sweep_records import Final, State
 from karolos.store import Store, check, reindex
 from karolos.store.summaries import success_summaries
 from karolos.store.tables import TABLES
-from karolos.sweep_records import Final, State
 
 texts = st.text(st.characters(exclude_categories=["Cs", "Cc"]), min_size=1, max_size=5).filter(
     lambda text: text.strip()

@@ -7,9 +7,9 @@ from pathlib import Path
 from hypothesis import given, settings
 from hypothesis import strategies as st
 
-from karolos.run_folder import RunFolder
+from karolos.evaluation.testing import TestResult
+from karolos.records import RunFolder
 from karolos.store import Store, reindex
-from karolos.testing import TestResult
 
 runs_with_tests = st.lists(
     st.tuples(

@@ -7,11 +7,11 @@ import sys
 from pathlib import Path
 
 import pytest
-from databases import KINDS, empty_database
-from store_samples import SPEC, bare, new_run, result
+from support.databases import KINDS, empty_database
+from support.store_samples import SPEC, bare, new_run, result
 
 from karolos.errors import StoreError, UsageError
-from karolos.run_folder import RunFolder
+from karolos.records import RunFolder
 from karolos.store import Store, StoredTest
 
 
@@ -166,10 +166,10 @@ MANY = """
 import os, sys
 from dataclasses import replace
 from pathlib import Path
-from karolos import labels
+from karolos.records import labels
 from karolos.store import Store
-from karolos.run_folder import RunFolder
-from karolos.testing import TestResult
+from karolos.records import RunFolder
+from karolos.records.results import TestResult
 
 runs, url, start = Path(sys.argv[1]), sys.argv[2], os.pipe()
 children = []

@@ -7,13 +7,12 @@ from collections.abc import Iterator
 from pathlib import Path
 
 import pytest
-from databases import KINDS, empty_database
-from store_samples import bare, result
+from support.databases import KINDS, empty_database
+from support.store_samples import bare, result
 
-from karolos import labels
 from karolos.errors import StoreError, UsageError
-from karolos.run_folder import RunFolder
-from karolos.statistics import kde
+from karolos.records import RunFolder, labels
+from karolos.statistics.density import kde
 from karolos.store import Store
 from karolos.store.summaries import success_summaries
 

@@ -6,10 +6,10 @@ from pathlib import Path
 
 import pytest
 from sqlalchemy import create_engine
-from store_samples import bare, new_run
+from support.store_samples import bare, new_run
 
 from karolos.errors import MachineError, StoreError
-from karolos.run_records import RunSummary
+from karolos.records.run_records import RunSummary
 from karolos.store import Store
 from karolos.store.connection import explained, parse_url
 from karolos.store.tables import SCHEMA

@@ -9,8 +9,8 @@ from pathlib import Path
 import pytest
 from alembic.autogenerate import compare_metadata
 from alembic.migration import MigrationContext
-from databases import KINDS, empty_database
 from sqlalchemy import create_engine, inspect
+from support.databases import KINDS, empty_database
 
 from karolos.errors import StoreError
 from karolos.store import Store

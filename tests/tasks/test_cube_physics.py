@@ -4,7 +4,7 @@ from __future__ import annotations
 
 import numpy as np
 import pytest
-from rig import expert_episode, made, part
+from support.rig import expert_episode, made, part
 
 from karolos.environments.robot_task import RobotTask
 from karolos.simulation.world import FLOOR_FRICTION, GRAVITY

@@ -4,7 +4,7 @@ from __future__ import annotations
 
 import numpy as np
 import pytest
-from rig import expert_episode, made, part
+from support.rig import expert_episode, made, part
 
 from karolos.errors import KarolosError
 

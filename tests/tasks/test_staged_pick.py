@@ -6,7 +6,7 @@ import numpy as np
 from hypothesis import given
 from hypothesis import strategies as st
 from hypothesis.extra.numpy import arrays
-from rig import expert_episode, made
+from support.rig import expert_episode, made
 
 from karolos.core import Array
 from karolos.tasks.goals import StagedPick

@@ -24,7 +24,7 @@ from contextlib import suppress
 from pathlib import Path
 
 from karolos.benchmarks.survival import differences_of
-from karolos.run_folder import RunFolder
+from karolos.records import RunFolder
 from karolos.store import Store
 
 PATIENCE = 15.0

@@ -15,9 +15,9 @@ from typing import Any
 import pytest
 from kill_resume import TOY, torture
 
-from karolos.events import RunAdvanced, RunWarned
-from karolos.experiment import Experiment, resume_run
-from karolos.run_folder import RunFolder
+from karolos.experiment.events import RunAdvanced, RunWarned
+from karolos.experiment.experiment import Experiment, resume_run
+from karolos.records import RunFolder
 from karolos.store import Store
 
 

@@ -10,9 +10,9 @@ from karolos_cutting.boards import CLEAR, CRACK, KNOT, Order, best_value, draw_b
 from karolos_cutting.cutting import Cutting
 from karolos_cutting.greedy import greedy
 
-from karolos.contracts import check_environment
 from karolos.core import Step, random_actions
 from karolos.environments.build import build_environment
+from karolos.plugins.contracts import check_environment
 from karolos.registry import find, load
 from karolos.spec.recipe import Part, Recipe
 

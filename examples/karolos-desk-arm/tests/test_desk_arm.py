@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from karolos.contracts import check_robot
+from karolos.plugins.contracts import check_robot
 from karolos.registry import find
 
 

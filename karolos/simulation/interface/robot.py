@@ -9,8 +9,8 @@ from typing import ClassVar, Protocol
 from pydantic import BaseModel
 
 from ...core import FloatArray, Layout
+from ...core.seeding import Generator
 from ...randomization.parameter import Parameter
-from ...seeding import Generator
 from ..body import Body, Vector
 from ..kinematics import Configuration
 from ..world import World

@@ -9,8 +9,8 @@ from typing import ClassVar
 from pydantic import BaseModel
 
 from ...core import FloatArray, GoalRule, Layout
+from ...core.seeding import Generator
 from ...randomization.parameter import Parameter
-from ...seeding import Generator
 from ..camera import Camera
 from ..world import FLOOR_FRICTION, GRAVITY, World
 from .robot import RobotView

@@ -9,7 +9,7 @@ from numpy.typing import NDArray
 from pydantic import Field as Setting
 
 from karolos.core import Settings
-from karolos.seeding import Generator
+from karolos.core.seeding import Generator
 
 CLEAR, KNOT, CRACK = 0, 1, 2
 """What a cell of a board is, from best to worst."""

@@ -1,0 +1,37 @@
+"""What plugins promise, to be checked from a test of one's own, by `karolos plugins check`, or by karolos's own tests.
+
+    from karolos.plugins.contracts import check_agent
+
+    def test_it_keeps_what_agents_promise():
+        check_agent("my_agent")
+
+Each promise is a function that raises AssertionError with one line; `cases` names them one by one.
+"""
+
+from .case import Candidate, Case, candidate
+from .checking import (
+    KINDS,
+    cases,
+    check,
+    check_agent,
+    check_buffer,
+    check_distribution,
+    check_environment,
+    check_robot,
+    check_task,
+)
+
+__all__ = [
+    "KINDS",
+    "Candidate",
+    "Case",
+    "candidate",
+    "cases",
+    "check",
+    "check_agent",
+    "check_buffer",
+    "check_distribution",
+    "check_environment",
+    "check_robot",
+    "check_task",
+]

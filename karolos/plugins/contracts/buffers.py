@@ -1,0 +1,153 @@
+"""What every buffer promises: those that replay, and those that hand out an on-policy agent's rollout."""
+
+from __future__ import annotations
+
+from typing import Any
+
+import numpy as np
+
+from ...core import Batch, Buffer, FloatArray, Rollout, Transitions
+from ...core.seeding import SeedTree
+from ...errors import KarolosError
+from .agents import CONTINUOUS as SIGNATURE
+from .case import Candidate, demand, demand_refusal, demand_same
+
+ENVIRONMENTS = 3
+CALLS = 20
+
+
+def a_batch_has_the_shapes_of_the_signature(one: Candidate) -> None:
+    """A batch has the shapes of the signature, in float32; weights and discounts are sound."""
+    buffer = _made(one)
+    _feed(buffer)
+    batch = buffer.sample(12)
+    shapes: dict[str, tuple[int, ...]] = dict.fromkeys(("reward", "terminated", "discount", "weight", "slot"), (12,))
+    shapes |= {"observation": (12, 4), "next_observation": (12, 4), "desired_goal": (12, 2), "action": (12, 2)}
+    for field, array in batch._asdict().items():
+        if array is None:
+            demand(field not in shapes, f"a batch lacks {field}")
+            continue
+        demand(array.shape == shapes[field], f"{field} has the shape {array.shape} instead of {shapes[field]}")
+        wanted = np.int64 if field == "slot" else np.float32
+        demand(array.dtype == wanted, f"{field} is {array.dtype} instead of {np.dtype(wanted)}")
+    demand((batch.weight > 0).all(), "a weight is not positive")
+    demand(((batch.discount > 0) & (batch.discount <= 0.9)).all(), "a discount is not in (0, .9], where .9 was given")
+    demand(set(batch.terminated) <= {0.0, 1.0}, "terminated is neither 0 nor 1")
+
+
+def transitions_can_be_sampled_before_their_episode_ends(one: Candidate) -> None:
+    """What was added can be sampled at once, whether or not its episode has ended."""
+    buffer = _made(one)
+    _feed(buffer, calls=3)
+    demand(len(buffer) == 3 * ENVIRONMENTS, f"it holds {len(buffer)} transitions after {3 * ENVIRONMENTS} were added")
+    demand(set(buffer.sample(9).reward) <= set(range(9)), "a batch holds a reward that was never added")
+
+
+def an_empty_buffer_says_so(one: Candidate) -> None:
+    """Sampling from an empty buffer raises a KarolosError."""
+    buffer = _made(one)
+    demand(len(buffer) == 0, f"a new buffer holds {len(buffer)} transitions")
+    demand_refusal(lambda: buffer.sample(1), KarolosError, "an empty buffer gives a batch")
+
+
+def sampling_goes_on_bit_for_bit_from_a_saved_state(one: Candidate) -> None:
+    """A buffer that loads another's state samples on as that would have."""
+    first, second = _made(one), _made(one, 5)
+    _feed(first)
+    first.sample(6)
+    second.load_state(first.state())
+    for buffer in (first, second):
+        _feed(buffer, first=CALLS, calls=5)
+    demand(len(first) == len(second), f"{len(second)} transitions after load_state instead of {len(first)}")
+    ours, theirs = _copied(first.sample(15)), _copied(second.sample(15))
+    for field, left, right in zip(Batch._fields, ours, theirs, strict=True):
+        demand_same(left, right, f"{field} of a batch after load_state")
+
+
+def the_same_seed_samples_the_same_and_another_does_not(one: Candidate) -> None:
+    """The seed alone determines what is sampled."""
+    slots = []
+    for seed in (0, 0, 1):
+        buffer = _made(one, seed)
+        _feed(buffer)
+        slots.append(np.array(buffer.sample(15).slot))
+    demand_same(slots[0], slots[1], "the slots sampled with the same seed")
+    demand(not np.array_equal(slots[0], slots[2]), "another seed samples the very same transitions")
+
+
+def a_rollout_has_the_shapes_of_the_signature_and_is_given_once(one: Candidate) -> None:
+    """A rollout is there when it is complete, has the signature's shapes, and is given once."""
+    buffer = _made(one)
+    _feed(buffer, calls=CALLS - 1)
+    demand(len(buffer) == 0, "a rollout that is not complete is handed out")
+    _feed(buffer, first=CALLS - 1, calls=1)
+    demand(len(buffer) == CALLS * ENVIRONMENTS, f"a complete rollout has {len(buffer)} transitions")
+    rollout = buffer.sample(len(buffer))
+    size = CALLS, ENVIRONMENTS
+    columns = {"observation": 4, "next_observation": 4, "desired_goal": 2, "action": 2}
+    for field in Rollout._fields:
+        wanted = (*size, columns[field]) if field in columns else size
+        found = getattr(rollout, field).shape
+        demand(found == wanted, f"{field} has the shape {found} instead of {wanted}")
+    demand_same(rollout.reward.ravel(), np.arange(CALLS * ENVIRONMENTS), "rewards in the order in which they came")
+    demand(len(buffer) == 0, "a rollout that was handed out is still there")
+    demand_refusal(lambda: buffer.sample(CALLS * ENVIRONMENTS), KarolosError, "a rollout is handed out twice")
+
+
+def a_rollout_goes_on_bit_for_bit_from_a_saved_state(one: Candidate) -> None:
+    """A buffer that loads another's state completes its rollout as that would have."""
+    first, second = _made(one), _made(one, 5)
+    _feed(second, calls=7)
+    _feed(first, calls=CALLS // 2)
+    second.load_state(first.state())
+    for buffer in (first, second):
+        _feed(buffer, first=CALLS // 2, calls=CALLS - CALLS // 2)
+    ours, theirs = (buffer.sample(len(buffer)) for buffer in (first, second))
+    for field, left, right in zip(Rollout._fields, ours, theirs, strict=True):
+        demand_same(left, right, f"{field} of a rollout after load_state")
+
+
+REPLAY = (
+    a_batch_has_the_shapes_of_the_signature,
+    transitions_can_be_sampled_before_their_episode_ends,
+    an_empty_buffer_says_so,
+    sampling_goes_on_bit_for_bit_from_a_saved_state,
+    the_same_seed_samples_the_same_and_another_does_not,
+)
+ON_POLICY = (
+    a_rollout_has_the_shapes_of_the_signature_and_is_given_once,
+    an_empty_buffer_says_so,
+    a_rollout_goes_on_bit_for_bit_from_a_saved_state,
+)
+
+
+def _made(one: Candidate, seed: int = 0) -> Buffer[Any]:
+    """The buffer; a rollout is complete after CALLS calls."""
+    settings = one.settled(rollout=CALLS) if one.plugin.on_policy else one.settled()
+    made: Buffer[Any] = one.plugin(settings, SIGNATURE, SeedTree(seed), environments=ENVIRONMENTS, discount=0.9)
+    return made
+
+
+def _feed(buffer: Buffer[Any], *, first: int = 0, calls: int = CALLS) -> None:
+    """Noise from all environments; each transition's reward is its number."""
+    numbers = np.arange(ENVIRONMENTS)
+    for call in range(first, first + calls):
+        noise: FloatArray = np.random.default_rng(call).normal(size=(ENVIRONMENTS, 16)).astype(np.float32)
+        buffer.add(
+            Transitions(
+                environment=numbers,
+                observation=noise[:, :4],
+                achieved_goal=noise[:, 4:6],
+                desired_goal=noise[:, 6:8],
+                action=np.tanh(noise[:, 8:10]),
+                reward=(call * ENVIRONMENTS + numbers).astype(np.float32),
+                next_observation=noise[:, 10:14],
+                next_achieved_goal=noise[:, 14:],
+                terminated=np.full(ENVIRONMENTS, call % 7 == 6),
+                truncated=np.full(ENVIRONMENTS, call % 10 == 9),
+            )
+        )
+
+
+def _copied(batch: Batch) -> Batch:
+    return Batch(*(np.array(field) for field in batch))

@@ -1,0 +1,131 @@
+"""Which promises a plugin has to keep, by its kind, and whether it does."""
+
+from __future__ import annotations
+
+from typing import Any
+
+from ...errors import UsageError
+from ...registry import alternatives, names, singular
+from . import agents, buffers, distributions, environments, grippers, pairs, robots, tasks
+from .case import Candidate, Case, candidate, cases_of
+from .joined import CONTROLS, goes_with
+
+KINDS = ("robots", "tasks", "agents", "buffers", "environments", "distributions")
+"""What there are contracts for. An orchestrator's is tested in karolos alone."""
+USUAL_ROBOT = "panda"
+"""With which a task is asked for what does not depend on the robot."""
+
+
+def cases(one: Candidate, *, alone: bool = False) -> list[Case]:
+    """Every promise that a plugin has to keep.
+
+    Args:
+        one: the plugin.
+        alone: leave out what a robot promises with each installed task, and a task with each robot.
+
+    Raises:
+        UsageError: a setting is missing, or there are no contracts for its kind, or it is the environment robot_task,
+            which a robot and a task make.
+    """
+    if one.kind == "robots":
+        return _of_robot(one) + ([] if alone else [case for task in _all("tasks") for case in of_pair(one, task)])
+    if one.kind == "tasks":
+        usual = candidate("robots", USUAL_ROBOT)
+        found = cases_of(tasks.PROMISES, usual, one)
+        return found + ([] if alone else [case for robot in _all("robots") for case in of_pair(robot, one)])
+    one.settled()
+    if one.kind == "agents":
+        return cases_of(agents.PROMISES, one)
+    if one.kind == "buffers":
+        on_policy = one.plugin.on_policy
+        return cases_of(buffers.ON_POLICY if on_policy else buffers.REPLAY, one)
+    if one.kind == "distributions":
+        return cases_of(distributions.PROMISES, one)
+    if one.kind == "environments" and one.name != "robot_task":
+        return cases_of(environments.PROMISES, one)
+    hint = "check a robot or a task" if one.kind == "environments" else alternatives(one.kind, KINDS)
+    raise UsageError(f"there are no contracts for {singular(one.kind)} {one.name}", hint=hint)
+
+
+def of_pair(robot: Candidate, task: Candidate) -> list[Case]:
+    """What a robot promises with a task: as an environment under each control that fits, and as a pair."""
+    if task.plugin.uses_gripper and not _has_gripper(robot):
+        return []
+    modes = [control for control in CONTROLS if goes_with(task, control)]
+    found = [case for mode in modes for case in cases_of(environments.PROMISES, _under(robot, mode), task)]
+    return (
+        found
+        + cases_of(pairs.PROMISES, robot, task)
+        + (cases_of(pairs.IN_REACH, robot, task) if task.name == "reach" else [])
+    )
+
+
+def check(kind: str, name: str, **settings: Any) -> None:
+    """Check everything that an installed plugin promises.
+
+    Args:
+        kind: robots, tasks, agents, buffers, environments or distributions.
+        name: what specs call it.
+        settings: other than its defaults.
+
+    Raises:
+        AssertionError: it breaks promises; one line for each.
+        UsageError: no such plugin, or no contracts for its kind.
+        PluginError: it does not import, or lacks a part of its kind's interface.
+    """
+    broken = []
+    for case in cases(candidate(kind, name, **settings)):
+        try:
+            case()
+        except AssertionError as error:
+            broken.append(f"{case}: {error}")
+    if broken:
+        raise AssertionError("\n".join(broken))
+
+
+def check_robot(name: str, **settings: Any) -> None:
+    """`check` for a robot, with every installed task. Takes about a minute."""
+    check("robots", name, **settings)
+
+
+def check_task(name: str, **settings: Any) -> None:
+    """`check` for a task, with every installed robot. Takes about a minute."""
+    check("tasks", name, **settings)
+
+
+def check_agent(name: str, **settings: Any) -> None:
+    """`check` for an agent."""
+    check("agents", name, **settings)
+
+
+def check_buffer(name: str, **settings: Any) -> None:
+    """`check` for a buffer."""
+    check("buffers", name, **settings)
+
+
+def check_environment(name: str, **settings: Any) -> None:
+    """`check` for an environment."""
+    check("environments", name, **settings)
+
+
+def check_distribution(name: str, **settings: Any) -> None:
+    """`check` for a distribution."""
+    check("distributions", name, **settings)
+
+
+def _of_robot(one: Candidate) -> list[Case]:
+    found = [case for control in CONTROLS for case in cases_of(robots.ANY_CONTROL, _under(one, control))]
+    found += cases_of(robots.JOINT_CONTROL, _under(one, "joint"))
+    return found + (cases_of(grippers.PROMISES, _under(one, "cartesian")) if _has_gripper(one) else [])
+
+
+def _under(robot: Candidate, control: str) -> Candidate:
+    return Candidate(robot.kind, robot.name, robot.plugin, {**robot.settings, "control": control})
+
+
+def _has_gripper(robot: Candidate) -> bool:
+    return robot.plugin(robot.settled()).gripper is not None
+
+
+def _all(kind: str) -> list[Candidate]:
+    return [candidate(kind, name) for name in names(kind)]

@@ -1,0 +1,148 @@
+"""What every environment promises."""
+
+from __future__ import annotations
+
+from collections.abc import Iterator
+from contextlib import contextmanager
+
+import numpy as np
+
+from ...core import Environment, Step, random_actions
+from .case import Candidate, demand, demand_refusal, demand_same
+from .joined import build
+
+STARTS = 300
+"""Resets after which no goal may be reached."""
+
+
+def the_same_seed_gives_the_same_trajectory_in_a_fresh_and_in_a_used_environment(*who: Candidate) -> None:
+    """A seed and the actions determine an episode, whatever the environment did before."""
+    with _made(who) as environment, _made(who) as fresh:
+        first = _played(environment, 3)
+        _played(environment, 4)
+        environment.reset(5)  # an episode that is left unfinished
+        environment.step(_actions(environment, 0, 1)[0])
+        for what, used in (("in a used environment", environment), ("in a fresh environment", fresh)):
+            again = _played(used, 3)
+            demand(len(again) == len(first), f"an episode of the same seed has {len(again) - 1} steps {what}")
+            for place, (one, other) in enumerate(zip(first, again, strict=True)):
+                for field, left, right in zip(Step._fields, one, other, strict=True):
+                    demand_same(left, right, f"{field} of step {place} {what}")
+
+
+def different_seeds_give_different_episodes(*who: Candidate) -> None:
+    """Each seed begins an episode of its own."""
+    with _made(who) as environment:
+        starts = [environment.reset(seed) for seed in range(4)]
+        different = {(step.observation.tobytes(), step.desired_goal.tobytes()) for step in starts}
+        demand(len(different) == 4, f"4 seeds gave {len(different)} different beginnings")
+
+
+def steps_are_as_the_signature_says(*who: Candidate) -> None:
+    """Observations and goals have the signature's shapes in float32, rewards its range, and a reset gives none."""
+    with _made(who) as environment:
+        signature = environment.signature
+        steps = _played(environment, 7)
+        low, high = signature.reward_range
+        for step in steps:
+            for field in ("observation", "achieved_goal", "desired_goal"):
+                array, wanted = getattr(step, field), (getattr(signature, field).size,)
+                demand(array.shape == wanted, f"{field} has the shape {array.shape} instead of {wanted}")
+                demand(array.dtype == np.float32, f"{field} is {array.dtype} instead of float32")
+            demand(low <= step.reward <= high, f"the reward {step.reward} is outside {signature.reward_range}")
+        demand(steps[0].reward == 0, f"a reset gives the reward {steps[0].reward}")
+        demand(not steps[0].terminated and not steps[0].truncated, "a reset ends its episode")
+        demand(
+            len(steps) - 1 <= signature.max_steps, f"{len(steps) - 1} steps where {signature.max_steps} are the most"
+        )
+        demand(environment.parameters().shape == (signature.parameters.size,), "parameters() does not fit its layout")
+
+
+def an_episode_ends_once_and_no_step_follows(*who: Candidate) -> None:
+    """An episode ends by termination or truncation, and a step after its end raises RuntimeError."""
+    with _made(who) as environment:
+        steps = _played(environment, 8)
+        ends = [bool(step.terminated or step.truncated) for step in steps]
+        demand(ends[-1], f"the episode has not ended after {len(steps) - 1} steps")
+        demand(not (steps[-1].terminated and steps[-1].truncated), "an episode is terminated and truncated at once")
+        action = _actions(environment, 0, 1)[0]
+        demand_refusal(lambda: environment.step(action), RuntimeError, "a step after the end raises no RuntimeError")
+
+
+def arrays_of_a_step_are_not_written_again(*who: Candidate) -> None:
+    """A step that was handed out stays as it was."""
+    with _made(who) as environment:
+        step = environment.reset(1)
+        kept = [np.copy(value) for value in step]
+        environment.step(_actions(environment, 1, 1)[0])
+        environment.reset(2)
+        for field, before, after in zip(Step._fields, kept, step, strict=True):
+            demand_same(before, after, f"{field} of a step that was handed out before")
+
+
+def the_goal_rule_gives_the_rewards_and_ends_of_the_steps(*who: Candidate) -> None:
+    """Where there is a goal rule, it gives reward, success and termination of every step."""
+    with _made(who) as environment:
+        rule = environment.signature.goal_rule
+        if rule is None:
+            return
+        steps = _played(environment, 9)[1:]
+        achieved, desired = (np.stack([step[column] for step in steps]) for column in (1, 2))
+        demand_same(
+            rule.reward(achieved, desired), np.array([s.reward for s in steps], np.float32), "the rule's reward"
+        )
+        demand_same(rule.success(achieved, desired), [step.success for step in steps], "the rule's success")
+        demand_same(rule.terminated(achieved, desired), [step.terminated for step in steps], "the rule's termination")
+
+
+def the_goal_is_never_reached_at_the_start(*who: Candidate) -> None:
+    """No episode begins where its goal is reached."""
+    with _made(who) as environment:
+        solved = [seed for seed in range(STARTS) if environment.reset(seed).success]
+        demand(not solved, f"{len(solved)} of {STARTS} episodes begin solved, e.g. that of seed {solved[:1]}")
+
+
+def closing_twice_is_safe(*who: Candidate) -> None:
+    """`close` may be called again."""
+    with _made(who) as environment:
+        environment.reset(0)
+        environment.close()
+
+
+PROMISES = (
+    the_same_seed_gives_the_same_trajectory_in_a_fresh_and_in_a_used_environment,
+    different_seeds_give_different_episodes,
+    steps_are_as_the_signature_says,
+    an_episode_ends_once_and_no_step_follows,
+    arrays_of_a_step_are_not_written_again,
+    the_goal_rule_gives_the_rewards_and_ends_of_the_steps,
+    the_goal_is_never_reached_at_the_start,
+    closing_twice_is_safe,
+)
+
+
+@contextmanager
+def _made(who: tuple[Candidate, ...]) -> Iterator[Environment]:
+    """The environment, or that of a robot and a task."""
+    environment = build(*who)
+    try:
+        yield environment
+    finally:
+        environment.close()
+
+
+def _actions(
+    environment: Environment, seed: int, count: int | None = None
+) -> np.ndarray[tuple[int, ...], np.dtype[np.float32]]:
+    generator = np.random.default_rng(seed)
+    return random_actions(environment.signature, count or environment.signature.max_steps, generator)
+
+
+def _played(environment: Environment, seed: int) -> list[Step]:
+    """An episode of random actions, with its reset."""
+    steps = [environment.reset(seed)]
+    for action in _actions(environment, seed):
+        steps.append(environment.step(action))
+        if steps[-1].terminated or steps[-1].truncated:
+            break
+    return steps

@@ -1,0 +1,63 @@
+"""Environments of the plugins that are checked: one as it is, or a robot with a task."""
+
+from __future__ import annotations
+
+from collections.abc import Iterator, Mapping
+from contextlib import contextmanager
+from typing import Any
+
+from ...core import Environment
+from ...environments.robot_task import RobotTask
+from ...randomization.choice import Choice
+from .case import Candidate, candidate
+
+CONTROLS = ("joint", "cartesian")
+
+
+def build(first: Candidate, task: Candidate | None = None) -> Environment:
+    """An environment, or a robot with a task."""
+    if task is not None:
+        return join(first, task)
+    made: Environment = first.plugin(first.settled())
+    return made
+
+
+def join(robot: Candidate, task: Candidate, *, drawn: Mapping[str, float] | None = None, **settings: Any) -> RobotTask:
+    """A robot with a task.
+
+    Args:
+        robot: to be joined.
+        task: likewise.
+        drawn: parameters of the two and the value that randomization is to give them.
+        settings: of the task.
+    """
+    return RobotTask(
+        RobotTask.Settings.model_validate({}),
+        robot=robot.plugin(robot.settled()),
+        task=task.plugin(task.settled(**settings)),
+        randomization={
+            name: Choice(Choice.Settings.model_validate({"values": (value,)})) for name, value in (drawn or {}).items()
+        },
+    )
+
+
+@contextmanager
+def joined(robot: Candidate, task: Candidate, **how: Any) -> Iterator[RobotTask]:
+    """`join`, closed at the end."""
+    environment = join(robot, task, **how)
+    try:
+        yield environment
+    finally:
+        environment.close()
+
+
+@contextmanager
+def reaching(robot: Candidate, *, steps: int = 100_000) -> Iterator[RobotTask]:
+    """A robot with the task reach, in episodes that are long enough to look at its motion."""
+    with joined(robot, candidate("tasks", "reach"), max_steps=steps) as environment:
+        yield environment
+
+
+def goes_with(task: Candidate, control: str | None) -> bool:
+    """Cartesian control keeps the tool pointing down, which not every task can be done with."""
+    return control != "cartesian" or bool(task.plugin.points_down)

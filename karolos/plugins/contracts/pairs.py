@@ -1,0 +1,100 @@
+"""What every robot promises with every task."""
+
+from __future__ import annotations
+
+import numpy as np
+
+from ...environments.robot_task import RobotTask
+from ...evaluation.playing import expert_policy
+from ...evaluation.scoring import random_policy, score
+from .case import Candidate, demand, demand_same
+from .joined import joined
+
+EPISODES = 10
+
+
+def a_pair_is_solved_as_its_expert_shows_and_not_by_chance(robot: Candidate, task: Candidate) -> None:
+    """The task's expert solves 70 % with this robot, random actions 30 % at the most."""
+    with joined(robot, task) as environment:
+        expert = score(environment, expert_policy(environment), episodes=EPISODES, seed=1)
+        chance = score(environment, random_policy(environment, 1), episodes=EPISODES, seed=1)
+        demand(environment.blow_ups == 0, f"the physics left all sense in {environment.blow_ups} episodes")
+    demand(expert.success_end >= 0.7, f"the expert solves {expert.success_end:.0%} of {EPISODES} episodes")
+    demand(chance.success_end <= 0.3, f"random actions solve {chance.success_end:.0%} of {EPISODES} episodes")
+
+
+def drawing_the_nominal_values_is_the_world_as_it_is(robot: Candidate, task: Candidate) -> None:
+    """Randomization that draws every nominal value changes nothing."""
+    with joined(robot, task) as plain:
+        nominal = {name: value for name, (value, _, _) in _declared(plain).items()}
+        with joined(robot, task, drawn=nominal) as drawn:
+            for seed in range(2):
+                demand_same(plain.reset(seed).observation, drawn.reset(seed).observation, "observations after a reset")
+                generator = np.random.default_rng(seed)
+                actions = generator.uniform(-1, 1, (8, plain.signature.action.size)).astype(np.float32)
+                for action in actions:
+                    one, other = plain.step(action), drawn.step(action)
+                    demand_same(one.observation, other.observation, "observations with every nominal value drawn")
+                    demand(
+                        one.terminated == other.terminated, "with every nominal value drawn an episode ends elsewhere"
+                    )
+                    if one.terminated:
+                        break
+
+
+def extreme_values_of_every_parameter_can_be_drawn(robot: Candidate, task: Candidate) -> None:
+    """The lowest and the highest values of all parameters at once make a world that can be stepped."""
+    with joined(robot, task) as plain:
+        declared = _declared(plain)
+    for place in (1, 2):
+        values = {name: bounds[place] for name, bounds in declared.items()}
+        with joined(robot, task, drawn=values) as environment:
+            environment.reset(0)
+            wanted = [values[name] for name in sorted(values)]
+            near = np.allclose(environment.parameters(), wanted, rtol=1e-6)
+            demand(near, f"parameters() says {environment.parameters()}, drawn was {wanted}")
+            environment.step(np.ones(environment.signature.action.size, np.float32))
+
+
+def every_parameter_changes_episodes_and_leaves_nothing_behind(robot: Candidate, task: Candidate) -> None:
+    """A parameter changes the episodes of its own world, and of no other."""
+    with joined(robot, task) as plain:
+        nominal = _trace(plain, 3)
+        for name, (usual, low, high) in _declared(plain).items():
+            if name == "task.floor_friction":  # nothing slides in reach
+                continue
+            with joined(robot, task, drawn={name: high if high != usual else low}) as changed:
+                demand(_trace(changed, 3) != nominal, f"{name} changes nothing")
+            demand(_trace(plain, 3) == nominal, f"{name} reaches another world")
+
+
+PROMISES = (
+    a_pair_is_solved_as_its_expert_shows_and_not_by_chance,
+    drawing_the_nominal_values_is_the_world_as_it_is,
+    extreme_values_of_every_parameter_can_be_drawn,
+)
+IN_REACH = (every_parameter_changes_episodes_and_leaves_nothing_behind,)
+
+
+def _declared(environment: RobotTask) -> dict[str, tuple[float, float, float]]:
+    """Parameters with nominal, lowest and highest value."""
+    parts = (("robot", environment.robot), ("task", environment.task))
+    return {
+        f"{what}.{name}": (parameter.nominal, parameter.low, parameter.high)
+        for what, owner in parts
+        for name, parameter in owner.parameters.items()
+    }
+
+
+def _trace(environment: RobotTask, seed: int) -> bytes:
+    """What is observed in an episode's first steps of an arm that goes down, opens and closes and goes aside."""
+    generator = np.random.default_rng(0)
+    seen = [environment.reset(seed).observation]
+    for step in range(30):
+        action = generator.uniform(-1, 1, environment.signature.action.size).astype(np.float32)
+        action[2] = -1.0 if step < 14 else action[2]
+        after = environment.step(action)
+        seen.append(after.observation)
+        if after.terminated or after.truncated:
+            break
+    return b"".join(observation.tobytes() for observation in seen)

@@ -1,0 +1,197 @@
+"""What a robot or a task is, for a person: facts as tables, a picture, and what a random policy achieves with it."""
+
+from __future__ import annotations
+
+from collections.abc import Mapping
+from dataclasses import dataclass, field
+from typing import Any, Literal, get_args, get_origin
+
+import numpy as np
+from numpy.typing import NDArray
+
+from ..core import Discrete, Layout
+from ..environments.build import build_environment
+from ..environments.robot_task import RobotTask
+from ..errors import PluginError
+from ..evaluation.scoring import Score, random_policy, score
+from ..evaluation.testing import test_seeds
+from ..randomization.parameter import Parameter
+from ..registry import load
+from ..spec.recipe import Part, Recipe
+
+Facts = dict[str, Any]
+"""One line: names of columns to values that JSON knows."""
+
+
+@dataclass(frozen=True)
+class Inspection:
+    """Facts under headings, and a picture."""
+
+    name: str
+    about: str
+    tables: dict[str, list[Facts]] = field(default_factory=dict)
+    picture: NDArray[np.uint8] | None = None
+
+
+def pair(robot: str, task: str, **robot_settings: Any) -> RobotTask:
+    """A robot with a task, everything at its defaults but for the robot's settings named.
+
+    Raises UsageError for an unknown name, PluginError where the two do not go together.
+    """
+    environment = build_environment(
+        Recipe(
+            environment=_part("environments", "robot_task"),
+            robot=_part("robots", robot, **robot_settings),
+            task=_part("tasks", task),
+        )
+    )
+    if not isinstance(environment, RobotTask):
+        raise PluginError("is not karolos's own", where="environment robot_task")
+    return environment
+
+
+def _part(kind: str, name: str, **settings: Any) -> Part:
+    return Part(kind, name, load(kind, name).Settings(**settings))
+
+
+def inspect_robot(name: str, *, size: tuple[int, int] | None = (960, 720)) -> Inspection:
+    """A robot with its gripper, where it has one. `size`: of the picture in pixels; None: no picture."""
+    plugin = load("robots", name)
+    control = plugin.Settings.model_fields.get("control")
+    modes = _modes(control.annotation if control else None) or [None]
+    robots = {mode: _prepared(plugin, mode) for mode in modes}
+    first = next(iter(robots.values()))
+    limits, workspace = first.limits, first.workspace
+    joints = zip(limits.lower, limits.upper, limits.velocity, limits.effort, strict=True)
+    tables: dict[str, list[Facts]] = {
+        "joints": [
+            {"joint": place, "lower_rad": low, "upper_rad": high, "speed_rad_s": speed, "torque_N_m": torque}
+            for place, (low, high, speed, torque) in enumerate(joints, 1)
+        ],
+        "tool": [
+            {"what": "home", "x_m": first.home[0], "y_m": first.home[1], "z_m": first.home[2]},
+            {"what": "workspace low", **dict(zip(("x_m", "y_m", "z_m"), workspace.low, strict=True))},
+            {"what": "workspace high", **dict(zip(("x_m", "y_m", "z_m"), workspace.high, strict=True))},
+        ],
+    }
+    if first.gripper is not None:
+        grip = first.gripper
+        tables["gripper"] = [
+            {"width_m": grip.width, "force_N": grip.force, "speed_m_s": grip.speed, "pad_friction": grip.pad_friction}
+        ]
+    for mode, robot in robots.items():
+        suffix = f" ({mode})" if mode else ""
+        tables[f"action{suffix}"] = _fields(robot.action)
+        tables[f"observation{suffix}"] = _fields(robot.observation)
+    tables["parameters"] = _parameters({f"robot.{key}": value for key, value in first.parameters.items()})
+    tables["settings"] = _settings(plugin)
+    return Inspection(name, _about(plugin), tables, _picture(name, None, size))
+
+
+def _modes(annotation: Any) -> list[Any]:
+    """The values that a Literal, possibly one of a union, lists; without None, which names no mode."""
+    if get_origin(annotation) is Literal:
+        return [value for value in get_args(annotation) if value is not None]
+    return [mode for part in get_args(annotation) for mode in _modes(part)]
+
+
+def _prepared(plugin: Any, mode: str | None) -> Any:
+    robot = plugin(plugin.Settings(**({"control": mode} if mode else {})))
+    robot.prepare(gripper=robot.gripper is not None, period=1 / 24)
+    return robot
+
+
+def inspect_task(name: str, robot: str = "panda", *, size: tuple[int, int] | None = (960, 720)) -> Inspection:
+    """A task as it stands with this robot. `size`: of the picture in pixels; None: no picture."""
+    plugin = load("tasks", name)
+    environment = pair(robot, name)
+    signature, task = environment.signature, environment.task
+    rule: Any = signature.goal_rule
+    tables: dict[str, list[Facts]] = {
+        "goal rule": [
+            {
+                "rule": type(rule).__name__,
+                "reward_low": float(signature.reward_range[0]),
+                "reward_high": float(signature.reward_range[1]),
+                "max_steps": signature.max_steps,
+                "uses_gripper": task.uses_gripper,
+            }
+        ],
+        "achieved goal": _fields(signature.achieved_goal),
+        "desired goal": _fields(signature.desired_goal),
+        "observation": _fields(task.observation),
+        "parameters": _parameters({f"task.{key}": value for key, value in task.parameters.items()}),
+        "settings": _settings(plugin),
+    }
+    environment.close()
+    return Inspection(name, _about(plugin), tables, _picture(robot, name, size))
+
+
+def _about(plugin: type) -> str:
+    import inspect  # noqa: PLC0415
+
+    return inspect.getdoc(plugin) or ""
+
+
+def _fields(layout: Layout | Discrete) -> list[Facts]:
+    if isinstance(layout, Discrete):
+        return [{"field": label, "from": place, "size": 1, "unit": "1"} for place, label in enumerate(layout.labels)]
+    return [
+        {"field": part.name, "from": layout.slice(part.name).start, "size": part.size, "unit": part.unit}
+        for part in layout.fields
+    ]
+
+
+def _parameters(declared: Mapping[str, Parameter]) -> list[Facts]:
+    return [
+        {
+            "parameter": name,
+            "nominal": parameter.nominal,
+            "low": parameter.low,
+            "high": parameter.high,
+            "unit": parameter.unit,
+            "what": parameter.description,
+        }
+        for name, parameter in declared.items()
+    ]
+
+
+def _settings(plugin: Any) -> list[Facts]:
+    return [
+        {
+            "setting": name,
+            "default": None if part.is_required() else str(part.get_default(call_default_factory=True)),
+            "what": part.description or "",
+        }
+        for name, part in plugin.Settings.model_fields.items()
+    ]
+
+
+def _picture(robot: str, task: str | None, size: tuple[int, int] | None) -> NDArray[np.uint8] | None:
+    """Of the first test episode's start. A robot alone is shown with the simplest task, which needs no gripper."""
+    if size is None:
+        return None
+    environment = pair(robot, task or "reach")
+    try:
+        environment.reset(test_seeds(0, 1)[0])
+        width, height = size
+        return halved(environment.render(2 * width, 2 * height))
+    finally:
+        environment.close()
+
+
+def halved(picture: NDArray[np.uint8]) -> NDArray[np.uint8]:
+    """A picture (2h, 2w, 3) as (h, w, 3), each pixel the mean of four: the renderer itself leaves edges jagged."""
+    height, width = picture.shape[0] // 2, picture.shape[1] // 2
+    blocks = picture[: 2 * height, : 2 * width].reshape(height, 2, width, 2, 3).astype(np.uint16)
+    mean: NDArray[np.uint8] = ((blocks.sum((1, 3)) + 2) // 4).astype(np.uint8)
+    return mean
+
+
+def floor(robot: str, task: str, *, episodes: int = 100, seed: int = 0, **robot_settings: Any) -> Score:
+    """Success of uniformly random actions in the first test episodes under the root `seed`."""
+    environment = pair(robot, task, **robot_settings)
+    try:
+        return score(environment, random_policy(environment, seed), episodes=episodes, seed=seed)
+    finally:
+        environment.close()

@@ -1,0 +1,111 @@
+"""What people write on runs: tags and a note, in labels.json of the run folder, whoever runs it meanwhile.
+
+The index is told afterwards (`Store.refresh_labels`) and reads this file again, so that of two who write at once
+neither is lost.
+"""
+
+from __future__ import annotations
+
+import os
+from collections.abc import Callable, Iterable, Mapping
+from dataclasses import dataclass
+from pathlib import Path
+from typing import Any
+
+from ..errors import MachineError, RunError, UsageError
+from ..files import FileLock, parse_object, write_json
+
+LONGEST_TAG, LONGEST_NOTE = 200, 100_000
+"""Characters."""
+LOCK_SECONDS = 20.0
+"""How long a process waits for another that writes labels; that takes milliseconds."""
+_FILE = "labels.json"
+
+
+@dataclass(frozen=True)
+class Labels:
+    """Tags in alphabetical order, and a note."""
+
+    tags: tuple[str, ...] = ()
+    note: str | None = None
+
+
+def read(folder: Path) -> Labels:
+    """The labels of a run folder; none where there are none or the file is damaged."""
+    row = _row(folder) or {}
+    tags, note = row.get("tags"), row.get("note")
+    texts = {tag for tag in tags if isinstance(tag, str) and _is_tag(tag)} if isinstance(tags, list) else set()
+    return Labels(tuple(sorted(texts)), note if isinstance(note, str) and _is_note(note) else None)
+
+
+def is_damaged(folder: Path) -> bool:
+    """Whether there is a file of labels that cannot be read."""
+    return os.path.exists(folder / _FILE) and _row(folder) is None
+
+
+def add_tags(folder: Path, tags: Iterable[str]) -> None:
+    """Give a run tags, beside those it has.
+
+    Raises:
+        UsageError: a text can be no tag.
+        RunError: labels.json is damaged.
+    """
+    new = set(tags)
+    for tag in new:
+        if not _is_tag(tag):
+            raise UsageError(
+                f"{tag!r} is no tag", hint=f"1 to {LONGEST_TAG} characters on one line, without blanks around them"
+            )
+    _change(folder, lambda old: Labels(tuple(sorted({*old.tags, *new})), old.note))
+
+
+def remove_tags(folder: Path, tags: Iterable[str]) -> None:
+    """Take tags away; those that the run does not have are passed over. Raises RunError as `add_tags` does."""
+    gone = set(tags)
+    _change(folder, lambda old: Labels(tuple(tag for tag in old.tags if tag not in gone), old.note))
+
+
+def set_note(folder: Path, note: str) -> None:
+    """Replace the note; an empty text removes it.
+
+    Raises:
+        UsageError: it is too long.
+        RunError: labels.json is damaged.
+    """
+    if not _is_note(note):
+        raise UsageError(f"the note has {len(note):,} characters", hint=f"up to {LONGEST_NOTE:,} of text can be kept")
+    _change(folder, lambda old: Labels(old.tags, note or None))
+
+
+def _change(folder: Path, change: Callable[[Labels], Labels]) -> None:
+    """Write other labels, one process after the other."""
+    lock = FileLock(folder / "labels.lock")
+    if not lock.acquire(LOCK_SECONDS):
+        raise MachineError("another process keeps the labels locked", where=str(folder), hint="try again")
+    try:
+        if is_damaged(folder):
+            raise RunError(f"{_FILE} is damaged", where=str(folder), hint="repair it, or move it away to begin anew")
+        labels = change(read(folder))
+        write_json(folder / _FILE, {"tags": list(labels.tags), "note": labels.note})
+    finally:
+        lock.release()
+
+
+def _row(folder: Path) -> Mapping[str, Any] | None:
+    try:
+        return parse_object((folder / _FILE).read_bytes())
+    except OSError:
+        return None
+
+
+def _is_tag(text: str) -> bool:
+    return 0 < len(text) <= LONGEST_TAG and text == text.strip() and not set(text) & set("\n\r\0") and _is_text(text)
+
+
+def _is_note(text: str) -> bool:
+    return len(text) <= LONGEST_NOTE and "\0" not in text and _is_text(text)
+
+
+def _is_text(text: str) -> bool:
+    """Whether every database and file can hold it: half characters (surrogates) are none."""
+    return not any("\ud800" <= sign <= "\udfff" for sign in text)

@@ -1,0 +1,250 @@
+"""What is known of a run, as frozen values: the row of a listing, the state, and tests as JSON lines."""
+
+from __future__ import annotations
+
+import math
+import re
+from collections.abc import Iterator, Mapping, Sequence
+from dataclasses import asdict, dataclass, replace
+from datetime import UTC, datetime
+from pathlib import Path
+from typing import Any
+
+from ..errors import UsageError
+from .counting import TestCounts
+from .labels import Labels
+from .results import TestResult
+
+NAME = re.compile(r"[A-Za-z0-9][A-Za-z0-9._-]{0,63}")
+ID = re.compile(r"[A-Za-z0-9][A-Za-z0-9._-]{0,199}")
+"""A run's id: its name, seed and time."""
+FORMAT = 1
+"""Version of the folder's layout, in run.json."""
+STORED_UNFINISHED = ("created", "running")
+STORED_STATES = ("created", "running", "finished", "failed", "stopped")
+UNFINISHED = ("created", "running")
+STATES = (*STORED_STATES, "lost")
+THRESHOLD = 0.95
+"""`any` success from which a run counts as solved in steps_to_95 and seconds_to_95."""
+
+
+def timestamp(time: datetime | None = None) -> str:
+    """A time (now by default) as ISO 8601 in UTC with microseconds: as text it sorts like the time itself."""
+    return (time or datetime.now(UTC)).astimezone(UTC).strftime("%Y-%m-%dT%H:%M:%S.%fZ")
+
+
+@dataclass(frozen=True)
+class RunState:
+    """How far a run is.
+
+    Args:
+        state: one of STATES.
+        steps: environment steps of training.
+        seconds: wall-clock seconds of collecting and learning; tests excluded.
+        attempt: how many processes have worked on it, from 1.
+        error: why it failed, in one line.
+        updated: when this was written (ISO 8601, UTC).
+    """
+
+    state: str
+    steps: int = 0
+    seconds: float = 0.0
+    attempt: int = 1
+    error: str | None = None
+    updated: str = ""
+
+    def __post_init__(self) -> None:
+        if self.state not in STATES:
+            raise ValueError(f"{self.state!r} is no state; there are {', '.join(STATES)}")
+
+    @property
+    def unfinished(self) -> bool:
+        """Whether a process should be working on it: if none does, the run is lost."""
+        return self.state in UNFINISHED
+
+    def as_lost(self) -> RunState:
+        return replace(self, state="lost")
+
+    def to_row(self) -> dict[str, Any]:
+        if self.state not in STORED_STATES:
+            raise ValueError(f"{self.state!r} is found out by readers and never written")
+        return asdict(self)
+
+    @classmethod
+    def from_row(cls, row: Mapping[str, Any]) -> RunState:
+        """The state that a JSON object holds; `created` at step 0 where it holds none."""
+        try:
+            return cls(
+                state=str(row.get("state", "created")),
+                steps=int(row.get("steps", 0)),
+                seconds=float(row.get("seconds", 0.0)),
+                attempt=int(row.get("attempt", 1)),
+                error=None if row.get("error") is None else str(row["error"]),
+                updated=str(row.get("updated", "")),
+            )
+        except (TypeError, ValueError):
+            return cls("created")
+
+
+@dataclass(frozen=True)
+class RunSummary:
+    """One run in one row. The first ten fields are what scripts rely on, in this order.
+
+    Success is of the last test (None before the first); *_to_95 are of the first test with `any` success >= .95.
+    """
+
+    run: str
+    experiment: str
+    seed: int
+    state: str
+    steps: int
+    seconds: float
+    success_any: float | None
+    success_end: float | None
+    steps_to_95: int | None
+    seconds_to_95: float | None
+    name: str
+    episodes: int | None
+    """Episodes of the last test: success_any * episodes is a whole number."""
+    environment: str | None
+    robot: str | None
+    task: str | None
+    agent: str | None
+    attempt: int
+    error: str | None
+    created: str
+    updated: str
+    folder: str
+    tags: tuple[str, ...] = ()
+    """In alphabetical order."""
+    note: str | None = None
+
+    def row(self) -> dict[str, Any]:
+        """The fields as JSON values, in order."""
+        return asdict(self) | {"tags": list(self.tags)}
+
+
+@dataclass(frozen=True)
+class RunRecord:
+    """All that a run folder says about its run; `problems` names what is damaged in it, one line each."""
+
+    summary: RunSummary
+    spec: Mapping[str, Any]
+    tests: tuple[TestCounts, ...]
+    problems: tuple[str, ...]
+    versions: Mapping[str, str] | None = None
+    """Of Python, karolos, plugins and what they need, when the run began; None where the folder does not tell."""
+
+
+def flatten(spec: Mapping[str, Any], prefix: str = "") -> Iterator[tuple[str, Any]]:
+    """A nested mapping as pairs of key path and value: ("agent.learning_rate", 0.001). Lists are values."""
+    for key, value in spec.items():
+        if isinstance(value, Mapping) and value:
+            yield from flatten(value, f"{prefix}{key}.")
+        else:
+            yield f"{prefix}{key}", value
+
+
+def summarise(
+    folder: Path,
+    run: Mapping[str, Any],
+    state: RunState,
+    spec: Mapping[str, Any],
+    tests: Sequence[TestCounts],
+    labels: Labels,
+) -> RunSummary:
+    """The row of a run from what its folder holds; `tests` in the order of their steps."""
+    last = tests[-1] if tests else None
+    solved = next((test for test in tests if test.success_any >= THRESHOLD), None)
+    return RunSummary(
+        run=str(run["id"]),
+        experiment=str(run.get("experiment", "")),
+        seed=int(run["seed"]),
+        state=state.state,
+        steps=state.steps,
+        seconds=state.seconds,
+        success_any=last.success_any if last else None,
+        success_end=last.success_end if last else None,
+        steps_to_95=solved.steps if solved else None,
+        seconds_to_95=solved.seconds if solved else None,
+        name=str(run["name"]),
+        episodes=last.episodes if last else None,
+        environment=part_name(spec, "environment"),
+        robot=part_name(spec, "robot"),
+        task=part_name(spec, "task"),
+        agent=part_name(spec, "agent"),
+        attempt=state.attempt,
+        error=state.error,
+        created=str(run["created"]),
+        updated=state.updated or str(run["created"]),
+        folder=str(folder),
+        tags=labels.tags,
+        note=labels.note,
+    )
+
+
+def part_name(spec: Mapping[str, Any], kind: str) -> str | None:
+    """Name of a part (`robot`, `agent` ...) of a resolved spec, or None where it has none."""
+    part = spec.get(kind)
+    name = part.get("name") if isinstance(part, Mapping) else part
+    return name if isinstance(name, str) else None
+
+
+def encode_test(result: TestResult) -> dict[str, Any]:
+    """A test as a JSON object; outcomes as 0 and 1, numbers that JSON lacks (nan, inf) as text."""
+    return {
+        "steps": int(result.steps),
+        "seconds": float(result.seconds),
+        "any": [int(flag) for flag in result.any],
+        "end": [int(flag) for flag in result.end],
+        "reset": [int(flag) for flag in result.reset],
+        "returns": _numbers(result.returns),
+        "lengths": [int(length) for length in result.lengths],
+        **({} if result.distances is None else {"distances": _numbers(result.distances)}),
+    }
+
+
+def _numbers(values: Sequence[float]) -> list[float | str]:
+    return [value if math.isfinite(value) else str(value) for value in map(float, values)]
+
+
+def decode_test(row: Mapping[str, Any]) -> TestResult | None:
+    """The test that a JSON object holds, or None when it holds none."""
+    try:
+        result = TestResult(
+            steps=int(row["steps"]),
+            seconds=float(row["seconds"]),
+            any=tuple(map(bool, row["any"])),
+            end=tuple(map(bool, row["end"])),
+            reset=tuple(map(bool, row["reset"])),
+            returns=tuple(map(float, row["returns"])),
+            lengths=tuple(map(int, row["lengths"])),
+            distances=tuple(map(float, row["distances"])) if "distances" in row else None,  # younger than the others
+        )
+    except (KeyError, TypeError, ValueError):
+        return None
+    lists = (
+        result.end,
+        result.reset,
+        result.returns,
+        result.lengths,
+        result.any if result.distances is None else result.distances,
+    )
+    whole = result.any and all(len(values) == len(result.any) for values in lists)
+    return result if whole else None
+
+
+def check_name(name: str) -> None:
+    """Refuse (UsageError) a run's name that could not be a folder's on every system."""
+    if not NAME.fullmatch(name):
+        raise UsageError(
+            f"a run cannot be named {name!r}",
+            hint="up to 64 letters, digits, dots, dashes and underscores, beginning with a letter or digit",
+        )
+
+
+def is_description(run: Mapping[str, Any]) -> bool:
+    """Whether run.json holds what it must."""
+    texts = all(isinstance(run.get(key), str) for key in ("name", "experiment", "created"))
+    numbers = all(type(run.get(key)) is int for key in ("seed", "format"))
+    return texts and numbers and isinstance(run.get("id"), str) and ID.fullmatch(run["id"]) is not None

@@ -1,0 +1,123 @@
+"""How a run's policy did under changed settings: one line per such test in transfers.jsonl, in the run's folder.
+
+Any process may add to it at any time, whether the run goes on or not; a lock of its own keeps the lines apart.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Mapping
+from dataclasses import dataclass
+from typing import Any
+
+from ..errors import MachineError
+from ..files import FileLock, append_lines, read_lines
+from ..statistics.intervals import wilson
+from . import RunFolder
+from .results import TestResult
+from .run_records import decode_test, encode_test
+
+FILE = "transfers.jsonl"
+LOCK_SECONDS = 20.0
+"""How long a process waits for another that adds a line; that takes milliseconds."""
+
+
+@dataclass(frozen=True)
+class Transfer:
+    """A test of a saved policy under settings of its own."""
+
+    time: str
+    """When it ended (ISO 8601, UTC)."""
+    checkpoint: str
+    sha256: str
+    """Of the agent's state in the checkpoint: which policy it was, should the checkpoint be overwritten."""
+    overrides: tuple[str, ...]
+    """What was changed of the run's spec, as `path=value`."""
+    randomized: bool
+    """Whether domain randomization was on."""
+    seed: int
+    """Root of the test episodes' seeds."""
+    wall_seconds: float
+    """What the test took."""
+    result: TestResult
+    """Episode by episode; `steps` and `seconds` are those of training before the checkpoint."""
+    versions: Mapping[str, str]
+
+    def row(self) -> dict[str, Any]:
+        """What scripts rely on, in this order; intervals are Wilson's at 95 %."""
+        result = self.result
+        any_, end = sum(result.any), sum(result.end)
+        return {
+            "time": self.time,
+            "checkpoint": self.checkpoint,
+            "steps": result.steps,
+            "overrides": list(self.overrides),
+            "randomized": self.randomized,
+            "seed": self.seed,
+            "episodes": result.episodes,
+            "success_any": result.success_any,
+            "success_any_interval": wilson(any_, result.episodes),
+            "success_end": result.success_end,
+            "success_end_interval": wilson(end, result.episodes),
+            "wall_seconds": self.wall_seconds,
+        }
+
+
+def add(folder: RunFolder, transfer: Transfer) -> None:
+    """Keep the result for good: it is on the disk when this returns.
+
+    Raises:
+        MachineError: the folder cannot be written, or another process keeps the file locked.
+    """
+    lock = FileLock(folder.path / "transfers.lock")
+    if not lock.acquire(LOCK_SECONDS):
+        raise MachineError(f"another process keeps {FILE} locked", where=str(folder.path), hint="try again")
+    try:
+        append_lines(folder.path / FILE, [_encode(transfer)])
+    finally:
+        lock.release()
+
+
+def read(folder: RunFolder) -> tuple[tuple[Transfer, ...], tuple[str, ...]]:
+    """The results in the order in which they came, and what of the file could not be read, one line each."""
+    rows, problems = read_lines(folder.path / FILE)
+    decoded = [_decode(row) for row in rows]
+    odd = decoded.count(None)
+    if odd:
+        problems += (f"{FILE}: {odd} lines are no results of a test; left out",)
+    return tuple(transfer for transfer in decoded if transfer is not None), problems
+
+
+def _encode(transfer: Transfer) -> dict[str, Any]:
+    return {
+        "time": transfer.time,
+        "checkpoint": transfer.checkpoint,
+        "sha256": transfer.sha256,
+        "overrides": list(transfer.overrides),
+        "randomized": transfer.randomized,
+        "seed": transfer.seed,
+        "episodes": transfer.result.episodes,
+        "wall_seconds": transfer.wall_seconds,
+        "test": encode_test(transfer.result),
+        "versions": dict(transfer.versions),
+    }
+
+
+def _decode(row: Mapping[str, Any]) -> Transfer | None:
+    """The transfer that a JSON object holds, or None when it holds none."""
+    try:
+        result = decode_test(row["test"])
+        if result is None:
+            return None
+        return Transfer(
+            time=str(row["time"]),
+            checkpoint=str(row["checkpoint"]),
+            sha256=str(row["sha256"]),
+            overrides=tuple(map(str, row["overrides"])),
+            randomized=bool(row["randomized"]),
+            seed=int(row["seed"]),
+            wall_seconds=float(row["wall_seconds"]),
+            result=result,
+            versions={str(name): str(version) for name, version in dict(row["versions"]).items()},
+        )
+    except (KeyError, TypeError, ValueError):
+        return None

@@ -1,0 +1,96 @@
+"""Run folders that were thrown away: `.trash` beside the others, until it is emptied."""
+
+from __future__ import annotations
+
+import os
+import shutil
+from pathlib import Path
+
+from ..errors import RunError, UsageError
+from ..files import sync_folder, writing
+from . import RunFolder, paths
+
+NAME = ".trash"
+
+
+def throw_away(folder: RunFolder) -> Path:
+    """Move a run folder into the trash; returns where it lies now.
+
+    Raises:
+        RunError: a process is running it.
+        MachineError: it cannot be moved; it is where it was.
+    """
+    trash = folder.path.parent / NAME
+    with folder:
+        folder.lock()
+        with writing(trash):
+            trash.mkdir(exist_ok=True)
+            target = _free(trash, folder.path.name)
+            os.rename(folder.path, target)
+            sync_folder(trash)
+            sync_folder(trash.parent)
+    return target
+
+
+def thrown_away(runs: str | Path) -> list[Path]:
+    """The run folders in the trash of a runs folder, by name."""
+    return paths(Path(runs) / NAME)
+
+
+def find(runs: str | Path, selector: str) -> Path:
+    """The one folder in the trash whose name is, or begins as, the selector.
+
+    Raises:
+        UsageError: there is none, or several.
+    """
+    there = thrown_away(runs)
+    exact = [path for path in there if path.name == selector]
+    found = exact or [path for path in there if selector and path.name.startswith(selector)]
+    if len(found) == 1:
+        return found[0]
+    if found:
+        names = ", ".join(path.name for path in found[:5]) + (" ..." if len(found) > 5 else "")
+        raise UsageError(f"{selector!r} means several runs in the trash", hint=f"one of {names}")
+    raise UsageError(f"{selector!r} means no run in the trash", hint="`karolos runs list --trash` shows them")
+
+
+def restore(path: Path) -> RunFolder:
+    """Bring a folder back out of the trash, under its run's id.
+
+    Raises:
+        UsageError: a folder of that name is there.
+        RunError: it is damaged.
+        MachineError: it cannot be moved.
+    """
+    folder = RunFolder.open(path)
+    target = path.parent.parent / folder.id
+    if target.exists():
+        raise UsageError(
+            f"there is a run {folder.id} again", where=str(target), hint="throw that one away first, or keep this one"
+        )
+    with writing(target):
+        os.rename(path, target)
+        sync_folder(target.parent)
+    return RunFolder.open(target)
+
+
+def purge(path: Path) -> None:
+    """Remove a folder in the trash for good.
+
+    Raises:
+        RunError: it does not lie in a trash.
+        MachineError: some of it cannot be removed.
+    """
+    if path.parent.name != NAME or path.parent.is_symlink() or path.is_symlink():
+        raise RunError("this does not lie in the trash", where=str(path), hint="`karolos runs rm RUN` moves it there")
+    with writing(path):
+        shutil.rmtree(path)
+
+
+def _free(trash: Path, name: str) -> Path:
+    """A path in the trash that is free: a run may have been thrown away, imported and thrown away again."""
+    number, path = 1, trash / name
+    while path.exists():
+        number += 1
+        path = trash / f"{name}-{number}"
+    return path

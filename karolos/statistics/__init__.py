@@ -1,0 +1,1 @@
+"""Pure functions of arrays: densities, intervals, aggregates over seeds."""

@@ -1,0 +1,115 @@
+"""What many seeds say together: pure functions of arrays. The seed is the unit; episodes are never pooled over seeds.
+
+Sources: Agarwal et al. 2021, "Deep Reinforcement Learning at the Edge of the Statistical Precipice" (inter-quartile
+mean, stratified bootstrap, probability of improvement, performance profiles); the coverage of small samples is in
+`reliability`.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Callable, Sequence
+from typing import Any, Literal
+
+import numpy as np
+from numpy.typing import ArrayLike, NDArray
+
+from ..core.seeding import Generator
+
+_Floats = NDArray[np.float64]
+Statistic = Callable[[_Floats], _Floats]
+"""A number for each row: values (..., n) to (...)."""
+RESAMPLES = 2000
+FEW_SEEDS = 5
+"""From here on there is a bootstrap interval."""
+
+
+def mean(values: ArrayLike) -> _Floats:
+    """Over the last axis: (..., n) to (...)."""
+    return np.asarray(np.mean(np.asarray(values, float), axis=-1))
+
+
+def iqm(values: ArrayLike) -> _Floats:
+    """Inter-quartile mean over the last axis: (..., n) to (...). A quarter, rounded down, is left out at each end."""
+    ordered = np.sort(np.asarray(values, float), axis=-1)
+    cut = ordered.shape[-1] // 4
+    return np.asarray(ordered[..., cut : ordered.shape[-1] - cut].mean(axis=-1))
+
+
+def reliability(seeds: int) -> Literal["none", "approximate", "usual"]:
+    """What a bootstrap interval of so many seeds is worth.
+
+    A nominal 95 % interval of the mean covered the truth in 61 % of cases with 3 seeds, 77 % with 5 and 93 % with 10
+    (one simulated bimodal case): under 5 there is none, under 10 it is approximate.
+    """
+    return "none" if seeds < FEW_SEEDS else "approximate" if seeds < 10 else "usual"
+
+
+def interval(
+    values: ArrayLike, statistic: Statistic, generator: Generator, *, level: float = 0.95
+) -> tuple[float, float] | None:
+    """Percentile bootstrap interval of a statistic of the seeds' values (n,); None for fewer than 5 seeds."""
+    found = band(np.asarray(values, float)[None], statistic, generator, level=level)
+    return None if found is None else (float(found[0][0]), float(found[1][0]))
+
+
+def band(
+    values: ArrayLike, statistic: Statistic, generator: Generator, *, level: float = 0.95
+) -> tuple[_Floats, _Floats] | None:
+    """The interval at each of several points: values (t, n) to low and high (t,); None for fewer than 5 seeds.
+
+    A resample draws whole seeds, the same ones at every point, as a run is drawn as a whole.
+    """
+    table = np.asarray(values, float)
+    seeds = table.shape[-1]
+    if reliability(seeds) == "none":
+        return None
+    drawn = generator.integers(0, seeds, (RESAMPLES, seeds))
+    found = np.stack([statistic(row[drawn]) for row in table])
+    low, high = np.quantile(found, [(1 - level) / 2, (1 + level) / 2], axis=1)
+    return low, high
+
+
+def improvement(ours: ArrayLike, theirs: ArrayLike) -> float:
+    """Probability that a run of ours is better than one of theirs; ties count one half. Values (n,) and (m,)."""
+    one, other = np.asarray(ours, float), np.asarray(theirs, float)
+    return float(_improvement(one[None], other[None])[0])
+
+
+def improvement_interval(
+    ours: ArrayLike, theirs: ArrayLike, generator: Generator, *, level: float = 0.95
+) -> tuple[float, float] | None:
+    """Bootstrap interval of `improvement`, seeds of both sides drawn anew; None for fewer than 5 seeds on a side."""
+    one, other = np.asarray(ours, float), np.asarray(theirs, float)
+    if "none" in {reliability(one.size), reliability(other.size)}:
+        return None
+    drawn = one[generator.integers(0, one.size, (RESAMPLES, one.size))]
+    against = other[generator.integers(0, other.size, (RESAMPLES, other.size))]
+    return _percentiles(_improvement(drawn, against), level)
+
+
+def profile(values: ArrayLike, thresholds: ArrayLike) -> _Floats:
+    """Performance profile: the share of seeds whose value (n,) is at least each threshold (t,): (t,)."""
+    return np.asarray((np.asarray(values, float)[None] >= np.asarray(thresholds, float)[:, None]).mean(axis=1))
+
+
+def first_reaching(ratios: Sequence[float], at: Sequence[float], threshold: float) -> float | None:
+    """Where (steps or seconds) a run's test ratio first is `threshold` or more; None: never, which is censored."""
+    return next((place for ratio, place in zip(ratios, at, strict=True) if ratio >= threshold), None)
+
+
+def median_reaching(places: Sequence[float | None]) -> float | None:
+    """Median over seeds of where they reached a threshold, those that never did counted last; None: more than half."""
+    ordered = sorted((place for place in places if place is not None), key=float)
+    low, high = (len(places) - 1) // 2, len(places) // 2
+    return (ordered[low] + ordered[high]) / 2 if high < len(ordered) else None
+
+
+def _improvement(ours: _Floats, theirs: _Floats) -> _Floats:
+    """(k, n) against (k, m): (k,)."""
+    over = np.sign(ours[:, :, None] - theirs[:, None, :])
+    return np.asarray((over.mean(axis=(1, 2)) + 1) / 2)
+
+
+def _percentiles(found: Any, level: float) -> tuple[float, float]:
+    low, high = np.quantile(found, [(1 - level) / 2, (1 + level) / 2])
+    return float(low), float(high)

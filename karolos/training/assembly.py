@@ -1,0 +1,150 @@
+"""From a spec to the objects it names, and whether they go together."""
+
+from __future__ import annotations
+
+from collections.abc import Iterator
+from contextlib import contextmanager
+
+from ..core import Agent, Buffer, Environment, Orchestrator, Signature
+from ..core.seeding import SeedTree
+from ..environments.build import build_environment
+from ..errors import KarolosError, UsageError
+from ..registry import load
+from ..spec import Spec
+from .demonstrations import expert_of
+
+REPLAY_AMOUNTS = {
+    "batch_size": "remove it; agent.minibatches and buffer.rollout say how large a batch is",
+    "replay_ratio": "remove it; agent.epochs says how often each transition is learned from",
+    "warmup_episodes": "remove it; there is no warm-up",
+}
+"""What an on-policy agent does not go by, and what to do instead."""
+
+
+def make_orchestrator(spec: Spec, *, randomize: bool) -> Orchestrator:
+    """The spec's environments, laid out as it says."""
+    part = spec.orchestrator
+    made: Orchestrator = load("orchestrators", part.name)(part.settings, spec.recipe(randomize=randomize))
+    return made
+
+
+def make_agent(spec: Spec, signature: Signature, seeds: SeedTree) -> Agent:
+    """The spec's agent for these environments, on the spec's device. `seeds` is the run's."""
+    from ..agents.device import resolve_device  # noqa: PLC0415  (imports torch)
+
+    part, device = spec.agent, resolve_device(spec.training.device)
+    made: Agent = load("agents", part.name)(part.settings, signature, seeds.child("agent"), device)
+    return made
+
+
+def make_buffer(spec: Spec, signature: Signature, seeds: SeedTree, *, environments: int, discount: float) -> Buffer:
+    """The spec's buffer, with room for every environment. `seeds` is the run's."""
+    part = spec.buffer
+    made: Buffer = load("buffers", part.name)(
+        part.settings, signature, seeds.child("buffer"), environments=environments, discount=discount
+    )
+    return made
+
+
+def check_parts(spec: Spec) -> None:
+    """Put the spec's parts together once, so that those that cannot work are refused before anything runs.
+
+    Builds one environment (no world is simulated, unless an expert is needed), the agent and the buffer, and lets them
+    go.
+
+    Raises:
+        UsageError: two parts do not go together; names the setting and where it was set.
+        KarolosError: a plugin or the machine stands in the way.
+    """
+    with located(spec):
+        environment = build_environment(spec.recipe(randomize=True))
+        try:
+            agent = make_agent(spec, environment.signature, SeedTree(0))
+            size = getattr(spec.orchestrator.settings, "size", 1)
+            buffer = make_buffer(spec, environment.signature, SeedTree(0), environments=size, discount=agent.discount)
+            _check_amounts(spec)
+            _check_demonstrations(spec, environment, buffer)
+        finally:
+            environment.close()
+
+
+def _check_amounts(spec: Spec) -> None:
+    """Raise a UsageError for an amount of training that the agent does not go by, or that cannot be had."""
+    amounts = spec.training
+    size = getattr(spec.orchestrator.settings, "size", 1)
+    if (amounts.at_least or 0) > size:
+        raise UsageError(
+            f"{amounts.at_least} environments will never be ready, there are {size}",
+            where="training.minimum_batch",
+            hint="lower it, or ask for more environments",
+        )
+    if not load("agents", spec.agent.name).on_policy:
+        capacity = getattr(spec.buffer.settings, "capacity", amounts.batch_size)
+        if amounts.batch_size > capacity:
+            raise UsageError(
+                f"a batch of {amounts.batch_size} is larger than the buffer, which keeps {capacity} transitions",
+                where="training.batch_size" if _is_set(spec, "batch_size") else "buffer.capacity",
+                hint="lower training.batch_size, or raise buffer.capacity",
+            )
+        return
+    if amounts.mode == "async":
+        raise UsageError(
+            f"{spec.agent.name} learns from whole rollouts of its latest policy, for which all environments have to "
+            "be waited for",
+            where="training.mode",
+            hint="use lockstep, or an agent that learns from replay",
+        )
+    for name, instead in REPLAY_AMOUNTS.items():
+        if _is_set(spec, name):
+            raise UsageError(
+                f"{getattr(amounts, name):g} says nothing to {spec.agent.name}, which learns from its own latest "
+                "actions, each as often as its own settings say",
+                where=f"training.{name}",
+                hint=instead,
+            )
+    played = getattr(spec.buffer.settings, "rollout", 1) * size
+    minibatches = getattr(spec.agent.settings, "minibatches", 1)
+    if minibatches > played:
+        raise UsageError(
+            f"a rollout of {played} transitions cannot be split into {minibatches} minibatches",
+            where="agent.minibatches",
+            hint="raise buffer.rollout, or lower agent.minibatches",
+        )
+
+
+def _is_set(spec: Spec, name: str) -> bool:
+    """Whether this setting of `training` is not the default. A resolved spec names its defaults too."""
+    return bool(getattr(spec.training, name) != type(spec.training).model_fields[name].default)
+
+
+def _check_demonstrations(spec: Spec, environment: Environment, buffer: Buffer) -> None:
+    """Raise a UsageError where demonstrations are asked for and cannot be had, or learned from and not asked for."""
+    if spec.demonstrations is not None:
+        buffer.keep(())
+        expert_of(environment)
+    elif getattr(spec.agent.settings, "imitation", 0) > 0:
+        raise UsageError(
+            "there are no demonstrations to imitate",
+            where="agent.imitation",
+            hint="add demonstrations: {episodes: 100}, or set agent.imitation=0",
+        )
+
+
+@contextmanager
+def located(spec: Spec) -> Iterator[None]:
+    """Say where the setting that an error names was set: file:line:column, or the override."""
+    try:
+        yield
+    except KarolosError as error:
+        origin = _origin(spec, error.where)
+        if origin is None:
+            raise
+        raise UsageError(f"{error.where}: {error.what}", where=origin, hint=error.hint) from error
+
+
+def _origin(spec: Spec, path: str | None) -> str | None:
+    """Where the setting `path`, or the first one below it, was set; None for defaults and what is no setting."""
+    if path is None:
+        return None
+    origins = (origin for key, origin in spec.origins.items() if key == path or key.startswith(f"{path}."))
+    return next((origin for origin in origins if origin != "default"), None)

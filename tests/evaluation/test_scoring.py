@@ -1,0 +1,74 @@
+"""What is said of a policy: success at some step and at the end, when it came, and how sure that is."""
+
+from __future__ import annotations
+
+import numpy as np
+import pytest
+
+from karolos.core import Array, Environment, Field, Layout, Signature, Step
+from karolos.environments.toy import Toy
+from karolos.evaluation.playing import Policy
+from karolos.evaluation.scoring import random_policy, score
+from karolos.statistics.intervals import wilson
+
+
+class Scripted(Environment):
+    """Episode k, counted from the first reset, succeeds at the steps that `episodes[k]` marks; 0 is the reset."""
+
+    def __init__(self, episodes: list[str]) -> None:
+        one = Layout((Field("one", 1),))
+        self.signature = Signature(observation=one, action=one, max_steps=9)
+        self._episodes = iter(episodes)
+
+    def reset(self, seed: int) -> Step:
+        self._marks, self._at = next(self._episodes), 0
+        return self._now()
+
+    def step(self, action: Array) -> Step:
+        self._at += 1
+        return self._now()
+
+    def _now(self) -> Step:
+        over = self._at == len(self._marks) - 1
+        nothing = np.zeros(1, np.float32)
+        return Step(nothing, nothing, nothing, 0.0, over, False, self._marks[self._at] == "x")
+
+
+STILL = Policy(lambda _: np.zeros(1, np.float32))
+
+
+def test_success_is_counted_at_some_step_and_at_the_end_and_the_first_is_timed():
+    found = score(Scripted(["..x.x", "...x.", ".....", ".x"]), STILL, episodes=4, seed=0)
+    assert (found.success_any, found.success_end) == (0.75, 0.5)
+    assert found.steps == pytest.approx((2 + 3 + 1) / 3)
+    assert (found.low, found.high) == wilson(2, 4)
+
+
+def test_a_policy_that_never_succeeds_has_no_time_of_success():
+    found = score(Scripted(["...", "."]), Policy(lambda _: np.zeros(1)), episodes=1, seed=0)
+    assert found.steps is None
+    assert found.success_end == found.low == 0.0
+
+
+def test_a_random_policy_fills_its_range_and_follows_from_the_seed():
+    environment = Toy(Toy.Settings())
+    step = environment.reset(0)
+
+    def actions(seed: int) -> Array:
+        policy = random_policy(environment, seed)
+        return np.array([policy.act(step) for _ in range(200)])
+
+    np.testing.assert_array_equal(actions(1), actions(1))
+    assert not np.array_equal(actions(1), actions(2))
+    assert actions(1).shape == (200, 2)
+    assert actions(1).min() < -0.9
+    assert actions(1).max() > 0.9
+
+
+def test_the_same_seed_gives_the_same_score():
+    def found(seed: int):
+        environment = Toy(Toy.Settings())
+        return score(environment, random_policy(environment, seed), episodes=60, seed=seed)
+
+    assert found(3) == found(3)
+    assert 0 < found(3).success_any < 1

@@ -1,0 +1,166 @@
+"""A saved policy under changed settings: what is played, what is kept, and what is refused."""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+from concurrent.futures import ThreadPoolExecutor
+from dataclasses import replace
+from pathlib import Path
+from typing import Any
+
+import pytest
+
+from karolos.errors import MachineError, RunError, SpecError, UsageError
+from karolos.evaluation.transfer_test import transfer_test
+from karolos.experiment.experiment import Experiment
+from karolos.files import FileLock
+from karolos.records import RunFolder
+from karolos.records import transfer_results as transfers
+from karolos.records.transfer_results import Transfer
+
+TOY: dict[str, Any] = {
+    "name": "toy",
+    "environment": "toy",
+    "agent": {"name": "sac", "hidden": [8]},
+    "orchestrator": {"processes": 0, "environments": 2},
+    "training": {"steps": 80, "batch_size": 8, "replay_ratio": 4, "warmup_episodes": 2},
+    "testing": {"interval": 40, "episodes": 4, "seed": 5},
+}
+REACH: dict[str, Any] = {
+    **TOY,
+    "name": "reach",
+    "robot": {"name": "panda", "control": "cartesian"},
+    "task": {"name": "reach", "max_steps": 5},
+    "environment": "robot_task",
+    "training": {**TOY["training"], "steps": 20, "warmup_episodes": 1},
+    "testing": {"interval": 20, "episodes": 2},
+}
+
+
+def run_of(spec: dict[str, Any], runs: Path) -> RunFolder:
+    return RunFolder.open(Experiment(spec).run(runs).runs[0].folder)
+
+
+@pytest.fixture
+def toy(tmp_path: Path) -> RunFolder:
+    return run_of(TOY, tmp_path)
+
+
+@pytest.fixture(scope="module")
+def reach(tmp_path_factory: pytest.TempPathFactory) -> RunFolder:
+    return run_of(REACH, tmp_path_factory.mktemp("runs"))
+
+
+def test_with_nothing_changed_it_repeats_the_runs_own_last_test(toy: RunFolder) -> None:
+    own = toy.tests()[-1]
+    transfer = transfer_test(toy, checkpoint="last")
+    assert transfer.result == replace(own, seconds=transfer.result.seconds)
+    assert (transfer.seed, transfer.randomized, transfer.overrides) == (5, False, ())
+
+
+def test_results_are_appended_and_come_back_as_they_were(toy: RunFolder) -> None:
+    first = transfer_test(toy, ["environment.threshold=0.9"], checkpoint="last", episodes=3, seed=8)
+    second = transfer_test(toy, ["environment.max_steps=3"])
+    assert transfers.read(toy) == ((first, second), ())
+    assert (first.result.episodes, first.seed, first.result.steps) == (3, 8, 80)
+    assert set(second.result.lengths) == {3}
+    assert first.versions["karolos"]
+    assert toy.record().problems == ()
+
+
+def test_overrides_change_what_is_played_and_seeds_which_episodes(toy: RunFolder) -> None:
+    def returns(overrides: Sequence[str] = (), **options: Any) -> tuple[float, ...]:
+        return transfer_test(toy, overrides, **options).result.returns
+
+    assert returns(["environment.reward=dense"]) == returns(["environment.reward=dense"])
+    assert returns(["environment.reward=dense"], seed=1) != returns(["environment.reward=dense"], seed=2)
+    assert len(returns(episodes=7)) == 7
+
+
+def test_a_policy_is_tested_on_another_robot_and_with_randomization(reach: RunFolder) -> None:
+    here = transfer_test(reach, checkpoint="last")
+    other = transfer_test(reach, ["robot=ur5"], checkpoint="last")
+    assert here.result.distances != other.result.distances
+    gravity = "randomization.task.gravity={name: uniform, low: -12, high: -2}"
+    assert transfer_test(reach, [gravity], checkpoint="last", randomize=True).randomized
+    assert transfers.read(reach)[0][-2] == other
+    with pytest.raises(UsageError, match="--randomize"):
+        transfer_test(reach, [gravity], checkpoint="last")
+
+
+def test_other_layouts_are_refused_and_both_are_shown(reach: RunFolder, toy: RunFolder) -> None:
+    before = transfers.read(reach)
+    with pytest.raises(UsageError, match="sees and does other things") as caught:
+        transfer_test(reach, ["robot.control=joint"], checkpoint="last")
+    text = str(caught.value)
+    for told in ("override robot.control=joint", "joint_changes 7 1", "tool_position_change 3 1", "here", "there"):
+        assert told in text
+    assert transfers.read(reach) == before
+    with pytest.raises(UsageError, match=r"position 3 1\] here and \[position 2 1\] there"):
+        transfer_test(toy, ["environment.dimensions=3"])
+
+
+@pytest.mark.parametrize(
+    ("overrides", "message"),
+    [
+        (["agent.hidden=[3]"], "says how to train"),
+        (["training.steps=3"], "says how to train"),
+        (["testing.episodes=3"], "--episodes"),
+    ],
+)
+def test_what_a_test_does_not_go_by_is_refused(toy: RunFolder, overrides: list[str], message: str) -> None:
+    with pytest.raises(UsageError, match=message):
+        transfer_test(toy, overrides)
+
+
+def test_wrong_overrides_and_nothing_to_randomize_are_refused(toy: RunFolder) -> None:
+    with pytest.raises(SpecError, match="did you mean 'threshold'"):
+        transfer_test(toy, ["environment.treshold=0.1"])
+    with pytest.raises(UsageError, match="nothing to randomize"):
+        transfer_test(toy, randomize=True)
+    with pytest.raises(RunError, match="never"):
+        transfer_test(toy, checkpoint="never")
+    assert not (toy.path / transfers.FILE).exists()
+
+
+def test_a_run_without_its_spec_says_so(toy: RunFolder) -> None:
+    (toy.path / "resolved.json").write_text("{")
+    with pytest.raises(RunError, match=r"resolved.json is missing or damaged"):
+        transfer_test(toy)
+
+
+def test_damaged_lines_are_left_out_and_named(toy: RunFolder) -> None:
+    kept = transfer_test(toy)
+    path = toy.path / transfers.FILE
+    path.write_text('{"time": 3}\nnot json\n' + path.read_text() + '{"torn')
+    found, problems = transfers.read(toy)
+    assert found == (kept,)
+    assert [problem.split(": ")[0] for problem in problems] == [
+        f"{transfers.FILE}:2",
+        f"{transfers.FILE}:4",
+        transfers.FILE,
+    ]
+    transfers.add(toy, kept)
+    assert transfers.read(toy)[0] == (kept, kept)
+
+
+def test_many_that_add_at_once_lose_nothing(toy: RunFolder) -> None:
+    kept = transfer_test(toy)
+    many = [replace(kept, seed=seed) for seed in range(24)]
+
+    def add(transfer: Transfer) -> None:
+        transfers.add(toy, transfer)
+
+    with ThreadPoolExecutor(8) as pool:
+        list(pool.map(add, many))
+    assert sorted(transfer.seed for transfer in transfers.read(toy)[0][1:]) == list(range(24))
+
+
+def test_a_lock_that_is_kept_is_an_error_that_says_so(toy: RunFolder, monkeypatch: pytest.MonkeyPatch) -> None:
+    kept = transfer_test(toy)
+    monkeypatch.setattr(transfers, "LOCK_SECONDS", 0.0)
+    lock = FileLock(toy.path / "transfers.lock")
+    assert lock.acquire()
+    with pytest.raises(MachineError, match="locked"):
+        transfers.add(toy, kept)
+    lock.release()

@@ -1,0 +1,323 @@
+"""An experiment from Python: what it leaves behind, and what happens when something goes wrong."""
+
+from __future__ import annotations
+
+import json
+import signal
+
+import numpy as np
+import pytest
+
+from karolos import checkpoint
+from karolos.errors import MachineError, RunError, StoreError, UsageError
+from karolos.experiment.events import RunEnded, RunStarted, RunTested, RunWarned
+from karolos.experiment.experiment import Experiment
+from karolos.records import RunFolder
+from karolos.store import Store
+
+TOY = {
+    "name": "toy",
+    "environment": "toy",
+    "agent": {"name": "sac", "hidden": [16], "precision": "float32"},
+    "buffer": {"name": "uniform", "capacity": 1000, "hindsight": {"strategy": "future"}},
+    "orchestrator": {"processes": 0, "environments": 4},
+    "training": {"steps": 240, "batch_size": 16, "replay_ratio": 4, "warmup_episodes": 4},
+    "testing": {"interval": 100, "episodes": 6},
+}
+
+
+def spec(**changes):
+    return {
+        key: (TOY[key] | value if isinstance(value, dict) and key in TOY else value)
+        for key, value in (TOY | changes).items()
+    }
+
+
+def weights(folder: RunFolder, name: str = "last"):
+    parts, meta = checkpoint.load(folder.checkpoints, name)
+    return parts["agent"], meta
+
+
+def assert_same(one, other, path="agent"):
+    if isinstance(one, dict):
+        assert one.keys() == other.keys()
+        for key in one:
+            assert_same(one[key], other[key], f"{path}.{key}")
+    elif isinstance(one, (list, tuple)):
+        for index, (first, second) in enumerate(zip(one, other, strict=True)):
+            assert_same(first, second, f"{path}[{index}]")
+    else:
+        np.testing.assert_array_equal(np.asarray(one), np.asarray(other), err_msg=path)
+
+
+def folders(outcome):
+    return [RunFolder.open(run.folder) for run in outcome.runs]
+
+
+@pytest.fixture(scope="module")
+def finished(tmp_path_factory):
+    """One experiment of two seeds, told event by event."""
+    runs, events = tmp_path_factory.mktemp("runs"), []
+    outcome = Experiment(spec(seeds=[3, 1])).run(runs, listener=events.append, text="# mine\n")
+    return runs, outcome, events
+
+
+def test_every_seed_becomes_a_finished_run_in_the_order_of_the_spec(finished):
+    runs, outcome, _ = finished
+    assert [run.seed for run in outcome.runs] == [3, 1]
+    assert {run.state for run in outcome.runs} == {"finished"}
+    assert outcome.exit_code == 0
+    assert len({run.experiment for run in outcome.runs}) == 1
+    assert all(folder.path.parent == runs for folder in folders(outcome))
+
+
+def test_tests_come_at_each_interval_and_at_the_end_on_the_same_seeds(finished):
+    _, outcome, _ = finished
+    for folder in folders(outcome):
+        tests = folder.tests()
+        assert [test.steps for test in tests] == [100, 200, 240]
+        assert all(test.episodes == 6 for test in tests)
+        assert [test.seconds for test in tests] == sorted(test.seconds for test in tests)
+    one, other = (folder.tests()[0] for folder in folders(outcome))
+    assert one.reset == other.reset
+
+
+def test_the_run_folder_holds_all_that_is_needed_to_tell_what_was_run(finished):
+    _, outcome, _ = finished
+    folder = folders(outcome)[0]
+    assert folder.record().problems == ()
+    assert (folder.path / "spec.yaml").read_text() == "# mine\n"
+    assert Experiment(folder.spec()).spec.hash() == outcome.runs[0].experiment
+    assert folder.description()["versions"].keys() >= {"python", "karolos", "torch", "numpy"}
+    assert [event["event"] for event in folder.events()] == ["started", "layout", "finished"]
+    assert checkpoint.names(folder.checkpoints) == ("best", "last", "previous")
+    assert not folder.is_locked()
+
+
+def test_every_training_episode_is_recorded(finished):
+    _, outcome, _ = finished
+    for folder in folders(outcome):
+        rows = [json.loads(line) for line in (folder.path / "episodes.jsonl").read_text().splitlines()]
+        assert len(rows) == 240 // 20
+        assert sum(row["steps"] for row in rows) == 240
+        assert {row["environment"] for row in rows} == {0, 1, 2, 3}
+        assert rows[0].keys() == {
+            "environment",
+            "index",
+            "seed",
+            "steps",
+            "total_reward",
+            "any",
+            "end",
+            "reset",
+            "diverged",
+        }
+
+
+def test_what_randomization_drew_stands_with_the_episode_and_tests_are_spared(tmp_path):
+    changes = {
+        "environment": "robot_task",
+        "robot": "panda",
+        "task": {"name": "reach", "max_steps": 5},
+        "randomization": {"task.gravity": {"name": "normal", "mean": -9.81, "std": 0.5}},
+        "training": {"steps": 40},
+        "testing": {"interval": 40, "episodes": 2},
+    }
+    (folder,) = folders(Experiment(spec(**changes)).run(tmp_path))
+    rows = [json.loads(line) for line in (folder.path / "episodes.jsonl").read_text().splitlines()]
+    drawn = [row["parameters"]["task.gravity"] for row in rows]
+    assert len(set(drawn)) == len(drawn) == 8
+    assert np.mean(drawn) == pytest.approx(-9.81, abs=1)
+
+
+def test_the_database_says_what_the_folders_say(finished):
+    runs, outcome, _ = finished
+    with Store(Store.default_url(runs)) as store:
+        assert {run.run: run for run in store.runs()} == {run.run: run for run in outcome.runs}
+        for folder in folders(outcome):
+            assert [test.steps for test in store.tests(folder.id)] == [test.steps for test in folder.tests()]
+            assert [test.any for test in store.tests(folder.id)] == [sum(test.any) for test in folder.tests()]
+
+
+def test_the_best_checkpoint_is_of_the_best_test_and_the_last_of_the_end(finished):
+    _, outcome, _ = finished
+    for folder in folders(outcome):
+        merits = {(test.success_end, test.success_any): test.steps for test in folder.tests()}
+        assert weights(folder, "best")[1]["steps"] == merits[max(merits)]
+        assert weights(folder, "last")[1]["steps"] == 240
+
+
+def test_the_listener_hears_each_run_from_start_to_end(finished):
+    _, outcome, events = finished
+    for run in outcome.runs:
+        mine = [event for event in events if event.run == run.run]
+        assert isinstance(mine[0], RunStarted)
+        assert isinstance(mine[-1], RunEnded)
+        assert mine[-1].error is None
+        assert sum(isinstance(event, RunTested) for event in mine) == 3
+
+
+@pytest.mark.parametrize("layout", [{"processes": 1, "environments": 4}, {"processes": 2, "environments": 2}])
+def test_same_seed_gives_identical_tests_and_weights_whatever_the_processes(finished, tmp_path, layout):
+    _, outcome, _ = finished
+    again = Experiment(spec(seeds=[1], orchestrator=layout)).run(tmp_path)
+    assert again.runs[0].experiment == outcome.runs[1].experiment, "a layout is not another experiment"
+    (folder,), before = folders(again), folders(outcome)[1]
+    for one, other in zip(folder.tests(), before.tests(), strict=True):
+        assert (one.any, one.end, one.returns) == (other.any, other.end, other.returns)
+    assert_same(weights(folder)[0], weights(before)[0])
+
+
+def test_seeds_side_by_side_give_what_seeds_one_after_the_other_give(finished, tmp_path):
+    _, outcome, _ = finished
+    events = []
+    together = Experiment(spec(seeds=[3, 1])).run(tmp_path, jobs=2, listener=events.append)
+    assert [run.seed for run in together.runs] == [3, 1]
+    for one, other in zip(folders(together), folders(outcome), strict=True):
+        assert_same(weights(one)[0], weights(other)[0])
+    assert {type(event) for event in events} >= {RunStarted, RunTested, RunEnded}
+
+
+def test_another_seed_gives_other_weights(finished):
+    _, outcome, _ = finished
+    one, other = (weights(folder)[0] for folder in folders(outcome))
+    with pytest.raises(AssertionError):
+        assert_same(one, other)
+
+
+def test_a_stop_request_ends_the_round_and_leaves_a_checkpoint(tmp_path):
+    def press_ctrl_c(event):
+        if isinstance(event, RunTested):
+            signal.raise_signal(signal.SIGINT)
+
+    outcome = Experiment(spec(seeds=[0, 1])).run(tmp_path, listener=press_ctrl_c)
+    (run,) = outcome.runs
+    assert (run.state, run.steps, outcome.exit_code) == ("stopped", 100, 130)
+    (folder,) = folders(outcome)
+    assert weights(folder)[1]["steps"] == 100
+    assert signal.getsignal(signal.SIGINT) is signal.default_int_handler
+
+
+def test_a_second_interrupt_ends_at_once_and_the_run_is_stopped(tmp_path):
+    def press_twice(event):
+        if isinstance(event, RunTested):
+            signal.raise_signal(signal.SIGINT)
+            signal.raise_signal(signal.SIGINT)
+
+    with pytest.raises(KeyboardInterrupt):
+        Experiment(spec()).run(tmp_path, listener=press_twice)
+    with Store(Store.default_url(tmp_path)) as store:
+        assert [run.state for run in store.runs()] == ["stopped"]
+
+
+def break_agent(monkeypatch, message="boom"):
+    def learn(self, batch):
+        raise ZeroDivisionError(message)
+
+    monkeypatch.setattr("karolos.agents.sac.SAC.learn", learn)
+
+
+def test_a_plugin_that_raises_fails_its_run_with_traceback_and_the_other_seeds_go_on(tmp_path, monkeypatch):
+    break_agent(monkeypatch)
+    events = []
+    outcome = Experiment(spec(seeds=[0, 1])).run(tmp_path, listener=events.append, check=False)
+    assert [(run.state, run.error) for run in outcome.runs] == [("failed", "ZeroDivisionError: boom")] * 2
+    assert outcome.exit_code == 1
+    ends = [event for event in events if isinstance(event, RunEnded)]
+    assert all("def learn" not in end.error and "raise ZeroDivisionError" in end.traceback for end in ends)
+    assert "raise ZeroDivisionError" in folders(outcome)[0].events()[-1]["traceback"]
+
+
+def test_from_python_a_failed_run_raises_once_all_seeds_have_ended(tmp_path, monkeypatch):
+    break_agent(monkeypatch)
+    with pytest.raises(RunError, match=r"2 of 2 runs failed: toy-s0.*ZeroDivisionError: boom"):
+        Experiment(spec(seeds=[0, 1])).run(tmp_path)
+
+
+def test_a_loss_that_is_not_a_number_stops_the_run_and_names_it(tmp_path, monkeypatch):
+    from karolos.agents.sac import SAC
+
+    learn = SAC.learn
+
+    def broken(self, batch):
+        return dict(learn(self, batch)) | {"policy_loss": float("nan")}
+
+    monkeypatch.setattr("karolos.agents.sac.SAC.learn", broken)
+    with pytest.raises(RunError, match="policy_loss is nan after"):
+        Experiment(spec()).run(tmp_path)
+
+
+def test_a_reward_that_is_not_a_number_stops_the_run_and_names_the_environment(tmp_path, monkeypatch):
+    from karolos.environments.toy import Toy
+
+    step, taken = Toy.step, []
+
+    def broken(self, action):
+        taken.append(self)
+        found = step(self, action)
+        return found._replace(reward=float("nan")) if len(taken) == 30 else found
+
+    monkeypatch.setattr(Toy, "step", broken)
+    one = {"name": "local", "processes": 0, "environments": 2}
+    plain = {"name": "uniform", "capacity": 1000}
+    with pytest.raises(
+        RunError, match=r"environment 1: the environment gave the reward nan after step \d+ of an episode"
+    ):
+        Experiment(spec(orchestrator=one, buffer=plain)).run(tmp_path)
+
+
+def test_a_checkpoint_that_finds_the_disk_full_costs_a_warning_not_the_run(tmp_path, monkeypatch):
+    def full(*_):
+        raise MachineError("no space left on the disk", hint="free some")
+
+    monkeypatch.setattr("karolos.checkpoint.save", full)
+    events = []
+    outcome = Experiment(spec()).run(tmp_path, listener=events.append)
+    assert outcome.runs[0].state == "finished"
+    warnings = [event.warning for event in events if isinstance(event, RunWarned)]
+    assert any("no space left" in warning and "'last' was not written" in warning for warning in warnings)
+
+
+def test_a_database_that_fails_in_the_middle_costs_a_warning_not_the_run(tmp_path, monkeypatch):
+    def locked(*_):
+        raise StoreError("the database is locked")
+
+    monkeypatch.setattr("karolos.store.Store.add_test", locked)
+    outcome = Experiment(spec()).run(tmp_path)
+    assert outcome.runs[0].state == "finished"
+    (folder,) = folders(outcome)
+    assert [event["event"] for event in folder.events()].count("warning") == 3
+    assert len(folder.tests()) == 3
+
+
+def test_a_full_disk_under_the_test_results_fails_the_run(tmp_path, monkeypatch):
+    def full(*_):
+        raise MachineError("no space left on the disk")
+
+    monkeypatch.setattr("karolos.records.RunFolder.add_test", full)
+    with pytest.raises(RunError, match="no space left on the disk"):
+        Experiment(spec()).run(tmp_path)
+
+
+def test_nothing_is_computed_for_a_runs_folder_that_cannot_be_written(tmp_path):
+    (tmp_path / "runs").write_text("a file")
+    with pytest.raises(MachineError):
+        Experiment(spec()).run(tmp_path / "runs")
+
+
+def test_a_newer_database_is_refused_before_anything_runs(tmp_path):
+    (tmp_path / "karolos.sqlite").write_bytes(b"this is no database" * 100)
+    with pytest.raises(StoreError):
+        Experiment(spec()).run(tmp_path)
+    assert [path.name for path in tmp_path.iterdir() if path.is_dir()] == []
+
+
+def test_jobs_below_one_are_refused(tmp_path):
+    with pytest.raises(UsageError, match="jobs is 0"):
+        Experiment(spec()).run(tmp_path, jobs=0)
+
+
+def test_the_papers_first_listing_is_a_valid_experiment():
+    experiment = Experiment({"robot": "panda", "task": "reach", "agent": "sac"})
+    assert json.dumps(experiment.spec.dump())
+    assert experiment.spec.name == "panda_reach"

@@ -1,0 +1,185 @@
+"""A run that ended too soon goes on as if it had not."""
+
+from __future__ import annotations
+
+import shutil
+import signal
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+import pytest
+
+from karolos import checkpoint
+from karolos.errors import RunError
+from karolos.experiment.events import RunStarted, RunTested, RunWarned
+from karolos.experiment.experiment import Experiment, resume_run
+from karolos.records import RunFolder
+from karolos.store import Store
+
+HINDSIGHT = {"strategy": "future"}
+BASE: dict[str, Any] = {
+    "name": "toy",
+    "environment": "toy",
+    "orchestrator": {"processes": 0, "environments": 4},
+    "training": {"steps": 240, "batch_size": 16, "replay_ratio": 4, "warmup_episodes": 4},
+    "testing": {"interval": 100, "episodes": 4},
+}
+SAC = {"name": "sac", "hidden": [16], "precision": "float32"}
+CASES = {
+    "sac, priority, hindsight": {
+        "agent": SAC,
+        "buffer": {"name": "priority", "capacity": 400, "hindsight": HINDSIGHT, "n_step": 2},
+    },
+    "ppo": {
+        "agent": {"name": "ppo", "hidden": [16], "minibatches": 2, "epochs": 2},
+        "buffer": {"name": "on_policy", "rollout": 8},
+        "training": {"steps": 240},
+    },
+    "td3, uniform, 2 processes": {
+        "agent": SAC | {"name": "td3"},
+        "buffer": {"name": "uniform", "capacity": 400},
+        "orchestrator": {"processes": 2, "environments": 2},
+    },
+}
+
+
+def same(one: Any, other: Any, path: str = "") -> None:
+    """Bit for bit, but for the seconds that training took."""
+    if isinstance(one, dict):
+        assert one.keys() == other.keys(), path
+        for key in one.keys() - {"seconds"}:
+            same(one[key], other[key], f"{path}.{key}")
+    elif isinstance(one, list | tuple):
+        for index, (first, second) in enumerate(zip(one, other, strict=True)):
+            same(first, second, f"{path}[{index}]")
+    else:
+        np.testing.assert_array_equal(np.asarray(one), np.asarray(other), err_msg=path)
+
+
+def same_runs(one: RunFolder, other: RunFolder) -> None:
+    same(checkpoint.load(one.checkpoints, "last")[0], checkpoint.load(other.checkpoints, "last")[0])
+    for first, second in zip(one.tests(), other.tests(), strict=True):
+        assert (first.steps, first.any, first.end, first.returns) == (
+            second.steps,
+            second.any,
+            second.end,
+            second.returns,
+        )
+    assert (one.path / "episodes.jsonl").read_text() == (other.path / "episodes.jsonl").read_text()
+    assert one.state().state == other.state().state == "finished"
+
+
+def stopping_at(steps: int):
+    """A listener that asks to stop after the test at `steps`."""
+
+    def tell(event: object) -> None:
+        if isinstance(event, RunTested) and event.result.steps == steps:
+            signal.raise_signal(signal.SIGTERM)
+
+    return tell
+
+
+def only(outcome: Any) -> RunFolder:
+    (run,) = outcome.runs
+    return RunFolder.open(run.folder)
+
+
+@pytest.mark.parametrize("case", CASES)
+def test_stopped_and_resumed_run_equals_one_without_a_break_bit_for_bit(case: str, tmp_path: Path) -> None:
+    spec = BASE | CASES[case]
+    whole = only(Experiment(spec).run(tmp_path / "whole"))
+    broken = Experiment(spec).run(tmp_path / "broken", listener=stopping_at(100))
+    assert broken.runs[0].state == "stopped"
+    assert broken.exit_code == 143
+    again = Experiment(spec).run(tmp_path / "broken", existing="resume")
+    assert [run.run for run in again.runs] == [run.run for run in broken.runs]
+    assert again.runs[0].attempt == 2
+    same_runs(whole, only(again))
+    with Store(Store.default_url(tmp_path / "broken")) as store:
+        assert [test.steps for test in store.tests(again.runs[0].run)] == [100, 200, 240]
+
+
+@pytest.fixture(scope="module")
+def stopped(tmp_path_factory: pytest.TempPathFactory) -> Path:
+    """A runs folder with one run that was stopped at 200 of 240 steps."""
+    runs = tmp_path_factory.mktemp("stopped")
+    Experiment(BASE | CASES["sac, priority, hindsight"]).run(runs, listener=stopping_at(200))
+    return runs
+
+
+@pytest.fixture
+def broken(stopped: Path, tmp_path: Path) -> RunFolder:
+    shutil.copytree(stopped, tmp_path / "runs")
+    (path,) = (tmp_path / "runs").glob("toy-*")
+    return RunFolder.open(path)
+
+
+def go_on(folder: RunFolder) -> list[object]:
+    events: list[object] = []
+    outcome = resume_run(folder, Store.default_url(folder.path.parent), listener=events.append)
+    assert outcome.exit_code == 0
+    return events
+
+
+def test_damaged_checkpoint_is_named_and_the_one_before_is_used(broken: RunFolder, tmp_path: Path) -> None:
+    whole = only(Experiment(BASE | CASES["sac, priority, hindsight"]).run(tmp_path / "whole"))
+    path = broken.checkpoints / "last" / "agent.pt"
+    data = bytearray(path.read_bytes())
+    data[1000] ^= 1
+    path.write_bytes(data)
+    warnings = [event.warning for event in go_on(broken) if isinstance(event, RunWarned)]
+    assert any("agent.pt" in warning and "checkpoint before" in warning for warning in warnings)
+    same_runs(whole, broken)
+
+
+def test_run_without_a_checkpoint_begins_anew_in_its_folder(broken: RunFolder, tmp_path: Path) -> None:
+    whole = only(Experiment(BASE | CASES["sac, priority, hindsight"]).run(tmp_path / "whole"))
+    shutil.rmtree(broken.checkpoints)
+    go_on(broken)
+    same_runs(whole, broken)
+
+
+def test_no_sound_checkpoint_is_an_error_and_nothing_is_lost(broken: RunFolder) -> None:
+    for name in ("last", "previous"):
+        (broken.checkpoints / name / "manifest.json").write_text("{}")
+    before = sorted(path for path in broken.path.rglob("*") if path.is_file())
+    with pytest.raises(RunError, match="no checkpoint can be used"):
+        resume_run(broken, Store.default_url(broken.path.parent))
+    assert sorted(path for path in broken.path.rglob("*") if path.is_file()) == before
+
+
+def test_checkpoint_of_another_experiment_is_refused(broken: RunFolder, tmp_path: Path) -> None:
+    other = only(Experiment(BASE | CASES["sac, priority, hindsight"] | {"agent": SAC | {"tau": 0.01}}).run(tmp_path))
+    shutil.rmtree(broken.checkpoints)
+    shutil.copytree(other.checkpoints, broken.checkpoints)
+    with pytest.raises(RunError, match="another experiment"):
+        resume_run(broken, Store.default_url(broken.path.parent))
+
+
+def test_run_that_another_process_has_is_refused(broken: RunFolder) -> None:
+    with RunFolder.open(broken.path) as owner:
+        owner.lock()
+        with pytest.raises(RunError, match="another process is running it"):
+            resume_run(broken, Store.default_url(broken.path.parent))
+
+
+def test_finished_seeds_are_not_run_again(broken: RunFolder) -> None:
+    go_on(broken)
+    spec = BASE | CASES["sac, priority, hindsight"] | {"seeds": [0, 1]}
+    for existing in ("skip", "resume"):
+        events: list[object] = []
+        outcome = Experiment(spec).run(broken.path.parent, existing=existing, listener=events.append)
+        assert outcome.exit_code == 0
+        assert outcome.runs[0].run == broken.id
+        assert [event.seed for event in events if isinstance(event, RunStarted)] == ([1] if existing == "skip" else [])
+
+
+def test_time_limit_stops_with_a_checkpoint(tmp_path: Path) -> None:
+    spec = BASE | CASES["sac, priority, hindsight"] | {"training": BASE["training"] | {"steps": 10**6}}
+    outcome = Experiment(spec).run(tmp_path, time_limit=1.5)
+    assert outcome.exit_code == 124
+    folder = only(outcome)
+    assert outcome.runs[0].state == "stopped"
+    assert checkpoint.read_meta(folder.checkpoints, "last")["steps"] == outcome.runs[0].steps
+    assert folder.events()[-1]["reason"] == "time limit"

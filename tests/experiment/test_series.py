@@ -1,0 +1,81 @@
+"""What a run writes into TensorBoard; what its agents say is tested with them."""
+
+from __future__ import annotations
+
+import re
+from pathlib import Path
+from typing import Any
+
+import pytest
+from tensorboard.backend.event_processing.event_accumulator import EventAccumulator
+
+from karolos import checkpoint
+from karolos.experiment.experiment import Experiment
+from karolos.records import RunFolder
+
+TOY: dict[str, Any] = {
+    "name": "toy",
+    "environment": "toy",
+    "agent": {"name": "sac", "hidden": [16], "precision": "float32"},
+    "buffer": {"name": "priority", "capacity": 1000},
+    "orchestrator": {"processes": 0, "environments": 4},
+    "training": {"steps": 240, "batch_size": 16, "replay_ratio": 4, "warmup_episodes": 4},
+    "testing": {"interval": 100, "episodes": 6},
+}
+
+
+@pytest.fixture(scope="module")
+def folder(tmp_path_factory: pytest.TempPathFactory) -> RunFolder:
+    """Of a finished run."""
+    return RunFolder.open(Experiment(TOY).run(tmp_path_factory.mktemp("runs")).runs[0].folder)
+
+
+def series(folder: RunFolder) -> EventAccumulator:
+    found = EventAccumulator(str(folder.tensorboard))
+    found.Reload()
+    return found
+
+
+def points(folder: RunFolder, name: str) -> list[tuple[int, float]]:
+    return [(event.step, event.value) for event in series(folder).Scalars(name)]
+
+
+def test_every_series_is_listed_in_the_docs_and_every_one_that_is_listed_is_there(folder: RunFolder) -> None:
+    page = (Path(__file__).parents[2] / "docs" / "tensorboard.md").read_text()
+    listed = set(re.findall(r"^\| `(\w+/\w+)`", page, re.MULTILINE))
+    tags = set(series(folder).Tags()["scalars"])
+    assert tags <= listed
+    assert all(tag.startswith("agent/") for tag in listed - tags), "those of other agents"
+
+
+def test_a_test_stands_at_the_step_at_which_it_was_made_and_says_what_the_folder_says(folder: RunFolder) -> None:
+    found = [(test.steps, pytest.approx(test.success_any)) for test in folder.tests()]
+    assert points(folder, "test/success_any") == found
+    assert [step for step, _ in found] == [100, 200, 240]
+
+
+def test_between_two_tests_there_are_ten_points(folder: RunFolder) -> None:
+    steps = [step for step, _ in points(folder, "buffer/transitions")]
+    assert sum(100 < step <= 200 for step in steps) == 10
+    assert points(folder, "buffer/transitions")[-1] == (240, 240)
+
+
+def test_the_replay_ratio_is_the_one_that_came_out(folder: RunFolder) -> None:
+    ratios = points(folder, "speed/replay_ratio")
+    assert ratios[0][1] == 0, "warming up"
+    assert [ratio for _, ratio in ratios[-5:]] == pytest.approx([4] * 5), "updates x 16 transitions / steps"
+    before = [0, *(step for step, _ in ratios)]
+    learned = sum(ratio * (step - since) for (step, ratio), since in zip(ratios, before, strict=False))
+    assert learned == pytest.approx(16 * checkpoint.read_meta(folder.checkpoints, "last")["updates"])
+
+
+def test_an_on_policy_agent_has_no_replay_ratio(tmp_path: Path) -> None:
+    changes = {
+        "agent": {"name": "ppo", "hidden": [8]},
+        "buffer": {"name": "on_policy", "rollout": 20},
+        "training": {"steps": 240},
+    }
+    played = RunFolder.open(Experiment({**TOY, **changes}).run(tmp_path).runs[0].folder)
+    tags = series(played).Tags()["scalars"]
+    assert {"speed/updates_per_second", "agent/kl"} <= set(tags)
+    assert "speed/replay_ratio" not in tags

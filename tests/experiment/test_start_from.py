@@ -1,0 +1,127 @@
+"""Starting from another run's agent: what is taken over, what is refused, and what the experiment then is."""
+
+from __future__ import annotations
+
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+import pytest
+
+from karolos import checkpoint
+from karolos.core import Signature
+from karolos.core.seeding import SeedTree
+from karolos.environments.build import build_environment
+from karolos.errors import UsageError
+from karolos.experiment.experiment import Experiment
+from karolos.experiment.start_from import apply, find, pinned
+from karolos.records import RunFolder
+from karolos.spec import Spec
+from karolos.training.assembly import make_agent
+
+TOY: dict[str, Any] = {
+    "name": "toy",
+    "environment": "toy",
+    "agent": {"name": "sac", "hidden": [8], "precision": "float32"},
+    "buffer": {"capacity": 1000},
+    "orchestrator": {"processes": 0, "environments": 2},
+    "training": {"steps": 80, "batch_size": 8, "replay_ratio": 4, "warmup_episodes": 2},
+    "testing": {"interval": 40, "episodes": 2},
+}
+
+
+@pytest.fixture(scope="module")
+def source(tmp_path_factory: pytest.TempPathFactory) -> RunFolder:
+    runs = tmp_path_factory.mktemp("runs")
+    return RunFolder.open(Experiment(TOY).run(runs).runs[0].folder)
+
+
+def spec(start: str, *overrides: str, **changes: Any) -> Spec:
+    return Spec.from_dict({**TOY, **changes}, [f"agent.start_from={start}", *overrides])
+
+
+def signature(of: Spec) -> Signature:
+    return build_environment(of.recipe(randomize=False)).signature
+
+
+def same(one: Any, other: Any) -> bool:
+    if isinstance(one, dict):
+        return all(same(one[key], other[key]) for key in one)
+    return bool(np.array_equal(np.asarray(one), np.asarray(other)))
+
+
+@pytest.mark.parametrize("name", ["sac", "td3", "ddpg"])
+def test_weights_and_statistics_are_taken_over_and_optimisers_are_not(name: str, tmp_path: Path) -> None:
+    small = {**TOY, "agent": {"name": name, "hidden": [8]}}
+    folder = RunFolder.open(Experiment(small).run(tmp_path).runs[0].folder)
+    wanted = spec(folder.id, agent={"name": name, "hidden": [8]})
+    start = find(wanted, tmp_path)
+    assert start is not None
+    agent = make_agent(wanted, signature(wanted), SeedTree(5))
+    fresh = agent.state()
+    apply(start, agent)
+    state = agent.state()
+    for key in agent.learned:
+        assert same(state[key], start.state[key])
+    for key in state.keys() - set(agent.learned):
+        assert same(state[key], fresh[key])
+    assert not same(state["policy"], fresh["policy"])
+
+
+def test_a_run_that_starts_from_another_says_so_and_begins_where_that_ended(source: RunFolder) -> None:
+    runs = source.path.parent
+    wanted = {**TOY, "name": "onward", "agent": {**TOY["agent"], "start_from": source.id, "start_checkpoint": "last"}}
+    folder = RunFolder.open(
+        Experiment({**wanted, "training": {**TOY["training"], "replay_ratio": 0}}).run(runs).runs[0].folder
+    )
+    (event,) = [event for event in folder.events() if event["event"] == "started_from"]
+    assert (event["run"], event["checkpoint"], event["steps"]) == (source.id, "last", 80)
+    before, after = (checkpoint.load(run.checkpoints, "last")[0]["agent"] for run in (source, folder))
+    assert same(before["policy"], after["policy"])  # nothing was learned since
+    assert folder.spec()["agent"]["start_sha256"] == event["sha256"]
+
+
+def test_the_experiment_is_what_was_started_from_wherever_it_lies(source: RunFolder) -> None:
+    runs = source.path.parent
+    by_id, by_path = pinned(spec(source.id), runs), pinned(spec(str(source.path)), Path("elsewhere"))
+    assert by_id.hash() == by_path.hash()
+    assert by_id.hash() != Spec.from_dict(TOY).hash()
+    assert Spec.from_dict(by_id.dump()).hash() == by_id.hash()
+    assert pinned(Spec.from_dict(TOY), runs).hash() == Spec.from_dict(TOY).hash()
+
+
+def test_a_checkpoint_that_is_another_by_now_is_refused(source: RunFolder) -> None:
+    with pytest.raises(UsageError, match="not the one this spec was first run with"):
+        find(spec(source.id, f"agent.start_sha256={'f' * 64}"), source.path.parent)
+
+
+def test_other_layouts_are_refused_and_both_are_shown(source: RunFolder) -> None:
+    wide = spec(source.id, environment={"name": "toy", "dimensions": 3})
+    with pytest.raises(UsageError, match="sees and does other things") as caught:
+        pinned(wide, source.path.parent)
+    text = str(caught.value)
+    for told in ("observation is [position 3 1] here and [position 2 1] there", "goal 2", "displacement 3"):
+        assert told in text
+    assert "override" in text  # where it was set
+
+
+def test_another_agent_and_other_networks_are_refused(source: RunFolder) -> None:
+    with pytest.raises(UsageError, match="this agent is td3, that of the run is sac"):
+        find(spec(source.id, agent={"name": "td3"}), source.path.parent)
+    with pytest.raises(UsageError, match=r"agent.hidden is \[16\] here and \[8\] there"):
+        find(spec(source.id, "agent.hidden=[16]"), source.path.parent)
+
+
+def test_a_run_that_is_not_there_is_refused_before_a_folder_is_made(tmp_path: Path) -> None:
+    with pytest.raises(UsageError, match="'nobody'"):
+        Experiment(spec("nobody")).run(tmp_path)
+    assert not [path for path in tmp_path.iterdir() if path.is_dir()]
+
+
+def test_robots_in_cartesian_control_take_over_from_each_other() -> None:
+    layouts = set()
+    for robot in ("panda", "ur5", "iiwa"):
+        part = {"name": robot, "control": "cartesian"}
+        found = signature(Spec.from_dict({"robot": part, "task": "pick_place", "agent": "sac"}))
+        layouts.add((found.observation, found.action, found.desired_goal))
+    assert len(layouts) == 1

@@ -1,0 +1,144 @@
+"""The checks can fail: plugins that break a promise are told which, in one line."""
+
+from __future__ import annotations
+
+import json
+from typing import Any
+
+import numpy as np
+import pytest
+from karolos_cli.plugins import app
+from typer.testing import CliRunner
+
+import karolos.plugins.contracts
+from karolos.errors import UsageError
+from karolos.plugins.contracts import Candidate, cases, check_agent
+from karolos.registry import load
+
+
+def broken(one: Candidate) -> dict[str, str]:
+    """Promise -> what is wrong."""
+    found = {}
+    for case in cases(one, alone=True):
+        try:
+            case()
+        except AssertionError as error:
+            found[case.promise.__name__] = str(error)
+    return found
+
+
+def made(kind: str, name: str, methods: dict[str, Any], **settings: Any) -> Candidate:
+    """An installed plugin with some methods replaced."""
+    return Candidate(kind, "mine", type("Mine", (load(kind, name),), methods), settings)
+
+
+def test_an_agent_that_acts_at_random_and_forgets_its_generator_is_told() -> None:
+    parent = load("agents", "dqn")
+
+    def act(self: Any, observation: Any, desired_goal: Any, **how: Any) -> Any:
+        found = parent.act(self, observation, desired_goal, **how)
+        return found + np.random.default_rng().integers(0, 5, found.shape).astype(np.float32)
+
+    found = broken(made("agents", "dqn", {"act": act}))
+    assert "are no indices in {0, 1, 2}" in found["actions_have_their_shape_and_range"]
+    assert found["without_exploration_acting_is_deterministic_and_draws_nothing"].startswith(
+        "actions for the same observations: "
+    )
+    assert len(found) == 2
+
+
+def test_an_agent_whose_state_is_its_own_arrays_is_told() -> None:
+    parent = load("agents", "dqn")
+
+    def learn(self: Any, batch: Any) -> Any:
+        self.__dict__.setdefault("updates_so_far", np.zeros(1))[0] += 1
+        return parent.learn(self, batch)
+
+    def state(self: Any) -> Any:
+        return parent.state(self) | {"mine": self.__dict__.setdefault("updates_so_far", np.zeros(1))}
+
+    found = broken(made("agents", "dqn", {"learn": learn, "state": state}))
+    assert "hand out copies" in found["a_saved_state_does_not_change_with_the_agent"]
+
+
+def test_a_buffer_that_draws_from_elsewhere_is_told() -> None:
+    parent = load("buffers", "uniform")
+
+    def sample(self: Any, size: int) -> Any:
+        self._generator = np.random.default_rng()
+        return parent.sample(self, size)
+
+    found = broken(made("buffers", "uniform", {"sample": sample}))
+    assert found["the_same_seed_samples_the_same_and_another_does_not"].startswith(
+        "the slots sampled with the same seed"
+    )
+
+
+def test_an_environment_of_float64_whose_seed_means_nothing_is_told() -> None:
+    parent = load("environments", "toy")
+
+    def reset(self: Any, seed: int) -> Any:
+        step = parent.reset(self, np.random.SeedSequence().entropy % 2**32)
+        return step._replace(observation=step.observation.astype(np.float64))
+
+    found = broken(made("environments", "toy", {"reset": reset}))
+    assert found["steps_are_as_the_signature_says"] == "observation is float64 instead of float32"
+    used = "the_same_seed_gives_the_same_trajectory_in_a_fresh_and_in_a_used_environment"
+    assert "in a used environment" in found[used] or "an episode of the same seed" in found[used]
+
+
+def test_a_distribution_that_draws_from_elsewhere_is_told() -> None:
+    found = broken(
+        made(
+            "distributions",
+            "uniform",
+            {"draw": lambda self, generator: np.random.default_rng().uniform()},
+            low=0,
+            high=1,
+        )
+    )
+    assert set(found) == {"the_generator_alone_determines_the_values"}
+
+
+def test_a_robot_that_is_slower_than_it_says_is_told() -> None:
+    parent = load("robots", "panda")
+    slow = {"towards": lambda self, target, opening: 0.1 * parent.towards(self, target, opening)}
+    found = broken(made("robots", "panda", slow))
+    assert "mm away from" in found["the_tool_reaches_every_corner_of_the_workspace"]
+
+
+def test_a_task_without_the_words_a_reader_needs_is_told() -> None:
+    found = broken(made("tasks", "reach", {"__doc__": "Reach."}))
+    assert found == {
+        "the_docstring_says_what_to_do_what_is_randomised_and_what_counts": 'the docstring lacks "What to do:"'
+    }
+
+
+def test_settings_and_kinds_that_cannot_be_checked_are_refused() -> None:
+    with pytest.raises(UsageError, match="distribution mine: low: Field required; name settings that have no default"):
+        broken(made("distributions", "uniform", {}))
+    with pytest.raises(UsageError, match="no contracts for orchestrator local"):
+        cases(karolos.plugins.contracts.candidate("orchestrators", "local"))
+    with pytest.raises(UsageError, match="did you mean 'sac'"):
+        check_agent("sacc")
+
+
+def test_the_command_line_names_broken_promises_and_ends_with_3(monkeypatch: pytest.MonkeyPatch) -> None:
+    def draw(self: Any, generator: Any) -> float:
+        raise ZeroDivisionError("of my own\nmaking")
+
+    bad = made("distributions", "uniform", {"draw": draw}, low=0, high=1)
+    monkeypatch.setattr(karolos.plugins.contracts, "candidate", lambda *_, **__: bad)
+    ended = CliRunner().invoke(app, ["check", "distribution", "mine"])
+    assert ended.exit_code == 3
+    assert "BROKEN mine-0-1-values_are_finite_floats" in ended.stdout
+    assert "`draw` gives a Python float that is finite." in ended.stdout
+    assert "ZeroDivisionError: of my own making" in ended.stdout
+    assert "Traceback" in ended.stderr
+    assert "0 of 2 promises are kept" in ended.stderr
+    rows = [
+        json.loads(line)
+        for line in CliRunner().invoke(app, ["check", "distribution", "x", "--json"]).stdout.split("\n")
+        if line
+    ]
+    assert [row["kept"] for row in rows] == [False, False]

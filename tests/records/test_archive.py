@@ -1,0 +1,192 @@
+from __future__ import annotations
+
+import io
+import json
+import os
+import tarfile
+import zipfile
+from pathlib import Path
+
+import pytest
+from support.run_samples import new_run, result
+
+from karolos.errors import RunError, UsageError
+from karolos.records import RunFolder, labels
+from karolos.records.archive import export_runs, import_runs
+
+DESCRIPTION = {"format": 1, "id": "a-s0-1", "name": "a", "seed": 0, "experiment": "x", "created": "2026-01-01"}
+
+
+@pytest.fixture
+def run(tmp_path: Path) -> RunFolder:
+    with new_run(tmp_path / "runs", text="task: reach\n", source=tmp_path) as folder:
+        folder.add_test(result(10, 3))
+        folder.set_state("finished", steps=10)
+        (folder.path / "checkpoints" / "best").mkdir(parents=True)
+        (folder.path / "checkpoints" / "best" / "agent.bin").write_bytes(os.urandom(5000))
+        os.link(folder.path / "checkpoints" / "best" / "agent.bin", folder.path / "checkpoints" / "same.bin")
+    labels.add_tags(folder.path, ["good"])
+    (folder.path / "out").symlink_to("/etc/hostname")
+    return folder
+
+
+def contents(folder: Path) -> dict[str, bytes]:
+    files = (path for path in folder.rglob("*") if path.is_file() and not path.is_symlink())
+    return {str(path.relative_to(folder)): path.read_bytes() for path in files if not path.name.endswith("lock")}
+
+
+def pack(path: Path, files: dict[str, bytes]) -> Path:
+    """An archive with these names, whatever they are."""
+    if path.suffix == ".zip":
+        with zipfile.ZipFile(path, "w") as archive:
+            for name, data in files.items():
+                archive.writestr(zipfile.ZipInfo(name), data)
+    else:
+        with tarfile.open(path, "w:gz") as tar:
+            for name, data in files.items():
+                entry = tarfile.TarInfo(name)
+                entry.size = len(data)
+                tar.addfile(entry, io.BytesIO(data))
+    return path
+
+
+@pytest.mark.parametrize("name", ["x.tar.gz", "x.tgz", "x.zip"])
+def test_runs_come_out_as_they_went_in(run: RunFolder, tmp_path: Path, name: str) -> None:
+    files = export_runs([run], tmp_path / name)
+    assert files == len(contents(run.path))
+    (came,) = import_runs(tmp_path / name, tmp_path / "other")
+    assert came.problems == ()
+    assert came.folder.path == tmp_path / "other" / run.id
+    assert contents(came.folder.path) == contents(run.path)
+    assert came.folder.record().tests == run.record().tests
+    assert [path.name for path in (tmp_path / "other").iterdir()] == [run.id]
+
+
+def test_checkpoints_can_be_left_out(run: RunFolder, tmp_path: Path) -> None:
+    export_runs([run], tmp_path / "x.zip", checkpoints=False)
+    (came,) = import_runs(tmp_path / "x.zip", tmp_path / "other")
+    assert not came.folder.checkpoints.exists()
+    assert came.folder.tests() == run.tests()
+
+
+def test_export_refuses_what_is_there_or_running_and_leaves_nothing(run: RunFolder, tmp_path: Path) -> None:
+    place = tmp_path / "out"
+    place.mkdir()
+    with pytest.raises(UsageError, match=r"archives end in \.tar\.gz or \.zip"):
+        export_runs([run], place / "x.rar")
+    (place / "x.zip").write_text("mine")
+    with pytest.raises(UsageError, match="the file is there already"):
+        export_runs([run], place / "x.zip")
+    assert (place / "x.zip").read_text() == "mine"
+    with new_run(tmp_path / "runs", source=tmp_path) as busy, pytest.raises(RunError, match="another process"):
+        export_runs([run, RunFolder.open(busy.path)], place / "y.zip")
+    assert [path.name for path in place.iterdir()] == ["x.zip"]
+
+
+@pytest.mark.parametrize("suffix", ["tar.gz", "zip"])
+@pytest.mark.parametrize(
+    ("name", "told"),
+    [
+        ("../evil", "no name for a file in a run folder"),
+        ("a-s0-1/../../evil", "no name for a file in a run folder"),
+        ("/etc/evil", "no name for a file in a run folder"),
+        ("a-s0-1/\x1b[2J", "no name for a file in a run folder"),
+        ("a-s0-1/x\\..\\..\\evil", "no name for a file in a run folder"),
+        ("a-s0-1/C:evil", "no name for a file in a run folder"),
+        ("a-s0-1/NUL", "no name for a file in a run folder"),
+        ("evil", "lies in no run folder"),
+        (".trash/x", "lies in no run folder"),
+        ("a-s0-1/" + "d/" * 12 + "x", "lies in no run folder"),
+        ("a-s0-1/RUN.json", "is in it twice"),
+    ],
+)
+def test_name_that_leads_elsewhere_is_refused(tmp_path: Path, suffix: str, name: str, told: str) -> None:
+    source = pack(tmp_path / f"x.{suffix}", {"a-s0-1/run.json": json.dumps(DESCRIPTION).encode(), name: b"evil"})
+    with pytest.raises(UsageError) as caught:
+        import_runs(source, tmp_path / "in" / "runs")
+    assert told in str(caught.value)
+    assert list((tmp_path / "in").rglob("*")) == [tmp_path / "in" / "runs"]
+    assert not (tmp_path / "evil").exists()
+
+
+@pytest.mark.parametrize("kind", [tarfile.SYMTYPE, tarfile.LNKTYPE, tarfile.FIFOTYPE, tarfile.CHRTYPE])
+def test_link_or_device_is_refused(tmp_path: Path, kind: bytes) -> None:
+    with tarfile.open(tmp_path / "x.tar.gz", "w:gz") as tar:
+        entry = tarfile.TarInfo("a-s0-1/x")
+        entry.type, entry.linkname = kind, "/etc/passwd"
+        tar.addfile(entry)
+    with pytest.raises(UsageError, match="is a link or device"):
+        import_runs(tmp_path / "x.tar.gz", tmp_path / "runs")
+    assert list((tmp_path / "runs").iterdir()) == []
+
+
+def test_link_in_a_zip_is_refused(tmp_path: Path) -> None:
+    with zipfile.ZipFile(tmp_path / "x.zip", "w") as archive:
+        entry = zipfile.ZipInfo("a-s0-1/x")
+        entry.external_attr = 0o120777 << 16
+        archive.writestr(entry, "/etc/passwd")
+    with pytest.raises(UsageError, match="is a link or device"):
+        import_runs(tmp_path / "x.zip", tmp_path / "runs")
+
+
+@pytest.mark.parametrize("suffix", ["tar.gz", "zip"])
+def test_archive_that_unpacks_to_too_much_is_refused(tmp_path: Path, suffix: str) -> None:
+    bomb = pack(tmp_path / f"x.{suffix}", {"a-s0-1/zeros": bytes(3_000_000)})
+    with pytest.raises(UsageError, match="it unpacks to more than 2,000,000 bytes"):
+        import_runs(bomb, tmp_path / "runs", most_bytes=2_000_000)
+    assert list((tmp_path / "runs").iterdir()) == []
+
+
+@pytest.mark.parametrize("suffix", ["tar.gz", "zip"])
+def test_damaged_archive_is_told_and_brings_nothing(run: RunFolder, tmp_path: Path, suffix: str) -> None:
+    source = tmp_path / f"x.{suffix}"
+    export_runs([run], source)
+    whole = source.read_bytes()
+    for damaged in (whole[: len(whole) // 2], b"", b"hello", whole[:100] + b"\xff" * 500 + whole[600:]):
+        source.write_bytes(damaged)
+        with pytest.raises(UsageError, match=r"the archive cannot be read|there is no run in it"):
+            import_runs(source, tmp_path / "other")
+        assert list((tmp_path / "other").iterdir()) == []
+    with pytest.raises(UsageError, match="there is no such file"):
+        import_runs(tmp_path / f"none.{suffix}", tmp_path / "other")
+
+
+def test_run_that_is_here_is_refused_and_the_others_do_not_come(run: RunFolder, tmp_path: Path) -> None:
+    with new_run(tmp_path / "second", source=tmp_path) as other:
+        pass
+    other.path.rename(tmp_path / "second" / "reach-s3-z")
+    file = tmp_path / "second" / "reach-s3-z" / "run.json"
+    file.write_text(json.dumps(json.loads(file.read_text()) | {"id": "reach-s3-z"}))
+    export_runs([RunFolder.open(tmp_path / "second" / "reach-s3-z"), run], tmp_path / "x.zip")
+    before = contents(tmp_path / "runs")
+    with pytest.raises(UsageError, match=f"the run {run.id} is here already"):
+        import_runs(tmp_path / "x.zip", tmp_path / "runs")
+    assert contents(tmp_path / "runs") == before
+    with pytest.raises(UsageError, match="the run reach-s3-z is here already"):
+        import_runs(tmp_path / "x.zip", tmp_path / "new", known=lambda name: name == "reach-s3-z")
+
+
+def test_torn_lines_come_in_and_are_told(run: RunFolder, tmp_path: Path) -> None:
+    with (run.path / "tests.jsonl").open("a") as file:
+        file.write('{"steps":')
+    export_runs([run], tmp_path / "x.zip")
+    (came,) = import_runs(tmp_path / "x.zip", tmp_path / "other")
+    assert came.problems == ("tests.jsonl:2: the last line is torn; left out",)
+    assert len(came.folder.tests()) == 1
+
+
+@pytest.mark.parametrize(
+    ("files", "told"),
+    [
+        ({"a-s0-1/x": b""}, "a-s0-1: this is no run folder"),
+        ({"a-s0-1/run.json": b"{"}, "a-s0-1: run.json is damaged"),
+        ({"b-s0-1/run.json": json.dumps(DESCRIPTION).encode()}, "says that it is the run a-s0-1"),
+        ({"a-s0-1/run.json": json.dumps(DESCRIPTION | {"format": 99}).encode()}, "a newer karolos made"),
+        ({}, "there is no run in it"),
+    ],
+)
+def test_folder_that_is_no_run_is_refused(tmp_path: Path, files: dict[str, bytes], told: str) -> None:
+    with pytest.raises(UsageError) as caught:
+        import_runs(pack(tmp_path / "x.zip", files), tmp_path / "runs")
+    assert told in str(caught.value)
+    assert list((tmp_path / "runs").iterdir()) == []

@@ -1,0 +1,56 @@
+from __future__ import annotations
+
+import subprocess
+import sys
+from pathlib import Path
+
+import pytest
+
+from karolos.errors import RunError, UsageError
+from karolos.records import labels
+from karolos.records.labels import Labels
+
+
+def test_tags_and_note_are_kept_and_changed(tmp_path: Path) -> None:
+    assert labels.read(tmp_path) == Labels()
+    labels.add_tags(tmp_path, ["good", "a b", "good"])
+    labels.set_note(tmp_path, "two\nlines <script>")
+    labels.add_tags(tmp_path, ["best"])
+    assert labels.read(tmp_path) == Labels(("a b", "best", "good"), "two\nlines <script>")
+    labels.remove_tags(tmp_path, ["a b", "never there"])
+    labels.set_note(tmp_path, "")
+    assert labels.read(tmp_path) == Labels(("best", "good"), None)
+
+
+@pytest.mark.parametrize("tag", ["", " ", " x", "x\n", "a\nb", "a\0b", "x" * 201, "\ud800"])
+def test_text_that_is_no_tag_is_refused_and_changes_nothing(tmp_path: Path, tag: str) -> None:
+    with pytest.raises(UsageError, match="is no tag; 1 to 200 characters"):
+        labels.add_tags(tmp_path, ["good", tag])
+    assert labels.read(tmp_path) == Labels()
+
+
+def test_note_that_is_too_long_is_refused(tmp_path: Path) -> None:
+    with pytest.raises(UsageError, match="the note has 100,001 characters"):
+        labels.set_note(tmp_path, "x" * 100_001)
+
+
+def test_damaged_labels_are_not_written_over(tmp_path: Path) -> None:
+    (tmp_path / "labels.json").write_text('{"tags": ["go')
+    assert labels.is_damaged(tmp_path)
+    assert labels.read(tmp_path) == Labels()
+    with pytest.raises(RunError, match=r"labels\.json is damaged; repair it, or move it away"):
+        labels.add_tags(tmp_path, ["x"])
+    assert (tmp_path / "labels.json").read_text() == '{"tags": ["go'
+
+
+def test_entries_that_are_no_labels_are_passed_over(tmp_path: Path) -> None:
+    (tmp_path / "labels.json").write_text('{"tags": ["b", 3, null, "a", "b", ""], "note": 7}')
+    assert labels.read(tmp_path) == Labels(("a", "b"), None)
+
+
+def test_processes_that_tag_at_once_lose_nothing(tmp_path: Path) -> None:
+    script = "import sys, pathlib; from karolos.records import labels\n"
+    script += "for n in range(5): labels.add_tags(pathlib.Path(sys.argv[1]), [f'{sys.argv[2]}-{n}'])"
+    writers = [subprocess.Popen([sys.executable, "-c", script, str(tmp_path), str(index)]) for index in range(4)]
+    assert [writer.wait(60) for writer in writers] == [0] * 4
+    assert len(labels.read(tmp_path).tags) == 20

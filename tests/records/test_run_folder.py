@@ -1,0 +1,290 @@
+from __future__ import annotations
+
+import json
+import os
+import subprocess
+import sys
+from datetime import UTC, datetime
+from pathlib import Path
+from typing import Any
+
+import pytest
+from support.run_samples import SPEC, new_run, result
+
+from karolos.errors import MachineError, RunError, UsageError
+from karolos.records import RunFolder, scan
+
+
+def test_id_is_name_seed_and_time_and_never_taken_twice(tmp_path: Path) -> None:
+    first, second = (
+        RunFolder.create(tmp_path / "runs", "a.b_c-d", 12),
+        RunFolder.create(tmp_path / "runs", "a.b_c-d", 12),
+    )
+    stem, _, stamp = first.id.partition("-s12-")
+    assert stem == "a.b_c-d"
+    assert datetime.strptime(stamp, "%Y%m%d-%H%M%S").replace(tzinfo=UTC) <= datetime.now(UTC)
+    assert first.id != second.id
+    assert first.path.is_dir()
+    assert second.path.is_dir()
+
+
+def test_collision_adds_a_number(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
+    class Clock(datetime):
+        @classmethod
+        def now(cls, tz: Any = None) -> datetime:
+            return datetime(2026, 1, 2, 3, 4, 5, tzinfo=UTC)
+
+    monkeypatch.setattr("karolos.records.run_folder.datetime", Clock)
+    ids = [RunFolder.create(tmp_path, "reach", 0).id for _ in range(3)]
+    assert ids == ["reach-s0-20260102-030405", "reach-s0-20260102-030405-2", "reach-s0-20260102-030405-3"]
+
+
+@pytest.mark.skipif(not hasattr(os, "fork"), reason="forks")
+def test_sixteen_processes_get_sixteen_folders(tmp_path: Path) -> None:
+    script = (
+        "import os, sys; from karolos.records import RunFolder\n"
+        "children = []\n"
+        "for index in range(16):\n"
+        "    child = os.fork()\n"
+        "    if not child:\n"
+        "        folder = RunFolder.create(sys.argv[1], 'x', 0); folder.describe({}, experiment='e')\n"
+        "        folder.set_state('finished'); os._exit(0)\n"
+        "    children.append(child)\n"
+        "assert not any(os.waitpid(child, 0)[1] for child in children)\n"
+    )
+    subprocess.run([sys.executable, "-c", script, str(tmp_path)], check=True)
+    folders = list(scan(tmp_path))
+    assert len(folders) == 16
+    assert {folder.state().state for folder in folders if isinstance(folder, RunFolder)} == {"finished"}
+
+
+@pytest.mark.parametrize("name", ["../x", "a/b", "", ".hidden", "-x", "a" * 65, "a\n", "<script>", "ü", "a b"])
+def test_name_that_is_no_folder_name_is_refused(tmp_path: Path, name: str) -> None:
+    with pytest.raises(UsageError, match=r"cannot be named .*; up to 64 letters"):
+        RunFolder.create(tmp_path, name, 0)
+    assert list(tmp_path.iterdir()) == []
+
+
+def test_negative_seed_is_refused(tmp_path: Path) -> None:
+    with pytest.raises(UsageError, match="not negative"):
+        RunFolder.create(tmp_path, "x", -1)
+
+
+def test_runs_folder_that_is_a_file_is_told(tmp_path: Path) -> None:
+    (tmp_path / "runs").write_text("")
+    for attempt in (RunFolder.check_writable, lambda runs: RunFolder.create(runs, "x", 0)):
+        with pytest.raises(MachineError, match=r"runs: a file is in the way of a folder; name another"):
+            attempt(tmp_path / "runs")
+
+
+def test_runs_folder_that_cannot_be_written_is_told(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
+    def refuse(*_: object, **__: object) -> None:
+        raise PermissionError(13, "Permission denied")
+
+    monkeypatch.setattr(os, "open", refuse)
+    with pytest.raises(MachineError, match="cannot be written; change its permissions or name another folder"):
+        RunFolder.check_writable(tmp_path)
+
+
+def test_check_writable_makes_the_folder_and_leaves_it_empty(tmp_path: Path) -> None:
+    RunFolder.check_writable(tmp_path / "a" / "b")
+    assert list((tmp_path / "a" / "b").iterdir()) == []
+
+
+def test_folder_says_what_the_run_was_made_from(tmp_path: Path) -> None:
+    run = new_run(tmp_path, text="robot: panda  # mine\n")
+    assert (run.path / "spec.yaml").read_text() == "robot: panda  # mine\n"
+    opened = RunFolder.open(run.path)
+    assert opened.spec() == SPEC
+    about = opened.description()
+    assert {"id": run.id, "experiment": "abc", "name": "reach", "seed": 3}.items() <= about.items()
+    assert about["versions"]["python"] == sys.version.split()[0]
+    text = (run.path / "run.json").read_text()
+    assert os.uname().nodename not in text.replace(about["machine"], "")
+    assert "remote" not in text
+
+
+def test_changed_code_is_kept_beside_the_commit(tmp_path: Path) -> None:
+    tree = tmp_path / "tree"
+    tree.mkdir()
+    (tree / "a.py").write_text("1\n")
+    identity = ["-c", "user.name=a", "-c", "user.email=a@b"]
+    for command in (["init"], ["add", "."], [*identity, "commit", "-m", "first"]):
+        subprocess.run(["git", *command], cwd=tree, check=True, capture_output=True)
+    (tree / "a.py").write_text("2\n")
+    run = new_run(tmp_path / "runs", source=tree)
+    assert run.description()["git"]["dirty"]
+    assert "+2" in (run.path / "code.diff").read_text()
+
+
+def test_folder_is_no_run_before_it_is_described(tmp_path: Path) -> None:
+    run = RunFolder.create(tmp_path, "x", 0)
+    assert list(scan(tmp_path)) == []
+    with pytest.raises(RunError, match="no run folder"):
+        RunFolder.open(run.path)
+
+
+def test_state_is_kept_and_steps_stay_when_not_given(tmp_path: Path) -> None:
+    run = new_run(tmp_path)
+    assert run.state().state == "created"
+    run.set_state("running")
+    run.set_state("running", steps=50, seconds=1.5)
+    run.set_state("failed", error="it broke")
+    state = RunFolder.open(run.path).state()
+    assert (state.state, state.steps, state.seconds, state.error) == ("failed", 50, 1.5, "it broke")
+    assert state.updated > run.description()["created"]
+
+
+@pytest.mark.parametrize("state", ["lost", "done"])
+def test_state_that_cannot_be_written_is_refused(tmp_path: Path, state: str) -> None:
+    run = new_run(tmp_path)
+    with pytest.raises(ValueError, match=state):
+        run.set_state(state)
+    assert run.state().state == "created"
+
+
+@pytest.mark.parametrize(
+    ("stored", "seen"), [("created", "lost"), ("running", "lost"), ("finished", "finished"), ("stopped", "stopped")]
+)
+def test_run_that_nobody_runs_is_lost_unless_it_ended(tmp_path: Path, stored: str, seen: str) -> None:
+    run = new_run(tmp_path)
+    run.set_state(stored)
+    assert RunFolder.open(run.path).state().state == stored
+    run.release()
+    assert RunFolder.open(run.path).state().state == seen
+    assert json.loads((run.path / "state.json").read_text())["state"] == stored  # a reader writes nothing
+
+
+def test_killed_process_leaves_a_lost_run(tmp_path: Path) -> None:
+    script = (
+        "import os, signal, sys; from karolos.records import RunFolder\n"
+        "run = RunFolder.create(sys.argv[1], 'x', 0); run.describe({}, experiment='e'); run.set_state('running')\n"
+        "os.kill(os.getpid(), signal.SIGKILL)\n"
+    )
+    assert subprocess.run([sys.executable, "-c", script, str(tmp_path)], check=False).returncode == -9
+    (run,) = scan(tmp_path)
+    assert isinstance(run, RunFolder)
+    assert run.state().state == "lost"
+
+
+def test_run_that_ends_between_two_looks_is_not_lost(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
+    run = new_run(tmp_path)
+    run.set_state("running")
+    reader = RunFolder.open(run.path)
+
+    def ends_now() -> bool:
+        run.set_state("finished")
+        run.release()
+        return False
+
+    monkeypatch.setattr(reader, "is_locked", ends_now)
+    assert reader.state().state == "finished"
+
+
+def test_second_process_on_a_run_is_refused(tmp_path: Path) -> None:
+    run = new_run(tmp_path)
+    other = RunFolder.open(run.path)
+    with pytest.raises(RunError, match="another process is running it"):
+        other.lock()
+    with run:
+        assert other.is_locked()
+    other.lock()
+    assert other.next_attempt() == 2
+    assert other.state().attempt == 2
+    other.release()
+
+
+def test_tests_come_back_as_they_were(tmp_path: Path) -> None:
+    run = new_run(tmp_path)
+    results = (result(100, 3), result(200, 20))
+    for each in results:
+        run.add_test(each)
+    assert RunFolder.open(run.path).tests() == results
+
+
+def test_repeated_test_replaces_the_first(tmp_path: Path) -> None:
+    run = new_run(tmp_path)
+    for each in (result(100, 3), result(200, 4), result(100, 5)):
+        run.add_test(each)
+    assert run.tests() == (result(100, 5), result(200, 4))
+
+
+def test_torn_test_is_told_and_the_rest_is_read(tmp_path: Path) -> None:
+    run = new_run(tmp_path)
+    run.add_test(result(100, 3))
+    with (run.path / "tests.jsonl").open("a") as file:
+        file.write('{"steps":1}\n{"steps":200,"any":[1,')
+    assert run.tests() == (result(100, 3),)
+    problems = run.record().problems
+    assert problems == (
+        "tests.jsonl:3: the last line is torn; left out",
+        "tests.jsonl: 1 lines are no test results; left out",
+    )
+    run.add_test(result(300, 4))
+    assert run.tests() == (result(100, 3), result(300, 4))
+
+
+def test_sound_folder_has_no_problems_and_missing_files_are_named(tmp_path: Path) -> None:
+    run = new_run(tmp_path)
+    run.event("started", processes=2)
+    assert run.record().problems == ()
+    assert [(event["event"], event["processes"]) for event in run.events()] == [("started", 2)]
+    (run.path / "resolved.json").unlink()
+    (run.path / "state.json").write_text("{")
+    run.release()
+    record = RunFolder.open(run.path).record()
+    assert record.problems == ("resolved.json: missing or damaged", "state.json: missing or damaged")
+    assert record.summary.state == "lost"
+
+
+def test_summary_counts_success_of_the_last_test_and_the_first_at_95(tmp_path: Path) -> None:
+    run = new_run(tmp_path)
+    before = run.summary()
+    assert (before.success_any, before.success_end, before.steps_to_95, before.episodes) == (None, None, None, None)
+    for each in (result(100, 18), result(200, 19), result(300, 20), result(400, 10)):
+        run.add_test(each)
+    run.set_state("finished", steps=410, seconds=4.5)
+    row = run.summary().row()
+    assert list(row)[:10] == [
+        "run",
+        "experiment",
+        "seed",
+        "state",
+        "steps",
+        "seconds",
+        "success_any",
+        "success_end",
+        "steps_to_95",
+        "seconds_to_95",
+    ]
+    assert list(row.values())[1:10] == ["abc", 3, "finished", 410, 4.5, 0.5, 0.5, 200, 2.0]
+    assert (row["environment"], row["robot"], row["agent"], row["episodes"]) == ("toy", None, "sac", 20)
+    json.dumps(row, allow_nan=False)
+
+
+@pytest.mark.parametrize(
+    "text",
+    ["", "[]", '{"id": "x"}', '{"format":1,"id":"../x","name":"x","seed":0,"created":"","experiment":""}', "\x00"],
+)
+def test_damaged_description_is_told_and_does_not_hide_the_others(tmp_path: Path, text: str) -> None:
+    good, bad = new_run(tmp_path), new_run(tmp_path)
+    (bad.path / "run.json").write_text(text)
+    with pytest.raises(RunError, match=r"run\.json is damaged"):
+        RunFolder.open(bad.path)
+    found = {type(each) for each in scan(tmp_path)}
+    assert found == {RunFolder, RunError}
+    assert good.id in {each.id for each in scan(tmp_path) if isinstance(each, RunFolder)}
+
+
+def test_folder_of_a_newer_karolos_is_told(tmp_path: Path) -> None:
+    run = new_run(tmp_path)
+    text = (run.path / "run.json").read_text().replace('"format": 1', '"format": 2')
+    (run.path / "run.json").write_text(text)
+    with pytest.raises(RunError, match="newer karolos made this run folder; update"):
+        RunFolder.open(run.path)
+
+
+def test_renamed_folder_is_the_same_run(tmp_path: Path) -> None:
+    run = new_run(tmp_path)
+    run.release()
+    assert RunFolder.open(run.path.rename(tmp_path / "kept")).id == run.id

@@ -1,0 +1,85 @@
+"""Statistics over seeds."""
+
+from __future__ import annotations
+
+import numpy as np
+import pytest
+from hypothesis import given
+from hypothesis import strategies as st
+from scipy import stats
+
+from karolos.core.seeding import SeedTree
+from karolos.statistics import aggregates
+
+RATIO = st.floats(0, 1, allow_nan=False)
+
+
+def generator(seed: int = 0) -> np.random.Generator:
+    return SeedTree(seed).generator()
+
+
+@given(st.lists(RATIO, min_size=1, max_size=23))
+def test_inter_quartile_mean_is_the_trimmed_mean_of_scipy(values: list[float]) -> None:
+    assert aggregates.iqm(values) == pytest.approx(stats.trim_mean(values, 0.25), abs=1e-12)
+
+
+def test_one_outlier_of_five_does_not_move_the_inter_quartile_mean() -> None:
+    assert aggregates.iqm([0.9, 0.9, 0.9, 0.9, 0.0]) == pytest.approx(0.9)
+    assert aggregates.mean([0.9, 0.9, 0.9, 0.9, 0.0]) == pytest.approx(0.72)
+
+
+@given(st.lists(RATIO, min_size=1, max_size=9), st.lists(RATIO, min_size=1, max_size=9))
+def test_improvement_is_mann_whitney_u_over_all_pairs(ours: list[float], theirs: list[float]) -> None:
+    found = aggregates.improvement(ours, theirs)
+    u = stats.mannwhitneyu(ours, theirs).statistic
+    assert found == pytest.approx(u / (len(ours) * len(theirs)), abs=1e-12)
+    assert found + aggregates.improvement(theirs, ours) == pytest.approx(1)
+
+
+def test_equal_seeds_are_improved_upon_by_one_half() -> None:
+    assert aggregates.improvement([1, 1, 1], [1, 1]) == 0.5
+
+
+@pytest.mark.parametrize(
+    ("seeds", "worth"), [(1, "none"), (4, "none"), (5, "approximate"), (9, "approximate"), (10, "usual")]
+)
+def test_intervals_are_given_for_five_seeds_or_more(seeds: int, worth: str) -> None:
+    values = np.linspace(0.2, 0.8, seeds)
+    found = aggregates.interval(values, aggregates.mean, generator())
+    assert aggregates.reliability(seeds) == worth
+    assert (found is None) == (worth == "none")
+    assert (aggregates.improvement_interval(values, values, generator()) is None) == (worth == "none")
+
+
+def test_interval_covers_the_mean_of_ten_normal_values_about_as_often_as_it_says() -> None:
+    draw = generator(1)
+    covered = 0
+    for _ in range(200):
+        low, high = aggregates.interval(draw.normal(0.5, 0.1, 10), aggregates.mean, draw) or (0, 0)
+        covered += low <= 0.5 <= high
+    assert 0.82 <= covered / 200 <= 0.97  # a percentile interval of ten values is a little narrow: .90 in theory
+
+
+def test_interval_is_the_same_for_the_same_generator() -> None:
+    values = [0.1, 0.5, 0.6, 0.7, 0.9]
+    assert aggregates.interval(values, aggregates.iqm, generator()) == aggregates.interval(
+        values, aggregates.iqm, generator()
+    )
+
+
+def test_profile_falls_from_all_to_none() -> None:
+    found = aggregates.profile([0.2, 0.5, 1.0], [0, 0.2, 0.21, 0.6, 1.0])
+    assert found.tolist() == pytest.approx([1, 1, 2 / 3, 1 / 3, 1 / 3])
+
+
+def test_first_reaching_is_the_first_test_at_or_over_the_threshold() -> None:
+    assert aggregates.first_reaching([0.1, 0.5, 0.4, 0.9], [10, 20, 30, 40], 0.5) == 20
+    assert aggregates.first_reaching([0.1, 0.4], [10, 20], 0.5) is None
+
+
+@pytest.mark.parametrize(
+    ("places", "median"),
+    [([10, 30, None], 30), ([10, None, None], None), ([10, 20], 15), ([10, None], None), ([None], None), ([7], 7)],
+)
+def test_seeds_that_never_reach_a_threshold_count_last(places: list[float | None], median: float | None) -> None:
+    assert aggregates.median_reaching(places) == median

@@ -1,0 +1,172 @@
+from __future__ import annotations
+
+import math
+from typing import Any
+
+import pytest
+from hypothesis import given
+from hypothesis import strategies as st
+
+from karolos.errors import UsageError
+from karolos.store.filters import DEEPEST, parse
+
+VALUES: dict[str, Any] = {
+    "task": "pick_place",
+    "state": "finished",
+    "seed": 3,
+    "success": 0.95,
+    "agent.learning_rate": 1e-4,
+    "agent.layer_norm": True,
+    "agent.hidden": [256, 256],
+    "robot": None,
+    "run": "2026",
+    "tags": ("good", "to show"),
+    "note": 'it "fell"',
+    "created": "2026-11-21T10:00:00Z",
+}
+
+
+@pytest.mark.parametrize(
+    "text",
+    [
+        "task=pick_place and agent.learning_rate<1e-3 and state=finished",
+        "task = 'pick_place'",
+        'task="pick_place" AND NOT state=failed',
+        "task=reach or seed=3",
+        "seed=3 or task=reach and state=failed",
+        "not (task=reach or seed=4)",
+        "not task=reach and seed != 4",
+        "seed in (1, 2, 3)",
+        "seed not in [1, 2]",
+        "seed=3.0 and seed>=3 and seed<=3 and seed>-1 and seed < +4",
+        "agent.learning_rate=0.0001 and agent.learning_rate = .1e-3",
+        "agent.layer_norm=true and not agent.layer_norm=1",
+        "agent.hidden='[256, 256]' and agent.hidden ~ 256",
+        "robot=null and robot!=panda and nothing=null",
+        "run=2026",
+        "tags=good and tags='to show' and tags~SHOW and tags!=bad and tags in (x, good)",
+        r"note='it \"fell\"' and note ~ 'FELL'",
+        "created>2026-11-20 and created<2026-11-22",
+        "success~9",
+    ],
+)
+def test_filter_fits(text: str) -> None:
+    assert parse(text).matches(VALUES)
+
+
+@pytest.mark.parametrize(
+    "text",
+    [
+        "task=Pick_Place",
+        "task=pick",
+        "seed='3'",
+        "seed<3",
+        "seed=true",
+        "agent.layer_norm=1",
+        "agent.layer_norm>0",
+        "robot=panda",
+        "robot<9",
+        "robot~''",
+        "nothing<1 or nothing>1 or nothing=1 or nothing~1",
+        "task<3 and task>3",
+        "tags=show",
+        "tags!=good",
+        "not seed=3 and task=reach or state=failed",
+    ],
+)
+def test_filter_does_not_fit(text: str) -> None:
+    assert not parse(text).matches(VALUES)
+
+
+@pytest.mark.parametrize(
+    ("text", "column", "what"),
+    [
+        ("", 1, "'the end' is no key"),
+        ("task", 5, "'the end' is no comparison"),
+        ("task=", 6, "'the end' is no value"),
+        ("task==reach", 6, "'=' is no value"),
+        ("task=reach seed=1", 12, "'seed' does not belong here"),
+        ("(task=reach", 12, "a ) is missing"),
+        ("task=reach)", 11, "')' does not belong here"),
+        ("seed in 1", 9, "a ( is missing"),
+        ("seed in (1,", 12, "'the end' is no value"),
+        ("seed in ()", 10, "')' is no value"),
+        ("task='reach", 6, '"\'" cannot be read'),
+        ("task=a and", 11, "'the end' is no key"),
+        ("and task=a", 1, "'and' is no key"),
+        ("task ! a", 6, "'!' cannot be read"),
+        ("task(1)", 5, "'(' is no comparison"),
+        ("seed=__import__('os')", 16, "'(' does not belong here"),
+    ],
+)
+def test_filter_that_cannot_be_read_names_the_column(text: str, column: int, what: str) -> None:
+    with pytest.raises(UsageError) as caught:
+        parse(text)
+    assert str(caught.value).startswith(f"filter, column {column}: {what}; ")
+
+
+def test_filter_is_bounded() -> None:
+    deep = "(" * (DEEPEST - 1)
+    assert parse(f"{deep}seed=3{deep.replace('(', ')')}").matches(VALUES)
+    for text in ("(" * 5000, "not " * 2000 + "seed=3"):
+        with pytest.raises(UsageError, match="too many levels"):
+            parse(text)
+    with pytest.raises(UsageError, match=r"the filter has 20,006 characters; up to 10,000"):
+        parse("seed=3" + " " * 20_000)
+    assert parse("seed=" + "9" * 5000).matches({"seed": math.inf})
+
+
+def test_keys_are_those_that_are_named() -> None:
+    assert parse("a=1 and (b.c<2 or not 'd e' in (3, f))").keys == {"a", "b.c", "d e"}
+
+
+comparisons = st.tuples(st.sampled_from("abc"), st.sampled_from(["=", "!=", "<", "<=", ">", ">="]), st.integers(-3, 3))
+trees: st.SearchStrategy[Any] = st.recursive(
+    comparisons,
+    lambda inner: st.one_of(
+        st.tuples(st.just("not"), inner),
+        st.tuples(st.sampled_from(["and", "or"]), inner, inner),
+    ),
+    max_leaves=8,
+)
+
+
+def write(tree: Any) -> str:
+    if tree[0] == "not":
+        return f"not ({write(tree[1])})"
+    if tree[0] in {"and", "or"}:
+        return f"({write(tree[1])}) {tree[0]} ({write(tree[2])})"
+    return f"{tree[0]}{tree[1]}{tree[2]}"
+
+
+def holds(tree: Any, values: dict[str, int]) -> bool:
+    if tree[0] == "not":
+        return not holds(tree[1], values)
+    if tree[0] == "and":
+        return holds(tree[1], values) and holds(tree[2], values)
+    if tree[0] == "or":
+        return holds(tree[1], values) or holds(tree[2], values)
+    left, right = values[tree[0]], tree[2]
+    return {"=": left == right, "!=": left != right, "<": left < right, "<=": left <= right, ">": left > right}.get(
+        tree[1], left >= right
+    )
+
+
+@given(trees, st.fixed_dictionaries({key: st.integers(-3, 3) for key in "abc"}))
+def test_filter_means_what_logic_does(tree: Any, values: dict[str, int]) -> None:
+    assert parse(write(tree)).matches(values) == holds(tree, values)
+
+
+@given(st.text(max_size=40))
+def test_any_text_is_read_or_refused(text: str) -> None:
+    try:
+        fits = parse(text).matches(VALUES)
+    except UsageError:
+        return
+    assert fits in {True, False}
+
+
+@given(st.text(st.characters(exclude_categories=["Cs"]), min_size=1, max_size=20))
+def test_text_in_quotes_is_taken_as_it_stands(text: str) -> None:
+    quoted = text.replace("\\", "\\\\").replace('"', '\\"')
+    assert parse(f'note="{quoted}"').matches({"note": text})

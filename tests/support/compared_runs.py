@@ -1,0 +1,63 @@
+"""What the tests of comparisons share: runs that need no folder and no database."""
+
+from __future__ import annotations
+
+from collections.abc import Mapping, Sequence
+from typing import Any
+
+from karolos.comparison import ComparedRun, Contender
+from karolos.records.run_records import RunSummary
+from karolos.store import StoredTest
+
+SPEC: dict[str, Any] = {
+    "name": "reach",
+    "seeds": [0, 1],
+    "task": {"name": "reach"},
+    "environment": {"name": "robot_task"},
+    "agent": {"name": "sac", "learning_rate": 1e-3, "hidden": [256, 256]},
+    "testing": {"interval": 1000, "episodes": 100, "seed": 0},
+}
+
+
+def run(
+    seed: int,
+    successes: Sequence[int],
+    *,
+    name: str = "reach",
+    interval: int = 1000,
+    rate: float = 100.0,
+    episodes: int = 100,
+    spec: Mapping[str, Any] = SPEC,
+    versions: Mapping[str, str] | None = None,
+    commit: str | None = None,
+    **summary: Any,
+) -> ComparedRun:
+    """A run with a test every `interval` steps: so many episodes succeed at some step, half of them at the end."""
+    tests = tuple(
+        StoredTest(f"{name}-s{seed}", place * interval, place * interval / rate, episodes, k, k // 2, 0)
+        for place, k in enumerate(successes, 1)
+    )
+    values = {
+        "run": f"{name}-s{seed}",
+        "experiment": f"hash of {name}",
+        "seed": seed,
+        "state": "finished",
+        "steps": len(tests) * interval,
+        "seconds": len(tests) * interval / rate,
+        **dict.fromkeys(("success_any", "success_end", "steps_to_95", "seconds_to_95", "robot", "error"), None),
+        "name": name,
+        "episodes": episodes,
+        "environment": "robot_task",
+        "task": "reach",
+        "agent": "sac",
+        "attempt": 1,
+        "created": "2026-01-01T00:00:00.000000Z",
+        "updated": "2026-01-01T00:00:00.000000Z",
+        "folder": f"/nowhere/{name}-s{seed}",
+    }
+    return ComparedRun(RunSummary(**values | summary), tests, spec, versions or {}, commit, 50.0)
+
+
+def contender(label: str, curves: Sequence[Sequence[int]], **options: Any) -> Contender:
+    """One run for each curve, with seeds 0, 1 ..."""
+    return Contender(label, tuple(run(seed, curve, name=label, **options) for seed, curve in enumerate(curves)))

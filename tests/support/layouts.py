@@ -1,0 +1,33 @@
+"""Fake environments in the layouts that the tests of the orchestrator go through."""
+
+import numpy as np
+
+from karolos.core import Environment
+from karolos.orchestrator.local import Local
+from support.fake_environments import Fake
+
+IN_PROCESS, ONE, TWO, THREADS = (0, 1, 4), (1, 1, 4), (2, 1, 2), (1, 2, 2)
+
+
+def make(
+    layout: tuple[int, int, int],
+    recipe: str = "",
+    build: type[Environment] = Fake,
+    failures: int = 0,
+    **settings: float,
+) -> Local:
+    processes, threads, environments = layout
+    chosen = Local.Settings(
+        processes=processes, threads=threads, environments=environments, failures=failures, **settings
+    )
+    return Local(chosen, recipe, build=build)
+
+
+def reset(orchestrator: Local) -> list[int]:
+    """Reset all; the process of each environment."""
+    orchestrator.reset(range(orchestrator.size), range(orchestrator.size))
+    return [int(pid) for pid in orchestrator.receive().step.observation[:, 0]]
+
+
+def step(orchestrator: Local, *troubles: float) -> None:
+    orchestrator.step(range(len(troubles)), np.array(troubles, np.float32)[:, None])

@@ -1,0 +1,236 @@
+"""Sweeps from the first trial to the best spec, with processes that die on the way."""
+
+from __future__ import annotations
+
+import json
+import multiprocessing
+import os
+import signal
+import subprocess
+import sys
+import time
+from collections import Counter
+
+import pytest
+from support.sweep_samples import LEARNING_RATE, sweep_spec
+
+from karolos.errors import RunError, StoreError, UsageError
+from karolos.experiment.events import RunTested, RunWarned
+from karolos.experiment.experiment import Experiment
+from karolos.files import FileLock
+from karolos.records import RunFolder
+from karolos.records.sweep_reading import read
+from karolos.spec import Spec, load_spec
+from karolos.store import Store, check, reindex
+from karolos.store.sweeps import Sweeps
+from karolos.sweep.records import Outcome, TrialBegan
+from karolos.sweep.search import Search, samples
+
+TRIALS = 5
+SPEC = sweep_spec(
+    LEARNING_RATE,
+    trials=TRIALS,
+    objective="mean_success_end",
+    final={"top": 2, "seeds": 1, "report_seeds": 1},
+)
+BEGIN = "import json, sys; from karolos.sweep.search import Search\nif __name__ == '__main__':\n    "
+BEGIN += "Search(json.loads(sys.argv[1])).run('runs')"
+
+
+@pytest.fixture(scope="module")
+def killed(tmp_path_factory) -> Outcome:
+    """A sweep whose process was killed half-way, and that was then started again and lost a worker."""
+    home = tmp_path_factory.mktemp("killed")
+    command = [sys.executable, "-c", BEGIN, json.dumps(SPEC)]
+    trials = home / "runs" / "sweeps" / "line" / "trials.jsonl"
+    with subprocess.Popen(command, cwd=home) as process:
+        until = time.monotonic() + 120
+        while time.monotonic() < until and process.poll() is None:
+            if trials.exists() and len(trials.read_text().splitlines()) >= 2:
+                break
+            time.sleep(0.01)
+        process.kill()
+    assert process.returncode == -signal.SIGKILL
+    assert 2 <= len(trials.read_text().splitlines()) < TRIALS
+    lost = []
+
+    def kill(event: object) -> None:
+        if isinstance(event, TrialBegan) and not lost:
+            lost.extend(multiprocessing.active_children())  # none at the first trial
+            for worker in lost:
+                worker.kill()
+
+    outcome = Search(SPEC).run(home / "runs", listener=kill)
+    assert len(lost) == 1
+    return outcome
+
+
+def test_a_sweep_that_was_killed_and_lost_a_worker_ends_with_its_trials_and_none_is_doubled(killed):
+    assert [trial.number for trial in killed.trials] == list(range(TRIALS))
+    assert {trial.state for trial in killed.trials} == {"complete"}
+    runs = killed.folder.parents[1]
+    folders = [RunFolder.open(path.parent) for path in runs.glob("line-t*/run.json")]
+    made = Counter((folder.description()["name"], folder.description()["seed"]) for folder in folders)
+    assert max(made.values()) == 1
+    assert {f"line-t{number:03}" for number in range(TRIALS)} == {name for name, _ in made}
+    assert all(folder.state().state == "finished" for folder in folders)
+    assert sum(seed == 0 for _, seed in made) == TRIALS
+
+
+def test_a_sweep_finds_a_better_learning_rate_than_a_bad_default(killed, tmp_path):
+    found = []
+    Experiment({key: value for key, value in SPEC.items() if key != "sweep"}).run(
+        tmp_path,
+        listener=lambda event: found.append(event.result.success_end) if isinstance(event, RunTested) else None,
+    )
+    default = sum(found) / len(found)
+    assert killed.best is not None
+    assert killed.best.values[0] > default + 0.2
+    assert killed.best.drawn["agent.learning_rate"] > 1e-4
+
+
+def test_the_best_is_chosen_and_reported_on_seeds_it_was_not_tuned_on(killed):
+    final = killed.final
+    assert (final.seeds, final.report_seeds) == ((1,), (2,))
+    assert len(final.fresh) == 2
+    assert final.fresh[final.chosen] == max(final.fresh.values())
+    row = json.loads((killed.folder / "final.json").read_text())
+    assert row["gap"] == pytest.approx([final.tuned[0] - final.reported[0]])
+
+
+def test_the_best_trial_is_a_spec_that_runs(killed):
+    spec = load_spec(killed.folder / "best.yaml")
+    assert spec.agent.settings.learning_rate == killed.best.drawn["agent.learning_rate"]
+    assert (spec.name, spec.seeds, spec.sweep) == ("line-best", killed.final.report_seeds, None)
+    trial = RunFolder.open(next(killed.folder.parents[1].glob(f"{killed.best.name}-s0-*")))
+    assert trial.description()["experiment"] == spec.hash()
+
+
+def test_a_sweep_that_has_its_trials_runs_nothing_more(killed):
+    before = {path: path.stat().st_mtime_ns for path in killed.folder.parents[1].glob("line-t*/tests.jsonl")}
+    again = Search(SPEC).run(killed.folder.parents[1])
+    assert again.trials == killed.trials
+    assert again.final == killed.final
+    after = {path: path.stat().st_mtime_ns for path in killed.folder.parents[1].glob("line-t*/tests.jsonl")}
+    assert after == before
+
+
+def test_the_folder_says_it_all_without_optuna(killed):
+    rows = [json.loads(line) for line in (killed.folder / "trials.jsonl").read_text().splitlines()]
+    assert [row["number"] for row in rows] == list(range(TRIALS))
+    assert all(len(row["runs"]) == 1 and row["values"] for row in rows)
+    assert Spec.from_dict(SPEC) == load_spec(killed.folder / "sweep.yaml")
+    assert (killed.folder / "figures" / "search.svg").read_text().count("agent.learning_rate") >= 1
+
+
+def test_the_store_knows_the_sweep_as_its_folder_does_and_a_rebuilt_one_too(killed):
+    runs = killed.folder.parents[1]
+    with Store(Store.default_url(runs)) as store:
+        assert list(check(store, runs)) == []
+        before = store.sweeps.find("line")
+        assert (before.trials, before.final, before.best) == (killed.trials, killed.final, killed.best)
+        assert before.state() == "finished"
+        assert {run for trial in before.trials for run in trial.runs} <= {run.run for run in store.runs()}
+        store.sweeps.remove([before.sweep])
+        assert reindex(store, runs).sweeps == 1
+        assert store.sweeps.all() == (before,)
+
+
+def test_the_store_hears_of_trials_as_they_begin_and_end_and_one_that_fails_ends_no_sweep(tmp_path, monkeypatch):
+    heard, warnings = [], []
+
+    def refuse(store: object, records: object) -> None:
+        raise StoreError("the disk is full")
+
+    def listen(event: object) -> None:
+        if isinstance(event, RunWarned):
+            warnings.append((event.run, event.warning))
+            return
+        with Store(Store.default_url(tmp_path)) as store:
+            found = store.sweeps.find("line")
+        heard.append([trial.state for trial in found.trials])
+        if len(heard) == 3:
+            monkeypatch.setattr(Sweeps, "add", refuse)
+
+    space = {"agent.learning_rate": {"choice": [1e-3, 1e-2]}}
+    spec = sweep_spec(space, sampler="grid") | {"training": {"steps": 8, "batch_size": 4}}
+    outcome = Search(spec).run(tmp_path, listener=listen)
+    assert heard == [["running"], ["complete"], ["complete", "running"], ["complete", "running"]]
+    assert [trial.state for trial in outcome.trials] == ["complete", "complete"]
+    found, problems = read(outcome.folder)
+    assert (found.trials, problems) == (outcome.trials, ())
+    assert (found.sweep, "the disk is full (the sweep goes on; its folder is complete)") in warnings
+
+
+def test_another_search_of_the_same_name_is_refused(killed):
+    runs = killed.folder.parents[1]
+    with pytest.raises(UsageError, match="other settings"):
+        Search({**SPEC, "sweep": {**SPEC["sweep"], "objective": "success_any"}}).run(runs)
+    lock = FileLock(killed.folder / "lock")
+    assert lock.acquire()
+    with pytest.raises(RunError, match="another process"):
+        Search(SPEC).run(runs)
+    lock.release()
+
+
+@pytest.fixture(scope="module")
+def grid(tmp_path_factory) -> Outcome:
+    """A sweep on two seeds, of whose trials most are no good; it was asked to stop at the first, and begun again."""
+    space = {
+        "agent.learning_rate": {"choice": [1e-1, 1e-6, 1e30]},  # the last leads to losses that are no numbers
+        "training.batch_size": {"choice": [32, 4000]},  # the second is more than the buffer holds
+    }
+    spec = sweep_spec(space, seeds=[0, 1], sampler="grid", objective="mean_success_any", pruner={"startup": 1})
+    agent = {**spec["agent"], "precision": "float32"}
+    search = Search({**spec, "agent": agent, "training": {**spec["training"], "steps": 400}})
+    runs = tmp_path_factory.mktemp("grid")
+
+    def stop(event: object) -> None:
+        if isinstance(event, TrialBegan):
+            os.kill(os.getpid(), signal.SIGTERM)
+
+    stopped = search.run(runs, listener=stop)
+    assert ([trial.state for trial in stopped.trials], stopped.exit_code) == (["running"], 143)
+    return search.run(runs)
+
+
+def test_a_stopped_sweep_goes_on_and_trials_that_cannot_work_fail(grid):
+    assert [trial.state for trial in grid.trials] == ["complete", "failed", "pruned", "failed", "failed", "failed"]
+    assert all("batch" in grid.trials[number].error for number in (1, 3, 5))
+    assert "nan" in grid.trials[4].error or "inf" in grid.trials[4].error
+    assert (grid.best.number, grid.exit_code) == (0, 0)
+
+
+def test_a_pruned_trials_runs_are_stopped_and_say_why(grid):
+    runs = [RunFolder.open(grid.folder.parents[1] / run) for run in grid.trials[2].runs]
+    assert [run.description()["seed"] for run in runs] == [0, 1]
+    assert "stopped" in [run.state().state for run in runs]
+    for run in runs:
+        if run.state().state == "stopped":  # the other may have been at its end already
+            assert run.events()[-1]["reason"] == "pruned"
+            assert 0.3 * 400 <= run.state().steps < 400
+
+
+def test_a_trials_value_is_the_mean_over_its_seeds(grid):
+    runs = [RunFolder.open(grid.folder.parents[1] / run) for run in grid.trials[0].runs]
+    means = [sum(test.success_any for test in run.tests()) / len(run.tests()) for run in runs]
+    assert len(means) == 2
+    assert grid.trials[0].values == pytest.approx((sum(means) / 2,))
+
+
+def test_a_spec_without_a_sweep_is_refused():
+    with pytest.raises(UsageError, match="no sweep"):
+        Search({key: value for key, value in SPEC.items() if key != "sweep"})
+    with pytest.raises(UsageError, match="58 characters"):
+        Search({**SPEC, "name": "x" * 59})
+
+
+def test_an_experiment_leaves_the_sweep_of_its_spec_alone(tmp_path):
+    outcome = Experiment({**SPEC, "training": {"steps": 4, "batch_size": 4}}).run(tmp_path)
+    assert "sweep" not in RunFolder.open(outcome.runs[0].folder).spec()
+
+
+def test_samples_are_specs_of_trials_and_values_that_clash_are_told():
+    found = list(samples(Spec.from_dict(SPEC), 3))
+    assert [made.name for _, made in found] == ["line-t000", "line-t001", "line-t002"]
+    assert all(made.agent.settings.learning_rate == drawn["agent.learning_rate"] for drawn, made in found)

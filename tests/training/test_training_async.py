@@ -1,0 +1,207 @@
+"""The training loop on whatever is ready: nothing lost, nothing joined, the replay ratio kept, how old actions are."""
+
+from __future__ import annotations
+
+import itertools
+from types import SimpleNamespace
+
+import numpy as np
+import pytest
+from support.training_parts import Counter, OnPolicyRecorder, Recorder, train
+
+from karolos.core import Received
+from karolos.core.seeding import SeedTree
+from karolos.orchestrator.local import Local
+from karolos.training.training import Training
+
+
+class Ragged(Local):
+    """In this process, but answers come as from workers of different speed: some of them, by a generator."""
+
+    def __init__(self, environments: int, failures: int = 0) -> None:
+        settings = Local.Settings(processes=0, environments=environments, failures=failures)
+        super().__init__(settings, None, build=lambda _: Counter())
+        self._late: list[Received] = []
+        self._generator = np.random.default_rng(0)
+        self.asked: list[int] = []
+
+    def receive(self, at_least: int | None = None) -> Received:
+        """So many answers and sometimes more, when there are enough under way."""
+        assert at_least is not None, "nobody waits for all"
+        self.asked.append(at_least)
+        new = super().receive()
+        if new.environment.size or new.failures:
+            self._late.append(new)
+        rows = [(late, row) for late in self._late for row in range(late.environment.size)]
+        failures = tuple(failure for late in self._late for failure in late.failures)
+        self._generator.shuffle(rows)
+        missing = at_least - sum(failure.environment.size for failure in failures)
+        count = max(missing, 0) + int(self._generator.integers(2)) if at_least else int(self._generator.integers(2))
+        given, kept = rows[:count], rows[count:]
+        self._late = [self._row(late, row) for late, row in kept]
+        given.sort(key=lambda pair: pair[0].environment[pair[1]])
+        parts = [self._row(late, row) for late, row in given] or [new._replace(environment=new.environment[:0])]
+        empty = not given
+        step = type(new.step)(*(np.concatenate(columns) for columns in zip(*(p.step for p in parts), strict=True)))
+        step = type(step)(*(column[:0] for column in step)) if empty else step
+        updates = np.concatenate([part.updates for part in parts])[: 0 if empty else None]
+        return Received(np.concatenate([part.environment for part in parts]), step, updates, failures)
+
+    @staticmethod
+    def _row(received: Received, row: int) -> Received:
+        one = slice(row, row + 1)
+        step = type(received.step)(*(column[one] for column in received.step))
+        return Received(received.environment[one], step, received.updates[one])
+
+
+def train_ragged(at_least=1, environments=4, recorder=None, failures=0, rounds=None, state=None, **amounts):
+    amounts = {"steps": 200, "batch_size": 4, "replay_ratio": 2.0, "warmup_episodes": 2} | amounts
+    recorder = Recorder() if recorder is None else recorder
+    with Ragged(environments, failures) as ragged:
+        training = Training(ragged, recorder, recorder, SimpleNamespace(**amounts), SeedTree(7), at_least)
+        if state is not None:
+            ragged.receive = lambda _=None: Local.receive(ragged)
+            training.load_state(state)
+            del ragged.receive
+        progress = list(itertools.islice(training.rounds(), rounds))
+        return progress, recorder, training, ragged
+
+
+def rows_of(recorder, environment):
+    """The transitions of one environment in the order in which they were stored."""
+    for added in recorder.added:
+        for row in np.flatnonzero(added.environment == environment):
+            yield [field[row] for field in added]
+
+
+@pytest.mark.parametrize("at_least", [1, 3])
+def test_transitions_continue_an_episode_until_it_ends_and_never_join_two(at_least):
+    _, recorder, training, _ = train_ragged(at_least)
+    for environment in range(4):
+        rows = list(rows_of(recorder, environment))
+        assert len(rows) > 10
+        for (_, obs, _, _, _, _, after, reached, terminated, truncated), following in itertools.pairwise(rows):
+            assert after[0] == obs[0]
+            assert after[1] == obs[1] + 1 == reached[0]
+            if terminated or truncated:
+                assert following[1][1] == 0
+                assert following[1][0] != obs[0]
+            else:
+                np.testing.assert_array_equal(following[1], after)
+    assert sum(added.environment.size for added in recorder.added) == training.steps
+
+
+def test_rounds_act_on_some_and_wait_for_no_more_than_asked():
+    progress, recorder, _, ragged = train_ragged(at_least=2)
+    sizes = {added.environment.size for added in recorder.added}
+    assert min(sizes) < 4
+    assert max(ragged.asked) <= 2
+    assert len(progress) > 200 / 4
+
+
+def test_episodes_are_those_of_lockstep_only_their_order_differs():
+    """Each episode's seed is that of its environment and index, whatever came first."""
+    played = {}
+    for name, rounds in (("async", train_ragged()[0]), ("lockstep", train(environments=4, steps=200)[0])):
+        played[name] = {(e.environment, e.index): (e.seed, e.steps, e.parameters) for r in rounds for e in r.finished}
+    both = played["async"].keys() & played["lockstep"].keys()
+    assert len(both) > 30
+    assert all(played["async"][key] == played["lockstep"][key] for key in both)
+    assert not any((e, k) in played["async"] and (e, k - 1) not in played["async"] for e, k in both if k)
+
+
+@pytest.mark.parametrize("ratio", [0.5, 2.0, 16.0])
+def test_the_replay_ratio_is_kept_to_one_step_of_every_environment(ratio):
+    progress, _, _, _ = train_ragged(steps=400, replay_ratio=ratio)
+    since = next(round.steps for round in progress if not round.warming_up)
+    for before, round in itertools.pairwise(progress):
+        due = (before.steps - since) * ratio / 4
+        assert due - max(4 * ratio / 4, 1) - 1 <= round.updates <= max(due, 0)
+
+
+def test_learning_makes_way_for_environments_that_have_answered():
+    """With sixteen updates for each step of four environments, some rounds leave a part of them for later."""
+    progress, _, _, _ = train_ragged(steps=400, replay_ratio=16.0)
+    learned = {len(round.metrics) for round in progress if not round.warming_up}
+    assert any(count % 4 for count in learned), learned
+
+
+def test_policy_lag_is_the_updates_between_an_action_and_its_storing():
+    """The recorder acts with the number of updates so far, in thousandths, which the stored action thus tells."""
+    _, recorder, training, _ = train_ragged(steps=400, replay_ratio=4.0, warmup_episodes=0)
+    made_before = np.array([stored for _, stored in recorder.sampled])
+    lags = [
+        int((made_before <= place).sum()) - round(1000 * float(action[0]))
+        for place, added in enumerate(recorder.added)
+        for action in added.action
+    ]
+    assert min(lags) >= 0
+    assert len(set(lags)) > 3
+    assert training.lag.read() == {"policy_lag_mean": np.mean(lags), "policy_lag_max": max(lags)}
+    assert training.lag.read() == {}, "once read it begins anew"
+
+
+def test_policy_lag_in_lockstep_is_what_was_learned_while_the_environments_stepped():
+    progress, _, training = train(steps=60)
+    learned = [len(round.metrics) for round in progress]
+    assert training.lag.read() == {"policy_lag_mean": np.mean(learned), "policy_lag_max": max(learned)}
+
+
+def test_stored_actions_are_those_the_environments_were_told():
+    Counter.told.clear()
+    _, recorder, _, _ = train_ragged(steps=100)
+    stored = sorted(float(row[4][0]) for environment in range(4) for row in rows_of(recorder, environment))
+    told = sorted(float(action[0]) for action in Counter.told)
+    assert len(told) - len(stored) <= 4, "but for those under way at the end"
+    assert set(stored) <= set(told)
+
+
+def test_environments_that_fail_lose_their_episodes_and_begin_others(monkeypatch):
+    monkeypatch.setattr(Counter, "fails", True)
+    progress, recorder, training, _ = train_ragged(steps=300, failures=50)
+    failed = [i for round in progress for f in round.failures for i in f.environment.tolist()]
+    assert len(failed) > 3
+    assert sorted(i for _, ids in recorder.cuts for i in ids) == sorted(failed)
+    assert sum(added.environment.size for added in recorder.added) == training.steps
+    for environment in range(4):
+        for one, following in itertools.pairwise(rows_of(recorder, environment)):
+            if following[1][1] != 0:
+                np.testing.assert_array_equal(one[6], following[1])
+
+
+@pytest.mark.parametrize("at", [1, 5, 40])
+def test_training_goes_on_from_a_saved_state(at):
+    """Not bit for bit: but running episodes go on, and the counts are right."""
+    _, recorder, training, _ = train_ragged(rounds=at)
+    state = training.state()
+    before = [list(rows_of(recorder, environment)) for environment in range(4)]
+    progress, _, again, _ = train_ragged(recorder=recorder, state=state)
+    assert progress[0].steps >= training.steps
+    assert again.steps == sum(added.environment.size for added in recorder.added) >= 200
+    for environment, rows in enumerate(before):
+        following = list(rows_of(recorder, environment))[len(rows)]
+        if rows and not (rows[-1][8] or rows[-1][9]):
+            np.testing.assert_array_equal(following[1], rows[-1][6])
+        else:
+            assert following[1][1] == 0
+
+
+def test_an_on_policy_agent_cannot_go_on_with_some():
+    with pytest.raises(ValueError, match="cannot wait for 1 answers"):
+        train_ragged(recorder=OnPolicyRecorder())
+
+
+@pytest.mark.parametrize("at_least", [1, 4])
+def test_it_works_with_worker_processes(at_least):
+    from karolos.environments.toy import Toy
+
+    toy = Toy.Settings(dimensions=2, max_steps=5)
+    recorder = Recorder()
+    recorder.act = lambda seen, goal, *, explore, environments: np.zeros((len(seen), 2), np.float32)
+    amounts = SimpleNamespace(steps=200, batch_size=4, replay_ratio=2.0, warmup_episodes=2)
+    with Local(Local.Settings(processes=2, environments=2), toy, build=Toy) as local:
+        training = Training(local, recorder, recorder, amounts, SeedTree(7), at_least)
+        progress = list(training.rounds())
+    assert progress[-1].steps >= 200
+    assert [e.steps for round in progress for e in round.finished] == [5] * training.episodes
+    assert training.updates > 60
