@@ -85,12 +85,12 @@ class Priority(Buffer):
         if len(self._new) >= NEW_CALLS:
             self._enter()
 
-    def keep(self, episodes: Sequence[Transitions], share: float | None = None) -> None:
+    def add_demonstrations(self, episodes: Sequence[Transitions], share: float | None = None) -> None:
         """Store demonstrations beside what the environments give, with the largest priority. Raises as `add` does."""
         self._enter()
         before = self._replay.storage.used()
         odds = self._tree[before]
-        slots = self._replay.keep(episodes, share)
+        slots = self._replay.add_demonstrations(episodes, share)
         self._tree = SumTree(len(self._replay.storage.table))
         self._tree[np.concatenate((before, slots))] = np.concatenate((odds, np.full(slots.size, self._largest)))
 

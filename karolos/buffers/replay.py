@@ -68,13 +68,13 @@ class Replay:
             self._hindsight.check(transitions)
         return self.storage.add(transitions)
 
-    def keep(self, episodes: Sequence[Transitions], share: float | None) -> Slots:
+    def add_demonstrations(self, episodes: Sequence[Transitions], share: float | None) -> Slots:
         """Store demonstrations where nothing overwrites them; where they went. Raises as `add` does."""
         self._share = share
         if self._hindsight is not None:
             for episode in episodes:
                 self._hindsight.check(episode)
-        return self.storage.keep(episodes)
+        return self.storage.add_demonstrations(episodes)
 
     def require_some(self) -> None:
         """Raise a RunError while nothing is stored."""

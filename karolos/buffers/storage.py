@@ -165,7 +165,7 @@ class Storage:
             self._end_episode(lane)
         return slots
 
-    def keep(self, episodes: Sequence[Transitions]) -> Slots:
+    def add_demonstrations(self, episodes: Sequence[Transitions]) -> Slots:
         """Store whole episodes in lanes of their own, where nothing overwrites them; returns where."""
         lengths = [len(episode.reward) for episode in episodes]
         lane, room, found = self.lanes - 1, 0, []

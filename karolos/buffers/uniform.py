@@ -59,9 +59,9 @@ class Uniform(Buffer):
         """Store one transition of each environment named, in any order, any subset. Raises as `Replay.add` does."""
         self._replay.add(transitions)
 
-    def keep(self, episodes: Sequence[Transitions], share: float | None = None) -> None:
+    def add_demonstrations(self, episodes: Sequence[Transitions], share: float | None = None) -> None:
         """Store demonstrations beside what the environments give. Raises as `Replay.add` does."""
-        self._replay.keep(episodes, share)
+        self._replay.add_demonstrations(episodes, share)
 
     def cut(self, environments: NDArray[np.int64]) -> None:
         """End the running episodes of these environments as they stand."""

@@ -45,7 +45,7 @@ class Buffer(ABC, Generic[Experience]):
         The arrays are valid until the next call; those of a rollout until the next `add`.
         """
 
-    def keep(self, episodes: Sequence[Transitions], share: float | None = None) -> None:  # noqa: ARG002 (interface)
+    def add_demonstrations(self, episodes: Sequence[Transitions], share: float | None = None) -> None:  # noqa: ARG002 (interface)
         """Store demonstrations for good, beside the environments' transitions.
 
         Args:

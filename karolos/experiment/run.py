@@ -126,7 +126,7 @@ class Run:
         if settings is None:
             return
         found = collect(self.spec.recipe(randomize=True), settings, seeds)
-        buffer.keep(found.episodes, settings.share)
+        buffer.add_demonstrations(found.episodes, settings.share)
         self.folder.event(
             "demonstrated",
             episodes=len(found.episodes),

@@ -120,7 +120,7 @@ def _is_set(spec: Spec, name: str) -> bool:
 def _check_demonstrations(spec: Spec, environment: Environment, buffer: Buffer) -> None:
     """Raise a UsageError where demonstrations are asked for and cannot be had, or learned from and not asked for."""
     if spec.demonstrations is not None:
-        buffer.keep(())
+        buffer.add_demonstrations(())
         expert_of(environment)
     elif getattr(spec.agent.settings, "imitation", 0) > 0:
         raise UsageError(

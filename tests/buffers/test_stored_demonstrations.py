@@ -49,7 +49,7 @@ def sampled(buffer: Any, size: int = 2000) -> set[tuple[int, int]]:
 @pytest.mark.parametrize("buffer", BUFFERS)
 def test_demonstrations_are_never_overwritten(buffer: Any) -> None:
     made = make(buffer)
-    made.keep(episodes(5))
+    made.add_demonstrations(episodes(5))
     shown = {(episode, step) for episode in range(100, 105) for step in range(STEPS)}
     assert sampled(made) == shown
     world = filled(made, 60)
@@ -62,7 +62,7 @@ def test_a_batch_says_which_rows_are_demonstrated(buffer: Any) -> None:
     made = make(buffer)
     filled(made, 10)
     assert made.sample(32).demonstrated is None
-    made.keep(episodes(3))
+    made.add_demonstrations(episodes(3))
     batch = made.sample(500)
     np.testing.assert_array_equal(batch.demonstrated, batch.observation[:, 1] >= 100)
     assert 0 < batch.demonstrated.mean() < 1
@@ -71,7 +71,7 @@ def test_a_batch_says_which_rows_are_demonstrated(buffer: Any) -> None:
 @pytest.mark.parametrize("buffer", BUFFERS)
 def test_hindsight_takes_goals_from_the_same_demonstration(buffer: Any) -> None:
     made = make(buffer, hindsight={"ratio": 1.0, "min_displacement": 0.0})
-    made.keep(episodes(4))
+    made.add_demonstrations(episodes(4))
     batch = made.sample(500)
     np.testing.assert_array_equal(batch.desired_goal[:, 0], batch.observation[:, 1])
     assert (batch.desired_goal[:, 1] > batch.observation[:, 2]).all()
@@ -82,7 +82,7 @@ def test_hindsight_takes_goals_from_the_same_demonstration(buffer: Any) -> None:
 @pytest.mark.parametrize("buffer", BUFFERS)
 def test_returns_over_several_steps_end_with_the_demonstration(buffer: Any) -> None:
     made = make(buffer, n_step=3)
-    made.keep(episodes(4))
+    made.add_demonstrations(episodes(4))
     batch = made.sample(500)
     np.testing.assert_array_equal(batch.next_observation[:, 1], batch.observation[:, 1])
     taken = batch.next_observation[:, 2] - batch.observation[:, 2]
@@ -92,7 +92,7 @@ def test_returns_over_several_steps_end_with_the_demonstration(buffer: Any) -> N
 @pytest.mark.parametrize("buffer", BUFFERS)
 def test_a_fresh_buffer_goes_on_with_the_demonstrations_of_a_saved_one(buffer: Any) -> None:
     first, second = make(buffer), make(buffer)
-    first.keep(episodes(5))
+    first.add_demonstrations(episodes(5))
     world = filled(first, 17)
     second.load_state(first.state())
     for made in (first, second):
@@ -112,7 +112,7 @@ def test_demonstrations_begin_with_the_largest_priority_and_what_was_there_keeps
     batch = made.sample(64)
     made.update_priorities(batch.slot, np.full(64, 7, np.float32))
     before = made.metrics()
-    made.keep(episodes(2))
+    made.add_demonstrations(episodes(2))
     after = made.metrics()
     assert after["priority_max"] == before["priority_max"] == pytest.approx(7, rel=1e-5)
     total = before["priority_mean"] * before["transitions"] + 10 * 7
@@ -122,7 +122,7 @@ def test_demonstrations_begin_with_the_largest_priority_and_what_was_there_keeps
 @pytest.mark.parametrize("buffer", BUFFERS)
 def test_a_share_of_each_batch_is_demonstrated(buffer: Any) -> None:
     made = make(buffer)
-    made.keep(episodes(2), 0.25)
+    made.add_demonstrations(episodes(2), 0.25)
     assert made.sample(40).demonstrated.all()  # there is nothing else
     world = filled(made, 12)
     for _ in range(5):
@@ -135,7 +135,7 @@ def test_a_share_of_each_batch_is_demonstrated(buffer: Any) -> None:
 
 def test_a_share_is_sampled_by_priority_within_and_weighed_by_its_odds() -> None:
     made = make(Priority, alpha=1.0, beta=1.0)
-    made.keep(episodes(2), 0.5)
+    made.add_demonstrations(episodes(2), 0.5)
     filled(made, 10)
     batch = made.sample(400)
     errors = np.where(batch.observation[:, 2] == 0, 4.0, 1.0).astype(np.float32)
@@ -154,7 +154,7 @@ def test_a_share_is_sampled_by_priority_within_and_weighed_by_its_odds() -> None
 @pytest.mark.parametrize("buffer", BUFFERS)
 def test_the_share_goes_on_in_a_loaded_buffer(buffer: Any) -> None:
     first, second = make(buffer), make(buffer)
-    first.keep(episodes(2), 0.25)
+    first.add_demonstrations(episodes(2), 0.25)
     filled(first, 12)
     second.load_state(first.state())
     np.testing.assert_array_equal(first.sample(64).observation, second.sample(64).observation)
