@@ -15,8 +15,8 @@ from ..common import RUN_HELP, Database, Json, Runs, print_rich, rows
 from ..selection import find_run
 
 if TYPE_CHECKING:
-    from karolos.evaluation.testing import TestResult
     from karolos.records import RunFolder
+    from karolos.records.results import TestResult
     from karolos.records.run_records import RunSummary
     from karolos.records.transfer_results import Transfer
     from karolos.store import Store, StoredTest
@@ -55,7 +55,7 @@ class _View:
     """Versions, machine, command and git commit."""
 
     def row(self) -> dict[str, Any]:
-        from karolos.evaluation.testing import WITHIN
+        from karolos.records.results import WITHIN
 
         known = [result for result in self.results if result.distances]
         near = {one.steps: {"within_m": {f"{far:g}": one.within(far) for far in WITHIN}} for one in known}

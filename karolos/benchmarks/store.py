@@ -19,9 +19,9 @@ from statistics import median
 from time import perf_counter
 
 from ..errors import RunError
-from ..evaluation.testing import TestResult
 from ..orchestrator.probe import cores
 from ..records.provenance import versions
+from ..records.results import TestResult
 from ..records.run_records import FORMAT, RunState, RunSummary, encode_test
 from ..spec import Spec
 from ..store import Store, check, reindex

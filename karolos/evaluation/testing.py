@@ -9,10 +9,8 @@ from numpy.typing import NDArray
 
 from ..core import Agent, Failure, Orchestrator, Received
 from ..core.seeding import SeedTree
-from ..records.results import WITHIN, TestResult
+from ..records.results import TestResult
 from ..training.episodes import nothing_yet, put
-
-__all__ = ["WITHIN", "TestResult", "play_episodes", "test_seeds"]
 
 
 def test_seeds(root: int, episodes: int) -> tuple[int, ...]:

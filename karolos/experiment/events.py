@@ -5,7 +5,7 @@ from __future__ import annotations
 from collections.abc import Callable
 from dataclasses import dataclass
 
-from ..evaluation.testing import TestResult
+from ..records.results import TestResult
 
 
 @dataclass(frozen=True)

@@ -12,13 +12,13 @@ from types import TracebackType
 from typing import Any, Protocol
 
 from ..errors import MachineError
-from ..evaluation.testing import TestResult
 from ..experiment.events import RunStarted, RunTested, RunWarned
 from ..experiment.experiment import SeedRunner
 from ..experiment.jobs import POLL_SECONDS, sigint_ignored
 from ..experiment.resuming import find_run
 from ..experiment.signals import StopRequest
 from ..records import RunFolder
+from ..records.results import TestResult
 from ..records.run_records import RunSummary
 from ..spec import Spec
 from .worker import Begin, Halt, Ready, Refused, work

@@ -7,7 +7,7 @@ from typing import Literal
 
 import numpy as np
 
-from ..evaluation.testing import TestResult
+from ..records.results import TestResult
 from ..spec.sweep import OBJECTIVES
 from ..statistics.aggregates import first_reaching
 

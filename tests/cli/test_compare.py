@@ -15,8 +15,8 @@ from karolos_cli.compare import compare
 from karolos_cli.diff import diff
 from support.commands import call
 
-from karolos.evaluation.testing import TestResult
 from karolos.records import RunFolder, labels
+from karolos.records.results import TestResult
 from karolos.spec import load_spec
 from karolos.store import Store, reindex
 

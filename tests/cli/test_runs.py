@@ -13,8 +13,8 @@ from typer.testing import CliRunner, Result
 
 from karolos import checkpoint
 from karolos.errors import KarolosError, RunError, StoreError, UsageError
-from karolos.evaluation.testing import TestResult
 from karolos.records import RunFolder
+from karolos.records.results import TestResult
 from karolos.store import Store
 
 SPEC = {"name": "reach", "environment": {"name": "toy"}, "robot": None, "agent": {"name": "sac"}, "seeds": [0, 1]}

@@ -9,8 +9,9 @@ from hypothesis import strategies as st
 
 from karolos.core import Environment, Field, GoalRule, Layout, Signature, Step
 from karolos.environments.toy import Toy
-from karolos.evaluation.testing import TestResult, play_episodes, test_seeds
+from karolos.evaluation.testing import play_episodes, test_seeds
 from karolos.orchestrator.local import Local
+from karolos.records.results import TestResult
 
 # What an episode is: whether the goal holds at the reset and after each step, and whether it ends by termination.
 Script = tuple[tuple[bool, ...], bool]

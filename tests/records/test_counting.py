@@ -8,8 +8,8 @@ from hypothesis import given
 from hypothesis import strategies as st
 from support.run_samples import result
 
-from karolos.evaluation.testing import TestResult
 from karolos.records.counting import TestCounts, count_lines
+from karolos.records.results import TestResult
 from karolos.records.run_records import decode_test, encode_test
 
 results = st.integers(1, 9).flatmap(

@@ -9,7 +9,7 @@ from hypothesis import given
 from hypothesis import strategies as st
 from support.run_samples import result
 
-from karolos.evaluation.testing import TestResult
+from karolos.records.results import TestResult
 from karolos.records.run_records import RunState, decode_test, encode_test, timestamp
 
 

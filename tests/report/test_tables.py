@@ -6,7 +6,7 @@ from dataclasses import replace
 import pytest
 from rich.console import Console
 
-from karolos.evaluation.testing import TestResult
+from karolos.records.results import TestResult
 from karolos.records.run_records import RunSummary
 from karolos.report.tables import clean, count, duration, facts_table, flatten, runs_table, success, table_of_tests
 from karolos.store import StoredTest

@@ -7,8 +7,8 @@ from pathlib import Path
 from hypothesis import given, settings
 from hypothesis import strategies as st
 
-from karolos.evaluation.testing import TestResult
 from karolos.records import RunFolder
+from karolos.records.results import TestResult
 from karolos.store import Store, reindex
 
 runs_with_tests = st.lists(

@@ -10,8 +10,8 @@ import typer
 from typer.testing import CliRunner, Result
 
 from karolos.errors import KarolosError
-from karolos.evaluation.testing import TestResult
 from karolos.records import RunFolder
+from karolos.records.results import TestResult
 from karolos.store import Store
 
 

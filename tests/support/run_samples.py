@@ -5,8 +5,8 @@ from __future__ import annotations
 from pathlib import Path
 from typing import Any
 
-from karolos.evaluation.testing import TestResult
 from karolos.records import RunFolder
+from karolos.records.results import TestResult
 
 SPEC = {"name": "reach", "environment": {"name": "toy"}, "robot": None, "agent": {"name": "sac"}, "seeds": [3]}
 

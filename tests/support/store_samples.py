@@ -6,8 +6,8 @@ from dataclasses import replace
 from pathlib import Path
 from typing import Any
 
-from karolos.evaluation.testing import TestResult
 from karolos.records import RunFolder
+from karolos.records.results import TestResult
 from karolos.records.run_records import RunSummary
 from karolos.store import Store
 

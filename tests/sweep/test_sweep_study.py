@@ -7,7 +7,7 @@ import math
 import pytest
 from support.sweep_samples import LEARNING_RATE, sweep_spec
 
-from karolos.evaluation.testing import TestResult
+from karolos.records.results import TestResult
 from karolos.spec import Spec
 from karolos.sweep.objectives import measure, nominal_steps, so_far
 from karolos.sweep.study import Study
