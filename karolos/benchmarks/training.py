@@ -22,8 +22,7 @@ from ..core.seeding import SeedTree
 from ..orchestrator.probe import steps_per_second
 from ..spec import Spec
 from ..training.assembly import make_agent, make_buffer, make_orchestrator
-from ..training.progress import Progress
-from ..training.training import Training
+from ..training.training import Progress, Training
 from .end_to_end import PEER, first_success, reach, require_peer
 from .row import Row
 

@@ -10,7 +10,7 @@ from numpy.typing import NDArray
 from ..core import Agent, Failure, Orchestrator, Received
 from ..core.seeding import SeedTree
 from ..records.results import TestResult
-from ..training.episodes import nothing_yet, put
+from ..training.episodes import empty_steps, write_rows
 
 
 def test_seeds(root: int, episodes: int) -> tuple[int, ...]:
@@ -49,7 +49,7 @@ def play_episodes(
     lengths = np.zeros(count, np.int64)
     distances = np.full(count, np.nan)
     rule = orchestrator.signature.goal_rule
-    latest = nothing_yet(orchestrator)
+    latest = empty_steps(orchestrator)
     playing = np.arange(size)  # the episode that each environment plays; none from `count` on
 
     def begin(environments: NDArray[np.int64]) -> None:
@@ -57,7 +57,7 @@ def play_episodes(
         while environments.size:
             orchestrator.reset(environments, [seeds[episode] for episode in playing[environments].tolist()])
             received = orchestrator.receive()
-            put(latest, received.environment, received.step)
+            write_rows(latest, received.environment, received.step)
             episodes = playing[received.environment]
             solved[episodes] = reached[episodes] = held[episodes] = received.step.success
             returns[episodes] = lengths[episodes] = 0
@@ -76,7 +76,7 @@ def play_episodes(
         orchestrator.step(environments, actions)
         received = orchestrator.receive()
         state = received.step
-        put(latest, received.environment, state)
+        write_rows(latest, received.environment, state)
         episodes = playing[received.environment]
         returns[episodes] += state.reward
         lengths[episodes] += 1

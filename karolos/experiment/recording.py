@@ -15,8 +15,7 @@ from ..records.results import TestResult
 from ..records.run_records import RunSummary
 from ..store import Store
 from ..training.episodes import Episode
-from ..training.progress import Progress
-from ..training.training import Training
+from ..training.training import Progress, Training
 from .events import Listener, RunAdvanced, RunEnded, RunTested, RunWarned
 
 ADVANCE_SECONDS = 0.1

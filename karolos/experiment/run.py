@@ -19,7 +19,7 @@ from ..records.run_records import RunSummary
 from ..spec import Spec
 from ..store import Store
 from ..training.assembly import make_agent, make_buffer, make_orchestrator
-from ..training.demonstrations import collect
+from ..training.demonstrations import collect_demonstrations
 from ..training.training import Training
 from .events import Listener, RunStarted
 from .keeping import Keeper
@@ -125,13 +125,13 @@ class Run:
         settings = self.spec.demonstrations
         if settings is None:
             return
-        found = collect(self.spec.recipe(randomize=True), settings, seeds)
+        found = collect_demonstrations(self.spec.recipe(randomize=True), settings, seeds)
         buffer.add_demonstrations(found.episodes, settings.share)
         self.folder.event(
             "demonstrated",
             episodes=len(found.episodes),
             steps=found.steps,
-            success_end=found.success_ratio,
+            success_end=found.success_end,
             seconds=found.seconds,
         )
 

@@ -6,13 +6,12 @@ from collections.abc import Mapping, Sequence
 
 import numpy as np
 
-from ..errors import MachineError, RunError
+from ..errors import MachineError
 from ..records.results import TestResult
 from ..training.episodes import Episode
-from ..training.progress import Progress
-from ..training.training import Training
+from ..training.training import Progress, Training
 from .recording import Recorder
-from .scalars import Means, Scalars
+from .scalars import Scalars
 
 
 class Series:
@@ -26,7 +25,6 @@ class Series:
 
     def __init__(self, recorder: Recorder, scalars: Scalars, training: Training) -> None:
         self._recorder, self._scalars = recorder, scalars
-        self._means = Means()
         self._finished: list[Episode] = []
         self._amounts = training.steps, training.updates
         """Steps and updates at the latest point."""
@@ -34,8 +32,6 @@ class Series:
     def note(self, progress: Progress) -> None:
         """A round is over."""
         self._finished.extend(progress.finished)
-        for metrics in progress.metrics:
-            self._means.add(metrics)
 
     def report(self, training: Training) -> None:
         """Write down what happened since the last report.
@@ -43,14 +39,7 @@ class Series:
         Raises:
             RunError: learning has come to numbers that are none.
         """
-        means = self._means.read()
-        for name, value in means.items():
-            if not np.isfinite(value):
-                raise RunError(
-                    f"{name} is {value} after {training.updates} updates ({training.steps} steps)",
-                    where=self._recorder.folder.id,
-                    hint="lower agent.learning_rate, or look at the rewards; the last checkpoint is kept",
-                )
+        means = training.read_metrics()
         episodes, self._finished = self._finished, []
         if episodes:
             self._recorder.episodes(episodes, training.orchestrator.signature.parameters.names)
@@ -91,7 +80,7 @@ def _speeds(training: Training) -> dict[str, float]:
     return {
         "steps_per_second": training.steps / training.seconds,
         "updates_per_second": training.updates / training.seconds,
-        **training.lag.read(),
+        **training.collector.lag.read(),
     }
 
 

@@ -1,4 +1,4 @@
-"""From a spec to the objects it names, and whether they go together."""
+"""Builds the objects that a spec names, and checks whether they fit together."""
 
 from __future__ import annotations
 
@@ -11,21 +11,21 @@ from ..environments.build import build_environment
 from ..errors import KarolosError, UsageError
 from ..registry import load
 from ..spec import Spec
-from .demonstrations import expert_of
+from .demonstrations import demonstrating_expert
 
-REPLAY_AMOUNTS = {
-    "batch_size": "remove it; agent.minibatches and buffer.rollout say how large a batch is",
-    "replay_ratio": "remove it; agent.epochs says how often each transition is learned from",
+REPLAY_SETTINGS = {
+    "batch_size": "remove it; agent.minibatches and buffer.rollout determine the size of a batch",
+    "replay_ratio": "remove it; agent.epochs says how often the agent learns from each transition",
     "warmup_episodes": "remove it; there is no warm-up",
 }
-"""What an on-policy agent does not go by, and what to do instead."""
+"""Settings of `training` that an on-policy agent does not use, and what to do instead."""
 
 
 def make_orchestrator(spec: Spec, *, randomize: bool) -> Orchestrator:
-    """The spec's environments, laid out as it says."""
+    """The spec's environments, distributed over processes and threads as the spec says."""
     part = spec.orchestrator
-    made: Orchestrator = load("orchestrators", part.name)(part.settings, spec.recipe(randomize=randomize))
-    return made
+    orchestrator: Orchestrator = load("orchestrators", part.name)(part.settings, spec.recipe(randomize=randomize))
+    return orchestrator
 
 
 def make_agent(spec: Spec, signature: Signature, seeds: SeedTree) -> Agent:
@@ -33,28 +33,28 @@ def make_agent(spec: Spec, signature: Signature, seeds: SeedTree) -> Agent:
     from ..agents.device import resolve_device  # noqa: PLC0415  (imports torch)
 
     part, device = spec.agent, resolve_device(spec.training.device)
-    made: Agent = load("agents", part.name)(part.settings, signature, seeds.child("agent"), device)
-    return made
+    agent: Agent = load("agents", part.name)(part.settings, signature, seeds.child("agent"), device)
+    return agent
 
 
 def make_buffer(spec: Spec, signature: Signature, seeds: SeedTree, *, environments: int, discount: float) -> Buffer:
-    """The spec's buffer, with room for every environment. `seeds` is the run's."""
+    """The spec's buffer for this number of environments. `seeds` is the run's."""
     part = spec.buffer
-    made: Buffer = load("buffers", part.name)(
+    buffer: Buffer = load("buffers", part.name)(
         part.settings, signature, seeds.child("buffer"), environments=environments, discount=discount
     )
-    return made
+    return buffer
 
 
 def check_parts(spec: Spec) -> None:
-    """Put the spec's parts together once, so that those that cannot work are refused before anything runs.
+    """Build the spec's parts once, so that parts that do not fit are refused before anything runs.
 
-    Builds one environment (no world is simulated, unless an expert is needed), the agent and the buffer, and lets them
-    go.
+    Builds one environment, the agent and the buffer, and discards them. A world is simulated only if an expert is
+    needed.
 
     Raises:
-        UsageError: two parts do not go together; names the setting and where it was set.
-        KarolosError: a plugin or the machine stands in the way.
+        UsageError: two parts do not fit together; names the setting and where it was set.
+        KarolosError: a plugin or the machine prevents it.
     """
     with located(spec):
         environment = build_environment(spec.recipe(randomize=True))
@@ -69,59 +69,58 @@ def check_parts(spec: Spec) -> None:
 
 
 def _check_amounts(spec: Spec) -> None:
-    """Raise a UsageError for an amount of training that the agent does not go by, or that cannot be had."""
+    """Raise a UsageError for an amount of training that the agent does not use or that is impossible."""
     amounts = spec.training
     size = getattr(spec.orchestrator.settings, "size", 1)
     if (amounts.at_least or 0) > size:
         raise UsageError(
-            f"{amounts.at_least} environments will never be ready, there are {size}",
+            f"a batch of {amounts.at_least} environments is never ready, because there are {size}",
             where="training.minimum_batch",
-            hint="lower it, or ask for more environments",
+            hint="lower it, or use more environments",
         )
     if not load("agents", spec.agent.name).on_policy:
         capacity = getattr(spec.buffer.settings, "capacity", amounts.batch_size)
         if amounts.batch_size > capacity:
             raise UsageError(
-                f"a batch of {amounts.batch_size} is larger than the buffer, which keeps {capacity} transitions",
+                f"a batch of {amounts.batch_size} is larger than the buffer, which stores {capacity} transitions",
                 where="training.batch_size" if _is_set(spec, "batch_size") else "buffer.capacity",
                 hint="lower training.batch_size, or raise buffer.capacity",
             )
         return
     if amounts.mode == "async":
         raise UsageError(
-            f"{spec.agent.name} learns from whole rollouts of its latest policy, for which all environments have to "
-            "be waited for",
+            f"{spec.agent.name} learns from whole rollouts of its latest policy, so it waits for all environments",
             where="training.mode",
             hint="use lockstep, or an agent that learns from replay",
         )
-    for name, instead in REPLAY_AMOUNTS.items():
+    for name, hint in REPLAY_SETTINGS.items():
         if _is_set(spec, name):
             raise UsageError(
-                f"{getattr(amounts, name):g} says nothing to {spec.agent.name}, which learns from its own latest "
-                "actions, each as often as its own settings say",
+                f"{spec.agent.name} does not use {name}, which is {getattr(amounts, name):g}: it learns from its own"
+                " latest actions, as often as its own settings say",
                 where=f"training.{name}",
-                hint=instead,
+                hint=hint,
             )
-    played = getattr(spec.buffer.settings, "rollout", 1) * size
+    rollout = getattr(spec.buffer.settings, "rollout", 1) * size
     minibatches = getattr(spec.agent.settings, "minibatches", 1)
-    if minibatches > played:
+    if minibatches > rollout:
         raise UsageError(
-            f"a rollout of {played} transitions cannot be split into {minibatches} minibatches",
+            f"a rollout of {rollout} transitions cannot be split into {minibatches} minibatches",
             where="agent.minibatches",
             hint="raise buffer.rollout, or lower agent.minibatches",
         )
 
 
 def _is_set(spec: Spec, name: str) -> bool:
-    """Whether this setting of `training` is not the default. A resolved spec names its defaults too."""
+    """Whether this setting of `training` differs from its default. A resolved spec lists its defaults, too."""
     return bool(getattr(spec.training, name) != type(spec.training).model_fields[name].default)
 
 
 def _check_demonstrations(spec: Spec, environment: Environment, buffer: Buffer) -> None:
-    """Raise a UsageError where demonstrations are asked for and cannot be had, or learned from and not asked for."""
+    """Raise a UsageError if demonstrations are impossible, or if the agent imitates demonstrations that are missing."""
     if spec.demonstrations is not None:
         buffer.add_demonstrations(())
-        expert_of(environment)
+        demonstrating_expert(environment)
     elif getattr(spec.agent.settings, "imitation", 0) > 0:
         raise UsageError(
             "there are no demonstrations to imitate",
@@ -132,7 +131,7 @@ def _check_demonstrations(spec: Spec, environment: Environment, buffer: Buffer) 
 
 @contextmanager
 def located(spec: Spec) -> Iterator[None]:
-    """Say where the setting that an error names was set: file:line:column, or the override."""
+    """Add to an error that names a setting where the setting was set: file:line:column, or the override."""
     try:
         yield
     except KarolosError as error:
@@ -143,7 +142,7 @@ def located(spec: Spec) -> Iterator[None]:
 
 
 def _origin(spec: Spec, path: str | None) -> str | None:
-    """Where the setting `path`, or the first one below it, was set; None for defaults and what is no setting."""
+    """Where the setting `path`, or the first setting below it, was set. None for defaults and unknown paths."""
     if path is None:
         return None
     origins = (origin for key, origin in spec.origins.items() if key == path or key.startswith(f"{path}."))

@@ -1,4 +1,4 @@
-"""Demonstrations: episodes of a task's scripted expert, made uneven so that they show how to recover as well."""
+"""Demonstrations: episodes of a task's scripted expert, noisy so that they also show how to recover."""
 
 from __future__ import annotations
 
@@ -13,36 +13,36 @@ from ..environments.build import build_environment
 from ..environments.robot_task import RobotTask
 from ..errors import RunError, UsageError
 from ..simulation.interface import Expert
-from ..spec.model import Demonstrations
+from ..spec.model import Demonstrations as DemonstrationSettings
 from ..spec.recipe import Recipe
 
 
 @dataclass(frozen=True)
-class Demonstrated:
-    """What was collected, and what it took."""
+class Demonstrations:
+    """Episodes of the expert."""
 
     episodes: tuple[Transitions, ...]
     """Each with its steps along the leading axis; `environment` is 0."""
-    success_ratio: float
-    """Share of the episodes whose goal held at the last step."""
+    success_end: float
+    """Fraction of the episodes whose goal held at the last step."""
     seconds: float
-    """Wall-clock."""
+    """Wall-clock seconds that collecting took."""
 
     @property
     def steps(self) -> int:
         return sum(len(episode.reward) for episode in self.episodes)
 
 
-def collect(recipe: Recipe, settings: Demonstrations, seeds: SeedTree) -> Demonstrated:
-    """Play the expert's episodes in an environment of their own.
+def collect_demonstrations(recipe: Recipe, settings: DemonstrationSettings, seeds: SeedTree) -> Demonstrations:
+    """Play the expert's episodes in a separate environment.
 
-    The expert sees where its noisy actions have led before it acts again. Episodes whose simulation diverged are left
-    out, and as many others played.
+    The expert sees the effect of its noisy actions before it acts again. An episode whose simulation diverged is
+    replaced by another one.
 
     Args:
         recipe: of the environment, randomization included.
-        settings: how many, and how noisy.
-        seeds: the run's root.
+        settings: number of episodes and size of the noise.
+        seeds: the run's.
 
     Raises:
         UsageError: the environment has no expert.
@@ -52,7 +52,7 @@ def collect(recipe: Recipe, settings: Demonstrations, seeds: SeedTree) -> Demons
     tree = seeds.child("demonstrations")
     environment = build_environment(recipe)
     episodes: list[Transitions] = []
-    held = 0
+    successes = 0
     try:
         for index in range(2 * settings.episodes):
             node = tree.child(index)
@@ -60,21 +60,21 @@ def collect(recipe: Recipe, settings: Demonstrations, seeds: SeedTree) -> Demons
             if steps[-1].diverged:
                 continue
             episodes.append(_transitions(steps, actions))
-            held += bool(steps[-1].success)
+            successes += bool(steps[-1].success)
             if len(episodes) == settings.episodes:
                 break
         else:
             raise RunError("most demonstrations diverge", where="demonstrations", hint="lower demonstrations.noise")
     finally:
         environment.close()
-    return Demonstrated(tuple(episodes), held / len(episodes), time.perf_counter() - started)
+    return Demonstrations(tuple(episodes), successes / len(episodes), time.perf_counter() - started)
 
 
-def expert_of(environment: Environment) -> Expert:
-    """The scripted policy for this environment. Raises UsageError where there is none."""
+def demonstrating_expert(environment: Environment) -> Expert:
+    """The scripted expert of the environment's task. Raises UsageError if it has none."""
     if not isinstance(environment, RobotTask):
         raise UsageError(
-            "this environment has no expert that could demonstrate anything",
+            "this environment has no expert that could give demonstrations",
             where="demonstrations",
             hint="remove demonstrations, or name a robot and a task",
         )
@@ -85,17 +85,17 @@ def expert_of(environment: Environment) -> Expert:
 
 
 def _play(
-    environment: Environment, settings: Demonstrations, seed: int, generator: Generator
+    environment: Environment, settings: DemonstrationSettings, seed: int, generator: Generator
 ) -> tuple[list[Step], list[FloatArray]]:
-    """One episode: the steps, the reset's included, and the actions between them."""
+    """One episode: its n + 1 steps, the reset's first, and its n actions."""
     steps, actions = [environment.reset(seed)], []
-    expert = expert_of(environment)
+    expert = demonstrating_expert(environment)
     expert.reset()
     while not (steps[-1].terminated or steps[-1].truncated):
-        asked = np.asarray(expert.act(), np.float32)
-        noisy = asked + settings.noise * generator.standard_normal(asked.shape, np.float32)
-        drawn = generator.uniform(-1, 1, asked.shape)
-        action = drawn if generator.random() < settings.random else np.clip(noisy, -1, 1)
+        intended = np.asarray(expert.act(), np.float32)
+        noisy = intended + settings.noise * generator.standard_normal(intended.shape, np.float32)
+        uniform = generator.uniform(-1, 1, intended.shape)
+        action = uniform if generator.random() < settings.random else np.clip(noisy, -1, 1)
         actions.append(action.astype(np.float32))
         steps.append(environment.step(actions[-1]))
     return steps, actions
@@ -103,10 +103,6 @@ def _play(
 
 def _transitions(steps: list[Step], actions: list[FloatArray]) -> Transitions:
     before, after = steps[:-1], steps[1:]
-
-    def flags(name: str) -> np.ndarray:
-        return np.array([getattr(step, name) for step in after], np.bool_)
-
     return Transitions(
         environment=np.zeros(len(actions), np.int64),
         observation=np.stack([step.observation for step in before]),
@@ -116,6 +112,6 @@ def _transitions(steps: list[Step], actions: list[FloatArray]) -> Transitions:
         reward=np.array([step.reward for step in after], np.float32),
         next_observation=np.stack([step.observation for step in after]),
         next_achieved_goal=np.stack([step.achieved_goal for step in after]),
-        terminated=flags("terminated"),
-        truncated=flags("truncated"),
+        terminated=np.array([step.terminated for step in after], np.bool_),
+        truncated=np.array([step.truncated for step in after], np.bool_),
     )

@@ -1,4 +1,4 @@
-"""Training episodes: what is counted of those that run, and the record of those that have ended."""
+"""Training episodes: counts of the running ones, and records of those that have ended."""
 
 from __future__ import annotations
 
@@ -14,11 +14,11 @@ from ..errors import PluginError, UsageError
 
 @dataclass(frozen=True)
 class Episode:
-    """The record of one training episode; `any`, `end`, `reset` as in a test."""
+    """The record of one training episode; `any`, `end` and `reset` as in a test."""
 
     environment: int
     index: int
-    """Which of this environment's episodes it is, from 0."""
+    """Position among this environment's episodes, from 0."""
     seed: int
     steps: int
     total_reward: float
@@ -26,19 +26,19 @@ class Episode:
     end: bool
     reset: bool
     diverged: bool
-    """Whether the simulation left all sense and cut it short."""
+    """Whether the simulation diverged, which ended the episode."""
     parameters: tuple[float, ...]
-    """What domain randomization drew, as `signature.parameters` lays it out."""
+    """The values that domain randomization drew, laid out by `signature.parameters`."""
 
 
 class Episodes:
-    """The episodes that the environments of an orchestrator play, one after the other, each with a seed of its own.
+    """The episodes that the environments of an orchestrator play one after the other, each with its own seed.
 
-    The seed and the actions so far determine a running episode, so that they are all that has to be kept of it.
+    The seed and the actions so far determine a running episode. Its state therefore needs nothing else.
 
     Args:
         orchestrator: the environments.
-        seeds: the run's; episode k of environment i is played with the seed at ("environment", i, k).
+        seeds: the run's; episode k of environment i has the seed at ("environment", i, k).
     """
 
     def __init__(self, orchestrator: Orchestrator, seeds: SeedTree) -> None:
@@ -50,12 +50,12 @@ class Episodes:
         self._total_reward = np.zeros(size)
         self._any = np.zeros(size, np.bool_)
         self._end = np.zeros(size, np.bool_)
-        self._solved = np.zeros(size, np.bool_)
+        self._reset_success = np.zeros(size, np.bool_)
         self._parameters = np.zeros((size, signature.parameters.size), np.float32)
         self._actions = np.zeros((size, signature.max_steps, signature.action.size), np.float32)
-        """What each environment was told, step by step; what lies beyond its steps is of older episodes."""
+        """The actions of each running episode; entries beyond its steps belong to older episodes."""
         self.failures: tuple[Failure, ...] = ()
-        """What has failed since somebody last emptied this; episodes that were lost leave no record."""
+        """Failures since the caller last emptied this. An episode that failed has no record."""
 
     def begin(self, environments: np.ndarray) -> None:
         """Reset these environments, each with the seed of its next episode. Does not wait."""
@@ -67,43 +67,43 @@ class Episodes:
         self._reset(environments)
 
     def _reset(self, environments: np.ndarray) -> None:
-        """Reset these environments with the seeds that are noted."""
+        """Reset these environments with their current seeds."""
         self._steps[environments] = 0
         self._total_reward[environments] = 0
         self._orchestrator.reset(environments, self._seed[environments].tolist())
 
     def send(self, environments: np.ndarray, actions: FloatArray, *, updates: int = 0) -> None:
-        """Let these environments take their rows of `actions`, chosen after so many gradient updates. Does not wait."""
+        """Send each environment its row of `actions`, chosen after this many gradient updates. Does not wait."""
         self._actions[environments, self._steps[environments]] = actions
         self._orchestrator.step(environments, actions, updates=updates)
 
     def receive(self, at_least: int | None = None) -> Received:
-        """Wait for all answers, or for so many, and count what they tell; as `Orchestrator.receive`.
+        """Wait for answers as `Orchestrator.receive` does, and count them.
 
         Raises:
-            PluginError: a reward is not a finite number.
+            PluginError: a reward is not finite.
         """
         received = self._orchestrator.receive(at_least)
         self.failures += received.failures
-        fresh = begun(received)
-        if not fresh.any():
+        reset = answers_reset(received)
+        if not reset.any():
             self._count(received.environment, received.step)
             return received
-        environments = received.environment[fresh]
-        for flags in (self._any, self._end, self._solved):
-            flags[environments] = received.step.success[fresh]
+        environments = received.environment[reset]
+        for flags in (self._any, self._end, self._reset_success):
+            flags[environments] = received.step.success[reset]
         self._parameters[environments] = self._orchestrator.parameters(environments)
-        self._count(*rows(received, ~fresh))
+        self._count(*select_rows(received, ~reset))
         return received
 
     def _count(self, environments: np.ndarray, step: Step) -> None:
-        if not math.isfinite(step.reward.sum()) and not np.isfinite(step.reward).all():  # a sum costs less
+        if not math.isfinite(step.reward.sum()) and not np.isfinite(step.reward).all():  # a sum is cheaper
             first = int(np.flatnonzero(~np.isfinite(step.reward))[0])
             raise PluginError(
                 f"the environment gave the reward {step.reward[first]} after step"
                 f" {self._steps[environments[first]] + 1} of an episode",
                 where=f"environment {environments[first]}",
-                hint="a reward is a finite number: look at how the environment or the task computes it",
+                hint="a reward is a finite number: check how the environment or the task computes it",
             )
         self._steps[environments] += 1
         self._total_reward[environments] += step.reward
@@ -111,7 +111,7 @@ class Episodes:
         self._end[environments] = step.success
 
     def record(self, environment: int, *, diverged: bool) -> Episode:
-        """Of the episode that this environment has just ended."""
+        """The record of the episode that this environment has just ended."""
         return Episode(
             environment=environment,
             index=int(self._index[environment]),
@@ -120,13 +120,13 @@ class Episodes:
             total_reward=float(self._total_reward[environment]),
             any=bool(self._any[environment]),
             end=bool(self._end[environment]),
-            reset=bool(self._solved[environment]),
+            reset=bool(self._reset_success[environment]),
             diverged=diverged,
             parameters=tuple(self._parameters[environment].tolist()),
         )
 
     def state(self) -> State:
-        """Seeds and actions of the running episodes; the arrays are copies."""
+        """Seeds and actions of the running episodes, as copies."""
         longest = int(self._steps.max())
         return {
             "index": self._index.copy(),
@@ -136,11 +136,11 @@ class Episodes:
         }
 
     def load_state(self, state: State, latest: Step) -> None:
-        """Play the running episodes again up to where they were; `latest` is overwritten with their latest steps.
+        """Play the running episodes again up to where they were, and write their latest steps into `latest`.
 
         Raises:
-            UsageError: the state is of another number of environments, or of environments with other actions.
-            KarolosError: an environment failed meanwhile.
+            UsageError: the state has another number of environments or of action columns.
+            KarolosError: an environment failed.
         """
         index, actions = np.asarray(state["index"]), np.asarray(state["actions"])
         longest = actions.shape[1]
@@ -149,33 +149,33 @@ class Episodes:
                 f"the stored run has {len(index)} environments with {actions.shape[-1]} action columns,"
                 f" and this one {len(self._index)} with {self._actions.shape[-1]}",
                 where="orchestrator",
-                hint="resume with the spec the run was started with",
+                hint="resume with the spec that the run was started with",
             )
         self._index[:] = index
         self._seed[:] = state["seed"]
-        played = np.asarray(state["steps"])
+        steps = np.asarray(state["steps"])
         self._reset(np.arange(len(index)))
         for step in range(longest + 1):
             received = self.receive()
-            put(latest, received.environment, received.step)
-            playing = np.flatnonzero(played > step)
+            write_rows(latest, received.environment, received.step)
+            playing = np.flatnonzero(steps > step)
             if playing.size:
                 self.send(playing, actions[playing, step])
         if self.failures:
             raise self.failures[0].error
 
 
-def nothing_yet(orchestrator: Orchestrator) -> Step:
-    """Room for the latest step of every environment."""
+def empty_steps(orchestrator: Orchestrator) -> Step:
+    """A step of zeros for every environment, to be overwritten by `write_rows`."""
     size, signature = orchestrator.size, orchestrator.signature
 
-    def wide(columns: int) -> FloatArray:
+    def zeros(columns: int) -> FloatArray:
         return np.zeros((size, columns), np.float32)
 
     return Step(
-        observation=wide(signature.observation.size),
-        achieved_goal=wide(signature.achieved_goal.size),
-        desired_goal=wide(signature.desired_goal.size),
+        observation=zeros(signature.observation.size),
+        achieved_goal=zeros(signature.achieved_goal.size),
+        desired_goal=zeros(signature.desired_goal.size),
         reward=np.zeros(size, np.float32),
         terminated=np.zeros(size, np.bool_),
         truncated=np.zeros(size, np.bool_),
@@ -184,17 +184,17 @@ def nothing_yet(orchestrator: Orchestrator) -> Step:
     )
 
 
-def begun(received: Received) -> np.ndarray:
-    """Which of the answers are to a reset: (n,) bool. The others are to a step."""
+def write_rows(steps: Step, environments: np.ndarray, rows: Step) -> None:
+    """Overwrite the rows of these environments in `steps`."""
+    for field, new in zip(steps, rows, strict=True):
+        field[environments] = new
+
+
+def answers_reset(received: Received) -> np.ndarray:
+    """Which rows answer a reset, (n,) bool. The other rows answer a step."""
     return received.updates < 0
 
 
-def rows(received: Received, which: np.ndarray) -> tuple[np.ndarray, Step]:
-    """The environments and steps of some of the answers; `which` (n,) is bool."""
+def select_rows(received: Received, which: np.ndarray) -> tuple[np.ndarray, Step]:
+    """The environments and steps of the rows marked in `which`, (n,) bool."""
     return received.environment[which], Step(*(field[which] for field in received.step))
-
-
-def put(into: Step, environments: np.ndarray, rows: Step) -> None:
-    """Overwrite the rows of these environments."""
-    for field, new in zip(into, rows, strict=True):
-        field[environments] = new

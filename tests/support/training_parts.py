@@ -1,4 +1,4 @@
-"""An environment that counts, and an agent and buffer in one that keeps what the training loop hands it."""
+"""An environment that counts its steps, and an agent and buffer in one that records the calls of the training loop."""
 
 from __future__ import annotations
 
@@ -28,7 +28,8 @@ class Counter(Environment):
 
     diverges = False
     fails = False
-    told: ClassVar[list] = []
+    actions: ClassVar[list] = []
+    """Every action that an environment has taken."""
 
     def reset(self, seed: int) -> Step:
         if self.fails and seed % 11 == 0:
@@ -37,7 +38,7 @@ class Counter(Environment):
         return self._step(0.0, False, False)
 
     def step(self, action) -> Step:
-        self.told.append(np.array(action))
+        self.actions.append(np.array(action))
         self.steps += 1
         if self.fails and self.steps == 2 and self.seed % 5 == 0:
             raise ZeroDivisionError("it broke at a step")
@@ -57,7 +58,7 @@ class Counter(Environment):
 
 @dataclass
 class Recorder:
-    """Agent and buffer in one: acts with the number of updates so far, and keeps what it was given."""
+    """Agent and buffer in one: its action is the number of updates so far in thousandths; it records every call."""
 
     on_policy = False
 
@@ -93,7 +94,7 @@ class Recorder:
 
 @dataclass
 class OnPolicyRecorder(Recorder):
-    """The same, on-policy: takes three rounds at a time, acts far out of bounds, makes five updates of a rollout."""
+    """The same, on-policy: a rollout is three rounds, an action is out of bounds, a rollout makes five updates."""
 
     on_policy = True
     taken = 0
@@ -116,10 +117,16 @@ class OnPolicyRecorder(Recorder):
         return {"loss": np.float32(self.learned), "updates": 5}
 
 
-def train(environments=3, recorder=None, failures=0, updates_before=0, **amounts):
+def train(environments=3, recorder=None, failures=0, pretraining_updates=0, **amounts):
     amounts = {"steps": 60, "batch_size": 4, "replay_ratio": 2.0, "warmup_episodes": 2} | amounts
     recorder = Recorder() if recorder is None else recorder
     settings = Local.Settings(processes=0, environments=environments, failures=failures)
     with Local(settings, None, build=lambda _: Counter()) as local:
-        training = Training(local, recorder, recorder, SimpleNamespace(**amounts), SeedTree(7), None, updates_before)
+        training = Training(
+            local, recorder, recorder, SimpleNamespace(**amounts), SeedTree(7), None, pretraining_updates
+        )
         return list(training.rounds()), recorder, training
+
+
+def updates_per_round(progress):
+    return np.diff([0, *(round.updates for round in progress)]).tolist()

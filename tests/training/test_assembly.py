@@ -32,15 +32,15 @@ REFUSED = {
     ),
     "ppo with a replay ratio": (
         "agent: ppo\nbuffer: on_policy\ntraining: {steps: 100, replay_ratio: 4}\n",
-        "4:38: training.replay_ratio: 4 says nothing to ppo",
+        "4:38: training.replay_ratio: ppo does not use replay_ratio, which is 4",
     ),
     "ppo with a warm-up": (
         "agent: ppo\nbuffer: on_policy\ntraining: {warmup_episodes: 0}\n",
-        "4:29: training.warmup_episodes: 0 says nothing to ppo",
+        "4:29: training.warmup_episodes: ppo does not use warmup_episodes, which is 0",
     ),
     "ppo with a batch size": (
         "agent: ppo\nbuffer: on_policy\ntraining: {batch_size: 64}\n",
-        "4:24: training.batch_size: 64 says nothing to ppo",
+        "4:24: training.batch_size: ppo does not use batch_size, which is 64",
     ),
     "ppo as it comes": (
         "agent: ppo\nbuffer: on_policy\ntraining: {mode: async}\n",
@@ -48,7 +48,7 @@ REFUSED = {
     ),
     "a larger minimum than there is": (
         "agent: sac\ntraining: {mode: async, minimum_batch: 5}\n",
-        "3:40: training.minimum_batch: 5 environments will never be ready, there are 4; lower it",
+        "3:40: training.minimum_batch: a batch of 5 environments is never ready, because there are 4; lower it",
     ),
     "a minimum for lockstep": (
         "agent: sac\ntraining: {minimum_batch: 2}\n",
@@ -68,11 +68,11 @@ REFUSED = {
     ),
     "a batch larger than the buffer": (
         "agent: sac\nbuffer: {capacity: 200}\ntraining: {batch_size: 300}\n",
-        "4:24: training.batch_size: a batch of 300 is larger than the buffer, which keeps 200 transitions",
+        "4:24: training.batch_size: a batch of 300 is larger than the buffer, which stores 200 transitions",
     ),
     "a buffer smaller than a batch": (
         "agent: sac\nbuffer: {capacity: 200}\n",
-        "3:20: buffer.capacity: a batch of 256 is larger than the buffer, which keeps 200 transitions",
+        "3:20: buffer.capacity: a batch of 256 is larger than the buffer, which stores 200 transitions",
     ),
 }
 

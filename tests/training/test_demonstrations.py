@@ -1,4 +1,4 @@
-"""Demonstrations: what is collected, that it is the same for the same seed, and where it is refused."""
+"""Demonstrations: the collected episodes, their reproducibility, and where they are refused."""
 
 from __future__ import annotations
 
@@ -12,9 +12,9 @@ from karolos.errors import UsageError
 from karolos.experiment.experiment import Experiment
 from karolos.records import RunFolder
 from karolos.spec import Spec
-from karolos.spec.model import Demonstrations
+from karolos.spec.model import Demonstrations as Settings
 from karolos.training.assembly import check_parts
-from karolos.training.demonstrations import collect
+from karolos.training.demonstrations import collect_demonstrations
 
 REACH: dict[str, Any] = {
     "robot": {"name": "panda", "control": "cartesian"},
@@ -28,13 +28,13 @@ REACH: dict[str, Any] = {
 
 
 def collected(seed: int = 0, **settings: Any) -> Any:
-    chosen = Demonstrations.model_validate({"episodes": 3, **settings})
-    return collect(Spec.from_dict(REACH).recipe(randomize=True), chosen, SeedTree(seed))
+    chosen = Settings.model_validate({"episodes": 3, **settings})
+    return collect_demonstrations(Spec.from_dict(REACH).recipe(randomize=True), chosen, SeedTree(seed))
 
 
 def test_the_expert_solves_what_it_shows_and_actions_stay_in_range() -> None:
     found = collected(noise=0.1, random=0.0)
-    assert found.success_ratio == 1
+    assert found.success_end == 1
     assert found.steps == sum(len(episode.reward) for episode in found.episodes)
     for episode in found.episodes:
         assert (episode.terminated | episode.truncated)[-1]

@@ -6,7 +6,7 @@ import itertools
 
 import numpy as np
 import pytest
-from support.training_parts import Counter, train
+from support.training_parts import Counter, train, updates_per_round
 
 from karolos.core import random_actions
 from karolos.core.seeding import SeedTree
@@ -50,8 +50,8 @@ def test_learning_starts_after_warm_up_and_keeps_the_replay_ratio():
     assert recorder.learned == training.updates == len(recorder.priorities)
 
 
-def test_updates_before_the_first_step_come_before_anything_is_collected():
-    progress, recorder, training = train(updates_before=150, steps=30)
+def test_pretraining_updates_come_before_the_first_environment_step():
+    progress, recorder, training = train(pretraining_updates=150, steps=30)
     _, _, without = train(steps=30)
     assert [(round.steps, round.updates) for round in progress[:4]] == [(0, 64), (0, 128), (0, 150), (3, 150)]
     assert all(round.warming_up for round in progress[:3])
@@ -62,8 +62,7 @@ def test_updates_before_the_first_step_come_before_anything_is_collected():
 
 def test_an_update_learns_from_what_was_stored_before_the_round():
     progress, recorder, _ = train()
-    updates_of_round = [len(round.metrics) for round in progress]
-    stored_before = [index for index, updates in enumerate(updates_of_round) for _ in range(updates)]
+    stored_before = [index for index, updates in enumerate(updates_per_round(progress)) for _ in range(updates)]
     assert [stored for _, stored in recorder.sampled] == stored_before
 
 

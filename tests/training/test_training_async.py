@@ -7,7 +7,7 @@ from types import SimpleNamespace
 
 import numpy as np
 import pytest
-from support.training_parts import Counter, OnPolicyRecorder, Recorder, train
+from support.training_parts import Counter, OnPolicyRecorder, Recorder, train, updates_per_round
 
 from karolos.core import Received
 from karolos.core.seeding import SeedTree
@@ -122,7 +122,8 @@ def test_the_replay_ratio_is_kept_to_one_step_of_every_environment(ratio):
 def test_learning_makes_way_for_environments_that_have_answered():
     """With sixteen updates for each step of four environments, some rounds leave a part of them for later."""
     progress, _, _, _ = train_ragged(steps=400, replay_ratio=16.0)
-    learned = {len(round.metrics) for round in progress if not round.warming_up}
+    rounds = zip(progress, updates_per_round(progress), strict=True)
+    learned = {updates for round, updates in rounds if not round.warming_up}
     assert any(count % 4 for count in learned), learned
 
 
@@ -137,23 +138,23 @@ def test_policy_lag_is_the_updates_between_an_action_and_its_storing():
     ]
     assert min(lags) >= 0
     assert len(set(lags)) > 3
-    assert training.lag.read() == {"policy_lag_mean": np.mean(lags), "policy_lag_max": max(lags)}
-    assert training.lag.read() == {}, "once read it begins anew"
+    assert training.collector.lag.read() == {"policy_lag_mean": np.mean(lags), "policy_lag_max": max(lags)}
+    assert training.collector.lag.read() == {}, "once read it begins anew"
 
 
 def test_policy_lag_in_lockstep_is_what_was_learned_while_the_environments_stepped():
     progress, _, training = train(steps=60)
-    learned = [len(round.metrics) for round in progress]
-    assert training.lag.read() == {"policy_lag_mean": np.mean(learned), "policy_lag_max": max(learned)}
+    learned = updates_per_round(progress)
+    assert training.collector.lag.read() == {"policy_lag_mean": np.mean(learned), "policy_lag_max": max(learned)}
 
 
-def test_stored_actions_are_those_the_environments_were_told():
-    Counter.told.clear()
+def test_stored_actions_are_those_the_environments_took():
+    Counter.actions.clear()
     _, recorder, _, _ = train_ragged(steps=100)
     stored = sorted(float(row[4][0]) for environment in range(4) for row in rows_of(recorder, environment))
-    told = sorted(float(action[0]) for action in Counter.told)
-    assert len(told) - len(stored) <= 4, "but for those under way at the end"
-    assert set(stored) <= set(told)
+    taken = sorted(float(action[0]) for action in Counter.actions)
+    assert len(taken) - len(stored) <= 4, "except those under way at the end"
+    assert set(stored) <= set(taken)
 
 
 def test_environments_that_fail_lose_their_episodes_and_begin_others(monkeypatch):

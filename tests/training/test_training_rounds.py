@@ -7,7 +7,7 @@ from types import SimpleNamespace
 
 import numpy as np
 import pytest
-from support.training_parts import Counter, OnPolicyRecorder, Recorder, train
+from support.training_parts import Counter, OnPolicyRecorder, Recorder, train, updates_per_round
 
 from karolos.core.seeding import SeedTree
 from karolos.errors import UsageError
@@ -31,9 +31,9 @@ def test_an_environment_that_fails_loses_its_episode_and_begins_another(monkeypa
     for environment in range(3):
         rows = [added for added in recorder.added if environment in added.environment]
         for one, next_one in itertools.pairwise(rows):
-            here, there = one.environment == environment, next_one.environment == environment
-            if next_one.observation[there][0, 1] != 0:
-                np.testing.assert_array_equal(one.next_observation[here], next_one.observation[there])
+            before, after = one.environment == environment, next_one.environment == environment
+            if next_one.observation[after][0, 1] != 0:
+                np.testing.assert_array_equal(one.next_observation[before], next_one.observation[after])
 
 
 def test_an_agent_hears_of_every_episode_that_begins():
@@ -45,7 +45,7 @@ def test_an_agent_hears_of_every_episode_that_begins():
 
 def test_an_on_policy_agent_learns_at_the_end_of_the_round_that_completes_its_rollout():
     progress, recorder, training = train(recorder=OnPolicyRecorder(), steps=30)
-    assert [len(round.metrics) for round in progress] == [0, 0, 1, 0, 0, 1, 0, 0, 1, 0]
+    assert updates_per_round(progress) == [0, 0, 5, 0, 0, 5, 0, 0, 5, 0]
     assert recorder.sampled == [(9, 3), (9, 6), (9, 9)]
     assert [float(added.action[0, 0]) for added in recorder.added] == pytest.approx(
         [3.0] * 3 + [3.001] * 3 + [3.002] * 3 + [3.003], abs=1e-6
@@ -55,9 +55,9 @@ def test_an_on_policy_agent_learns_at_the_end_of_the_round_that_completes_its_ro
 
 
 def test_actions_are_clipped_for_the_environment_and_stored_as_they_were_given():
-    Counter.told.clear()
+    Counter.actions.clear()
     _, recorder, _ = train(recorder=OnPolicyRecorder(), steps=9)
-    assert {tuple(action) for action in Counter.told} == {(1.0, -1.0)}
+    assert {tuple(action) for action in Counter.actions} == {(1.0, -1.0)}
     assert all((np.abs(added.action) > 2.9).all() for added in recorder.added)
 
 
@@ -69,8 +69,7 @@ def test_training_goes_on_bit_for_bit_from_a_saved_state(kind, at):
 
     def rounds(training, recorder):
         for round in training.rounds():
-            told = round.steps, round.episodes, round.updates, round.warming_up, round.finished, len(round.metrics)
-            yield *told, recorder.added[-1]
+            yield round.steps, round.episodes, round.updates, round.warming_up, round.finished, recorder.added[-1]
 
     whole = kind()
     with Local(settings, None, build=lambda _: Counter()) as local:
