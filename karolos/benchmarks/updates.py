@@ -163,29 +163,29 @@ def _signature(*, discrete: bool) -> Signature:
 def _filled_buffer(signature: Signature) -> Any:
     """A uniform buffer full of noise, from 50 environments."""
     kind: Any = load("buffers", "uniform")
-    lanes = STORED // (20 * EPISODE)
-    buffer = kind(kind.Settings(capacity=STORED), signature, SeedTree(0), environments=lanes, discount=0.99)
+    environments = STORED // (20 * EPISODE)
+    buffer = kind(kind.Settings(capacity=STORED), signature, SeedTree(0), environments=environments, discount=0.99)
     generator = np.random.Generator(np.random.PCG64(0))
-    nothing = np.zeros((lanes, 0), np.float32)
-    observation = generator.standard_normal((lanes, OBSERVED), np.float32)
-    for step in range(STORED // lanes):
-        following = generator.standard_normal((lanes, OBSERVED), np.float32)
+    nothing = np.zeros((environments, 0), np.float32)
+    observation = generator.standard_normal((environments, OBSERVED), np.float32)
+    for step in range(STORED // environments):
+        following = generator.standard_normal((environments, OBSERVED), np.float32)
         if isinstance(signature.action, Discrete):
-            action = generator.integers(ACTIONS, size=(lanes, 1)).astype(np.float32)
+            action = generator.integers(ACTIONS, size=(environments, 1)).astype(np.float32)
         else:
-            action = generator.uniform(-1, 1, (lanes, ACTIONS)).astype(np.float32)
+            action = generator.uniform(-1, 1, (environments, ACTIONS)).astype(np.float32)
         buffer.add(
             Transitions(
-                environment=np.arange(lanes),
+                environment=np.arange(environments),
                 observation=observation,
                 achieved_goal=nothing,
                 desired_goal=nothing,
                 action=action,
-                reward=-generator.random(lanes, np.float32),
+                reward=-generator.random(environments, np.float32),
                 next_observation=following,
                 next_achieved_goal=nothing,
-                terminated=np.zeros(lanes, np.bool_),
-                truncated=np.full(lanes, step % EPISODE == EPISODE - 1),
+                terminated=np.zeros(environments, np.bool_),
+                truncated=np.full(environments, step % EPISODE == EPISODE - 1),
             )
         )
         observation = following

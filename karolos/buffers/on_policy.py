@@ -1,4 +1,4 @@
-"""What an on-policy agent has just played, each transition once: first in, first out, without replacement."""
+"""The buffer of on-policy agents: complete rollouts, each used once."""
 
 from __future__ import annotations
 
@@ -15,10 +15,10 @@ from ..errors import RunError, UsageError
 
 
 class OnPolicy(Buffer[Rollout]):
-    """Collects `rollout` transitions of each environment, gives them away as one rollout, and begins anew.
+    """Collects `rollout` transitions of each environment, returns them as one Rollout, and starts the next.
 
-    A rollout is complete as soon as one environment has all of its transitions. Others may have fewer: where a
-    simulation diverged, a step is missing. Episodes go on from one rollout to the next.
+    A rollout is complete as soon as one environment has all of its transitions. Other environments may have fewer,
+    because a step is missing where a simulation diverged. Episodes continue from one rollout to the next.
     """
 
     class Settings(BaseSettings):
@@ -33,7 +33,7 @@ class OnPolicy(Buffer[Rollout]):
         seeds: SeedTree,  # noqa: ARG002 (draws nothing)
         *,
         environments: int,
-        discount: float,  # noqa: ARG002 (returns are the agent's business)
+        discount: float,  # noqa: ARG002 (the agent computes returns)
     ) -> None:
         self.settings = settings
         size = settings.rollout, environments
@@ -52,57 +52,54 @@ class OnPolicy(Buffer[Rollout]):
             stored=np.zeros(size, np.bool_),
         )
         self._count = np.zeros(environments, np.int64)
-        """Transitions of each environment so far."""
+        """Transitions of each environment in this rollout."""
 
     def add(self, transitions: Transitions) -> None:
-        """Store one transition of each environment named, in any order, any subset.
-
-        Raises RunError when the rollout is complete and nobody has taken it.
-        """
+        """Store at most one transition of each environment. Raises RunError while a complete rollout is not sampled."""
         if len(self):
-            raise RunError("a rollout is complete, and nobody has taken it", where="buffer")
-        lanes = transitions.environment
-        places = self._count[lanes], lanes
+            raise RunError("the rollout is complete and was not sampled", where="buffer")
+        environments = transitions.environment
+        places = self._count[environments], environments
         rows = self._rows
         for name in ("observation", "desired_goal", "action", "reward", "next_observation", "terminated"):
             getattr(rows, name)[places] = getattr(transitions, name)
         rows.ended[places] = transitions.terminated | transitions.truncated
-        self._count[lanes] += 1
+        self._count[environments] += 1
 
     def cut(self, environments: NDArray[np.int64]) -> None:
-        """End the running episodes of these environments as they stand, as if their time were up."""
-        lanes = environments[self._count[environments] > 0]
-        self._rows.ended[self._count[lanes] - 1, lanes] = True
+        """Truncate the running episodes of these environments."""
+        started = environments[self._count[environments] > 0]
+        self._rows.ended[self._count[started] - 1, started] = True
 
     def sample(self, size: int) -> Rollout:
         """The rollout, once. Its arrays are valid until the next `add`.
 
         Raises:
-            RunError: it is not complete.
+            RunError: the rollout is not complete.
             ValueError: `size` is not the number of its transitions.
         """
         if not len(self):
             raise RunError("the rollout is not complete yet", where="buffer", hint="add more transitions first")
         if size != len(self):
-            raise ValueError(f"a rollout is given as a whole: {len(self)} transitions, not {size}")
-        given = self._rows
-        lanes = np.flatnonzero(self._count)
-        given.ended[self._count[lanes] - 1, lanes] = True  # what comes next comes with the next rollout
-        given.stored[:] = np.arange(self.settings.rollout)[:, None] < self._count
+            raise ValueError(f"a rollout is sampled as a whole: {len(self)} transitions, not {size}")
+        rollout = self._rows
+        started = np.flatnonzero(self._count)
+        rollout.ended[self._count[started] - 1, started] = True  # the next transition belongs to the next rollout
+        rollout.stored[:] = np.arange(self.settings.rollout)[:, None] < self._count
         self._count[:] = 0
-        return given
+        return rollout
 
     def __len__(self) -> int:
         return int(self._count.sum()) if self._count.max() == self.settings.rollout else 0
 
     def state(self) -> State:
-        """The rollout as far as it has come; arrays are copies."""
+        """The transitions so far; arrays are copies."""
         used = int(self._count.max())
         rows = {name: array[:used].copy() for name, array in self._rows._asdict().items()}
         return {"rows": rows, "count": self._count.copy()}
 
     def load_state(self, state: State) -> None:
-        """Raises UsageError when the state is of a buffer of another shape."""
+        """Raises UsageError for the state of a buffer of another shape."""
         rows, count = state["rows"], np.asarray(state["count"])
         fits = all(
             np.asarray(rows[name]).shape[1:] == array.shape[1:] and len(rows[name]) <= len(array)

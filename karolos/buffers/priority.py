@@ -1,4 +1,4 @@
-"""Prioritised experience replay: what surprised the critic most is seen most often.
+"""Prioritised experience replay: transitions with large errors are sampled more often.
 
 Source: Schaul et al. 2016, "Prioritized Experience Replay", the proportional variant.
 """
@@ -6,181 +6,152 @@ Source: Schaul et al. 2016, "Prioritized Experience Replay", the proportional va
 from __future__ import annotations
 
 from collections.abc import Mapping, Sequence
-from typing import Any, ClassVar
+from typing import Any
 
 import numpy as np
 from numpy.typing import NDArray
 from pydantic import Field as Setting
 
-from ..core import Batch, Buffer, Signature, State, Transitions
-from ..core import Settings as BaseSettings
-from ..core.seeding import SeedTree, generator_state, load_generator_state
+from ..core import Batch, Signature, State, Transitions
+from ..core.seeding import SeedTree
 from ..errors import RunError
-from .hindsight import Hindsight
 from .replay import Replay
 from .storage import Slots
 from .sum_tree import Numbers, SumTree
 
-NEW_CALLS = 256
-"""Calls of `add` after which new transitions enter the tree even if nobody samples."""
+PENDING_CALLS = 256
+"""Calls of `add` after which new transitions enter the tree without a call of `sample`."""
 
 
-class Priority(Buffer):
-    """Keeps the latest transitions of each environment and samples them by the size of their last error.
+class Priority(Replay):
+    """A replay buffer that samples transitions in proportion to their priority.
 
-    P(i) = p_i / sum p with p = (|error| + epsilon)^alpha; a new transition has the largest p so far, so that each is
-    seen soon. The loss of transition i weighs (N P(i))^-beta, divided by the largest weight of the batch; beta rises
-    from `beta` to 1 over `beta_updates` batches. A batch is stratified: one transition from each of n equal shares.
-    `Batch.slot` names a transition for good: a priority that comes after its slot was overwritten is dropped.
-
-    Raises:
-        UsageError: the capacity is less than one episode per environment, or hindsight is asked of an environment
-            without goals.
+    P(i) = p_i / sum p with p = (|error| + epsilon)^alpha. A new transition has the largest p so far. The importance
+    weight of transition i is (N P(i))^-beta, divided by the largest weight of the batch; beta rises from `beta` to 1
+    over `beta_updates` batches. A batch is stratified: one transition from each of n equal parts of the total priority.
+    `Batch.slot` identifies a transition, not a slot: the priority of an overwritten transition is ignored.
     """
 
-    class Settings(BaseSettings):
-        capacity: int = Setting(1_000_000, ge=1, description="transitions kept, over all environments")
-        alpha: float = Setting(0.6, ge=0, le=1, description="how much errors count for the odds; 0: not at all")
-        beta: float = Setting(0.4, ge=0, le=1, description="how much weights make up for the odds, at the start")
-        beta_updates: int = Setting(100_000, ge=1, description="batches after which beta has risen to 1")
-        epsilon: float = Setting(1e-6, gt=0, description="added to each error, so that none is never seen again")
-        hindsight: Hindsight.Settings | None = Setting(None, description="relabel goals when sampling; null: do not")
-        n_step: int = Setting(1, ge=1, le=100, description="environment steps that a sampled transition spans at most")
+    class Settings(Replay.Settings):
+        alpha: float = Setting(0.6, ge=0, le=1, description="exponent of the errors in the priorities; 0: uniform")
+        beta: float = Setting(0.4, ge=0, le=1, description="exponent of the importance weights at the start")
+        beta_updates: int = Setting(100_000, ge=1, description="batches over which beta rises to 1")
+        epsilon: float = Setting(1e-6, gt=0, description="added to each error, so that every transition can be sampled")
 
-    on_policy: ClassVar[bool] = False
+    settings: Priority.Settings
 
     def __init__(
-        self,
-        settings: Priority.Settings,
-        signature: Signature,
-        seeds: SeedTree,
-        *,
-        environments: int,
-        discount: float,
+        self, settings: Priority.Settings, signature: Signature, seeds: SeedTree, *, environments: int, discount: float
     ) -> None:
+        super().__init__(settings, signature, seeds, environments=environments, discount=discount)
         self.settings = settings
-        self._replay = Replay(
-            signature,
-            capacity=settings.capacity,
-            hindsight=settings.hindsight,
-            n_step=settings.n_step,
-            environments=environments,
-            discount=discount,
-        )
-        self._tree = SumTree(len(self._replay.storage.table))
-        self._new: list[tuple[Slots, float]] = []
+        self._tree = SumTree(len(self.storage.table))
+        self._pending: list[tuple[Slots, float]] = []
+        """Slots of new transitions that are not in the tree yet, with their priority."""
         self._largest = 1.0
         self._batches = 0
-        self._generator = seeds.child("sample").generator()
 
     @property
     def beta(self) -> float:
-        """How much weights make up for the odds, now."""
+        """The current exponent of the importance weights."""
         start = self.settings.beta
         return start + (1 - start) * min(self._batches / self.settings.beta_updates, 1.0)
 
     def add(self, transitions: Transitions) -> None:
-        """Store one transition of each environment named, with the largest priority. Raises as `Replay.add` does."""
-        self._new.append((self._replay.add(transitions), self._largest))
-        if len(self._new) >= NEW_CALLS:
-            self._enter()
+        """Store at most one transition of each environment, with the largest priority. Raises as `Replay.add` does."""
+        self._pending.append((self._store(transitions), self._largest))
+        if len(self._pending) >= PENDING_CALLS:
+            self._insert_pending()
 
     def add_demonstrations(self, episodes: Sequence[Transitions], share: float | None = None) -> None:
-        """Store demonstrations beside what the environments give, with the largest priority. Raises as `add` does."""
-        self._enter()
-        before = self._replay.storage.used()
-        odds = self._tree[before]
-        slots = self._replay.add_demonstrations(episodes, share)
-        self._tree = SumTree(len(self._replay.storage.table))
-        self._tree[np.concatenate((before, slots))] = np.concatenate((odds, np.full(slots.size, self._largest)))
+        """Store demonstrations permanently, with the largest priority. Raises as `Replay.add` does."""
+        self._insert_pending()
+        used = self.storage.used()
+        priorities = self._tree[used]
+        slots = self._store_demonstrations(episodes, share)
+        self._tree = SumTree(len(self.storage.table))
+        self._tree[np.concatenate((used, slots))] = np.concatenate((priorities, np.full(slots.size, self._largest)))
 
-    def _enter(self) -> None:
-        """Enter new transitions into the tree; together, because each walk through it costs 40 us."""
-        if self._new:
-            slots, odds = zip(*self._new, strict=True)
-            self._tree[np.concatenate(slots)] = np.repeat(odds, [part.size for part in slots])
-            self._new.clear()
-
-    def cut(self, environments: NDArray[np.int64]) -> None:
-        """End the running episodes of these environments as they stand."""
-        self._replay.storage.cut(environments)
+    def _insert_pending(self) -> None:
+        """Insert new transitions into the tree, together, because each update of the tree takes 40 us."""
+        if self._pending:
+            slots, priorities = zip(*self._pending, strict=True)
+            self._tree[np.concatenate(slots)] = np.repeat(priorities, [part.size for part in slots])
+            self._pending.clear()
 
     def sample(self, size: int) -> Batch:
         """`size` transitions; the arrays are views that the next call overwrites.
 
         Raises:
-            RunError: nothing is stored yet.
+            RunError: the buffer is empty.
         """
-        self._replay.require_some()
-        self._enter()
-        slots, odds = self._draw(size)
-        weights = (odds * len(self)) ** -self.beta
+        self._require_transitions()
+        self._insert_pending()
+        slots, probabilities = self._draw(size)
+        weights = (probabilities * len(self)) ** -self.beta
         self._batches += 1
-        names = self._replay.storage.names(slots)
-        return self._replay.batch(slots, (weights / weights.max()).astype(np.float32), names, self._generator)
+        return self._batch(slots, (weights / weights.max()).astype(np.float32), self.storage.identifiers(slots))
 
     def _draw(self, size: int) -> tuple[Slots, Numbers]:
-        """Slots by their priorities, and how likely each one was: (n,) both."""
-        tree, storage, shown = self._tree, self._replay.storage, self._replay.shown(size)
-        total, evenly = tree.total, np.arange(size) + self._generator.random(size)
-        if shown is None:
-            slots = tree.find(evenly * (total / size))
+        """Slots drawn by their priorities, and the probability of each: (n,) both."""
+        tree, demonstrated = self._tree, self._demonstration_rows(size)
+        total, strata = tree.total, np.arange(size) + self._generator.random(size)
+        if demonstrated is None:
+            slots = tree.find(strata * (total / size))
             return slots, tree[slots] / total
-        # Two strata, each by its own priorities; demonstrations lie behind all else.
-        others, border = size - shown, storage.environments * storage.lane_size
-        before = tree.before(border)
-        masses = evenly * (before / max(others, 1))
-        masses[others:] = before + (evenly[others:] - others) * ((total - before) / max(shown, 1))
+        # The first rows are drawn from the environments' transitions, the others from demonstrations, which have the
+        # last slots.
+        others, first_slot = size - demonstrated, self.storage.environments * self.storage.ring_size
+        mass = tree.before(first_slot)
+        masses = strata * (mass / max(others, 1))
+        masses[others:] = mass + (strata[others:] - others) * ((total - mass) / max(demonstrated, 1))
         slots = tree.find(masses)
-        strata = np.where(slots < border, others / (size * max(before, 1e-300)), shown / (size * (total - before)))
-        return slots, tree[slots] * strata
+        scale = np.where(
+            slots < first_slot, others / (size * max(mass, 1e-300)), demonstrated / (size * (total - mass))
+        )
+        return slots, tree[slots] * scale
 
     def update_priorities(self, slot: NDArray[np.int64], priorities: Any) -> None:
-        """Set the odds of a batch's transitions by their errors: (n,) non-negative, an array or a tensor.
+        """Set the priorities of a batch's transitions from their errors: (n,) non-negative, an array or a tensor.
 
         Raises:
-            RunError: an error is not a number.
+            RunError: an error is not a finite number.
         """
         on_host = priorities.cpu() if hasattr(priorities, "cpu") else priorities
         errors = np.abs(np.asarray(on_host, np.float64))
         if not np.isfinite(errors).all():
             raise RunError("a transition's error is not a number", where="buffer", hint="lower agent.learning_rate")
-        slots, there = self._replay.storage.resolve(slot)
-        odds = (errors[there] + self.settings.epsilon) ** self.settings.alpha
-        self._tree[slots[there]] = odds
-        self._largest = max(self._largest, float(odds.max(initial=0.0)))
-
-    def __len__(self) -> int:
-        return len(self._replay.storage)
+        slots, stored = self.storage.resolve(slot)
+        numbers = (errors[stored] + self.settings.epsilon) ** self.settings.alpha
+        self._tree[slots[stored]] = numbers
+        self._largest = max(self._largest, float(numbers.max(initial=0.0)))
 
     def metrics(self) -> Mapping[str, float]:
-        """How many transitions, the mean and the largest of their priorities p, and where beta stands."""
-        self._enter()
-        odds = self._tree[self._replay.storage.used()]
+        """Number of transitions, mean and largest priority p, and beta."""
+        self._insert_pending()
+        priorities = self._tree[self.storage.used()]
         return {
-            "transitions": float(len(self)),
-            "priority_mean": float(odds.mean()) if odds.size else 0.0,
-            "priority_max": float(odds.max(initial=0.0)),
+            **super().metrics(),
+            "priority_mean": float(priorities.mean()) if priorities.size else 0.0,
+            "priority_max": float(priorities.max(initial=0.0)),
             "beta": self.beta,
         }
 
     def state(self) -> State:
-        """The stored transitions with their odds, the generator and where beta stands; arrays are copies."""
-        self._enter()
+        """The stored transitions with their priorities, the generator and the position of beta; arrays are copies."""
+        self._insert_pending()
         return {
-            "storage": self._replay.state(),
-            "odds": self._tree[self._replay.storage.used()],
+            **super().state(),
+            "odds": self._tree[self.storage.used()],
             "largest": self._largest,
             "batches": self._batches,
-            "generator": generator_state(self._generator),
         }
 
     def load_state(self, state: State) -> None:
-        """Raises UsageError when the state is of a buffer of another shape."""
-        self._replay.load_state(state["storage"])
-        self._new.clear()
-        self._tree = SumTree(len(self._replay.storage.table))
-        self._tree[self._replay.storage.used()] = np.asarray(state["odds"], np.float64)
+        """Raises UsageError for the state of a buffer of another shape."""
+        super().load_state(state)
+        self._pending.clear()
+        self._tree = SumTree(len(self.storage.table))
+        self._tree[self.storage.used()] = np.asarray(state["odds"], np.float64)
         self._largest = float(state["largest"])
         self._batches = int(state["batches"])
-        load_generator_state(self._generator, state["generator"])

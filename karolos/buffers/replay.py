@@ -1,99 +1,111 @@
-"""What replay buffers share: transitions in a table, goals relabelled when sampled, rows handed out as a batch."""
+"""The base of replay buffers: storage, goals relabelled when sampled, multi-step returns, demonstrations."""
 
 from __future__ import annotations
 
-from collections.abc import Sequence
+from collections.abc import Mapping, Sequence
+from typing import ClassVar
 
 import numpy as np
+from numpy.typing import NDArray
+from pydantic import Field as Setting
 
-from ..core import Batch, FloatArray, Signature, State, Transitions
+from ..core import Batch, Buffer, FloatArray, Signature, State, Transitions
+from ..core import Settings as BaseSettings
+from ..core.seeding import SeedTree, generator_state, load_generator_state
 from ..errors import RunError
 from .hindsight import Hindsight
 from .n_step import NStep
 from .storage import Slots, Storage
 
-NOTHING = np.zeros(0, np.int64)
 
+class Replay(Buffer):
+    """Stores the latest transitions of each environment. A subclass samples: it chooses slots and calls `_batch`.
 
-class Replay:
-    """A storage, hindsight and multi-step returns if asked for; which slots a batch takes is the buffer's own business.
-
-    Args:
-        signature: of the environments.
-        capacity: transitions kept, over all environments.
-        hindsight: what to relabel with; None: nothing.
-        n_step: steps that a transition of a batch spans at most.
-        environments: how many fill it.
-        discount: per environment step.
+    Transitions of running episodes can be sampled. With `hindsight`, some transitions of a batch get goals that the
+    same episode achieved.
 
     Raises:
-        UsageError: the capacity is less than one episode per environment, or there are no goals to relabel.
+        UsageError: the capacity is less than one episode per environment, or `hindsight` is set for an environment
+            without goals.
     """
 
+    class Settings(BaseSettings):
+        capacity: int = Setting(1_000_000, ge=1, description="largest number of transitions, over all environments")
+        hindsight: Hindsight.Settings | None = Setting(None, description="goals relabelled when sampling; null: off")
+        n_step: int = Setting(1, ge=1, le=100, description="environment steps that a sampled transition spans at most")
+
+    on_policy: ClassVar[bool] = False
+
     def __init__(
-        self,
-        signature: Signature,
-        *,
-        capacity: int,
-        hindsight: Hindsight.Settings | None,
-        n_step: int,
-        environments: int,
-        discount: float,
+        self, settings: Replay.Settings, signature: Signature, seeds: SeedTree, *, environments: int, discount: float
     ) -> None:
+        n_step, hindsight = settings.n_step, settings.hindsight
+        self.storage = Storage(signature, settings.capacity, environments)
         self._hindsight = Hindsight(hindsight, signature) if hindsight is not None else None
-        self.storage = Storage(signature, capacity, environments)
         self._n_step = NStep(n_step, discount, self.storage, signature.goal_rule) if n_step > 1 else None
         self._discount = np.float32(discount)
         self._discounts = np.zeros(0, np.float32)
         self._share: float | None = None
+        self._generator = seeds.child("sample").generator()
 
-    def shown(self, size: int) -> int | None:
-        """How many of a batch's rows have to be demonstrations; None: as it comes.
-
-        All of them while nothing else is stored, none where there are none.
-        """
-        if self._share is None:
-            return None
-        if not self.storage.kept:
-            return 0
-        return size if self.storage.kept == len(self.storage) else round(self._share * size)
-
-    def add(self, transitions: Transitions) -> Slots:
-        """Store one transition of each environment named; where they went.
+    def add(self, transitions: Transitions) -> None:
+        """Store at most one transition of each environment.
 
         Raises:
-            PluginError: with hindsight, when rewards are not those of the environment's goal rule.
+            PluginError: with hindsight, the rewards are not those of the environment's goal rule.
         """
+        self._store(transitions)
+
+    def _store(self, transitions: Transitions) -> Slots:
+        """Store the transitions; returns their slots. Raises as `add` does."""
         if self._hindsight is not None:
             self._hindsight.check(transitions)
         return self.storage.add(transitions)
 
-    def add_demonstrations(self, episodes: Sequence[Transitions], share: float | None) -> Slots:
-        """Store demonstrations where nothing overwrites them; where they went. Raises as `add` does."""
+    def add_demonstrations(self, episodes: Sequence[Transitions], share: float | None = None) -> None:
+        """Store demonstrations permanently. Raises as `add` does."""
+        self._store_demonstrations(episodes, share)
+
+    def _store_demonstrations(self, episodes: Sequence[Transitions], share: float | None) -> Slots:
+        """Store the demonstrations; returns their slots. Raises as `add` does."""
         self._share = share
         if self._hindsight is not None:
             for episode in episodes:
                 self._hindsight.check(episode)
         return self.storage.add_demonstrations(episodes)
 
-    def require_some(self) -> None:
-        """Raise a RunError while nothing is stored."""
-        if not len(self.storage):
-            raise RunError("the buffer is empty; nothing can be sampled", where="buffer", hint="add transitions first")
+    def cut(self, environments: NDArray[np.int64]) -> None:
+        """End the running episodes of these environments."""
+        self.storage.cut(environments)
 
-    def batch(self, slots: Slots, weights: FloatArray, names: Slots, generator: np.random.Generator) -> Batch:
-        """The transitions at these slots, some with new goals; the arrays are views that the next call overwrites.
+    def _demonstration_rows(self, size: int) -> int | None:
+        """Number of demonstrated transitions in a batch; None without a fixed share.
+
+        All rows while only demonstrations are stored, 0 without demonstrations.
+        """
+        if self._share is None:
+            return None
+        if not self.storage.demonstrations:
+            return 0
+        return size if self.storage.demonstrations == len(self.storage) else round(self._share * size)
+
+    def _require_transitions(self) -> None:
+        """Raise a RunError while the buffer is empty."""
+        if not len(self.storage):
+            raise RunError("the buffer is empty", where="buffer", hint="add transitions before sampling")
+
+    def _batch(self, slots: Slots, weights: FloatArray, identifiers: Slots) -> Batch:
+        """The transitions at these slots as a batch, partly with new goals; the next call overwrites the arrays.
 
         Args:
             slots: (n,).
-            weights: of their losses, (n,).
-            names: what `Batch.slot` calls them, (n,).
-            generator: draws the goals.
+            weights: importance weights of their losses, (n,).
+            identifiers: the numbers in `Batch.slot`, (n,).
         """
         rows = self.storage.gather(slots)
-        relabelled = NOTHING
+        relabelled = np.zeros(0, np.int64)
         if self._hindsight is not None:
-            relabelled = self._hindsight.relabel(rows, slots, self.storage, generator)
+            relabelled = self._hindsight.relabel(rows, slots, self.storage, self._generator)
         if self._n_step is not None:
             self._discounts = self._n_step.extend(rows, slots, relabelled)
         elif self._discounts.size != slots.size:
@@ -107,14 +119,23 @@ class Replay:
             terminated=rows.number("terminated"),
             discount=self._discounts,
             weight=weights,
-            slot=names,
+            slot=identifiers,
             demonstrated=self.storage.demonstrated(slots),
         )
 
+    def __len__(self) -> int:
+        return len(self.storage)
+
+    def metrics(self) -> Mapping[str, float]:
+        return {"transitions": float(len(self))}
+
     def state(self) -> State:
-        return {**self.storage.state(), "share": self._share}
+        """The stored transitions and the generator; arrays are copies."""
+        storage = {**self.storage.state(), "share": self._share}
+        return {"storage": storage, "generator": generator_state(self._generator)}
 
     def load_state(self, state: State) -> None:
-        """Raises UsageError when the state is of a buffer of another shape."""
-        self.storage.load_state(state)
-        self._share = state.get("share")  # checkpoints of karolos 0.1 before demonstrations.share have none
+        """Raises UsageError for the state of a buffer of another shape."""
+        self.storage.load_state(state["storage"])
+        self._share = state["storage"]["share"]
+        load_generator_state(self._generator, state["generator"])

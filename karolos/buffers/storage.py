@@ -1,8 +1,7 @@
-"""Where transitions lie: one table of float32 rows, one ring of rows ("lane") per environment; demonstrations in lanes
-of their own.
+"""Storage of transitions: a table of float32 rows with one ring per environment, and further rings for demonstrations.
 
-A transition is one row, so that a batch is one gather whose columns are the batch's fields. An episode is contiguous in
-its lane, seam included, so that the steps before and after a transition are found by counting, without a search.
+A transition is one row, so a batch is one gather whose columns are the batch's fields. An episode is contiguous in its
+ring, also across the ring's end, so index arithmetic finds the steps before and after a transition.
 """
 
 from __future__ import annotations
@@ -15,26 +14,22 @@ from ..core import Array, Field, FloatArray, Layout, Signature, State, Transitio
 from ..errors import UsageError
 
 Slots = np.ndarray
-"""Row numbers of the table: (n,) int64. Lane l holds the rows l * lane_size ... (l + 1) * lane_size - 1."""
+"""Row numbers of the table: (n,) int64. Ring r holds the rows r * ring_size ... (r + 1) * ring_size - 1."""
 
 
 def row_layout(signature: Signature) -> Layout:
-    """The columns of a stored transition of this environment.
+    """The columns of a stored transition.
 
-    `step`: how many steps of its episode came before. `length`: how many steps its episode took; 0 while it runs.
+    `step`: index of the step in its episode, from 0. `length`: steps of the whole episode; 0 while it runs.
     """
-    observation, achieved, desired = (
-        signature.observation.size,
-        signature.achieved_goal.size,
-        signature.desired_goal.size,
-    )
+    observation, achieved = signature.observation.size, signature.achieved_goal.size
     return Layout(
         (
             Field("observation", observation),
             Field("next_observation", observation),
             Field("achieved_goal", achieved),
             Field("next_achieved_goal", achieved),
-            Field("desired_goal", desired),
+            Field("desired_goal", signature.desired_goal.size),
             Field("action", signature.action.size),
             Field("reward", 1),
             Field("terminated", 1),
@@ -45,7 +40,7 @@ def row_layout(signature: Signature) -> Layout:
 
 
 class Rows:
-    """Rows gathered from the table, (n, width), addressed by column name. Valid until the next gather."""
+    """Rows gathered from the table, (n, width), with access by column name. Valid until the next gather."""
 
     def __init__(self, layout: Layout) -> None:
         self._columns = {field.name: layout.slice(field.name) for field in layout.fields}
@@ -60,11 +55,11 @@ class Rows:
             self._numbers = {name: view[:, 0] for name, view in self._views.items() if view.shape[1] == 1}
 
     def __getitem__(self, name: str) -> FloatArray:
-        """The named columns of all rows, (n, size of the field): a view, also for writing."""
+        """The columns of a field, (n, size of the field): a writable view."""
         return self._views[name]
 
     def number(self, name: str) -> FloatArray:
-        """A field of one column, (n,): a view."""
+        """A field of one column, (n,): a writable view."""
         return self._numbers[name]
 
 
@@ -72,20 +67,20 @@ class Storage:
     """A table of transitions, with one ring of rows per environment.
 
     Args:
-        signature: of the environments that fill it.
-        capacity: transitions in all, split evenly over the environments; what remains of the division is not used.
-        environments: how many lanes.
+        signature: of the environments.
+        capacity: transitions in total, split evenly over the environments; the remainder of the division is unused.
+        environments: number of environments.
 
     Raises:
-        UsageError: a lane could not hold one whole episode.
+        UsageError: a ring is shorter than one episode.
     """
 
     def __init__(self, signature: Signature, capacity: int, environments: int) -> None:
         self.environments = environments
-        self.lane_size = capacity // environments
-        if self.lane_size < signature.max_steps:
+        self.ring_size = capacity // environments
+        if self.ring_size < signature.max_steps:
             raise UsageError(
-                f"{capacity} transitions over {environments} environments leave {self.lane_size} for each,"
+                f"{capacity} transitions over {environments} environments leave {self.ring_size} for each,"
                 f" less than one episode of {signature.max_steps} steps",
                 where="buffer.capacity",
                 hint=f"set buffer.capacity to {environments * signature.max_steps} or more, or use fewer environments",
@@ -97,130 +92,130 @@ class Storage:
         self._columns = {field.name: self.layout.slice(field.name) for field in self.layout.fields}
         self._length = self._columns["length"].start
         self.written = np.zeros(0, np.int64)
-        """Transitions ever written to each lane."""
+        """Transitions written to each ring since the start: (rings,)."""
         self.running = np.zeros(0, np.int64)
-        """Steps so far of the episode that each lane's environment plays."""
-        self._counted: tuple[Array, Array] | None = None
+        """Steps of the running episode in each ring: (rings,)."""
+        self._cached_counts: tuple[Array, Array] | None = None
         self._full = False
-        """Whether every lane is, so that counts stay as they are."""
-        self._set_lanes(environments)
+        """Whether every ring is full, so that the counts no longer change."""
+        self._set_rings(environments)
 
     @property
-    def lanes(self) -> int:
-        """One for each environment, then those that hold demonstrations."""
+    def rings(self) -> int:
+        """Number of rings: one per environment, then those of demonstrations."""
         return len(self.written)
 
-    def _set_lanes(self, lanes: int) -> None:
-        """Have so many lanes; those that stay keep what they hold. Memory is taken when it is written to."""
+    def _set_rings(self, rings: int) -> None:
+        """Change the number of rings and copy the contents of those that remain. Memory is allocated on first write."""
         table, written, running = self.table, self.written, self.running
-        stay = min(lanes, len(written))
-        self.table = np.zeros((self.lane_size * lanes, self.layout.size), np.float32)
-        self.written, self.running = np.zeros(lanes, np.int64), np.zeros(lanes, np.int64)
-        self.written[:stay], self.running[:stay] = written[:stay], running[:stay]
-        self._counted = None
+        remaining = min(rings, len(written))
+        self.table = np.zeros((self.ring_size * rings, self.layout.size), np.float32)
+        self.written, self.running = np.zeros(rings, np.int64), np.zeros(rings, np.int64)
+        self.written[:remaining], self.running[:remaining] = written[:remaining], running[:remaining]
+        self._cached_counts = None
         used = self.used()
         self.table[used] = table[used]
 
     @property
     def filled(self) -> np.ndarray:
-        """Transitions that each lane holds: (lanes,)."""
-        return np.minimum(self.written, self.lane_size)
+        """Transitions in each ring: (rings,)."""
+        return np.minimum(self.written, self.ring_size)
 
     def __len__(self) -> int:
         return int(self._counts()[0][-1])
 
     def _counts(self) -> tuple[Array, Array]:
-        """How many transitions lie in each lane and those before it, and what leads from a rank to a slot: (lanes,)."""
-        if self._counted is None:
+        """Cumulative number of transitions over the rings, and each ring's offset from rank to slot: (rings,)."""
+        if self._cached_counts is None:
             filled = self.filled
             ends = np.cumsum(filled)
-            self._counted = ends, np.arange(self.lanes) * self.lane_size - ends + filled
-            self._full = bool((filled == self.lane_size).all())
-        return self._counted
+            self._cached_counts = ends, np.arange(self.rings) * self.ring_size - ends + filled
+            self._full = bool((filled == self.ring_size).all())
+        return self._cached_counts
 
     @property
-    def kept(self) -> int:
-        """Transitions of demonstrations."""
+    def demonstrations(self) -> int:
+        """Number of demonstrated transitions."""
         return int(self.written[self.environments :].sum())
 
     def add(self, transitions: Transitions) -> Slots:
-        """Store one transition of each environment named; returns where. Each environment is named once per call."""
-        lanes = transitions.environment
+        """Store at most one transition of each environment; returns their slots."""
+        rings = transitions.environment
         rows = self._incoming
-        rows.resize(lanes.size)
+        rows.resize(rings.size)
         for name in ("observation", "next_observation", "achieved_goal", "next_achieved_goal", "desired_goal"):
             rows[name][:] = getattr(transitions, name)
         rows["action"][:] = transitions.action
         rows.number("reward")[:] = transitions.reward
         rows.number("terminated")[:] = transitions.terminated
-        rows.number("step")[:] = self.running[lanes]
+        rows.number("step")[:] = self.running[rings]
         rows.number("length")[:] = 0
-        slots: Slots = lanes * self.lane_size + self.written[lanes] % self.lane_size
+        slots: Slots = rings * self.ring_size + self.written[rings] % self.ring_size
         self.table[slots] = rows.table
-        self.written[lanes] += 1
-        self.running[lanes] += 1
+        self.written[rings] += 1
+        self.running[rings] += 1
         if not self._full:
-            self._counted = None
-        for lane in lanes[np.asarray(transitions.terminated | transitions.truncated, np.bool_)].tolist():
-            self._end_episode(lane)
+            self._cached_counts = None
+        for ring in rings[np.asarray(transitions.terminated | transitions.truncated, np.bool_)].tolist():
+            self._end_episode(ring)
         return slots
 
     def add_demonstrations(self, episodes: Sequence[Transitions]) -> Slots:
-        """Store whole episodes in lanes of their own, where nothing overwrites them; returns where."""
-        lengths = [len(episode.reward) for episode in episodes]
-        lane, room, found = self.lanes - 1, 0, []
-        places = []
-        for length in lengths:
-            if length > room:
-                lane, room = lane + 1, self.lane_size
-            places.append(lane)
-            room -= length
-        self._set_lanes(lane + 1)
-        for episode, length, lane in zip(episodes, lengths, places, strict=True):
-            for step in range(length):
-                one = {name: field[step : step + 1] for name, field in episode._asdict().items()}
-                found.append(self.add(Transitions(**one | {"environment": np.array([lane])})))
-            self.cut(np.array([lane]))
-        return np.concatenate([*found, np.zeros(0, np.int64)])
+        """Store whole episodes in additional rings, which nothing overwrites; returns their slots."""
+        ring, space = self.rings - 1, 0
+        rings = []
+        for episode in episodes:
+            if len(episode.reward) > space:
+                ring, space = ring + 1, self.ring_size
+            rings.append(ring)
+            space -= len(episode.reward)
+        self._set_rings(ring + 1)
+        slots = [np.zeros(0, np.int64)]
+        for episode, ring in zip(episodes, rings, strict=True):
+            for step in range(len(episode.reward)):
+                row = {name: field[step : step + 1] for name, field in episode._asdict().items()}
+                slots.append(self.add(Transitions(**row | {"environment": np.array([ring])})))
+            self.cut(np.array([ring]))
+        return np.concatenate(slots)
 
     def demonstrated(self, slots: Slots) -> FloatArray | None:
-        """1 where a slot holds a demonstration, else 0: (n,); None where there are none at all."""
-        if self.lanes == self.environments:
+        """1 where a slot holds a demonstration, else 0: (n,); None without demonstrations."""
+        if self.rings == self.environments:
             return None
-        return np.asarray(slots >= self.environments * self.lane_size, np.float32)
+        return np.asarray(slots >= self.environments * self.ring_size, np.float32)
 
-    def cut(self, lanes: np.ndarray) -> None:
-        """End the running episodes of these lanes as they stand; a lane without one stays as it is."""
-        for lane in lanes[self.running[lanes] > 0].tolist():
-            self._end_episode(lane)
+    def cut(self, rings: np.ndarray) -> None:
+        """End the running episodes of these rings; a ring without a running episode does not change."""
+        for ring in rings[self.running[rings] > 0].tolist():
+            self._end_episode(ring)
 
-    def _end_episode(self, lane: int) -> None:
-        """Write the episode's length, now that it is known, beside each of its transitions."""
-        steps = int(self.running[lane])
-        last = int(self.written[lane]) - 1
-        places = np.arange(last - min(steps, self.lane_size) + 1, last + 1) % self.lane_size
-        self.table[lane * self.lane_size + places, self._length] = steps
-        self.running[lane] = 0
+    def _end_episode(self, ring: int) -> None:
+        """Write the episode's length into each of its rows."""
+        steps = int(self.running[ring])
+        last = int(self.written[ring]) - 1
+        places = np.arange(last - min(steps, self.ring_size) + 1, last + 1) % self.ring_size
+        self.table[ring * self.ring_size + places, self._length] = steps
+        self.running[ring] = 0
 
     def at(self, ranks: Array) -> Slots:
-        """The slots of the transitions with these ranks (n,), counted lane by lane over all that is stored."""
+        """The slots of the transitions with these ranks (n,): 0 .. len - 1, counted ring by ring."""
         ends, offsets = self._counts()
-        # A lane fills from its first row on, so the k-th transition of a lane lies in its k-th row.
+        # A ring fills from its first row, so its k-th transition is in its k-th row.
         return np.asarray(ranks + offsets[np.searchsorted(ends, ranks, side="right")])
 
-    def names(self, slots: Slots) -> Slots:
-        """A number for the transition that lies in each slot now, which no later one there shares: (n,) int64."""
-        return np.asarray(slots + self._turns(slots) * len(self.table))
+    def identifiers(self, slots: Slots) -> Slots:
+        """Unique numbers of the transitions in these slots, (n,) int64: an overwriting transition gets another."""
+        return np.asarray(slots + self._overwritten(slots) * len(self.table))
 
-    def resolve(self, names: Slots) -> tuple[Slots, Array]:
-        """The slots that `names` gave numbers for, and whether the same transition still lies there: (n,) both."""
-        slots = names % len(self.table)
-        return slots, self._turns(slots) == names // len(self.table)
+    def resolve(self, identifiers: Slots) -> tuple[Slots, Array]:
+        """The slots of these transitions, and whether each is still stored: (n,) both."""
+        slots = identifiers % len(self.table)
+        return slots, self._overwritten(slots) == identifiers // len(self.table)
 
-    def _turns(self, slots: Slots) -> Array:
-        """How often each slot was overwritten."""
-        lanes, places = np.divmod(slots, self.lane_size)
-        return np.asarray((self.written[lanes] - 1 - places) // self.lane_size)
+    def _overwritten(self, slots: Slots) -> Array:
+        """Number of times that each slot was overwritten."""
+        rings, places = np.divmod(slots, self.ring_size)
+        return np.asarray((self.written[rings] - 1 - places) // self.ring_size)
 
     def gather(self, slots: Slots) -> Rows:
         """The transitions at these slots; the rows are overwritten by the next call."""
@@ -230,47 +225,47 @@ class Storage:
 
     def column(self, name: str, slots: Slots) -> FloatArray:
         """One field of the transitions at these slots, (n, size of the field): a copy."""
-        found: FloatArray = self.table[slots, self._columns[name]]
-        return found
+        column: FloatArray = self.table[slots, self._columns[name]]
+        return column
 
     def lengths(self, slots: Slots, rows: Rows) -> Array:
-        """Steps stored of each row's episode, whether it has ended or not: (n,) int64."""
+        """Steps of each row's episode, so far if it still runs: (n,) int64."""
         lengths = rows.number("length").astype(np.int64)
-        return np.where(lengths > 0, lengths, self.running[slots // self.lane_size])
+        return np.where(lengths > 0, lengths, self.running[slots // self.ring_size])
 
     def older(self, slots: Slots) -> Array:
-        """How many transitions of the same lane, written before each one, are still there: (n,) int64."""
-        lanes = slots // self.lane_size
-        age = (self.written[lanes] - 1 - slots) % self.lane_size  # lane * lane_size vanishes in the modulus
-        return np.asarray(self.filled[lanes] - 1 - age)
+        """Number of stored transitions in the same ring that are older than each one: (n,) int64."""
+        rings = slots // self.ring_size
+        age = (self.written[rings] - 1 - slots) % self.ring_size  # the modulus removes ring * ring_size
+        return np.asarray(self.filled[rings] - 1 - age)
 
     def shifted(self, slots: Slots, offset: Array) -> Slots:
-        """The slots that lie `offset` steps later (earlier, if negative) in the same lanes."""
-        base = slots - slots % self.lane_size
-        return np.asarray(base + (slots - base + offset) % self.lane_size)
+        """The slots `offset` steps later in the same rings; earlier if negative."""
+        base = slots - slots % self.ring_size
+        return np.asarray(base + (slots - base + offset) % self.ring_size)
 
     def state(self) -> State:
         used = self.used()
         return {"table": self.table[used], "written": self.written.copy(), "running": self.running.copy()}
 
     def load_state(self, state: State) -> None:
-        """Raises UsageError when the state is of a buffer of another shape."""
+        """Raises UsageError for the state of a buffer of another shape."""
         written, table = np.asarray(state["written"]), np.asarray(state["table"])
         fits = written.ndim == 1 and len(written) >= self.environments and table.shape[1:] == self.table.shape[1:]
-        if not fits or table.shape[0] != np.minimum(written, self.lane_size).sum():
+        if not fits or table.shape[0] != np.minimum(written, self.ring_size).sum():
             raise UsageError(
                 "the stored buffer has another number of environments, capacity or kind of transition",
                 where="buffer",
                 hint="resume with the spec the run was started with",
             )
-        self._set_lanes(len(written))
+        self._set_rings(len(written))
         self.written[:] = written
         self.running[:] = state["running"]
-        self._counted = None
+        self._cached_counts = None
         self.table[self.used()] = table
 
     def used(self) -> Slots:
-        """All slots that hold something, lane by lane."""
+        """All slots in use, ring by ring."""
         return np.concatenate(
-            [lane * self.lane_size + np.arange(count) for lane, count in enumerate(self.filled.tolist())]
+            [ring * self.ring_size + np.arange(count) for ring, count in enumerate(self.filled.tolist())]
         )

@@ -1,4 +1,4 @@
-"""A binary tree of sums over non-negative numbers, so that one of them can be found by its share of the total."""
+"""A binary tree of sums over non-negative numbers, for sampling in proportion to them."""
 
 from __future__ import annotations
 
@@ -8,15 +8,15 @@ from numpy.typing import NDArray
 Numbers = NDArray[np.float64]
 Indices = NDArray[np.int64]
 
-MANY = 256
-"""Nodes of which it pays to find those that are named twice: neighbours have the same parent."""
+UNIQUE_ABOVE = 256
+"""Number of nodes above which it is faster to remove duplicates: neighbours have the same parent."""
 
 
 class SumTree:
-    """`size` numbers, all 0 at first. Changing or finding n of them takes O(n log size), vectorised over n.
+    """`size` numbers, initially 0. Changing or finding n of them takes O(n log size), vectorised over n.
 
-    The tree lies in one array: node i has the children 2 i and 2 i + 1, node 1 is the root, and the numbers are the
-    last level. A node is always the sum of its two children as they are now: errors of rounding do not add up.
+    The tree is one array: node i has the children 2 i and 2 i + 1, node 1 is the root, and the last level holds the
+    numbers. Each change recomputes a node from its two children, so rounding errors do not accumulate.
     """
 
     def __init__(self, size: int) -> None:
@@ -31,51 +31,51 @@ class SumTree:
 
     def __getitem__(self, indices: Indices) -> Numbers:
         """The numbers at these indices: (n,), a copy."""
-        found: Numbers = self._nodes[indices + self._first]
-        return found
+        numbers: Numbers = self._nodes[indices + self._first]
+        return numbers
 
     def __setitem__(self, indices: Indices, numbers: Numbers | float) -> None:
-        """Change the numbers at these indices (n,); of one that is named twice, the last counts."""
+        """Change the numbers at these indices (n,). The last value counts for a repeated index."""
         nodes = indices + self._first
         self._nodes[nodes] = numbers
         take = self._nodes.take
         for _ in range(self._levels):
             nodes = nodes >> 1
-            if nodes.size > MANY:
+            if nodes.size > UNIQUE_ABOVE:
                 nodes = np.unique(nodes)
             left = nodes << 1
             self._nodes[nodes] = take(left, mode="clip") + take(left + 1, mode="clip")
 
     def before(self, index: int) -> float:
-        """The sum of the numbers that come before this index."""
-        node, found = index + self._first, 0.0
+        """The sum of the numbers before this index."""
+        node, total = index + self._first, 0.0
         while node > 1:
             if node & 1:
-                found += float(self._nodes[node - 1])
+                total += float(self._nodes[node - 1])
             node >>= 1
-        return found
+        return total
 
     def find(self, masses: Numbers) -> Indices:
         """For each mass in [0, total), (n,): the index i with sum(numbers[:i]) <= mass < sum(numbers[:i + 1]).
 
-        Never one whose number is 0, whatever rounding does to the mass; something must be larger than 0.
+        The number at i is never 0, also after rounding. At least one number must be larger than 0.
         """
         nodes = np.ones(masses.size, np.int64)
         left_over = masses.astype(np.float64)
         left = np.empty_like(left_over)
         for _ in range(self._levels):
             nodes <<= 1
-            np.take(self._nodes, nodes, out=left, mode="clip")  # no index is out of bounds; checking takes longer
+            np.take(self._nodes, nodes, out=left, mode="clip")  # "clip" skips the bounds check; every index is valid
             goes_right = left_over >= left
             left_over -= np.multiply(left, goes_right, out=left)
             nodes += goes_right
-        empty = self._nodes[nodes] <= 0  # rounding has led past the last number of a branch
+        empty = self._nodes[nodes] <= 0  # rounding led past the last number of a branch
         if empty.any():
-            nodes[empty] = self._find_something(masses[empty])
+            nodes[empty] = self._find_positive(masses[empty])
         return nodes - self._first
 
-    def _find_something(self, masses: Numbers) -> Indices:
-        """Nodes as `find` would, never entering a branch that holds nothing."""
+    def _find_positive(self, masses: Numbers) -> Indices:
+        """Like `find`, but never enters a branch whose sum is 0. Returns nodes."""
         nodes = np.ones(masses.size, np.int64)
         left_over = masses.astype(np.float64)
         for _ in range(self._levels):

@@ -57,15 +57,15 @@ def written_out(rollout: Rollout, value: Any, next_value: Any, discount: float, 
     """Advantages as the sum over all later steps of the same episode, environment by environment."""
     steps, n = rollout.reward.shape
     found = np.zeros((steps, n))
-    for lane in range(n):
+    for environment in range(n):
         for start in range(steps):
             for step in range(start, steps):
-                if not rollout.stored[step, lane]:
+                if not rollout.stored[step, environment]:
                     break
-                beyond = 0.0 if rollout.terminated[step, lane] else discount * next_value[step, lane]
-                error = rollout.reward[step, lane] + beyond - value[step, lane]
-                found[start, lane] += (discount * decay) ** (step - start) * error
-                if rollout.ended[step, lane]:
+                beyond = 0.0 if rollout.terminated[step, environment] else discount * next_value[step, environment]
+                error = rollout.reward[step, environment] + beyond - value[step, environment]
+                found[start, environment] += (discount * decay) ** (step - start) * error
+                if rollout.ended[step, environment]:
                     break
     return found
 

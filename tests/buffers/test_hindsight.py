@@ -78,16 +78,16 @@ def test_relabelling_does_not_change_what_is_stored() -> None:
 def test_reward_that_is_not_the_goal_rules_is_refused_at_start_up() -> None:
     buffer = make(counting_signature(5), 10, hindsight={})
     transitions = Counting(1).step([0], over=[False])
-    with pytest.raises(PluginError, match=r"gave reward 0\.5 where its goal rule says 0"):
+    with pytest.raises(PluginError, match=r"gave reward 0\.5, its goal rule says 0"):
         buffer.add(transitions._replace(reward=np.float32([0.5])))
     assert len(buffer) == 0
 
 
-def test_an_environment_that_ignores_its_goal_rules_end_is_refused_at_start_up() -> None:
+def test_an_environment_that_ignores_its_goal_rules_termination_is_refused_at_start_up() -> None:
     buffer = make(counting_signature(5, rule=SameStep(ends=True)), 10, hindsight={})
     transitions = Counting(1).step([0], over=[False])
     reached = transitions.next_achieved_goal[:, :2]
-    with pytest.raises(PluginError, match="went on where its goal rule"):
+    with pytest.raises(PluginError, match="continued although its goal rule"):
         buffer.add(transitions._replace(desired_goal=reached, reward=np.ones(1, np.float32)))
 
 

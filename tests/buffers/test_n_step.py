@@ -15,8 +15,8 @@ from karolos.core.seeding import SeedTree
 DISCOUNT = 0.9
 
 
-def make(steps: int, *, max_steps: int, lane_size: int, rule: SameStep | None = None, **changes: object) -> Uniform:
-    chosen = Uniform.Settings.model_validate({"capacity": lane_size, "n_step": steps, **changes})
+def make(steps: int, *, max_steps: int, ring_size: int, rule: SameStep | None = None, **changes: object) -> Uniform:
+    chosen = Uniform.Settings.model_validate({"capacity": ring_size, "n_step": steps, **changes})
     signature = counting_signature(max_steps, rule=rule)
     return Uniform(chosen, signature, SeedTree(0), environments=1, discount=DISCOUNT)
 
@@ -42,8 +42,8 @@ def rows(batch: Batch) -> list[tuple[tuple[int, int], tuple[int, int], float, fl
     st.integers(0, 5),
     st.integers(6, 14),
 )
-def test_windows_stop_at_ends_and_at_what_is_stored_and_sum_what_they_span(steps, episodes, running, lane_size):
-    buffer, world = make(steps, max_steps=6, lane_size=lane_size), Counting(1)
+def test_windows_stop_at_ends_and_at_what_is_stored_and_sum_what_they_span(steps, episodes, running, ring_size):
+    buffer, world = make(steps, max_steps=6, ring_size=ring_size), Counting(1)
     ends: dict[int, tuple[int, bool]] = {}
     for length, fallen in [*episodes, (running, False)]:
         episode = world.current[0][0]
@@ -67,7 +67,7 @@ def test_windows_stop_at_ends_and_at_what_is_stored_and_sum_what_they_span(steps
 def test_a_window_stops_at_the_first_step_that_reaches_a_relabelled_goal(ends):
     rule = SameStep(ends=ends)
     hindsight = {"strategy": "future", "ratio": 1.0, "min_displacement": 0}
-    buffer, world = make(4, max_steps=9, lane_size=40, rule=rule, hindsight=hindsight), Counting(1)
+    buffer, world = make(4, max_steps=9, ring_size=40, rule=rule, hindsight=hindsight), Counting(1)
     for step in range(9):
         buffer.add(world.step([0], over=[step == 8]))
     batch = buffer.sample(500)

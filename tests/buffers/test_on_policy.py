@@ -22,9 +22,9 @@ def made(*, rollout: int, environments: int) -> OnPolicy:
 def places(rollout: Rollout) -> list[list[tuple[int, int]]]:
     """(episode, step) of the stored rows of each environment, in their order."""
     found = []
-    for lane in range(rollout.reward.shape[1]):
-        rows = rollout.observation[rollout.stored[:, lane], lane].astype(int).tolist()
-        assert {row[0] for row in rows} <= {lane}
+    for environment in range(rollout.reward.shape[1]):
+        rows = rollout.observation[rollout.stored[:, environment], environment].astype(int).tolist()
+        assert {row[0] for row in rows} <= {environment}
         found.append([(episode, step) for _, episode, step in rows])
     return found
 
@@ -35,9 +35,9 @@ def test_every_transition_is_given_exactly_once_and_in_order_over_many_rollouts(
     for call in range(24):
         buffer.add(world.step([2, 0, 1], over=[call % 5 == 4, call % 3 == 2, False]))
         if len(buffer):
-            for lane, rows in enumerate(places(buffer.sample(len(buffer)))):
-                given[lane] += rows
-    assert given == world.fed
+            for environment, rows in enumerate(places(buffer.sample(len(buffer)))):
+                given[environment] += rows
+    assert given == world.given
 
 
 def test_ends_stand_where_episodes_end_and_where_the_rollout_does() -> None:
@@ -79,7 +79,7 @@ def test_rows_of_an_older_rollout_are_not_stored_in_a_shorter_one() -> None:
     for _ in range(3):
         buffer.add(world.step([1], over=[False]))
     rollout = buffer.sample(3)
-    assert places(rollout) == [[], world.fed[1][3:]]
+    assert places(rollout) == [[], world.given[1][3:]]
 
 
 def test_actions_are_stored_as_they_were_given() -> None:
@@ -92,7 +92,7 @@ def test_actions_are_stored_as_they_were_given() -> None:
 def test_a_complete_rollout_is_never_overwritten() -> None:
     buffer, world = made(rollout=1, environments=1), Counting(1)
     buffer.add(world.step([0], over=[False]))
-    with pytest.raises(RunError, match="nobody has taken it"):
+    with pytest.raises(RunError, match="was not sampled"):
         buffer.add(world.step([0], over=[False]))
 
 

@@ -99,15 +99,15 @@ def test_a_priority_for_an_overwritten_transition_is_dropped():
     assert (buffer.state()["odds"] != before).any()
 
 
-def test_names_lead_back_to_their_transitions_until_they_are_overwritten():
+def test_identifiers_lead_to_their_transitions_until_they_are_overwritten():
     buffer = make(capacity=14, environments=2)
     world = Counting(2)
     for step in range(40):
         buffer.add(world.step([0, 1] if step % 3 else [1], over=[step % 5 == 4] * (2 if step % 3 else 1)))
         batch = buffer.sample(8)
-        storage = buffer._replay.storage
-        slots, there = storage.resolve(batch.slot)
-        assert there.all()
+        storage = buffer.storage
+        slots, stored = storage.resolve(batch.slot)
+        assert stored.all()
         np.testing.assert_array_equal(storage.column("observation", slots), batch.observation)
 
 

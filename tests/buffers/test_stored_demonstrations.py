@@ -53,7 +53,7 @@ def test_demonstrations_are_never_overwritten(buffer: Any) -> None:
     shown = {(episode, step) for episode in range(100, 105) for step in range(STEPS)}
     assert sampled(made) == shown
     world = filled(made, 60)
-    assert sampled(made) == shown | world.kept(12)
+    assert sampled(made) == shown | world.stored(12)
     assert len(made) == 25 + 24
 
 
@@ -97,7 +97,7 @@ def test_a_fresh_buffer_goes_on_with_the_demonstrations_of_a_saved_one(buffer: A
     second.load_state(first.state())
     for made in (first, second):
         filled(made, 5, Counting(2))
-    assert len(world.fed[0]) == 17
+    assert len(world.given[0]) == 17
     for _ in range(3):
         ours, theirs = first.sample(64), second.sample(64)
         for one, other in zip(ours, theirs, strict=True):
@@ -130,7 +130,7 @@ def test_a_share_of_each_batch_is_demonstrated(buffer: Any) -> None:
         assert batch.demonstrated.sum() == 10
         np.testing.assert_array_equal(batch.demonstrated, batch.observation[:, 1] >= 100)
         made.update_priorities(batch.slot, np.linspace(0.1, 5, 40, dtype=np.float32))
-    assert sampled(made) == {(episode, step) for episode in (100, 101) for step in range(STEPS)} | world.kept(12)
+    assert sampled(made) == {(episode, step) for episode in (100, 101) for step in range(STEPS)} | world.stored(12)
 
 
 def test_a_share_is_sampled_by_priority_within_and_weighed_by_its_odds() -> None:

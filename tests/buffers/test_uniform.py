@@ -32,10 +32,10 @@ def goals(batch: Batch) -> list[tuple[int, int]]:
 
 @st.composite
 def histories(draw: st.DrawFn) -> tuple[int, int, int, list[list[bool]]]:
-    """Environments, steps an episode may take, lane size, and for each call whom it names (None) or ends (True)."""
+    """Environments, steps an episode may take, ring size, and for each call whom it names (None) or ends (True)."""
     environments = draw(st.integers(1, 3))
     max_steps = draw(st.integers(1, 6))
-    lane_size = draw(st.integers(max_steps, max_steps + 7))
+    ring_size = draw(st.integers(max_steps, max_steps + 7))
     calls = draw(
         st.lists(
             st.lists(st.sampled_from((None, False, True)), min_size=environments, max_size=environments),
@@ -43,7 +43,7 @@ def histories(draw: st.DrawFn) -> tuple[int, int, int, list[list[bool]]]:
             max_size=40,
         )
     )
-    return environments, max_steps, lane_size, calls
+    return environments, max_steps, ring_size, calls
 
 
 def play(buffer: Uniform, world: Counting, max_steps: int, calls: list[list[bool | None]]) -> None:
@@ -54,13 +54,13 @@ def play(buffer: Uniform, world: Counting, max_steps: int, calls: list[list[bool
             buffer.add(world.step(named, over=over))
 
 
-def allowed_goals(world: Counting, lane_size: int, strategy: str) -> dict[tuple[int, int], set[tuple[int, int]]]:
-    """For each transition that is kept, what its episode achieved where the strategy looks; found by searching."""
+def allowed_goals(world: Counting, ring_size: int, strategy: str) -> dict[tuple[int, int], set[tuple[int, int]]]:
+    """For each stored transition, the goals of its episode that the strategy allows; found by search."""
     found = {}
-    for fed in world.fed:
-        kept = fed[-lane_size:]
-        for episode, step in kept:
-            steps = [other for of, other in kept if of == episode]
+    for history in world.given:
+        stored = history[-ring_size:]
+        for episode, step in stored:
+            steps = [other for of, other in stored if of == episode]
             chosen = {"future": [s for s in steps if s >= step], "final": [max(steps)], "episode": steps}[strategy]
             found[episode, step] = {(episode, other + 1) for other in chosen}
     return found
@@ -72,16 +72,16 @@ def allowed_goals(world: Counting, lane_size: int, strategy: str) -> dict[tuple[
 def test_hindsight_goals_come_from_what_is_left_of_the_same_episode(
     strategy: str, history: tuple[int, int, int, list[list[bool | None]]]
 ) -> None:
-    environments, max_steps, lane_size, calls = history
+    environments, max_steps, ring_size, calls = history
     hindsight = {"strategy": strategy, "ratio": 1.0, "min_displacement": 0.0}
     buffer = make(
-        counting_signature(max_steps), lane_size * environments, environments=environments, hindsight=hindsight
+        counting_signature(max_steps), ring_size * environments, environments=environments, hindsight=hindsight
     )
     world = Counting(environments)
     play(buffer, world, max_steps, calls)
-    if not any(world.fed):
+    if not any(world.given):
         return
-    allowed = allowed_goals(world, lane_size, strategy)
+    allowed = allowed_goals(world, ring_size, strategy)
     batch = buffer.sample(64)
     for place, goal in zip(places(batch), goals(batch), strict=True):
         assert goal in allowed[place]
@@ -107,11 +107,11 @@ def test_every_goal_the_strategy_names_is_drawn_over_the_ring_seam_too(strategy:
 def test_holds_exactly_the_latest_transitions_of_each_environment(
     history: tuple[int, int, int, list[list[bool | None]]],
 ) -> None:
-    environments, max_steps, lane_size, calls = history
-    buffer = make(counting_signature(max_steps), lane_size * environments, environments=environments)
+    environments, max_steps, ring_size, calls = history
+    buffer = make(counting_signature(max_steps), ring_size * environments, environments=environments)
     world = Counting(environments)
     play(buffer, world, max_steps, calls)
-    kept = world.kept(lane_size)
+    kept = world.stored(ring_size)
     assert len(buffer) == len(kept)
     if kept:
         assert set(places(buffer.sample(2000))) == kept

@@ -42,12 +42,12 @@ def counting_signature(max_steps: int, *, rule: GoalRule | None = None) -> Signa
 
 
 class Counting:
-    """Environments that count: feeds a buffer, and remembers what it was fed."""
+    """Environments that count: feeds a buffer, and records what it gave."""
 
     def __init__(self, environments: int) -> None:
         self.episodes = 0
         self.current = [self._new() for _ in range(environments)]
-        self.fed: list[list[tuple[int, int]]] = [[] for _ in range(environments)]
+        self.given: list[list[tuple[int, int]]] = [[] for _ in range(environments)]
         """(episode, step) of every transition, by environment."""
 
     def _new(self) -> list[int]:
@@ -63,7 +63,7 @@ class Counting:
             episode, step = self.current[environment]
             observation[row] = environment, episode, step
             following[row] = environment, episode, step + 1
-            self.fed[environment].append((episode, step))
+            self.given[environment].append((episode, step))
             self.current[environment] = self._new() if over[row] else [episode, step + 1]
         more = np.full((n, 1), -1, np.float32)
         ended = np.array(over, np.bool_)
@@ -80,6 +80,6 @@ class Counting:
             truncated=ended & (not fallen),
         )
 
-    def kept(self, lane_size: int) -> set[tuple[int, int]]:
-        """(episode, step) of every transition that a buffer with lanes of this size still holds."""
-        return {place for fed in self.fed for place in fed[-lane_size:]}
+    def stored(self, ring_size: int) -> set[tuple[int, int]]:
+        """(episode, step) of every transition that a buffer with rings of this size still holds."""
+        return {place for given in self.given for place in given[-ring_size:]}
