@@ -27,9 +27,9 @@ def environment(
 ) -> None:
     """Steps per second of a robot with a task on one core, beside the bare physics of the same episodes."""
     if peers:
-        from karolos.benchmarks.peers import measure as measure_peers
+        from karolos.benchmarks.environment import measure_panda_gym
 
-        print_rows(measure_peers(seconds=seconds), as_json=as_json)
+        print_rows(measure_panda_gym(seconds=seconds), as_json=as_json)
         return
     from karolos.benchmarks.environment import measure
 

@@ -9,9 +9,9 @@ from typing import TYPE_CHECKING
 import typer
 
 if TYPE_CHECKING:
-    from karolos.benchmarks.row import Row
+    from karolos.benchmarks.side_by_side import Row
 
-COLUMNS = ("benchmark", "case", "value", "unit", "peer", "peer_value", "ratio")
+COLUMNS = ("benchmark", "case", "value", "unit", "peer", "peer_value", "ratio", "ratio_min", "ratio_max")
 
 
 def print_rows(rows: Iterable[Row], *, as_json: bool) -> None:

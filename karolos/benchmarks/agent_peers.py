@@ -1,14 +1,15 @@
 """stable-baselines3 on the benchmark's tasks, at the settings that rl-baselines3-zoo tuned for them.
 
-Source of the settings: https://github.com/DLR-RM/rl-baselines3-zoo, hyperparams/{dqn,ppo,sac,td3,ddpg}.yml; reaching is
-tuned there for Fetch (sac.yml, FetchReach), and taken over for TD3 and DDPG. What it has not tuned (DQN with hindsight,
-PPO on reaching) gets karolos's own settings. The number of steps is that of karolos.
+Source of the settings: https://github.com/DLR-RM/rl-baselines3-zoo, hyperparams/{dqn,ppo,sac,td3,ddpg}.yml. For
+reaching they are those of Fetch (sac.yml, FetchReach), also for TD3 and DDPG. DQN with hindsight and
+PPO on reaching are not tuned there and get karolos's own settings. The number of steps is that of karolos.
 """
 
 from __future__ import annotations
 
-from collections.abc import Callable
-from dataclasses import dataclass, field
+import operator
+from dataclasses import dataclass
+from functools import partial
 from importlib import import_module
 from importlib.util import find_spec
 from pathlib import Path
@@ -29,7 +30,7 @@ PEER = "stable-baselines3"
 
 @dataclass(frozen=True)
 class _Recipe:
-    """How stable-baselines3 is asked to learn one task."""
+    """An algorithm of stable-baselines3 and its settings for one task."""
 
     algorithm: str
     settings: dict[str, Any]
@@ -37,8 +38,8 @@ class _Recipe:
     noise: float = 0.0
     """Standard deviation of Gaussian noise on exploring actions."""
     hindsight: bool = False
-    falling: tuple[str, ...] = field(default=())
-    """Settings that fall evenly to 0 over the run."""
+    falling: tuple[str, ...] = ()
+    """Settings that fall linearly to 0 over the run."""
 
 
 _PENDULUM: dict[str, Any] = {
@@ -131,7 +132,7 @@ RECIPES = {
 
 
 def require() -> None:
-    """Raise a MachineError where stable-baselines3 is missing."""
+    """Raise a MachineError where stable-baselines3 is not installed."""
     if find_spec("stable_baselines3") is None:
         raise MachineError(
             f"{PEER} is not installed, so there is no peer to train",
@@ -140,16 +141,16 @@ def require() -> None:
 
 
 def value(name: str, spec: Spec, seed: int, unit: str, folder: Path) -> float | None:
-    """What the peer reaches after the spec's steps, in its test's number of episodes; None where it has no recipe.
+    """The peer's figure after the spec's steps and over its test episodes; None where there is no recipe.
 
-    A number that lies in `folder` is not computed again.
+    A figure that is stored in `folder` is not computed again.
 
     Args:
         name: of the recipe.
-        spec: says the environment, the steps and the episodes.
+        spec: determines the environment, the steps and the episodes.
         seed: of the peer's generators.
         unit: "return" or "success".
-        folder: runs folder; the numbers lie in its `peers`.
+        folder: runs folder; the figures are stored in its folder `peers`.
     """
     recipe = RECIPES.get(name)
     if recipe is None:
@@ -161,7 +162,7 @@ def value(name: str, spec: Spec, seed: int, unit: str, folder: Path) -> float | 
             return float(known[unit])
     model = _model(recipe, spec, seed)
     model.learn(spec.training.steps)
-    found = _tested(model, _one(spec), spec.testing.episodes, seed)
+    found = _test(model, _one(spec), spec.testing.episodes, seed)
     path.parent.mkdir(parents=True, exist_ok=True)
     write_json(path, found)
     return found[unit]
@@ -178,7 +179,7 @@ def _model(recipe: _Recipe, spec: Spec, seed: int) -> Any:
     vectors = import_module("stable_baselines3.common.vec_env")
     settings = dict(recipe.settings)
     for name in recipe.falling:
-        settings[name] = _falling(settings[name])
+        settings[name] = partial(operator.mul, settings[name])  # of the share of steps that is left
     if recipe.noise:
         noises = import_module("stable_baselines3.common.noise")
         columns = _one(spec).action_space.shape
@@ -192,15 +193,8 @@ def _model(recipe: _Recipe, spec: Spec, seed: int) -> Any:
     return kind("MultiInputPolicy" if goals else "MlpPolicy", many, seed=seed, device="cpu", **settings)
 
 
-def _falling(start: float) -> Callable[[float], float]:
-    def now(left: float) -> float:
-        return left * start
-
-    return now
-
-
-def _tested(model: Any, environment: Any, episodes: int, seed: int) -> dict[str, float]:
-    """Mean return, and share of episodes with success on any step, of the deterministic policy."""
+def _test(model: Any, environment: Any, episodes: int, seed: int) -> dict[str, float]:
+    """Mean return, and share of episodes with success at some step, of the deterministic policy."""
     returns, successes = [], []
     for episode in range(episodes):
         observation, _ = environment.reset(seed=10_000 * (seed + 1) + episode)

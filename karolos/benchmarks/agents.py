@@ -1,13 +1,13 @@
 """What agents learn: one table over well-known tasks, every agent with every buffer that goes with it, beside a peer.
 
-Each entry is a spec of `karolos/benchmarks/specs` and what it has to reach. Runs are ordinary runs in a runs folder. A
-seed that is finished there is not run again, so that a table which takes hours may be broken off at any time.
+Each entry is a spec of `karolos/benchmarks/specs` and a target. Runs are ordinary runs in a runs folder. Seeds that are
+finished there are not run again: the table takes hours and may be interrupted at any time.
 """
 
 from __future__ import annotations
 
 from collections.abc import Callable, Iterator, Sequence
-from dataclasses import asdict, dataclass
+from dataclasses import asdict, dataclass, replace
 from importlib.resources import as_file, files
 from pathlib import Path
 from statistics import fmean
@@ -20,7 +20,7 @@ from ..records import RunFolder, scan
 from ..registry import alternatives, names
 from ..spec import Spec, load_spec
 from . import agent_peers
-from .row import Row
+from .side_by_side import Row
 
 PRIORITY = ("buffer.name=priority",)
 QUICK = (
@@ -30,19 +30,19 @@ QUICK = (
     "orchestrator.processes=0",
     "agent.hidden=[16, 16]",
 )
-"""Overrides that make of every entry a toy that proves nothing but that it runs."""
+"""Overrides that make every entry a toy, which shows only that it runs."""
 
 
 @dataclass(frozen=True)
-class Entry:
+class TableEntry:
     """A row of the table.
 
     Args:
         spec: name of a file in `specs`.
-        unit: what the last test is judged by: mean "return", or the share of episodes with "success" on any step.
-        target: what the mean over the seeds should be at least, or at most where `fails`.
-        overrides: laid over the spec.
-        fails: whether it is there to show that it cannot be learned this way.
+        unit: figure of the last test: mean "return", or the share of episodes with "success" at some step.
+        target: the least mean over the seeds, or the largest where `fails`.
+        overrides: applied to the spec.
+        fails: whether the entry shows that this setting does not learn.
     """
 
     spec: str
@@ -55,24 +55,24 @@ class Entry:
         return value <= self.target if self.fails else value >= self.target
 
 
-def _entries() -> dict[str, Entry]:
-    found = {
-        "cartpole dqn": Entry("cartpole_dqn", "return", 475),
-        "cartpole dqn priority": Entry("cartpole_dqn", "return", 475, PRIORITY),
-        "cartpole ppo": Entry("cartpole_ppo", "return", 475),
-    }
-    for agent in ("sac", "ddpg", "td3"):
-        found[f"pendulum {agent}"] = Entry(f"pendulum_{agent}", "return", -200)
-        found[f"pendulum {agent} priority"] = Entry(f"pendulum_{agent}", "return", -200, PRIORITY)
-    found["pendulum ppo"] = Entry("pendulum_ppo", "return", -200)
-    found["bit_flip dqn"] = Entry("bit_flip", "success", 0.95)
-    found["bit_flip dqn priority"] = Entry("bit_flip", "success", 0.95, PRIORITY)
-    found["bit_flip dqn without hindsight"] = Entry("bit_flip", "success", 0.05, ("buffer.hindsight=null",), fails=True)
-    for agent in ("sac", "ddpg", "td3", "dqn"):
-        found[f"panda_reach {agent}"] = Entry(f"panda_reach_{agent}", "success", 0.95)
-        found[f"panda_reach {agent} priority"] = Entry(f"panda_reach_{agent}", "success", 0.95, PRIORITY)
-    found["panda_reach ppo"] = Entry("panda_reach_ppo", "success", 0.95)
-    return found
+def _entries() -> dict[str, TableEntry]:
+    entries = {}
+    for task, unit, target, off_policy in (
+        ("cartpole", "return", 475, ("dqn",)),
+        ("pendulum", "return", -200, ("sac", "ddpg", "td3")),
+        ("bit_flip", "success", 0.95, ("dqn",)),
+        ("panda_reach", "success", 0.95, ("sac", "ddpg", "td3", "dqn")),
+    ):
+        for agent in off_policy:
+            spec = task if task == "bit_flip" else f"{task}_{agent}"
+            entries[f"{task} {agent}"] = TableEntry(spec, unit, target)
+            entries[f"{task} {agent} priority"] = TableEntry(spec, unit, target, PRIORITY)
+        if task == "bit_flip":
+            without = ("buffer.hindsight=null",)
+            entries["bit_flip dqn without hindsight"] = TableEntry(task, unit, 0.05, without, fails=True)
+        else:
+            entries[f"{task} ppo"] = TableEntry(f"{task}_ppo", unit, target)
+    return entries
 
 
 ENTRIES = _entries()
@@ -80,7 +80,7 @@ ENTRIES = _entries()
 
 @dataclass(frozen=True)
 class Result:
-    """One row: what each seed reached, in the order of the seeds, and what the peer did; empty where there is none."""
+    """One row of the table: the figure of each seed, and of the peer's seeds; empty where there is no peer."""
 
     case: str
     unit: str
@@ -91,9 +91,8 @@ class Result:
     peer_values: tuple[float, ...] = ()
 
     def row(self) -> Row:
-        rival = fmean(self.peer_values) if self.peer_values else None
-        peer = None if rival is None else agent_peers.PEER
-        return Row("agents", self.case, fmean(self.values), self.unit, peer, rival)
+        row = Row("agents", self.case, fmean(self.values), self.unit)
+        return replace(row, peer=agent_peers.PEER, peer_value=fmean(self.peer_values)) if self.peer_values else row
 
 
 def measure(
@@ -107,25 +106,25 @@ def measure(
     say: Callable[[str], None] = print,
     listener: Listener | None = None,
 ) -> Iterator[Result]:
-    """The rows of the table, each when its last seed has ended; the table so far lies in `folder`, agents.md and .json.
+    """The rows of the table, each when its last seed has ended; `folder` holds the table so far (agents.md, .json).
 
     Args:
-        folder: runs folder; what is finished there is not run again.
+        folder: runs folder; runs that are finished there are not run again.
         overrides: of every spec, PATH=VALUE.
         only: entries whose names begin with one of these; all by default.
-        seeds: how many of each: 0, 1, ...
+        seeds: number of seeds of each entry: 0, 1, ...
         peers: also train stable-baselines3 for the same number of steps, where it has the algorithm.
         quick: toys instead.
-        say: is told what each seed reached.
-        listener: hears the runs' events.
+        say: receives a line with each seed's figure.
+        listener: receives the runs' events.
 
     Raises:
-        UsageError: no entry has such a name; peers asked for with overrides.
-        SpecError: an override does not fit an entry that is chosen.
-        MachineError: peers asked for and not installed.
+        UsageError: `only` matches no entry; peers are requested together with overrides.
+        SpecError: an override does not fit a chosen entry.
+        MachineError: peers are requested and not installed.
         RunError: a run failed.
     """
-    if peers and overrides:  # its numbers are kept by name, steps and seed
+    if peers and overrides:  # the peer's numbers are stored by name, steps and seed
         raise UsageError(
             "the peer is trained on the entries as they are", where="--peers", hint="leave out --peers or the overrides"
         )
@@ -139,8 +138,8 @@ def measure(
         for seed in range(seeds):
             values.append(_value(spec, seed, entry.unit, folder, listener))
             say(f"{case}, seed {seed}: {values[-1]:.4g}")
-            beside = peers and not entry.fails
-            rival = agent_peers.value(entry.spec, spec, seed, entry.unit, folder) if beside else None
+            has_peer = peers and not entry.fails
+            rival = agent_peers.value(entry.spec, spec, seed, entry.unit, folder) if has_peer else None
             if rival is not None:
                 rivals.append(rival)
                 say(f"{case}, seed {seed}, {agent_peers.PEER}: {rival:.4g}")
@@ -151,7 +150,10 @@ def measure(
 
 
 def chosen(only: Sequence[str]) -> list[str]:
-    """The entries whose names begin so and whose agent is installed. Raises UsageError where none does."""
+    """Entries whose names begin with one of `only` and whose agent is installed.
+
+    Raises UsageError where no name begins so.
+    """
     for start in only:
         if not any(case.startswith(start) for case in ENTRIES):
             raise UsageError(f"no entry begins with {start!r}", where="--only", hint=alternatives(start, ENTRIES))
@@ -163,21 +165,21 @@ def chosen(only: Sequence[str]) -> list[str]:
     ]
 
 
-def entry_spec(entry: Entry, overrides: Sequence[str] = (), *, quick: bool = False) -> Spec:
+def entry_spec(entry: TableEntry, overrides: Sequence[str] = (), *, quick: bool = False) -> Spec:
     """The spec of an entry, from the package's own files. Raises SpecError where an override does not fit."""
     with as_file(files(__package__) / "specs") as folder:
         return load_spec(folder / f"{entry.spec}.yaml", (*entry.overrides, *(QUICK if quick else ()), *overrides))
 
 
 def _value(spec: Spec, seed: int, unit: str, folder: Path, listener: Listener | None) -> float:
-    """What this seed's last test found; the run is made unless it is there."""
+    """The figure of this seed's last test; the seed is run unless its finished run is in `folder`."""
     found = _finished(spec, seed, folder)
     if found is None:
         one = Spec.from_dict({**spec.dump(), "seeds": [seed]})
         Experiment(one).run(folder, listener=listener)
         found = _finished(spec, seed, folder)
     if found is None:
-        raise RunError(f"{spec.name} with seed {seed} was stopped", hint="the same command goes on where it ended")
+        raise RunError(f"{spec.name} with seed {seed} was stopped", hint="the same command continues the table")
     last = found.tests()[-1]
     return fmean(last.returns) if unit == "return" else last.success_any
 

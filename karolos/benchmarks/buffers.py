@@ -1,14 +1,13 @@
 """How fast buffers store and sample, and how much memory they take: 1M pick-and-place transitions from 16 environments.
 
-As in training, a batch follows each step of the environments, so that each finds what the other has left of the caches.
-The times are medians over many calls in turn, because a machine is never alone.
+As in training, a batch follows each step of the environments, so that adding and sampling compete for the caches.
 """
 
 from __future__ import annotations
 
 import os
 from collections.abc import Iterator
-from dataclasses import dataclass, field
+from functools import partial
 from pathlib import Path
 from statistics import median
 from time import perf_counter
@@ -17,83 +16,69 @@ from typing import Any
 import numpy as np
 
 from ..buffers.storage import row_layout
-from ..core import FloatArray, Signature, Transitions
+from ..core import Signature, Transitions
 from ..core.seeding import SeedTree
 from ..environments.build import build_environment
 from ..registry import load
 from ..spec import Spec
-from .row import Row
+from .side_by_side import Row, take_turns
 
+NAME = "buffers"
 ENVIRONMENTS, BATCH = 16, 256
 ADDED = 1_000
-"""Transitions of the measurement of adding."""
+"""Transitions that are added in a turn."""
 SPEC = {"robot": "panda", "task": "pick_place", "agent": "sac"}
 _STATM = Path("/proc/self/statm")
-
-
-@dataclass
-class _Case:
-    """A full buffer, and how long it takes to do what training asks of it."""
-
-    name: str
-    buffer: Any
-    adding: list[float] = field(default_factory=list)
-    """Milliseconds for each ADDED transitions."""
-    sampling: list[float] = field(default_factory=list)
-    """Milliseconds for each batch, its priorities updated where there are some."""
-
-    def turn(self, source: _Source, errors: FloatArray) -> None:
-        """As many steps as give ADDED transitions, a batch after each: what came in since enters the sum tree then."""
-        adding = 0.0
-        for _ in range(ADDED // ENVIRONMENTS):
-            transitions = source.next()
-            started = perf_counter()
-            self.buffer.add(transitions)
-            added = perf_counter()
-            batch = self.buffer.sample(BATCH)
-            if self.name == "priority":
-                self.buffer.update_priorities(batch.slot, errors)
-            ended = perf_counter()
-            adding += added - started
-            self.sampling.append(1e3 * (ended - added))
-        self.adding.append(1e3 * adding)
 
 
 def measure(*, transitions: int = 1_000_000, seconds: float = 10.0) -> Iterator[Row]:
     """Milliseconds per call and gigabytes of memory.
 
     Args:
-        transitions: how many the buffers hold.
-        seconds: for all measurements of time together, beside filling the buffers.
+        transitions: number of transitions in each buffer.
+        seconds: for all measurements of time together; filling the buffers comes on top.
     """
     environment = build_environment(Spec.from_dict(dict(SPEC)).recipe(randomize=False))
     signature = environment.signature
     environment.close()
-    source, cases = _Source(signature), []
+    source, buffers = _Source(signature), {}
     size = f"{transitions:,} transitions"
     for name in ("uniform", "priority"):
         before = _resident()
-        cases.append(_Case(name, _filled(name, signature, source, transitions)))
+        buffers[name] = _filled(name, signature, source, transitions)
         if before is not None:
-            yield Row("buffers", f"{name}, memory of {size}", ((_resident() or 0) - before) / 1e9, "GB")
+            yield Row(NAME, f"{name}, memory of {size}", ((_resident() or 0) - before) / 1e9, "GB")
     layout = row_layout(signature).size * 4 * transitions / 1e9
-    yield Row("buffers", f"rows of {size} as laid out", layout, "GB")
-    errors = np.random.Generator(np.random.PCG64(1)).random(BATCH, np.float32)
-    end, turns = perf_counter() + seconds, 0
-    while perf_counter() < end or turns < 10:
-        for case in cases:
-            case.turn(source, errors)
-        turns += 1
-    for case in cases:
-        update = ", priorities updated" if case.name == "priority" else ""
-        what = f"{case.name}, batch of {BATCH} with hindsight{update}"
-        yield Row("buffers", what, median(case.sampling), "ms")
-        what = f"{case.name}, adding {ADDED:,} transitions of {ENVIRONMENTS} environments"
-        yield Row("buffers", what, median(case.adding), "ms")
+    yield Row(NAME, f"rows of {size} as laid out", layout, "GB")
+    contestants = {name: partial(_milliseconds, buffer, source) for name, buffer in buffers.items()}
+    for name, turns in take_turns(contestants, turns=10, seconds=seconds).items():
+        update = ", priorities updated" if name == "priority" else ""
+        adding, sampling = (median(times) for times in zip(*turns, strict=True))
+        yield Row(NAME, f"{name}, batch of {BATCH} with hindsight{update}", sampling, "ms")
+        yield Row(NAME, f"{name}, adding {ADDED:,} transitions of {ENVIRONMENTS} environments", adding, "ms")
+
+
+def _milliseconds(buffer: Any, source: _Source, turn: int) -> tuple[float, float]:
+    """Milliseconds to add ADDED transitions, and the median of those to sample a batch after each step.
+
+    Sampling includes the update of priorities: new transitions enter the sum tree at the next sampling.
+    """
+    errors = np.random.Generator(np.random.PCG64(turn)).random(BATCH, np.float32)
+    adding, sampling = 0.0, []
+    for _ in range(ADDED // ENVIRONMENTS):
+        transitions = source.next()
+        started = perf_counter()
+        buffer.add(transitions)
+        added = perf_counter()
+        batch = buffer.sample(BATCH)
+        buffer.update_priorities(batch.slot, errors)
+        sampling.append(perf_counter() - added)
+        adding += added - started
+    return 1e3 * adding, 1e3 * median(sampling)
 
 
 class _Source:
-    """Transitions that agree with the goal rule, over and over: the noise of one episode in each environment."""
+    """Repeats one episode of noise in each environment, with the rewards and ends of the goal rule."""
 
     def __init__(self, signature: Signature) -> None:
         generator = np.random.Generator(np.random.PCG64(0))
@@ -108,7 +93,7 @@ class _Source:
         observation, achieved = noise(signature.observation.size), noise(signature.achieved_goal.size)
         desired = noise(signature.desired_goal.size)
         for step in range(signature.max_steps):
-            following, reached = noise(signature.observation.size), noise(signature.achieved_goal.size)
+            next_observation, reached = noise(signature.observation.size), noise(signature.achieved_goal.size)
             self._episode.append(
                 Transitions(
                     environment=np.arange(ENVIRONMENTS),
@@ -117,13 +102,13 @@ class _Source:
                     desired_goal=desired,
                     action=noise(signature.action.size),
                     reward=rule.reward(reached, desired),
-                    next_observation=following,
+                    next_observation=next_observation,
                     next_achieved_goal=reached,
                     terminated=rule.terminated(reached, desired),
                     truncated=np.full(ENVIRONMENTS, step == signature.max_steps - 1),
                 )
             )
-            observation, achieved = following, reached
+            observation, achieved = next_observation, reached
 
     def next(self) -> Transitions:
         self._step += 1
@@ -141,7 +126,7 @@ def _filled(name: str, signature: Signature, source: _Source, transitions: int) 
 
 
 def _resident() -> int | None:
-    """Bytes of memory that this process has in use; None where the system does not tell."""
+    """Bytes of memory that this process has in use; None where the system does not say."""
     if not _STATM.exists():
         return None
     return int(_STATM.read_text().split()[1]) * os.sysconf("SC_PAGE_SIZE")

@@ -1,6 +1,6 @@
-"""Seconds from a process's start until its agent reaches, karolos's or the peer's; tests are not counted in either.
+"""Seconds from a process's start until its agent reaches, for karolos and for the peer; tests are not counted.
 
-As a module it is that process: python -m karolos.benchmarks.end_to_end karolos|peer SEED
+The process is this module itself: python -m karolos.benchmarks.end_to_end karolos|peer SEED START
 """
 
 from __future__ import annotations
@@ -24,33 +24,33 @@ from . import agent_peers
 PEER = "stable-baselines3 and panda-gym"
 SUCCESS = 0.95
 PEER_STEPS = 30_000
-"""After which the peer is given up."""
+"""Steps after which the peer has failed."""
 INTERVAL = 500
-"""Environment steps between two tests, of both."""
+"""Environment steps between two tests of either."""
 EPISODES = 100
-"""Per test, of both."""
+"""Per test of either."""
 
 
 @dataclass(frozen=True)
 class Found:
-    """When the first test found enough successes."""
+    """The first test with enough successes."""
 
     steps: int
     training: float
     """Seconds of collecting and learning."""
     whole: float
-    """Seconds since the process was asked for, without those of tests."""
+    """Seconds since the process was started, without those of tests."""
 
 
 def reach(*overrides: str) -> Spec:
-    """What specs/panda_reach.yaml says, which does not come with the package."""
+    """The spec specs/panda_reach.yaml, which is not part of the installed package."""
     with as_file(files(__package__) / "specs") as folder:
         own = (f"testing.interval={INTERVAL}", f"testing.episodes={EPISODES}")
         return load_spec(folder / "panda_reach_sac.yaml", (*own, *overrides))
 
 
 def require_peer() -> None:
-    """Raise a MachineError where the peer is missing."""
+    """Raise a MachineError where the peer is not installed."""
     missing = [name for name in ("stable_baselines3", "panda_gym") if find_spec(name) is None]
     if missing:
         raise MachineError(
@@ -62,7 +62,7 @@ def require_peer() -> None:
 def first_success(seed: int, *, peer: bool = False) -> Found:
     """Train in a fresh process. Raises RunError when it fails.
 
-    The peer computes with as many threads as it sees fit, or as OMP_NUM_THREADS says. On cores that others use too, one
+    The peer computes with its own default of threads, or OMP_NUM_THREADS. On cores that are in use elsewhere, one
     thread is many times faster than two that wait for each other.
     """
     who = "peer" if peer else "karolos"
@@ -73,9 +73,9 @@ def first_success(seed: int, *, peer: bool = False) -> Found:
     return Found(**json.loads(done.stdout.splitlines()[-1]))
 
 
-def _karolos(seed: int, asked: float) -> Found | None:
-    """An ordinary run, stopped at the test that finds enough."""
-    from ..experiment.events import RunAdvanced, RunEvent, RunTested  # noqa: PLC0415  (what follows belongs to the start)
+def _karolos(seed: int, started: float) -> Found | None:
+    """An ordinary run, stopped at the first test with enough successes."""
+    from ..experiment.events import RunAdvanced, RunEvent, RunTested  # noqa: PLC0415  (importing is part of the start)
     from ..experiment.experiment import Experiment  # noqa: PLC0415
 
     startup: list[float] = []
@@ -83,7 +83,7 @@ def _karolos(seed: int, asked: float) -> Found | None:
 
     def tell(event: RunEvent) -> None:
         if isinstance(event, RunAdvanced) and not startup:
-            startup.append(time.time() - asked - event.seconds)
+            startup.append(time.time() - started - event.seconds)
         elif isinstance(event, RunTested) and event.result.success_any >= SUCCESS and not found:
             result = event.result
             found.append(Found(result.steps, result.seconds, startup[0] + result.seconds))
@@ -94,7 +94,7 @@ def _karolos(seed: int, asked: float) -> Found | None:
     return found[0] if found else None
 
 
-def _peer(seed: int, asked: float) -> Found | None:
+def _peer(seed: int, started: float) -> Found | None:
     """stable-baselines3's SAC with hindsight on panda-gym's task, tested as often and on as many episodes."""
     import gymnasium  # noqa: PLC0415
 
@@ -108,7 +108,7 @@ def _peer(seed: int, asked: float) -> Found | None:
         "replay_buffer_kwargs": {"n_sampled_goal": 4, "goal_selection_strategy": "future"},
     }
     model = library.SAC("MultiInputPolicy", environment, seed=seed, device="cpu", **settings)
-    startup, begun, tested = time.time() - asked, time.perf_counter(), 0.0
+    startup, training_started, tested = time.time() - started, time.perf_counter(), 0.0
     found: list[Found] = []
 
     def step(known: dict[str, Any], _: dict[str, Any]) -> bool:
@@ -119,7 +119,7 @@ def _peer(seed: int, asked: float) -> Found | None:
         before = time.perf_counter()
         success = sum(_reaches(model, tests, 1000 + episode) for episode in range(EPISODES))
         if success >= SUCCESS * EPISODES:
-            seconds = before - begun - tested
+            seconds = before - training_started - tested
             found.append(Found(steps, seconds, startup + seconds))
         tested += time.perf_counter() - before
         return not found
@@ -139,8 +139,8 @@ def _reaches(model: Any, environment: Any, seed: int) -> bool:
 
 
 if __name__ == "__main__":
-    who, seed, asked = sys.argv[1:]
-    found = (_peer if who == "peer" else _karolos)(int(seed), float(asked))
+    who, seed, started = sys.argv[1:]
+    found = (_peer if who == "peer" else _karolos)(int(seed), float(started))
     if found is None:
         raise SystemExit(f"no test found {SUCCESS:g} success")
     print(json.dumps(asdict(found)))

@@ -1,49 +1,40 @@
-"""How fast an environment steps, beside the bare physics of the same episodes.
+"""How fast an environment steps, beside the bare physics of the same episodes, or beside panda-gym.
 
-The peer replays the motor targets of the very same episodes and counts the time of the physics steps alone: an arm
-that moves costs more than one at rest, so a loop that lets it come to rest would be no fair peer.
-All cases are measured in turn, many times over; the figures are medians, in processor time of this thread, because a
-machine is never alone.
+The bare physics loop replays the motor targets of the very same episodes and counts the time of the physics steps
+alone. An arm that moves costs more than one at rest, so a loop that lets it come to rest would be an unfair peer.
+Times are processor time of this thread.
 """
 
 from __future__ import annotations
 
 from collections.abc import Iterator, Sequence
 from contextlib import contextmanager
-from dataclasses import dataclass, field
+from functools import partial
+from importlib.util import find_spec
 from itertools import pairwise
 from statistics import median
-from time import perf_counter, thread_time
+from time import thread_time
 from typing import Any
 
 import numpy as np
 
 from ..core import Array
 from ..environments.robot_task import RobotTask
+from ..errors import MachineError
 from ..randomization.distribution import Distribution
 from ..randomization.normal import Normal
 from ..registry import load
 from ..simulation.body import Body
-from .row import Row
+from .side_by_side import Row, beside, take_turns
 
-PEER = "bare physics loop"
-
-
-@dataclass
-class _Case:
-    """One environment and what has been measured of it: seconds per step or reset."""
-
-    control: str
-    environment: RobotTask
-    randomized: RobotTask
-    """The same with every parameter drawn at each reset, always as its nominal value: the same physics."""
-    actions: Array
-    stepping: list[float] = field(default_factory=list)
-    physics: list[float] = field(default_factory=list)
-    resetting: list[float] = field(default_factory=list)
-    plain: list[float] = field(default_factory=list)
-    """Seconds of an episode from reset to reset."""
-    drawn: list[float] = field(default_factory=list)
+NAME = "environment"
+PHYSICS, PANDA_GYM = "bare physics loop", "panda-gym"
+PANDA_GYM_TASKS = {
+    "reach": ("karolos/PandaReach-v1", "PandaReach-v3"),
+    "pick_place": ("karolos/PandaPickPlace-v1", "PandaPickAndPlace-v3"),
+}
+PANDA_GYM_STEPS = 50
+"""Steps of an episode of either. panda-gym steps at 25 Hz, karolos at 24."""
 
 
 def measure(
@@ -52,114 +43,177 @@ def measure(
     """Steps per second, and resets, of one robot with one task under random actions, on one core.
 
     Args:
+        robot: name of a robot.
+        task: name of a task.
+        controls: control modes of the robot.
         seconds: time for all measurements together.
 
     Raises:
-        UsageError: no such robot or task.
+        UsageError: the robot or the task is unknown.
     """
-    cases = [_case(robot, task, control) for control in controls]
-    end = perf_counter() + seconds
-    seed = 0
-    while perf_counter() < end or seed < 3:
-        for case in cases:
-            _repeat(case, seed)
-        seed += 1
+    cases = {control: _Case(robot, task, control) for control in controls}
+    measured = take_turns(
+        {
+            (control, method.__name__): method
+            for control, case in cases.items()
+            for method in (case.steps, case.physics, case.reset, case.plain, case.randomized)
+        },
+        seconds=seconds,
+    )
     rows = []
-    for case in cases:
-        case.environment.close()
-        case.randomized.close()
-        name = f"{robot} {task} {case.control}"
-        rows.append(Row("environment", name, 1 / median(case.stepping), "steps/s", PEER, 1 / median(case.physics)))
-        rows.append(Row("environment", f"{name} reset", 1e3 * median(case.resetting), "ms"))
-        with_it, without = (1 / median(times) for times in (case.drawn, case.plain))
-        rows.append(Row("environment", f"{name} randomized episode", with_it, "episodes/s", "not randomized", without))
+    for control, case in cases.items():
+        case.close()
+        name = f"{robot} {task} {control}"
+        steps, physics, reset, plain, randomized = (measured[key] for key in measured if key[0] == control)
+        rows += [
+            beside(NAME, name, steps, "steps/s", PHYSICS, physics),
+            Row(NAME, f"{name} reset", median(reset), "ms"),
+            beside(NAME, f"{name} randomized episode", randomized, "episodes/s", "not randomized", plain),
+        ]
     return rows
 
 
-def _case(robot: str, task: str, control: str) -> _Case:
-    environment = _joined(robot, task, control, {})
-    declared = {
-        **{f"robot.{name}": parameter for name, parameter in environment.robot.parameters.items()},
-        **{f"task.{name}": parameter for name, parameter in environment.task.parameters.items()},
-    }
-    randomized = _joined(
-        robot,
-        task,
-        control,
-        {name: Normal(Normal.Settings(mean=parameter.nominal, std=0.0)) for name, parameter in declared.items()},
-    )
-    generator = np.random.Generator(np.random.PCG64(0))
-    shape = (4, environment.signature.max_steps, environment.signature.action.size)
-    return _Case(control, environment, randomized, generator.uniform(-1, 1, shape).astype(np.float32))
+class _Case:
+    """One control mode. Each method measures one thing in the episode of a seed."""
+
+    def __init__(self, robot: str, task: str, control: str) -> None:
+        self._plain = _joined(robot, task, control, {})
+        parts = (("robot", self._plain.robot.parameters), ("task", self._plain.task.parameters))
+        nominal: dict[str, Distribution] = {
+            f"{part}.{name}": Normal(Normal.Settings(mean=parameter.nominal, std=0.0))
+            for part, parameters in parts
+            for name, parameter in parameters.items()
+        }
+        self._randomized = _joined(robot, task, control, nominal)  # the same physics: each value drawn is nominal
+        generator = np.random.Generator(np.random.PCG64(0))
+        shape = (4, self._plain.signature.max_steps, self._plain.signature.action.size)
+        self._actions: Array = generator.uniform(-1, 1, shape).astype(np.float32)
+
+    def close(self) -> None:
+        self._plain.close()
+        self._randomized.close()
+
+    def steps(self, seed: int) -> float:
+        """Steps per second, the reset not counted."""
+        actions = self._actions[seed % len(self._actions)]
+        _play(self._plain, seed, actions)  # warms the caches
+        self._plain.reset(seed)
+        start = thread_time()
+        for action in actions:
+            self._plain.step(action)
+        return len(actions) / (thread_time() - start)
+
+    def physics(self, seed: int) -> float:
+        """Steps per second of physics alone: the episode's motor targets are recorded, then replayed."""
+        environment, actions = self._plain, self._actions[seed % len(self._actions)]
+        environment.reset(seed)
+        with _recorded_targets() as targets:
+            marks = [len(targets)]
+            for action in actions:
+                environment.step(action)
+                marks.append(len(targets))
+        environment.reset(seed)
+        world, seconds = environment.world, 0.0
+        for first, last in pairwise(marks):
+            for body, arguments in targets[first:last]:
+                body.drive(*arguments)
+            start = thread_time()
+            world.step()
+            seconds += thread_time() - start
+        return len(actions) / seconds
+
+    def reset(self, seed: int) -> float:
+        """Milliseconds per reset."""
+        start = thread_time()
+        for number in range(20):
+            self._plain.reset(seed + number)
+        return 1e3 * (thread_time() - start) / 20
+
+    def plain(self, seed: int) -> float:
+        """Episodes per second, from reset to reset."""
+        return self._episodes_per_second(self._plain, seed)
+
+    def randomized(self, seed: int) -> float:
+        """Episodes per second with every parameter drawn at each reset."""
+        return self._episodes_per_second(self._randomized, seed)
+
+    def _episodes_per_second(self, environment: RobotTask, seed: int) -> float:
+        actions = self._actions[seed % len(self._actions)]
+        _play(environment, seed, actions[:10])  # warms the caches
+        start = thread_time()
+        _play(environment, seed, actions)
+        return 1 / (thread_time() - start)
+
+
+def _play(environment: RobotTask, seed: int, actions: Array) -> None:
+    environment.reset(seed)
+    for action in actions:
+        if environment.step(action).terminated:
+            break
 
 
 def _joined(robot: str, task: str, control: str, randomization: dict[str, Distribution]) -> RobotTask:
-    kinds: Any = load("robots", robot), load("tasks", task)
+    robot_class: Any = load("robots", robot)
+    task_class: Any = load("tasks", task)
     return RobotTask(
         RobotTask.Settings.model_validate({}),
-        robot=kinds[0](kinds[0].Settings(control=control)),
-        task=kinds[1](kinds[1].Settings()),
+        robot=robot_class(robot_class.Settings(control=control)),
+        task=task_class(task_class.Settings()),
         randomization=randomization,
     )
 
 
-def _repeat(case: _Case, seed: int) -> None:
-    """One episode to record the motor targets, one timed, one of physics alone; then a few resets."""
-    environment, actions = case.environment, case.actions[seed % len(case.actions)]
-    environment.reset(seed)
-    with _recording() as targets:
-        marks = [len(targets)]
-        for action in actions:
-            environment.step(action)
-            marks.append(len(targets))
-
-    environment.reset(seed)
-    start = thread_time()
-    for action in actions:
-        environment.step(action)
-    case.stepping.append((thread_time() - start) / len(actions))
-
-    environment.reset(seed)
-    world, spent = environment.world, 0.0
-    for first, last in pairwise(marks):
-        for body, arguments in targets[first:last]:
-            body.drive(*arguments)
-        start = thread_time()
-        world.step()
-        spent += thread_time() - start
-    case.physics.append(spent / len(actions))
-
-    start = thread_time()
-    for number in range(20):
-        environment.reset(seed + number)
-    case.resetting.append((thread_time() - start) / 20)
-
-    pair = [(environment, case.plain), (case.randomized, case.drawn)]
-    for other, times in reversed(pair) if seed % 2 else pair:
-        other.reset(seed)
-        for action in actions[:10]:  # so that neither finds the caches cold
-            if other.step(action).terminated:
-                break
-        start = thread_time()
-        other.reset(seed)
-        for action in actions:
-            if other.step(action).terminated:
-                break
-        times.append(thread_time() - start)
-
-
 @contextmanager
-def _recording() -> Iterator[list[tuple[Body, tuple[Any, ...]]]]:
-    """Keep what every body's motors are told."""
-    kept: list[tuple[Body, tuple[Any, ...]]] = []
+def _recorded_targets() -> Iterator[list[tuple[Body, tuple[Any, ...]]]]:
+    """Bodies and the arguments of their `drive`, in the order of the calls."""
+    recorded: list[tuple[Body, tuple[Any, ...]]] = []
     drive = Body.drive
 
     def recorder(body: Body, *arguments: Any) -> None:
-        kept.append((body, arguments))
+        recorded.append((body, arguments))
         drive(body, *arguments)
 
-    Body.drive = recorder  # type: ignore[assignment]
+    Body.drive = recorder  # type: ignore[assignment]  # restored below
     try:
-        yield kept
+        yield recorded
     finally:
         Body.drive = drive  # type: ignore[method-assign]
+
+
+def measure_panda_gym(*, seconds: float = 10.0) -> list[Row]:
+    """Steps per second of random episodes without their resets, both libraries by gymnasium's interface.
+
+    Raises:
+        MachineError: panda-gym is not installed.
+    """
+    if find_spec("panda_gym") is None:
+        raise MachineError(
+            "panda-gym is not installed, so there is no peer to measure", hint="pip install --no-deps panda-gym"
+        )
+    import gymnasium  # noqa: PLC0415
+    import panda_gym  # type: ignore[import-not-found]  # noqa: F401, PLC0415  (registers its environments)
+
+    from ..environments import gymnasium_export  # noqa: F401, PLC0415  (registers karolos's environments)
+
+    rows = []
+    for task, ids in PANDA_GYM_TASKS.items():
+        if ids[0] not in gymnasium.registry:
+            continue
+        environments: list[Any] = [gymnasium.make(name).unwrapped for name in ids]
+        contestants = {name: partial(_gymnasium_steps, one) for name, one in zip(ids, environments, strict=True)}
+        ours, theirs = take_turns(contestants, seconds=seconds / len(PANDA_GYM_TASKS)).values()
+        for environment in environments:
+            environment.close()
+        rows.append(beside(NAME, f"panda {task} cartesian", ours, "steps/s", PANDA_GYM, theirs))
+    return rows
+
+
+def _gymnasium_steps(environment: Any, seed: int) -> float:
+    """Steps per second."""
+    generator = np.random.Generator(np.random.PCG64(seed))
+    actions = generator.uniform(-1, 1, (PANDA_GYM_STEPS, *environment.action_space.shape)).astype(np.float32)
+    environment.reset(seed=seed)
+    start = thread_time()
+    for action in actions:
+        environment.step(action)
+    return PANDA_GYM_STEPS / (thread_time() - start)

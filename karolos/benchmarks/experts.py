@@ -1,9 +1,8 @@
-"""How often the scripted experts succeed, beside a random policy: whether each pair of robot and task can be solved."""
+"""Success of the scripted experts beside a random policy: whether each robot can solve each task."""
 
 from __future__ import annotations
 
 import multiprocessing
-import os
 from collections.abc import Iterator, Sequence
 from concurrent.futures import ProcessPoolExecutor
 from dataclasses import dataclass
@@ -11,24 +10,25 @@ from itertools import product
 
 from ..errors import KarolosError
 from ..evaluation.playing import expert_policy
-from ..evaluation.scoring import Score, score
+from ..evaluation.scoring import score
+from ..orchestrator.probe import cores
 from ..plugins.inspection import floor, pair
 from ..registry import names
-from .row import Row
+from .side_by_side import Row
 
 PEER = "random policy"
 
 
 @dataclass(frozen=True)
 class ExpertRow(Row):
-    """`value` and `peer_value` are success at the end of an episode, with 95 % Wilson intervals."""
+    """`value` and `peer_value` are shares of episodes with success at the end; low and high: 95 % Wilson intervals."""
 
     low: float = 0.0
     high: float = 1.0
     any: float = 0.0
     """Share of the expert's episodes in which the goal was reached at some step."""
     steps: float | None = None
-    """Mean step at which the expert first reached it."""
+    """Mean step at which the expert first reached the goal."""
     peer_low: float = 0.0
     peer_high: float = 1.0
     episodes: int = 0
@@ -36,7 +36,7 @@ class ExpertRow(Row):
 
 @dataclass(frozen=True)
 class Case:
-    """A robot with a task, by name; `control` None: as the robot has it by default."""
+    """Names of a robot and a task, and the robot's control mode; None: the robot's default."""
 
     robot: str
     task: str
@@ -52,7 +52,7 @@ class Case:
 
 
 def check(case: Case) -> None:
-    """Raises UsageError or PluginError where the two do not go together."""
+    """Raise UsageError or PluginError where robot and task do not go together."""
     pair(case.robot, case.task, **case.settings).close()
 
 
@@ -73,15 +73,20 @@ def all_cases(control: str | None = None) -> tuple[list[Case], list[KarolosError
 def measure(cases: Sequence[Case], *, episodes: int, seed: int = 0, jobs: int | None = None) -> Iterator[ExpertRow]:
     """One row per case, in their order, as soon as it is known.
 
-    Expert and random policy play the same test episodes under the root `seed`; what comes out depends on nothing else.
+    Expert and random policy play the same test episodes, which the root `seed` determines.
 
     Args:
-        jobs: processes, each measuring one case at a time; one per core unless told otherwise.
+        cases: pairs to measure.
+        episodes: of each policy.
+        seed: root of the episodes' seeds.
+        jobs: processes, each measuring one case at a time; by default one per core.
 
-    Raises UsageError or PluginError for a pair that does not go together, or has no expert.
+    Raises:
+        UsageError: a robot or task is unknown, or the task has no expert.
+        PluginError: robot and task do not go together.
     """
     work = [(case, episodes, seed) for case in cases]
-    processes = min(jobs or _cores(), len(work))
+    processes = min(jobs or cores(), len(work))
     if processes < 2:
         yield from map(_row, work)
         return
@@ -92,14 +97,13 @@ def measure(cases: Sequence[Case], *, episodes: int, seed: int = 0, jobs: int | 
             pool.shutdown(cancel_futures=True)
 
 
-def _cores() -> int:
-    """Those that this process may use."""
-    return len(os.sched_getaffinity(0)) if hasattr(os, "sched_getaffinity") else os.cpu_count() or 1
-
-
 def _row(work: tuple[Case, int, int]) -> ExpertRow:
     case, episodes, seed = work
-    expert = _expert(case, episodes, seed)
+    environment = pair(case.robot, case.task, **case.settings)
+    try:
+        expert = score(environment, expert_policy(environment), episodes=episodes, seed=seed)
+    finally:
+        environment.close()
     random = floor(case.robot, case.task, episodes=episodes, seed=seed, **case.settings)
     return ExpertRow(
         benchmark="experts",
@@ -116,11 +120,3 @@ def _row(work: tuple[Case, int, int]) -> ExpertRow:
         peer_high=random.high,
         episodes=episodes,
     )
-
-
-def _expert(case: Case, episodes: int, seed: int) -> Score:
-    environment = pair(case.robot, case.task, **case.settings)
-    try:
-        return score(environment, expert_policy(environment), episodes=episodes, seed=seed)
-    finally:
-        environment.close()

@@ -2,8 +2,7 @@
 
 The experiments (Bitter, Thun, Meisen 2022, figures on CPUs and threads) time a number of resets in layouts with one
 environment per thread, over processes, and over threads at the largest number of processes. The peers are gymnasium's
-vector environments on the same environments. All layouts are measured in turn, several times over; figures are
-medians, because a machine is never alone.
+vector environments on the same environments.
 """
 
 from __future__ import annotations
@@ -23,7 +22,7 @@ from ..orchestrator.probe import DRAWN, Measured, choose, cores, process_counts,
 from ..registry import load
 from ..report.boxes import Panel
 from ..spec.recipe import Part, Recipe
-from .row import Row
+from .side_by_side import Row, beside, take_turns
 from .waiting import Waiting
 
 if TYPE_CHECKING:
@@ -33,7 +32,7 @@ NAME = "orchestrator"
 ASYNC_PEER, SYNC_PEER = "gymnasium AsyncVectorEnv", "gymnasium SyncVectorEnv"
 ONE_PROCESS, ONE_THREAD = "1 process", "1 thread"
 WAIT = 2e-3
-"""Seconds that a step of the waiting environment takes: a program on the same machine, a device on its bus."""
+"""Seconds that a step of the waiting environment takes, as a device or another program would."""
 
 
 @dataclass(frozen=True)
@@ -43,7 +42,7 @@ class Amounts:
     resets: int = 1_000
     """In each layout of the experiment over processes."""
     more_resets: int = 10_000
-    """In each layout of the experiment over threads, as in each of that over processes once more."""
+    """In each layout of the experiment over threads, and of a second one over processes."""
     repeats: int = 10
     seconds: float = 1.0
     """Of stepping, in each layout and repeat."""
@@ -57,7 +56,7 @@ QUICK = Amounts(resets=20, more_resets=40, repeats=2, seconds=0.05, threads=2, e
 
 @dataclass
 class Report:
-    """What was found: rows, what the figure shows, and what to do on this machine."""
+    """Rows, the panels of the figure, and advice for this machine."""
 
     rows: list[Row] = field(default_factory=list)
     panels: list[Panel] = field(default_factory=list)
@@ -65,10 +64,10 @@ class Report:
 
 
 def measure(robot: str = "panda", task: str = "reach", amounts: Amounts | None = None) -> Report:
-    """All of it.
+    """Measure resets, steps and waiting environments.
 
     Raises:
-        UsageError: no such robot or task.
+        UsageError: the robot or the task is unknown.
     """
     amounts = amounts or Amounts()
     recipe = Recipe(_part("environments", "robot_task"), _part("robots", robot), _part("tasks", task))
@@ -91,26 +90,22 @@ def _part(kind: str, name: str) -> Part:
 def _add_resets(
     report: Report, recipe: Recipe, what: str, layouts: list[tuple[int, int]], resets: int, repeats: int
 ) -> None:
-    """Seconds for a number of resets; whoever is ready gets the next."""
-    times: dict[tuple[int, int], list[float]] = {layout: [] for layout in layouts}
-    for _ in range(repeats):
-        for (processes, threads), found in times.items():
-            settings = Local.Settings(processes=processes, threads=threads, environments=1)
-            with Local(settings, recipe) as orchestrator:
-                _seconds_for(orchestrator, 2 * orchestrator.size)  # a world's first reset loads it
-                found.append(_seconds_for(orchestrator, resets))
-    over = "threads" if layouts[0][0] == layouts[-1][0] and len(layouts) > 1 and layouts[-1][1] > 1 else "processes"
-    peer, peer_value = (ONE_PROCESS if over == "processes" else ONE_THREAD), median(times[layouts[0]])
+    """Seconds for a number of resets; each environment that is ready gets the next."""
+
+    def seconds(processes: int, threads: int, _: int) -> float:
+        with Local(Local.Settings(processes=processes, threads=threads, environments=1), recipe) as orchestrator:
+            _seconds_for(orchestrator, 2 * orchestrator.size)  # a world's first reset loads it
+            return _seconds_for(orchestrator, resets)
+
+    times = take_turns({layout: partial(seconds, *layout) for layout in layouts}, turns=repeats)
+    over_threads = layouts[-1][1] > 1
+    peer = ONE_THREAD if over_threads else ONE_PROCESS
     for (processes, threads), found in times.items():
         case = f"{what} {resets} resets, {processes} processes x {threads} threads"
-        report.rows.append(Row(NAME, case, median(found), "s", peer, peer_value))
-    place = 1 if over == "threads" else 0
-    beside = "" if over == "processes" else f", {layouts[0][0]} processes"
-    report.panels.append(
-        Panel(
-            f"{resets:,} resets of {what}{beside}", over, "s", {str(key[place]): found for key, found in times.items()}
-        )
-    )
+        report.rows.append(beside(NAME, case, found, "s", peer, times[layouts[0]]))
+    title = f"{resets:,} resets of {what}" + (f", {layouts[0][0]} processes" if over_threads else "")
+    boxes = {str(layout[1 if over_threads else 0]): found for layout, found in times.items()}
+    report.panels.append(Panel(title, "threads" if over_threads else "processes", "s", boxes))
 
 
 def _seconds_for(orchestrator: Orchestrator, resets: int) -> float:
@@ -126,43 +121,46 @@ def _seconds_for(orchestrator: Orchestrator, resets: int) -> float:
 
 
 def _add_steps(report: Report, recipe: Recipe, robot: str, task: str, amounts: Amounts) -> None:
-    """Steps per second over processes, in lockstep and as they come, beside gymnasium's vector environments."""
+    """Steps per second over processes, in lockstep and asynchronously, beside gymnasium's vector environments."""
     counts = list(process_counts(cores()))
-    ours = {(count, mode): [] for count in (0, *counts) for mode in (lockstep, asynchronous)}  # type: ignore[var-annotated]
     costs: dict[int, list[float]] = {count: [] for count in counts}
-    theirs: dict[int, list[float]] = {count: [] for count in (0, *counts)}
-    for _ in range(max(amounts.repeats // 2, 1)):
-        for (count, mode), found in ours.items():
-            settings = Local.Settings(processes=count, environments=amounts.environments)
-            with Local(settings, recipe) as orchestrator:
-                mode(orchestrator, 0.0)  # a world's first reset loads it
-                wall, cpu = perf_counter(), process_time()
-                found.append(mode(orchestrator, amounts.seconds))
-                if count and mode is lockstep:
-                    costs[count].append((process_time() - cpu) / (perf_counter() - wall) / found[-1])
-        for count, found in theirs.items():
-            found.append(_peer_steps(robot, task, count, amounts))
-    per_second = {key: median(found) for key, found in ours.items()}
-    for (count, mode), value in per_second.items():
-        case = f"{robot} {task} {count} processes x {amounts.environments} environments, {mode.__name__}"
-        peer = SYNC_PEER if count == 0 else ASYNC_PEER
-        report.rows.append(Row(NAME, case, value, "steps/s", peer, median(theirs[count])))
+
+    def rate(count: int, mode: Callable[[Orchestrator, float], float], _: int) -> float:
+        with Local(Local.Settings(processes=count, environments=amounts.environments), recipe) as orchestrator:
+            mode(orchestrator, 0.0)  # a world's first reset loads it
+            wall, cpu = perf_counter(), process_time()
+            found = mode(orchestrator, amounts.seconds)
+            if count and mode is lockstep:
+                costs[count].append((process_time() - cpu) / (perf_counter() - wall) / found)
+        return found
+
+    contestants: dict[tuple[int, str], Callable[[int], float]] = {}
+    for count in (0, *counts):
+        for mode in (lockstep, asynchronous):
+            contestants[count, mode.__name__] = partial(rate, count, mode)
+        contestants[count, "gymnasium"] = partial(_peer_steps, robot, task, count, amounts)
+    rates = take_turns(contestants, turns=max(amounts.repeats // 2, 1))
+    for (count, mode_name), found in rates.items():
+        if mode_name == "gymnasium":
+            continue
+        case = f"{robot} {task} {count} processes x {amounts.environments} environments, {mode_name}"
+        peer = ASYNC_PEER if count else SYNC_PEER
+        report.rows.append(beside(NAME, case, found, "steps/s", peer, rates[count, "gymnasium"]))
         if count > 1:
-            report.rows.append(Row(NAME, case, value, "steps/s", ONE_PROCESS, per_second[1, mode]))
-    for count, found in costs.items():
-        report.rows.append(Row(NAME, f"parent's CPU time, {count} processes", 1e6 * median(found), "us/step"))
-    best = choose([Measured(count, 1, value) for (count, mode), value in per_second.items() if mode is lockstep])
+            report.rows.append(beside(NAME, case, found, "steps/s", ONE_PROCESS, rates[1, mode_name]))
+    for count, cost in costs.items():
+        report.rows.append(Row(NAME, f"parent's CPU time, {count} processes", 1e6 * median(cost), "us/step"))
+    per_second = {count: median(rates[count, "lockstep"]) for count in (0, *counts)}
+    best = choose([Measured(count, 1, value) for count, value in per_second.items()])
     report.advice.append(
         f"This machine ({cores()} cores) should use orchestrator.processes={best.processes}: {robot} {task} makes "
-        f"{best.steps_per_second:,.0f} steps/s, and {per_second[1, lockstep]:,.0f} with one process."
+        f"{best.steps_per_second:,.0f} steps/s, and {per_second[1]:,.0f} with one process."
     )
-    report.advice.append(
-        "Threads do not speed PyBullet up: it holds Python's interpreter lock while it steps, so that they take turns."
-    )
+    report.advice.append("Threads do not speed PyBullet up: it holds Python's interpreter lock while it steps.")
 
 
 def lockstep(orchestrator: Orchestrator, seconds: float) -> float:
-    """Steps per second when each round waits for all."""
+    """Steps per second when each round waits for all environments."""
     return steps_per_second(orchestrator, seconds)
 
 
@@ -187,7 +185,7 @@ def asynchronous(orchestrator: Orchestrator, seconds: float) -> float:
     return rate
 
 
-def _peer_steps(robot: str, task: str, processes: int, amounts: Amounts) -> float:
+def _peer_steps(robot: str, task: str, processes: int, amounts: Amounts, _: int) -> float:
     """Steps per second of gymnasium's vector environment; its processes have one environment each."""
     from gymnasium.vector import AsyncVectorEnv, SyncVectorEnv  # noqa: PLC0415  (takes a while)
 
@@ -213,16 +211,17 @@ def _peer_steps(robot: str, task: str, processes: int, amounts: Amounts) -> floa
 
 
 def _add_waiting(report: Report, amounts: Amounts) -> None:
-    """What threads are good for: environments that wait."""
-    rates: dict[int, float] = {}
-    for threads in range(1, amounts.threads + 1):
+    """Environments that wait, which threads speed up."""
+
+    def rate(threads: int, _: int) -> float:
         with Local(Local.Settings(processes=1, threads=threads), WAIT, size=2 * amounts.threads, build=Waiting) as made:
-            rates[threads] = steps_per_second(made, amounts.seconds)
-    for threads, rate in rates.items():
+            return steps_per_second(made, amounts.seconds)
+
+    rates = take_turns({threads: partial(rate, threads) for threads in range(1, amounts.threads + 1)}, turns=1)
+    for threads, found in rates.items():
         case = f"waiting environment ({1e3 * WAIT:g} ms), 1 process x {threads} threads"
-        report.rows.append(Row(NAME, case, rate, "steps/s", ONE_THREAD, rates[1]))
-    gain = rates[max(rates)] / rates[1]
+        report.rows.append(beside(NAME, case, found, "steps/s", ONE_THREAD, rates[1]))
     report.advice.append(
-        f"Threads are good for environments that wait for a device, a socket or another program: {max(rates)} threads "
-        f"make one that sleeps {1e3 * WAIT:g} ms a step {gain:.1f} times as fast."
+        f"Threads speed up environments that wait for a device, a socket or another program: {amounts.threads} threads "
+        f"make one that sleeps {1e3 * WAIT:g} ms a step {report.rows[-1].ratio:.1f} times as fast."
     )

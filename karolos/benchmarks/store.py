@@ -1,6 +1,6 @@
-"""How fast the results database answers, is rebuilt, and takes what many processes write at once.
+"""How fast the results database answers, is rebuilt, and is written to by many processes at once.
 
-The runs are made up: folders as a run leaves them, ten seeds to an experiment, learning curves that rise and level off.
+The runs are synthetic: complete run folders, ten seeds per experiment, learning curves that rise and level off.
 """
 
 from __future__ import annotations
@@ -20,19 +20,20 @@ from time import perf_counter
 
 from ..errors import RunError
 from ..orchestrator.probe import cores
+from ..records import RunFolder
 from ..records.provenance import versions
 from ..records.results import TestResult
-from ..records.run_records import FORMAT, RunState, RunSummary, encode_test
+from ..records.run_records import FORMAT, RunState, encode_test
 from ..spec import Spec
 from ..store import Store, check, reindex
-from .row import Row
+from .side_by_side import Row
 
 SEEDS = 10
 """Runs of one experiment."""
 WRITES = 50
-"""Transactions of each process that writes."""
+"""Transactions of each writing process."""
 CURVES = 20
-"""Different learning curves; the runs take them in turn."""
+"""Number of different learning curves."""
 REPEATS = 5
 FILTER = "task=pick_place and agent.learning_rate<2e-4 and state=finished"
 SPEC = {"name": "store", "robot": "panda", "task": "pick_place", "agent": "sac"}
@@ -42,11 +43,11 @@ def measure(*, runs: int, tests: int, episodes: int, writers: int = 16, database
     """Seconds and transactions per second.
 
     Args:
-        runs: how many there are.
+        runs: number of runs in the database.
         tests: of each run.
         episodes: of each test.
         writers: processes that write at once.
-        database: URL of an empty database to measure instead of a SQLite file; it is filled.
+        database: URL of an empty database to fill and measure; by default a SQLite file.
     """
     with tempfile.TemporaryDirectory(prefix="karolos-bench-") as place:
         folder = Path(place) / "runs"
@@ -79,26 +80,27 @@ def _commands(folder: Path, url: str, found: int) -> Iterator[Row]:
 
 
 def _writers(place: Path, writers: int, database: str | None) -> Iterator[Row]:
-    url = database or Store.default_url(place / "writers")
+    folder = place / "writers"
+    make_runs(folder, writers, tests=1, episodes=1)
+    url = database or Store.default_url(folder)
     with Store(url) as store:
         for index in range(writers):
-            store.add_run(_summary(place, index), SPEC)
-    ours = _together(_write, url, writers)
-    kept = database is None
-    peer = None
-    if kept:
-        bare = place / "bare.sqlite"
-        with sqlite3.connect(bare) as connection:
-            connection.execute("CREATE TABLE runs (run INTEGER PRIMARY KEY, steps INTEGER)")
-            connection.executemany("INSERT INTO runs VALUES (?, 0)", [(index,) for index in range(writers)])
-        peer = writers * WRITES / _together(_write_bare, str(bare), writers)
-    rate = writers * WRITES / ours
-    name = "sqlite3, one bare UPDATE" if kept else None
-    yield Row("store", f"{writers} processes that write at once", rate, "transactions/s", name, peer)
+            store.add_run(replace(RunFolder.open(folder / _run_id(index)).summary(), run=f"writer-{index}"), SPEC)
+    case = f"{writers} processes that write at once"
+    rate = writers * WRITES / _together(_write, url, writers)
+    if database is not None:
+        yield Row("store", case, rate, "transactions/s")
+        return
+    bare = place / "bare.sqlite"
+    with sqlite3.connect(bare) as connection:
+        connection.execute("CREATE TABLE runs (run INTEGER PRIMARY KEY, steps INTEGER)")
+        connection.executemany("INSERT INTO runs VALUES (?, 0)", [(index,) for index in range(writers)])
+    bare_rate = writers * WRITES / _together(_write_bare, str(bare), writers)
+    yield Row("store", case, rate, "transactions/s", "sqlite3, one bare UPDATE", bare_rate)
 
 
 def _together(work: Callable[[str, int], None], where: str, writers: int) -> float:
-    """Seconds that processes take from the moment that all of them have started."""
+    """Seconds until all processes have ended, from the moment that all of them have started."""
     context = multiprocessing.get_context("spawn")
     barrier = context.Barrier(writers + 1)
     processes = [context.Process(target=_after, args=(barrier, work, where, at)) for at in range(writers)]
@@ -109,7 +111,7 @@ def _together(work: Callable[[str, int], None], where: str, writers: int) -> flo
     for process in processes:
         process.join()
     if any(process.exitcode for process in processes):
-        raise RunError("a process that writes failed", where="bench store", hint="what it printed says why")
+        raise RunError("a writing process failed", where="bench store", hint="its error is printed above")
     return perf_counter() - started
 
 
@@ -120,8 +122,9 @@ def _after(barrier: Barrier, work: Callable[[str, int], None], where: str, index
 
 def _write(url: str, index: int) -> None:
     with Store(url) as store:
+        summary = store.find(f"writer-{index}")
         for steps in range(WRITES):
-            store.update_run(replace(_summary(Path(), index), steps=steps))
+            store.update_run(replace(summary, steps=steps))
 
 
 def _write_bare(path: str, index: int) -> None:
@@ -133,40 +136,19 @@ def _write_bare(path: str, index: int) -> None:
         connection.execute("COMMIT")
 
 
-def _summary(place: Path, index: int) -> RunSummary:
-    return RunSummary(
-        run=f"w-s{index}",
-        experiment="w",
-        seed=index,
-        state="finished",
-        steps=0,
-        seconds=0.0,
-        success_any=None,
-        success_end=None,
-        steps_to_95=None,
-        seconds_to_95=None,
-        name="w",
-        episodes=None,
-        environment="toy",
-        robot=None,
-        task=None,
-        agent="sac",
-        attempt=1,
-        error=None,
-        created="2026-01-01T00:00:00.000000Z",
-        updated="2026-01-01T00:00:00.000000Z",
-        folder=str(place / f"w-s{index}"),
-    )
+def _run_id(index: int) -> str:
+    experiment, seed = divmod(index, SEEDS)
+    return f"store-s{seed}-20260101-{experiment:06}"
 
 
 def make_runs(folder: Path, runs: int, tests: int, episodes: int) -> None:
-    """Run folders of finished runs, SEEDS to an experiment; learning rates from 1e-4 on."""
+    """Write the folders of finished runs, SEEDS per experiment, with learning rates of 1e-4 and more."""
     curves = [_curve(index, tests, episodes) for index in range(min(CURVES, runs))]
     spec = Spec.from_dict(dict(SPEC)).dump()
     software = versions()
     for index in range(runs):
         experiment, seed = divmod(index, SEEDS)
-        name = f"store-s{seed}-20260101-{experiment:06}"
+        name = _run_id(index)
         path = folder / name
         path.mkdir(parents=True)
         resolved = spec | {"agent": spec["agent"] | {"learning_rate": 1e-4 * (1 + experiment % 97)}}
@@ -190,9 +172,9 @@ def make_runs(folder: Path, runs: int, tests: int, episodes: int) -> None:
 def _curve(index: int, tests: int, episodes: int) -> str:
     lines = []
     for test in range(1, tests + 1):
-        share = test / (test + 2 + index)
-        flags = tuple((episode * 37 + index) % episodes < share * episodes for episode in range(episodes))
-        returns = tuple(-50.0 * (1 - share) - episode / 7 for episode in range(episodes))
+        success = test / (test + 2 + index)
+        flags = tuple((episode * 37 + index) % episodes < success * episodes for episode in range(episodes))
+        returns = tuple(-50.0 * (1 - success) - episode / 7 for episode in range(episodes))
         result = TestResult(
             test * 1000, test * 10.0, flags, flags, (False,) * episodes, returns, (50,) * episodes, (0.0625,) * episodes
         )
@@ -201,7 +183,7 @@ def _curve(index: int, tests: int, episodes: int) -> str:
 
 
 def _read_all(folder: Path) -> None:
-    """What no way to rebuild the database can leave out: reading the files and their JSON."""
+    """Read the files and their JSON: the least that rebuilding the database takes."""
     for path in folder.iterdir():
         if path.is_dir():
             for name in ("run.json", "resolved.json", "state.json"):

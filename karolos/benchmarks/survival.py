@@ -1,7 +1,7 @@
-"""What a run survives: being killed half-way, and having its workers killed again and again.
+"""What a run survives: a kill half-way, and kills of its workers again and again.
 
-A killed and resumed run is compared with one that nobody disturbed, bit for bit: weights, buffer, counters and random
-streams of the last checkpoint, tests, training episodes, and what the database says.
+A killed and resumed run is compared with an undisturbed one bit for bit: weights, buffer, counters and random streams
+of the last checkpoint, tests, training episodes, and the rows in the database.
 """
 
 from __future__ import annotations
@@ -29,11 +29,11 @@ from ..records import RunFolder
 from ..spec import Spec
 from ..store import Store
 from .end_to_end import reach
-from .row import Row
+from .side_by_side import Row
 
 STEPS = 50_000
 TESTS = 5
-"""Of a run that is killed; the kill comes after half of them."""
+"""Tests of a run that is killed; the kill comes after half of its steps."""
 BETWEEN_KILLS = 2.0
 """Seconds from one killed worker to the next."""
 CASES: dict[str, dict[str, Any]] = {
@@ -58,12 +58,12 @@ CASES: dict[str, dict[str, Any]] = {
 def measure(
     *, steps: int = STEPS, seconds: float = BETWEEN_KILLS, say: Callable[[str], object] = lambda _: None
 ) -> Iterator[Row]:
-    """Differences between a killed run and an undisturbed one, and what a run reaches whose workers are killed.
+    """Differences between a killed run and an undisturbed one, and the success of a run whose workers are killed.
 
     Args:
         steps: of the runs that are killed.
         seconds: between two killed workers.
-        say: is told what happens.
+        say: receives a line about each event.
 
     Raises:
         MachineError: this system cannot kill as POSIX does.
@@ -79,25 +79,25 @@ def measure(
 
 
 def _killed(case: str, parts: Mapping[str, Any], steps: int, home: Path, say: Callable[[str], object]) -> list[str]:
-    """What tells the killed and resumed run from the whole one."""
+    """Differences between the killed and resumed run and the undisturbed one."""
     home.mkdir(parents=True)
     training = {**parts.get("training", {}), "steps": steps}
     testing = {"interval": max(steps // TESTS, 1), "episodes": 20}
     spec = home / "survival.yaml"
     spec.write_text(json.dumps({"name": "survival", **parts, "training": training, "testing": testing}), "utf-8")
-    whole = _run(home / "whole", spec)
-    say(f"{case}: undisturbed in {whole.state().seconds:.0f} s")
-    process = _start("run", str(spec), "--runs", str(home / "broken"))
-    while process.poll() is None and _steps(home / "broken") < steps // 2:
+    undisturbed = _run(home / "undisturbed", spec)
+    say(f"{case}: undisturbed in {undisturbed.state().seconds:.0f} s")
+    process = _start("run", str(spec), "--runs", str(home / "killed"))
+    while process.poll() is None and _steps(home / "killed") < steps // 2:
         time.sleep(0.05)
     time.sleep(random.Random(0).uniform(0.2, 1.0))  # into the training that follows a test
     if process.poll() is not None:
         raise RunError(f"the run ended with {process.returncode} before it was killed", where=case)
     process.kill()
     process.wait()
-    reached = _steps(home / "broken")
-    broken = _run(home / "broken", None)
-    found = differences_of(broken, whole, Store.default_url(home / "broken"))
+    reached = _steps(home / "killed")
+    killed = _run(home / "killed", None)
+    found = differences_of(killed, undisturbed, Store.default_url(home / "killed"))
     say(f"{case}: killed after {reached:,} steps and resumed; {', '.join(found) or 'equal'}")
     return found
 
@@ -108,7 +108,7 @@ def _start(*arguments: str) -> subprocess.Popen[bytes]:
 
 
 def _run(home: Path, spec: Path | None) -> RunFolder:
-    """Run the spec, or go on with what lies there. Raises RunError where that fails."""
+    """Run the spec, or without one resume the run in `home`. Raises RunError where that fails."""
     arguments = ("run", str(spec)) if spec else ("resume", str(next(home.glob("*/run.json")).parent))
     process = _start(*arguments, "--runs", str(home))
     errors = process.communicate()[1].decode()
@@ -118,13 +118,13 @@ def _run(home: Path, spec: Path | None) -> RunFolder:
 
 
 def _steps(home: Path) -> int:
-    """Steps at the latest test of the run that lies there; 0 before."""
+    """Steps of the run in `home`, as its state file says; 0 before there is one."""
     folder = next(iter(home.glob("*/run.json")), None)
     return RunFolder.open(folder.parent).state().steps if folder else 0
 
 
 def _workers_killed(home: Path, seconds: float, say: Callable[[str], object]) -> Row:
-    """The success of a run whose workers are killed, beside that of one that nobody disturbs."""
+    """The success of a run whose workers are killed, beside that of an undisturbed one."""
     spec = reach("orchestrator.processes=2", "orchestrator.failures=1000", "testing.interval=3000")
     undisturbed = _success(spec, home / "undisturbed")
     over, killed = threading.Event(), [0]
@@ -158,12 +158,12 @@ def _success(spec: Spec, home: Path) -> float:
 
 
 def differences_of(folder: RunFolder, reference: RunFolder, database: str) -> list[str]:
-    """What tells a run from an undisturbed one of the same spec and seed, but for the seconds it took.
+    """Differences between a run and an undisturbed one of the same spec and seed, except the seconds they took.
 
     Args:
         folder: of the run.
-        reference: of the undisturbed one.
-        database: URL of the index that knows the run.
+        reference: folder of the undisturbed run.
+        database: URL of the index that holds the run.
     """
     found = differences(
         checkpoint.load(folder.checkpoints, "last")[0], checkpoint.load(reference.checkpoints, "last")[0], "last"
@@ -183,7 +183,7 @@ def differences_of(folder: RunFolder, reference: RunFolder, database: str) -> li
 
 
 def differences(one: object, other: object, path: str = "") -> list[str]:
-    """Key paths at which two states differ, but for the seconds that training took."""
+    """Key paths at which two states differ, except the seconds that training took."""
     if isinstance(one, dict) and isinstance(other, dict):
         if one.keys() != other.keys():
             return [f"{path}: {sorted(one)} and {sorted(other)}"]
@@ -195,8 +195,5 @@ def differences(one: object, other: object, path: str = "") -> list[str]:
             return [f"{path}: {len(one)} and {len(other)} entries"]
         pairs = enumerate(zip(one, other, strict=True))
         return [found for index, (a, b) in pairs for found in differences(a, b, f"{path}[{index}]")]
-    return [] if np.array_equal(np.asarray(one), np.asarray(other), equal_nan=_is_float(one)) else [path]
-
-
-def _is_float(value: object) -> bool:
-    return np.asarray(value).dtype.kind == "f"
+    first, second = np.asarray(one), np.asarray(other)
+    return [] if np.array_equal(first, second, equal_nan=first.dtype.kind == "f") else [path]

@@ -1,11 +1,10 @@
-"""What overlapping collection with learning saves, and how soon an agent can do something, beside a peer.
+"""What overlapping collection with learning saves, and the seconds until an agent succeeds, beside a peer.
 
-The first: a Panda learns to reach with one update per round, and as many environments in one worker process as make a
-round's steps as dear as its update; in lockstep, in lockstep without overlap (the loop waits for the environments
-before it learns), and asynchronously. They take turns of one episode, many times over; ratios are medians of the
-turns', because a machine is never alone.
+The first: a Panda learns to reach with one update per round. One worker process has as many environments as make a
+round's steps cost as much as its update. It trains in lockstep, in lockstep without overlap (the loop waits for the
+environments before it learns), and asynchronously. A turn is one episode of every environment.
 The second: seconds until a test finds .95 success on the same task, beside stable-baselines3's SAC with hindsight on
-panda-gym; each in a process of its own.
+panda-gym. Each trains in a process of its own.
 """
 
 from __future__ import annotations
@@ -13,6 +12,7 @@ from __future__ import annotations
 from collections.abc import Callable, Iterator, Sequence
 from contextlib import ExitStack
 from dataclasses import dataclass
+from functools import partial
 from statistics import median
 from time import perf_counter
 
@@ -23,8 +23,8 @@ from ..orchestrator.probe import steps_per_second
 from ..spec import Spec
 from ..training.assembly import make_agent, make_buffer, make_orchestrator
 from ..training.training import Progress, Training
-from .end_to_end import PEER, first_success, reach, require_peer
-from .row import Row
+from .end_to_end import PEER, Found, first_success, reach, require_peer
+from .side_by_side import Row, beside, take_turns
 
 NAME = "training"
 EPISODE = 50
@@ -37,46 +37,46 @@ class Amounts:
     """How much to measure."""
 
     turns: int = 24
-    """Episodes of every environment, with learning, in each variant."""
+    """Turns of each variant."""
     probe: float = 2.0
-    """Seconds in which the speed of collecting and of learning is found out, each."""
+    """Seconds to measure the speed of collecting, and as many for that of learning."""
     environments: int = 256
     """At most."""
     seeds: tuple[int, ...] = (0,)
-    """Of the runs from start to success; as many of the peer's."""
+    """Of the runs from start to success, and of the peer's."""
 
 
 QUICK = Amounts(turns=2, probe=0.05, environments=2)
 
 
 class WithoutOverlap(Orchestrator):
-    """Another's environments; but a command waits until it is carried out, so that nothing happens meanwhile.
+    """An orchestrator whose commands return only when they are carried out, so that nothing overlaps.
 
-    Gives the same results as the other in lockstep, only later.
+    Its results are those of the orchestrator that it wraps.
     """
 
-    def __init__(self, other: Orchestrator) -> None:
-        self._other = other
-        self.signature, self.size = other.signature, other.size
+    def __init__(self, wrapped: Orchestrator) -> None:
+        self._wrapped = wrapped
+        self.signature, self.size = wrapped.signature, wrapped.size
         self._received: Received | None = None
 
     def reset(self, environments: Sequence[int] | Array, seeds: Sequence[int]) -> None:
-        self._other.reset(environments, seeds)
-        self._received = self._other.receive()
+        self._wrapped.reset(environments, seeds)
+        self._received = self._wrapped.receive()
 
     def step(self, environments: Sequence[int] | Array, actions: FloatArray, *, updates: int = 0) -> None:
-        self._other.step(environments, actions, updates=updates)
-        self._received = self._other.receive()
+        self._wrapped.step(environments, actions, updates=updates)
+        self._received = self._wrapped.receive()
 
     def receive(self, at_least: int | None = None) -> Received:
         received, self._received = self._received, None
-        return self._other.receive(at_least) if received is None else received
+        return self._wrapped.receive(at_least) if received is None else received
 
     def parameters(self, environments: Sequence[int] | Array) -> FloatArray:
-        return self._other.parameters(environments)
+        return self._wrapped.parameters(environments)
 
     def close(self) -> None:
-        self._other.close()
+        self._wrapped.close()
 
 
 def measure(
@@ -86,16 +86,16 @@ def measure(
     end_to_end: bool = True,
     say: Callable[[str], object] = print,
 ) -> Iterator[Row]:
-    """The rows, each when it is known.
+    """Rows, each as soon as it is known.
 
     Args:
-        amounts: how much.
+        amounts: how much to measure.
         peers: also train the peer.
-        end_to_end: also the runs from start to success.
-        say: is told what each run found.
+        end_to_end: also train from start to success.
+        say: receives a line about each run.
 
     Raises:
-        MachineError: peers asked for and not installed.
+        MachineError: peers are requested and not installed.
         RunError: a run from start to success failed.
     """
     amounts = amounts or Amounts()
@@ -103,7 +103,7 @@ def measure(
         require_peer()
     yield from overlap(amounts, say)
     if end_to_end:
-        yield from _sooner(amounts.seeds, peers=peers, say=say)
+        yield from _until_success(amounts.seeds, peers=peers, say=say)
 
 
 def overlap(amounts: Amounts, say: Callable[[str], object]) -> Iterator[Row]:
@@ -111,37 +111,33 @@ def overlap(amounts: Amounts, say: Callable[[str], object]) -> Iterator[Row]:
     use_threads(1)
     spec = balanced(amounts, say)
     size = spec.orchestrator.settings.size
-    variants: dict[str, tuple[Callable[[Orchestrator], Orchestrator], int | None]] = {
-        OVERLAP: (lambda environments: environments, None),
-        WITHOUT: (WithoutOverlap, None),
-        ASYNC: (lambda environments: environments, max(size // 2, 1)),
-    }
-    times: dict[str, list[float]] = {name: [] for name in variants}
     with ExitStack() as stack:
-        rounds = {}
-        for name, (vary, at_least) in variants.items():
-            environments = vary(stack.enter_context(make_orchestrator(spec, randomize=True)))
-            rounds[name] = _training(spec, environments, at_least).rounds()
-            warm = next(progress for progress in rounds[name] if not progress.warming_up)
-            _turn(rounds[name], warm.steps + size * EPISODE)  # the first updates set things up
-        for turn in range(2, amounts.turns + 2):
-            for name, found in times.items():
-                started = perf_counter()
-                _turn(rounds[name], size * EPISODE * (turn + 1))
-                found.append(perf_counter() - started)
-    base = median(times[WITHOUT])
+        contestants = {}
+        for name in (OVERLAP, WITHOUT, ASYNC):
+            made: Orchestrator = stack.enter_context(make_orchestrator(spec, randomize=True))
+            environments = WithoutOverlap(made) if name == WITHOUT else made
+            rounds = _training(spec, environments, max(size // 2, 1) if name == ASYNC else None).rounds()
+            warm = next(progress for progress in rounds if not progress.warming_up)
+            _train_until(rounds, warm.steps + size * EPISODE)  # the first updates set things up
+            contestants[name] = partial(_seconds_of_turn, rounds, size * EPISODE)
+        times = take_turns(contestants, turns=amounts.turns)
     for name in (OVERLAP, ASYNC):
-        ratio = median(own / without for own, without in zip(times[name], times[WITHOUT], strict=True))
-        yield Row(NAME, f"panda reach, {size * EPISODE} steps, {name}", ratio * base, "s", WITHOUT, base)
+        yield beside(NAME, f"panda reach, {size * EPISODE} steps, {name}", times[name], "s", WITHOUT, times[WITHOUT])
 
 
-def _turn(rounds: Iterator[Progress], steps: int) -> None:
-    """Train until so many steps have been taken."""
+def _seconds_of_turn(rounds: Iterator[Progress], steps: int, turn: int) -> float:
+    """Seconds to train for `steps` more steps; two episodes of every environment are over before turn 0."""
+    started = perf_counter()
+    _train_until(rounds, steps * (turn + 3))
+    return perf_counter() - started
+
+
+def _train_until(rounds: Iterator[Progress], steps: int) -> None:
     next(progress for progress in rounds if progress.steps >= steps)
 
 
 def balanced(amounts: Amounts, say: Callable[[str], object]) -> Spec:
-    """A spec by which a round's one update costs about as much as its steps on this machine, as measured."""
+    """A spec in which a round's one update costs about as much as its steps on this machine."""
     spec = _spec(min(8, amounts.environments))
     with make_orchestrator(spec, randomize=True) as environments:
         collecting = 1 / steps_per_second(environments, amounts.probe)
@@ -158,7 +154,7 @@ def balanced(amounts: Amounts, say: Callable[[str], object]) -> Spec:
 
 
 def _spec(environments: int, **training: float) -> Spec:
-    """Of the overlap experiment; warm-up is one episode of each environment."""
+    """The overlap experiment's spec; the warm-up is one episode of each environment."""
     chosen = {"steps": EPISODE * environments, "warmup_episodes": environments, **training}
     layout = f"orchestrator={{processes: 1, environments: {environments}}}"
     return reach(layout, *(f"training.{name}={value}" for name, value in chosen.items()))
@@ -171,18 +167,19 @@ def _training(spec: Spec, environments: Orchestrator, at_least: int | None) -> T
     return Training(environments, agent, buffer, spec.training, seeds, at_least)
 
 
-def _sooner(seeds: Sequence[int], *, peers: bool, say: Callable[[str], object]) -> Iterator[Row]:
+def _until_success(seeds: Sequence[int], *, peers: bool, say: Callable[[str], object]) -> Iterator[Row]:
     """Seconds to the first test with .95 success; medians over the seeds."""
-    ours = [first_success(seed) for seed in seeds]
-    for found in ours:
-        say(f"karolos: .95 success after {found.steps} steps, {found.training:.1f} s of training, {found.whole:.1f} s")
-    theirs = [first_success(seed, peer=True) for seed in seeds] if peers else []
-    for found in theirs:
-        say(f"{PEER}: .95 success after {found.steps} steps, {found.training:.1f} s of training, {found.whole:.1f} s")
-    for what, read in (
-        ("training", lambda found: found.training),
-        ("start, imports and training", lambda found: found.whole),
-    ):
-        rival = median(map(read, theirs)) if theirs else None
+
+    def run(who: str, turn: int) -> Found:
+        found = first_success(seeds[turn], peer=who == PEER)
+        say(f"{who}: .95 success after {found.steps} steps, {found.training:.1f} s of training, {found.whole:.1f} s")
+        return found
+
+    runs = take_turns({who: partial(run, who) for who in ("karolos", *([PEER] if peers else []))}, turns=len(seeds))
+    for what, column in (("training", "training"), ("start, imports and training", "whole")):
         case = f"panda reach until .95 success, {what}"
-        yield Row(NAME, case, median(map(read, ours)), "s", PEER if theirs else None, rival)
+        seconds = {who: [getattr(found, column) for found in founds] for who, founds in runs.items()}
+        if peers:
+            yield beside(NAME, case, seconds["karolos"], "s", PEER, seconds[PEER])
+        else:
+            yield Row(NAME, case, median(seconds["karolos"]), "s")

@@ -1,8 +1,7 @@
-"""Gradient updates per second of each agent that learns from replay, beside other libraries in the same run.
+"""Gradient updates per second of each agent that learns from replay, beside stable-baselines3 (PyTorch) and SBX (JAX).
 
-Everybody has two hidden layers of 256 units, batches of 256, 20 observed numbers and 4 actions, and samples from a full
-buffer of its own. All take turns of a few updates, many times over; the figures are medians, because a machine is never
-alone. Each number of threads gets a process of its own with as many cores: that is the one way that binds JAX too.
+All have two hidden layers of 256 units, batches of 256, 20 observed numbers and 4 actions, and sample from a full
+buffer of their own. Each number of threads gets a process of its own, bound to as many cores, which also binds JAX.
 """
 
 from __future__ import annotations
@@ -12,11 +11,13 @@ import os
 from collections.abc import Callable, Iterator, Sequence
 from concurrent.futures import ProcessPoolExecutor
 from copy import deepcopy
-from dataclasses import dataclass, field
+from importlib import import_module
+from importlib.util import find_spec
 from statistics import median
 from time import perf_counter
 from typing import Any
 
+import gymnasium
 import numpy as np
 
 from ..agents.device import synchronise, use_threads
@@ -24,36 +25,22 @@ from ..core import Discrete, Field, Layout, Signature, Transitions
 from ..core.seeding import SeedTree
 from ..errors import MachineError
 from ..registry import load, names
-from . import update_peers
-from .row import Row
+from .side_by_side import Row, beside, take_turns
 
+NAME = "updates"
 OBSERVED, ACTIONS, HIDDEN, BATCH = 20, 4, (256, 256), 256
 STORED = 50_000
-"""Transitions in everybody's buffer."""
+"""Transitions in each buffer."""
 EPISODE = 50
 TURN = 8
-"""Updates that one contestant makes before the next has its turn."""
+"""Updates of a contestant in one turn."""
 AGENTS = ("sac", "td3", "ddpg", "dqn")
 PRECISIONS = ("float32", "bfloat16")
+PEERS = {"stable_baselines3": "stable-baselines3", "sbx": "SBX"}
+"""Module to import -> name."""
 
-
-@dataclass
-class _Contestant:
-    """Somebody whose updates are timed."""
-
-    agent: str
-    case: str
-    update: Callable[[int], None]
-    """Makes this many updates."""
-    library: str | None = None
-    """None: karolos."""
-    seconds: list[float] = field(default_factory=list)
-    """Per update, turn by turn."""
-
-    @property
-    def rate(self) -> float:
-        """Updates per second."""
-        return 1 / median(self.seconds)
+Update = Callable[[int], None]
+"""Makes this many updates."""
 
 
 def measure(
@@ -64,7 +51,7 @@ def measure(
     peers: bool = False,
     seconds: float = 20.0,
 ) -> Iterator[Row]:
-    """Updates per second, sampling included; and without it ("learning alone"). Agents not installed are left out.
+    """Updates per second with sampling, and without it ("learning alone"). Agents that are not installed are left out.
 
     Args:
         agents: names of agents.
@@ -74,19 +61,24 @@ def measure(
         seconds: for each number of threads.
 
     Raises:
-        MachineError: fewer cores than threads, or peers asked for and none installed.
+        MachineError: fewer cores than threads, or peers are requested and none is installed.
     """
-    if peers and not update_peers.installed():
+    if peers and not installed_peers():
         raise MachineError(
             "neither stable-baselines3 nor sbx-rl is installed, so there is no peer to measure",
             hint="pip install stable-baselines3 sbx-rl, in an environment of its own beside karolos",
         )
     for count in threads:
         if count > len(_cores()):
-            raise MachineError(f"{count} threads are asked for and {len(_cores())} cores are there")
+            raise MachineError(f"{count} threads are requested, and this process may use {len(_cores())} cores")
         context = multiprocessing.get_context("spawn")
         with ProcessPoolExecutor(1, mp_context=context, initializer=_bind, initargs=(count,)) as pool:
             yield from pool.submit(_measure, tuple(agents), count, device, peers, seconds).result()
+
+
+def installed_peers() -> list[str]:
+    """Modules of the peers that are installed."""
+    return [module for module in PEERS if find_spec(module) is not None]
 
 
 def _cores() -> list[int]:
@@ -96,54 +88,52 @@ def _cores() -> list[int]:
 
 
 def _bind(threads: int) -> None:
-    """Leave this process as many cores as it may have threads."""
+    """Restrict this process to one core per thread."""
     if hasattr(os, "sched_setaffinity"):
         os.sched_setaffinity(0, _cores()[:threads])
     use_threads(threads)
 
 
 def _measure(agents: tuple[str, ...], threads: int, device: str, peers: bool, seconds: float) -> list[Row]:
-    contestants = [found for agent in agents if agent in names("agents") for found in _ours(agent, device)]
-    if peers:
-        shape = update_peers.Shape(OBSERVED, ACTIONS, HIDDEN, BATCH, STORED)
-        for peer in update_peers.peers(agents, shape, device):
-            contestants.append(_Contestant(peer.agent, peer.agent, peer.update, peer.library))
-    for contestant in contestants:
-        contestant.update(2 * TURN)  # compiles and warms up; the next turn still may
-        contestant.update(TURN)
-    end, turns = perf_counter() + seconds, 0
-    while perf_counter() < end or turns < 3:
-        for contestant in contestants:
-            started = perf_counter()
-            contestant.update(TURN)
-            synchronise(device)
-            contestant.seconds.append((perf_counter() - started) / TURN)
-        turns += 1
     where = device if device != "cpu" else f"{threads} thread{'s' if threads > 1 else ''}"
+    ours = {case: update for agent in agents if agent in names("agents") for case, update in _ours(agent, device)}
+    theirs = dict(_peers(agents, device)) if peers else {}
+
+    def timed(update: Update) -> Callable[[int], float]:
+        update(2 * TURN)  # compiles and warms up
+        update(TURN)
+
+        def rate(_: int) -> float:
+            started = perf_counter()
+            update(TURN)
+            synchronise(device)
+            return TURN / (perf_counter() - started)
+
+        return rate
+
+    contestants = {key: timed(update) for key, update in (*ours.items(), *theirs.items())}
+    rates = take_turns(contestants, seconds=seconds)
     rows = []
-    for contestant in (one for one in contestants if one.library is None):
-        case = f"{contestant.case}, {where}"
-        rivals = [one for one in contestants if one.library and one.agent == contestant.agent]
-        if not rivals or "alone" in case:
-            rows.append(Row("updates", case, contestant.rate, "updates/s"))
-        for rival in rivals if "alone" not in case else ():
-            rows.append(Row("updates", case, contestant.rate, "updates/s", rival.library, rival.rate))
+    for case in ours:
+        rivals = [key for key in theirs if key[0] == case.split()[0] and "alone" not in case]
+        rows += [beside(NAME, f"{case}, {where}", rates[case], "updates/s", key[1], rates[key]) for key in rivals]
+        if not rivals:
+            rows.append(Row(NAME, f"{case}, {where}", median(rates[case]), "updates/s"))
     return rows
 
 
-def _ours(name: str, device: str) -> Iterator[_Contestant]:
-    kind: Any = load("agents", name)
+def _ours(name: str, device: str) -> Iterator[tuple[str, Update]]:
+    """An agent in each of its precisions, with sampling and without."""
+    plugin: Any = load("agents", name)
     signature = _signature(discrete=name == "dqn")
     buffer = _filled_buffer(signature)
-    precisions = PRECISIONS if "precision" in kind.Settings.model_fields else ("float32",)
-    for precision in precisions:
-        settings = {"hidden": HIDDEN, "discount": 0.99}
-        if len(precisions) > 1:
-            settings["precision"] = precision
-        agent = kind(kind.Settings(**settings), signature, SeedTree(0), device)
+    has_precision = "precision" in plugin.Settings.model_fields
+    for precision in PRECISIONS if has_precision else ("float32",):
+        settings = {"hidden": HIDDEN, "discount": 0.99} | ({"precision": precision} if has_precision else {})
+        agent = plugin(plugin.Settings(**settings), signature, SeedTree(0), device)
         batch = deepcopy(buffer.sample(BATCH))
 
-        def whole(count: int, agent: Any = agent) -> None:
+        def with_sampling(count: int, agent: Any = agent) -> None:
             for _ in range(count):
                 agent.learn(buffer.sample(BATCH))
 
@@ -151,8 +141,8 @@ def _ours(name: str, device: str) -> Iterator[_Contestant]:
             for _ in range(count):
                 agent.learn(batch)
 
-        yield _Contestant(name, f"{name} {precision}", whole)
-        yield _Contestant(name, f"{name} {precision}, learning alone", alone)
+        yield f"{name} {precision}", with_sampling
+        yield f"{name} {precision}, learning alone", alone
 
 
 def _signature(*, discrete: bool) -> Signature:
@@ -162,14 +152,14 @@ def _signature(*, discrete: bool) -> Signature:
 
 def _filled_buffer(signature: Signature) -> Any:
     """A uniform buffer full of noise, from 50 environments."""
-    kind: Any = load("buffers", "uniform")
+    plugin: Any = load("buffers", "uniform")
     environments = STORED // (20 * EPISODE)
-    buffer = kind(kind.Settings(capacity=STORED), signature, SeedTree(0), environments=environments, discount=0.99)
+    buffer = plugin(plugin.Settings(capacity=STORED), signature, SeedTree(0), environments=environments, discount=0.99)
     generator = np.random.Generator(np.random.PCG64(0))
-    nothing = np.zeros((environments, 0), np.float32)
+    no_goal = np.zeros((environments, 0), np.float32)
     observation = generator.standard_normal((environments, OBSERVED), np.float32)
     for step in range(STORED // environments):
-        following = generator.standard_normal((environments, OBSERVED), np.float32)
+        next_observation = generator.standard_normal((environments, OBSERVED), np.float32)
         if isinstance(signature.action, Discrete):
             action = generator.integers(ACTIONS, size=(environments, 1)).astype(np.float32)
         else:
@@ -178,15 +168,65 @@ def _filled_buffer(signature: Signature) -> Any:
             Transitions(
                 environment=np.arange(environments),
                 observation=observation,
-                achieved_goal=nothing,
-                desired_goal=nothing,
+                achieved_goal=no_goal,
+                desired_goal=no_goal,
                 action=action,
                 reward=-generator.random(environments, np.float32),
-                next_observation=following,
-                next_achieved_goal=nothing,
+                next_observation=next_observation,
+                next_achieved_goal=no_goal,
                 terminated=np.zeros(environments, np.bool_),
                 truncated=np.full(environments, step % EPISODE == EPISODE - 1),
             )
         )
-        observation = following
+        observation = next_observation
     return buffer
+
+
+def _peers(agents: Sequence[str], device: str) -> Iterator[tuple[tuple[str, str], Update]]:
+    """(agent, library) and its updates, for each installed library that has the agent's algorithm."""
+    for module in installed_peers():
+        for agent in agents:
+            algorithm = getattr(import_module(module), agent.upper(), None)
+            if algorithm is not None:
+                yield (agent, PEERS[module]), _peer_update(algorithm, device, discrete=agent == "dqn")
+
+
+def _peer_update(algorithm: Any, device: str, *, discrete: bool) -> Update:
+    """The library's own defaults, with our sizes and a full buffer."""
+    model = algorithm(
+        "MlpPolicy",
+        _Spaces(discrete=discrete),
+        batch_size=BATCH,
+        buffer_size=STORED,
+        policy_kwargs={"net_arch": list(HIDDEN)},
+        device=device,
+        seed=0,
+    )
+    model._setup_learn(total_timesteps=1)  # sets the logger that updates write to
+    buffer, generator = model.replay_buffer, np.random.Generator(np.random.PCG64(0))
+    for array in (buffer.observations, buffer.next_observations, buffer.rewards):
+        array[:] = generator.standard_normal(array.shape, np.float32)
+    if discrete:
+        buffer.actions[:] = generator.integers(ACTIONS, size=buffer.actions.shape)
+    else:
+        buffer.actions[:] = generator.uniform(-1, 1, buffer.actions.shape)
+    buffer.full = True
+
+    def update(count: int) -> None:
+        model.train(gradient_steps=count, batch_size=BATCH)
+
+    return update
+
+
+class _Spaces(gymnasium.Env[Any, Any]):
+    """Spaces alone: updates never step this environment."""
+
+    def __init__(self, *, discrete: bool) -> None:
+        self.observation_space = gymnasium.spaces.Box(-np.inf, np.inf, (OBSERVED,), np.float32)
+        self.action_space = (
+            gymnasium.spaces.Discrete(ACTIONS) if discrete else gymnasium.spaces.Box(-1.0, 1.0, (ACTIONS,), np.float32)
+        )
+
+    def reset(self, *, seed: int | None = None, options: dict[str, Any] | None = None) -> tuple[Any, dict[str, Any]]:
+        super().reset(seed=seed, options=options)
+        return np.zeros(OBSERVED, np.float32), {}

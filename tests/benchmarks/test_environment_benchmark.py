@@ -2,7 +2,6 @@ from __future__ import annotations
 
 import json
 
-import pytest
 from karolos_cli.bench import app
 from karolos_cli.bench.output import COLUMNS
 from typer.testing import CliRunner
@@ -26,7 +25,7 @@ def test_rows_name_the_bare_physics_as_peer() -> None:
     ]
     for row in rows[::3]:
         assert row["peer"] == "bare physics loop"
-        assert row["ratio"] == pytest.approx(row["value"] / row["peer_value"])
+        assert row["ratio_min"] <= row["ratio"] <= row["ratio_max"]
     assert Body.drive is drive, "the recorder must be gone"
 
 

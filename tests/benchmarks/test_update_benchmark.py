@@ -6,7 +6,7 @@ import pytest
 from karolos_cli.bench import app
 from typer.testing import CliRunner
 
-from karolos.benchmarks import update_peers
+from karolos.benchmarks import updates
 from karolos.benchmarks.updates import measure
 from karolos.errors import MachineError, UsageError
 
@@ -41,6 +41,6 @@ def test_more_threads_than_cores_are_refused() -> None:
 
 
 def test_peers_that_are_not_installed_are_told(monkeypatch: pytest.MonkeyPatch) -> None:
-    monkeypatch.setattr(update_peers, "installed", list)
+    monkeypatch.setattr(updates, "installed_peers", list)
     with pytest.raises(MachineError, match="no peer"):
         list(measure(peers=True))
