@@ -24,7 +24,7 @@ from ..errors import MachineError
 from ..randomization.distribution import Distribution
 from ..randomization.normal import Normal
 from ..registry import load
-from ..simulation.body import Body
+from ..simulation.bullet.body import Body
 from .side_by_side import Row, beside, take_turns
 
 NAME = "environment"

@@ -15,8 +15,8 @@ from ..core.seeding import SeedTree
 from ..errors import UsageError
 from ..randomization.distribution import Distribution
 from ..randomization.randomization import Randomization
+from ..simulation.bullet.world import World
 from ..simulation.interface import Expert, Robot, Task
-from ..simulation.world import World
 from .action_set import ActionSet, chosen
 
 TIMESTEP = 1 / 240

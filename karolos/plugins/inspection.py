@@ -15,7 +15,7 @@ from ..environments.robot_task import RobotTask
 from ..errors import PluginError
 from ..evaluation.scoring import Score, random_policy, score
 from ..evaluation.testing import test_seeds
-from ..randomization.parameter import Parameter
+from ..randomization.randomization import RandomizedParameter
 from ..registry import load
 from ..spec.recipe import Part, Recipe
 
@@ -142,7 +142,7 @@ def _fields(layout: Layout | Discrete) -> list[Facts]:
     ]
 
 
-def _parameters(declared: Mapping[str, Parameter]) -> list[Facts]:
+def _parameters(declared: Mapping[str, RandomizedParameter]) -> list[Facts]:
     return [
         {
             "parameter": name,

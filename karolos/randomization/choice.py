@@ -1,4 +1,4 @@
-"""One of a few values."""
+"""Choice among listed values."""
 
 from __future__ import annotations
 
@@ -11,14 +11,14 @@ from .distribution import Distribution
 
 
 class Choice(Distribution):
-    """One of `values`, all equally likely, or as `weights` say."""
+    """One of `values`, equally likely or in proportion to `weights`."""
 
     class Settings(BaseSettings):
         values: tuple[float, ...] = Setting(min_length=1, description="in the parameter's unit")
-        weights: tuple[float, ...] | None = Setting(None, description="relative, none negative; one for each value")
+        weights: tuple[float, ...] | None = Setting(None, description="relative, not negative; one for each value")
 
         @model_validator(mode="after")
-        def _fitting(self) -> Choice.Settings:
+        def _matching(self) -> Choice.Settings:
             if self.weights is None:
                 return self
             if len(self.weights) != len(self.values):
@@ -27,10 +27,12 @@ class Choice(Distribution):
                 raise ValueError("weights must not be negative, nor all 0")
             return self
 
+    settings: Settings
+
     def __init__(self, settings: Choice.Settings) -> None:
-        self.settings = settings
+        super().__init__(settings)
         total = sum(settings.weights or ())
-        self._shares = [weight / total for weight in settings.weights] if settings.weights else None
+        self._probabilities = [weight / total for weight in settings.weights] if settings.weights else None
 
     def draw(self, generator: Generator) -> float:
-        return self.settings.values[int(generator.choice(len(self.settings.values), p=self._shares))]
+        return self.settings.values[int(generator.choice(len(self.settings.values), p=self._probabilities))]

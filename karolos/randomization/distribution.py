@@ -1,4 +1,4 @@
-"""What a distribution plugin is."""
+"""The interface of a distribution plugin."""
 
 from __future__ import annotations
 
@@ -11,12 +11,12 @@ from ..core.seeding import Generator
 
 
 class Distribution(ABC):
-    """Where the values of a randomized parameter come from; in the parameter's unit."""
+    """Distribution of a randomized parameter, in the parameter's unit."""
 
     Settings: ClassVar[type[BaseModel]]
 
-    @abstractmethod
-    def __init__(self, settings: Any) -> None: ...
+    def __init__(self, settings: Any) -> None:
+        self.settings = settings
 
     @abstractmethod
     def draw(self, generator: Generator) -> float:

@@ -1,4 +1,4 @@
-"""Gaussian values, as in the paper."""
+"""Normal distribution."""
 
 from __future__ import annotations
 
@@ -16,8 +16,7 @@ class Normal(Distribution):
         mean: float = Setting(description="in the parameter's unit")
         std: float = Setting(ge=0, description="standard deviation, in the parameter's unit")
 
-    def __init__(self, settings: Normal.Settings) -> None:
-        self.settings = settings
+    settings: Settings
 
     def draw(self, generator: Generator) -> float:
         return float(generator.normal(self.settings.mean, self.settings.std))

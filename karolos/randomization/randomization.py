@@ -1,34 +1,46 @@
-"""Domain randomization: draws the values that robot and task then apply themselves."""
+"""Domain randomization: draws the values that robot and task then apply."""
 
 from __future__ import annotations
 
 from collections.abc import Mapping
+from dataclasses import dataclass
 
 from ..core import Field, Layout
 from ..core.seeding import Generator
 from ..errors import RunError, UsageError
 from ..registry import alternatives
 from .distribution import Distribution
-from .parameter import Parameter
 
 ATTEMPTS = 100
 
 
-class Randomization:
-    """Which parameters are drawn at each reset, and from what.
+@dataclass(frozen=True)
+class RandomizedParameter:
+    """A number of the world that a robot or a task lets domain randomization change between episodes."""
 
-    A value outside the range that the parameter declares is drawn again: the distribution is cut off, not heaped up
-    at the bounds.
+    unit: str
+    nominal: float
+    """Its value without randomization."""
+    low: float
+    high: float
+    """Values outside [low, high] are never applied."""
+    description: str = ""
+
+
+class Randomization:
+    """The parameters that are drawn at each reset, and their distributions.
+
+    A value outside the range that the parameter declares is drawn again, so the distribution is truncated.
 
     Args:
         distributions: by name of the parameter with its part in front, e.g. "task.gravity".
-        declared: what the parts let change, by the same names.
+        declared: the parameters of robot and task, by the same names.
 
     Raises:
-        UsageError: a parameter that no part declares.
+        UsageError: a parameter that neither robot nor task declares.
     """
 
-    def __init__(self, distributions: Mapping[str, Distribution], declared: Mapping[str, Parameter]) -> None:
+    def __init__(self, distributions: Mapping[str, Distribution], declared: Mapping[str, RandomizedParameter]) -> None:
         for name in distributions:
             if name not in declared:
                 raise UsageError(
@@ -38,13 +50,14 @@ class Randomization:
                 )
         self._drawn = tuple((name, distributions[name], declared[name]) for name in sorted(distributions))
         self.layout = Layout(tuple(Field(name, 1, parameter.unit) for name, _, parameter in self._drawn))
-        """The parameters in the order in which `draw` gives them."""
+        """The parameters in the order of the values that `draw` returns."""
 
     def draw(self, generator: Generator) -> list[float]:
         """A value for each parameter. Raises RunError when a distribution keeps missing the allowed range."""
-        return [self._one(name, distribution, parameter, generator) for name, distribution, parameter in self._drawn]
+        return [self._draw(name, distribution, parameter, generator) for name, distribution, parameter in self._drawn]
 
-    def _one(self, name: str, distribution: Distribution, parameter: Parameter, generator: Generator) -> float:
+    @staticmethod
+    def _draw(name: str, distribution: Distribution, parameter: RandomizedParameter, generator: Generator) -> float:
         for _ in range(ATTEMPTS):
             value = distribution.draw(generator)
             if parameter.low <= value <= parameter.high:

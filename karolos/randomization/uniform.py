@@ -1,6 +1,8 @@
-"""Values between two bounds."""
+"""Uniform distribution."""
 
 from __future__ import annotations
+
+from typing import Self
 
 from pydantic import Field as Setting
 from pydantic import model_validator
@@ -18,13 +20,12 @@ class Uniform(Distribution):
         high: float = Setting(description="in the parameter's unit")
 
         @model_validator(mode="after")
-        def _ordered(self) -> Uniform.Settings:
+        def _ordered(self) -> Self:
             if self.high < self.low:
                 raise ValueError(f"high ({self.high:g}) must not be less than low ({self.low:g})")
             return self
 
-    def __init__(self, settings: Uniform.Settings) -> None:
-        self.settings = settings
+    settings: Settings
 
     def draw(self, generator: Generator) -> float:
         return float(generator.uniform(self.settings.low, self.settings.high))

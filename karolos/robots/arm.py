@@ -1,41 +1,97 @@
-"""Every serial arm: a robot file gives an `ArmModel` and the defaults of its settings, and this does the work.
+"""A serial arm: a robot file gives an `ArmModel` and the defaults of its settings; this file implements the robot.
 
 Control modes: `joint` (change of each joint position) and `cartesian` (change of the tool position, gripper pointing
-down). The latter has the same action and observation layout for every arm.
+down). Cartesian control has the same action and observation layout for every arm.
 """
 
 from __future__ import annotations
 
 from collections import deque
-from collections.abc import Mapping, Sequence
+from collections.abc import Callable, Mapping, Sequence
+from dataclasses import dataclass
 from functools import cached_property
 from math import atan2, cos, dist, hypot, sin
 from operator import truediv
-from typing import ClassVar
+from pathlib import Path
+from typing import ClassVar, Literal
 
 import numpy as np
+from pydantic import Field as Setting
 
-from ..core import Field, FloatArray, Layout
+from ..core import Field, FloatArray, Layout, Settings
 from ..core.seeding import Generator
 from ..errors import PluginError, UsageError
-from ..randomization.parameter import Parameter
+from ..randomization.randomization import RandomizedParameter
 from ..simulation import urdf
-from ..simulation.body import Body, Vector
-from ..simulation.interface import Gripper, JointLimits
+from ..simulation.geometry import Vector
+from ..simulation.interface import Body, Box, Fingers, Gripper, JointLimits, World
 from ..simulation.kinematics import Chain, Configuration
-from ..simulation.world import World
-from .drives import Drives
-from .model import PARAMETERS, ArmModel, ArmSettings, pad_friction
+from .joint_control import JointControl
 
 POSTURE_GAIN = 0.1
-"""Share of the way back to the home pose, per control step, that the null space is used for."""
-PLACED = 5e-4
-"""How near, in m, and how upright, in rad, `place_tool` brings the tool."""
-NOMINAL = {name: parameter.nominal for name, parameter in PARAMETERS.items()}
+"""Fraction of the way back to the home pose, per control step, that inverse kinematics takes in the null space."""
+PLACE_TOLERANCE = 5e-4
+"""Largest error of `place_tool`, in m for the position and in rad for the orientation."""
+PARAMETERS: Mapping[str, RandomizedParameter] = {
+    "joint_damping": RandomizedParameter("N m s/rad", 0.0, 0.0, 20.0, "viscous friction of every joint"),
+    "joint_friction": RandomizedParameter("N m", 0.0, 0.0, 10.0, "dry friction: torque that every motor lacks"),
+    "link_mass": RandomizedParameter("1", 1.0, 0.2, 5.0, "factor on the masses and inertias of all links"),
+    "motor_gain": RandomizedParameter("1", 1.0, 0.1, 4.0, "factor on the stiffness of the position control"),
+    "observation_noise": RandomizedParameter("1", 0.0, 0.0, 0.2, "standard deviation of the noise, in SI units"),
+    "action_delay": RandomizedParameter("control steps", 0.0, 0.0, 5.0, "delay of the actions; rounded"),
+}
+
+
+class ArmSettings(Settings):
+    """Settings of every arm. Whatever the steps, motors do not exceed the speeds of the data sheet."""
+
+    control: Literal["joint", "cartesian"] | None = Setting(
+        None, description="what the action changes; null: cartesian, or joint where a task turns the gripper (throw)"
+    )
+    joint_step: float = Setting(
+        0.5, gt=0, le=0.5, description="largest change of a joint per control step in rad; its speed may allow less"
+    )
+    tool_step: float = Setting(
+        0.05, gt=0, le=0.2, description="largest change of the tool position per control step and axis, m"
+    )
+    yaw: bool = Setting(False, description="whether a cartesian action also turns the gripper about the vertical")
+    yaw_step: float = Setting(0.2, gt=0, le=0.5, description="largest turn of the gripper per control step, rad")
+    reset_noise: float = Setting(
+        0.02, ge=0, le=0.2, description="largest deviation of a joint from the home pose at a reset, rad"
+    )
+
+
+@dataclass(frozen=True)
+class ArmModel:
+    """The numbers of one arm; limits, efforts and speeds of the joints come from its URDF.
+
+    The revolute joints of the URDF, in order, are the arm. Its base stands on the floor at the world's origin.
+    """
+
+    urdf: Path
+    home: tuple[float, ...]
+    """Joint positions in rad with the tool pointing down."""
+    workspace: Box
+    """Region that the tool reaches while pointing down, in m."""
+    tool: Vector
+    """Tool centre point in the frame of the last link, in m."""
+    tool_rpy: Vector
+    """Tool frame in the frame of the last link, rad; its z axis is the direction of approach."""
+    fingers: Fingers | None = None
+    self_collisions: tuple[tuple[str, str], ...] = ()
+    """Pairs of links that collide; all other pairs of the arm's links do not."""
 
 
 class Arm:
-    """Implements `karolos.simulation.interface.Robot` for a serial arm; a subclass sets `model` and `Settings`."""
+    """Implements `karolos.simulation.interface.Robot` for a serial arm; a subclass sets `model` and `Settings`.
+
+    Observation: tool_position (3, m), tool_velocity (3, m/s); with `yaw` tool_heading (2, cosine and sine of the yaw);
+    with a gripper gripper_opening (1, 0 closed to 1 open); with joint control joint_positions (n, rad) and
+    joint_velocities (n, rad/s).
+    Action, each number in [-1, 1]: tool_position_change (3, in units of `tool_step`), with `yaw` yaw_change (1, in
+    units of `yaw_step`); with joint control instead joint_changes (n, in units of the joint step); with a gripper
+    gripper_opening (1, -1 closed to 1 open).
+    """
 
     Settings: ClassVar[type[ArmSettings]]
     model: ClassVar[ArmModel]
@@ -52,14 +108,14 @@ class Arm:
             *(tuple(getattr(joint, key) for joint in self._joints) for key in ("lower", "upper", "velocity", "effort"))
         )
         self.chain = Chain(self._joints, (np.array(model.tool), urdf.rotation_matrix(*model.tool_rpy)))
-        self._at = self.chain.forward(model.home)
-        pose = self._at.tool
+        self._configuration = self.chain.forward(model.home)
+        pose = self._configuration.tool
         self.home = pose.position
         self.home_yaw = atan2(pose.x[1], pose.x[0])
         self.workspace = model.workspace
         self.reset_noise = settings.reset_noise
         self._fingers = model.fingers
-        self._values = dict(NOMINAL)
+        self._values = {name: parameter.nominal for name, parameter in PARAMETERS.items()}
         self._positions: Sequence[float] = model.home
         self._velocities: Sequence[float] = (0.0,) * len(model.home)
         self._delayed: deque[list[float]] = deque()
@@ -89,11 +145,12 @@ class Arm:
 
     @property
     def gripper(self) -> Gripper | None:
-        return self.model.fingers.facts if self.model.fingers else None
+        return self.model.fingers.gripper if self.model.fingers else None
 
     def prepare(self, *, gripper: bool, period: float, points_down: bool = True) -> None:
         if gripper and self.model.fingers is None:
-            raise PluginError("this robot has no gripper", where=type(self).__name__, hint="choose a task without one")
+            hint = "choose a task that needs no gripper"
+            raise PluginError("this robot has no gripper", where=type(self).__name__, hint=hint)
         self._fingers = self.model.fingers if gripper else None
         self._cartesian = (self.settings.control or ("cartesian" if points_down else "joint")) == "cartesian"
         self._yaws = self._cartesian and self.settings.yaw
@@ -102,10 +159,12 @@ class Arm:
         self.tool_step = self.settings.tool_step
 
     @property
-    def parameters(self) -> Mapping[str, Parameter]:
+    def parameters(self) -> Mapping[str, RandomizedParameter]:
         if self._fingers is None:
             return PARAMETERS
-        return {**PARAMETERS, "pad_friction": pad_friction(self._fingers.facts.pad_friction)}
+        nominal = self._fingers.gripper.pad_friction
+        friction = RandomizedParameter("1", nominal, 0.0, 5.0, "lateral friction coefficient of the gripper's pads")
+        return {**PARAMETERS, "pad_friction": friction}
 
     @cached_property
     def observation(self) -> Layout:
@@ -135,68 +194,69 @@ class Arm:
             robot = urdf.weld(robot, dict.fromkeys(fingers.joints, fingers.position(0.0)))
         self.world = world
         self.body = world.load(robot)
-        links = self.body.links()
-        known = {**links, self._joints[0].parent: -1}  # welded fingers are no links of their own
-        pairs = [(known[a], known[b]) for a, b in self.model.self_collisions if a in known and b in known]
+        links = {**self.body.links(), self._joints[0].parent: -1}
+        # a welded finger has no link
+        pairs = [(links[a], links[b]) for a, b in self.model.self_collisions if a in links and b in links]
         self.body.collide_only(pairs)
-        self._drives = Drives(world, self.body, [links[joint.child] for joint in self._joints], self.limits)
-        if self._fingers is not None:
-            self._drives.add_fingers(self._fingers, [links[name] for name in self._fingers.links])
+        self._control = JointControl(self.limits, world.period)
+        arm = [joint.child for joint in self._joints]
+        self._motors = motors = world.motors(self.body, arm, self.limits, self._fingers)
+        self._apply: dict[str, Callable[[float], None]] = {
+            "joint_damping": motors.set_joint_damping,
+            "joint_friction": motors.set_joint_friction,
+            "link_mass": motors.set_mass,
+            "motor_gain": motors.set_gain,
+            "pad_friction": motors.set_pad_friction,
+        }
 
     def apply(self, name: str, value: float) -> None:
-        if name == "pad_friction":
-            self._drives.set_pad_friction(value)
-        elif name == "joint_damping":
-            self._drives.set_damping(value)
-        elif name == "link_mass":
-            self._drives.set_mass(value)
-        elif name == "joint_friction":
-            self._drives.set_friction(value)
-        elif name == "motor_gain":
-            self._drives.set_gain(value)
+        if name in self._apply:
+            self._apply[name](value)
         else:  # observation_noise, action_delay
             self._values[name] = value
 
     def reset(self, generator: Generator) -> None:
         home, noise = self.model.home, self.reset_noise
         self._generator = generator
-        still = [0.0] * self.action.size
+        rest = [0.0] * self.action.size
         if self._fingers is not None:
-            still[-1] = 1.0  # as the gripper is after a reset
-        self._delayed = deque(still for _ in range(round(self._values["action_delay"])))
-        turns = generator.uniform(-noise, noise, len(home)).tolist()
-        self._place([position + turn for position, turn in zip(home, turns, strict=True)], 1.0)
+            rest[-1] = 1.0  # the gripper is open after a reset
+        self._delayed = deque(rest for _ in range(round(self._values["action_delay"])))
+        offsets = generator.uniform(-noise, noise, len(home)).tolist()
+        self._place([position + offset for position, offset in zip(home, offsets, strict=True)], 1.0)
 
     def _place(self, positions: Sequence[float], opening: float) -> None:
-        """Put the joints there at rest, within their limits, and aim the motors at just that."""
-        limits = self.limits
-        clipped = [
-            min(max(value, low), high) for value, low, high in zip(positions, limits.lower, limits.upper, strict=True)
-        ]
-        self._drives.write(clipped, opening)
+        """Put the joints there at rest, within their limits, and aim the motors at the same positions."""
+        positions = self._clipped(positions)
+        self._control.reset(positions)
+        self._motors.write(positions, opening)
         self.read()
+
+    def _clipped(self, positions: Sequence[float]) -> list[float]:
+        """Joint positions within their limits."""
+        limits = zip(positions, self.limits.lower, self.limits.upper, strict=True)
+        return [min(max(position, low), high) for position, low, high in limits]
 
     def place_tool(self, position: Vector, opening: float) -> None:
         joints: list[float] = list(self.model.home)
         for _ in range(100):
-            at = self.chain.forward(joints)
-            if dist(at.tool.position, position) < PLACED and hypot(*at.tool.z[:2]) < PLACED:
+            configuration = self.chain.forward(joints)
+            tool = configuration.tool
+            if dist(tool.position, position) < PLACE_TOLERANCE and hypot(*tool.z[:2]) < PLACE_TOLERANCE:
                 break
-            change = self.chain.step(at, position, self.home_yaw, self._posture(joints))
-            joints = [
-                min(max(value + turn, low), high)
-                for value, turn, low, high in zip(joints, change, self.limits.lower, self.limits.upper, strict=True)
-            ]
+            changes = self.chain.step(configuration, position, self.home_yaw, self._posture(joints))
+            joints = self._clipped([joint + change for joint, change in zip(joints, changes, strict=True)])
         reached = self.chain.forward(joints).tool.position
         if np.linalg.norm(np.subtract(reached, position)) > 0.005:
             raise PluginError(
-                f"the tool cannot be at {tuple(round(value, 3) for value in position)} m",
+                f"the tool cannot reach {tuple(round(value, 3) for value in position)} m",
                 where=type(self).__name__,
                 hint=f"its workspace is {self.workspace.low} to {self.workspace.high}",
             )
         self._place(joints, opening)
 
     def _posture(self, joints: Sequence[float]) -> list[float]:
+        """Changes of the joints (n,) in rad that inverse kinematics prefers: back towards the home pose."""
         return [POSTURE_GAIN * (home - value) for home, value in zip(self.model.home, joints, strict=True)]
 
     def act(self, action: Sequence[float]) -> None:
@@ -204,41 +264,42 @@ class Arm:
         if self._delayed:
             self._delayed.append(values)
             values = self._delayed.popleft()
+        if self._cartesian:
+            x, y, z = self.tool_position
+            (low_x, low_y, low_z), (high_x, high_y, high_z) = self.workspace.low, self.workspace.high
+            target = (
+                min(max(x + self.tool_step * values[0], low_x), high_x),
+                min(max(y + self.tool_step * values[1], low_y), high_y),
+                min(max(z + self.tool_step * values[2], low_z), high_z),
+            )
+            yaw = self._yaw() + self.settings.yaw_step * values[3] if self._yaws else self.home_yaw
+            changes = self._joint_changes(target, yaw)
+        else:
+            changes = [step * value for step, value in zip(self.joint_step, values, strict=False)]
         opening = None if self._fingers is None else 0.5 + 0.5 * values[-1]
-        if not self._cartesian:
-            turns = [step * value for step, value in zip(self.joint_step, values, strict=False)]
-            self._drives.turn(self._positions, self._velocities, turns, opening)
-            return
-        step, (x, y, z) = self.tool_step, self.tool_position
-        low, high = self.workspace.low, self.workspace.high
-        target = (
-            min(max(x + step * values[0], low[0]), high[0]),
-            min(max(y + step * values[1], low[1]), high[1]),
-            min(max(z + step * values[2], low[2]), high[2]),
-        )
-        yaw = self.home_yaw
-        if self._yaws:
-            heading = self._at.tool.x
-            yaw = atan2(heading[1], heading[0]) + self.settings.yaw_step * values[3]
-        self._drives.turn(self._positions, self._velocities, self._turns_to(target, yaw), opening)
+        self._motors.drive(*self._control.targets(self._positions, self._velocities, changes), opening)
 
-    def _turns_to(self, target: Vector, yaw: float) -> list[float]:
-        """Change of the joints towards a tool position, shortened so that no joint goes further than its step."""
-        change = self.chain.step(self._at, target, yaw, self._posture(self._positions))
-        excess = max(map(truediv, map(abs, change), self.joint_step))
-        return [turn / excess for turn in change] if excess > 1 else change
+    def _yaw(self) -> float:
+        """Current yaw of the tool's x axis, in rad."""
+        x, y, _ = self._configuration.tool.x
+        return atan2(y, x)
+
+    def _joint_changes(self, target: Vector, yaw: float) -> list[float]:
+        """Change of the joints (n,) towards a tool position, scaled down so that no joint exceeds its step."""
+        changes = self.chain.step(self._configuration, target, yaw, self._posture(self._positions))
+        excess = max(map(truediv, map(abs, changes), self.joint_step))
+        return [change / excess for change in changes] if excess > 1 else changes
 
     def read(self) -> None:
-        self._positions, self._velocities, self.opening = self._drives.read()
-        self._at = at = self.chain.forward(self._positions)
-        self.tool_position = at.tool.position
-        self.tool_velocity = self.chain.velocity(at, self._velocities)
+        self._positions, self._velocities, self.opening = self._motors.read()
+        self._configuration = self.chain.forward(self._positions)
+        self.tool_position = self._configuration.tool.position
+        self.tool_velocity = self.chain.velocity(self._configuration, self._velocities)
 
     def observe(self) -> list[float]:
         values = [*self.tool_position, *self.tool_velocity]
         if self._yaws:
-            heading = self._at.tool.x
-            yaw = atan2(heading[1], heading[0])
+            yaw = self._yaw()
             values += (cos(yaw), sin(yaw))
         if self._fingers is not None:
             values.append(self.opening)
@@ -251,29 +312,30 @@ class Arm:
         return values
 
     def pads_touching(self, body: Body) -> int:
-        return sum(self.world.touching(self.body, body, link) for link in self._drives.pads)
+        return sum(self.world.touching(self.body, body, link) for link in self._motors.pads)
 
     def towards(self, position: Vector, opening: float) -> FloatArray:
         values: list[float]
         if self._cartesian:
-            away = [goal - now for goal, now in zip(position, self.tool_position, strict=True)]
-            longest = max(1.0, max(abs(value) for value in away) / self.tool_step)
-            values = [value / self.tool_step / longest for value in away]
+            difference = [target - current for target, current in zip(position, self.tool_position, strict=True)]
+            longest = max(1.0, max(abs(value) for value in difference) / self.tool_step)
+            values = [value / self.tool_step / longest for value in difference]
             if self._yaws:
-                heading = self._at.tool.x
-                turn = self.home_yaw - atan2(heading[1], heading[0])
+                turn = self.home_yaw - self._yaw()
                 values.append(atan2(sin(turn), cos(turn)) / self.settings.yaw_step)
         else:
-            turns = self._turns_to(position, self.home_yaw)
-            values = [turn / step for turn, step in zip(turns, self.joint_step, strict=True)]
+            changes = self._joint_changes(position, self.home_yaw)
+            values = [change / step for change, step in zip(changes, self.joint_step, strict=True)]
         return self._action(values, opening)
 
     def turning(self, changes: Sequence[float], opening: float) -> FloatArray:
         if self._cartesian:
             raise UsageError(
-                "cartesian control does not turn joints", where="robot.control", hint="set robot.control: joint"
+                "cartesian control does not change joint positions",
+                where="robot.control",
+                hint="set robot.control: joint",
             )
-        return self._action([turn / step for turn, step in zip(changes, self.joint_step, strict=True)], opening)
+        return self._action([change / step for change, step in zip(changes, self.joint_step, strict=True)], opening)
 
     def _action(self, values: list[float], opening: float) -> FloatArray:
         if self._fingers is not None:

@@ -6,9 +6,8 @@ from math import pi
 from pathlib import Path
 
 from ..simulation.interface import Box
-from .arm import Arm
-from .model import ArmModel, ArmSettings
-from .two_finger import ROBOTIQ_2F_85
+from .arm import Arm, ArmModel, ArmSettings
+from .robotiq import ROBOTIQ_2F_85
 
 
 class Iiwa(Arm):
@@ -18,7 +17,7 @@ class Iiwa(Arm):
     """
 
     class Settings(ArmSettings):
-        """As every arm's."""
+        """The settings of every arm."""
 
     model = ArmModel(
         urdf=Path(__file__).parent / "urdf" / "iiwa.urdf",

@@ -5,9 +5,8 @@ from __future__ import annotations
 from math import pi
 from pathlib import Path
 
-from ..simulation.interface import Box, Gripper
-from .arm import Arm
-from .model import ArmModel, ArmSettings, Fingers
+from ..simulation.interface import Box, Fingers, Gripper
+from .arm import Arm, ArmModel, ArmSettings
 
 
 class Panda(Arm):
@@ -17,7 +16,7 @@ class Panda(Arm):
     """
 
     class Settings(ArmSettings):
-        """As every arm's."""
+        """The settings of every arm."""
 
     model = ArmModel(
         urdf=Path(__file__).parent / "urdf" / "panda.urdf",
@@ -30,7 +29,7 @@ class Panda(Arm):
             links=("finger1", "finger2"),
             travel=0.04,
             open_at_zero=False,
-            facts=Gripper(width=0.08, force=20.0, speed=0.05, pad_friction=1.0),
+            gripper=Gripper(width=0.08, force=20.0, speed=0.05, pad_friction=1.0),
         ),
         # the hand against the base and the upper arm: what the joint limits leave possible
         self_collisions=tuple(

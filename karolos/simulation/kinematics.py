@@ -1,6 +1,6 @@
-"""Forward kinematics, Jacobian and damped least squares of a serial arm, in plain floats.
+"""Forward kinematics, Jacobian and damped least squares of a serial arm.
 
-A single arm has too few numbers for arrays to pay: plain floats take half the time of numpy, and need no world.
+Plain floats take half the time of numpy arrays for a single arm.
 Damped least squares: Nakamura and Hanafusa 1986; null-space term: Liegeois 1977.
 """
 
@@ -14,13 +14,12 @@ import numpy as np
 from scipy.linalg.lapack import dposv
 
 from ..core import Array
+from .geometry import Vector
 from .urdf import Joint
-
-Vector = tuple[float, float, float]
 
 
 class Pose(NamedTuple):
-    """Where the tool is: position in m and the unit vectors of its frame, z along the direction of approach."""
+    """Position of the tool in m and the unit vectors of its frame, z along the direction of approach."""
 
     position: Vector
     x: Vector
@@ -29,11 +28,11 @@ class Pose(NamedTuple):
 
 
 class Configuration(NamedTuple):
-    """A chain with its joints somewhere: what is known after one walk along it."""
+    """A chain at given joint positions."""
 
     tool: Pose
-    places: list[float]
-    """Of each joint in turn its position in m and its axis, in world coordinates: 6 n numbers."""
+    axes: list[float]
+    """For each joint its origin in m and the direction of its axis, in world coordinates: 6 n numbers."""
 
 
 def _aligned(axis: Vector) -> Array:
@@ -50,34 +49,35 @@ class Chain:
     """A serial chain of revolute joints from the world to a tool.
 
     Args:
-        joints: from base to wrist, each the child of the one before.
+        joints: from base to wrist, each the child of the previous one.
         tool: translation in m (3,) and rotation (3, 3) of the tool in the frame of the last link.
         base: position of the chain's base in the world, in m.
     """
 
     damping = 0.02
-    """lambda of the damped least squares, in m/rad: errors along singular directions are not chased."""
+    """lambda of the damped least squares, in m/rad; it limits joint changes near singularities."""
 
     def __init__(self, joints: Sequence[Joint], tool: tuple[Array, Array], base: Vector = (0.0, 0.0, 0.0)) -> None:
         self.size = len(joints)
         self.base = base
-        # Every joint is made to turn about z: the turn that aligns its axis goes into its own and the next origin.
-        back = np.eye(3)
+        # Every joint turns about z here: the rotation that aligns its axis is part of its own and the next origin.
+        aligned = np.eye(3)
         frames: list[tuple[float, ...]] = []
         for joint in joints:
             turn = _aligned(joint.axis)
-            rotation = back.T @ np.array(joint.rotation) @ turn
-            frames.append((*(back.T @ np.array(joint.origin)), *rotation.ravel()))
-            back = turn
+            rotation = aligned.T @ np.array(joint.rotation) @ turn
+            frames.append((*(aligned.T @ np.array(joint.origin)), *rotation.ravel()))
+            aligned = turn
         self._frames = tuple(tuple(float(value) for value in frame) for frame in frames)
-        self._tool = tuple(float(v) for v in (*(back.T @ np.asarray(tool[0])), *(back.T @ np.asarray(tool[1])).ravel()))
+        translation, rotation = aligned.T @ np.asarray(tool[0]), aligned.T @ np.asarray(tool[1])
+        self._tool = tuple(float(value) for value in (*translation, *rotation.ravel()))
         self._identity = np.eye(6) * self.damping**2
 
     def forward(self, positions: Sequence[float]) -> Configuration:
         """The chain at joint positions (n,) in rad."""
         px, py, pz = self.base
         xx, xy, xz, yx, yy, yz, zx, zy, zz = 1.0, 0.0, 0.0, 0.0, 1.0, 0.0, 0.0, 0.0, 1.0
-        places: list[float] = []
+        axes: list[float] = []
         for angle, (ox, oy, oz, a, b, c, d, e, f, g, h, i) in zip(positions, self._frames, strict=True):
             px += xx * ox + yx * oy + zx * oz
             py += xy * ox + yy * oy + zy * oz
@@ -89,7 +89,7 @@ class Chain:
             k, s = cos(angle), sin(angle)
             xx, xy, xz = k * ux + s * vx, k * uy + s * vy, k * uz + s * vz
             yx, yy, yz = k * vx - s * ux, k * vy - s * uy, k * vz - s * uz
-            places += (px, py, pz, zx, zy, zz)
+            axes += (px, py, pz, zx, zy, zz)
         ox, oy, oz, a, b, c, d, e, f, g, h, i = self._tool
         pose = Pose(
             (px + xx * ox + yx * oy + zx * oz, py + xy * ox + yy * oy + zy * oz, pz + xz * ox + yz * oy + zz * oz),
@@ -97,15 +97,14 @@ class Chain:
             (xx * b + yx * e + zx * h, xy * b + yy * e + zy * h, xz * b + yz * e + zz * h),
             (xx * c + yx * f + zx * i, xy * c + yy * f + zy * i, xz * c + yz * f + zz * i),
         )
-        return Configuration(pose, places)
+        return Configuration(pose, axes)
 
     @staticmethod
     def velocity(at: Configuration, rates: Sequence[float]) -> Vector:
         """Velocity of the tool in m/s when the joints turn at rates (n,) in rad/s."""
         tx, ty, tz = at.tool.position
         vx = vy = vz = 0.0
-        places = iter(at.places)
-        for rate, px, py, pz, ax, ay, az in zip(rates, places, places, places, places, places, places, strict=True):
+        for rate, px, py, pz, ax, ay, az in zip(rates, *[iter(at.axes)] * 6, strict=True):
             rx, ry, rz = tx - px, ty - py, tz - pz
             vx += rate * (ay * rz - az * ry)
             vy += rate * (az * rx - ax * rz)
@@ -117,21 +116,20 @@ class Chain:
         """(6, n): velocity of the tool in m/s, then its angular velocity in rad/s, per rad/s of each joint."""
         tx, ty, tz = at.tool.position
         numbers: list[float] = []
-        places = iter(at.places)
-        for px, py, pz, ax, ay, az in zip(places, places, places, places, places, places, strict=True):
+        for px, py, pz, ax, ay, az in zip(*[iter(at.axes)] * 6, strict=True):
             rx, ry, rz = tx - px, ty - py, tz - pz
             numbers += (ay * rz - az * ry, az * rx - ax * rz, ax * ry - ay * rx, ax, ay, az)
         return np.array(numbers).reshape(-1, 6).T
 
     def step(self, at: Configuration, target: Vector, yaw: float, posture: Sequence[float]) -> list[float]:
-        """Change of the joints (n,) in rad that brings the tool towards `target` in m, pointing down.
+        """Change of the joints (n,) in rad that moves the tool towards `target` in m, pointing down.
 
         One step of damped least squares on position, tool-down orientation and yaw.
 
         Args:
-            at: what `forward` gives for the joints as they are.
+            at: the current configuration.
             yaw: of the tool's x axis about the world's z, in rad.
-            posture: (n,) a wish in rad, followed as far as it leaves the tool where it is.
+            posture: preferred change (n,) in rad, projected into the null space of the tool's motion.
         """
         jacobian = self.jacobian(at)
         (px, py, pz), (ax, ay, az), (bx, by, bz), (cx, cy, _) = at.tool
@@ -149,9 +147,9 @@ class Chain:
                 *posture,
             )
         )
-        error, wish = numbers[:6], numbers[6:]
+        error, preferred = numbers[:6], numbers[6:]
         square = jacobian @ jacobian.T
         square += self._identity
-        weights = dposv(square, error - jacobian @ wish)[1]
-        change: list[float] = (wish + weights @ jacobian).tolist()
+        weights = dposv(square, error - jacobian @ preferred)[1]
+        change: list[float] = (preferred + weights @ jacobian).tolist()
         return change

@@ -1,12 +1,12 @@
-"""Reads the URDFs that ship: joints with their origins and limits, and the welding of joints that a task never moves.
+"""URDF files: joints with their origins and limits, and welding of joints that a task never moves.
 
-Units: m, rad, kg, N m (N for prismatic joints), rad/s (m/s). Nothing here needs pybullet.
+Units: m, rad, kg, N m (N for prismatic joints), rad/s (m/s). No engine is needed.
 """
 
 from __future__ import annotations
 
 import copy
-from collections.abc import Mapping
+from collections.abc import Iterable, Mapping
 from dataclasses import dataclass
 from functools import cache
 from pathlib import Path
@@ -17,6 +17,7 @@ import numpy as np
 
 from ..core import Array
 from ..errors import PluginError
+from .geometry import Vector
 
 
 @dataclass(frozen=True)
@@ -27,9 +28,9 @@ class Joint:
     parent: str
     child: str
     revolute: bool
-    origin: tuple[float, float, float]
-    rotation: tuple[tuple[float, float, float], ...]
-    axis: tuple[float, float, float]
+    origin: Vector
+    rotation: tuple[Vector, ...]
+    axis: Vector
     lower: float
     upper: float
     effort: float
@@ -50,18 +51,15 @@ def rotation_matrix(roll: float, pitch: float, yaw: float) -> Array:
 
 def roll_pitch_yaw(rotation: Array) -> tuple[float, float, float]:
     """The inverse of `rotation_matrix`, for a pitch within (-pi/2, pi/2); at the poles the roll is set to 0."""
-    pitch = float(np.arctan2(-rotation[2, 0], np.hypot(rotation[0, 0], rotation[1, 0])))
-    if np.hypot(rotation[0, 0], rotation[1, 0]) < 1e-9:
+    level = np.hypot(rotation[0, 0], rotation[1, 0])
+    pitch = float(np.arctan2(-rotation[2, 0], level))
+    if level < 1e-9:
         return 0.0, pitch, float(np.arctan2(-rotation[0, 1], rotation[1, 1]))
-    return (
-        float(np.arctan2(rotation[2, 1], rotation[2, 2])),
-        pitch,
-        float(np.arctan2(rotation[1, 0], rotation[0, 0])),
-    )
+    return float(np.arctan2(rotation[2, 1], rotation[2, 2])), pitch, float(np.arctan2(rotation[1, 0], rotation[0, 0]))
 
 
 def read(path: Path) -> Element:
-    """The <robot> element of a URDF. Raises PluginError when the file is missing or no URDF."""
+    """The <robot> element of a URDF. Raises PluginError when the file is missing or not a URDF."""
     try:
         root = ElementTree.parse(path).getroot()
     except OSError as error:
@@ -75,7 +73,7 @@ def read(path: Path) -> Element:
 
 @cache
 def joints(path: Path) -> tuple[Joint, ...]:
-    """The joints that move, in the order of the file. Raises PluginError when one of them is not fully described."""
+    """The movable joints, in the order of the file. Raises PluginError when the description of one is incomplete."""
     return tuple(_joint(element, path) for element in read(path).iter("joint") if element.get("type") != "fixed")
 
 
@@ -89,10 +87,9 @@ def _joint(element: Element, path: Path) -> Joint:
     if limit is None or parent is None or child is None:
         raise PluginError("a joint without parent, child or limit", where=where)
     origin, rotation = _origin(element)
-    axis = element.find("axis")
     try:
         lower, upper, effort, velocity = (float(limit.attrib[key]) for key in ("lower", "upper", "effort", "velocity"))
-        direction = _triple(axis.get("xyz", "1 0 0") if axis is not None else "1 0 0")
+        axis = _axis(element)
     except (KeyError, ValueError) as error:
         raise PluginError(f"limit or axis is not readable: {error}", where=where) from error
     if not lower < upper or effort <= 0 or velocity <= 0:
@@ -102,9 +99,9 @@ def _joint(element: Element, path: Path) -> Joint:
         parent=parent.get("link", ""),
         child=child.get("link", ""),
         revolute=kind == "revolute",
-        origin=(float(origin[0]), float(origin[1]), float(origin[2])),
-        rotation=tuple(_row(row) for row in rotation),
-        axis=direction,
+        origin=_vector(origin),
+        rotation=tuple(_vector(row) for row in rotation),
+        axis=axis,
         lower=lower,
         upper=upper,
         effort=effort,
@@ -112,13 +109,14 @@ def _joint(element: Element, path: Path) -> Joint:
     )
 
 
-def _row(values: Array) -> tuple[float, float, float]:
-    return float(values[0]), float(values[1]), float(values[2])
-
-
-def _triple(text: str) -> tuple[float, float, float]:
-    x, y, z = (float(number) for number in text.split())
+def _vector(values: Iterable[str | float]) -> Vector:
+    x, y, z = map(float, values)
     return x, y, z
+
+
+def _axis(joint: Element) -> Vector:
+    axis = joint.find("axis")
+    return _vector((axis.get("xyz", "1 0 0") if axis is not None else "1 0 0").split())
 
 
 def _origin(element: Element) -> tuple[Array, Array]:
@@ -126,14 +124,14 @@ def _origin(element: Element) -> tuple[Array, Array]:
     origin = element.find("origin")
     if origin is None:
         return np.zeros(3), np.eye(3)
-    translation = np.array(_triple(origin.get("xyz", "0 0 0")))
-    return translation, rotation_matrix(*_triple(origin.get("rpy", "0 0 0")))
+    translation = np.array(_vector(origin.get("xyz", "0 0 0").split()))
+    return translation, rotation_matrix(*_vector(origin.get("rpy", "0 0 0").split()))
 
 
 def weld(robot: Element, positions: Mapping[str, float]) -> Element:
-    """A copy in which the joints named stand still at their positions and their links are part of their parents.
+    """A copy with the named joints fixed at these positions and their links merged into their parents.
 
-    A link costs about a tenth of a physics step of an arm, so a gripper that a task never moves is not simulated.
+    A link costs about a tenth of an arm's physics step, so a gripper that a task never moves is not simulated.
     """
     robot = copy.deepcopy(robot)
     links = {link.get("name"): link for link in robot.findall("link")}
@@ -143,12 +141,11 @@ def weld(robot: Element, positions: Mapping[str, float]) -> Element:
             continue
         parent, child = (links[_link(element, role)] for role in ("parent", "child"))
         translation, rotation = _origin(element)
-        axis = element.find("axis")
-        direction = np.array(_triple(axis.get("xyz", "1 0 0") if axis is not None else "1 0 0"))
-        translation = translation + rotation @ direction * position
+        translation = translation + rotation @ np.array(_axis(element)) * position
         _merge_inertia(parent, child, translation, rotation)
         for shape in [*child.findall("visual"), *child.findall("collision")]:
-            _move(shape, translation, rotation)
+            offset, turn = _origin(shape)
+            _set_origin(shape, translation + rotation @ offset, rotation @ turn)
             parent.append(shape)
         robot.remove(element)
         robot.remove(child)
@@ -156,13 +153,8 @@ def weld(robot: Element, positions: Mapping[str, float]) -> Element:
 
 
 def _link(element: Element, role: str) -> str:
-    found = element.find(role)
-    return "" if found is None else found.get("link", "")
-
-
-def _move(shape: Element, translation: Array, rotation: Array) -> None:
-    offset, turn = _origin(shape)
-    _set_origin(shape, translation + rotation @ offset, rotation @ turn)
+    link = element.find(role)
+    return "" if link is None else link.get("link", "")
 
 
 def _set_origin(element: Element, translation: Array, rotation: Array) -> None:
@@ -199,8 +191,8 @@ def _merge_inertia(parent: Element, child: Element, translation: Array, rotation
     middle = sum((part[0] * part[1] for part in parts), np.zeros(3)) / total
     merged = np.zeros((3, 3))
     for mass, centre, tensor in parts:
-        away = centre - middle
-        merged += tensor + mass * (away @ away * np.eye(3) - np.outer(away, away))
+        offset = centre - middle
+        merged += tensor + mass * (offset @ offset * np.eye(3) - np.outer(offset, offset))
     old = parent.find("inertial")
     if old is not None:
         parent.remove(old)

@@ -1,23 +1,29 @@
-"""The cube that tasks move: its settings, its body, what a task sees of it, and what tasks with one share."""
+"""The cube that tasks move: settings, body, observation, ground it may lie on, and motions of experts near it."""
 
 from __future__ import annotations
 
 from collections.abc import Mapping, Sequence
-from math import cos, pi, sin
+from math import cos, dist, hypot, pi, sin
 
 from pydantic import Field as Setting
 
 from ..core import Field, Layout
 from ..core import Settings as BaseSettings
-from ..errors import PluginError
-from ..randomization.parameter import Parameter
-from ..simulation.body import UPRIGHT, Quaternion, Vector
-from ..simulation.interface import RobotView, Task
-from ..simulation.world import World
+from ..errors import PluginError, UsageError
+from ..randomization.randomization import RandomizedParameter
+from ..simulation.geometry import UPRIGHT, Quaternion, Vector
+from ..simulation.interface import Box, Gripper, RobotView, Task, World
 
 COLOUR = (0.93, 0.45, 0.13, 1.0)
-FAR = 10.0
-"""m from the origin; further away, or below the floor, an object has left all sense."""
+LOST_DISTANCE = 10.0
+"""m from the origin; the physics has diverged when an object is further away or below the floor."""
+GROUND_EDGE = 0.3
+"""Edge in m of the square in the middle of the workspace in which cube and goal lie, as in panda-gym."""
+SLOW = 0.4
+"""Fraction of the largest tool step for slow motions. Faster, some joints reach their limits before others, and the
+tool leaves the straight line by centimetres."""
+BRAKING = 0.5
+"""Fraction of the remaining distance covered in one control step: an arm at full speed needs two steps to brake."""
 FIELDS = (
     Field("object_position", 3, "m"),
     Field("object_rotation", 6, "1"),
@@ -25,22 +31,12 @@ FIELDS = (
     Field("object_angular_velocity", 3, "rad/s"),
     Field("object_from_tool", 3, "m"),
 )
-"""What a task with an object observes. The rotation is the first two columns of its matrix: unlike quaternions and
+"""Observation of a task with an object. The rotation is the first two columns of its matrix: unlike quaternions and
 angles they change continuously (Zhou et al. 2019, On the Continuity of Rotation Representations)."""
 
 
-def aligned(robot: RobotView) -> Quaternion:
-    """The upright rotation, at most 45 degrees, in which a cube's sides face the pads of the gripper at home.
-
-    Not every robot can turn its gripper, and a cube that is gripped by its edges stays askew and weakly held.
-    """
-    quarter = pi / 2
-    angle = robot.home_yaw - quarter * round(robot.home_yaw / quarter)
-    return 0.0, 0.0, sin(angle / 2), cos(angle / 2)
-
-
 class CubeSettings(BaseSettings):
-    """Of every task with a cube."""
+    """Settings of every task with a cube."""
 
     object_size: float = Setting(0.04, ge=0.01, le=0.2, description="edge of the cube, m")
     object_mass: float = Setting(0.1, gt=0, le=5, description="of the cube, kg")
@@ -48,43 +44,42 @@ class CubeSettings(BaseSettings):
 
 
 class Cube:
-    """A cube of a world: build once, `place` at a reset, `read` after a step."""
+    """A cube of a world: built once, placed at a reset, read after each step."""
 
     def __init__(self, settings: CubeSettings, world: World) -> None:
         edge, mass = settings.object_size, settings.object_mass
         self.half = edge / 2
         self.body = world.box((edge, edge, edge), mass, COLOUR)
-        self.body.set_air_drag(0.0)
         self.body.set_friction(settings.object_friction)
         self._world = world
         self.set_mass(mass)
 
     def set_mass(self, mass: float) -> None:
-        """In kg; the inertia is that of a solid cube: m a^2 / 6 about every axis."""
+        """Set the mass in kg and the inertia of a solid cube, m a^2 / 6 about every axis."""
         inertia = mass * (2 * self.half) ** 2 / 6
         self.body.set_inertia(mass, (inertia, inertia, inertia))
 
     def place(self, position: Sequence[float], orientation: Quaternion = UPRIGHT) -> None:
-        """Put it there at rest, and read."""
+        """Put the cube there at rest, and read its state."""
         x, y, z = position
         self.body.place((x, y, z), orientation)
         self.read()
 
     def put_in_gripper(self, robot: RobotView, position: Vector) -> None:
-        """At a reset: the cube at rest there, the tool around it with the pads at its sides.
+        """During a reset: put the cube there at rest, the tool around it with the pads at its sides.
 
         Raises PluginError where the tool cannot be there, or for a robot without a gripper.
         """
         if robot.gripper is None:
             raise PluginError("this robot has no gripper", where=type(robot).__name__, hint="a cube cannot be held")
-        # a grip of the episode before must not warm up this one's: the same episode would not be the same again
-        self.body.place((0.0, 0.0, FAR))
-        self._world.find_contacts()
+        # contacts of the previous episode's grip would warm-start the solver: the same episode would differ
+        self.body.place((0.0, 0.0, LOST_DISTANCE))
+        self._world.update_contacts()
         robot.place_tool(position, 2 * self.half / robot.gripper.width)
         self.place(position, aligned(robot))
 
     def read(self) -> None:
-        """Take the state from the world: position (m), rotation (quaternion), velocities (m/s, rad/s)."""
+        """Read position (m), rotation (quaternion) and velocities (m/s, rad/s) from the world."""
         self.position, self.orientation = self.body.pose()
         self.velocity, self.angular_velocity = self.body.velocity()
 
@@ -109,19 +104,29 @@ class Cube:
         return self.position[2] - self.half * upright
 
     def observe(self, tool: Vector) -> list[float]:
-        """Numbers of `FIELDS`; `tool` is the tool position in m."""
-        away = [mine - its for mine, its in zip(self.position, tool, strict=True)]
-        return [*self.position, *self.columns, *self.velocity, *self.angular_velocity, *away]
+        """The numbers of `FIELDS`; `tool` is the tool position in m."""
+        offset = [own - other for own, other in zip(self.position, tool, strict=True)]
+        return [*self.position, *self.columns, *self.velocity, *self.angular_velocity, *offset]
 
     @property
     def lost(self) -> bool:
-        """Whether it is below the floor or further than 10 m away."""
+        """Whether it is below the floor, further than 10 m away, or at NaN."""
         x, y, z = self.position
-        return not (z > -self.half and x * x + y * y + z * z < FAR * FAR)  # so that NaN is lost as well
+        return not (z > -self.half and x * x + y * y + z * z < LOST_DISTANCE * LOST_DISTANCE)
+
+
+def aligned(robot: RobotView) -> Quaternion:
+    """The upright rotation, at most 45 degrees, in which a cube's sides face the pads of the gripper at home.
+
+    Not every robot can turn its gripper, and a cube gripped by its edges stays oblique and is held weakly.
+    """
+    quarter = pi / 2
+    angle = robot.home_yaw - quarter * round(robot.home_yaw / quarter)
+    return 0.0, 0.0, sin(angle / 2), cos(angle / 2)
 
 
 class CubeTask(Task):
-    """What tasks that move one cube share; a task sets `_robot` in `fit`."""
+    """The part that tasks with one cube share; a task sets `_robot` in `fit`."""
 
     observation = Layout(FIELDS)
     settings: CubeSettings
@@ -131,12 +136,12 @@ class CubeTask(Task):
         self.cube = Cube(self.settings, world)
 
     @property
-    def parameters(self) -> Mapping[str, Parameter]:
+    def parameters(self) -> Mapping[str, RandomizedParameter]:
         mass, friction = self.settings.object_mass, self.settings.object_friction
         return {
             **super().parameters,
-            "object_mass": Parameter("kg", mass, 0.001, 5.0, "of the cube; its inertia goes with it"),
-            "object_friction": Parameter("1", friction, 0.0, 5.0, "lateral friction coefficient"),
+            "object_mass": RandomizedParameter("kg", mass, 0.001, 5.0, "of the cube; its inertia is proportional"),
+            "object_friction": RandomizedParameter("1", friction, 0.0, 5.0, "lateral friction coefficient"),
         }
 
     def apply(self, world: World, name: str, value: float) -> None:
@@ -155,3 +160,70 @@ class CubeTask(Task):
 
     def lost(self) -> bool:
         return self.cube.lost
+
+
+def check_gripper(robot: RobotView, task: str, size: float) -> Gripper:
+    """The robot's gripper, wide enough for an object of `size` m.
+
+    Raises:
+        PluginError: the robot has no gripper.
+        UsageError: the object is too large for it.
+    """
+    gripper = robot.gripper
+    if gripper is None:
+        raise PluginError("this robot has no gripper", where=type(robot).__name__, hint=f"{task} grasps")
+    if size > 0.9 * gripper.width:
+        raise UsageError(
+            f"a cube of {size:g} m does not go into the gripper",
+            where="task.object_size",
+            hint=f"it opens {gripper.width:g} m; a tenth of that is needed as clearance",
+        )
+    return gripper
+
+
+def ground(workspace: Box, goals: str, height: float, *, margin: float = 0.0) -> Box:
+    """The part of the floor where a cube, its centre at `height` m, and its goal may lie.
+
+    Args:
+        goals: `box`, a square of `GROUND_EDGE` in the middle of the workspace, or `workspace`, all of it.
+        margin: distance in m from the edges of the workspace.
+
+    Raises UsageError when the tool cannot be that low, or the margin leaves no room.
+    """
+    if not workspace.low[2] <= height <= workspace.high[2]:
+        raise UsageError(
+            f"the tool cannot be {height:g} m above the floor, where the object lies",
+            where="task.object_size",
+            hint=f"its workspace is {workspace.low[2]:g} to {workspace.high[2]:g} m high",
+        )
+    x, y = (workspace.high[axis] - workspace.low[axis] - 2 * margin for axis in (0, 1))
+    if min(x, y) <= 0:
+        raise UsageError(
+            f"no room is left around the object: {margin:g} m are needed on every side of it",
+            where="task.object_size",
+            hint=f"the workspace is {x + 2 * margin:.2f} by {y + 2 * margin:.2f} m; take a smaller object",
+        )
+    box = workspace.middle((x, y, 1.0) if goals == "workspace" else (min(x, GROUND_EDGE), min(y, GROUND_EDGE), 1.0))
+    return Box((*box.low[:2], height), (*box.high[:2], height))
+
+
+def drift(robot: RobotView) -> float:
+    """Horizontal distance in m that the tool moves in a control step at its current velocity."""
+    return hypot(robot.tool_velocity[0], robot.tool_velocity[1]) * robot.period
+
+
+def braking(robot: RobotView, target: Vector, *, fastest: float = 1.0) -> Vector:
+    """A point in m on the way to `target`, near enough that the tool slows down before it arrives.
+
+    Args:
+        fastest: largest distance to that point, as a multiple of the largest tool step.
+    """
+    distance = dist(robot.tool_position, target)
+    fraction = min(BRAKING, fastest * robot.tool_step / max(distance, 1e-9))
+    x, y, z = (now + fraction * (goal - now) for now, goal in zip(robot.tool_position, target, strict=True))
+    return x, y, z
+
+
+def slowly(robot: RobotView, target: Vector) -> Vector:
+    """As `braking`, slowly enough that the tool moves straight: for motions near the cube."""
+    return braking(robot, target, fastest=SLOW)

@@ -1,96 +1,118 @@
-"""Pick and place: the gripper brings a cube to a point on the surface or in the air."""
+"""Pick and place: the gripper brings a cube to a point on the floor or in the air."""
 
 from __future__ import annotations
 
 from collections.abc import Mapping
+from math import hypot
 from typing import Literal
 
 import numpy as np
 from pydantic import Field as Setting
 
-from ..core import Field, FloatArray, Layout
+from ..core import Array, BoolArray, Field, FloatArray, Layout
 from ..core.seeding import Generator
-from ..randomization.parameter import Parameter
-from ..simulation.body import Vector
-from ..simulation.interface import Box, Expert, RobotView
-from ..simulation.world import World
-from .cube import CubeSettings, CubeTask, aligned
-from .fitting import fitting_gripper, fitting_threshold, surface
-from .goals import NearGoal, StagedPick
-from .pick_expert import PickExpert
-from .placement import GOAL_COLOUR, place
+from ..randomization.randomization import RandomizedParameter
+from ..simulation.geometry import Vector
+from ..simulation.interface import Box, Expert, RobotView, World
+from .cube import CubeSettings, CubeTask, aligned, braking, check_gripper, drift, ground, slowly
+from .point_goal import PointGoal, PointGoalSettings, PointGoalTask, sample_position
 
 HEIGHT = 0.2
-"""Highest goal above the surface in m, as in panda-gym."""
-AIR = 0.7
-"""Share of goals in the air."""
+"""Highest goal above a resting cube in m, as in panda-gym."""
+AIR_PROBABILITY = 0.7
+"""Probability of a goal in the air."""
 
 
-class PickPlace(CubeTask):
+class StagedPick(PointGoal):
+    """Reward in [-1, 0] for reaching, grasping, lifting and transporting an object: the mean of four stages, minus 1.
+
+    A function of the state alone, so that an arm loses by leaving what it gains by approaching. `achieved` (..., 7) is
+    the position of the object (3) and of the tool (3) in m, and the fraction of pads in contact; `desired` (..., 3).
+
+    * reach: 1 - tanh(5 d), d from tool to object in m
+    * grasp: fraction of pads in contact
+    * lift: fraction of the goal's height above the floor; 1 for a goal on the floor
+    * transport: 1 - tanh(5 d), d from object to goal
+    The reward is 0 where the goal is reached.
+
+    Args:
+        rest: height in m of the centre of an object on the floor.
+    """
+
+    def __init__(self, threshold: float, *, rest: float) -> None:
+        super().__init__(threshold, dense=True, span=1.0)
+        self.rest = rest
+
+    def reward(self, achieved: Array, desired: Array) -> FloatArray:
+        cube, tool, pads = achieved[..., :3], achieved[..., 3:6], achieved[..., 6]
+        to_cube, to_goal = tool - cube, cube - desired
+        reach = 1 - np.tanh(5 * np.sqrt(np.vecdot(to_cube, to_cube)))
+        transport = 1 - np.tanh(5 * np.sqrt(np.vecdot(to_goal, to_goal)))
+        height = desired[..., 2] - self.rest
+        raised = np.clip((cube[..., 2] - self.rest) / np.maximum(height, 1e-3), 0, 1)
+        lift = np.where(height < self.threshold, 1.0, raised)
+        staged = (reach + pads + lift + transport) / 4 - 1
+        reward: FloatArray = np.where(self.success(achieved, desired), 0.0, np.clip(staged, -1, 0)).astype(np.float32)
+        return reward
+
+    def success(self, achieved: Array, desired: Array) -> BoolArray:
+        return super().success(achieved[..., :3], desired)
+
+    def distance(self, achieved: Array, desired: Array) -> FloatArray:
+        return super().distance(achieved[..., :3], desired)
+
+
+class PickPlace(PointGoalTask, CubeTask):
     """What to do: grasp the cube and bring it to the goal, held by friction alone.
 
     What is randomised: cube and goal, uniformly in a square of .3 m in the middle of the workspace (`goals: workspace`:
-    in all of it); 30 % of the goals lie on the surface, 70 % in the air up to .2 m; never so that the cube is there at
-    the start. A share `start_grasped` of the episodes begins with the cube in the gripper; as a parameter of domain
-    randomization it does so in training alone, which is how Andrychowicz et al. 2017 begin half of their episodes.
+    in all of it); 30 % of the goals lie on the floor, 70 % in the air up to .2 m; the cube is never at the goal at the
+    start. With probability `start_grasped` an episode begins with the cube in the gripper; as a parameter of domain
+    randomization it does so in training alone, as half of the episodes in Andrychowicz et al. 2017.
 
-    What counts as success: the centre of the cube lies within `threshold` of the goal. Only time ends an episode.
-
-    Observation: `cube.FIELDS`, position, rotation (6), velocities of the cube and its place seen from the tool.
-    Goals: achieved, the cube's position, with the dense reward also the tool's and the share of pads in contact;
-    desired, the goal's position in m.
-    Reward: sparse -1 until there, then 0; dense in [-1, 0], see `goals.StagedPick`.
+    Observation: object_position (3, m), object_rotation (6, two columns of its matrix), object_velocity (3, m/s),
+    object_angular_velocity (3, rad/s), object_from_tool (3, m).
+    Action: the robot's, with the gripper.
+    Goals: achieved, the cube's position (3, m), with the dense reward also the tool's (3, m) and the fraction of pads
+    in contact; desired, the goal position (3, m).
+    Reward: sparse -1 until the goal is reached, then 0; dense in [-1, 0], see `StagedPick`.
+    What counts as success: the centre of the cube lies within `threshold` of the goal.
+    Termination: never; the episode is truncated after `max_steps`.
     """
 
-    class Settings(CubeSettings):
+    class Settings(PointGoalSettings, CubeSettings):
         reward: Literal["sparse", "dense"] = Setting("sparse", description="-1 until there, or staged in [-1, 0]")
-        threshold: float = Setting(0.05, gt=0, le=0.5, description="distance at which the goal is reached, m")
-        goals: Literal["box", "workspace"] = Setting(
-            "box", description="a .3 m square amid the workspace, or all of it"
+        start_grasped: float = Setting(
+            0.0, ge=0, le=1, description="probability that an episode starts with the cube in the gripper"
         )
-        start_grasped: float = Setting(0.0, ge=0, le=1, description="share of episodes with the cube in the gripper")
-        max_steps: int = Setting(50, ge=1, le=100_000, description="control steps per episode")
 
-    uses_gripper = True
     settings: Settings
+    uses_gripper = True
     achieved_goal = Layout((Field("object_position", 3, "m"),))
-    desired_goal = Layout((Field("goal_position", 3, "m"),))
 
     def __init__(self, settings: PickPlace.Settings) -> None:
-        self.settings = settings
+        super().__init__(settings)
         self._start_grasped = settings.start_grasped
-        self.goal = np.zeros(3, np.float32)
         if settings.reward == "dense":
-            self.achieved_goal = Layout(
-                (Field("object_position", 3, "m"), Field("tool_position", 3, "m"), Field("pads_touching", 1))
-            )
-
-    @property
-    def max_steps(self) -> int:
-        return self.settings.max_steps
+            self.achieved_goal += Layout((Field("tool_position", 3, "m"), Field("pads_touching", 1)))
 
     def fit(self, robot: RobotView) -> None:
         settings, self._robot = self.settings, robot
-        self.gripper = fitting_gripper(robot, type(self).__name__, settings.object_size)
+        self.gripper = check_gripper(robot, type(self).__name__, settings.object_size)
         rest, highest = settings.object_size / 2, robot.workspace.high[2]
-        self.ground = surface(robot.workspace, settings.goals, rest)
+        self.ground = ground(robot.workspace, settings.goals, rest)
         top = highest if settings.goals == "workspace" else min(rest + HEIGHT, highest)
-        (x, y, low), (u, v, _) = self.ground.low, self.ground.high
-        self.air = Box((x, y, low), (u, v, top))
-        fitting_threshold(settings.threshold, self.ground)
+        self.air = Box(self.ground.low, (*self.ground.high[:2], top))
+        self._fit_goal(self.ground, span=1.0)
         if settings.reward == "dense":
             self.goal_rule = StagedPick(settings.threshold, rest=rest)
-        else:
-            self.goal_rule = NearGoal(settings.threshold, dense=False, span=1.0)
-
-    def build(self, world: World) -> None:
-        super().build(world)
-        self._marker = world.marker(self.settings.threshold, GOAL_COLOUR)
 
     @property
-    def parameters(self) -> Mapping[str, Parameter]:
-        odds = Parameter("1", self.settings.start_grasped, 0.0, 1.0, "odds that the cube starts in the gripper")
-        return {**super().parameters, "start_grasped": odds}
+    def parameters(self) -> Mapping[str, RandomizedParameter]:
+        probability = RandomizedParameter(
+            "1", self.settings.start_grasped, 0.0, 1.0, "probability that the cube starts in the gripper"
+        )
+        return {**super().parameters, "start_grasped": probability}
 
     def apply(self, world: World, name: str, value: float) -> None:
         if name == "start_grasped":
@@ -99,21 +121,96 @@ class PickPlace(CubeTask):
             super().apply(world, name, value)
 
     def reset(self, generator: Generator) -> None:
-        self.cube.place(place(generator, self.ground, lambda _: True, "the cube").tolist(), aligned(self._robot))
+        self.cube.place(sample_position(generator, self.ground, "the cube").tolist(), aligned(self._robot))
         if generator.uniform() < self._start_grasped:
             self.cube.put_in_gripper(self._robot, self.cube.position)
-        start = self.achieved()
-        box = self.air if generator.uniform() < AIR else self.ground
-        self.goal = place(generator, box, lambda goal: not self.goal_rule.success(start, goal), "the goal")
-        x, y, z = self.goal.tolist()
-        self._marker.place((x, y, z))
+        self._sample_goal(generator, self.air if generator.uniform() < AIR_PROBABILITY else self.ground)
 
     def achieved(self) -> FloatArray:
-        place: Vector = self.cube.position
+        position = self.cube.position
         if self.settings.reward == "sparse":
-            return np.array(place, np.float32)
+            return np.array(position, np.float32)
         pads = self._robot.pads_touching(self.cube.body) / 2
-        return np.array((*place, *self._robot.tool_position, pads), np.float32)
+        return np.array((*position, *self._robot.tool_position, pads), np.float32)
 
     def expert(self) -> Expert:
         return PickExpert(self._robot, self)
+
+
+ABOVE = 0.08
+"""m above the cube at which the gripper arrives."""
+ALIGNED = 0.018
+"""m off the cube's axis at which the gripper may go down; open, it has 1.5 cm to each side of a 4 cm cube."""
+STILL = 0.015
+"""Largest horizontal drift of the tool, in m per control step, when it goes down or closes."""
+GRIP_HEIGHT = 0.006
+"""m above the centre of the cube at which it is gripped, so that the pads do not rub on the floor: there the fingers
+stick, and an arm that drags them along lags behind."""
+CLEARANCE = 0.03
+"""m above the floor at which the cube moves to a goal on the floor: a dragged cube twists out of the pads."""
+CLOSING_STEPS = 3
+"""Control steps for which both pads must touch before the cube is lifted: until then they push it to the middle."""
+PATIENCE = 30
+"""Control steps after which a gripper that has closed on nothing opens again."""
+
+
+class PickExpert(Expert):
+    """Goes over the cube, down, closes, lifts, moves to the goal. Restarts when it loses the cube."""
+
+    def __init__(self, robot: RobotView, task: PickPlace) -> None:
+        self._robot = robot
+        self._task = task
+        # wide enough for a cube on its diagonal
+        self._open = min(1.0, (1.5 * task.settings.object_size + 0.01) / task.gripper.width)
+        self._closing = 0
+        """Control steps since the gripper began to close; 0 while it is open."""
+        self._held = 0
+        """Control steps for which the cube has been between the pads."""
+
+    def reset(self) -> None:
+        self._held = CLOSING_STEPS if self._enclosed() else 0
+        self._closing = self._held
+
+    def _enclosed(self) -> bool:
+        """Whether the cube is between the pads; on its diagonal it is 1.42 times as wide as along its edges."""
+        robot, cube, size = self._robot, self._task.cube.position, self._task.settings.object_size
+        near = sum((a - b) ** 2 for a, b in zip(robot.tool_position, cube, strict=True)) < size**2
+        return near and 0.8 * size < robot.opening * self._task.gripper.width < 1.45 * size
+
+    def _holding(self) -> bool:
+        """Whether the cube is between the pads, and both touched it before it was lifted."""
+        return self._enclosed() and (
+            self._held >= CLOSING_STEPS or self._robot.pads_touching(self._task.cube.body) == 2
+        )
+
+    def act(self) -> FloatArray:
+        robot, (x, y, z), (tx, ty, tz) = self._robot, self._task.cube.position, self._robot.tool_position
+        grip: Vector = (x, y, max(z + GRIP_HEIGHT, robot.workspace.low[2]))
+        if self._closing:
+            self._closing += 1
+            lifted = self._held > CLOSING_STEPS
+            self._held = self._held + 1 if self._holding() else 0
+            if self._held > CLOSING_STEPS:
+                return robot.towards(self._transport(), 0.0)
+            if not lifted and self._closing < PATIENCE:
+                return robot.towards((tx, ty, tz) if self._held else grip, 0.0)
+            self._closing = 0
+        error, above = hypot(tx - x, ty - y), z + ABOVE
+        high = tz > z + ABOVE / 2
+        if error > ALIGNED or (high and drift(robot) > STILL):
+            target = braking(robot, (x, y, above), fastest=2.0) if high else slowly(robot, (tx, ty, above))
+            return robot.towards(target, self._open)
+        if tz > grip[2] + 0.006 or drift(robot) > STILL:
+            return robot.towards(slowly(robot, grip), self._open)
+        self._closing = 1
+        return robot.towards(grip, 0.0)
+
+    def _transport(self) -> Vector:
+        """Position of the tool at which the cube, as it lies in the gripper, is at the goal."""
+        tool, cube, goal = self._robot.tool_position, self._task.cube, self._task.goal.tolist()
+        x, y, z = (t + g - c for t, g, c in zip(tool, goal, cube.position, strict=True))
+        if hypot(x - tool[0], y - tool[1]) > CLEARANCE:
+            if cube.lowest < CLEARANCE / 3:
+                return tool[0], tool[1], tool[2] + CLEARANCE
+            z = max(z, tool[2] + CLEARANCE - cube.lowest)
+        return x, y, max(z, self._robot.workspace.low[2])

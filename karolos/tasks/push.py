@@ -1,83 +1,117 @@
-"""Push: the closed gripper slides a cube over the surface."""
+"""Push: the closed gripper slides a cube over the floor."""
 
 from __future__ import annotations
 
-from typing import Literal
+from math import hypot
 
 import numpy as np
-from pydantic import Field as Setting
 
 from ..core import Field, FloatArray, Layout
 from ..core.seeding import Generator
+from ..simulation.geometry import Vector
 from ..simulation.interface import Expert, RobotView
-from ..simulation.world import World
-from .cube import FAR, CubeSettings, CubeTask, aligned
-from .fitting import fitting_threshold, surface
-from .goals import NearGoal
-from .placement import GOAL_COLOUR, place
-from .push_expert import PushExpert
+from .cube import LOST_DISTANCE, CubeSettings, CubeTask, aligned, braking, drift, ground, slowly
+from .point_goal import PointGoalSettings, PointGoalTask, sample_position
 
 ROOM = 0.03
-"""m between the side of the cube and the edge of the workspace, so that the gripper has room behind it."""
+"""m between the side of the cube and the edge of the workspace, room for the gripper behind the cube."""
 
 
-class Push(CubeTask):
-    """What to do: slide the cube to the goal on the surface and leave it there. The gripper stays closed.
+class Push(PointGoalTask, CubeTask):
+    """What to do: slide the cube to the goal on the floor and leave it there. The gripper stays closed.
 
     What is randomised: cube and goal, uniformly in a square of .3 m in the middle of the workspace (`goals: workspace`:
-    in all of it), as far as it leaves 3 cm between cube and edge for the gripper behind it; never so that the cube is
-    there at the start.
+    in all of it), at least 3 cm from its edges; the cube is never at the goal at the start.
 
-    What counts as success: the centre of the cube lies within `threshold` of the goal. Only time ends an episode.
-
-    Observation: `cube.FIELDS`, position, rotation (6), velocities of the cube and its place seen from the tool.
-    Goals: achieved, the cube's position; desired, the goal's position; 3 numbers in m each.
-    Reward: sparse -1 until there, then 0; dense minus the distance in m.
+    Observation: object_position (3, m), object_rotation (6, two columns of its matrix), object_velocity (3, m/s),
+    object_angular_velocity (3, rad/s), object_from_tool (3, m).
+    Action: the robot's, without the gripper.
+    Goals: achieved, the cube's position (3, m); desired, the goal position (3, m).
+    Reward: sparse -1 until the goal is reached, then 0; dense minus the distance in m.
+    What counts as success: the centre of the cube lies within `threshold` of the goal.
+    Termination: never; the episode is truncated after `max_steps`.
     """
 
-    class Settings(CubeSettings):
-        reward: Literal["sparse", "dense"] = Setting("sparse", description="-1 until there, or minus the distance in m")
-        threshold: float = Setting(0.05, gt=0, le=0.5, description="distance at which the goal is reached, m")
-        goals: Literal["box", "workspace"] = Setting(
-            "box", description="a .3 m square amid the workspace, or all of it"
-        )
-        max_steps: int = Setting(50, ge=1, le=100_000, description="control steps per episode")
+    class Settings(PointGoalSettings, CubeSettings):
+        """The settings of a point goal and of a cube."""
 
-    uses_gripper = False
     settings: Settings
+    uses_gripper = False
     achieved_goal = Layout((Field("object_position", 3, "m"),))
-    desired_goal = Layout((Field("goal_position", 3, "m"),))
-
-    def __init__(self, settings: Push.Settings) -> None:
-        self.settings = settings
-        self.goal = np.zeros(3, np.float32)
-
-    @property
-    def max_steps(self) -> int:
-        return self.settings.max_steps
 
     def fit(self, robot: RobotView) -> None:
         self._robot = robot
         half = self.settings.object_size / 2
-        self.ground = surface(robot.workspace, self.settings.goals, half, margin=half + ROOM)
-        fitting_threshold(self.settings.threshold, self.ground)
-        # dense: no cube that is not lost is further away than 10 m, and no goal than the workspace
-        span = FAR + 2 * robot.workspace.diagonal
-        self.goal_rule = NearGoal(self.settings.threshold, dense=self.settings.reward == "dense", span=span)
-
-    def build(self, world: World) -> None:
-        super().build(world)
-        self._marker = world.marker(self.settings.threshold, GOAL_COLOUR)
+        self.ground = ground(robot.workspace, self.settings.goals, half, margin=half + ROOM)
+        # a cube that is not lost is at most 10 m away, and a goal lies in the workspace
+        self._fit_goal(self.ground, span=LOST_DISTANCE + 2 * robot.workspace.diagonal)
 
     def reset(self, generator: Generator) -> None:
-        self.cube.place(place(generator, self.ground, lambda _: True, "the cube").tolist(), aligned(self._robot))
-        start = self.achieved()
-        self.goal = place(generator, self.ground, lambda goal: not self.goal_rule.success(start, goal), "the goal")
-        x, y, z = self.goal.tolist()
-        self._marker.place((x, y, z))
+        self.cube.place(sample_position(generator, self.ground, "the cube").tolist(), aligned(self._robot))
+        self._sample_goal(generator, self.ground)
 
     def achieved(self) -> FloatArray:
         return np.array(self.cube.position, np.float32)
 
     def expert(self) -> Expert:
         return PushExpert(self._robot, self)
+
+
+HIGH = 0.08
+"""m above the floor at which the gripper crosses the cube."""
+ALIGNED = 0.015
+"""m off its place behind the cube at which the gripper may go down."""
+CLEARANCE = 0.004
+"""m above the lowest position of the tool at which it pushes, so that it does not rub on the floor."""
+DONE = 0.5
+"""Fraction of the threshold at which the cube is left alone."""
+
+
+class PushExpert(Expert):
+    """Goes behind the cube as seen from the goal, down, then straight to the goal. Restarts when it slips."""
+
+    def __init__(self, robot: RobotView, task: Push) -> None:
+        self._robot = robot
+        self._task = task
+        self._pushing = False
+
+    def reset(self) -> None:
+        self._pushing = False
+
+    def act(self) -> FloatArray:
+        robot, task = self._robot, self._task
+        (x, y, z), (gx, gy, _), (tx, ty, tz) = task.cube.position, task.goal.tolist(), robot.tool_position
+        distance = hypot(gx - x, gy - y)
+        if distance < DONE * task.settings.threshold:
+            return robot.towards((tx, ty, tz), 0.0)
+        ux, uy = (gx - x) / distance, (gy - y) / distance
+        # position of the tool relative to the cube, along and across the direction of the push
+        along, across = (tx - x) * ux + (ty - y) * uy, (ty - y) * ux - (tx - x) * uy
+        low = max(z, robot.workspace.low[2] + CLEARANCE)
+        if self._pushing and (along > 0 or abs(across) > 0.02):
+            self._pushing = False
+        if not self._pushing:
+            start = self._start(ux, uy, low)
+            error = hypot(tx - start[0], ty - start[1])
+            high = tz > HIGH - 0.02
+            if error > ALIGNED or (high and drift(robot) > ALIGNED / 2):
+                above: Vector = (start[0], start[1], HIGH)
+                if high:
+                    return robot.towards(braking(robot, above, fastest=2.0), 0.0)
+                return robot.towards(slowly(robot, above if error < 0.04 else (tx, ty, HIGH)), 0.0)
+            if tz - low > 0.012:
+                return robot.towards(slowly(robot, start), 0.0)
+            self._pushing = True
+        ahead = along + min(0.5 * distance, 0.3 * robot.tool_step)  # slowly: a cube that is hit slides on
+        # back onto the line through cube and goal
+        return robot.towards((x + ux * ahead, y + uy * ahead, low), 0.0)
+
+    def _start(self, ux: float, uy: float, low: float) -> Vector:
+        """Position of the tool from which it pushes along (ux, uy): behind the cube, within the workspace."""
+        (x, y, _), box = self._task.cube.position, self._robot.workspace
+        behind = self._task.settings.object_size / 2 + 0.04
+        return (
+            min(max(x - ux * behind, box.low[0]), box.high[0]),
+            min(max(y - uy * behind, box.low[1]), box.high[1]),
+            low,
+        )

@@ -6,7 +6,7 @@ from karolos_cli.bench import app
 from karolos_cli.bench.output import COLUMNS
 from typer.testing import CliRunner
 
-from karolos.simulation.body import Body
+from karolos.simulation.bullet.body import Body
 
 
 def test_rows_name_the_bare_physics_as_peer() -> None:

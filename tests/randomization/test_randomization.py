@@ -13,11 +13,13 @@ from karolos.errors import RunError, UsageError
 from karolos.randomization.choice import Choice
 from karolos.randomization.log_uniform import LogUniform
 from karolos.randomization.normal import Normal
-from karolos.randomization.parameter import Parameter
-from karolos.randomization.randomization import Randomization
+from karolos.randomization.randomization import Randomization, RandomizedParameter
 from karolos.randomization.uniform import Uniform
 
-DECLARED = {"task.gravity": Parameter("m/s2", -9.81, -20.0, 0.0), "robot.link_mass": Parameter("1", 1.0, 0.5, 2.0)}
+DECLARED = {
+    "task.gravity": RandomizedParameter("m/s2", -9.81, -20.0, 0.0),
+    "robot.link_mass": RandomizedParameter("1", 1.0, 0.5, 2.0),
+}
 
 
 def generator(seed: int = 0) -> Generator:

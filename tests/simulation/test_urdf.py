@@ -10,7 +10,7 @@ from hypothesis import strategies as st
 from karolos.errors import PluginError
 from karolos.robots.panda import Panda
 from karolos.simulation import urdf
-from karolos.simulation.world import World
+from karolos.simulation.bullet.world import World
 
 PANDA = Panda.model.urdf
 angles = st.floats(-3.1, 3.1)

@@ -9,9 +9,8 @@ from __future__ import annotations
 from math import pi
 from pathlib import Path
 
-from karolos.robots.arm import Arm
-from karolos.robots.model import ArmModel, ArmSettings, Fingers
-from karolos.simulation.interface import Box, Gripper
+from karolos.robots.arm import Arm, ArmModel, ArmSettings
+from karolos.simulation.interface import Box, Fingers, Gripper
 
 ASKEW = 0.3
 """Of the gripper about the vertical at home, in rad."""
@@ -91,7 +90,7 @@ def small_arm(folder: Path, *, fingers: bool = True) -> type[Arm]:
                 links=("pad1", "pad2"),
                 travel=WIDTH / 2,
                 open_at_zero=False,
-                facts=Gripper(width=WIDTH, force=15.0, speed=0.06, pad_friction=1.0),
+                gripper=Gripper(width=WIDTH, force=15.0, speed=0.06, pad_friction=1.0),
             )
             if fingers
             else None,

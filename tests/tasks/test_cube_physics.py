@@ -7,7 +7,7 @@ import pytest
 from support.rig import expert_episode, made, part
 
 from karolos.environments.robot_task import RobotTask
-from karolos.simulation.world import FLOOR_FRICTION, GRAVITY
+from karolos.simulation.interface.engine import FLOOR_FRICTION, GRAVITY
 
 SPEED = 1.0
 

@@ -9,7 +9,7 @@ from hypothesis.extra.numpy import arrays
 from support.rig import expert_episode, made
 
 from karolos.core import Array
-from karolos.tasks.goals import StagedPick
+from karolos.tasks.pick_place import StagedPick
 
 RULE = StagedPick(0.05, rest=0.02)
 GOAL = np.array([0.5, 0.1, 0.2], np.float32)

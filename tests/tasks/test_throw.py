@@ -4,22 +4,17 @@ from __future__ import annotations
 
 import numpy as np
 import pytest
+from support.rig import expert_episode, part
 
-from karolos.core import Step
 from karolos.environments.build import build_environment
 from karolos.environments.robot_task import RobotTask
 from karolos.errors import KarolosError, UsageError
-from karolos.registry import load
-from karolos.spec.recipe import Part, Recipe
+from karolos.spec.recipe import Recipe
 from karolos.tasks.throw import Throw
 
 ROBOTS = ["panda", "ur5", "iiwa"]
 REACH_AND_FURTHEST = {"panda": (0.95, 2.14), "ur5": (1.06, 2.39), "iiwa": (1.08, 1.73)}
 """m, as the task's docstring states them."""
-
-
-def part(kind: str, name: str, **settings: object) -> Part:
-    return Part(kind, name, load(kind, name).Settings.model_validate(settings))
 
 
 def made(robot: str = "panda", control: str | None = None, joint_step: float = 0.5, **settings: object) -> RobotTask:
@@ -39,15 +34,6 @@ def task_of(environment: RobotTask) -> Throw:
     return environment.task
 
 
-def expert_episode(environment: RobotTask, seed: int) -> list[Step]:
-    steps = [environment.reset(seed)]
-    expert = environment.expert()
-    expert.reset()
-    while not (steps[-1].terminated or steps[-1].truncated):
-        steps.append(environment.step(expert.act()))
-    return steps
-
-
 def holding(environment: RobotTask) -> np.ndarray:
     """The action that keeps still with the gripper closed."""
     action = np.zeros(environment.signature.action.size, np.float32)
@@ -57,10 +43,10 @@ def holding(environment: RobotTask) -> np.ndarray:
 
 @pytest.mark.parametrize("robot", ROBOTS)
 def test_reach_and_furthest_throw_are_those_the_docstring_states(robot: str) -> None:
-    swing = task_of(made(robot)).swing
+    planner = task_of(made(robot)).planner
     reach, furthest = REACH_AND_FURTHEST[robot]
-    assert round(swing.reach, 2) == reach
-    assert round(swing.furthest, 2) == furthest
+    assert round(planner.reach, 2) == reach
+    assert round(planner.furthest, 2) == furthest
     assert f"{robot} {reach:.2f} and {furthest:.2f} m".replace(" 0.", " .") in (Throw.__doc__ or "")
 
 
@@ -70,7 +56,7 @@ def test_no_pose_reaches_further_than_the_reach(robot: str) -> None:
     view, draws = environment.robot, np.random.default_rng(0)
     low, high = np.maximum(view.limits.lower, -np.pi), np.minimum(view.limits.upper, np.pi)
     tools = [view.forward(draws.uniform(low, high).tolist()).tool.position for _ in range(3000)]
-    assert np.hypot(*np.array(tools)[:, :2].T).max() <= task_of(environment).swing.reach + 0.002
+    assert np.hypot(*np.array(tools)[:, :2].T).max() <= task_of(environment).planner.reach + 0.002
 
 
 @pytest.mark.parametrize("robot", ROBOTS)
@@ -80,12 +66,12 @@ def test_a_planned_throw_keeps_the_speed_limits_and_lands_on_its_target_by_the_w
     for angle in (-0.5, 0.0, 0.4):
         for far in np.linspace(task.nearest, task.furthest, 4):
             target = far * np.array([np.cos(angle), np.sin(angle)])
-            throw = task.swing.throw_at(*target)
-            assert (np.abs(throw.rates) <= np.array(view.limits.velocity) + 1e-9).all()
+            throw = task.planner.plan(*target)
+            assert (np.abs(throw.velocities) <= np.array(view.limits.velocity) + 1e-9).all()
             at = view.forward(throw.release)
-            places = np.array(at.places).reshape(-1, 6)
+            places = np.array(at.axes).reshape(-1, 6)
             arms = np.cross(places[:, 3:], np.array(at.tool.position) - places[:, :3])
-            velocity = np.array(throw.rates) @ arms
+            velocity = np.array(throw.velocities) @ arms
             height = at.tool.position[2] - 0.02
             seconds = (velocity[2] + np.sqrt(velocity[2] ** 2 + 2 * 9.81 * height)) / 9.81
             landing = np.array(at.tool.position)[:2] + velocity[:2] * seconds
@@ -108,8 +94,8 @@ def test_targets_lie_beyond_the_reach_and_within_the_furthest_throw() -> None:
     environment.close()
     targets = np.stack([step.desired_goal for step in starts])
     away = np.hypot(*targets.T)
-    assert (away >= task.swing.reach + task.settings.threshold - 1e-5).all()
-    assert (away <= 0.8 * task.swing.furthest + 1e-5).all()
+    assert (away >= task.planner.reach + task.settings.threshold - 1e-5).all()
+    assert (away <= 0.8 * task.planner.furthest + 1e-5).all()
     assert np.ptp(away) > 0.3
     assert (np.abs(np.degrees(np.arctan2(targets[:, 1], targets[:, 0]))) <= 20.001).all()
     assert not any(step.success or step.terminated for step in starts)

@@ -66,12 +66,12 @@ def _shaken_cube(made: Any) -> tuple[Array, float, float]:
     demand(robot.pads_touching(cube) == 2, "the cube has slipped out while it was lifted")
 
     def held() -> Array:
-        tool = robot._at.tool
+        tool = robot._configuration.tool
         found: Array = np.array([tool.x, tool.y, tool.z]) @ np.subtract(cube.pose()[0], tool.position)
         return found
 
     before, apart = held(), 0.0
-    fingers = robot._drives.pads
+    fingers = robot._motors.pads
     for shake in range(24):
         step(np.array([0.0, 1.0 if shake % 2 else -1.0, 1.0 if shake % 4 < 2 else -1.0, -1.0]))
         first, second = robot.body.joints(fingers)

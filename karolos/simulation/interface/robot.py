@@ -3,65 +3,39 @@
 from __future__ import annotations
 
 from collections.abc import Mapping, Sequence
-from dataclasses import dataclass
 from typing import ClassVar, Protocol
 
 from pydantic import BaseModel
 
 from ...core import FloatArray, Layout
 from ...core.seeding import Generator
-from ...randomization.parameter import Parameter
-from ..body import Body, Vector
+from ...randomization.randomization import RandomizedParameter
+from ..geometry import Box, Vector
 from ..kinematics import Configuration
-from ..world import World
-from .box import Box
-
-
-@dataclass(frozen=True)
-class Gripper:
-    """A parallel gripper with friction pads."""
-
-    width: float
-    """Between the pads when open, in m."""
-    force: float
-    """With which each finger closes, in N."""
-    speed: float
-    """Of each finger, in m/s."""
-    pad_friction: float
-    """Lateral friction coefficient of the pads."""
-
-
-@dataclass(frozen=True)
-class JointLimits:
-    """Of the arm's joints: positions in rad, speed in rad/s, torque in N m."""
-
-    lower: tuple[float, ...]
-    upper: tuple[float, ...]
-    velocity: tuple[float, ...]
-    effort: tuple[float, ...]
+from .engine import Body, Gripper, JointLimits, World
 
 
 class RobotView(Protocol):
-    """All that a task, or a scripted expert, may know of a robot."""
+    """Everything that a task or a scripted expert may know of a robot."""
 
     @property
     def workspace(self) -> Box:
-        """Where the tool can be while it points down: every point within 5 mm."""
+        """Region that the tool reaches while it points down, each point to within 5 mm."""
 
     @property
     def limits(self) -> JointLimits: ...
 
     @property
     def gripper(self) -> Gripper | None:
-        """None: the robot has no gripper, and no task that grasps."""
+        """None for a robot without a gripper."""
 
     @property
     def home(self) -> Vector:
-        """Where the tool is at the start of an episode, but for the reset noise, in m."""
+        """Tool position at the start of an episode without reset noise, in m."""
 
     @property
     def home_yaw(self) -> float:
-        """Of the tool's x axis about the vertical at home, in rad; the pads face each other along the tool's x or y."""
+        """Yaw of the tool's x axis at home, in rad. The pads face each other along the tool's x or y axis."""
 
     @property
     def reset_noise(self) -> float:
@@ -69,19 +43,19 @@ class RobotView(Protocol):
 
     @property
     def tool_step(self) -> float:
-        """Largest way of the tool along each axis in one control step, in m."""
+        """Largest change of the tool position along each axis in one control step, in m."""
 
     @property
     def joint_step(self) -> tuple[float, ...]:
-        """Largest turn of each joint in one control step, in rad."""
+        """Largest change of each joint position in one control step, in rad: (n,)."""
 
     @property
     def period(self) -> float:
-        """Seconds of a control step."""
+        """Duration of a control step in s."""
 
     @property
     def turns_joints(self) -> bool:
-        """Whether actions can turn each joint by itself, so that `turning` works."""
+        """Whether actions change joint positions, so that `turning` works."""
 
     @property
     def home_joints(self) -> tuple[float, ...]:
@@ -89,54 +63,54 @@ class RobotView(Protocol):
 
     @property
     def joint_positions(self) -> Sequence[float]:
-        """Now, in rad: (n,)."""
+        """Current joint positions in rad: (n,)."""
 
     @property
     def joint_velocities(self) -> Sequence[float]:
-        """Now, in rad/s: (n,)."""
+        """Current joint velocities in rad/s: (n,)."""
 
     def forward(self, joints: Sequence[float]) -> Configuration:
-        """Where the tool and each joint with its axis are when the joints are at positions (n,) in rad."""
+        """Forward kinematics: tool pose and joint axes at joint positions (n,) in rad."""
 
     @property
     def tool_position(self) -> Vector:
-        """Tool centre point now, in m."""
+        """Current position of the tool centre point, in m."""
 
     @property
     def tool_velocity(self) -> Vector:
-        """In m/s."""
+        """Current velocity of the tool centre point, in m/s."""
 
     @property
     def opening(self) -> float:
-        """Of the gripper, in [0, 1]: 0 closed, 1 open. 0 where there is none or the task does without."""
+        """Opening of the gripper: 0 closed, 1 open. 0 without a gripper or when the task does not use it."""
 
     def pads_touching(self, body: Body) -> int:
-        """How many of the two pads are in contact with the body."""
+        """Number of pads (0, 1, 2) in contact with the body."""
 
     def place_tool(self, position: Vector, opening: float) -> None:
-        """At a reset: put the tool there at rest, pointing down. Raises PluginError where it cannot be."""
+        """During a reset: put the tool there at rest, pointing down. Raises PluginError for an unreachable position."""
 
     def towards(self, position: Vector, opening: float) -> FloatArray:
         """The action (action.size,) that moves the tool towards `position` and the gripper to `opening`."""
 
     def turning(self, changes: Sequence[float], opening: float) -> FloatArray:
-        """The action (action.size,) that turns the joints by `changes` (n,) in rad, each cut at its largest step.
+        """The action (action.size,) that changes the joints by `changes` (n,) in rad, clipped to the joint step.
 
-        Raises UsageError where actions do not turn joints.
+        Raises UsageError when actions do not change joint positions.
         """
 
 
 class Robot(RobotView, Protocol):
-    """A robot plugin: built from its settings, light; `build` puts it into a world.
+    """A robot plugin. Its constructor takes the settings and is cheap; `build` adds the robot to a world.
 
-    The order of calls: `prepare`, then the layouts; `build` once; per episode `apply` and `reset`; per step `act`, a
+    Order of calls: `prepare`, then the layouts; `build` once; per episode `apply` and `reset`; per step `act`, a
     physics step, `read`.
     """
 
     Settings: ClassVar[type[BaseModel]]
 
     @property
-    def parameters(self) -> Mapping[str, Parameter]:
+    def parameters(self) -> Mapping[str, RandomizedParameter]:
         """What domain randomization may change, by name."""
 
     @property
@@ -146,28 +120,30 @@ class Robot(RobotView, Protocol):
     def action(self) -> Layout: ...
 
     def prepare(self, *, gripper: bool, period: float, points_down: bool = True) -> None:
-        """Learn whether the task moves the gripper, and the seconds of a control step, in which largest steps count.
+        """Adapt layouts and step sizes to a task.
 
         Args:
-            points_down: whether the task is done with the tool pointing down; where not, joints are what actions turn
-                unless the settings say otherwise.
+            gripper: whether the task uses the gripper.
+            period: duration of a control step in s.
+            points_down: whether the tool points down during the task. If not, actions change joint positions unless
+                the settings say otherwise.
 
-        Raises PluginError when the task needs a gripper and there is none.
+        Raises PluginError when the task needs a gripper and the robot has none.
         """
 
     def build(self, world: World) -> None: ...
 
     def apply(self, name: str, value: float) -> None:
-        """Set a declared parameter for the coming episode; called before `reset`."""
+        """Set a declared parameter for the next episode; called before `reset`."""
 
     def reset(self, generator: Generator) -> None:
-        """Take the home pose, but for the reset noise, and `read`. The generator is the episode's, to keep."""
+        """Take the home pose with reset noise, then `read`. The generator belongs to the episode and may be stored."""
 
     def act(self, action: Sequence[float]) -> None:
         """Aim the motors: action.size finite numbers, clipped to [-1, 1]."""
 
     def read(self) -> None:
-        """Take the state from the world: what the view and `observe` then give."""
+        """Read the state from the world, for the view and `observe`."""
 
     def observe(self) -> list[float]:
         """The robot's part of the observation."""

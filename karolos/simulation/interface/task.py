@@ -1,4 +1,4 @@
-"""What a task is to the environment, and the scripted expert that shows how it is done."""
+"""What a task is to the environment, and the scripted expert that solves it."""
 
 from __future__ import annotations
 
@@ -10,22 +10,20 @@ from pydantic import BaseModel
 
 from ...core import FloatArray, GoalRule, Layout
 from ...core.seeding import Generator
-from ...randomization.parameter import Parameter
-from ..camera import Camera
-from ..world import FLOOR_FRICTION, GRAVITY, World
+from ...randomization.randomization import RandomizedParameter
+from .engine import FLOOR_FRICTION, GRAVITY, Camera, World
 from .robot import RobotView
 
 
 class Expert(ABC):
-    """A scripted policy for one task: it shows that a pair can be solved, and gives demonstrations.
+    """A scripted policy for one task: it shows that robot and task can be solved, and gives demonstrations.
 
-    Written against the robot's view, for any robot and any control mode. The order of calls: `reset` after the
+    It uses the robot's view only, so it works with any robot and control mode. Order of calls: `reset` after the
     environment's reset, then `act` before each step.
     """
 
-    @abstractmethod
-    def reset(self) -> None:
-        """A new episode has begun."""
+    def reset(self) -> None:  # noqa: B027 (an expert without a state has nothing to reset)
+        """Start a new episode."""
 
     @abstractmethod
     def act(self) -> FloatArray:
@@ -33,22 +31,22 @@ class Expert(ABC):
 
 
 class Task(ABC):
-    """A task plugin: what stands in the world besides the robot, the goal, and when it is reached.
+    """A task plugin: the objects in the world, the goal and its rule.
 
-    The order of calls: `fit` (sets `goal_rule` and the layouts that depend on the robot), `build` once; per episode
-    `reset` after the robot's; per step `read` after the robot's, then `observe`, `lost`, `achieved`.
-    The docstring of a task says under these headings: What to do, What is randomised, What counts as success.
+    Order of calls: `fit` (sets `goal_rule` and the layouts that depend on the robot), `build` once; per episode `reset`
+    after the robot's; per step `read` after the robot's, then `observe`, `lost`, `achieved`.
+    The docstring of a task has these headings: What to do, What is randomised, Observation, Action, Goals, Reward, What
+    counts as success, Termination.
     """
 
     Settings: ClassVar[type[BaseModel]]
     uses_gripper: ClassVar[bool]
-    """Whether the action moves the gripper. Where not, it stays closed and costs nothing."""
+    """Whether the action moves the gripper. If not, it stays closed and is not simulated."""
     points_down: ClassVar[bool] = True
-    """Whether the task is done with the tool pointing down, which is how cartesian control moves it."""
+    """Whether the tool points down during the task, as cartesian control keeps it."""
     camera: ClassVar[Camera] = Camera()
-    """Where pictures are taken from."""
-    observation: ClassVar[Layout]
-    """The task's part of the observation; goals are not part of it."""
+    observation: ClassVar[Layout] = Layout()
+    """The task's part of the observation, without the goals."""
     achieved_goal: Layout
     desired_goal: Layout
 
@@ -62,41 +60,41 @@ class Task(ABC):
 
     @abstractmethod
     def fit(self, robot: RobotView) -> None:
-        """Check the settings against the robot. Raises UsageError when the two do not go together."""
+        """Check the settings against the robot. Raises UsageError when the two are incompatible."""
 
-    @abstractmethod
-    def build(self, world: World) -> None: ...
+    def build(self, world: World) -> None:  # noqa: B027 (a task may have no objects)
+        """Add objects and markers to the world."""
 
     @abstractmethod
     def reset(self, generator: Generator) -> None:
-        """Place objects and goal; the goal must not hold. Raises RunError when none is found."""
+        """Place objects and an unsolved goal. Raises RunError when no such goal is found."""
 
-    def read(self) -> None:  # noqa: B027 (a task without objects has nothing to read)
-        """Take the state of the objects from the world after a physics step."""
+    def read(self) -> None:  # noqa: B027 (a task may have no objects)
+        """Read the state of the objects from the world after a physics step."""
 
-    @abstractmethod
     def observe(self) -> list[float]:
         """The task's part of the observation."""
+        return []
 
     @abstractmethod
     def achieved(self) -> FloatArray:
-        """(achieved_goal.size,): a new array."""
+        """The achieved goal (achieved_goal.size,), a new array."""
 
     def expert(self) -> Expert | None:
-        """A scripted policy for the running environment; None: the task has none. Called after `build`."""
+        """A scripted policy, or None for a task without one. Called after `build`."""
         return None
 
     def lost(self) -> bool:
-        """Whether the world has left all sense (an object far away): the episode is truncated."""
+        """Whether the physics diverged, e.g. an object is far away: the episode is truncated."""
         return False
 
     @property
-    def parameters(self) -> Mapping[str, Parameter]:
-        """What domain randomization may change, by name. A task adds its own."""
+    def parameters(self) -> Mapping[str, RandomizedParameter]:
+        """What domain randomization may change, by name. A task adds its own parameters."""
         return WORLD_PARAMETERS
 
     def apply(self, world: World, name: str, value: float) -> None:
-        """Set a declared parameter for the coming episode; called before `reset`."""
+        """Set a declared parameter for the next episode; called before `reset`."""
         if name == "gravity":
             world.set_gravity(value)
         elif name == "floor_friction":
@@ -105,7 +103,7 @@ class Task(ABC):
             raise KeyError(name)
 
 
-WORLD_PARAMETERS: Mapping[str, Parameter] = {
-    "gravity": Parameter("m/s2", GRAVITY, -30.0, 0.0, "along z"),
-    "floor_friction": Parameter("1", FLOOR_FRICTION, 0.0, 5.0, "lateral friction coefficient of the floor"),
+WORLD_PARAMETERS: Mapping[str, RandomizedParameter] = {
+    "gravity": RandomizedParameter("m/s2", GRAVITY, -30.0, 0.0, "along z"),
+    "floor_friction": RandomizedParameter("1", FLOOR_FRICTION, 0.0, 5.0, "lateral friction coefficient of the floor"),
 }

@@ -5,9 +5,8 @@ from __future__ import annotations
 from math import pi
 from pathlib import Path
 
-from karolos.robots.arm import Arm
-from karolos.robots.model import ArmModel, ArmSettings, Fingers
-from karolos.simulation.interface import Box, Gripper
+from karolos.robots.arm import Arm, ArmModel, ArmSettings
+from karolos.simulation.interface import Box, Fingers, Gripper
 
 TRAVEL = 0.035
 """Of each finger, in m; as the limits of the finger joints in the URDF."""
@@ -30,6 +29,6 @@ class DeskArm(Arm):
             links=("finger1", "finger2"),
             travel=TRAVEL,
             open_at_zero=False,
-            facts=Gripper(width=2 * TRAVEL, force=40.0, speed=0.08, pad_friction=1.0),
+            gripper=Gripper(width=2 * TRAVEL, force=40.0, speed=0.08, pad_friction=1.0),
         ),
     )

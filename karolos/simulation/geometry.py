@@ -1,11 +1,13 @@
-"""Boxes in space."""
+"""Vectors, quaternions and boxes. Units: m and rad; quaternions x y z w."""
 
 from __future__ import annotations
 
 from collections.abc import Sequence
 from dataclasses import dataclass
 
-from ..body import Vector
+Vector = tuple[float, float, float]
+Quaternion = tuple[float, float, float, float]
+UPRIGHT: Quaternion = (0.0, 0.0, 0.0, 1.0)
 
 
 @dataclass(frozen=True)
@@ -31,7 +33,7 @@ class Box:
         )
 
     def middle(self, edges: Vector) -> Box:
-        """The box of these edge lengths in the middle of this one, never larger than it."""
+        """The box with these edge lengths around the same centre, cut to this box."""
         half = [min(edge, high - low) / 2 for edge, low, high in zip(edges, self.low, self.high, strict=True)]
         (x, y, z), (a, b, c) = self.centre, half
         return Box((x - a, y - b, z - c), (x + a, y + b, z + c))

@@ -1,14 +1,11 @@
-"""The physics world: the only place that knows pybullet.
-
-Units: m, s, kg, N, rad; quaternions x y z w. z points up, the floor is z = 0.
-"""
+"""A PyBullet world."""
 
 from __future__ import annotations
 
-import importlib
 import os
 import sys
 import tempfile
+from collections.abc import Sequence
 from threading import Lock
 from typing import Any
 from xml.etree import ElementTree
@@ -16,61 +13,59 @@ from xml.etree.ElementTree import Element
 
 import numpy as np
 
-from ..core import Array
-from ..errors import MachineError, PluginError
-from .body import Body, Colour, Vector
-from .camera import Camera, picture
-
-GRAVITY = -9.81
-"""m/s2 along z."""
-FLOOR_FRICTION = 0.5
-"""Lateral friction of the floor; PyBullet multiplies the coefficients of the two bodies in contact."""
+from ...core import Array
+from ...errors import MachineError, PluginError
+from ..geometry import Vector
+from ..interface.engine import FLOOR_FRICTION, GRAVITY, Camera, Colour, Fingers, JointLimits
+from ..interface.engine import Body as AnyBody
+from .body import Body
+from .motors import Motors
 
 FLOOR_HALF = (5.0, 5.0, 0.5)
 """Half the edges of the slab that is the floor, in m. An endless plane would be checked against every link at every
 substep, wherever they are: 8 % of an arm's step."""
+FLOOR_COLOUR = (0.62, 0.68, 0.74, 1.0)
+SKY_TOP, SKY_BOTTOM = (168.0, 186.0, 206.0), (232.0, 236.0, 240.0)
 _IMPORTING = Lock()
 
 
 def _pybullet() -> Any:
-    """The module, imported here and nowhere else, so that specs are checked without it.
+    """The module, imported when a world is built, so that specs are checked without it.
 
-    It greets with its build time on stderr, once per worker, in the middle of a progress bar: not heard.
+    PyBullet prints its build time on stderr at import, which would interrupt progress bars: stderr is closed meanwhile.
     """
     with _IMPORTING:
         if "pybullet" in sys.modules:
             return sys.modules["pybullet"]
-        kept = os.dup(2)
-        with open(os.devnull, "wb") as nowhere:
-            os.dup2(nowhere.fileno(), 2)
+        stderr = os.dup(2)
+        with open(os.devnull, "wb") as devnull:
+            os.dup2(devnull.fileno(), 2)
         try:
-            importlib.import_module("pybullet")
+            import pybullet  # noqa: PLC0415
         finally:
-            os.dup2(kept, 2)
-            os.close(kept)
-        return sys.modules["pybullet"]
+            os.dup2(stderr, 2)
+            os.close(stderr)
+        return pybullet
 
 
 class World:
-    """A floor, gravity and whatever is put in. Built once; an episode begins by writing states, never by loading.
-
-    A control step is `substeps` physics steps of `timestep` seconds in one call.
+    """Implements `interface.World`; a control step is `substeps` physics steps of `timestep` seconds in one call.
 
     Measured (PyBullet 3.2.7): ten substeps in one call cost 5 % less than ten calls. The solver stops iterating at a
-    residual of 1e-4 or after 17 rounds. An odd number: the order of the constraints alternates from round to round, and
-    the gear of the fingers should have the last word. Creep of a gripped cube in a 1 s shake and largest difference of
-    the fingers, worst of three robots: 13 rounds .8 and .5 mm, 16 rounds .4 and 3.4 mm, 17 rounds .6 and .4 mm, 50
-    rounds .3 and .4 mm for twice the time.
+    residual of 1e-4 or after 17 iterations. The number is odd because the order of the constraints alternates, and the
+    gear of the fingers has to be solved last. Creep of a gripped cube in a 1 s shake and largest difference of the
+    fingers, worst of three robots: 13 iterations .8 and .5 mm, 16: .4 and 3.4 mm, 17: .6 and .4 mm, 50: .3 and .4 mm
+    for twice the time.
 
-    The floor is a rigid body: as an articulated one without joints it would cost 5 % more. A cube as one would save as
-    much again, but keeps something of the step before its placing, and episodes would not repeat bit for bit.
+    The floor is a rigid body: as an articulated one without joints it would cost 5 % more. A rigid cube would save as
+    much again, but keeps state from before it was placed, so that episodes would not repeat bit for bit.
 
-    Raises MachineError when a window is asked for and there is no display.
+    Raises MachineError when a window is requested and there is no display.
     """
 
     def __init__(self, *, substeps: int = 10, timestep: float = 1 / 240, window: bool = False) -> None:
         if window and sys.platform == "linux" and not os.environ.get("DISPLAY"):  # pybullet would end the process
-            raise MachineError("no display to show a window on", hint="set DISPLAY, or do without a window")
+            raise MachineError("no display to show a window on", hint="set DISPLAY, or run without a window")
         pybullet = _pybullet()
         self.api = pybullet
         self.substeps = substeps
@@ -95,13 +90,8 @@ class World:
             )
         self.set_gravity(GRAVITY)
         self._markers: list[Body] = []
-        slab = pybullet.createVisualShape(
-            pybullet.GEOM_BOX,
-            halfExtents=(0.9, 0.9, 0.01),
-            rgbaColor=(0.62, 0.68, 0.74, 1.0),
-            visualFramePosition=(0.3, 0.0, -0.01),
-            physicsClientId=self.client,
-        )
+        half, place = (0.9, 0.9, 0.01), (0.3, 0.0, -0.01)
+        slab = self._look(pybullet.GEOM_BOX, FLOOR_COLOUR, halfExtents=half, visualFramePosition=place)
         self.floor = self._create(
             self._shape(pybullet.GEOM_BOX, halfExtents=FLOOR_HALF, collisionFramePosition=(0, 0, -FLOOR_HALF[2])),
             slab,
@@ -110,18 +100,15 @@ class World:
         self.set_floor_friction(FLOOR_FRICTION)
 
     def step(self) -> None:
-        """One control step: `period` seconds."""
         self.api.stepSimulation(physicsClientId=self.client)
 
     def set_gravity(self, gravity: float) -> None:
-        """Gravity along z in m/s2; negative pulls down."""
         self.api.setGravity(0, 0, gravity, physicsClientId=self.client)
 
     def set_floor_friction(self, friction: float) -> None:
         self.floor.set_friction(friction)
 
     def load(self, robot: Element, *, position: Vector = (0.0, 0.0, 0.0)) -> Body:
-        """Put in what a URDF's <robot> describes, its base fixed. Raises PluginError when pybullet refuses it."""
         handle, path = tempfile.mkstemp(suffix=".urdf")
         try:
             with os.fdopen(handle, "wb") as file:
@@ -142,56 +129,79 @@ class World:
             os.unlink(path)
         return Body(self.api, self.client, index)
 
+    def motors(self, body: AnyBody, joints: Sequence[str], limits: JointLimits, fingers: Fingers | None) -> Motors:
+        links = body.links()
+        pads = [links[name] for name in fingers.links] if fingers else []
+        own = Body(self.api, self.client, body.index)
+        return Motors(own, self.substeps, limits, [links[name] for name in joints], fingers, pads)
+
     def box(self, size: Vector, mass: float, colour: Colour) -> Body:
-        """A box with edges of `size` in m; a mass of 0 kg stands still."""
         half = tuple(edge / 2 for edge in size)
         shape = self._shape(self.api.GEOM_BOX, halfExtents=half)
-        return self._create(shape, self._look(self.api.GEOM_BOX, colour, halfExtents=half), mass)
-
-    def sphere(self, radius: float, mass: float, colour: Colour) -> Body:
-        shape = self._shape(self.api.GEOM_SPHERE, radius=radius)
-        return self._create(shape, self._look(self.api.GEOM_SPHERE, colour, radius=radius), mass)
+        body = self._create(shape, self._look(self.api.GEOM_BOX, colour, halfExtents=half), mass)
+        body.set_air_drag(0.0)
+        return body
 
     def marker(self, radius: float, colour: Colour) -> Body:
-        """A sphere that is only seen, half through: nothing touches it."""
         marker = self._create(-1, self._look(self.api.GEOM_SPHERE, colour, radius=radius), 0.0)
         self._markers.append(marker)
         return marker
 
     def show_floor(self, low: tuple[float, float], high: tuple[float, float]) -> None:
-        """Show the floor from `low` to `high` (x, y in m) too; it is there for 5 m around without being seen."""
         half = ((high[0] - low[0]) / 2, (high[1] - low[1]) / 2, 0.01)
-        look = self._look(self.api.GEOM_BOX, (0.62, 0.68, 0.74, 1.0), halfExtents=half)
-        centre = (low[0] + half[0], low[1] + half[1], -half[2] - 0.001)  # below what is shown anyway: no flicker
-        self._create(-1, look, 0.0).place(centre)
+        look = self._look(self.api.GEOM_BOX, FLOOR_COLOUR, halfExtents=half)
+        # 1 mm below the slab that is always drawn: overlapping surfaces would flicker
+        self._create(-1, look, 0.0).place((low[0] + half[0], low[1] + half[1], -half[2] - 0.001))
 
-    def find_contacts(self) -> None:
-        """Find contacts anew without a step: what no longer touches is forgotten, with the impulses it held."""
+    def update_contacts(self) -> None:
         self.api.performCollisionDetection(physicsClientId=self.client)
 
-    def touching(self, first: Body, second: Body, link: int) -> bool:
-        """Whether `link` of the first body is in contact with the second."""
+    def touching(self, first: AnyBody, second: AnyBody, link: int) -> bool:
         contacts = self.api.getContactPoints(first.index, second.index, linkIndexA=link, physicsClientId=self.client)
         return bool(contacts)
 
     def render(self, width: int, height: int, camera: Camera) -> Array:
-        """A picture (height, width, 3) uint8."""
-        size = (width, height)
-        solid = picture(self.api, self.client, size, camera)
+        solid = self._picture(width, height, camera)
         if not self._markers:
             return solid
-        # the renderer knows no opacity: mix with a picture that the markers are missing from
+        # the renderer has no opacity: mix with a picture without the markers
         places = [marker.pose()[0] for marker in self._markers]
         for marker in self._markers:
             marker.place((0.0, 0.0, -100.0))
-        without = picture(self.api, self.client, size, camera)
+        without = self._picture(width, height, camera)
         for marker, position in zip(self._markers, places, strict=True):
             marker.place(position)
         mixed: Array = (0.6 * solid + 0.4 * without).astype(np.uint8)
         return mixed
 
+    def _picture(self, width: int, height: int, camera: Camera) -> Array:
+        """A picture by PyBullet's software renderer, which needs no display and has no antialiasing."""
+        view = self.api.computeViewMatrixFromYawPitchRoll(
+            camera.target, camera.distance, camera.yaw, camera.pitch, 0.0, 2, physicsClientId=self.client
+        )
+        projection = self.api.computeProjectionMatrixFOV(camera.field_of_view, width / height, 0.1, 10.0)
+        image = self.api.getCameraImage(
+            width,
+            height,
+            view,
+            projection,
+            lightDirection=(1.5, -1.4, 3.0),
+            lightDistance=3.5,
+            lightColor=(1.0, 0.99, 0.97),
+            lightAmbientCoeff=0.6,
+            lightDiffuseCoeff=0.42,
+            lightSpecularCoeff=0.05,
+            shadow=1,
+            renderer=self.api.ER_TINY_RENDERER,
+            physicsClientId=self.client,
+        )
+        pixels: Array = np.asarray(image[2], np.uint8).reshape(height, width, 4)[..., :3].copy()
+        background = np.asarray(image[4]).reshape(height, width) < 0
+        sky = np.linspace(SKY_TOP, SKY_BOTTOM, height).astype(np.uint8)
+        pixels[background] = np.broadcast_to(sky[:, None], pixels.shape)[background]
+        return pixels
+
     def close(self) -> None:
-        """Free the world. Safe to call twice."""
         if self.client >= 0:
             self.api.disconnect(physicsClientId=self.client)
             self.client = -1

@@ -9,12 +9,11 @@ from hypothesis.extra.numpy import arrays
 from karolos.core import Array
 from karolos.errors import RunError
 from karolos.simulation.interface import Box
-from karolos.tasks.goals import NearGoal
-from karolos.tasks.placement import place
+from karolos.tasks.point_goal import PointGoal, sample_position
 
 points = arrays(np.float32, (5, 3), elements=st.floats(-2, 2, width=32))
-SPARSE = NearGoal(0.05, dense=False, span=10.0)
-DENSE = NearGoal(0.05, dense=True, span=10.0)
+SPARSE = PointGoal(0.05, dense=False, span=10.0)
+DENSE = PointGoal(0.05, dense=True, span=10.0)
 
 
 @given(points, points)
@@ -41,10 +40,10 @@ def test_reaching_a_goal_ends_nothing() -> None:
     assert not SPARSE.terminated(np.zeros((4, 3)), np.zeros((4, 3))).any()
 
 
-def test_place_is_uniform_in_the_box_and_accepted() -> None:
+def test_sampled_positions_are_uniform_in_the_box_and_accepted() -> None:
     generator = np.random.Generator(np.random.PCG64(0))
     box = Box((0.0, -1.0, 2.0), (1.0, 1.0, 2.5))
-    found = np.array([place(generator, box, lambda point: point[0] > 0.5, "it") for _ in range(500)])
+    found = np.array([sample_position(generator, box, "it", lambda point: point[0] > 0.5) for _ in range(500)])
     assert all(box.contains(point, 1e-6) for point in found)
     assert found[:, 0].min() > 0.5
     np.testing.assert_allclose(found.mean(0), (0.75, 0.0, 2.25), atol=0.08)
@@ -53,4 +52,4 @@ def test_place_is_uniform_in_the_box_and_accepted() -> None:
 def test_no_place_is_a_named_error_after_bounded_attempts() -> None:
     generator = np.random.Generator(np.random.PCG64(0))
     with pytest.raises(RunError, match="no place for the cube"):
-        place(generator, Box((0, 0, 0), (1, 1, 1)), lambda point: False, "the cube")
+        sample_position(generator, Box((0, 0, 0), (1, 1, 1)), "the cube", lambda point: False)

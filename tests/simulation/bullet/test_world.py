@@ -8,8 +8,8 @@ import pytest
 
 from karolos.errors import MachineError
 from karolos.simulation import urdf
-from karolos.simulation.camera import Camera
-from karolos.simulation.world import World
+from karolos.simulation.bullet.world import World
+from karolos.simulation.interface import Camera
 
 PENDULUM = """
 <robot name="pendulum"><link name="base"/>
@@ -25,7 +25,6 @@ WEIGHT = 2 * 9.81 * 0.5  # N m about the hinge
 def test_falling_body_falls_as_it_must(substeps: int) -> None:
     world = World(substeps=substeps)
     box = world.box((0.1, 0.1, 0.1), 1.0, (1, 0, 0, 1))
-    box.set_air_drag(0.0)
     box.place((0.0, 0.0, 5.0))
     steps = 120 // substeps
     for _ in range(steps):
@@ -41,7 +40,7 @@ def test_motor_holds_what_its_torque_allows_whatever_the_substeps(substeps: int,
     world = World(substeps=substeps)
     body = world.load(urdf.ElementTree.fromstring(PENDULUM), position=(0.0, 0.0, 3.0))
     body.set_air_drag(0.0, 0)
-    body.prepare_motor(0, 2.0)
+    body.limit_motor_speed(0, 2.0)
     body.write_joints([0], [0.0])
     body.drive([0], [0.0], [share * WEIGHT / substeps], [0.2])
     for _ in range(48 * 10 // substeps):
@@ -54,7 +53,7 @@ def test_motor_keeps_its_speed_limit() -> None:
     world = World()
     world.set_gravity(0.0)
     body = world.load(urdf.ElementTree.fromstring(PENDULUM), position=(0.0, 0.0, 3.0))
-    body.prepare_motor(0, 2.0)
+    body.limit_motor_speed(0, 2.0)
     body.drive([0], [3.0], [20.0], [0.5])
     speeds = []
     for _ in range(12):

@@ -1,0 +1,1 @@
+"""PyBullet as the physics engine. No other package imports pybullet."""

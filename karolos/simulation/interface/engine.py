@@ -1,0 +1,205 @@
+"""What a physics engine offers to robots and tasks: a world, its bodies and the motors of an arm.
+
+Units: m, s, kg, N, rad; quaternions x y z w. z points up, the floor is z = 0.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Collection, Sequence
+from dataclasses import dataclass
+from typing import Any, NamedTuple, Protocol
+from xml.etree.ElementTree import Element
+
+from ...core import Array
+from ..geometry import UPRIGHT, Quaternion, Vector
+
+GRAVITY = -9.81
+"""m/s2 along z."""
+FLOOR_FRICTION = 0.5
+"""Lateral friction coefficient of the floor. A contact has the product of the coefficients of its two bodies."""
+Colour = tuple[float, float, float, float]
+"""Red, green, blue, opacity in [0, 1]."""
+
+
+@dataclass(frozen=True)
+class Camera:
+    """Where a picture is taken from: `distance` m away from `target`, at angles in degrees."""
+
+    target: Vector = (0.27, 0.0, 0.34)
+    distance: float = 1.75
+    yaw: float = 42.0
+    pitch: float = -20.0
+    field_of_view: float = 33.0
+
+
+@dataclass(frozen=True)
+class JointLimits:
+    """Limits of an arm's joints: positions in rad, speed in rad/s, torque in N m."""
+
+    lower: tuple[float, ...]
+    upper: tuple[float, ...]
+    velocity: tuple[float, ...]
+    effort: tuple[float, ...]
+
+
+@dataclass(frozen=True)
+class Gripper:
+    """A parallel gripper with friction pads."""
+
+    width: float
+    """Distance between the open pads, in m."""
+    force: float
+    """Closing force of each finger, in N."""
+    speed: float
+    """Speed of each finger, in m/s."""
+    pad_friction: float
+    """Lateral friction coefficient of the pads."""
+
+
+@dataclass(frozen=True)
+class Fingers:
+    """Two prismatic joints of a URDF that move as one."""
+
+    joints: tuple[str, str]
+    links: tuple[str, str]
+    travel: float
+    """Of each finger, in m."""
+    open_at_zero: bool
+    """Whether joint position 0 means open; otherwise it means closed."""
+    gripper: Gripper
+
+    def position(self, opening: float) -> float:
+        """Joint position in m for an opening in [0, 1]."""
+        return self.travel * (1 - opening if self.open_at_zero else opening)
+
+    def opening(self, position: float) -> float:
+        """Opening in [0, 1] for a joint position in m."""
+        fraction = position / self.travel
+        return 1 - fraction if self.open_at_zero else fraction
+
+
+class LinkState(NamedTuple):
+    """Frame of a link (m, quaternion), velocity of its centre of mass (m/s), angular velocity (rad/s), that centre."""
+
+    position: Vector
+    orientation: Quaternion
+    velocity: Vector
+    angular_velocity: Vector
+    centre: Vector
+
+
+class Body(Protocol):
+    """One body of a world. Links have an index, which is that of the joint above them; -1 is the base."""
+
+    index: int
+    """Of the body in its world."""
+
+    def links(self) -> dict[str, int]:
+        """Index of each link by name, without the base."""
+
+    def collide_only(self, pairs: Collection[tuple[int, int]]) -> None:
+        """Enable collisions between these pairs of the body's links, and between no others of this body."""
+
+    def place(self, position: Vector, orientation: Quaternion = UPRIGHT) -> None:
+        """Set the pose of the base, at rest."""
+
+    def pose(self) -> tuple[Vector, Quaternion]:
+        """Of the base."""
+
+    def velocity(self) -> tuple[Vector, Vector]:
+        """Linear (m/s) and angular (rad/s) velocity of the base."""
+
+    def link(self, link: int, *, moved: bool = False) -> LinkState:
+        """State of a link. `moved`: joints were written since the last step, so the frames are computed again."""
+
+    def joints(self, joints: Sequence[int]) -> tuple[tuple[float, float, Any, float], ...]:
+        """For each joint its position (rad or m), velocity (per s), reaction forces and motor torque (N m or N)."""
+
+    def set_friction(self, lateral: float, link: int = -1) -> None:
+        """Set the lateral friction coefficient of a link."""
+
+    def set_inertia(self, mass: float, diagonal: Vector, link: int = -1) -> None:
+        """Set the mass in kg and the diagonal of the inertia in kg m2 of a link."""
+
+
+class Motors(Protocol):
+    """The motors of an arm and its gripper, limited in torque and speed, under position control."""
+
+    pads: Sequence[int]
+    """Links of the gripper's pads; empty without a gripper."""
+
+    def set_joint_friction(self, torque: float) -> None:
+        """Set the dry friction of the arm's joints in N m: torque that the motors lack, at most half of theirs."""
+
+    def set_joint_damping(self, damping: float) -> None:
+        """Set the viscous friction of the arm's joints in N m s/rad."""
+
+    def set_gain(self, factor: float) -> None:
+        """Scale the stiffness of the arm's position control; it stays critically damped."""
+
+    def set_mass(self, factor: float) -> None:
+        """Scale the masses and inertias of all moving links."""
+
+    def set_pad_friction(self, friction: float) -> None:
+        """Set the lateral friction coefficient of the pads."""
+
+    def write(self, positions: Sequence[float], opening: float) -> None:
+        """Put the joints (n,) in rad and the gripper there at rest, and aim the motors at the same positions."""
+
+    def drive(self, positions: Sequence[float], velocities: Sequence[float], opening: float | None) -> None:
+        """Aim the arm's motors at positions (n,) in rad, passed at velocities (n,) in rad/s, until the next call.
+
+        `opening` of the gripper is in [0, 1]; None leaves the gripper out.
+        """
+
+    def read(self) -> tuple[Sequence[float], Sequence[float], float]:
+        """Positions (n,) in rad and velocities (n,) in rad/s of the arm's joints, opening of the gripper (0 without).
+
+        A joint beyond its largest speed is braked to it.
+        """
+
+
+class World(Protocol):
+    """A floor, gravity and the bodies put in. Built once: an episode begins by writing states, never by loading.
+
+    A control step is `substeps` physics steps and takes `period` seconds.
+    """
+
+    substeps: int
+    period: float
+
+    def step(self) -> None:
+        """Simulate one control step."""
+
+    def set_gravity(self, gravity: float) -> None:
+        """Set gravity along z in m/s2; negative pulls down."""
+
+    def set_floor_friction(self, friction: float) -> None:
+        """Set the lateral friction coefficient of the floor."""
+
+    def load(self, robot: Element, *, position: Vector = (0.0, 0.0, 0.0)) -> Body:
+        """Add what a URDF's <robot> describes, its base fixed. Raises PluginError when the engine refuses it."""
+
+    def motors(self, body: Body, joints: Sequence[str], limits: JointLimits, fingers: Fingers | None) -> Motors:
+        """The motors of a loaded arm. `joints`: the links that its joints move, from base to wrist."""
+
+    def box(self, size: Vector, mass: float, colour: Colour) -> Body:
+        """Add a box with edges of `size` in m, without air drag; a mass of 0 kg makes it static."""
+
+    def marker(self, radius: float, colour: Colour) -> Body:
+        """Add a translucent sphere that collides with nothing."""
+
+    def show_floor(self, low: tuple[float, float], high: tuple[float, float]) -> None:
+        """Draw the floor from `low` to `high` (x, y in m) too. The floor itself extends 5 m to each side."""
+
+    def update_contacts(self) -> None:
+        """Detect contacts without a step. Contacts that no longer exist are forgotten, with their impulses."""
+
+    def touching(self, first: Body, second: Body, link: int) -> bool:
+        """Whether `link` of the first body is in contact with the second."""
+
+    def render(self, width: int, height: int, camera: Camera) -> Array:
+        """A picture (height, width, 3) uint8."""
+
+    def close(self) -> None:
+        """Free the world. A second call has no effect."""

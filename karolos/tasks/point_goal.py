@@ -1,0 +1,120 @@
+"""Goals that are positions: rule, settings and the part of a task that reach, push and pick_place share."""
+
+from __future__ import annotations
+
+from collections.abc import Callable
+from typing import Literal
+
+import numpy as np
+from pydantic import Field as Setting
+
+from ..core import Array, BoolArray, Field, FloatArray, GoalRule, Layout, Settings
+from ..core.seeding import Generator
+from ..errors import RunError, UsageError
+from ..simulation.interface import Box, Task, World
+
+ATTEMPTS = 1000
+GOAL_COLOUR = (0.16, 0.74, 0.32, 0.5)
+"""Of the marker that shows a goal."""
+
+
+class PointGoal(GoalRule):
+    """Success where the distance of `achieved` (..., 3) from `desired` (..., 3) is under `threshold`, in m.
+
+    Sparse reward: 0 on success, else -1. Dense reward: minus the distance in m.
+
+    Args:
+        span: the largest possible distance in m; it bounds the dense reward.
+    """
+
+    def __init__(self, threshold: float, *, dense: bool, span: float) -> None:
+        self.threshold = threshold
+        self.dense = dense
+        self.reward_range = (-span, 0.0) if dense else (-1.0, 0.0)
+        self._squared = np.float32(threshold**2)
+
+    def reward(self, achieved: Array, desired: Array) -> FloatArray:
+        if self.dense:
+            return -self.distance(achieved, desired)
+        return -np.asarray(~self.success(achieved, desired), np.float32)
+
+    def success(self, achieved: Array, desired: Array) -> BoolArray:
+        difference = achieved - desired
+        near: BoolArray = np.vecdot(difference, difference) < self._squared
+        return near
+
+    def distance(self, achieved: Array, desired: Array) -> FloatArray:
+        difference = achieved - desired
+        metres: FloatArray = np.sqrt(np.vecdot(difference, difference), dtype=np.float32)
+        return metres
+
+
+def check_threshold(threshold: float, box: Box) -> None:
+    """Raises UsageError when a position in the box may be near every goal in it."""
+    if 2 * threshold >= box.diagonal:
+        raise UsageError(
+            f"{threshold:g} m leaves no goal to reach",
+            where="task.threshold",
+            hint=f"goals lie in a box with a diagonal of {box.diagonal:.2f} m; take a smaller threshold",
+        )
+
+
+def sample_position(
+    generator: Generator, box: Box, what: str, accepted: Callable[[FloatArray], bool] | None = None
+) -> FloatArray:
+    """A position (3,) in m, uniform among the accepted ones in the box. Raises RunError after 1000 rejected positions.
+
+    Args:
+        what: name of the placed thing, for the error.
+        accepted: whether a position is accepted; all are by default.
+    """
+    for _ in range(ATTEMPTS):
+        position = generator.uniform(box.low, box.high).astype(np.float32)
+        if accepted is None or accepted(position):
+            return position
+    raise RunError(
+        f"found no place for {what} in {ATTEMPTS} attempts",
+        hint=f"the box is {box.low} to {box.high} m; a smaller threshold or another range leaves more room",
+    )
+
+
+class PointGoalSettings(Settings):
+    """Settings of every task with a point goal."""
+
+    reward: Literal["sparse", "dense"] = Setting("sparse", description="-1 until there, or minus the distance in m")
+    threshold: float = Setting(0.05, gt=0, le=0.5, description="distance at which the goal is reached, m")
+    goals: Literal["box", "workspace"] = Setting(
+        "box", description="goals in a box of .3 m edges in the middle of the workspace, or in all of it"
+    )
+    max_steps: int = Setting(50, ge=1, le=100_000, description="control steps per episode")
+
+
+class PointGoalTask(Task):
+    """A task with a point goal. `fit` of a subclass calls `_fit_goal`, its `reset` calls `_sample_goal`."""
+
+    settings: PointGoalSettings
+    desired_goal = Layout((Field("goal_position", 3, "m"),))
+
+    def __init__(self, settings: PointGoalSettings) -> None:
+        self.settings = settings
+        self.goal = np.zeros(3, np.float32)
+
+    @property
+    def max_steps(self) -> int:
+        return self.settings.max_steps
+
+    def _fit_goal(self, box: Box, span: float) -> None:
+        """Set the goal rule for goals in `box`. `span`: the largest possible distance from a goal in m."""
+        check_threshold(self.settings.threshold, box)
+        self.goal_rule = PointGoal(self.settings.threshold, dense=self.settings.reward == "dense", span=span)
+
+    def build(self, world: World) -> None:
+        super().build(world)
+        self._marker = world.marker(self.settings.threshold, GOAL_COLOUR)
+
+    def _sample_goal(self, generator: Generator, box: Box) -> None:
+        """Draw a goal in `box` that is not achieved yet, and mark it."""
+        start = self.achieved()
+        self.goal = sample_position(generator, box, "the goal", lambda goal: not self.goal_rule.success(start, goal))
+        x, y, z = self.goal.tolist()
+        self._marker.place((x, y, z))
