@@ -1,4 +1,4 @@
-"""What a run tells whoever watches it. Plain values that can cross a process boundary."""
+"""What a run tells its listener: plain values that can cross a process boundary."""
 
 from __future__ import annotations
 
@@ -21,7 +21,7 @@ class RunStarted:
 
 @dataclass(frozen=True)
 class RunAdvanced:
-    """Some rounds further; sent a few times a second at most."""
+    """Training has advanced; sent at most ten times a second."""
 
     run: str
     steps: int
@@ -33,7 +33,7 @@ class RunAdvanced:
 
 @dataclass(frozen=True)
 class RunTested:
-    """A test has ended and stands in the run folder."""
+    """A test is over and written into the run folder."""
 
     run: str
     result: TestResult
@@ -41,7 +41,7 @@ class RunTested:
 
 @dataclass(frozen=True)
 class RunWarned:
-    """Something went wrong that the run can go on without."""
+    """A problem that the run survives."""
 
     run: str
     warning: str
@@ -49,7 +49,7 @@ class RunWarned:
 
 @dataclass(frozen=True)
 class RunEnded:
-    """The run will write no more. `traceback` stands there when the fault is karolos' or a plugin's."""
+    """The run is over. `traceback` is given if karolos or a plugin is at fault."""
 
     run: str
     state: str

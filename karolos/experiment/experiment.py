@@ -1,4 +1,4 @@
-"""Experiment: the entry point. One spec, its seeds, one run for each."""
+"""Experiment, the entry point from Python: one spec, its seeds, one run per seed."""
 
 from __future__ import annotations
 
@@ -15,7 +15,7 @@ from ..store import Store
 from ..training.assembly import check_parts
 from .events import Listener, RunEvent
 from .jobs import run_side_by_side
-from .resuming import find_run, newest_snapshot
+from .resume import find_run, newest_snapshot
 from .run import Run
 from .signals import StopRequest, stop_on_signals
 from .start_from import pinned
@@ -25,23 +25,23 @@ Existing = Literal["ignore", "skip", "resume"]
 
 @dataclass(frozen=True)
 class Outcome:
-    """What became of an experiment's runs, in the order of the seeds; runs never begun are missing."""
+    """The runs of an experiment, in the order of the seeds. Runs that never started are missing."""
 
     runs: tuple[RunSummary, ...]
-    asked: int
-    """How many runs were asked for."""
+    requested: int
+    """Number of seeds."""
     stop_code: int = 0
-    """Exit code of whoever asked to stop (`StopRequest.exit_code`); 0: nobody did."""
+    """`StopRequest.exit_code`; 0 if no stop was requested."""
 
     @property
     def exit_code(self) -> int:
-        """0 fine, 1 a run failed, 128 + signal or 124 (time limit) when stopped."""
+        """0 if all runs finished, 1 if a run failed; after a stop 128 + signal, or 124 for the time limit."""
         if all(run.state == "finished" for run in self.runs):
-            return 0 if len(self.runs) == self.asked else self.stop_code
+            return 0 if len(self.runs) == self.requested else self.stop_code
         return self.stop_code or 1
 
     def check(self) -> None:
-        """Raise a RunError that names the runs that failed, if any did."""
+        """Raise a RunError that names the failed runs, if there are any."""
         failed = [run for run in self.runs if run.state == "failed"]
         if failed:
             raise RunError(
@@ -51,14 +51,14 @@ class Outcome:
 
 
 class Experiment:
-    """Trains and tests an agent on an environment, once for each seed of the spec.
+    """Trains and tests an agent in an environment, once for each seed of the spec.
 
     Args:
         spec: a Spec, or a dictionary of the same shape as a spec file, e.g.
-            `{"robot": "panda", "task": "reach", "agent": "sac"}`; what is left out has its default.
+            `{"robot": "panda", "task": "reach", "agent": "sac"}`; missing keys have their defaults.
 
     Raises:
-        SpecError: the dictionary is no valid spec; carries every problem found.
+        SpecError: the dictionary is not a valid spec; lists every problem.
     """
 
     def __init__(self, spec: Spec | Mapping[str, Any]) -> None:
@@ -78,24 +78,24 @@ class Experiment:
     ) -> Outcome:
         """Run every seed and index the results.
 
-        A run that fails is recorded and does not keep the other seeds from running. SIGINT, SIGTERM, SIGUSR1 and the
-        time limit end the current round, write a checkpoint and leave the run `stopped`.
+        The failure of a run is written down, and the other seeds run. SIGINT, SIGTERM, SIGUSR1 and the time limit stop
+        the run after the current round, with a checkpoint and the state `stopped`.
 
         Args:
-            runs: folder that holds the run folders and, unless `database` says otherwise, karolos.sqlite.
+            runs: folder of the run folders and, without `database`, of karolos.sqlite.
             database: SQLAlchemy URL of the results database.
-            jobs: seeds that run at the same time, each in a process of its own.
-            existing: what to do with runs of this experiment that are there already. "skip": seeds that are finished
-                are not run again. "resume": nor those, and runs that ended too soon go on from their newest checkpoint,
+            jobs: seeds that run at the same time, each in its own process.
+            existing: what to do with existing runs of this experiment. "ignore": run every seed again. "skip": do not
+                run finished seeds again. "resume": as "skip", and unfinished runs resume from their newest checkpoint,
                 bit for bit in lockstep.
             time_limit: seconds after which to stop.
             listener: is called with every RunEvent.
-            text: the spec as its author wrote it, kept beside the resolved one.
-            check: raise when a run failed, once all have ended.
+            text: the spec as its author wrote it, to be saved beside the resolved one.
+            check: whether to raise an error once all runs have ended, if one failed.
 
         Raises:
             RunError: a run failed, and `check` is on.
-            UsageError: the spec's parts do not go together.
+            UsageError: the spec's parts do not fit together.
             MachineError: the runs folder cannot be written.
             StoreError: the database cannot be used.
         """
@@ -105,20 +105,20 @@ class Experiment:
         url = database or Store.default_url(folder)
         check_parts(self.spec)
         RunFolder.check_writable(folder)
-        Store(url).close()  # a database that cannot be used is told before anything is computed
-        tell = listener or _ignore
+        Store(url).close()  # an unusable database is an error before anything is computed
+        listener = listener or _ignore
         spec = pinned(self.spec.alone(), folder)
         work = SeedRunner(spec.dump(), folder, url, text, existing)
         with stop_on_signals(time_limit=time_limit) as stop:
             if jobs == 1 or len(self.spec.seeds) == 1:
-                found = []
+                summaries = []
                 for seed in self.spec.seeds:
-                    if not stop.asked:
-                        found.append(work(seed, tell, stop))
+                    if not stop.requested:
+                        summaries.append(work(seed, listener, stop))
             else:
-                found = run_side_by_side(work, self.spec.seeds, jobs, tell, stop)
-        order = {seed: place for place, seed in enumerate(self.spec.seeds)}
-        outcome = Outcome(tuple(sorted(found, key=lambda run: order[run.seed])), len(order), stop.exit_code)
+                summaries = run_side_by_side(work, self.spec.seeds, jobs, listener, stop)
+        order = {seed: index for index, seed in enumerate(self.spec.seeds)}
+        outcome = Outcome(tuple(sorted(summaries, key=lambda run: order[run.seed])), len(order), stop.exit_code)
         if check:
             outcome.check()
         return outcome
@@ -127,9 +127,7 @@ class Experiment:
 def resume_run(
     folder: RunFolder, url: str, *, time_limit: float | None = None, listener: Listener | None = None
 ) -> Outcome:
-    """Go on with one run from its newest checkpoint. A finished one stays.
-
-    In lockstep it is bit for bit as if it had not ended.
+    """Resume one run from its newest checkpoint, bit for bit in lockstep. A finished run is returned as it is.
 
     Args:
         folder: the run's.
@@ -141,21 +139,20 @@ def resume_run(
         RunError: another process is running it, or no checkpoint can be used.
         SpecError: its resolved spec is damaged, or of another version.
     """
-    tell = listener or _ignore
     if folder.state().state == "finished":
         return Outcome((folder.summary(),), 1)
     spec = Spec.from_dict(folder.spec())
     check_parts(spec)
     with stop_on_signals(time_limit=time_limit) as stop, Store(url) as store, folder:
-        summary = _go_on(folder, spec, store, tell, stop)
+        summary = _resume(folder, spec, store, listener or _ignore, stop)
     return Outcome((summary,), 1, stop.exit_code)
 
 
 @dataclass(frozen=True)
 class SeedRunner:
-    """Runs one seed of a resolved spec from an empty folder to its end; a failure stands in the summary's state.
+    """Runs one seed of a resolved spec. The state in the summary says whether it failed.
 
-    Picklable, so that a new process can be handed it.
+    Picklable, for a new process.
     """
 
     resolved: dict[str, Any]
@@ -164,7 +161,7 @@ class SeedRunner:
     text: str | None
     existing: Existing = "ignore"
 
-    def __call__(self, seed: int, tell: Listener, stop: StopRequest) -> RunSummary:
+    def __call__(self, seed: int, listener: Listener, stop: StopRequest) -> RunSummary:
         spec = Spec.from_dict(self.resolved)
         if self.existing != "ignore":
             found = find_run(self.runs, spec.name, spec.hash(), seed)
@@ -172,19 +169,19 @@ class SeedRunner:
                 return found.summary()
             if found is not None and self.existing == "resume":
                 with Store(self.url) as store, found:
-                    return _go_on(found, spec, store, tell, stop)
+                    return _resume(found, spec, store, listener, stop)
         with Store(self.url) as store, RunFolder.create(self.runs, spec.name, seed) as folder:
             folder.describe(spec.dump(), experiment=spec.hash(), text=self.text)
             store.add_run(folder.summary(), spec.dump(), folder.versions())
-            return Run(spec, seed, folder, store, tell, stop).execute()
+            return Run(spec, seed, folder, store, listener, stop).execute()
 
 
-def _go_on(folder: RunFolder, spec: Spec, store: Store, tell: Listener, stop: StopRequest) -> RunSummary:
+def _resume(folder: RunFolder, spec: Spec, store: Store, listener: Listener, stop: StopRequest) -> RunSummary:
     folder.lock()
     snapshot = newest_snapshot(folder)
     folder.next_attempt()
     store.add_run(folder.summary(), spec.dump(), folder.versions())
-    return Run(spec, folder.description()["seed"], folder, store, tell, stop, snapshot).execute()
+    return Run(spec, folder.description()["seed"], folder, store, listener, stop, snapshot).execute()
 
 
 def _ignore(event: RunEvent) -> None:

@@ -1,4 +1,4 @@
-"""Seeds side by side: one process each, several at a time; the parent passes on what they say."""
+"""Runs several seeds at the same time, each in its own process. The parent passes on their events."""
 
 from __future__ import annotations
 
@@ -15,57 +15,57 @@ from .events import Listener, RunEnded, RunEvent, RunStarted
 from .signals import StopRequest, stop_on_signals
 
 POLL_SECONDS = 0.2
-"""How long a request to stop may wait to be noticed by the parent."""
+"""Time within which the parent notices a stop request."""
 
 
 class Work(Protocol):
-    """Runs one seed; importable by name, since it is called in a new process."""
+    """Runs one seed. It is called in a new process, and therefore pickled."""
 
-    def __call__(self, seed: int, tell: Listener, stop: StopRequest) -> RunSummary: ...
+    def __call__(self, seed: int, listener: Listener, stop: StopRequest) -> RunSummary: ...
 
 
 @dataclass
 class _Job:
     process: Any
-    messages: Connection
+    connection: Connection
     run: str | None = None
     summary: RunSummary | None = None
 
 
 def run_side_by_side(
-    work: Work, seeds: Sequence[int], jobs: int, tell: Listener, stop: StopRequest
+    work: Work, seeds: Sequence[int], jobs: int, listener: Listener, stop: StopRequest
 ) -> list[RunSummary]:
-    """Run every seed, `jobs` at a time, and return the summaries of those that got as far as having one.
+    """Run every seed, `jobs` at a time. Returns the summaries of the runs that have one.
 
-    A request to stop reaches the running processes as SIGTERM (checkpoint, then stop); no further seed begins.
+    A stop request reaches the running processes as SIGTERM (checkpoint, then stop); no further seed starts.
     """
     waiting = list(seeds)
     running: list[_Job] = []
-    found: list[RunSummary] = []
-    told = False
+    summaries: list[RunSummary] = []
+    stopping = False
     while waiting or running:
-        if stop.asked and not told:
-            told = True
+        if stop.requested and not stopping:
+            stopping = True
             waiting.clear()
             for job in running:
                 job.process.terminate()
         while waiting and len(running) < jobs:
             running.append(_start(work, waiting.pop(0)))
-        for connection in wait([job.messages for job in running], POLL_SECONDS):
-            job = next(job for job in running if job.messages is connection)
-            if not _hear(job, tell):
+        for connection in wait([job.connection for job in running], POLL_SECONDS):
+            job = next(job for job in running if job.connection is connection)
+            if not _receive(job, listener):
                 running.remove(job)
-                _finish(job, tell)
+                _finish(job, listener)
                 if job.summary is not None:
-                    found.append(job.summary)
-    return found
+                    summaries.append(job.summary)
+    return summaries
 
 
 def _start(work: Work, seed: int) -> _Job:
     context = multiprocessing.get_context("spawn")
     receiving, sending = context.Pipe(duplex=False)
     process = context.Process(target=_in_process, args=(work, seed, sending))
-    with sigint_ignored():  # inherited by the child: Ctrl-C reaches the parent, which decides
+    with sigint_ignored():  # the child inherits it: Ctrl-C reaches the parent, which decides
         process.start()
     sending.close()
     return _Job(process, receiving)
@@ -81,10 +81,10 @@ def sigint_ignored() -> Iterator[None]:
         signal.signal(signal.SIGINT, before)
 
 
-def _hear(job: _Job, tell: Listener) -> bool:
-    """Pass on one message; False once there will be no more."""
+def _receive(job: _Job, listener: Listener) -> bool:
+    """Pass on one message; False after the last one."""
     try:
-        message = job.messages.recv()
+        message = job.connection.recv()
     except EOFError:
         return False
     if isinstance(message, RunSummary):
@@ -92,28 +92,27 @@ def _hear(job: _Job, tell: Listener) -> bool:
         return True
     if isinstance(message, RunStarted):
         job.run = message.run
-    tell(message)
+    listener(message)
     return True
 
 
-def _finish(job: _Job, tell: Listener) -> None:
+def _finish(job: _Job, listener: Listener) -> None:
     job.process.join()
-    job.messages.close()
+    job.connection.close()
     if job.summary is None and job.run is not None:
         code = job.process.exitcode
         how = f"was killed by signal {-code}" if code < 0 else f"ended with exit code {code}"
-        tell(RunEnded(job.run, "lost", f"its process {how}"))
+        listener(RunEnded(job.run, "lost", f"its process {how}"))
 
 
-def _in_process(work: Work, seed: int, sending: Connection) -> None:
+def _in_process(work: Work, seed: int, connection: Connection) -> None:
     with stop_on_signals(interrupt=False) as stop:
 
-        def tell(event: RunEvent) -> None:
+        def send(event: RunEvent) -> None:
             try:
-                sending.send(event)
-            except BrokenPipeError:  # the parent is gone: nobody listens, so end like after SIGTERM
+                connection.send(event)
+            except BrokenPipeError:  # the parent has ended: stop as after SIGTERM
                 stop.signal = signal.SIGTERM
 
-        summary = work(seed, tell, stop)
-        sending.send(summary)
-    sending.close()
+        connection.send(work(seed, send, stop))
+    connection.close()

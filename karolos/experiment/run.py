@@ -1,6 +1,6 @@
 """One run: one spec, one seed, from an empty folder to the end.
 
-The loop around training and tests stands here; who writes down what happens is in `recording`, `series` and `keeping`.
+Run prepares training, alternates it with tests and tells its observers. The observers write everything down.
 """
 
 from __future__ import annotations
@@ -20,18 +20,18 @@ from ..spec import Spec
 from ..store import Store
 from ..training.assembly import make_agent, make_buffer, make_orchestrator
 from ..training.demonstrations import collect_demonstrations
+from ..training.episodes import Episode
 from ..training.training import Training
+from .checkpointer import Checkpointer
 from .events import Listener, RunStarted
-from .keeping import Keeper
-from .recording import Recorder
-from .resuming import Snapshot
-from .scalars import Scalars
-from .series import Series
+from .folder_writer import FolderWriter
+from .observer import Announcer, Ending, RunObserver, RunWarnings
+from .resume import Snapshot
 from .signals import StopRequest
 from .start_from import apply, find
+from .tensorboard_writer import TensorBoardWriter
 
-SCALARS_PER_TEST = 10
-"""Points of a training series between two tests."""
+REPORTS_PER_TEST = 10
 
 
 @dataclass
@@ -42,10 +42,10 @@ class Run:
         spec: what to run.
         seed: root of the run's random numbers.
         folder: the run's own, created and locked.
-        store: the index to keep up to date.
+        store: the index to update.
         listener: is told what happens.
-        stop: looked at between rounds.
-        snapshot: where a run goes on that ended too soon; None: it begins.
+        stop: is checked after each round.
+        snapshot: where an unfinished run resumes; None: the run starts.
     """
 
     spec: Spec
@@ -55,65 +55,72 @@ class Run:
     listener: Listener
     stop: StopRequest
     snapshot: Snapshot | None = None
-    _recorder: Recorder = field(init=False)
-    _keeper: Keeper = field(init=False)
+    _warnings: RunWarnings = field(init=False)
+    _checkpointer: Checkpointer = field(init=False)
+    _observers: tuple[RunObserver, ...] = field(init=False)
 
     def __post_init__(self) -> None:
-        self._recorder = Recorder(self.folder, self.store, self.listener)
-        self._keeper = Keeper(self._recorder, self.spec.hash(), self.seed)
+        folder, snapshot = self.folder, self.snapshot
+        exact = self.spec.training.at_least is None
+        self._warnings = RunWarnings(folder, self.listener)
+        self._checkpointer = Checkpointer(folder, self._warnings, self.spec.hash(), self.seed)
+        self._observers = (
+            FolderWriter(folder, self.store, self._warnings, snapshot, exact),
+            TensorBoardWriter(folder.tensorboard, self._warnings, snapshot),
+            self._checkpointer,
+            Announcer(folder.id, self.listener),
+        )
 
     def execute(self) -> RunSummary:
-        """Train, test, record. Whatever goes wrong is written down and told; other seeds can then go on."""
-        folder = self.folder
-        self.listener(RunStarted(folder.id, self.seed, self.spec.training.steps, str(folder.path)))
-        error = trace = None
+        """Train, test and write down. An error ends this run only: it is written down, and other seeds can run."""
+        self.listener(RunStarted(self.folder.id, self.seed, self.spec.training.steps, str(self.folder.path)))
         try:
-            self._recorder.state("running")
-            if self.snapshot is None:
-                folder.event("started")
-            else:
-                exact = self.spec.training.at_least is None
-                steps = self.snapshot.meta["steps"]
-                folder.event("resumed", attempt=folder.state().attempt, steps=steps, bit_exact=exact)
-            self._train()
+            for observer in self._observers:
+                observer.started()
+            ending = self._train()
         except KeyboardInterrupt:
-            self._recorder.state("stopped")
-            folder.event("stopped", reason="SIGINT, at once")
+            self._end(Ending("stopped", reason="SIGINT, at once"))
             raise
-        except KarolosError as problem:
-            error, trace = str(problem), problem.traceback if isinstance(problem, WorkerError) else None
-        except Exception as problem:  # the boundary: a fault of karolos or a plugin is recorded with its traceback
-            error, trace = f"{type(problem).__name__}: {problem}", traceback.format_exc()
-        if error is not None:
-            self._recorder.failed(error, trace)
-        return self._recorder.ended(error, trace)
+        except KarolosError as error:
+            trace = error.traceback if isinstance(error, WorkerError) else None
+            ending = Ending("failed", error=str(error), traceback=trace)
+        except Exception as error:  # the boundary: a fault of karolos or a plugin is written down with its traceback
+            ending = Ending("failed", error=f"{type(error).__name__}: {error}", traceback=traceback.format_exc())
+        self._end(ending)
+        return self.folder.summary()
 
-    def _train(self) -> None:
+    def _end(self, ending: Ending) -> None:
+        for observer in self._observers:
+            observer.ended(ending)
+
+    def _train(self) -> Ending:
+        """Build everything, train and test."""
         from ..agents.device import use_threads  # noqa: PLC0415  (imports torch)
 
         spec, seeds = self.spec, SeedTree(self.seed)
         use_threads(spec.training.threads or 1)
         with ExitStack() as stack:
             environments = stack.enter_context(make_orchestrator(spec, randomize=True))
-            tests = stack.enter_context(make_orchestrator(spec, randomize=False))
+            test_environments = stack.enter_context(make_orchestrator(spec, randomize=False))
             self.folder.event("layout", **environments.describe())
             signature, size = environments.signature, environments.size
             agent = make_agent(spec, signature, seeds)
             buffer = make_buffer(spec, signature, seeds, environments=size, discount=agent.discount)
             if self.snapshot is None or not self.snapshot.parts:
-                self._start(agent)
+                self._start_from(agent)
                 self._demonstrate(buffer, seeds)
-            before = spec.demonstrations.updates if spec.demonstrations else 0
-            training = Training(environments, agent, buffer, spec.training, seeds, spec.training.at_least, before)
-            self._restore(training)
-            scalars = Scalars(self.folder.tensorboard, purge=training.steps if self.snapshot else None)
-            stack.callback(scalars.close)
-            ended = self._loop(training, tests, Series(self._recorder, scalars, training))
-        self._recorder.state(ended, training)
-        reason = {"reason": self.stop.reason} if ended == "stopped" else {}
-        self.folder.event(ended, steps=training.steps, **reason)
+            pretraining_updates = spec.demonstrations.updates if spec.demonstrations else 0
+            training = Training(
+                environments, agent, buffer, spec.training, seeds, spec.training.at_least, pretraining_updates
+            )
+            if self.snapshot is not None:
+                self._resume(training, self.snapshot)
+            finished = self._train_and_test(training, test_environments)
+        if finished:
+            return Ending("finished", training.steps, training.seconds)
+        return Ending("stopped", training.steps, training.seconds, self.stop.reason)
 
-    def _start(self, agent: Agent) -> None:
+    def _start_from(self, agent: Agent) -> None:
         """Take over what another run's agent has learned, if the spec says so."""
         start = find(self.spec, self.folder.path.parent)
         if start is not None:
@@ -121,69 +128,76 @@ class Run:
             self.folder.event("started_from", **start.record())
 
     def _demonstrate(self, buffer: Buffer, seeds: SeedTree) -> None:
-        """Put the expert's episodes into the buffer, if the spec asks for some."""
+        """Add the expert's episodes to the buffer, if the spec has demonstrations."""
         settings = self.spec.demonstrations
         if settings is None:
             return
-        found = collect_demonstrations(self.spec.recipe(randomize=True), settings, seeds)
-        buffer.add_demonstrations(found.episodes, settings.share)
+        demonstrations = collect_demonstrations(self.spec.recipe(randomize=True), settings, seeds)
+        buffer.add_demonstrations(demonstrations.episodes, settings.share)
         self.folder.event(
             "demonstrated",
-            episodes=len(found.episodes),
-            steps=found.steps,
-            success_end=found.success_end,
-            seconds=found.seconds,
+            episodes=len(demonstrations.episodes),
+            steps=demonstrations.steps,
+            success_end=demonstrations.success_end,
+            seconds=demonstrations.seconds,
         )
 
-    def _restore(self, training: Training) -> None:
-        """Go on where the snapshot says."""
-        if self.snapshot is None:
-            return
-        parts, meta = self.snapshot.parts, self.snapshot.meta
-        self.folder.cut_episodes(meta["episodes_bytes"])
-        for warning in self.snapshot.warnings:
-            self._recorder.warn(warning, "the run goes on from the checkpoint before")
-        if not parts:
-            self._recorder.warn("there is no checkpoint to go on from", "the run begins anew")
-            return
-        self._keeper.load(training, parts)
+    def _resume(self, training: Training, snapshot: Snapshot) -> None:
+        for warning in snapshot.warnings:
+            self._warnings.add(warning, "the run resumes from the checkpoint before")
+        if snapshot.parts:
+            self._checkpointer.restore(training, snapshot.parts)
+        else:
+            self._warnings.add("the run has no checkpoint", "it begins again")
 
-    def _loop(self, training: Training, tests: Orchestrator, series: Series) -> str:
-        """Train and test to the end, or until somebody asks to stop; returns the state that the run ends in."""
+    def _train_and_test(self, training: Training, test_environments: Orchestrator) -> bool:
+        """Train and test until the steps are taken or a stop is requested. Returns whether the steps are taken."""
         interval = self.spec.testing.interval
-        test_due, series_due = Every(interval), Every(max(interval // SCALARS_PER_TEST, 1))
-        for due in (test_due, series_due):
+        test_due, report_due = Every(interval), Every(max(interval // REPORTS_PER_TEST, 1))
+        for due in (test_due, report_due):
             due(training.steps)
-        ended = "finished"
+        reported_at, tested_at = -1, training.steps
+        episodes: list[Episode] = []
+        finished = True
         for progress in training.rounds():
-            series.note(progress)
-            self._recorder.advanced(progress)
+            episodes += progress.finished
+            for failure in progress.failures:
+                self._warnings.add_failure(failure)
+            for observer in self._observers:
+                observer.progressed(progress)
             testing = test_due(progress.steps)
-            if series_due(progress.steps) or testing:
-                series.report(training)
+            if report_due(progress.steps) or testing:
+                self._report(training, episodes)
+                episodes, reported_at = [], training.steps
             if testing:
-                self._test(training, tests, series)
-            if self.stop.asked and training.steps < self.spec.training.steps:
-                ended = "stopped"
-                series.report(training)
+                self._test(training, test_environments)
+                tested_at = training.steps
+            if self.stop.requested and training.steps < self.spec.training.steps:
+                finished = False
                 break
-        if ended == "finished" and self._keeper.tested_at < training.steps:
-            series.report(training)
-            self._test(training, tests, series)
-        self._keeper.keep(training)
-        return ended
+        if reported_at < training.steps:
+            self._report(training, episodes)
+        if finished and tested_at < training.steps:
+            self._test(training, test_environments)
+        for observer in self._observers:
+            observer.trained(training)
+        return finished
 
-    def _test(self, training: Training, tests: Orchestrator, series: Series) -> None:
+    def _report(self, training: Training, episodes: list[Episode]) -> None:
+        """Report the episodes and the agent's metrics since the last report. Raises RunError if one is not finite."""
+        metrics = training.read_metrics()
+        for observer in self._observers:
+            observer.reported(training, episodes, metrics)
+
+    def _test(self, training: Training, environments: Orchestrator) -> None:
         settings = self.spec.testing
         result = play_episodes(
-            tests,
+            environments,
             training.agent,
             test_seeds(settings.seed, settings.episodes),
             steps=training.steps,
             seconds=training.seconds,
-            on_failure=self._recorder.replaced,
+            on_failure=self._warnings.add_failure,
         )
-        self._recorder.tested(result, training)
-        series.test(result)
-        self._keeper.tested(training, result)
-        self._recorder.told(result)
+        for observer in self._observers:
+            observer.tested(training, result)

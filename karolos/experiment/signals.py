@@ -1,4 +1,4 @@
-"""Stopping on request: SIGINT, SIGTERM, SIGUSR1, a time limit or the program asks, a second SIGINT ends at once."""
+"""Stop requests: SIGINT, SIGTERM, SIGUSR1, a time limit or the program. A second SIGINT stops at once."""
 
 from __future__ import annotations
 
@@ -11,54 +11,53 @@ from dataclasses import dataclass
 from types import FrameType
 
 TIME_LIMIT_EXIT = 124
-"""Exit code of an experiment that its time limit stopped; that of timeout(1)."""
+"""Exit code of an experiment that its time limit stopped; the same as that of timeout(1)."""
 
 
 @dataclass
 class StopRequest:
-    """Whether somebody asked to stop. Looked at between rounds of training."""
+    """Whether a stop is requested. Training checks it after each round."""
 
     signal: int | None = None
-    """The signal that asked, if one did."""
+    """The signal that requested it."""
     deadline: float | None = None
-    """When the time limit is reached, as `time.monotonic` counts; None: there is no limit."""
-    word: str | None = None
-    """Why the program itself asks, e.g. "pruned"; None: it does not."""
+    """The time limit on the clock of `time.monotonic`; None: no limit."""
+    program_reason: str | None = None
+    """Why the program requests it, e.g. "pruned"; None: it does not."""
 
     @property
-    def asked(self) -> bool:
-        return self.signal is not None or self.word is not None or self.late
+    def requested(self) -> bool:
+        return self.signal is not None or self.program_reason is not None or self.time_is_up
 
     @property
-    def late(self) -> bool:
-        """Whether the time limit is reached."""
+    def time_is_up(self) -> bool:
         return self.deadline is not None and time.monotonic() >= self.deadline
 
     @property
     def reason(self) -> str | None:
-        """Who asked: a signal's name, the program's word, or the time limit; None if nobody did."""
+        """A signal's name, the program's reason or "time limit"; None without a request."""
         if self.signal is not None:
             return signal.Signals(self.signal).name
-        if self.word is not None:
-            return self.word
-        return "time limit" if self.late else None
+        if self.program_reason is not None:
+            return self.program_reason
+        return "time limit" if self.time_is_up else None
 
     @property
     def exit_code(self) -> int:
-        """130 after SIGINT, 143 after SIGTERM, by the shell's convention 128 + signal; 124 after the time limit."""
+        """130 after SIGINT, 143 after SIGTERM (128 + signal, as in a shell); 124 after the time limit; else 0."""
         if self.signal is not None:
             return 128 + self.signal
-        return TIME_LIMIT_EXIT if self.late else 0
+        return TIME_LIMIT_EXIT if self.time_is_up else 0
 
 
 @contextmanager
 def stop_on_signals(*, interrupt: bool = True, time_limit: float | None = None) -> Iterator[StopRequest]:
-    """Turn SIGINT, SIGTERM and SIGUSR1 into a request while the block runs.
+    """Turn SIGINT, SIGTERM and SIGUSR1 into a stop request while the block runs.
 
-    Outside the main thread signals stay as they are.
+    Outside the main thread signals keep their handlers.
 
     Args:
-        interrupt: whether SIGINT is ours to take; a process whose parent decides leaves it ignored.
+        interrupt: whether to handle SIGINT. A process whose parent handles it leaves it ignored.
         time_limit: seconds from now after which to stop.
     """
     request = StopRequest(deadline=None if time_limit is None else time.monotonic() + time_limit)
@@ -66,18 +65,18 @@ def stop_on_signals(*, interrupt: bool = True, time_limit: float | None = None) 
         yield request
         return
 
-    def ask(number: int, _frame: FrameType | None) -> None:
+    def handle(number: int, _frame: FrameType | None) -> None:
         if request.signal is None:
             request.signal = number
         elif number == signal.SIGINT:
             raise KeyboardInterrupt
 
-    taken = [signal.SIGTERM]
+    handled = [signal.SIGTERM]
     if interrupt:
-        taken.append(signal.SIGINT)
-    if hasattr(signal, "SIGUSR1"):  # what batch systems send some time before they kill; Windows has none
-        taken.append(signal.SIGUSR1)
-    before = {number: signal.signal(number, ask) for number in taken}
+        handled.append(signal.SIGINT)
+    if hasattr(signal, "SIGUSR1"):  # batch systems send it some time before they kill; Windows does not have it
+        handled.append(signal.SIGUSR1)
+    before = {number: signal.signal(number, handle) for number in handled}
     try:
         yield request
     finally:

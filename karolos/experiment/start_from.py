@@ -1,7 +1,7 @@
-"""Starting from another run's agent: what it has learned, where observations, actions and goals are laid out the same.
+"""Starts an agent from what another run's agent has learned, provided that their layouts are equal.
 
-Which agent that was is pinned by the sha256 of its state, so that a spec means the same wherever the run lies, and a
-checkpoint that was overwritten since is noticed. The sha256 is part of the experiment's identity, the path is not.
+The sha256 of its state pins that agent. So a spec means the same wherever the run's folder is, and a checkpoint that
+was overwritten since is noticed. The sha256 belongs to the experiment's identity, the path does not.
 """
 
 from __future__ import annotations
@@ -20,12 +20,12 @@ from ..training.assembly import located
 
 WHERE = "agent.start_from"
 SHAPING = ("hidden", "layer_norm", "critic", "dueling", "members")
-"""Settings of agents that decide what their weights mean."""
+"""Settings of agents that determine the shapes and the meaning of their weights."""
 
 
 @dataclass(frozen=True)
 class Start:
-    """What another run's agent had learned."""
+    """What another run's agent has learned."""
 
     run: str
     checkpoint: str
@@ -40,7 +40,7 @@ class Start:
 
 
 def pinned(spec: Spec, runs: Path) -> Spec:
-    """The spec, with the sha256 of the agent that it starts from noted. Raises as `find` does, at the setting."""
+    """The spec with the sha256 of the agent that it starts from. Raises as `find` does, at the setting."""
     with located(spec):
         start = find(spec, runs)
     if start is None:
@@ -50,25 +50,25 @@ def pinned(spec: Spec, runs: Path) -> Spec:
 
 
 def find(spec: Spec, runs: Path) -> Start | None:
-    """What the spec's agent starts from; None if from nothing.
+    """What the spec's agent starts from; None without `agent.start_from`.
 
     Args:
-        spec: of the run that is to begin.
-        runs: folder of the runs, for a run that is named by its id.
+        spec: of the new run.
+        runs: folder of the runs, for a source run given by its id.
 
     Raises:
-        UsageError: there is no such run, its agent is of another kind or shape, its environment lays out observations,
-            actions or goals in another way, or its checkpoint is not the one that was pinned.
+        UsageError: there is no such run, its agent has another kind or shape, its observations, actions or goals have
+            another layout, or its checkpoint is not the pinned one.
         CheckpointError: the checkpoint is missing or damaged.
     """
     settings = spec.agent.settings
-    named = getattr(settings, "start_from", None)
-    if named is None:
+    run = getattr(settings, "start_from", None)
+    if run is None:
         return None
     try:
-        folder = RunFolder.open(Path(named) if Path(named).is_dir() else runs / named)
+        folder = RunFolder.open(Path(run) if Path(run).is_dir() else runs / run)
     except RunError as error:
-        raise UsageError(f"{named!r}: {error.what}", where=WHERE, hint=error.hint) from error
+        raise UsageError(f"{run!r}: {error.what}", where=WHERE, hint=error.hint) from error
     source = Spec.from_dict(folder.spec())
     _check_agents(spec, source)
     _check_layouts(signature_of(spec), signature_of(source))
@@ -80,13 +80,13 @@ def find(spec: Spec, runs: Path) -> Start | None:
             f"checkpoint {name!r} of run {folder.id} is not the one this spec was first run with "
             f"(its agent has sha256 {sha256[:12]}..., not {settings.start_sha256[:12]}...)",
             where=WHERE,
-            hint="set agent.start_sha256=null to start from what is there now; that is another experiment",
+            hint="set agent.start_sha256=null to start from the present checkpoint, which is another experiment",
         )
     return Start(folder.id, name, sha256, int(meta["steps"]), parts["agent"])
 
 
 def apply(start: Start, agent: Agent) -> None:
-    """Let the agent go on from there. Raises UsageError when its networks have another shape."""
+    """Load what was learned into the agent. Raises UsageError if its networks have another shape."""
     try:
         agent.start_from(start.state)
     except UsageError as error:
@@ -96,26 +96,26 @@ def apply(start: Start, agent: Agent) -> None:
 def _check_agents(spec: Spec, source: Spec) -> None:
     if spec.agent.name != source.agent.name:
         raise UsageError(
-            f"this agent is {spec.agent.name}, that of the run is {source.agent.name}",
+            f"the agent is {spec.agent.name}, and the run's agent is {source.agent.name}",
             where=WHERE,
             hint=f"set agent.name={source.agent.name}, or name a run of {spec.agent.name}",
         )
-    here, there = spec.agent.dump(), source.agent.dump()
-    differing = [key for key in SHAPING if here.get(key) != there.get(key)]
+    own, other = spec.agent.dump(), source.agent.dump()
+    differing = [key for key in SHAPING if own.get(key) != other.get(key)]
     if differing:
         raise UsageError(
-            "the run's networks are others: "
-            + "; ".join(f"agent.{key} is {here.get(key)} here and {there.get(key)} there" for key in differing),
+            "the run's networks differ: "
+            + "; ".join(f"agent.{key} is {own.get(key)} here and {other.get(key)} in the run" for key in differing),
             where=WHERE,
-            hint="set " + " ".join(f"agent.{key}={there.get(key)}" for key in differing),
+            hint="set " + " ".join(f"agent.{key}={other.get(key)}" for key in differing),
         )
 
 
-def _check_layouts(here: Signature, there: Signature) -> None:
-    told = layout_differences(here, there)
-    if told:
+def _check_layouts(signature: Signature, source: Signature) -> None:
+    differences = layout_differences(signature, source)
+    if differences:
         raise UsageError(
-            "the run's agent sees and does other things than this one: " + "; ".join(told),
+            "the run's agent has other observations, actions or goals: " + "; ".join(differences),
             where=WHERE,
             hint=SAME_LAYOUTS,
         )

@@ -37,13 +37,13 @@ def choose(
     best = study.ranked()[: settings.top]
     tell(FinalBegan(tuple(trial.number for trial in best), seeds, "choose"))
     fresh = _values(base, best, seeds, crew, tell, stop)
-    if stop.asked or not fresh:
+    if stop.requested or not fresh:
         return None
     ways = directions(sweep.objectives)
     chosen = min((trial for trial in best if trial.number in fresh), key=lambda one: merit(fresh[one.number], ways))
     tell(FinalBegan((chosen.number,), report_seeds, "report"))
     reported = _values(base, [chosen], report_seeds, crew, tell, stop)
-    if stop.asked:
+    if stop.requested:
         return None
     assert chosen.values is not None  # it is complete
     return Final(chosen.number, seeds, report_seeds, chosen.values, fresh, reported.get(chosen.number))

@@ -15,7 +15,7 @@ from ..errors import MachineError
 from ..experiment.events import RunStarted, RunTested, RunWarned
 from ..experiment.experiment import SeedRunner
 from ..experiment.jobs import POLL_SECONDS, sigint_ignored
-from ..experiment.resuming import find_run
+from ..experiment.resume import find_run
 from ..experiment.signals import StopRequest
 from ..records import RunFolder
 from ..records.results import TestResult
@@ -121,12 +121,12 @@ class Crew:
         """Carry out the feed's jobs until it has no more; a request to stop leaves their runs with a checkpoint."""
         active: list[Job] = []
         while True:
-            while not stop.asked and (job := feed.next()) is not None:
+            while not stop.requested and (job := feed.next()) is not None:
                 active.append(job)
                 self._waiting.extend((job, seed) for seed in job.spec.seeds if not self._is_there(job, seed))
             if not active:
                 return
-            if stop.asked:
+            if stop.requested:
                 for job in active:
                     self._halt(job, stop.reason or "stopped")
             self._assign()

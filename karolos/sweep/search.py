@@ -112,7 +112,7 @@ class Search:
             book.write()
             crew.run(Trials(base, self.sweep, study, jobs, self.asked, tell, stop, book), stop)
             final = None
-            if self.sweep.final is not None and not stop.asked and study.ranked():
+            if self.sweep.final is not None and not stop.requested and study.ranked():
                 final = choosing.choose(base, self.sweep.final, study, crew, tell, stop)
             return self._conclude(book, final, stop)
 

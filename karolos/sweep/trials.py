@@ -121,7 +121,7 @@ class Trials:
             trial.describe(runs, None)
             self.study.prune(trial)
             self._ended(trial)
-        elif not self.stop.asked:
+        elif not self.stop.requested:
             self._fail(trial, runs, "a run was stopped from outside")
         # else it stays open, and the next call of the sweep goes on with it
 

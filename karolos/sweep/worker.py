@@ -65,7 +65,7 @@ def work(pipe: Connection, lock: Path, runner: SeedRunner) -> None:
                 while pipe.poll():
                     message = pipe.recv()
                     if isinstance(message, Halt):
-                        stop.word = message.word
+                        stop.program_reason = message.word
             except (BrokenPipeError, ConnectionResetError, EOFError):  # nobody listens: end like after SIGTERM
                 stop.signal = signal.SIGTERM
 
@@ -74,7 +74,7 @@ def work(pipe: Connection, lock: Path, runner: SeedRunner) -> None:
             while stop.signal is None:
                 message = pipe.recv()
                 if isinstance(message, Begin):  # or a halt that came too late
-                    stop.word = None
+                    stop.program_reason = None
                     pipe.send(_outcome(replace(runner, resolved=message.spec), message.seed, tell, stop))
         except (BrokenPipeError, ConnectionResetError, EOFError):
             pass

@@ -97,7 +97,7 @@ def test_a_checkpoint_that_is_another_by_now_is_refused(source: RunFolder) -> No
 
 def test_other_layouts_are_refused_and_both_are_shown(source: RunFolder) -> None:
     wide = spec(source.id, environment={"name": "toy", "dimensions": 3})
-    with pytest.raises(UsageError, match="sees and does other things") as caught:
+    with pytest.raises(UsageError, match="other observations, actions or goals") as caught:
         pinned(wide, source.path.parent)
     text = str(caught.value)
     for told in ("observation is [position 3 1] here and [position 2 1] there", "goal 2", "displacement 3"):
@@ -106,9 +106,9 @@ def test_other_layouts_are_refused_and_both_are_shown(source: RunFolder) -> None
 
 
 def test_another_agent_and_other_networks_are_refused(source: RunFolder) -> None:
-    with pytest.raises(UsageError, match="this agent is td3, that of the run is sac"):
+    with pytest.raises(UsageError, match="the agent is td3, and the run's agent is sac"):
         find(spec(source.id, agent={"name": "td3"}), source.path.parent)
-    with pytest.raises(UsageError, match=r"agent.hidden is \[16\] here and \[8\] there"):
+    with pytest.raises(UsageError, match=r"agent.hidden is \[16\] here and \[8\] in the run"):
         find(spec(source.id, "agent.hidden=[16]"), source.path.parent)
 
 

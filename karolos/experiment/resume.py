@@ -1,4 +1,4 @@
-"""Going on with a run that ended too soon: which one, and from where."""
+"""Finds the run to resume, and the checkpoint from which it resumes."""
 
 from __future__ import annotations
 
@@ -12,33 +12,34 @@ from ..core import State
 from ..errors import RunError
 from ..records import RunFolder, scan
 
-LAST, BEFORE = "last", "previous"
-"""The newest checkpoint that a run can go on from, and the one before it, for when the newest is damaged."""
+LAST, PREVIOUS = "last", "previous"
+"""The newest checkpoint that a run can resume from, and the one before it, for a damaged `last`."""
 PARTS = ("agent", "buffer", "training", "run")
-"""What such a checkpoint holds."""
+"""What such a checkpoint contains."""
 
 
 @dataclass(frozen=True)
 class Snapshot:
-    """Where a run goes on."""
+    """Where a run resumes."""
 
     parts: dict[str, State]
+    """Of the checkpoint; empty if the run has no checkpoint and begins again."""
     meta: dict[str, Any]
     """Of the checkpoint: experiment, seed, steps, updates, seconds, episodes_bytes."""
     warnings: tuple[str, ...] = ()
-    """Which checkpoints could not be used, and why."""
+    """Which checkpoints are damaged, and why."""
 
 
 def newest_snapshot(folder: RunFolder) -> Snapshot:
-    """The newest sound checkpoint of the run that it can go on from; from the beginning where there is none.
+    """The newest valid checkpoint that the run can resume from.
 
     Raises:
-        RunError: the checkpoint is of another experiment, or of a newer karolos; or there are some and none is sound.
+        RunError: the checkpoint belongs to another experiment or version, or all checkpoints are damaged.
     """
     warnings: list[str] = []
-    there = checkpoint.names(folder.checkpoints)
-    for name in (LAST, BEFORE):
-        if name not in there:
+    existing = checkpoint.names(folder.checkpoints)
+    for name in (LAST, PREVIOUS):
+        if name not in existing:
             continue
         try:
             parts, meta = checkpoint.load(folder.checkpoints, name)
@@ -48,27 +49,27 @@ def newest_snapshot(folder: RunFolder) -> Snapshot:
         experiment = folder.description()["experiment"]
         if meta.get("experiment") != experiment:
             raise RunError(
-                f"its checkpoint is of another experiment ({str(meta.get('experiment'))[:12]}) than the run"
+                f"its checkpoint belongs to another experiment ({str(meta.get('experiment'))[:12]}) than the run"
                 f" ({experiment[:12]})",
                 where=str(folder.checkpoints / name),
                 hint="the files of two runs were mixed; restore the folder from a copy",
             )
         if set(parts) != set(PARTS):
             raise RunError(
-                f"its checkpoint holds {', '.join(sorted(parts))} and not {', '.join(PARTS)}",
+                f"its checkpoint contains {', '.join(sorted(parts))} instead of {', '.join(PARTS)}",
                 where=str(folder.checkpoints / name),
-                hint="an older karolos made it: it can be played and tested, but not gone on with",
+                hint="an older karolos wrote it: it can be played and tested, but not resumed",
             )
         return Snapshot(parts, meta, tuple(warnings))
     if warnings:
         raise RunError("no checkpoint can be used: " + "; ".join(warnings), where=folder.id)
-    return Snapshot({}, {"steps": 0, "episodes_bytes": 0})
+    return Snapshot({}, {"steps": 0, "updates": 0, "episodes_bytes": 0})
 
 
 def find_run(runs: Path, name: str, experiment: str, seed: int) -> RunFolder | None:
-    """The run of this experiment and seed that is to be gone on with or, if there is a finished one, that one.
+    """The finished run of this experiment and seed; without one, the unfinished run with the most steps.
 
-    Of several unfinished runs the one with the most steps. Looks at folders of that name and seed only.
+    Looks only at folders of that name and seed.
     """
     found: list[tuple[bool, int, str, RunFolder]] = []
     for folder in scan(runs, f"{name}-s{seed}-*"):

@@ -1,0 +1,133 @@
+"""The interface of the observers of a run, which write down what happens or tell a listener."""
+
+from __future__ import annotations
+
+import time
+from collections.abc import Iterator, Mapping, Sequence
+from contextlib import contextmanager
+from dataclasses import dataclass, field
+
+from typing_extensions import override
+
+from ..core import Failure
+from ..errors import KarolosError
+from ..records import RunFolder
+from ..records.results import TestResult
+from ..training.episodes import Episode
+from ..training.training import Progress, Training
+from .events import Listener, RunAdvanced, RunEnded, RunTested, RunWarned
+
+ADVANCE_SECONDS = 0.1
+"""Minimal time between two RunAdvanced events."""
+
+
+@dataclass(frozen=True)
+class Ending:
+    """How a run ended."""
+
+    state: str
+    """finished, stopped or failed."""
+    steps: int | None = None
+    """Environment steps of training; None if training broke off."""
+    seconds: float | None = None
+    """Wall-clock seconds of collecting and learning; None if training broke off."""
+    reason: str | None = None
+    """Why it stopped."""
+    error: str | None = None
+    """Why it failed."""
+    traceback: str | None = None
+    """Of the error, if karolos or a plugin is at fault."""
+
+
+class RunObserver:
+    """Observes one run. `Run` calls the methods of all its observers in the order of its list.
+
+    The calls are `started`; then `progressed` after each round, `reported` several times between two tests and
+    `tested` after each test; then `trained`; then `ended`. A run that breaks off skips to `ended`. An observer
+    overrides the methods it needs.
+
+    An error that an observer raises fails the run. An observer that the run can do without tolerates its own errors
+    (`RunWarnings.tolerated`).
+    """
+
+    def started(self) -> None:
+        """The run starts or resumes. Nothing is built yet."""
+
+    def progressed(self, progress: Progress) -> None:
+        """A round of training is over."""
+
+    def reported(self, training: Training, episodes: Sequence[Episode], metrics: Mapping[str, float]) -> None:
+        """A part of training is over.
+
+        Args:
+            training: at this step.
+            episodes: that ended since the last report.
+            metrics: means of what the agent reported since the last report; finite.
+        """
+
+    def tested(self, training: Training, result: TestResult) -> None:
+        """A test of the agent is over."""
+
+    def trained(self, training: Training) -> None:
+        """Training is complete, or stops on request."""
+
+    def ended(self, ending: Ending) -> None:
+        """The run is over. Environments are closed."""
+
+
+@dataclass(frozen=True)
+class RunWarnings:
+    """Writes problems that a run survives into its folder, and tells the listener."""
+
+    folder: RunFolder
+    listener: Listener
+
+    def add(self, warning: str, consequence: str) -> None:
+        self.folder.event("warning", error=warning, consequence=consequence)
+        self.listener(RunWarned(self.folder.id, f"{warning} ({consequence})"))
+
+    def add_failure(self, failure: Failure) -> None:
+        """Environments failed and begin their episodes again."""
+        environments = ", ".join(map(str, failure.environment.tolist()))
+        self.add(str(failure.error), f"the episodes of these environments begin again: {environments}")
+
+    @contextmanager
+    def tolerated(self, kind: type[KarolosError], consequence: str) -> Iterator[None]:
+        """Turn an error of this kind into a warning."""
+        try:
+            yield
+        except kind as error:
+            self.add(str(error), consequence)
+
+
+@dataclass
+class Announcer(RunObserver):
+    """Tells the listener. It is the last observer, so that an event comes after everything it announces is written."""
+
+    run: str
+    listener: Listener
+    _last: float = field(default=0.0, init=False)
+
+    @override
+    def progressed(self, progress: Progress) -> None:
+        now = time.monotonic()
+        if now - self._last >= ADVANCE_SECONDS:
+            self._last = now
+            self.listener(
+                RunAdvanced(
+                    self.run,
+                    progress.steps,
+                    progress.updates,
+                    progress.episodes,
+                    progress.seconds,
+                    progress.warming_up,
+                )
+            )
+
+    @override
+    def tested(self, training: Training, result: TestResult) -> None:
+        self.listener(RunTested(self.run, result))
+
+    @override
+    def ended(self, ending: Ending) -> None:
+        self.listener(RunEnded(self.run, ending.state, ending.error, ending.traceback))
