@@ -1,102 +1,182 @@
-"""What agents with a policy of continuous actions and critics of them share."""
+"""What SAC, DDPG and TD3 share: a policy of continuous actions, critics of it, exploration, and their state."""
 
 from __future__ import annotations
 
-from typing import Any
+from abc import abstractmethod
+from typing import Any, ClassVar
 
 import torch
+from numpy import int64
+from numpy.typing import NDArray
 from pydantic import Field as Setting
 from torch import Tensor
 
-from ..core import State
-from .device import PRECISION_MEANS, Precision
-from .inputs import Inputs
-from .optimisation import OptimiserSettings
+from ..core import Agent, Discrete, FloatArray, Signature, State
+from ..core.deployed import Deployed
+from ..core.seeding import SeedTree
+from ..errors import UsageError
+from .critics import Critic, critic_metrics, value_bounds
+from .device import PRECISION_MEANS, Precision, uses_bfloat16
+from .networks import MLP, Shape, deployed
+from .noise import Noise
+from .normaliser import Normaliser
+from .optimisation import Adam, OptimiserSettings
+from .tensors import TensorBatch, network_input, to_array
 
 
 class ActorCriticSettings(OptimiserSettings):
-    """Settings of every such agent."""
+    """Settings of every agent with a policy of continuous actions and critics."""
 
     discount: float = Setting(0.95, ge=0, lt=1, description="per environment step; about 1 - 1 / steps of episode")
     hidden: tuple[int, ...] = Setting((256, 256), min_length=1, description="units of each hidden layer")
-    tau: float = Setting(0.05, gt=0, le=1, description="share of the networks that their targets take per update")
-    layer_norm: bool = Setting(False, description="layer-normalised critics: steadier, a little slower")
-    clip_targets: bool = Setting(True, description="cut targets to what the declared reward range makes possible")
-    action_penalty: float = Setting(0.0, ge=0, description="weight of the mean squared action in the policy's loss")
+    tau: float = Setting(0.05, gt=0, le=1, description="step of the target networks per update (Polyak averaging)")
+    layer_norm: bool = Setting(False, description="layer normalisation in the critics: steadier, a little slower")
+    clip_targets: bool = Setting(True, description="clip targets to the values that the declared reward range allows")
+    action_penalty: float = Setting(0.0, ge=0, description="weight of the mean squared action in the policy loss")
     imitation: float = Setting(
-        0.0, ge=0, description="weight of the squared distance to demonstrated actions that the critics think better of"
+        0.0, ge=0, description="weight of the squared distance to demonstrated actions that the critics prefer"
     )
     precision: Precision = Setting("auto", description=PRECISION_MEANS)
 
 
-WATCHED_EVERY = 8
-"""One update of so many says how it went. What there is to say takes twenty small operations, 2 % of an update."""
-
-
-def squared_loss(values: Tensor, targets: Tensor, share: Tensor) -> tuple[Tensor, Tensor]:
-    """The sum over the critics of their mean squared errors, and its gradient.
+class ActorCritic(Agent):
+    """Networks, optimisers, exploration and state; an algorithm adds its losses in `learn`.
 
     Args:
-        values: what each critic says, (members, n, 1).
-        targets: what they should say, (n,).
-        share: of each row in the mean, (n,).
+        settings: with `noise` and `random_actions`.
+        signature: of the environment.
+        seeds: of this agent.
+        device: cpu or cuda.
+        critic_kind: what the critics' outputs mean.
+        members: critics.
+        policy_columns: outputs of the policy network per action column.
+
+    Raises:
+        UsageError: the environment takes discrete actions.
     """
-    errors = values.squeeze(-1) - targets
-    slope = errors * share
-    return torch.dot(slope.view(-1), errors.view(-1)), slope.mul_(2).unsqueeze(-1)
+
+    on_policy: ClassVar[bool] = False
+    stored: ClassVar[tuple[str, ...]]
+    """Attributes with a `state` that belong to the agent's state."""
+
+    def __init__(
+        self,
+        settings: Any,
+        signature: Signature,
+        seeds: SeedTree,
+        device: str,
+        *,
+        critic_kind: Critic,
+        members: int,
+        policy_columns: int,
+    ) -> None:
+        self.actions = actions = _require_continuous(signature, type(self).__name__.lower())
+        self.settings, self.device, self.discount = settings, torch.device(device), settings.discount
+        inputs = signature.observation.size + signature.desired_goal.size
+        bfloat16 = uses_bfloat16(settings.precision, device)
+        generator = torch.Generator().manual_seed(seeds.child("weights").integer())
+        shape = Shape((inputs, *settings.hidden, policy_columns * actions), bfloat16=bfloat16)
+        self.policy = MLP(shape, generator, device)
+        sizes = (inputs + actions, *settings.hidden, critic_kind.columns)
+        shape = Shape(sizes, members=members, layer_norm=settings.layer_norm, bfloat16=bfloat16)
+        self.critic = MLP(shape, generator, device)
+        self.critic_kind = critic_kind
+        self.target = self.critic.copy()
+        self.normaliser = Normaliser(inputs, device)
+        self.noise = Noise(settings.noise, inputs, actions, self.device)
+        self.optimisers = {
+            "policy": Adam(self.policy.vector, settings.rate, norm=settings.gradient_norm),
+            "critic": Adam(self.critic.vector, settings.rate, norm=settings.gradient_norm),
+        }
+        self.generator = torch.Generator(self.device).manual_seed(seeds.child("noise").integer())
+        self.bounds = value_bounds(signature, settings.discount, clip=settings.clip_targets)
+
+    @torch.inference_mode()
+    def act(
+        self,
+        observation: FloatArray,
+        desired_goal: FloatArray,
+        *,
+        explore: bool,
+        environments: NDArray[int64] | None = None,
+    ) -> FloatArray:
+        """Actions (n, a) in [-1, 1] for observations (n, o) and goals (n, g)."""
+        inputs = network_input(observation, desired_goal, self.normaliser, self.device)
+        output = self.policy(inputs, exact=True)
+        if not explore:
+            return to_array(torch.tanh(output[:, : self.actions]))
+        action = self.explore(output, self.noise.draw(inputs, self.generator, environments))
+        return to_array(_some_random(action, self.settings.random_actions, self.generator))
+
+    @abstractmethod
+    def explore(self, output: Tensor, noise: Tensor) -> Tensor:
+        """Exploring actions (n, a) from the policy network's output and standard normal noise (n, a)."""
+
+    def begin_episodes(self, environments: NDArray[int64]) -> None:
+        self.noise.begin(environments)
+
+    def critic_step(self, batch: TensorBatch, targets: Tensor, *, report: bool) -> dict[str, Any]:
+        """One gradient step of the critics towards the targets (n, k). Returns priorities and metrics."""
+        outputs, tapes = self.critic.forward(torch.cat((batch.input, batch.action), 1))
+        loss, gradient = self.critic_kind.loss(outputs, targets, batch.weight)
+        self.critic.backward(gradient, tapes)
+        norm = self.optimisers["critic"].step(self.critic.gradient, "critic_gradient_norm", report=report)
+        mean = self.critic_kind.mean
+        return critic_metrics(loss, mean(outputs), mean(targets), report=report) | norm
+
+    def deployed(self) -> Deployed:
+        """The mean of the policy, squashed by tanh."""
+        return deployed(self.policy, self.normaliser, "tanh", columns=slice(self.actions))
+
+    def state(self) -> State:
+        """Everything that learning and acting depend on."""
+        return {
+            **{name: getattr(self, name).state() for name in self.stored},
+            "optimisers": {name: optimiser.state() for name, optimiser in self.optimisers.items()},
+            "generator": self.generator.get_state(),
+        }
+
+    def load_state(self, state: State) -> None:
+        """Raises UsageError when the state is of networks of another shape."""
+        for name in self.stored:
+            getattr(self, name).load_state(state[name])
+        for name, optimiser in self.optimisers.items():
+            optimiser.load_state(state["optimisers"][name])
+        self.generator.set_state(torch.as_tensor(state["generator"]))
 
 
-def imitation_loss(action: Tensor, better: Tensor, inputs: Inputs) -> tuple[Tensor, Tensor]:
-    """Mean over the demonstrated rows of |pi(s) - a|^2 where the demonstrated action is better; 0 without such rows.
+def imitation_loss(action: Tensor, preferred: Tensor, batch: TensorBatch) -> tuple[Tensor, Tensor]:
+    """sum_i d_i p_i |pi(s_i) - a_i|^2 / sum_i d_i, and its gradient 2 d_i p_i (pi(s_i) - a_i) / sum d by pi(s_i).
 
-    And its gradient by pi(s). Source: Nair et al. 2018, "Overcoming Exploration in Reinforcement Learning with
-    Demonstrations", equations 3 and 5.
+    d_i: the transition is demonstrated; p_i: the critics prefer a_i. 0 without demonstrations. Source: Nair et al.
+    2018, "Overcoming Exploration in Reinforcement Learning with Demonstrations", equations 3 and 5.
 
     Args:
         action: pi(s), (n, a).
-        better: Q(s, a) > Q(s, pi(s)), (n,).
-        inputs: the batch.
+        preferred: Q(s, a) > Q(s, pi(s)), (n,).
+        batch: with `demonstrated`.
     """
-    assert inputs.demonstrated is not None
-    apart = action - inputs.action
-    share = inputs.demonstrated * better / inputs.demonstrated.sum().clamp(min=1)
-    return torch.dot(share, apart.square().sum(1)), 2 * share.unsqueeze(1) * apart
+    assert batch.demonstrated is not None
+    difference = action - batch.action
+    weight = batch.demonstrated * preferred / batch.demonstrated.sum().clamp(min=1)
+    return torch.dot(weight, difference.square().sum(1)), 2 * weight.unsqueeze(1) * difference
 
 
-def critic_metrics(loss: Tensor, values: Tensor, targets: Tensor, *, watch: bool) -> dict[str, Any]:
-    """How wrong critics were about each transition; and what there is to watch of an update, if somebody does.
-
-    Args:
-        loss: a scalar.
-        values: what each critic said, (members, n).
-        targets: what they should have said, (n,).
-        watch: False: priorities alone.
-    """
-    priorities = (values - targets).abs_().amax(0)
-    if not watch:
-        return {"priorities": priorities}
-    return {
-        "critic_loss": loss,
-        "value_mean": values.mean(),
-        "value_max": values.max(),
-        "target_mean": targets.mean(),
-        "priorities": priorities,
-    }
+def _some_random(action: Tensor, probability: float, generator: torch.Generator) -> Tensor:
+    """Actions (n, a), each replaced with this probability by a uniform one in [-1, 1]."""
+    if probability == 0:
+        return action
+    drawn = torch.rand((len(action), action.shape[1] + 1), generator=generator, device=action.device)
+    return torch.where(drawn[:, :1] < probability, drawn[:, 1:] * 2 - 1, action)
 
 
-def parts_state(agent: Any, names: tuple[str, ...]) -> State:
-    """The states of an agent's attributes of these names, of its optimisers and of its generator."""
-    return {
-        **{name: getattr(agent, name).state() for name in names},
-        "optimisers": {name: optimiser.state() for name, optimiser in agent.optimisers.items()},
-        "generator": agent.generator.get_state(),
-    }
-
-
-def load_parts(agent: Any, names: tuple[str, ...], state: State) -> None:
-    """Put back what `parts_state` found. Raises UsageError when a state is of a network of another shape."""
-    for name in names:
-        getattr(agent, name).load_state(state[name])
-    for name, optimiser in agent.optimisers.items():
-        optimiser.load_state(state["optimisers"][name])
-    agent.generator.set_state(torch.as_tensor(state["generator"]))
+def _require_continuous(signature: Signature, agent: str) -> int:
+    """Columns of an action. Raises UsageError where actions are discrete."""
+    if isinstance(signature.action, Discrete):
+        raise UsageError(
+            f"{agent} gives continuous actions, and this environment takes one of "
+            f"{len(signature.action.labels)} discrete ones",
+            where="agent",
+            hint="choose dqn, or continuous actions: a robot has them with environment.actions=continuous",
+        )
+    return signature.action.size

@@ -1,8 +1,8 @@
-"""Multi-layer perceptrons whose parameters lie in one vector, alone or several of one shape side by side.
+"""Multi-layer perceptrons whose parameters are one vector, alone or several of one shape side by side.
 
-At the size of robot-task networks an update is made of hundreds of operations of a few microseconds each. Hence one
-vector for all parameters (an optimiser step, a step of a target network or a checkpoint is one operation), and the
-chain rule written down instead of a graph for autograd.
+An update of networks of this size is hundreds of operations of a few microseconds each. With one vector a step of an
+optimiser, a step of a target network and a checkpoint are one operation each. Agents of karolos call `forward` and
+`backward`; a plugin can use a network under autograd instead.
 """
 
 from __future__ import annotations
@@ -11,33 +11,37 @@ import math
 from collections.abc import Mapping
 from dataclasses import dataclass
 from itertools import pairwise
+from typing import Any
 
 import torch
 from torch import Tensor
+from torch.autograd.function import once_differentiable
 
 from ..core import State
+from ..core.deployed import Deployed, Layer, Output
 from ..errors import UsageError
-from . import chain
-from .chain import Tape
-from .products import Affine, affine_map
+from . import backprop
+from .backprop import EPSILON, Tape
+from .matmul import Affine, affine_map
+from .normaliser import Normaliser
+from .tensors import to_array
 
 
 @dataclass(frozen=True)
 class Shape:
-    """What a network looks like.
+    """Layers and options of a network.
 
     Args:
-        sizes: columns in, hidden units of each layer, columns out.
-        members: networks of this shape side by side; 0: one, and no axis for it.
-        layer_norm: normalise each hidden layer before its rectifier (without learned gain: the next layer has one).
-        low: compute hidden layers in bfloat16. The last layer is always float32: bfloat16 tells a value of 16 from
-            16.1, but not from 16.05.
+        sizes: input columns, units of each hidden layer, output columns.
+        members: networks of this shape side by side; 0: one, without an axis for it.
+        layer_norm: normalise each hidden layer before its rectifier, without a learned gain.
+        bfloat16: compute hidden layers in bfloat16. The last layer is float32: near 16 bfloat16 has steps of 1/8.
     """
 
     sizes: tuple[int, ...]
     members: int = 0
     layer_norm: bool = False
-    low: bool = False
+    bfloat16: bool = False
 
     def parameters(self) -> dict[str, tuple[int, int]]:
         """Name and shape of each parameter of one member, in their order in the vector."""
@@ -51,14 +55,14 @@ class Shape:
 class MLP:
     """Affine layers with rectifiers between them.
 
-    Several members are computed as one product per layer on a GPU, where launches cost. On a CPU they are computed one
-    after the other: two products of half the size take as long as one, and half-size activations stay in the cache.
+    A GPU computes all members in one product per layer. A CPU computes them one after the other: two products of half
+    the size take as long as one, and the activations stay in the cache.
 
-    Agents write down their losses' gradients and call `forward` and `backward`; autograd sees nothing of either.
+    Under autograd call `vector.requires_grad_()`, give `[vector]` to an optimiser of torch.optim and call the network.
 
     Args:
         shape: layers, members, options.
-        generator: draws the weights, on the CPU: uniform in +- 1 / sqrt(columns in), as torch.nn.Linear does.
+        generator: draws the weights, on the CPU: uniform in +- 1 / sqrt(input columns), as torch.nn.Linear does.
         device: where the parameters live.
     """
 
@@ -70,33 +74,33 @@ class MLP:
         self.vector = torch.zeros(self._members * size, device=device)
         """All parameters, one member after the other. Change it in place."""
         self.gradient = torch.zeros_like(self.vector)
-        """What the latest `backward` found."""
+        """Result of the latest `backward`."""
         for layer, fan_in in enumerate(shape.sizes[:-1]):
             for name in (f"layer{layer}.weight", f"layer{layer}.bias"):
                 part = self._table_views(self.vector)[name]
                 part.copy_((torch.rand(part.shape, generator=generator) * 2 - 1) / fan_in**0.5)
         last = math.prod(self._shapes[-2]) + math.prod(self._shapes[-1])
         self._rounded = torch.zeros(
-            (self._members, size - last if shape.low else 0), dtype=torch.bfloat16, device=device
+            (self._members, size - last if shape.bfloat16 else 0), dtype=torch.bfloat16, device=device
         )
         """The hidden layers' parameters in bfloat16."""
         self._rounded_version = -1
-        self._low_gradient = torch.zeros_like(self._rounded)
-        """Where their gradient is put together, before `gradient` takes it in float32."""
-        self._scratch = chain.Scratch()
+        self._rounded_gradient = torch.zeros_like(self._rounded)
+        """The gradient by the hidden layers' parameters in bfloat16, before it is copied to `gradient`."""
+        self._scratch = backprop.Scratch()
         self._group(stacked=shape.members > 0 and self.vector.device.type != "cpu")
 
     def _group(self, *, stacked: bool) -> None:
-        """Say which members are computed together, and find each group's parameters once and for all."""
+        """Choose which members are computed together, and make the views of each group's parameters."""
         self._groups: list[slice | int] = [slice(0, self._members)] if stacked else list(range(self._members))
-        self._exact_maps = self._maps(self.vector)
-        self._into = self._views(self.gradient)
-        self._rounded_maps = self._maps(self._rounded)
-        low = self._views(self._low_gradient)
-        self._low_into = [hidden + exact[-2:] for hidden, exact in zip(low, self._into, strict=True)]
+        self._layers = self._affine_maps(self.vector)
+        self._gradients = self._views(self.gradient)
+        self._rounded_layers = self._affine_maps(self._rounded)
+        rounded = self._views(self._rounded_gradient)
+        self._rounded_gradients = [hidden + all_[-2:] for hidden, all_ in zip(rounded, self._gradients, strict=True)]
 
     def _views(self, memory: Tensor) -> list[list[Tensor]]:
-        """Weights and biases of each group, as views of memory laid out as all parameters are, or the hidden ones."""
+        """Weights and biases of each group, as views of memory laid out like all parameters, or the hidden ones."""
         table = memory.view(self._members, -1)
         shapes = self._shapes if memory.dim() == 1 else self._shapes[:-2] if memory.numel() else []
         views = []
@@ -106,8 +110,7 @@ class MLP:
             views.append([part.view(*lead, *shape) for part, shape in zip(parts, shapes, strict=True)])
         return views
 
-    def _maps(self, memory: Tensor) -> list[list[Affine]]:
-        """The layers of each group, with parameters from such memory."""
+    def _affine_maps(self, memory: Tensor) -> list[list[Affine]]:
         return [
             [affine_map(*pair) for pair in zip(views[::2], views[1::2], strict=True)] for views in self._views(memory)
         ]
@@ -125,39 +128,38 @@ class MLP:
         return views if self.shape.members else {name: view[0] for name, view in views.items()}
 
     def __call__(self, x: Tensor, *, exact: bool = False) -> Tensor:
-        """(n, in) -> (n, out), or (members, n, out).
+        """(n, in) -> (n, out), or (members, n, out). Differentiable by x and by `vector` where they require it.
 
         Args:
             x: inputs, the same for all members.
             exact: compute in float32 whatever the shape says.
         """
+        if torch.is_grad_enabled() and (x.requires_grad or self.vector.requires_grad):
+            outputs: Tensor = _Autograd.apply(x, self.vector, self, exact)  # type: ignore[no-untyped-call]
+            return outputs
         return self.forward(x, exact=exact)[0]
 
-    def touch(self) -> None:
-        """Say that the parameters have changed in a way that torch has not seen."""
-        torch.autograd.graph.increment_version(self.vector)
-
-    def _hidden_maps(self, *, low: bool) -> list[list[Affine]]:
-        """The hidden layers with parameters in the type that they compute in; rounded anew when they have changed."""
-        if not low:
-            return [layers[:-1] for layers in self._exact_maps]
+    def _hidden_layers(self, *, bfloat16: bool) -> list[list[Affine]]:
+        """The hidden layers of each group in the type they compute in, rounded again if `vector` has changed."""
+        if not bfloat16:
+            return [layers[:-1] for layers in self._layers]
         if self._rounded_version != self.vector._version:
             self._rounded.copy_(self.vector.view(self._members, -1)[:, : self._rounded.shape[1]])
             self._rounded_version = self.vector._version
-        return self._rounded_maps
+        return self._rounded_layers
 
     def forward(self, x: Tensor, *, exact: bool = False, first: bool = False) -> tuple[Tensor, list[Tape]]:
-        """Outputs as of a call, and what `backward` needs: a tape for each group.
+        """Outputs as of a call, and a tape for each group of members, for `backward`.
 
-        With `first` the first member is enough: the others are left out where members are computed one by one.
+        With `first` only the first member is needed: the others are left out where members are computed one by one.
         """
-        low = self.shape.low and not exact
-        if low:
+        bfloat16 = self.shape.bfloat16 and not exact
+        if bfloat16:
             x = x.bfloat16()
         count = 1 if first else len(self._groups)
         outputs, tapes = [], []
-        for hidden, layers in zip(self._hidden_maps(low=low)[:count], self._exact_maps[:count], strict=True):
-            output, tape = chain.forward(x, hidden, layers[-1], layer_norm=self.shape.layer_norm)
+        for hidden, layers in zip(self._hidden_layers(bfloat16=bfloat16)[:count], self._layers[:count], strict=True):
+            output, tape = backprop.forward(x, hidden, layers[-1], layer_norm=self.shape.layer_norm)
             outputs.append(output)
             tapes.append(tape)
         if not self.shape.members or outputs[0].dim() == 3:
@@ -167,56 +169,58 @@ class MLP:
     def backward(
         self, gradient: Tensor, tapes: list[Tape], *, parameters: bool = True, columns: slice | None = None
     ) -> Tensor | None:
-        """From the outputs' gradient to that of the parameters, left in `gradient`, and of the inputs.
+        """From the gradient by the outputs to that by the parameters, written to `gradient`, and by the inputs.
 
         Args:
-            gradient: as the outputs.
+            gradient: of the outputs' shape.
             tapes: of `forward`; the parameters must not have changed since.
             parameters: False: leave `gradient` as it is. True needs the tapes of all members.
-            columns: of the inputs whose gradient is wanted.
+            columns: input columns whose gradient is wanted.
 
         Returns:
-            (n, columns), summed over the members; None where no columns are wanted.
+            (n, columns), summed over the members; None if `columns` is None.
         """
-        low = tapes[0].low
-        found: Tensor | None = None
-        hidden_maps, into = self._hidden_maps(low=low), self._low_into if low else self._into
+        bfloat16 = tapes[0].bfloat16
+        total: Tensor | None = None
+        hidden_layers = self._hidden_layers(bfloat16=bfloat16)
+        out = self._rounded_gradients if bfloat16 else self._gradients
         for group, tape in enumerate(tapes):
-            last = self._exact_maps[group][-1]
-            for_x = chain.backward(
+            last = self._layers[group][-1]
+            by_input = backprop.backward(
                 gradient[group] if self.shape.members and last.weight.dim() == 2 else gradient,
                 tape,
-                hidden_maps[group],
+                hidden_layers[group],
                 last,
-                into=into[group] if parameters else None,
+                out=out[group] if parameters else None,
                 columns=columns,
                 scratch=self._scratch,
             )
-            found = for_x if found is None or for_x is None else found.add_(for_x)
-        if parameters and low:
-            self.gradient.view(self._members, -1)[:, : self._rounded.shape[1]].copy_(self._low_gradient)
-        return found
+            total = by_input if total is None or by_input is None else total.add_(by_input)
+        if parameters and bfloat16:
+            self.gradient.view(self._members, -1)[:, : self._rounded.shape[1]].copy_(self._rounded_gradient)
+        return total
 
     def copy(self) -> MLP:
-        """A network with the same parameters in a vector of its own: a target network."""
+        """A network with equal parameters in a vector of its own: a target network."""
         other = MLP(self.shape, torch.Generator(), str(self.vector.device))
-        other.vector.copy_(self.vector)
+        other.vector.copy_(self.vector.detach())
         return other
 
-    def follow(self, other: MLP, share: float) -> None:
-        """Move this share of the way to the other network's parameters (Polyak averaging)."""
-        self.vector.lerp_(other.vector, share)
+    def follow(self, other: MLP, tau: float) -> None:
+        """Polyak averaging: parameters = (1 - tau) parameters + tau other's parameters."""
+        self.vector.lerp_(other.vector, tau)
 
     def state(self) -> State:
-        return {name: view.clone() for name, view in self.named.items()}
+        return {name: view.detach().clone() for name, view in self.named.items()}
 
+    @torch.no_grad()
     def load_state(self, state: State) -> None:
         """Raises UsageError when the state is of a network of another shape."""
-        mine = {name: tuple(view.shape) for name, view in self.named.items()}
-        found = {name: tuple(view.shape) for name, view in state.items()}
-        if found != mine:
+        own = {name: tuple(view.shape) for name, view in self.named.items()}
+        stored = {name: tuple(view.shape) for name, view in state.items()}
+        if stored != own:
             raise UsageError(
-                f"the stored network has parameters {_words(found)}, and this one {_words(mine)}",
+                f"the stored network has parameters {_words(stored)}, and this one {_words(own)}",
                 where="agent",
                 hint="load it with the spec it was trained with",
             )
@@ -224,5 +228,48 @@ class MLP:
             view.copy_(torch.as_tensor(state[name]))
 
 
+class _Autograd(torch.autograd.Function):
+    """`MLP.forward` and `MLP.backward` as one differentiable operation of inputs and parameter vector."""
+
+    @staticmethod
+    def forward(ctx: Any, x: Tensor, vector: Tensor, network: MLP, exact: bool) -> Tensor:
+        outputs, ctx.tapes = network.forward(x, exact=exact)
+        ctx.network = network
+        ctx.save_for_backward(vector)  # torch raises an error if it is changed before the backward pass
+        return outputs
+
+    @staticmethod
+    @once_differentiable
+    def backward(ctx: Any, gradient: Tensor) -> tuple[Tensor | None, Tensor | None, None, None]:
+        _ = ctx.saved_tensors
+        by_input, by_vector, *_ = ctx.needs_input_grad
+        columns = slice(None) if by_input else None
+        found = ctx.network.backward(gradient, ctx.tapes, parameters=by_vector, columns=columns)
+        return found, ctx.network.gradient.clone() if by_vector else None, None, None
+
+
 def _words(shapes: Mapping[str, tuple[int, ...]]) -> str:
     return ", ".join(f"{name} {'x'.join(map(str, dimensions))}" for name, dimensions in shapes.items())
+
+
+ALL = slice(None)
+
+
+def deployed(network: MLP, normaliser: Normaliser, output: Output, *, columns: slice = ALL) -> Deployed:
+    """Normaliser and network for use outside karolos, as copies on the CPU.
+
+    Args:
+        network: without members.
+        normaliser: of its inputs.
+        output: how the network's outputs become an action.
+        columns: of the outputs that the action needs.
+    """
+    parts = {name: to_array(part.detach()).copy() for name, part in network.named.items()}
+    layers = [
+        Layer(parts[f"layer{number}.weight"], parts[f"layer{number}.bias"].reshape(-1))
+        for number in range(len(network.shape.sizes) - 1)
+    ]
+    last = layers.pop()
+    layers.append(Layer(last.weight[columns], last.bias[columns]))
+    shift, scale = (to_array(part).copy() for part in normaliser.terms)
+    return Deployed(shift, scale, normaliser.clip, tuple(layers), output, EPSILON if network.shape.layer_norm else None)

@@ -1,4 +1,4 @@
-"""Noise for exploring actions: standard normal at each step, and alone or akin to that of the steps before."""
+"""Noise of exploring actions: standard normal at each step, independent or correlated over steps."""
 
 from __future__ import annotations
 
@@ -17,22 +17,25 @@ from ..core import State
 THETA = 0.15
 """Source: Lillicrap et al. 2015, section 7."""
 INTERVAL = 8
-"""A third of a second at 24 Hz; Raffin et al. 2021 draw anew every 4 to 64 steps, by the task."""
+"""A third of a second at 24 Hz; Raffin et al. 2021 draw a new matrix every 4 to 64 steps, by the task."""
 
 
 class NoiseSettings(BaseSettings):
-    """Of noise whose size the policy itself knows."""
+    """Settings of noise that the policy scales."""
 
     kind: Literal["gaussian", "ornstein_uhlenbeck", "state_dependent"] = Setting(
         default="gaussian",
-        description="gaussian: new at each step; ornstein_uhlenbeck: drifts over an episode; state_dependent: a "
-        "function of what is observed, drawn anew now and then",
+        description="gaussian: independent at each step; ornstein_uhlenbeck: correlated over an episode; "
+        "state_dependent: a random function of the observation, drawn again at intervals",
     )
     theta: float | None = Setting(
-        default=None, gt=0, le=1, description=f"ornstein_uhlenbeck: share that fades per step; null: {THETA}"
+        default=None,
+        gt=0,
+        le=1,
+        description=f"ornstein_uhlenbeck: share of the noise that decays per step; null: {THETA}",
     )
     interval: int | None = Setting(
-        default=None, ge=1, description=f"state_dependent: steps for which a function holds; null: {INTERVAL}"
+        default=None, ge=1, description=f"state_dependent: steps between two draws of the function; null: {INTERVAL}"
     )
 
     @model_validator(mode="after")
@@ -44,26 +47,26 @@ class NoiseSettings(BaseSettings):
 
 
 class ScaledNoiseSettings(NoiseSettings):
-    """Of noise on a deterministic policy's actions."""
+    """Settings of noise on a deterministic policy's actions."""
 
-    std: float = Setting(default=0.2, ge=0, description="standard deviation of each action column, whatever the kind")
+    std: float = Setting(default=0.2, ge=0, description="standard deviation of each action column, for every kind")
 
 
 class Noise:
-    """Draws noise for each of several environments; every column is standard normal whatever the kind.
+    """Draws noise for each of several environments; every column is standard normal for every kind.
 
     gaussian: independent.
     ornstein_uhlenbeck: x' = (1 - theta) x + sqrt(theta (2 - theta)) e with e ~ N(0, 1) (Uhlenbeck, Ornstein 1930, at
-        steps of 1), which is standard normal at each step when it begins so.
+        steps of 1). It starts standard normal and stays so.
     state_dependent: M^T z / |z|, with the normalised inputs and a 1 as features z, and a matrix M of standard normal
-        numbers per environment, drawn at the beginning of an episode and every `interval` steps. After generalised
-        state-dependent exploration (Raffin et al. 2021), which learns a spread for each feature; here the policy gives
-        the spread, so that actions have the density that its loss takes them to have.
+        numbers per environment, drawn at the beginning of an episode and every `interval` steps. Generalised
+        state-dependent exploration (Raffin et al. 2021) learns a standard deviation for each feature. Here the policy
+        gives it, so that actions have the density that the policy's loss assumes.
 
     Args:
         settings: the kind.
-        inputs: columns that a policy sees.
-        actions: columns that it gives.
+        inputs: columns of the policy's input.
+        actions: columns of an action.
         device: where the noise lives.
     """
 
@@ -71,14 +74,14 @@ class Noise:
         self._kind = settings.kind
         self._theta = settings.theta or THETA
         self._interval = settings.interval or INTERVAL
-        remembered = {"gaussian": 0, "ornstein_uhlenbeck": 1, "state_dependent": inputs + 1}[settings.kind]
-        self._memory = torch.zeros((0, remembered, actions), device=device)
-        """What each environment's noise comes from: its last value, or its matrix."""
+        rows = {"gaussian": 0, "ornstein_uhlenbeck": 1, "state_dependent": inputs + 1}[settings.kind]
+        self._memory = torch.zeros((0, rows, actions), device=device)
+        """Of each environment: the last noise, or the matrix."""
         self._age = np.zeros(0, np.int64)
-        """Steps of each environment's episode for which noise was drawn."""
+        """Draws so far in each environment's episode."""
 
     def begin(self, environments: NDArray[np.int64]) -> None:
-        """New episodes begin there: what their noise comes from is forgotten."""
+        """Reset the noise of environments where a new episode begins."""
         self._age[environments[environments < len(self._age)]] = 0
 
     def draw(self, rows: Tensor, generator: torch.Generator, environments: NDArray[np.int64] | None = None) -> Tensor:
@@ -87,31 +90,33 @@ class Noise:
             return torch.randn((len(rows), self._memory.shape[2]), generator=generator, device=rows.device)
         if environments is None:
             environments = np.arange(len(rows))
-        self._have(int(environments.max(initial=-1)) + 1)
-        fresh = self._fresh(environments, generator)
+        self._grow(int(environments.max(initial=-1)) + 1)
+        memory = self._next_memory(environments, generator)
         self._age[environments] += 1
         where = torch.from_numpy(environments).to(rows.device)
-        self._memory[where] = fresh
+        self._memory[where] = memory
         if self._kind == "ornstein_uhlenbeck":
-            return fresh[:, 0]
+            return memory[:, 0]
         features = torch.cat((rows, rows.new_ones((len(rows), 1))), 1)
         features = features / torch.linalg.vector_norm(features, dim=1, keepdim=True)
-        return torch.bmm(features.unsqueeze(1), fresh).squeeze(1)
+        return torch.bmm(features.unsqueeze(1), memory).squeeze(1)
 
-    def _fresh(self, environments: NDArray[np.int64], generator: torch.Generator) -> Tensor:
-        """What these environments' noise comes from at this step: (n, k, a)."""
+    def _next_memory(self, environments: NDArray[np.int64], generator: torch.Generator) -> Tensor:
+        """The memory of these environments after this step: (n, k, a)."""
         device, age = self._memory.device, self._age[environments]
         memory = self._memory[torch.from_numpy(environments).to(device)]
-        drifts = self._kind == "ornstein_uhlenbeck"
-        renewed = age == 0 if drifts else age % self._interval == 0
-        if not drifts and not renewed.any():
+        correlated = self._kind == "ornstein_uhlenbeck"
+        renewed = age == 0 if correlated else age % self._interval == 0
+        if not correlated and not renewed.any():
             return memory
         drawn = torch.randn(memory.shape, generator=generator, device=device)
-        kept = (1 - self._theta) * memory + (self._theta * (2 - self._theta)) ** 0.5 * drawn if drifts else memory
-        return torch.where(torch.from_numpy(renewed).to(device).view(-1, 1, 1), drawn, kept)
+        unrenewed = (
+            (1 - self._theta) * memory + (self._theta * (2 - self._theta)) ** 0.5 * drawn if correlated else memory
+        )
+        return torch.where(torch.from_numpy(renewed).to(device).view(-1, 1, 1), drawn, unrenewed)
 
-    def _have(self, count: int) -> None:
-        """Room for so many environments; those that are new stand at the beginning of an episode."""
+    def _grow(self, count: int) -> None:
+        """Make room for `count` environments; new ones are at the beginning of an episode."""
         more = count - len(self._age)
         if more > 0:
             self._age = np.concatenate((self._age, np.zeros(more, np.int64)))

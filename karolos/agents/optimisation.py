@@ -1,4 +1,4 @@
-"""Adam (Kingma, Ba 2015) over parameter vectors, with a state of plain tensors; how long its steps are, and why."""
+"""Adam (Kingma, Ba 2015) over parameter vectors, and the settings of its steps."""
 
 from __future__ import annotations
 
@@ -18,10 +18,10 @@ class OptimiserSettings(AgentSettings):
 
     learning_rate: float = Setting(1e-3, gt=0, description="of all networks (Adam)")
     learning_rate_end: float | None = Setting(
-        None, ge=0, description="where the learning rate goes evenly over learning_rate_updates; null: it stays"
+        None, ge=0, description="learning rate after learning_rate_updates, reached linearly; null: constant"
     )
-    learning_rate_updates: int | None = Setting(None, ge=1, description="updates after which it is there")
-    gradient_norm: float | None = Setting(None, gt=0, description="longer gradients are cut to this; null: never")
+    learning_rate_updates: int | None = Setting(None, ge=1, description="updates until learning_rate_end is reached")
+    gradient_norm: float | None = Setting(None, gt=0, description="longer gradients are clipped to this; null: never")
 
     @model_validator(mode="after")
     def _schedule_is_whole(self) -> Any:
@@ -31,20 +31,20 @@ class OptimiserSettings(AgentSettings):
 
     @property
     def rate(self) -> Linear:
-        """The learning rate after so many steps of an optimiser."""
+        """The learning rate by the number of steps of an optimiser."""
         if self.learning_rate_end is None:
             return Linear(self.learning_rate, self.learning_rate, 0)
         return Linear(self.learning_rate, self.learning_rate_end, self.learning_rate_updates or 0)
 
 
 class Adam:
-    """Steps one parameter vector.
+    """Optimises one parameter vector; its state is plain tensors.
 
     Args:
         vector: the parameters, changed in place.
-        learning_rate: size of a step; may be set anew before each. A schedule goes by the steps taken.
-        epsilon: keeps steps small where gradients have been about this size.
-        norm: longer gradients are cut to this length; None: never.
+        learning_rate: a constant, or a schedule by the steps made.
+        epsilon: added to the root of the second moment.
+        norm: longer gradients are clipped to this length; None: never.
     """
 
     def __init__(
@@ -52,58 +52,34 @@ class Adam:
     ) -> None:
         self._vector = vector
         self._schedule = learning_rate if isinstance(learning_rate, Linear) else None
-        rate = learning_rate.start if isinstance(learning_rate, Linear) else learning_rate
-        self.learning_rate = rate
+        self.learning_rate = learning_rate.start if isinstance(learning_rate, Linear) else learning_rate
         self._epsilon = epsilon
         self.norm = norm
         self.steps = 0
-        """Taken so far."""
-        # Where updates may be captured; on a CPU a number is quicker.
-        self._rate = None if vector.device.type == "cpu" else torch.full((), rate, device=vector.device)
+        """Made so far."""
         self._state = {
             "step": torch.zeros((), device=vector.device),
             "exp_avg": torch.zeros_like(vector),
             "exp_avg_sq": torch.zeros_like(vector),
         }
 
-    def step(self, gradient: Tensor) -> Tensor:
-        """Step along a gradient of the vector's shape, which may be changed in place. Returns its length before."""
-        self.begin()
-        return self.move(gradient, "length", watch=True)["length"]
+    def step(self, gradient: Tensor, name: str = "", *, report: bool = False) -> dict[str, Tensor]:
+        """Make a step against a gradient of the vector's shape, which may be changed in place.
 
-    def begin(self) -> None:
-        """Count a step and set its learning rate; then `move`. Apart because Python counts and a captured update
-        cannot.
+        Returns the gradient's length before clipping under `name` if `report`, else nothing: measuring it takes a third
+        of the step.
         """
         if self._schedule is not None:
             self.learning_rate = self._schedule(self.steps)
-        if self._rate is not None:
-            self._rate.fill_(self.learning_rate)
         self.steps += 1
-
-    def move(self, gradient: Tensor, name: str = "", *, watch: bool = False) -> dict[str, Tensor]:
-        """Step along a gradient of the vector's shape, which may be changed in place.
-
-        Returns its length before it was cut, under that name, if somebody watches: measuring it takes a third of the
-        step.
-        """
-        measured = {}
-        if watch or self.norm is not None:
+        metrics = {}
+        if report or self.norm is not None:
             length = torch.linalg.vector_norm(gradient)
-            measured = {name: length} if watch else {}
+            metrics = {name: length} if report else {}
             if self.norm is not None:
                 gradient.mul_((self.norm / length).clamp_(max=1))
-        self._fused_step(gradient)
-        torch.autograd.graph.increment_version(self._vector)  # which a fused step forgets; networks look at it
-        return measured
-
-    def rate_watched(self, *, watch: bool) -> dict[str, Tensor]:
-        """The learning rate of the latest step, if somebody watches."""
-        return {"learning_rate": torch.tensor(self.learning_rate)} if watch else {}
-
-    def _fused_step(self, gradient: Tensor) -> None:
-        """What torch.optim.Adam(fused=True) calls in the end; its own way there takes longer than the step itself."""
         self._state["step"].add_(1)
+        # The kernel of torch.optim.Adam(fused=True), whose Python takes longer than the kernel itself.
         torch._fused_adam_(
             [self._vector],
             [gradient],
@@ -111,7 +87,7 @@ class Adam:
             [self._state["exp_avg_sq"]],
             [],
             [self._state["step"]],
-            lr=self.learning_rate if self._rate is None else self._rate,
+            lr=self.learning_rate,
             beta1=0.9,
             beta2=0.999,
             weight_decay=0.0,
@@ -119,6 +95,9 @@ class Adam:
             amsgrad=False,
             maximize=False,
         )
+        # The fused step does not count as a change of the vector, and networks look at its version.
+        torch.autograd.graph.increment_version(self._vector)
+        return metrics
 
     def state(self) -> State:
         return {name: value.clone() for name, value in self._state.items()}

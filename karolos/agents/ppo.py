@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import math
 from collections.abc import Iterator, Mapping
 from typing import Any, ClassVar, NamedTuple
 
@@ -15,64 +16,65 @@ from ..core import Agent, Discrete, FloatArray, Rollout, Signature, State
 from ..core.deployed import Deployed
 from ..core.seeding import SeedTree
 from ..errors import UsageError
-from .advantages import advantages
-from .categorical import Categorical
-from .deployment import deployed
-from .gaussian import Gaussian
-from .inputs import acting_inputs, saturation, to_array
-from .networks import MLP, Shape
+from .networks import MLP, Shape, deployed
 from .normaliser import Normaliser
 from .optimisation import Adam, OptimiserSettings
-from .orthogonal import make_orthogonal
-from .value import Value
+from .tensors import network_input, saturation, to_array
 
 CLIP = 10.0
-"""Normalised inputs are cut here: what a better policy reaches lies outside of what the first ones saw, e.g. a cart far
-from the middle. Source: OpenAI baselines, VecNormalize (clipob); 5 is what hindsight agents take."""
+"""Bound of normalised inputs. A better policy reaches states far from those of the first ones, e.g. a cart far from the
+middle. Source: OpenAI baselines, VecNormalize (clipob)."""
 KL_SLACK = 1.5
-"""A rollout is done with when the policy has moved this many times `target_kl`. Source: OpenAI Spinning Up, ppo."""
+"""Learning from a rollout ends when the policy has moved this many times `target_kl`. Source: OpenAI Spinning Up."""
+LOG_STD = (-5.0, 2.0)
+"""Bounds of the log standard deviation: below, log probabilities explode; above, clipping gives corners only."""
+RELU_GAIN = 2**0.5
+"""Keeps the variance of activations through rectifiers. Source: He et al. 2015."""
 
 
-class _Taken(NamedTuple):
+class Transitions(NamedTuple):
     """The transitions of a rollout on the device: (n, ...)."""
 
     inputs: Tensor
     action: Tensor
     log_probability: Tensor
-    """Of the action under the policy that took it."""
+    """Of the action under the policy that collected it."""
     advantage: Tensor
     value: Tensor
+    """Under the value network before it learns from the rollout."""
     target: Tensor
-    """What the value should have been: advantage + value."""
+    """Of the value: advantage + value."""
 
-    def rows(self, chosen: Tensor) -> _Taken:
-        return _Taken(*(field[chosen] for field in self))
+    def rows(self, chosen: Tensor) -> Transitions:
+        return Transitions(*(field[chosen] for field in self))
 
 
 class PPO(Agent[Rollout]):
-    """Improves the policy on what it has just played, as long as it stays near the policy that played it.
+    """Improves the policy on its latest rollout while it stays near the policy that collected the rollout.
 
-    On-policy; continuous actions (a Gaussian, neither squashed nor stored clipped) and discrete ones. Observations and
-    goals are normalised by running statistics, which change between rollouts only: while one is collected and learned
-    from, the same policy is meant by the same weights.
+    On-policy; continuous actions (a Gaussian whose actions are stored unclipped) and discrete ones. Observations and
+    goals are normalised by running statistics. These change between rollouts only, so that equal weights are an equal
+    policy from the first step of a rollout to the last update from it.
     """
 
     class Settings(OptimiserSettings):
         discount: float = Setting(0.95, ge=0, lt=1, description="per environment step; about 1 - 1 / steps of episode")
         trace_decay: float = Setting(0.95, ge=0, le=1, description="lambda of advantages: 0 trusts values, 1 rewards")
-        clip: float = Setting(0.2, gt=0, description="how far from 1 the ratio of probabilities is worth moving")
+        clip: float = Setting(0.2, gt=0, description="bound of the probability ratio's distance from 1")
         value_clip: float | None = Setting(
-            None, gt=0, description="how far a value may move per rollout, in spreads of the returns; null: any way"
+            None, gt=0, description="bound of a value's change per rollout, in spreads of the returns; null: unbounded"
         )
         entropy: float = Setting(0.0, ge=0, description="weight of the policy's entropy (nats)")
-        epochs: int = Setting(10, ge=1, description="how often each transition is learned from")
+        epochs: int = Setting(10, ge=1, description="passes through each rollout")
         minibatches: int = Setting(8, ge=1, description="gradient updates per epoch, each from a share of the rollout")
         target_kl: float | None = Setting(
             None, gt=0, description="stop learning from a rollout once the policy has moved 1.5 times this; null: never"
         )
-        gradient_norm: float | None = Setting(0.5, gt=0, description="longer gradients are cut to this; null: never")
+        gradient_norm: float | None = Setting(
+            0.5, gt=0, description="longer gradients are clipped to this; null: never"
+        )
         hidden: tuple[int, ...] = Setting((64, 64), min_length=1, description="units of each hidden layer")
-        std: float = Setting(1.0, gt=0, description="spread of continuous actions at the start")
+        std: float = Setting(1.0, gt=0, description="standard deviation of continuous actions at the start")
 
     on_policy: ClassVar[bool] = True
     learned: ClassVar[tuple[str, ...]] = ("policy", "distribution", "value", "normaliser")
@@ -80,22 +82,22 @@ class PPO(Agent[Rollout]):
     def __init__(self, settings: PPO.Settings, signature: Signature, seeds: SeedTree, device: str = "cpu") -> None:
         self.settings, self.device, self.discount = settings, torch.device(device), settings.discount
         inputs = signature.observation.size + signature.desired_goal.size
-        drawn = torch.Generator().manual_seed(seeds.child("weights").integer())
+        generator = torch.Generator().manual_seed(seeds.child("weights").integer())
         self.distribution: Gaussian | Categorical
         if isinstance(signature.action, Discrete):
             self.distribution = Categorical(len(signature.action.labels))
         else:
             self.distribution = Gaussian(signature.action.size, settings.std, device)
-        self.policy = MLP(Shape((inputs, *settings.hidden, self.distribution.columns)), drawn, device)
-        make_orthogonal(self.policy, drawn, last_gain=0.01)
-        self.value = Value((inputs, *settings.hidden), drawn, device)
+        self.policy = MLP(Shape((inputs, *settings.hidden, self.distribution.columns)), generator, device)
+        make_orthogonal(self.policy, generator, last_gain=0.01)
+        self.value = Value((inputs, *settings.hidden), generator, device)
         self.normaliser = Normaliser(inputs, device, clip=CLIP)
-        learned = {"policy": self.policy.vector, "value": self.value.network.vector}
+        vectors = {"policy": self.policy.vector, "value": self.value.network.vector}
         if isinstance(self.distribution, Gaussian):
-            learned["std"] = self.distribution.log_std
+            vectors["std"] = self.distribution.log_std
         self._optimisers = {
             name: Adam(vector, settings.rate, epsilon=1e-5, norm=settings.gradient_norm)
-            for name, vector in learned.items()
+            for name, vector in vectors.items()
         }
         self._generator = torch.Generator(self.device).manual_seed(seeds.child("noise").integer())
 
@@ -106,67 +108,95 @@ class PPO(Agent[Rollout]):
         desired_goal: FloatArray,
         *,
         explore: bool,
-        environments: NDArray[np.int64] | None = None,  # noqa: ARG002 (exploration remembers nothing)
+        environments: NDArray[np.int64] | None = None,  # noqa: ARG002 (each step explores independently)
     ) -> FloatArray:
-        """Actions (n, a) for observations (n, o) and goals (n, g): in [-1, 1], or exploring and not clipped."""
-        head = self.policy(acting_inputs(observation, desired_goal, self.normaliser, self.device))
+        """Actions (n, a) for observations (n, o) and goals (n, g): in [-1, 1], or unclipped when exploring."""
+        output = self.policy(network_input(observation, desired_goal, self.normaliser, self.device))
         if explore:
-            return to_array(self.distribution.sample(head, self._generator))
-        return to_array(self.distribution.mode(head))
+            return to_array(self.distribution.sample(output, self._generator))
+        return to_array(self.distribution.mode(output))
 
     @torch.inference_mode()
     def learn(self, batch: Rollout) -> Mapping[str, Any]:
-        """`epochs` times through the rollout in `minibatches` updates each; metrics are means over the updates.
+        """`epochs` passes through the rollout of `minibatches` updates each; metrics are means over the updates.
 
         Raises:
             UsageError: the rollout has fewer transitions than there are minibatches.
         """
-        taken = self._taken(batch)
+        transitions = self._transitions(batch)
         updates: list[dict[str, Tensor]] = []
-        for rows in self._minibatches(len(taken.action)):
-            metrics = self._update(taken.rows(rows))
+        for rows in self._minibatches(len(transitions.action)):
+            metrics = self.update(transitions.rows(rows))
             if metrics is None:
                 break
             updates.append(metrics)
         self._observe(batch)
         means = {name: torch.stack([metrics[name] for metrics in updates]).mean() for name in updates[0]}
-        return means | self._of_rollout(taken) | {"updates": len(updates)}
+        return means | self._rollout_metrics(transitions) | {"updates": len(updates)}
 
-    def _taken(self, rollout: Rollout) -> _Taken:
-        """The rollout with what policy and value say of it before they learn from it."""
+    def update(self, minibatch: Transitions) -> dict[str, Tensor] | None:
+        """One gradient step of policy and value; None, without a step, if the policy has moved too far already."""
+        settings = self.settings
+        output, tapes = self.policy.forward(minibatch.inputs)
+        log_ratio = self.distribution.log_probability(output, minibatch.action) - minibatch.log_probability
+        ratio = log_ratio.exp()
+        kl = (ratio - 1 - log_ratio).mean()  # http://joschu.net/blog/kl-approx.html, k3
+        if settings.target_kl is not None and float(kl) > KL_SLACK * settings.target_kl:
+            return None
+        advantage = minibatch.advantage - minibatch.advantage.mean()
+        advantage = advantage / (minibatch.advantage.std(correction=0) + 1e-8)
+
+        loss, gradient = clipped_ratio_loss(ratio, advantage, settings.clip)
+        by_output = self.distribution.backward(output, minibatch.action, gradient, -settings.entropy / len(ratio))
+        entropy = self.distribution.entropy(output).mean()
+        self.policy.backward(by_output, tapes)
+        metrics = self._optimisers["policy"].step(self.policy.gradient, "gradient_norm", report=True)
+        if isinstance(self.distribution, Gaussian):
+            self._optimisers["std"].step(self.distribution.gradient)
+            self.distribution.clamp_std()
+
+        metrics["value_loss"] = self.value.backward(
+            minibatch.inputs, minibatch.target, minibatch.value, settings.value_clip
+        )
+        metrics |= self._optimisers["value"].step(self.value.network.gradient, "value_gradient_norm", report=True)
+        return {
+            **metrics,
+            "policy_loss": loss,
+            "kl": kl,
+            "clip_fraction": ((ratio - 1).abs() > settings.clip).float().mean(),
+            "entropy": entropy,
+        }
+
+    def _transitions(self, rollout: Rollout) -> Transitions:
+        """The stored transitions, with advantages, values and log probabilities before learning from them."""
         size = rollout.reward.shape
         stored = torch.from_numpy(rollout.stored.ravel()).to(self.device)
-        here, there = (self._rows(rollout, name) for name in ("observation", "next_observation"))
-        value, next_value = (to_array(self.value(inputs)).reshape(size) for inputs in (here, there))
+        inputs = self._inputs(rollout.observation, rollout.desired_goal)
+        next_inputs = self._inputs(rollout.next_observation, rollout.desired_goal)
+        values, next_values = (to_array(self.value(rows)).reshape(size) for rows in (inputs, next_inputs))
         settings = self.settings
-        advantage = advantages(rollout, value, next_value, discount=settings.discount, trace_decay=settings.trace_decay)
-        inputs, action, worth, better = (
-            tensor[stored]
-            for tensor in (
-                here,
-                torch.from_numpy(rollout.action.reshape(len(here), -1)).to(self.device),
-                torch.from_numpy(value.ravel()).to(self.device),
-                torch.from_numpy(advantage.ravel()).to(self.device),
-            )
+        estimated = advantages(
+            rollout, values, next_values, discount=settings.discount, trace_decay=settings.trace_decay
         )
-        log_probability = self.distribution.log_probability(self.policy(inputs), action)
-        target = better + worth
-        self.value.fit_scale(target)
-        return _Taken(inputs, action, log_probability, better, worth, target)
 
-    def _rows(self, rollout: Rollout, name: str) -> Tensor:
-        """Observations of all transitions beside their goals, normalised: (T n, o + g)."""
-        observation, goal = getattr(rollout, name), rollout.desired_goal
-        count = rollout.reward.size
-        return acting_inputs(
-            observation.reshape(count, observation.shape[-1]),
-            goal.reshape(count, goal.shape[-1]),
-            self.normaliser,
-            self.device,
-        )
+        def tensor(array: FloatArray) -> Tensor:
+            return torch.from_numpy(array).to(self.device)[stored]
+
+        action = tensor(rollout.action.reshape(len(inputs), -1))
+        value, advantage, inputs = tensor(values.ravel()), tensor(estimated.ravel()), inputs[stored]
+        log_probability = self.distribution.log_probability(self.policy(inputs), action)
+        target = advantage + value
+        self.value.update_scale(target)
+        return Transitions(inputs, action, log_probability, advantage, value, target)
+
+    def _inputs(self, observation: FloatArray, goal: FloatArray) -> Tensor:
+        """Observations (T, n, o) and goals (T, n, g) side by side, normalised: (T n, o + g)."""
+        count = observation.shape[0] * observation.shape[1]
+        observation, goal = (rows.reshape(count, rows.shape[2]) for rows in (observation, goal))
+        return network_input(observation, goal, self.normaliser, self.device)
 
     def _minibatches(self, count: int) -> Iterator[Tensor]:
-        """Rows of each update: every epoch takes all of them once, in an order of its own."""
+        """Rows of each update: every epoch uses each row once, in an order of its own."""
         if count < self.settings.minibatches:
             raise UsageError(
                 f"a rollout of {count} transitions cannot be split into {self.settings.minibatches} minibatches",
@@ -177,72 +207,33 @@ class PPO(Agent[Rollout]):
             order = torch.randperm(count, generator=self._generator, device=self.device)
             yield from order.tensor_split(self.settings.minibatches)
 
-    def _update(self, taken: _Taken) -> dict[str, Tensor] | None:
-        """One gradient update of policy and value; None if the policy has moved too far already.
-
-        Gradients are written down, as in SAC.
-        """
-        settings, count = self.settings, len(taken.inputs)
-        head, tapes = self.policy.forward(taken.inputs)
-        difference = self.distribution.log_probability(head, taken.action) - taken.log_probability
-        ratio = difference.exp()
-        moved = (ratio - 1 - difference).mean()  # http://joschu.net/blog/kl-approx.html, k3
-        if settings.target_kl is not None and float(moved) > KL_SLACK * settings.target_kl:
-            return None
-        advantage = taken.advantage - taken.advantage.mean()
-        advantage = advantage / (taken.advantage.std(correction=0) + 1e-8)
-        free, clipped = ratio * advantage, ratio.clamp(1 - settings.clip, 1 + settings.clip) * advantage
-        gain = torch.minimum(free, clipped).mean()
-        entropy = self.distribution.entropy(head).mean()
-        # d ratio / d log p = ratio; the clipped gain is the smaller one only where it does not move
-        for_log_probability = torch.where(free <= clipped, free, 0) / -count
-        weight = -settings.entropy / count
-        for_head = self.distribution.backward(head, taken.action, for_log_probability, weight)
-        self.policy.backward(for_head, tapes)
-        policy_norm = self._optimisers["policy"].step(self.policy.gradient)
-        if isinstance(self.distribution, Gaussian):
-            self._optimisers["std"].step(self.distribution.gradient)
-            self.distribution.keep_bounds()
-        value_loss = self.value.learn(taken.inputs, taken.target, taken.value, settings.value_clip)
-        value_norm = self._optimisers["value"].step(self.value.network.gradient)
-        return {
-            "policy_loss": -gain,
-            "value_loss": value_loss,
-            "kl": moved,
-            "clip_fraction": ((ratio - 1).abs() > settings.clip).float().mean(),
-            "entropy": entropy,
-            "gradient_norm": policy_norm,
-            "value_gradient_norm": value_norm,
-        }
-
-    def _of_rollout(self, taken: _Taken) -> dict[str, Tensor]:
-        """What can be said of a rollout as a whole."""
-        left, whole = (taken.target - taken.value).var(correction=0), taken.target.var(correction=0)
-        found = {
-            "explained_variance": torch.where(whole > 0, 1 - left / whole, torch.zeros_like(whole)),
-            "value_mean": taken.value.mean(),
-            **self._optimisers["policy"].rate_watched(watch=True),
+    def _rollout_metrics(self, transitions: Transitions) -> dict[str, Tensor]:
+        """Metrics of a rollout as a whole."""
+        unexplained = (transitions.target - transitions.value).var(correction=0)
+        total = transitions.target.var(correction=0)
+        metrics = {
+            "explained_variance": torch.where(total > 0, 1 - unexplained / total, torch.zeros_like(total)),
+            "value_mean": transitions.value.mean(),
+            "learning_rate": torch.tensor(self._optimisers["policy"].learning_rate),
         }
         if isinstance(self.distribution, Gaussian):
-            found |= {"action_saturation": saturation(taken.action), "std": self.distribution.log_std.exp().mean()}
-        return found
+            metrics["action_saturation"] = saturation(transitions.action)
+            metrics["std"] = self.distribution.log_std.exp().mean()
+        return metrics
 
     def _observe(self, rollout: Rollout) -> None:
-        """Take what the rollout observed into the statistics that inputs are normalised by."""
+        """Add the rollout's observations and goals to the statistics of the normaliser."""
         rows = torch.from_numpy(np.concatenate((rollout.observation, rollout.desired_goal), -1)[rollout.stored])
         self.normaliser.update(rows.to(self.device))
 
     def deployed(self) -> Deployed:
-        """The mean action, cut to [-1, 1], or the likeliest of a discrete set."""
+        """The mean action, clipped to [-1, 1], or the most likely discrete one."""
         return deployed(self.policy, self.normaliser, "clip" if isinstance(self.distribution, Gaussian) else "argmax")
 
     def state(self) -> State:
         """Everything that learning and acting depend on."""
         return {
-            "policy": self.policy.state(),
-            "distribution": self.distribution.state(),
-            "value": self.value.state(),
-            "normaliser": self.normaliser.state(),
+            **{name: getattr(self, name).state() for name in self.learned},
             "optimisers": {name: optimiser.state() for name, optimiser in self._optimisers.items()},
             "generator": self._generator.get_state(),
         }
@@ -254,3 +245,254 @@ class PPO(Agent[Rollout]):
         for name, optimiser in self._optimisers.items():
             optimiser.load_state(state["optimisers"][name])
         self._generator.set_state(torch.as_tensor(state["generator"]))
+
+
+def advantages(
+    rollout: Rollout, value: FloatArray, next_value: FloatArray, *, discount: float, trace_decay: float
+) -> FloatArray:
+    """Generalised advantage estimates, (T, n); 0 where no transition is stored.
+
+    A_t = d_t + discount trace_decay A_(t+1), with d_t = r_t + discount V(s_(t+1)) - V(s_t). After a terminated step the
+    next value is 0; the sum ends with each episode and with the rollout. Source: Schulman et al. 2016, arXiv
+    1506.02438, equation 16.
+
+    Args:
+        rollout: rewards and ends.
+        value: of the observations, (T, n).
+        next_value: of the next observations, (T, n).
+        discount: of the next step's value.
+        trace_decay: lambda; 0 trusts the values, 1 the rewards.
+    """
+    next_value = np.where(rollout.terminated, np.float32(0), next_value)
+    error = np.where(rollout.stored, rollout.reward + np.float32(discount) * next_value - value, np.float32(0))
+    decay = np.where(rollout.ended, np.float32(0), np.float32(discount * trace_decay))
+    estimates = np.zeros_like(error)
+    following = np.zeros_like(error[0])
+    for step in reversed(range(len(estimates))):
+        following = estimates[step] = error[step] + decay[step] * following
+    return estimates
+
+
+def clipped_ratio_loss(ratio: Tensor, advantage: Tensor, clip: float) -> tuple[Tensor, Tensor]:
+    """L = - mean min(ratio A, clip(ratio, 1 - clip, 1 + clip) A), and its gradient by each log probability.
+
+    d ratio / d log p = ratio, and the clipped term has no gradient where it is the smaller one. Source: Schulman et al.
+    2017, equation 7.
+
+    Args:
+        ratio: of the action's probabilities under the new and the old policy, (n,).
+        advantage: A, (n,).
+        clip: bound of the ratio's distance from 1.
+    """
+    unclipped, clipped = ratio * advantage, ratio.clamp(1 - clip, 1 + clip) * advantage
+    loss = -torch.minimum(unclipped, clipped).mean()
+    return loss, torch.where(unclipped <= clipped, unclipped, 0) / -len(ratio)
+
+
+def value_loss(value: Tensor, target: Tensor, old_value: Tensor, clip: float | None) -> tuple[Tensor, Tensor]:
+    """L = mean max((V - y)^2, (V_c - y)^2) / 2 with V_c = V_old + clip(V - V_old, -clip, clip), and its gradient by V.
+
+    Without `clip`: mean (V - y)^2 / 2. The clipped error is the larger one only where V_c is constant. Source:
+    Schulman et al. 2017, equation 9; the clipping is that of OpenAI baselines, ppo2.
+    """
+    gradient = value - target
+    error = gradient.square()
+    if clip is not None:
+        near = old_value + (value - old_value).clamp(-clip, clip)
+        clipped = (near - target).square()
+        gradient = gradient * (error >= clipped)
+        error = torch.maximum(error, clipped)
+    return 0.5 * error.mean(), gradient / len(value)
+
+
+class Gaussian:
+    """Continuous actions around the network's output, with a standard deviation that is independent of the input.
+
+    Samples are unbounded. Environments receive them clipped to [-1, 1]; probabilities are those of the unclipped ones.
+
+    Args:
+        columns: of an action.
+        std: standard deviation at the start.
+        device: where it lives.
+    """
+
+    def __init__(self, columns: int, std: float, device: str) -> None:
+        self.columns = columns
+        """Outputs of the policy network."""
+        self.log_std = torch.full((columns,), math.log(std), device=device)
+        """The learned parameters, (a,). Change them in place."""
+        self.gradient = torch.zeros_like(self.log_std)
+        """By `log_std`; result of the latest `backward`."""
+
+    def sample(self, output: Tensor, generator: torch.Generator) -> Tensor:
+        """Unclipped actions (n, a) from the network's output (n, a)."""
+        noise = torch.randn(output.shape, generator=generator, device=output.device)
+        return torch.addcmul(output, self.log_std.exp(), noise)
+
+    def mode(self, output: Tensor) -> Tensor:
+        """The mean action, (n, a), clipped to [-1, 1]."""
+        return output.clamp(-1, 1)
+
+    def log_probability(self, output: Tensor, action: Tensor) -> Tensor:
+        """Log densities of unclipped actions, (n,)."""
+        distance = (action - output) * torch.exp(-self.log_std)
+        constant = 0.5 * math.log(2 * math.pi) * self.columns
+        return -(distance.square().mul(0.5) + self.log_std).sum(-1) - constant
+
+    def entropy(self, output: Tensor) -> Tensor:
+        """Of the unclipped action, in nats: (n,)."""
+        entropy = self.log_std.sum() + 0.5 * self.columns * (1 + math.log(2 * math.pi))
+        return entropy.expand(len(output))
+
+    def backward(self, output: Tensor, action: Tensor, by_log_probability: Tensor, by_entropy: float) -> Tensor:
+        """The gradient by the network's output (n, a); that by `log_std` is left in `gradient`.
+
+        With d = (action - output) / std: d log p / d output = d / std, d log p / d log std = d^2 - 1, and
+        d entropy / d log std = 1.
+
+        Args:
+            output: of the network, (n, a).
+            action: unclipped, (n, a).
+            by_log_probability: the loss's gradient by each log density, (n,).
+            by_entropy: the loss's gradient by each entropy.
+        """
+        inverse, column = torch.exp(-self.log_std), by_log_probability.unsqueeze(-1)
+        distance = (action - output) * inverse
+        torch.sum((distance.square() - 1).mul_(column), 0, out=self.gradient)
+        self.gradient.add_(by_entropy * len(output))
+        return distance.mul_(column).mul_(inverse)
+
+    def clamp_std(self) -> None:
+        """Keep the standard deviation within its bounds; to be called after each step of the optimiser."""
+        self.log_std.clamp_(*LOG_STD)
+
+    def state(self) -> State:
+        return {"log_std": self.log_std.clone()}
+
+    def load_state(self, state: State) -> None:
+        self.log_std.copy_(torch.as_tensor(state["log_std"]))
+
+
+class Categorical:
+    """One of `columns` discrete actions, with the softmax of the network's output as probabilities."""
+
+    def __init__(self, columns: int) -> None:
+        self.columns = columns
+        """Outputs of the policy network."""
+
+    def sample(self, output: Tensor, generator: torch.Generator) -> Tensor:
+        """Indices (n, 1), as floats, from the network's output (n, columns)."""
+        return torch.multinomial(torch.softmax(output, -1), 1, generator=generator).float()
+
+    def mode(self, output: Tensor) -> Tensor:
+        """The most likely index, (n, 1)."""
+        return output.argmax(-1, keepdim=True).float()
+
+    def log_probability(self, output: Tensor, action: Tensor) -> Tensor:
+        """Of the indices (n, 1): (n,)."""
+        return torch.log_softmax(output, -1).gather(-1, action.long()).squeeze(-1)
+
+    def entropy(self, output: Tensor) -> Tensor:
+        """In nats: (n,)."""
+        log_probability = torch.log_softmax(output, -1)
+        return -(log_probability.exp() * log_probability).sum(-1)
+
+    def backward(self, output: Tensor, action: Tensor, by_log_probability: Tensor, by_entropy: float) -> Tensor:
+        """The gradient by the network's output (n, columns).
+
+        With p = softmax(output) and entropy H: d log p_a / d output_j = (j = a) - p_j, d H / d output_j =
+        -p_j (log p_j + H).
+
+        Args:
+            output: of the network, (n, columns).
+            action: indices, (n, 1).
+            by_log_probability: the loss's gradient by each log probability, (n,).
+            by_entropy: the loss's gradient by each entropy.
+        """
+        log_probability, column = torch.log_softmax(output, -1), by_log_probability.unsqueeze(-1)
+        probability = log_probability.exp()
+        entropy = -(probability * log_probability).sum(-1, keepdim=True)
+        gradient = (log_probability + entropy).mul_(-by_entropy).sub_(column).mul_(probability)
+        return gradient.scatter_add_(-1, action.long(), column)
+
+    def state(self) -> State:
+        """Empty: the network holds all parameters."""
+        return {}
+
+    def load_state(self, state: State) -> None:
+        pass
+
+
+class Value:
+    """A value network whose output is scaled by mean and standard deviation of the returns.
+
+    Returns of -1000 are then learned as fast as returns of 1. When mean and standard deviation change, the last layer
+    is changed so that all values stay the same (PopArt, van Hasselt et al. 2016, arXiv 1602.07714).
+
+    Args:
+        sizes: input columns, units of each hidden layer.
+        generator: draws the weights.
+        device: where everything lives.
+    """
+
+    def __init__(self, sizes: tuple[int, ...], generator: torch.Generator, device: str) -> None:
+        self.network = MLP(Shape((*sizes, 1)), generator, device)
+        make_orthogonal(self.network, generator, last_gain=1.0)
+        self._returns = Normaliser(1, device)
+
+    def _scale(self) -> tuple[Tensor, Tensor]:
+        """Mean and standard deviation of the returns so far: float32, (1,) each."""
+        return self._returns.mean.float(), self._returns.spread.float()
+
+    def __call__(self, inputs: Tensor) -> Tensor:
+        """Values (n,) of normalised inputs (n, i)."""
+        mean, spread = self._scale()
+        return torch.addcmul(mean, self.network(inputs).squeeze(-1), spread)
+
+    def update_scale(self, returns: Tensor) -> None:
+        """Add returns (n,) to mean and standard deviation; values stay the same."""
+        mean, spread = self._scale()
+        self._returns.update(returns.unsqueeze(1))
+        new_mean, new_spread = self._scale()
+        last = len(self.network.shape.sizes) - 2
+        weight, bias = (self.network.named[f"layer{last}.{part}"] for part in ("weight", "bias"))
+        weight.mul_(spread / new_spread)
+        bias.mul_(spread).add_(mean - new_mean).div_(new_spread)
+
+    def backward(self, inputs: Tensor, target: Tensor, old_value: Tensor, clip: float | None) -> Tensor:
+        """`value_loss` in units of the returns' standard deviation; its gradient is left in the network's.
+
+        Args:
+            inputs: normalised, (n, i).
+            target: of their values, (n,).
+            old_value: their values before learning from the rollout, (n,).
+            clip: as in `value_loss`.
+        """
+        mean, spread = self._scale()
+        output, tapes = self.network.forward(inputs)
+        loss, gradient = value_loss(output.squeeze(-1), (target - mean) / spread, (old_value - mean) / spread, clip)
+        self.network.backward(gradient.unsqueeze(-1), tapes)
+        return loss
+
+    def state(self) -> State:
+        return {"network": self.network.state(), "returns": self._returns.state()}
+
+    def load_state(self, state: State) -> None:
+        """Raises UsageError when the state is of a network of another shape."""
+        self.network.load_state(state["network"])
+        self._returns.load_state(state["returns"])
+
+
+def make_orthogonal(network: MLP, generator: torch.Generator, *, last_gain: float) -> None:
+    """Set orthogonal weights (Saxe et al. 2014) and zero biases.
+
+    Args:
+        network: one without members.
+        generator: draws the weights, on the CPU.
+        last_gain: of the last layer; small, it makes the outputs start near 0. The other layers have sqrt(2).
+    """
+    weights = [view for name, view in network.named.items() if name.endswith("weight")]
+    network.vector.zero_()
+    for number, view in enumerate(weights, 1):
+        gain = last_gain if number == len(weights) else RELU_GAIN
+        view.copy_(torch.nn.init.orthogonal_(torch.empty(view.shape), gain, generator=generator))

@@ -1,4 +1,4 @@
-"""Soft actor-critic (Haarnoja et al. 2018, arXiv 1812.05905), with what sparse-reward robot tasks need on top."""
+"""Soft actor-critic (Haarnoja et al. 2018, arXiv 1812.05905), with additions for robot tasks with sparse rewards."""
 
 from __future__ import annotations
 
@@ -7,59 +7,28 @@ from collections.abc import Mapping
 from typing import Any, ClassVar
 
 import torch
-from numpy import int64
-from numpy.typing import NDArray
 from pydantic import Field as Setting
 from pydantic import model_validator
 from torch import Tensor
 
-from ..core import Agent, Batch, FloatArray, Signature, State
-from ..core.deployed import Deployed
+from ..core import Batch, Signature, State
 from ..core.seeding import SeedTree
-from .actor_critic import (
-    WATCHED_EVERY,
-    ActorCriticSettings,
-    critic_metrics,
-    imitation_loss,
-    load_parts,
-    parts_state,
-    squared_loss,
-)
-from .chain import Tape
-from .cuda_graphs import GraphedUpdates
-from .deployment import deployed
-from .device import is_low
-from .inputs import (
-    Fed,
-    Inputs,
-    acting_inputs,
-    feed,
-    is_observed,
-    normalised,
-    require_continuous,
-    saturation,
-    some_random,
-    to_array,
-    value_bounds,
-)
-from .networks import MLP, Shape
-from .noise import Noise, NoiseSettings
-from .normaliser import Normaliser
+from .actor_critic import ActorCritic, ActorCriticSettings, imitation_loss
+from .backprop import Tape
+from .critics import QuantileCritic, Quantiles, ValueCritic
+from .noise import NoiseSettings
 from .optimisation import Adam
-from .quantiles import Quantiles, quantile_huber, truncated
-from .squashed_gaussian import Sample, head_gradient, log_probability, mode, sample
-
-PARTS = ("policy", "critic", "target", "normaliser", "noise")
+from .squashed_gaussian import Sample, log_probability, output_gradient, sample
+from .tensors import REPORT_EVERY, TensorBatch, is_observed, saturation, tensor_batch
 
 
-class SAC(Agent):
-    """A stochastic policy that maximises return plus entropy, and two critics of which the smaller counts.
+class SAC(ActorCritic):
+    """A stochastic policy that maximises return plus entropy, and two critics, the smaller of which counts.
 
-    Off-policy, continuous actions in [-1, 1]. The temperature that weighs entropy is learned, so that the policy's
-    entropy comes near a target. Observations and goals are normalised by running statistics of what was learned from.
-    With `critic` each critic gives quantiles of the return and the largest are left out of targets, which makes it TQC
-    (Kuznetsov et al. 2020, arXiv 2005.04269). With a `noise` that lasts, exploring actions hang together over time;
-    each alone has the distribution that the policy gives it.
+    Off-policy, continuous actions in [-1, 1]. The temperature, the weight of the entropy, is learned so that the
+    policy's entropy comes near a target. Observations and goals are normalised by running statistics of the batches.
+    With `critic` the critics give quantiles of the return, which is TQC (Kuznetsov et al. 2020, arXiv 2005.04269). With
+    a correlated `noise` exploring actions are similar over time; each one still has the policy's distribution.
 
     Raises:
         UsageError: the environment takes discrete actions.
@@ -67,7 +36,7 @@ class SAC(Agent):
 
     class Settings(ActorCriticSettings):
         temperature: float = Setting(0.05, gt=0, description="weight of the entropy at the start")
-        temperature_min: float = Setting(0.0, ge=0, description="the learned temperature never falls below this")
+        temperature_min: float = Setting(0.0, ge=0, description="lower bound of the learned temperature")
         target_entropy: float | None = Setting(None, description="in nats; null: minus the number of action columns")
         entropy_in_target: bool = Setting(False, description="count the next action's entropy in the critics' target")
         critic: Quantiles | None = Setting(None, description="critics that give quantiles (TQC); null: values")
@@ -80,186 +49,154 @@ class SAC(Agent):
         @model_validator(mode="after")
         def _bounds_hold(self) -> SAC.Settings:
             if self.entropy_in_target and self.clip_targets:
-                raise ValueError("the reward range bounds no value that counts entropy: set clip_targets: false too")
+                raise ValueError("values that count entropy have no bounds from rewards: set clip_targets: false too")
             if self.temperature < self.temperature_min:
                 raise ValueError(f"temperature {self.temperature} is below temperature_min {self.temperature_min}")
             return self
 
-    on_policy: ClassVar[bool] = False
     learned: ClassVar[tuple[str, ...]] = ("policy", "critic", "target", "normaliser", "log_temperature")
+    stored: ClassVar[tuple[str, ...]] = ("policy", "critic", "target", "normaliser", "noise")
 
     def __init__(self, settings: SAC.Settings, signature: Signature, seeds: SeedTree, device: str = "cpu") -> None:
-        actions = require_continuous(signature, "sac")
-        self.settings, self.device, self.discount = settings, torch.device(device), settings.discount
-        inputs = signature.observation.size + signature.desired_goal.size
-        low = is_low(settings.precision, device)
-        drawn = torch.Generator().manual_seed(seeds.child("weights").integer())
-        self.policy = MLP(Shape((inputs, *settings.hidden, 2 * actions), low=low), drawn, device)
-        sizes = (inputs + actions, *settings.hidden, settings.critic.quantiles if settings.critic else 1)
-        self.critic = MLP(Shape(sizes, members=2, layer_norm=settings.layer_norm, low=low), drawn, device)
-        self.target = self.critic.copy()
-        self.normaliser = Normaliser(inputs, device)
-        self.noise = Noise(settings.noise, inputs, actions, self.device)
+        kind = QuantileCritic(settings.critic) if settings.critic else ValueCritic()
+        super().__init__(settings, signature, seeds, device, critic_kind=kind, members=2, policy_columns=2)
         self.log_temperature = torch.full((1,), math.log(settings.temperature), device=self.device)
-        self.optimisers = {
-            "policy": Adam(self.policy.vector, settings.rate, norm=settings.gradient_norm),
-            "critic": Adam(self.critic.vector, settings.rate, norm=settings.gradient_norm),
-            "temperature": Adam(self.log_temperature, settings.rate),
-        }
-        self.generator = torch.Generator(self.device).manual_seed(seeds.child("noise").integer())
-        self._graphed = GraphedUpdates(self.device, (self.policy, self.critic, self.target), self.generator)
-        self._target_entropy = -float(actions) if settings.target_entropy is None else settings.target_entropy
-        self._least_log_temperature = math.log(settings.temperature_min) if settings.temperature_min else -math.inf
-        self._bounds = value_bounds(signature, settings.discount, clip=settings.clip_targets)
+        self.optimisers["temperature"] = Adam(self.log_temperature, settings.rate)
+        self._target_entropy = -float(self.actions) if settings.target_entropy is None else settings.target_entropy
 
-    @torch.inference_mode()
-    def act(
-        self,
-        observation: FloatArray,
-        desired_goal: FloatArray,
-        *,
-        explore: bool,
-        environments: NDArray[int64] | None = None,
-    ) -> FloatArray:
-        """Actions (n, a) in [-1, 1] for observations (n, o) and goals (n, g)."""
-        rows = acting_inputs(observation, desired_goal, self.normaliser, self.device)
-        head = self.policy(rows, exact=True)
-        if not explore:
-            return to_array(mode(head))
-        action = sample(head, self.noise.draw(rows, self.generator, environments)).action
-        return to_array(some_random(action, self.settings.random_actions, self.generator))
-
-    def begin_episodes(self, environments: NDArray[int64]) -> None:
-        self.noise.begin(environments)
+    def explore(self, output: Tensor, noise: Tensor) -> Tensor:
+        return sample(output, noise).action
 
     @torch.inference_mode()
     def learn(self, batch: Batch) -> Mapping[str, Any]:
-        """One update of critics, policy, temperature and targets, in this order; now and then metrics, as tensors."""
-        delay = self.settings.policy_delay
-        update = self.optimisers["critic"].steps
-        watch, observe, policy = update % (WATCHED_EVERY * delay) == 0, is_observed(update), update % delay == 0
-        for name, optimiser in self.optimisers.items():
-            if policy or name == "critic":
-                optimiser.begin()
+        """One update: targets, critic step, policy step, temperature step, target networks."""
+        update, delay = self.optimisers["critic"].steps, self.settings.policy_delay
+        report, policy_turn = update % (REPORT_EVERY * delay) == 0, update % delay == 0
+        data = tensor_batch(batch, self.normaliser, self.device, observe=is_observed(update))
+        # One pass of the policy gives the actions in both s' and s: it changes after both are used.
+        actions, tapes = self.sample(data.both_inputs if policy_turn else data.next_input)
 
-        def work(fed: Fed) -> dict[str, Any]:
-            return self._update(normalised(fed, self.normaliser, observe=observe), watch=watch, policy=policy)
-
-        metrics = self._graphed.run((watch, observe, policy), feed(batch), work)
-        return metrics | self.optimisers["critic"].rate_watched(watch=watch)
-
-    def _update(self, inputs: Inputs, *, watch: bool, policy: bool) -> dict[str, Any]:
-        """Gradients are written down: autograd takes as long for a loss of 256 numbers as a product of two layers does.
-
-        `GraphedUpdates` says what an update may do.
-        """
-        if not policy:
-            metrics = self._learn_critic(inputs, self._draw(inputs.there)[0], watch=watch)
-        else:
-            drawn, tapes = self._draw(inputs.observed)  # for both ends of the transitions: the policy changes after
-            metrics = self._learn_critic(inputs, drawn, watch=watch)
-            count = len(inputs.action)
-            here = [tape.rows(count, count) for tape in tapes]
-            metrics |= self._learn_policy(inputs, drawn.rows(count), here, watch=watch)
+        metrics = self.critic_step(data, self.targets(data, actions), report=report)
+        if policy_turn:
+            count = len(data.action)
+            own = actions.rows(count)
+            temperature, log_probabilities = self.log_temperature.exp(), log_probability(own)
+            tapes = [tape.rows(count, count) for tape in tapes]
+            metrics |= self._policy_step(data, own, tapes, temperature, log_probabilities, report=report)
+            entropy = -log_probabilities.mean()
+            self._temperature_step(entropy)
+            if report:
+                metrics |= {"entropy": entropy, "temperature": temperature.squeeze(0)}
         self.target.follow(self.critic, self.settings.tau)
+
+        if report:
+            metrics["learning_rate"] = torch.tensor(self.optimisers["critic"].learning_rate)
         return metrics
 
-    def _draw(self, rows: Tensor) -> tuple[Sample, list[Tape]]:
-        """Actions of the policy, and the way back from them."""
-        head, tapes = self.policy.forward(rows)
-        noise = torch.randn((len(rows), head.shape[1] // 2), generator=self.generator, device=self.device)
-        return sample(head, noise), tapes
+    def sample(self, inputs: Tensor) -> tuple[Sample, list[Tape]]:
+        """a ~ pi(. | s), with the tapes of the policy network."""
+        output, tapes = self.policy.forward(inputs)
+        noise = torch.randn((len(inputs), self.actions), generator=self.generator, device=self.device)
+        return sample(output, noise), tapes
 
-    def targets(self, inputs: Inputs, following: Sample) -> Tensor:
-        """What the critics should say: (n,), or (n, k) samples of it where they give quantiles.
+    def targets(self, batch: TensorBatch, actions: Sample) -> Tensor:
+        """y = r + discount (Q'(s', a') - temperature log pi(a' | s')), clipped to the possible values: (n, k).
+
+        Source: Haarnoja et al. 2018, equations 3 and 5. The entropy counts with `entropy_in_target` only.
 
         Args:
-            inputs: the batch.
-            following: actions where its transitions lead; further rows are ignored.
+            batch: n transitions.
+            actions: a', the first n rows.
         """
-        count, critic = len(inputs.action), self.settings.critic
-        values = self.target(torch.cat((inputs.there, following.action[:count]), 1))
-        value = truncated(values, critic.drop) if critic else values.squeeze(-1).amin(0).unsqueeze(1)
+        count = len(batch.action)
+        outputs = self.target(torch.cat((batch.next_input, actions.action[:count]), 1))
+        value = self.critic_kind.target_values(outputs)
         if self.settings.entropy_in_target:
-            value = value - (self.log_temperature.exp() * log_probability(following)[:count]).unsqueeze(1)
-        target = torch.addcmul(inputs.reward.unsqueeze(1), inputs.discount.unsqueeze(1), value).clamp_(*self._bounds)
-        return target if critic else target.squeeze(1)
+            value = value - (self.log_temperature.exp() * log_probability(actions)[:count]).unsqueeze(1)
+        return torch.addcmul(batch.reward.unsqueeze(1), batch.discount.unsqueeze(1), value).clamp_(*self.bounds)
 
-    def _learn_critic(self, inputs: Inputs, following: Sample, *, watch: bool) -> dict[str, Any]:
-        targets = self.targets(inputs, following)
-        values, tapes = self.critic.forward(torch.cat((inputs.here, inputs.action), 1))
-        loss_of = quantile_huber if self.settings.critic else squared_loss
-        loss, slope = loss_of(values, targets, inputs.share)
-        self.critic.backward(slope, tapes)
-        length = self.optimisers["critic"].move(self.critic.gradient, "critic_gradient_norm", watch=watch)
-        if self.settings.critic:
-            return critic_metrics(loss, values.mean(-1), targets.mean(-1), watch=watch) | length
-        return critic_metrics(loss, values.squeeze(-1), targets, watch=watch) | length
+    def _policy_step(
+        self,
+        batch: TensorBatch,
+        own: Sample,
+        tapes: list[Tape],
+        temperature: Tensor,
+        log_probabilities: Tensor,
+        *,
+        report: bool,
+    ) -> dict[str, Any]:
+        """One gradient step of the policy.
 
-    def _value(self, values: Tensor) -> Tensor:
-        """What the policy takes from the critics' outputs: the smaller value, or the mean of all quantiles. (n,)."""
-        return values.mean((0, 2)) if self.settings.critic else values.squeeze(-1).amin(0)
-
-    def _value_gradient(self, values: Tensor, value: Tensor, pull: Tensor) -> Tensor:
-        """The gradient of the critics' outputs from that of `_value`, (n,)."""
-        if self.settings.critic:
-            return (pull / (values.shape[0] * values.shape[2])).view(1, -1, 1).expand_as(values)
-        return (values == value.unsqueeze(1)) * pull.unsqueeze(1)
-
-    def _learn_policy(self, inputs: Inputs, drawn: Sample, tapes: list[Tape], *, watch: bool) -> dict[str, Any]:
-        settings, share, action = self.settings, inputs.share, drawn.action
-        temperature = self.log_temperature.exp()
-        log_probabilities = log_probability(drawn)
-        values, critic_tapes = self.critic.forward(torch.cat((inputs.here, action), 1))
-        value = self._value(values)
-        for_action = self.critic.backward(
-            self._value_gradient(values, value, -share),
+        Args:
+            batch: n transitions.
+            own: the policy's actions in s.
+            tapes: of the policy network's pass that gave them.
+            temperature: (1,).
+            log_probabilities: log pi(own | s), (n,).
+            report: whether metrics are wanted.
+        """
+        settings, kind = self.settings, self.critic_kind
+        outputs, critic_tapes = self.critic.forward(torch.cat((batch.input, own.action), 1))
+        value = kind.policy_value(outputs)
+        action_gradient = self.critic.backward(
+            kind.policy_value_gradient(outputs, value, -batch.weight),
             critic_tapes,
             parameters=False,
-            columns=slice(inputs.observed.shape[1], None),
+            columns=slice(batch.input.shape[1], None),
         )
-        assert for_action is not None
+        assert action_gradient is not None
         if settings.action_penalty:
-            for_action.add_(action, alpha=2 * settings.action_penalty / action.numel())
-        for_head = head_gradient(drawn, for_action, temperature * share)
+            action_gradient.add_(own.action, alpha=2 * settings.action_penalty / own.action.numel())
+        gradient = policy_gradient(own, action_gradient, temperature, batch.weight)
         metrics: dict[str, Any] = {}
-        if settings.imitation and inputs.demonstrated is not None:
-            middle = torch.tanh(drawn.unbounded - drawn.shift)
-            shown, own = (self._value(self.critic(torch.cat((inputs.here, a), 1))) for a in (inputs.action, middle))
-            distance, for_middle = imitation_loss(middle, shown > own, inputs)
-            for_head[:, : middle.shape[1]] += settings.imitation * for_middle * (1 - middle.square())
-            metrics["imitation_loss"] = distance
-        self.policy.backward(for_head, tapes)
-        metrics |= self.optimisers["policy"].move(self.policy.gradient, "policy_gradient_norm", watch=watch)
-        entropy = -log_probabilities.mean()
-        self._learn_temperature(entropy)
-        if not watch:
-            return metrics
-        return {
-            **metrics,
-            "policy_loss": torch.dot(share, temperature * log_probabilities - value),
-            "entropy": entropy,
-            "temperature": temperature.squeeze(0),
-            "action_saturation": saturation(action),
-        }
+        if settings.imitation and batch.demonstrated is not None:
+            mode = torch.tanh(own.unbounded - own.shift)
+            demonstrated, current = (
+                kind.policy_value(self.critic(torch.cat((batch.input, action), 1))) for action in (batch.action, mode)
+            )
+            metrics["imitation_loss"], mode_gradient = imitation_loss(mode, demonstrated > current, batch)
+            gradient[:, : self.actions] += settings.imitation * mode_gradient * (1 - mode.square())
+        self.policy.backward(gradient, tapes)
+        metrics |= self.optimisers["policy"].step(self.policy.gradient, "policy_gradient_norm", report=report)
+        if report:
+            metrics["policy_loss"] = policy_loss(value, log_probabilities, temperature, batch.weight)
+            metrics["action_saturation"] = saturation(own.action)
+        return metrics
 
-    def _learn_temperature(self, entropy: Tensor) -> None:
-        """Raise the temperature while the policy's entropy is under its target. The gradient is written down."""
-        pull = (entropy - self._target_entropy).view(1)
-        self.optimisers["temperature"].move(pull)
+    def _temperature_step(self, entropy: Tensor) -> None:
+        """One gradient step of the log temperature, which rises while the entropy is below its target."""
+        self.optimisers["temperature"].step(temperature_gradient(entropy, self._target_entropy))
         if self.settings.temperature_min:
-            self.log_temperature.clamp_(min=self._least_log_temperature)
-
-    def deployed(self) -> Deployed:
-        """The mean of the policy, squashed."""
-        columns = self.policy.shape.sizes[-1] // 2  # the others are the log spread
-        return deployed(self.policy, self.normaliser, "tanh", columns=slice(columns))
+            self.log_temperature.clamp_(min=math.log(self.settings.temperature_min))
 
     def state(self) -> State:
-        """Everything that learning and acting depend on."""
-        return {**parts_state(self, PARTS), "log_temperature": self.log_temperature.clone()}
+        return {**super().state(), "log_temperature": self.log_temperature.clone()}
 
     def load_state(self, state: State) -> None:
-        """Raises UsageError when the state is of networks of another shape."""
-        load_parts(self, PARTS, state)
+        super().load_state(state)
         self.log_temperature.copy_(torch.as_tensor(state["log_temperature"]))
+
+
+def policy_loss(value: Tensor, log_probabilities: Tensor, temperature: Tensor, weight: Tensor) -> Tensor:
+    """L = sum_i weight_i (temperature log pi(a_i | s_i) - Q(s_i, a_i)). Source: Haarnoja et al. 2018, equation 7."""
+    return torch.dot(weight, temperature * log_probabilities - value)
+
+
+def policy_gradient(own: Sample, action_gradient: Tensor, temperature: Tensor, weight: Tensor) -> Tensor:
+    """The gradient of the loss by the policy network's output, (n, 2 a); the action is reparameterised (equation 9).
+
+    Args:
+        own: a_i, (n, a).
+        action_gradient: - weight dQ/da, (n, a), and the gradients of the additional terms.
+        temperature: (1,). d loss / d log pi = temperature weight.
+        weight: (n,).
+    """
+    return output_gradient(own, action_gradient, temperature * weight)
+
+
+def temperature_gradient(entropy: Tensor, target: float) -> Tensor:
+    """The gradient of L = log temperature (entropy - target) by the log temperature: (1,).
+
+    Source: Haarnoja et al. 2018, equation 18, with log temperature in place of the temperature, as in their code.
+    """
+    return (entropy - target).view(1)

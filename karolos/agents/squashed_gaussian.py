@@ -10,12 +10,14 @@ from torch import Tensor
 from torch.nn import functional
 
 LOG_STD = (-5.0, 2.0)
-"""Where the log of the spread is clamped: below, log-probabilities explode; above, tanh leaves only corners."""
+"""Bounds of the log standard deviation: below, log probabilities explode; above, tanh gives corners only."""
 
 
 class Sample(NamedTuple):
-    """Actions in [-1, 1], and what leads to them: (n, a) each. With s the clamped log spread, m the mean, e the noise:
-    action = tanh(u), u = m + exp(s) e."""
+    """Actions in [-1, 1] and the terms they are computed from, (n, a) each.
+
+    action = tanh(u), u = m + exp(s) e, with the mean m, the clamped log standard deviation s and the noise e.
+    """
 
     action: Tensor
     unbounded: Tensor
@@ -24,24 +26,19 @@ class Sample(NamedTuple):
     """exp(s) e"""
     log_std: Tensor
     """s"""
-    within: Tensor
-    """Whether s is the network's own, not clamped."""
+    unclamped: Tensor
+    """Whether s is the network's output itself."""
     noise: Tensor
     """e"""
 
     def rows(self, first: int) -> Sample:
-        """The same without the rows before `first`."""
+        """The rows from `first` on."""
         return Sample(*(field[first:] for field in self))
 
 
-def mode(head: Tensor) -> Tensor:
-    """The action without noise, (n, a), from the network's output (n, 2 a): mean and log spread."""
-    return torch.tanh(head.chunk(2, -1)[0])
-
-
-def sample(head: Tensor, noise: Tensor) -> Sample:
-    """Actions from the network's output (n, 2 a) and standard normal noise (n, a)."""
-    mean, raw = head.chunk(2, -1)
+def sample(output: Tensor, noise: Tensor) -> Sample:
+    """Actions from the network's output (n, 2 a), mean and log standard deviation, and standard normal noise (n, a)."""
+    mean, raw = output.chunk(2, -1)
     log_std = raw.clamp(*LOG_STD)
     shift = log_std.exp() * noise
     unbounded = mean + shift
@@ -51,7 +48,7 @@ def sample(head: Tensor, noise: Tensor) -> Sample:
 def log_probability(drawn: Sample) -> Tensor:
     """Log densities of the actions, (n,).
 
-    log(1 - tanh(u)^2) is written 2 (log 2 - u - softplus(-2 u)), which stays finite for any u.
+    log(1 - tanh(u)^2) is computed as 2 (log 2 - u - softplus(-2 u)), which is finite for any u.
     """
     gaussian = torch.addcmul(drawn.log_std, drawn.noise, drawn.noise, value=0.5)
     soft = functional.softplus(drawn.unbounded, beta=-2)  # - softplus(-2 u) / 2
@@ -60,12 +57,12 @@ def log_probability(drawn: Sample) -> Tensor:
     return -constant - gaussian.sub_(correction, alpha=2).sum(-1)
 
 
-def head_gradient(drawn: Sample, for_action: Tensor, for_log_probability: Tensor) -> Tensor:
-    """The gradient of the network's output (n, 2 a) from those of actions (n, a) and log-probabilities (n,).
+def output_gradient(drawn: Sample, action_gradient: Tensor, log_probability_gradient: Tensor) -> Tensor:
+    """The gradient by the network's output (n, 2 a) from those by actions (n, a) and log probabilities (n,).
 
     d tanh(u) / du = 1 - tanh(u)^2, d log p / du = 2 tanh(u), d log p / ds = -1 at fixed u, du / ds = exp(s) e.
     """
-    pull = for_log_probability.unsqueeze(-1)
-    for_mean = torch.ops.aten.tanh_backward(for_action, drawn.action).addcmul_(pull, drawn.action, value=2)
-    for_log_std = (for_mean * drawn.shift).sub_(pull).mul_(drawn.within)
-    return torch.cat((for_mean, for_log_std), -1)
+    column = log_probability_gradient.unsqueeze(-1)
+    by_mean = torch.ops.aten.tanh_backward(action_gradient, drawn.action).addcmul_(column, drawn.action, value=2)
+    by_log_std = (by_mean * drawn.shift).sub_(column).mul_(drawn.unclamped)
+    return torch.cat((by_mean, by_log_std), -1)

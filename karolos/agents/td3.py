@@ -2,15 +2,19 @@
 
 from __future__ import annotations
 
-from typing import Any
+from typing import Any, ClassVar
 
+import torch
 from pydantic import Field as Setting
+from torch import Tensor
 
-from .deterministic import Deterministic, DeterministicSettings, Variant
+from ..core import Signature
+from ..core.seeding import SeedTree
+from .ddpg import DDPG
 
 
-class TD3(Deterministic):
-    """DDPG with three cures for overestimated values: two critics, delayed policy updates, noise on target actions.
+class TD3(DDPG):
+    """DDPG with three remedies against overestimation: two critics, delayed policy steps, noise on target actions.
 
     Off-policy, continuous actions in [-1, 1].
 
@@ -18,17 +22,22 @@ class TD3(Deterministic):
         UsageError: the environment takes discrete actions.
     """
 
-    class Settings(DeterministicSettings):
-        target_noise: float = Setting(0.2, ge=0, description="standard deviation of noise on targets' actions")
-        noise_clip: float = Setting(0.5, ge=0, description="largest such noise")
-        policy_delay: int = Setting(2, ge=1, description="critic updates for each update of policy and targets")
+    class Settings(DDPG.Settings):
+        target_noise: float = Setting(0.2, ge=0, description="standard deviation of noise on the target's action")
+        noise_clip: float = Setting(0.5, ge=0, description="largest noise on the target's action")
+        policy_delay: int = Setting(2, ge=1, description="critic updates for each update of policy and target networks")
 
-    @staticmethod
-    def variant_of(settings: Any) -> Variant:
-        return Variant(
-            "td3",
-            critics=2,
-            target_noise=settings.target_noise,
-            noise_clip=settings.noise_clip,
-            policy_delay=settings.policy_delay,
-        )
+    critics: ClassVar[int] = 2
+
+    def __init__(self, settings: Any, signature: Signature, seeds: SeedTree, device: str = "cpu") -> None:
+        super().__init__(settings, signature, seeds, device)
+        self.policy_delay = settings.policy_delay
+
+    def next_action(self, next_input: Tensor) -> Tensor:
+        """a' = clip(pi'(s') + clip(noise, -c, c), -1, 1): target policy smoothing, equation 14."""
+        action = super().next_action(next_input)
+        if not self.settings.target_noise:
+            return action
+        noise = torch.randn(action.shape, generator=self.generator, device=self.device)
+        clip = self.settings.noise_clip
+        return (action + noise.mul_(self.settings.target_noise).clamp_(-clip, clip)).clamp_(-1, 1)

@@ -5,7 +5,7 @@ from __future__ import annotations
 import pytest
 import torch
 
-from karolos.agents.device import is_low
+from karolos.agents.device import uses_bfloat16
 
 
 @pytest.mark.parametrize(
@@ -16,10 +16,10 @@ def test_auto_takes_bfloat16_only_where_the_cpu_computes_in_it(
     capabilities: dict[str, bool], low: bool, monkeypatch: pytest.MonkeyPatch
 ) -> None:
     monkeypatch.setattr(torch.cpu, "get_capabilities", lambda: capabilities)
-    assert is_low("auto", "cpu") is low
-    assert not is_low("auto", "cuda")
+    assert uses_bfloat16("auto", "cpu") is low
+    assert not uses_bfloat16("auto", "cuda")
 
 
 def test_a_precision_that_is_named_is_taken() -> None:
-    assert is_low("bfloat16", "cpu")
-    assert not is_low("float32", "cpu")
+    assert uses_bfloat16("bfloat16", "cpu")
+    assert not uses_bfloat16("float32", "cpu")

@@ -12,7 +12,7 @@ from pydantic import ValidationError
 from support.parts import batch, signature
 
 from karolos.agents.dqn import DQN
-from karolos.agents.inputs import Inputs, feed, normalised
+from karolos.agents.tensors import TensorBatch, tensor_batch
 from karolos.buffers.uniform import Uniform
 from karolos.core import Discrete, Signature, Transitions
 from karolos.core.seeding import SeedTree
@@ -37,8 +37,8 @@ def some(size: int, seed: int = 0, of: Signature | None = None, **fixed: Any) ->
     return batch(size, of or discrete(), seed, **{"action": action, **fixed})
 
 
-def values(agent: DQN, inputs: Inputs) -> np.ndarray:
-    head = agent.network(inputs.here).detach()
+def values(agent: DQN, inputs: TensorBatch) -> np.ndarray:
+    head = agent.network(inputs.input).detach()
     return agent._values(head).numpy()
 
 
@@ -50,7 +50,7 @@ def test_values_look_beyond_a_truncation_and_not_beyond_a_termination(
     agent = make(discount=0.8, learning_rate=5e-3, **settings)
     for seed in range(300):
         agent.learn(some(32, seed % 20, reward=1, terminated=terminated, discount=0.8))
-    found = values(agent, normalised(feed(some(200, 99)), agent.normaliser))
+    found = values(agent, tensor_batch(some(200, 99), agent.normaliser, agent.device))
     assert found.mean() == pytest.approx(value, rel=0.05)
 
 
@@ -60,8 +60,8 @@ def test_target_is_what_the_target_network_says_of_the_action_that_the_online_ne
     agent.target.vector.copy_(torch.randn(agent.target.vector.shape, generator=torch.Generator().manual_seed(3)))
     ended = (np.arange(64) % 3 == 0).astype(np.float32)
     data = some(64, terminated=ended, discount=0.9)
-    inputs = normalised(feed(data), agent.normaliser)
-    online, theirs = (network(inputs.there).detach().numpy() for network in (agent.network, agent.target))
+    inputs = tensor_batch(data, agent.normaliser, agent.device)
+    online, theirs = (network(inputs.next_input).detach().numpy() for network in (agent.network, agent.target))
     preferred = (online if double_q else theirs).argmax(1)
     expected = data.reward + 0.9 * (1 - ended) * theirs[np.arange(64), preferred]
     np.testing.assert_allclose(agent.targets(inputs).numpy(), expected, rtol=1e-5)
@@ -72,21 +72,21 @@ def test_targets_stay_within_what_rewards_make_possible() -> None:
     bounded = replace(discrete(), reward_range=(-1.0, 0.0))
     for clip, least in ((True, -10.0), (False, -100.0)):
         agent = make(bounded, discount=0.9, clip_targets=clip)
-        inputs = normalised(feed(some(64, reward=-100, terminated=1)), agent.normaliser)
+        inputs = tensor_batch(some(64, reward=-100, terminated=1), agent.normaliser, agent.device)
         assert agent.targets(inputs).min() == pytest.approx(least)
 
 
 def test_values_of_an_episode_that_ends_at_once_are_possible_too() -> None:
     agent = make(replace(discrete(), reward_range=(1.0, 2.0)), discount=0.9)
     for reward, terminated, expected in ((1, 1, 1), (-5, 1, 1), (100, 0, 20)):
-        inputs = normalised(feed(some(8, reward=reward, terminated=terminated)), agent.normaliser)
+        inputs = tensor_batch(some(8, reward=reward, terminated=terminated), agent.normaliser, agent.device)
         np.testing.assert_allclose(agent.targets(inputs).numpy(), expected, rtol=1e-6)
 
 
 def test_the_dueling_head_gives_advantages_with_the_mean_zero() -> None:
     agent = make(dueling=True)
-    inputs = normalised(feed(some(32)), agent.normaliser)
-    head = agent.network(inputs.here).detach().numpy()
+    inputs = tensor_batch(some(32), agent.normaliser, agent.device)
+    head = agent.network(inputs.input).detach().numpy()
     assert head.shape == (32, 1 + ACTIONS)
     found = values(agent, inputs)
     np.testing.assert_allclose(found.mean(1), head[:, 0], atol=1e-5)
@@ -99,7 +99,7 @@ def test_loss_is_the_weighted_mean_over_the_values_of_the_actions_taken(loss: st
     weight = np.linspace(0, 1, 32).astype(np.float32)
     data = some(32, reward=3, terminated=1, weight=weight)
     copy = make(loss=loss, clip_targets=False)
-    inputs = normalised(feed(data), copy.normaliser)
+    inputs = tensor_batch(data, copy.normaliser, copy.device)
     errors = values(copy, inputs)[np.arange(32), data.action[:, 0].astype(int)] - data.reward
     size = np.abs(errors)
     each = np.where(size < 1, size**2 / 2, size - 0.5) if loss == "huber" else size**2
@@ -146,8 +146,6 @@ def test_each_environment_explores_with_probability_epsilon_and_tests_do_not() -
     agent = make(epsilon_start=0.4, epsilon_end=0.4)
     data = some(4000)
     best = agent.act(data.observation, data.desired_goal, explore=False)
-    inputs = normalised(feed(data), make().normaliser)
-    assert inputs.here.shape == (4000, 5)
     for _ in range(2):
         explored = agent.act(data.observation, data.desired_goal, explore=True)
         # a random action is the best one once in ACTIONS times
@@ -195,7 +193,7 @@ def test_an_action_survives_the_buffer_as_the_index_it_was() -> None:
         )
     sampled = buffer.sample(500)
     agent = DQN(DQN.Settings.model_validate(SMALL), of, SeedTree(0))
-    index = normalised(feed(sampled), agent.normaliser).action.long()
+    index = tensor_batch(sampled, agent.normaliser, agent.device).action.long()
     np.testing.assert_array_equal(index.numpy()[:, 0], sampled.observation[:, 0].astype(np.int64))
 
 

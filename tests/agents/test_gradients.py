@@ -14,12 +14,11 @@ from torch.nn.functional import mse_loss, smooth_l1_loss
 
 from karolos.agents.ddpg import DDPG
 from karolos.agents.dqn import DQN
-from karolos.agents.gaussian import Gaussian
-from karolos.agents.inputs import Inputs, feed, normalised
 from karolos.agents.networks import MLP
-from karolos.agents.ppo import PPO, _Taken
+from karolos.agents.ppo import PPO, Gaussian, Transitions
 from karolos.agents.sac import SAC
 from karolos.agents.td3 import TD3
+from karolos.agents.tensors import TensorBatch, tensor_batch
 from karolos.core import Batch, Discrete, Signature
 from karolos.core.seeding import SeedTree
 
@@ -39,20 +38,20 @@ def data() -> Batch:
     return batch(64, signature(), discount=0.5)._replace(weight=weight, demonstrated=shown)
 
 
-def value(critic: MLP, inputs: Inputs, action: Tensor) -> Tensor:
+def value(critic: MLP, inputs: TensorBatch, action: Tensor) -> Tensor:
     """(members, n, quantiles)."""
-    return plain(critic, torch.cat((inputs.here, action), 1))
+    return plain(critic, torch.cat((inputs.input, action), 1))
 
 
-def critics_gradient(critic: MLP, inputs: Inputs, targets: Tensor) -> Tensor:
+def critics_gradient(critic: MLP, inputs: TensorBatch, targets: Tensor) -> Tensor:
     """Of the weighted mean squared error, summed over the critics."""
     parameters = leaf(critic)
-    values = plain(critic, torch.cat((inputs.here, inputs.action), 1), parameters).squeeze(-1)
-    error = (inputs.weight * (values - targets).square()).mean(1).sum()
+    values = plain(critic, torch.cat((inputs.input, inputs.action), 1), parameters).squeeze(-1)
+    error = (inputs.weight * (values - targets.squeeze(1)).square()).sum()
     return torch.autograd.grad(error, parameters)[0]
 
 
-def shown(action: Tensor, better: Tensor, inputs: Inputs) -> Tensor:
+def shown(action: Tensor, better: Tensor, inputs: TensorBatch) -> Tensor:
     """Mean squared distance to the demonstrated actions that the critics prefer."""
     assert inputs.demonstrated is not None
     distance = (action - inputs.action).square().sum(1)
@@ -67,19 +66,19 @@ def test_sacs_gradients_are_those_of_its_losses(options: dict[str, Any]) -> None
     agent.learn(data())
     found = {"policy": agent.policy.gradient.clone(), "critic": agent.critic.gradient.clone()}
 
-    inputs = normalised(feed(data()), agent.normaliser, observe=False)
+    inputs = tensor_batch(data(), agent.normaliser, agent.device, observe=False)
     noise = torch.randn((128, 2), generator=agent.generator.set_state(before))
 
     def policys(values: Tensor) -> Tensor:
         return values.mean((0, 2)) if settings.critic else values.squeeze(-1).min(0).values
 
     policy = leaf(agent.policy)
-    mean, log_std = plain(agent.policy, inputs.here, policy).chunk(2, -1)
+    mean, log_std = plain(agent.policy, inputs.input, policy).chunk(2, -1)
     gaussian = torch.distributions.Normal(mean, log_std.exp())
     unbounded = mean + log_std.exp() * noise[64:]
     action = torch.tanh(unbounded)
     log_probability = (gaussian.log_prob(unbounded) - torch.log(1 - action.square())).sum(1)
-    loss = (inputs.weight * (0.3 * log_probability - policys(value(agent.critic, inputs, action)))).mean()
+    loss = (inputs.weight * (0.3 * log_probability - policys(value(agent.critic, inputs, action)))).sum()
     loss = loss + settings.action_penalty * action.square().mean()
     middle = torch.tanh(mean)
     better = policys(value(agent.critic, inputs, inputs.action)) > policys(value(agent.critic, inputs, middle))
@@ -88,7 +87,7 @@ def test_sacs_gradients_are_those_of_its_losses(options: dict[str, Any]) -> None
     torch.testing.assert_close(found["policy"], expected, rtol=1e-3, atol=1e-6)
     if settings.critic is None:
         agent.generator.set_state(before)
-        targets = agent.targets(inputs, agent._draw(inputs.observed)[0])
+        targets = agent.targets(inputs, agent.sample(inputs.both_inputs)[0])
         expected = critics_gradient(agent.critic, inputs, targets)
         torch.testing.assert_close(found["critic"], expected, rtol=1e-3, atol=1e-6)
 
@@ -102,11 +101,11 @@ def test_deterministic_agents_gradients_are_those_of_their_losses(agent: Any, op
     made.learn(data())
     found = {"policy": made.policy.gradient.clone(), "critic": made.critic.gradient.clone()}
 
-    inputs = normalised(feed(data()), made.normaliser, observe=False)
+    inputs = tensor_batch(data(), made.normaliser, made.device, observe=False)
     policy = leaf(made.policy)
-    action = torch.tanh(plain(made.policy, inputs.here, policy))
+    action = torch.tanh(plain(made.policy, inputs.input, policy))
     own, demonstrated = (value(made.critic, inputs, a)[0, :, 0] for a in (action, inputs.action))
-    loss = (-inputs.weight * own).mean() + settings.action_penalty * action.square().mean()
+    loss = (-inputs.weight * own).sum() + settings.action_penalty * action.square().mean()
     loss = loss + settings.imitation * shown(action, demonstrated > own, inputs)
     expected = torch.autograd.grad(loss, policy)[0]
     torch.testing.assert_close(found["policy"], expected, rtol=1e-3, atol=1e-6)
@@ -128,14 +127,14 @@ def test_dqns_gradient_is_that_of_its_loss(options: dict[str, Any], dueling: boo
     told = agent.learn(played)
     found = agent.network.gradient.clone()
 
-    inputs = normalised(feed(played), agent.normaliser, observe=False)
+    inputs = tensor_batch(played, agent.normaliser, agent.device, observe=False)
     network = leaf(agent.network)
-    head = plain(agent.network, inputs.here, network)
+    head = plain(agent.network, inputs.input, network)
     values = head[:, :1] + head[:, 1:] - head[:, 1:].mean(1, keepdim=True) if dueling else head
     targets = agent.targets(inputs)
     mine = values.gather(1, inputs.action.long()).squeeze(1)
     loss_of = smooth_l1_loss if settings.loss == "huber" else mse_loss
-    loss = (inputs.weight * loss_of(mine, targets, reduction="none")).mean()
+    loss = (inputs.weight * loss_of(mine, targets, reduction="none")).sum()
     torch.testing.assert_close(told["value_loss"], loss.detach())
     torch.testing.assert_close(found, torch.autograd.grad(loss, network)[0], rtol=1e-3, atol=1e-6)
 
@@ -155,7 +154,7 @@ def test_ppos_gradients_are_those_of_its_losses(discrete: bool, options: dict[st
     inputs = noise(64, 5)
     agent.policy.vector.add_(noise(len(agent.policy.vector)), alpha=0.1)  # away from even odds and zero means
     action = torch.randint(3, (64, 1), generator=generator).float() if discrete else noise(64, 2)
-    taken = _Taken(
+    taken = Transitions(
         inputs=inputs,
         action=action,
         log_probability=agent.distribution.log_probability(agent.policy(inputs), action) + 0.3 * noise(64),
@@ -165,7 +164,7 @@ def test_ppos_gradients_are_those_of_its_losses(discrete: bool, options: dict[st
     )
     policy, value = leaf(agent.policy), leaf(agent.value.network)
     log_std = torch.zeros(2, requires_grad=True)
-    told = agent._update(taken)
+    told = agent.update(taken)
     assert told is not None
 
     head = plain(agent.policy, inputs, policy)

@@ -11,9 +11,9 @@ from support.parts import batch, signature
 
 from karolos.agents.actor_critic import imitation_loss
 from karolos.agents.ddpg import DDPG
-from karolos.agents.inputs import feed, normalised
 from karolos.agents.sac import SAC
 from karolos.agents.td3 import TD3
+from karolos.agents.tensors import tensor_batch
 from karolos.core import Agent, Batch
 from karolos.core.seeding import SeedTree
 
@@ -55,12 +55,12 @@ def test_the_term_is_zero_where_the_critic_prefers_the_policys_own_action(agent:
 def test_the_term_is_the_mean_over_demonstrated_rows_alone() -> None:
     agent = make(SAC)
     data = demonstrated(0.5, size=4)
-    inputs = normalised(feed(data), agent.normaliser)
+    inputs = tensor_batch(data, agent.normaliser, agent.device)
     action = torch.zeros(4, 2)
     found, slope = imitation_loss(action, torch.tensor([True, False, True, True]), inputs)
     assert found.item() == pytest.approx((data.action[0] ** 2).sum() / 2)
     torch.testing.assert_close(slope, torch.cat((-inputs.action[:1], torch.zeros(3, 2))))  # 2 (0 - a) / 2
-    none = normalised(feed(demonstrated(0.0, size=4)), agent.normaliser)
+    none = tensor_batch(demonstrated(0.0, size=4), agent.normaliser, agent.device)
     assert imitation_loss(action, torch.ones(4, dtype=torch.bool), none)[0].item() == 0
 
 

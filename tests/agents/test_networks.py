@@ -71,7 +71,7 @@ def test_stacked_members_equal_separate_networks_in_outputs_and_gradients(
 @pytest.mark.parametrize("layer_norm", [False, True])
 @pytest.mark.parametrize("low", [False, True])
 def test_some_rows_of_a_pass_have_the_gradient_of_a_pass_of_their_own(low: bool, layer_norm: bool) -> None:
-    network = MLP(Shape(SIZES, low=low, layer_norm=layer_norm), generator(), "cpu")
+    network = MLP(Shape(SIZES, bfloat16=low, layer_norm=layer_norm), generator(), "cpu")
     x, pull = torch.randn((32, 20), generator=generator(1)), torch.randn((16, 3), generator=generator(2))
     outputs, tapes = network.forward(x)
     network.backward(pull, [tape.rows(16, 16) for tape in tapes])
@@ -84,7 +84,7 @@ def test_some_rows_of_a_pass_have_the_gradient_of_a_pass_of_their_own(low: bool,
 
 @pytest.mark.parametrize("low", [False, True])
 def test_the_first_member_is_computed_alone_as_among_the_others(low: bool) -> None:
-    network = MLP(Shape((20, 64, 48, 1), members=2, low=low), generator(), "cpu")
+    network = MLP(Shape((20, 64, 48, 1), members=2, bfloat16=low), generator(), "cpu")
     x, pull = torch.randn((32, 20), generator=generator(1)), torch.zeros((2, 32, 1))
     pull[0] = torch.randn((32, 1), generator=generator(2))
     both, tapes = network.forward(x)
@@ -95,7 +95,7 @@ def test_the_first_member_is_computed_alone_as_among_the_others(low: bool) -> No
 
 
 def test_one_outputs_gradient_by_the_inputs_is_the_same_in_bfloat16() -> None:
-    low, exact = (MLP(Shape((20, 64, 48, 1), members=2, low=low), generator(), "cpu") for low in (True, False))
+    low, exact = (MLP(Shape((20, 64, 48, 1), members=2, bfloat16=low), generator(), "cpu") for low in (True, False))
     x, pull = torch.randn((64, 20), generator=generator(1)), torch.randn((2, 64, 1), generator=generator(2))
     found = []
     for network in (low, exact):
@@ -117,7 +117,7 @@ def test_a_network_alone_equals_torch_in_outputs_and_gradients() -> None:
 
 @pytest.mark.parametrize("layer_norm", [False, True])
 def test_bfloat16_stays_near_float32(layer_norm: bool) -> None:
-    low = MLP(Shape(SIZES, members=2, low=True, layer_norm=layer_norm), generator(), "cpu")
+    low = MLP(Shape(SIZES, members=2, bfloat16=True, layer_norm=layer_norm), generator(), "cpu")
     exact = MLP(Shape(SIZES, members=2, layer_norm=layer_norm), generator(), "cpu")
     x = torch.randn((64, 20), generator=generator(1))
     outputs = []
@@ -131,13 +131,13 @@ def test_bfloat16_stays_near_float32(layer_norm: bool) -> None:
 
 
 def test_exact_outputs_do_not_depend_on_precision() -> None:
-    low, exact = (MLP(Shape(SIZES, low=low), generator(), "cpu") for low in (True, False))
+    low, exact = (MLP(Shape(SIZES, bfloat16=low), generator(), "cpu") for low in (True, False))
     x = torch.randn((8, 20), generator=generator(1))
     assert torch.equal(low(x, exact=True), exact(x))
 
 
 def test_an_optimiser_step_reaches_the_bfloat16_weights() -> None:
-    network = MLP(Shape(SIZES, low=True), generator(), "cpu")
+    network = MLP(Shape(SIZES, bfloat16=True), generator(), "cpu")
     x = torch.randn((64, 20), generator=generator(1))
     optimiser = Adam(network.vector, 0.01)
     for _ in range(20):

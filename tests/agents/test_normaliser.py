@@ -1,4 +1,4 @@
-"""Statistics and their inverse."""
+"""Running statistics, and inputs normalised by them."""
 
 from __future__ import annotations
 
@@ -25,17 +25,6 @@ def test_statistics_over_batches_equal_those_over_all_rows(batches: list[np.ndar
     np.testing.assert_allclose(normaliser.mean.numpy(), together.mean(0), rtol=1e-6, atol=1e-6)
     expected = np.maximum(together.std(0), SMALLEST_SPREAD)
     np.testing.assert_allclose(normaliser.spread.numpy(), expected, rtol=1e-4, atol=1e-4)
-
-
-@given(rows=hnp.arrays(np.float32, (12, 4), elements=st.floats(-10, 10, width=32)))
-@settings(max_examples=50, deadline=None)
-def test_inverse_gives_back_what_was_not_clipped(rows: np.ndarray) -> None:
-    normaliser = Normaliser(4, "cpu")
-    normaliser.update(torch.from_numpy(rows))
-    normal = normaliser(torch.from_numpy(rows))
-    back = normaliser.inverse(normal).numpy()
-    inside = normal.abs().numpy() < CLIP
-    np.testing.assert_allclose(back[inside], rows[inside], rtol=1e-4, atol=1e-3)
 
 
 def test_inputs_pass_unchanged_before_the_first_update() -> None:

@@ -12,10 +12,7 @@ import torch
 from pydantic import ValidationError
 from support.parts import signature
 
-from karolos.agents.advantages import advantages
-from karolos.agents.categorical import Categorical
-from karolos.agents.gaussian import Gaussian
-from karolos.agents.ppo import PPO
+from karolos.agents.ppo import PPO, Categorical, Gaussian, advantages
 from karolos.core import Discrete, Rollout, Signature
 from karolos.core.seeding import SeedTree
 from karolos.errors import UsageError
@@ -92,7 +89,7 @@ def test_a_reward_of_one_is_worth_all_that_would_follow_a_truncated_step_and_one
         here = np.random.default_rng(number).uniform(-1, 1, (8, 4, 3)).astype(np.float32)
         rollout = played(agent, of, seed=number, reward=1.0, ended=over, terminated=over & (kind == "terminated"))
         agent.learn(rollout._replace(observation=here, next_observation=here))
-    rows = agent._rows(rollout._replace(observation=here), "observation")
+    rows = agent._inputs(here, rollout.desired_goal)
     value = agent.value(rows).numpy()
     np.testing.assert_allclose(value, 1 / (1 - 0.5) if kind == "truncated" else 1.0, rtol=0.05)
 
@@ -156,13 +153,13 @@ def test_every_transition_is_learned_from_exactly_epochs_times(monkeypatch: pyte
     stored = np.arange(8)[:, None] < [8, 5, 0, 8]
     rollout = played(agent, of, stored=stored)
     seen: Counter[bytes] = Counter()
-    update = PPO._update
+    update = PPO.update
 
     def counted(self: PPO, taken: Any) -> Any:
         seen.update(row.tobytes() for row in taken.action.numpy())
         return update(self, taken)
 
-    monkeypatch.setattr(PPO, "_update", counted)
+    monkeypatch.setattr(PPO, "update", counted)
     assert agent.learn(rollout)["updates"] == 12
     assert seen == Counter({row.tobytes(): 3 for row in rollout.action[stored]})
 
@@ -213,7 +210,7 @@ def test_values_stay_as_they_are_when_their_scale_changes() -> None:
     agent.learn(played(agent, of))
     rows = torch.randn(50, 5)
     before = agent.value(rows)
-    agent.value.fit_scale(torch.linspace(-3000, 500, 1000))
+    agent.value.update_scale(torch.linspace(-3000, 500, 1000))
     torch.testing.assert_close(agent.value(rows), before, rtol=1e-4, atol=1e-3)
 
 
@@ -236,7 +233,7 @@ def test_clipped_values_move_no_further_than_asked_for_gain() -> None:
         agent = made(of, value_clip=clip, learning_rate=1e-2, epochs=20, minibatches=1)
         agent.learn(played(agent, of, reward=0.0))
         rollout = played(agent, of, seed=1, reward=20.0)
-        rows = agent._rows(rollout, "observation")
+        rows = agent._inputs(rollout.observation, rollout.desired_goal)
         before = agent.value(rows)
         agent.learn(rollout)
         moved.append(float((agent.value(rows) - before).abs().mean()))

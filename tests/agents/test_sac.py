@@ -11,8 +11,8 @@ import torch
 from pydantic import ValidationError
 from support.parts import batch, signature
 
-from karolos.agents.inputs import ALL_OBSERVED, OBSERVED_EVERY, Inputs, feed, normalised
 from karolos.agents.sac import SAC
+from karolos.agents.tensors import ALL_OBSERVED, OBSERVED_EVERY, TensorBatch, tensor_batch
 from karolos.core import Batch, Discrete, Signature
 from karolos.core.seeding import SeedTree
 from karolos.errors import UsageError
@@ -26,13 +26,13 @@ def make(of: Signature | None = None, seed: int = 0, **settings: Any) -> SAC:
 
 def values(agent: SAC, of: Batch) -> torch.Tensor:
     with torch.no_grad():
-        inputs = normalised(feed(of), agent.normaliser)
-        return agent.critic(torch.cat((inputs.here, inputs.action), 1)).squeeze(-1)
+        inputs = tensor_batch(of, agent.normaliser, agent.device)
+        return agent.critic(torch.cat((inputs.input, inputs.action), 1)).squeeze(-1)
 
 
-def targets_of(agent: SAC, inputs: Inputs) -> torch.Tensor:
+def targets_of(agent: SAC, inputs: TensorBatch) -> torch.Tensor:
     with torch.no_grad():
-        return agent.targets(inputs, agent._draw(inputs.there)[0])
+        return agent.targets(inputs, agent.sample(inputs.next_input)[0])
 
 
 def leaves(state: Any) -> list[Any]:
@@ -60,7 +60,7 @@ def test_values_look_beyond_a_truncation_and_not_beyond_a_termination(terminated
 def test_the_target_discounts_by_what_the_batch_says() -> None:
     agent = make()
     data = batch(16, signature(), discount=0.5, reward=2)
-    inputs = normalised(feed(data), agent.normaliser)
+    inputs = tensor_batch(data, agent.normaliser, agent.device)
     generator = agent.generator.get_state()
     half = targets_of(agent, inputs)
     agent.generator.set_state(generator)
@@ -76,21 +76,25 @@ def test_targets_stay_within_what_rewards_make_possible() -> None:
     agent = make(bounded, discount=0.9)
     far = batch(64, bounded, reward=0, discount=0.9)
     agent.target.named["layer2.bias"].fill_(-100)
-    assert targets_of(agent, normalised(feed(far), agent.normaliser)).min() == pytest.approx(-10)
+    assert targets_of(agent, tensor_batch(far, agent.normaliser, agent.device)).min() == pytest.approx(-10)
     agent.target.named["layer2.bias"].fill_(100)
-    assert targets_of(agent, normalised(feed(far), agent.normaliser)).max() == 0
+    assert targets_of(agent, tensor_batch(far, agent.normaliser, agent.device)).max() == 0
     free = make(bounded, discount=0.9, clip_targets=False)
     free.target.named["layer2.bias"].fill_(100)
-    assert targets_of(free, normalised(feed(far), free.normaliser)).min() > 50
+    assert targets_of(free, tensor_batch(far, free.normaliser, free.device)).min() > 50
 
 
-def test_entropy_enters_the_target_only_when_asked() -> None:
-    plain = make(temperature=1.0)
-    soft = make(temperature=1.0, entropy_in_target=True, clip_targets=False)
-    data = batch(64, signature())
-    hard_targets = targets_of(plain, normalised(feed(data), plain.normaliser))
-    soft_targets = targets_of(soft, normalised(feed(data), soft.normaliser))
-    assert (hard_targets - soft_targets).abs().min() > 0
+def test_the_target_counts_the_entropy_of_the_next_action_as_a_gain_only_when_asked() -> None:
+    plain = make(clip_targets=False)
+    soft = make(temperature=2.0, entropy_in_target=True, clip_targets=False)
+    data = tensor_batch(batch(64, signature(), discount=0.5), plain.normaliser, plain.device)
+    next_actions, _ = soft.sample(data.next_input)
+    difference = soft.targets(data, next_actions) - plain.targets(data, next_actions)
+    head = soft.policy(data.next_input)
+    gaussian = torch.distributions.Normal(head[:, :2], head[:, 2:].exp())
+    action = next_actions.action.clamp(-1 + 1e-6, 1 - 1e-6)
+    log_density = (gaussian.log_prob(action.atanh()) - torch.log(1 - action.square())).sum(1)
+    torch.testing.assert_close(difference.squeeze(1), -0.5 * 2.0 * log_density, rtol=1e-3, atol=1e-3)
 
 
 def test_transitions_that_weigh_nothing_teach_nothing() -> None:
@@ -110,7 +114,7 @@ def test_transitions_that_weigh_nothing_teach_nothing() -> None:
 
 def test_smaller_critic_counts_in_targets() -> None:
     agent = make()
-    inputs = normalised(feed(batch(32, signature(), reward=0, discount=1)), agent.normaliser)
+    inputs = tensor_batch(batch(32, signature(), reward=0, discount=1), agent.normaliser, agent.device)
     agent.target.named["layer2.bias"][1] += 100
     high = targets_of(agent, inputs)
     agent.target.named["layer2.bias"][0] -= 100

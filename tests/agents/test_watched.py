@@ -13,12 +13,12 @@ import numpy as np
 import pytest
 from support.parts import batch, signature
 
-from karolos.agents.actor_critic import WATCHED_EVERY
 from karolos.agents.ddpg import DDPG
 from karolos.agents.dqn import DQN
 from karolos.agents.ppo import PPO
 from karolos.agents.sac import SAC
 from karolos.agents.td3 import TD3
+from karolos.agents.tensors import REPORT_EVERY
 from karolos.core import Discrete, Rollout, Signature
 from karolos.core.seeding import SeedTree
 
@@ -63,7 +63,7 @@ def updates(kind: Any, options: dict[str, Any], count: int) -> Iterator[dict[str
 def test_replaying_agents_say_what_their_authors_would_look_at(
     kind: Any, options: dict[str, Any], series: set[str]
 ) -> None:
-    every = WATCHED_EVERY * options.get("policy_delay", 2 if kind is TD3 else 1)
+    every = REPORT_EVERY * options.get("policy_delay", 2 if kind is TD3 else 1)
     made = updates(kind, options, 2 * every)
     for _ in range(2):  # in each stretch of updates, not in the first alone
         told: dict[str, Any] = {}
@@ -75,8 +75,8 @@ def test_replaying_agents_say_what_their_authors_would_look_at(
 
 @pytest.mark.parametrize(("kind", "options"), [(kind, options) for kind, options, _ in REPLAYING if not options])
 def test_most_updates_say_priorities_alone_and_take_no_time_for_more(kind: Any, options: dict[str, Any]) -> None:
-    told = [set(metrics) for metrics in updates(kind, options, 4 * WATCHED_EVERY)]
-    assert sum(names == {"priorities"} for names in told) == len(told) * (1 - 1 / WATCHED_EVERY)
+    told = [set(metrics) for metrics in updates(kind, options, 4 * REPORT_EVERY)]
+    assert sum(names == {"priorities"} for names in told) == len(told) * (1 - 1 / REPORT_EVERY)
 
 
 def rollout(of: Signature, columns: int) -> Rollout:

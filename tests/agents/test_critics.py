@@ -10,9 +10,9 @@ import torch
 from pydantic import ValidationError
 from support.parts import batch, signature
 
-from karolos.agents.inputs import feed, normalised
-from karolos.agents.quantiles import Quantiles, quantile_huber, truncated
+from karolos.agents.critics import QuantileCritic, Quantiles, quantile_huber_loss
 from karolos.agents.sac import SAC
+from karolos.agents.tensors import tensor_batch
 from karolos.core.seeding import SeedTree
 
 
@@ -41,7 +41,9 @@ def test_the_loss_is_the_quantile_huber_loss_and_the_gradient_is_its_own() -> No
     generator = np.random.default_rng(0)
     values, targets = generator.normal(size=(2, 3, 4)) * 2, np.sort(generator.normal(size=(3, 7)) * 2, axis=1)
     weight = np.array([1.0, 0.5, 0.0])
-    loss, gradient = quantile_huber(torch.tensor(values), torch.tensor(targets), torch.tensor(weight) / len(weight))
+    loss, gradient = quantile_huber_loss(
+        torch.tensor(values), torch.tensor(targets), torch.tensor(weight) / len(weight)
+    )
     assert loss.item() == pytest.approx(written_out(values, targets, weight))
     slopes = np.zeros_like(values)
     for place in np.ndindex(values.shape):
@@ -55,18 +57,18 @@ def test_the_loss_is_the_quantile_huber_loss_and_the_gradient_is_its_own() -> No
 def test_targets_leave_out_the_largest_quantiles_of_both_critics_together() -> None:
     agent = make(critic={"quantiles": 5, "drop": 1})
     data = batch(6, signature(), discount=0.5)
-    inputs = normalised(feed(data), agent.normaliser)
-    drawn, _ = agent._draw(inputs.observed)
+    inputs = tensor_batch(data, agent.normaliser, agent.device)
+    drawn, _ = agent.sample(inputs.both_inputs)
     found = agent.targets(inputs, drawn)
-    both = agent.target(torch.cat((inputs.there, drawn.action[:6]), 1)).numpy()
+    both = agent.target(torch.cat((inputs.next_input, drawn.action[:6]), 1)).numpy()
     kept = np.sort(np.concatenate((both[0], both[1]), axis=1), axis=1)[:, :8]
     np.testing.assert_allclose(found, data.reward[:, None] + 0.5 * kept, rtol=1e-5)
 
 
 def test_truncation_counts_over_members() -> None:
     values = torch.tensor([[[1.0, 2.0, 9.0]], [[3.0, 8.0, 7.0]]])
-    assert truncated(values, 1).tolist() == [[1, 2, 3, 7]]
-    assert truncated(values, 0).shape == (1, 6)
+    assert QuantileCritic(Quantiles(quantiles=3, drop=1)).target_values(values).tolist() == [[1, 2, 3, 7]]
+    assert QuantileCritic(Quantiles(quantiles=3, drop=0)).target_values(values).shape == (1, 6)
 
 
 @pytest.mark.parametrize(("terminated", "value"), [(0.0, 5.0), (1.0, 1.0)])
@@ -75,8 +77,8 @@ def test_quantiles_look_beyond_a_truncation_and_not_beyond_a_termination(termina
     for seed in range(600):
         agent.learn(batch(32, signature(), seed % 20, reward=1, terminated=terminated, discount=0.8))
     data = batch(200, signature(), 99)
-    inputs = normalised(feed(data), agent.normaliser)
-    found = agent.critic(torch.cat((inputs.here, inputs.action), 1))
+    inputs = tensor_batch(data, agent.normaliser, agent.device)
+    found = agent.critic(torch.cat((inputs.input, inputs.action), 1))
     assert found.mean().item() == pytest.approx(value, rel=0.06)
 
 

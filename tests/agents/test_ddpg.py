@@ -11,8 +11,8 @@ import torch
 from support.parts import batch, signature
 
 from karolos.agents.ddpg import DDPG
-from karolos.agents.inputs import feed, normalised
 from karolos.agents.td3 import TD3
+from karolos.agents.tensors import tensor_batch
 from karolos.core import Discrete, Signature
 from karolos.core.seeding import SeedTree
 from karolos.errors import UsageError
@@ -33,8 +33,8 @@ def test_values_look_beyond_a_truncation_and_not_beyond_a_termination(
     made = make(agent, discount=0.8)
     for seed in range(400):
         made.learn(batch(32, signature(), seed % 20, reward=1, terminated=terminated, discount=0.8))
-    inputs = normalised(feed(batch(200, signature(), 99)), made.normaliser)
-    found = made.critic(torch.cat((inputs.here, inputs.action), 1))
+    inputs = tensor_batch(batch(200, signature(), 99), made.normaliser, made.device)
+    found = made.critic(torch.cat((inputs.input, inputs.action), 1))
     assert found.mean().item() == pytest.approx(value, rel=0.05)
 
 
@@ -43,24 +43,24 @@ def test_targets_stay_within_what_rewards_make_possible(agent: Any) -> None:
     bounded = replace(signature(), reward_range=(-1.0, 0.0))
     made = make(agent, bounded, discount=0.9)
     far = batch(64, bounded, reward=-100, discount=0.9)
-    assert made.targets(normalised(feed(far), made.normaliser)).min() == pytest.approx(-10)
+    assert made.targets(tensor_batch(far, made.normaliser, made.device)).min() == pytest.approx(-10)
     free = make(agent, bounded, discount=0.9, clip_targets=False)
-    assert free.targets(normalised(feed(far), free.normaliser)).max() < -50
+    assert free.targets(tensor_batch(far, free.normaliser, free.device)).max() < -50
 
 
 def test_the_smaller_of_td3s_critics_counts() -> None:
     made = make(TD3, target_noise=0.0)
-    inputs = normalised(feed(batch(32, signature(), reward=0, discount=1)), made.normaliser)
-    action = torch.tanh(made.target_policy(inputs.there))
-    both = made.target(torch.cat((inputs.there, action), 1)).squeeze(-1)
+    inputs = tensor_batch(batch(32, signature(), reward=0, discount=1), made.normaliser, made.device)
+    action = torch.tanh(made.target_policy(inputs.next_input))
+    both = made.target(torch.cat((inputs.next_input, action), 1)).squeeze(-1)
     assert (both[0] != both[1]).all()
-    torch.testing.assert_close(made.targets(inputs), both.amin(0))
+    torch.testing.assert_close(made.targets(inputs), both.amin(0).unsqueeze(1))
 
 
 def test_td3_smooths_its_targets_over_actions_nearby_and_ddpg_does_not() -> None:
     for agent, draws in ((TD3, True), (DDPG, False)):
         made = make(agent)
-        inputs = normalised(feed(batch(32, signature())), made.normaliser)
+        inputs = tensor_batch(batch(32, signature()), made.normaliser, made.device)
         assert torch.equal(made.targets(inputs), made.targets(inputs)) is not draws
 
 
@@ -78,7 +78,7 @@ def test_policy_and_targets_move_when_it_is_their_turn(agent: Any, every: int) -
 def test_learns_the_best_action_of_a_bandit(agent: Any) -> None:
     made = make(agent, discount=0.0, noise={"std": 0.1})
     best = np.array([0.4, -0.3], np.float32)
-    for seed in range(1000 * made.variant.policy_delay):
+    for seed in range(1000 * made.policy_delay):
         data = batch(64, signature(), seed)
         reward = -3 * np.square(data.action - best).sum(1)
         made.learn(data._replace(reward=reward, terminated=np.ones(64, np.float32)))
