@@ -1,4 +1,4 @@
-"""The cutting environment: what it pays, what it refuses, and that it learns nothing it may not know."""
+"""The cutting environment: its rewards, its errors, and that observations hold nothing hidden."""
 
 from __future__ import annotations
 
@@ -33,7 +33,7 @@ def saw() -> Cutting:
 
 
 def place(saw: Cutting, board: list[int], wanted: list[int]) -> None:
-    """Begin anew with this board and these orders."""
+    """Begin an episode with this board and these orders."""
     saw._place, saw.made = 0, 0.0
     saw.board = np.array(board, np.int8)
     saw.wanted = wanted

@@ -1,4 +1,4 @@
-"""What is asked of `desk_arm`: that it is found, and what every robot promises with every task."""
+"""Tests of `desk_arm`: its entry point and the promises of every robot with every task."""
 
 from __future__ import annotations
 

@@ -1,4 +1,4 @@
-"""Boards, the orders they are cut for, and the best that can be made of a board."""
+"""Boards, orders, and the best cutting of a board."""
 
 from __future__ import annotations
 
@@ -12,24 +12,26 @@ from karolos.core import Settings
 from karolos.core.seeding import Generator
 
 CLEAR, KNOT, CRACK = 0, 1, 2
-"""What a cell of a board is, from best to worst."""
+"""Kinds of cells, from best to worst."""
 GRADES = {"clear": CLEAR, "sound": KNOT}
-"""The worst cell that a piece of the grade may hold: a sound one may have knots, none may have cracks."""
+"""The worst kind of cell that a piece of the grade may hold."""
 
 Cells = NDArray[np.int8]
 
 
 class Order(Settings):
-    """Pieces of one size and quality that somebody wants."""
+    """A request for pieces of one length and grade."""
 
-    length: int = Setting(ge=1, le=1000, description="of a piece, cells")
+    length: int = Setting(ge=1, le=1000, description="cells of a piece")
     grade: str = Setting("clear", pattern="^(clear|sound)$", description="clear: no defect; sound: knots are allowed")
-    value: float = Setting(1.0, gt=0, le=1, description="of a cell in a delivered piece; 1 is the best price")
-    pieces: int = Setting(3, ge=1, le=20, description="most that are wanted of one board; each episode draws 1 to this")
+    value: float = Setting(1.0, gt=0, le=1, description="price of a cell in a delivered piece; 1 is the best")
+    pieces: int = Setting(
+        3, ge=1, le=20, description="largest number of pieces per board; each episode draws from 1 to this"
+    )
 
     @property
     def worst(self) -> int:
-        """The worst cell allowed."""
+        """The worst kind of cell allowed."""
         return GRADES[self.grade]
 
 
@@ -43,7 +45,7 @@ def draw_board(generator: Generator, length: int, knots: float, cracks: float) -
         cracks: mean number on a board.
     """
     board = np.full(length, CLEAR, np.int8)
-    for kind, mean, longest in ((KNOT, knots, 2), (CRACK, cracks, 3)):  # cracks last: they go through knots
+    for kind, mean, longest in ((KNOT, knots, 2), (CRACK, cracks, 3)):  # cracks last: they replace knots
         for _ in range(generator.poisson(mean)):
             start = int(generator.integers(length))
             board[start : start + int(generator.integers(1, longest + 1))] = kind
@@ -51,7 +53,7 @@ def draw_board(generator: Generator, length: int, knots: float, cracks: float) -
 
 
 def runs(board: Cells, worst: int) -> NDArray[np.int64]:
-    """From each place on, how many cells in a row are no worse than that: (length + 1,), 0 at the end of the board."""
+    """Number of consecutive cells from each place on that are not worse than `worst`: (length + 1,), the last 0."""
     found = np.zeros(len(board) + 1, np.int64)
     for place in range(len(board) - 1, -1, -1):
         found[place] = found[place + 1] + 1 if board[place] <= worst else 0
@@ -59,9 +61,9 @@ def runs(board: Cells, worst: int) -> NDArray[np.int64]:
 
 
 def best_value(board: Cells, orders: Sequence[Order], wanted: Sequence[int]) -> float:
-    """The largest value that this board can be cut into, in cells at the best price, with all of it known.
+    """The largest value of any cutting of this board, in cells at the best price.
 
-    Dynamic programming from the end of the board over what is still wanted: exact.
+    Exact: dynamic programming from the end of the board over the pieces that are still wanted.
     """
     ahead = {order.worst: runs(board, order.worst) for order in orders}
     best = np.zeros((len(board) + 1, *(count + 1 for count in wanted)))

@@ -1,4 +1,4 @@
-"""Cutting: a board passes the saw, and each cut is for an order or into the waste."""
+"""Cutting: a board passes the saw, and each cut makes a piece for an order, or waste."""
 
 from __future__ import annotations
 
@@ -19,33 +19,33 @@ ORDERS = (
     Order(length=9, grade="sound", value=0.4, pieces=4),
 )
 COLOURS = np.array([(222, 184, 135), (139, 90, 43), (40, 20, 10)], np.uint8)
-"""Of clear wood, knots and cracks."""
+"""Colours of clear wood, knots and cracks."""
 
 
 class Cutting(Environment):
-    """What to do: cut a board from its beginning to its end into pieces that were ordered, around its defects.
+    """What to do: cut a board from its beginning to its end into ordered pieces, around its defects.
 
-    What is randomised: knots and cracks of the board, and how many pieces each order still wants.
-    What counts as success: the board is done, and its yield is at least `target` of the best that this board and these
-    orders allow. The episode ends (`terminated`) with the board.
+    What is randomised: knots and cracks of the board, and the number of pieces of each order.
+    What counts as success: the board is cut to its end, and its yield is at least `target` of the best yield for this
+    board and these orders. The episode ends (`terminated`) with the board.
 
-    Action: cut a piece for one of the orders, or trim one cell. A piece that does not meet its order (a defect its
-    grade forbids, too short, no longer wanted) is scrap. Reward: value of the delivered piece / cells of the board, so
-    that the return of an episode is the yield, in [0, 1].
-    Observation: of the `lookahead` cells after the saw, whether each is a knot and whether it is a crack or beyond the
-    board; for each grade, how many cells from here on meet it, as a share of `lookahead`; for each order, whether a
-    piece cut here would be delivered, and the share of its `pieces` that is still wanted; the share of the board that
-    is left.
-    Source: the second use case of Bitter, Thun, Meisen 2022, "Karolos", section "Industrial Applications", which names
-    the problem; sizes, prices and defects here are made up.
+    Action: cut a piece for one of the orders, or trim one cell. A piece that does not meet its order is scrap: it has a
+    defect that its grade forbids, is too short, or is no longer wanted. Reward: value of the delivered piece / cells of
+    the board. The return of an episode is therefore the yield, in [0, 1].
+    Observation: for each of the `lookahead` cells after the saw, whether it is a knot, and whether it is a crack or
+    beyond the board; for each grade, the cells from here on that meet it, as a share of `lookahead`; for each order,
+    whether a piece cut here would be delivered, and the share of its `pieces` that is still wanted; the share of the
+    board that is left.
+    Source: the second use case of Bitter, Thun, Meisen 2022, "Karolos", section "Industrial Applications", which
+    describes the problem. Sizes, prices and defects are invented here.
     """
 
     class Settings(BaseSettings):
-        length: int = Setting(60, ge=2, le=1000, description="of a board, cells")
+        length: int = Setting(60, ge=2, le=1000, description="cells of a board")
         knots: float = Setting(4.0, ge=0, le=100, description="mean number of knots on a board")
         cracks: float = Setting(2.0, ge=0, le=100, description="mean number of cracks on a board")
-        lookahead: int = Setting(26, ge=1, le=1000, description="how far the scanner sees beyond the saw, cells")
-        orders: tuple[Order, ...] = Setting(ORDERS, min_length=1, max_length=6, description="what can be delivered")
+        lookahead: int = Setting(26, ge=1, le=1000, description="cells that the scanner sees beyond the saw")
+        orders: tuple[Order, ...] = Setting(ORDERS, min_length=1, max_length=6, description="pieces to deliver")
         target: float = Setting(0.9, gt=0, le=1, description="share of the best possible yield that is success")
 
         @model_validator(mode="after")
@@ -71,7 +71,7 @@ class Cutting(Environment):
                 )
             ),
             action=self._actions,
-            max_steps=settings.length,  # each step takes a cell at least
+            max_steps=settings.length,  # each step takes at least one cell
             reward_range=(0.0, dearest / settings.length),
         )
         self._place = settings.length  # no episode is running
@@ -81,7 +81,7 @@ class Cutting(Environment):
         generator = np.random.Generator(np.random.PCG64(seed))
         self.wanted = [int(generator.integers(1, order.pieces + 1)) for order in settings.orders]
         best = 0.0
-        while not best:  # a board that is good for nothing poses no problem
+        while not best:  # a board without any deliverable piece is drawn again
             self.board = draw_board(generator, settings.length, settings.knots, settings.cracks)
             best = best_value(self.board, settings.orders, self.wanted)
         self.best_yield = best / settings.length
@@ -95,11 +95,11 @@ class Cutting(Environment):
 
     def fits(self, order: int) -> bool:
         """Whether a piece cut here for this order would be delivered."""
-        asked = self.settings.orders[order]
-        return bool(self.wanted[order]) and int(self._runs[asked.worst][self._place]) >= asked.length
+        wanted = self.settings.orders[order]
+        return bool(self.wanted[order]) and int(self._runs[wanted.worst][self._place]) >= wanted.length
 
     def step(self, action: Array) -> Step:
-        """One cut. Raises ValueError for an action that names none, RuntimeError after an end."""
+        """Make one cut. Raises ValueError for an unknown action, RuntimeError after the end of the episode."""
         settings = self.settings
         index = chosen(action, self._actions, "Cutting")
         if self._place >= settings.length:
@@ -117,8 +117,8 @@ class Cutting(Environment):
     def _step(self, reward: float) -> Step:
         over = self._place >= self.settings.length
         success = over and self.made / self.settings.length >= self.settings.target * self.best_yield - 1e-9
-        nothing = np.zeros(0, np.float32)
-        return Step(self._observe(), nothing, nothing, reward, over, False, success)
+        no_goal = np.zeros(0, np.float32)
+        return Step(self._observe(), no_goal, no_goal, reward, over, False, success)
 
     def _observe(self) -> FloatArray:
         place, ahead = self._place, self.settings.lookahead
@@ -126,11 +126,11 @@ class Cutting(Environment):
         good = [min(int(found[place]), ahead) / ahead for found in self._runs.values()]
         fitting = [self.fits(order) for order in range(len(self.wanted))]
         left = [count / order.pieces for count, order in zip(self.wanted, self.settings.orders, strict=True)]
-        share = 1 - place / self.settings.length
-        return np.concatenate([cells == KNOT, cells == CRACK, good, fitting, left, [share]], dtype=np.float32)
+        board_left = 1 - place / self.settings.length
+        return np.concatenate([cells == KNOT, cells == CRACK, good, fitting, left, [board_left]], dtype=np.float32)
 
     def render(self, width: int = 640, height: int = 480) -> np.ndarray:
-        """The board from left to right; what has passed the saw is pale."""
+        """The board from left to right; the part that has passed the saw is pale."""
         columns = np.arange(width) * self.settings.length // width
         line = COLOURS[self.board[columns]].copy()
         passed = columns < self._place

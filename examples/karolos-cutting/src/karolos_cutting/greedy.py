@@ -1,4 +1,4 @@
-"""What a sawyer without foresight does: the bar for a policy that learns."""
+"""A greedy policy without foresight, with which learned policies are compared."""
 
 from __future__ import annotations
 
@@ -10,10 +10,11 @@ from .cutting import Cutting
 
 
 def greedy(environment: Cutting, *, per_cell: bool = False) -> FloatArray:
-    """The action (1,) for the most valuable piece that fits here; trims a cell where none does.
+    """The action (1,) that cuts the most valuable piece that fits here, or trims a cell if no piece fits.
 
     Args:
-        per_cell: the piece of the best price per cell instead of the most valuable one.
+        environment: before the cut.
+        per_cell: prefer the best price per cell to the most valuable piece.
     """
     orders = environment.settings.orders
     fitting = [index for index in range(len(orders)) if environment.fits(index)]

@@ -1,4 +1,4 @@
-"""A small arm of six joints: the numbers of an `ArmModel`, and a URDF beside this file."""
+"""A small arm of six joints: an `ArmModel` and the URDF beside this file."""
 
 from __future__ import annotations
 
@@ -9,14 +9,14 @@ from karolos.robots.arm import Arm, ArmModel, ArmSettings
 from karolos.simulation.interface import Box, Fingers, Gripper
 
 TRAVEL = 0.035
-"""Of each finger, in m; as the limits of the finger joints in the URDF."""
+"""Travel of each finger in m: the limit of the finger joints in the URDF."""
 
 
 class DeskArm(Arm):
-    """Six joints, reach .58 m, a gripper of two fingers that opens 7 cm. Made up; its limits stand in the URDF."""
+    """Six joints, reach .58 m, a gripper of two fingers that opens 7 cm. Invented; the URDF holds its limits."""
 
     class Settings(ArmSettings):
-        """As every arm's."""
+        """Those of every arm."""
 
     model = ArmModel(
         urdf=Path(__file__).parent / "desk_arm.urdf",
