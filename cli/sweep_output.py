@@ -12,7 +12,7 @@ from karolos.report.terminal import clean
 from .common import rows
 
 if TYPE_CHECKING:
-    from karolos.records.sweep_records import Final, Trial
+    from karolos.records.sweep_records import SweepFinal, Trial
     from karolos.sweep.records import Outcome, SweepEvent
 
 
@@ -78,7 +78,7 @@ def report(outcome: Outcome, *, quiet: bool, json: bool) -> None:
 
 
 def trial_row(
-    trial: Trial, objectives: Sequence[str], parameters: Iterable[str], final: Final | None
+    trial: Trial, objectives: Sequence[str], parameters: Iterable[str], final: SweepFinal | None
 ) -> dict[str, Any]:
     """A trial as a row: objectives, the same on fresh and on unused seeds where it came so far, settings, runs."""
     row: dict[str, Any] = {"trial": trial.number, "state": trial.state}
@@ -93,7 +93,7 @@ def trial_row(
     return {**row, **settings, "error": trial.error, "runs": list(trial.runs)}
 
 
-def tell_final(final: Final, objectives: Sequence[str]) -> None:
+def tell_final(final: SweepFinal, objectives: Sequence[str]) -> None:
     """How good the chosen trial is, on the seeds that it was tuned on, chosen by and reported on; to stderr."""
     for place, name in enumerate(objectives):
         line = (

@@ -66,12 +66,12 @@ def transfer(
     if json:
         rows([{"run": folder.id, **done.row(), "own": _own(own[-1]) if own else None}], json=True)
         return
+    from karolos.records.results import TestCounts
     from karolos.report.tables import table_of_tests, transfers_table
-    from karolos.store import StoredTest
 
     print_rich(transfers_table([done], title=folder.id))
     if own:
-        print_rich(table_of_tests([StoredTest.of(folder.id, own[-1])], own[-1:], title="the run's own last test"))
+        print_rich(table_of_tests([TestCounts.of(own[-1])], own[-1:], title="the run's own last test"))
 
 
 def _own(result: TestResult) -> dict[str, Any]:

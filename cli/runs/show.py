@@ -16,10 +16,10 @@ from ..selection import find_run
 
 if TYPE_CHECKING:
     from karolos.records import RunFolder
-    from karolos.records.results import TestResult
+    from karolos.records.results import TestCounts, TestResult
     from karolos.records.run_records import RunSummary
-    from karolos.records.transfer_results import Transfer
-    from karolos.store import Store, StoredTest
+    from karolos.records.transfer_results import TransferResult
+    from karolos.store import Store
 
 
 def show(
@@ -43,13 +43,13 @@ class _View:
     """All that is known of one run."""
 
     summary: RunSummary
-    tests: Sequence[StoredTest]
+    tests: Sequence[TestCounts]
     spec: Mapping[str, Any]
     checkpoints: Sequence[Mapping[str, Any]] = ()
     problems: Sequence[str] = ()
     results: Sequence[TestResult] = ()
     """The tests episode by episode, as far as the folder has them."""
-    transfers: Sequence[Transfer] = ()
+    transfers: Sequence[TransferResult] = ()
     """Tests under changed settings (`karolos test`)."""
     about: Mapping[str, Any] = field(default_factory=dict)
     """Versions, machine, command and git commit."""
@@ -73,7 +73,6 @@ class _View:
 def _from_folder(summary: RunSummary) -> _View:
     from karolos.records import RunFolder
     from karolos.records import transfer_results as transfers
-    from karolos.store import StoredTest
 
     folder = RunFolder.open(summary.folder)
     record = folder.record()
@@ -82,7 +81,7 @@ def _from_folder(summary: RunSummary) -> _View:
     transferred, unreadable = transfers.read(folder)
     return _View(
         summary=record.summary,
-        tests=[StoredTest.of(folder.id, result) for result in record.tests],
+        tests=record.tests,
         spec=record.spec,
         checkpoints=checkpoints,
         problems=(*record.problems, *damaged, *unreadable),
@@ -102,7 +101,7 @@ def _from_index(store: Store, summary: RunSummary) -> _View:
     )
 
 
-def _test_row(test: StoredTest) -> dict[str, Any]:
+def _test_row(test: TestCounts) -> dict[str, Any]:
     from karolos.statistics.intervals import wilson
 
     return {

@@ -22,8 +22,8 @@ from ..errors import RunError
 from ..orchestrator.probe import cores
 from ..records import RunFolder
 from ..records.provenance import versions
-from ..records.results import TestResult
-from ..records.run_records import FORMAT, RunState, encode_test
+from ..records.results import TestResult, encode_test
+from ..records.run_records import FORMAT, RunState
 from ..spec import Spec
 from ..store import Store, check, reindex
 from .side_by_side import Row

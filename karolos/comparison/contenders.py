@@ -11,8 +11,9 @@ from typing import Any, Literal
 from .. import checkpoint
 from ..errors import RunError, UsageError
 from ..records import RunFolder
+from ..records.results import TestCounts
 from ..records.run_records import RunSummary
-from ..store import Store, StoredTest
+from ..store import Store
 
 Success = Literal["any", "end"]
 """Which way to count success: the goal was reached at some step, or it held at the last."""
@@ -25,7 +26,7 @@ class ComparedRun:
     """One run: its row, its tests, and what it was made with, as far as its folder is still there."""
 
     summary: RunSummary
-    tests: tuple[StoredTest, ...]
+    tests: tuple[TestCounts, ...]
     spec: Mapping[str, Any]
     versions: Mapping[str, str]
     commit: str | None
@@ -104,7 +105,7 @@ def gather(store: Store, runs: Sequence[RunSummary], label: str) -> Contender:
     return Contender(label, tested, tuple(problems))
 
 
-def _load(store: Store, run: RunSummary, tests: tuple[StoredTest, ...]) -> ComparedRun:
+def _load(store: Store, run: RunSummary, tests: tuple[TestCounts, ...]) -> ComparedRun:
     about, spec, rate = _from_folder(Path(run.folder))
     git = about.get("git") or {}
     return ComparedRun(

@@ -11,7 +11,7 @@ from ..errors import UsageError
 from ..records import RunFolder, provenance
 from ..records import transfer_results as transfers
 from ..records.run_records import timestamp
-from ..records.transfer_results import Transfer
+from ..records.transfer_results import TransferResult
 from ..spec import Spec
 from ..training.assembly import located, make_orchestrator
 from .policies import SavedAgent, load_agent, signature_of
@@ -30,7 +30,7 @@ def transfer_test(
     seed: int | None = None,
     randomize: bool = False,
     on_failure: Callable[[Failure], object] | None = None,
-) -> Transfer:
+) -> TransferResult:
     """Play test episodes of a run's policy under its spec with overrides, and keep the result in the run's folder.
 
     Args:
@@ -70,7 +70,7 @@ def transfer_test(
             seconds=saved.seconds,
             on_failure=on_failure,
         )
-    transfer = Transfer(
+    transfer = TransferResult(
         time=timestamp(),
         checkpoint=checkpoint,
         sha256=saved.sha256,

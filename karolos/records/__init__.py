@@ -6,20 +6,19 @@
     code.diff       how the code differed from that commit
     state.json      state, steps, seconds, attempt, error; replaced as a whole
     tests.jsonl     one line per test
-    events.jsonl    one line per thing that happened
+    events.jsonl    one line per event
     episodes.jsonl  one line per training episode, with what domain randomization drew
-    tensorboard/    series
+    tensorboard/    scalars
     checkpoints/    best and last
-    export/         its policy for use without karolos, if somebody asked for it
+    export/         its policy for use without karolos, after `karolos export`
     transfers.jsonl one line per test of its policy under changed settings
-    labels.json     tags and note, whoever wrote them
+    labels.json     tags and note
     lock            held by the process that runs it, for as long as it lives
 
-Only the process that holds the lock writes, but for transfers.jsonl and labels.json, which have locks of their own. The
-state `lost` is never written: whoever reads `created` or `running` and finds the lock free knows that the process died.
+Only the process that holds the lock writes, except transfers.jsonl and labels.json, which have their own locks. The
+state `lost` is never written: it means `created` or `running` while no process holds the lock.
 """
 
-from .run_folder import RunFolder
-from .scanning import paths, scan
+from .run_folder import RunFolder, paths, scan
 
 __all__ = ["RunFolder", "paths", "scan"]

@@ -1,7 +1,7 @@
-"""What people write on runs: tags and a note, in labels.json of the run folder, whoever runs it meanwhile.
+"""Labels: the tags and the note that people give a run, in labels.json of the run folder.
 
-The index is told afterwards (`Store.refresh_labels`) and reads this file again, so that of two who write at once
-neither is lost.
+They can be written while the run goes on. The index is updated afterwards (`Store.refresh_labels`): it reads this file
+again, so that of two processes that write at once neither change is lost.
 """
 
 from __future__ import annotations
@@ -18,7 +18,7 @@ from ..files import FileLock, parse_object, write_json
 LONGEST_TAG, LONGEST_NOTE = 200, 100_000
 """Characters."""
 LOCK_SECONDS = 20.0
-"""How long a process waits for another that writes labels; that takes milliseconds."""
+"""How long a process waits for another that writes labels, which takes milliseconds."""
 _FILE = "labels.json"
 
 
@@ -31,7 +31,7 @@ class Labels:
 
 
 def read(folder: Path) -> Labels:
-    """The labels of a run folder; none where there are none or the file is damaged."""
+    """The labels of a run folder; empty if there are none or the file is damaged."""
     row = _row(folder) or {}
     tags, note = row.get("tags"), row.get("note")
     texts = {tag for tag in tags if isinstance(tag, str) and _is_tag(tag)} if isinstance(tags, list) else set()
@@ -39,28 +39,28 @@ def read(folder: Path) -> Labels:
 
 
 def is_damaged(folder: Path) -> bool:
-    """Whether there is a file of labels that cannot be read."""
+    """Whether the file of labels exists and cannot be read."""
     return os.path.exists(folder / _FILE) and _row(folder) is None
 
 
 def add_tags(folder: Path, tags: Iterable[str]) -> None:
-    """Give a run tags, beside those it has.
+    """Add tags to a run.
 
     Raises:
-        UsageError: a text can be no tag.
+        UsageError: a text cannot be a tag.
         RunError: labels.json is damaged.
     """
     new = set(tags)
     for tag in new:
         if not _is_tag(tag):
             raise UsageError(
-                f"{tag!r} is no tag", hint=f"1 to {LONGEST_TAG} characters on one line, without blanks around them"
+                f"{tag!r} is not a tag", hint=f"1 to {LONGEST_TAG} characters on one line, without blanks around them"
             )
     _change(folder, lambda old: Labels(tuple(sorted({*old.tags, *new})), old.note))
 
 
 def remove_tags(folder: Path, tags: Iterable[str]) -> None:
-    """Take tags away; those that the run does not have are passed over. Raises RunError as `add_tags` does."""
+    """Remove tags; those that the run does not have are ignored. Raises RunError as `add_tags` does."""
     gone = set(tags)
     _change(folder, lambda old: Labels(tuple(tag for tag in old.tags if tag not in gone), old.note))
 
@@ -73,18 +73,18 @@ def set_note(folder: Path, note: str) -> None:
         RunError: labels.json is damaged.
     """
     if not _is_note(note):
-        raise UsageError(f"the note has {len(note):,} characters", hint=f"up to {LONGEST_NOTE:,} of text can be kept")
+        raise UsageError(f"the note has {len(note):,} characters", hint=f"up to {LONGEST_NOTE:,} can be stored")
     _change(folder, lambda old: Labels(old.tags, note or None))
 
 
 def _change(folder: Path, change: Callable[[Labels], Labels]) -> None:
-    """Write other labels, one process after the other."""
+    """Replace the labels, one process after the other."""
     lock = FileLock(folder / "labels.lock")
     if not lock.acquire(LOCK_SECONDS):
         raise MachineError("another process keeps the labels locked", where=str(folder), hint="try again")
     try:
         if is_damaged(folder):
-            raise RunError(f"{_FILE} is damaged", where=str(folder), hint="repair it, or move it away to begin anew")
+            raise RunError(f"{_FILE} is damaged", where=str(folder), hint="repair it, or move it away")
         labels = change(read(folder))
         write_json(folder / _FILE, {"tags": list(labels.tags), "note": labels.note})
     finally:
@@ -107,5 +107,5 @@ def _is_note(text: str) -> bool:
 
 
 def _is_text(text: str) -> bool:
-    """Whether every database and file can hold it: half characters (surrogates) are none."""
+    """Whether every database and file can hold it; surrogates cannot be stored."""
     return not any("\ud800" <= sign <= "\udfff" for sign in text)

@@ -1,4 +1,4 @@
-"""What a run was made with: versions, command line, code. Says nothing about whose machine it was."""
+"""Provenance of a run: versions, command line and code, without anything that identifies the machine."""
 
 from __future__ import annotations
 
@@ -14,9 +14,9 @@ from importlib import metadata
 from pathlib import Path
 
 GIT_SECONDS = 10.0
-"""How long one call of git may take before the run goes on without its answer."""
+"""Time limit of one call of git; the run goes on without its answer."""
 DIFF_BYTES = 1_000_000
-"""Longer differences are cut off there; data files do not belong into a run folder."""
+"""Longer differences are cut off: data files do not belong into a run folder."""
 UNTRACKED_FILES = 50
 
 _CREDENTIALS = re.compile(r"(?<=://)(?:[^/\s@:]*:\S*|[^/\s@]+)@")
@@ -38,7 +38,7 @@ class Code:
 
 
 def redact(text: str) -> str:
-    """Replace user, password and token inside URLs; rather too much than too little."""
+    """Replace user, password and token inside URLs; in doubt, too much is replaced."""
     return _CREDENTIALS.sub("***@", text)
 
 
@@ -50,7 +50,7 @@ def command_line() -> list[str]:
 
 @cache
 def versions() -> dict[str, str]:
-    """Versions of Python, karolos, everything karolos depends on, and every plugin package installed."""
+    """Versions of Python, karolos, its dependencies, and every installed plugin package."""
     names = {"karolos"}
     for requirement in metadata.requires("karolos") or []:
         if "extra ==" not in requirement:
@@ -68,12 +68,12 @@ def versions() -> dict[str, str]:
 
 
 def kind_of_machine() -> str:
-    """Operating system and processor family: what numbers may depend on, and nothing that names the machine."""
+    """Operating system and processor family, on which numbers may depend."""
     return f"{platform.system()} {platform.machine()}"
 
 
 def code(folder: Path) -> Code | None:
-    """The work tree that `folder` lies in; None without one, or where git is missing or does not answer."""
+    """The git work tree that contains `folder`; None without one, or if git is missing or does not answer."""
     commit = _git(folder, "rev-parse", "--verify", "HEAD")
     status = _git(folder, "status", "--porcelain", "-z", "--untracked-files=normal")
     if commit is None or status is None:
@@ -85,17 +85,17 @@ def code(folder: Path) -> Code | None:
 
 
 def _git(folder: Path, *arguments: str) -> str | None:
-    """What git prints, cut off at DIFF_BYTES; None when it fails. Runs no program that a configuration names."""
+    """The output of git, cut off at DIFF_BYTES; None if it fails. Programs named in a git configuration do not run."""
     command = ["git", "-c", "core.fsmonitor=false", "-c", "core.hooksPath=", "--no-pager", *arguments]
-    surroundings = {**os.environ, "GIT_OPTIONAL_LOCKS": "0", "GIT_TERMINAL_PROMPT": "0", "LC_ALL": "C"}
-    with tempfile.TemporaryFile() as answer:
+    environment = {**os.environ, "GIT_OPTIONAL_LOCKS": "0", "GIT_TERMINAL_PROMPT": "0", "LC_ALL": "C"}
+    with tempfile.TemporaryFile() as output:
         try:
             ended = subprocess.run(
                 command,
                 cwd=folder,
-                env=surroundings,
+                env=environment,
                 stdin=subprocess.DEVNULL,
-                stdout=answer,
+                stdout=output,
                 stderr=subprocess.DEVNULL,
                 timeout=GIT_SECONDS,
                 check=False,
@@ -104,5 +104,5 @@ def _git(folder: Path, *arguments: str) -> str | None:
             return None
         if ended.returncode:
             return None
-        answer.seek(0)
-        return answer.read(DIFF_BYTES).decode("utf-8", "replace")
+        output.seek(0)
+        return output.read(DIFF_BYTES).decode("utf-8", "replace")

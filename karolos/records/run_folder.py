@@ -1,32 +1,32 @@
-"""One run's folder: made, locked, written and read."""
+"""RunFolder: one run's folder, made, locked, written and read; and the run folders in a runs folder."""
 
 from __future__ import annotations
 
 import os
-from collections.abc import Iterable, Mapping
+from collections.abc import Iterable, Iterator, Mapping
 from datetime import UTC, datetime
+from fnmatch import fnmatchcase
 from pathlib import Path
 from types import TracebackType
 from typing import Any
 
-from ..errors import RunError, UsageError
-from ..files import FileLock, append_lines, read_lines, write_json, write_whole, writing
+from ..errors import MachineError, RunError, UsageError
+from ..files import FileLock, append_lines, parse_object, read_lines, write_json, write_whole, writing
 from . import labels, provenance
 from .labels import Labels
-from .making import check_writable, make_folder
-from .reading import count_tests, read_description, read_object, read_state, read_tests
-from .results import TestResult
-from .run_records import FORMAT, RunRecord, RunState, RunSummary, check_name, encode_test, summarise, timestamp
+from .results import TestCounts, TestResult, count_test, decode_test, encode_test
+from .run_records import FORMAT, RunRecord, RunState, RunSummary, check_name, is_description, summarise, timestamp
 
 LOCK_SECONDS = 0.5
-"""A reader that looks whether a run lives holds the lock for an instant; its owner waits that long for it."""
+"""A reader that checks whether a run is alive holds the lock for an instant; the run waits this long for it."""
+_FOLDERS = 10_000
 
 
 class RunFolder:
     """One run's folder. Get one from `create` (new, locked) or `open`; use it in a `with` to free the lock at the end.
 
     Raises:
-        MachineError: from every method that writes, when the disk is full or the folder cannot be written.
+        MachineError: from every method that writes, if the disk is full or the folder cannot be written.
     """
 
     def __init__(self, path: Path) -> None:
@@ -49,7 +49,7 @@ class RunFolder:
         if seed < 0:
             raise UsageError(f"the seed is {seed}", hint="seeds are not negative")
         now = datetime.now(UTC)
-        path = make_folder(Path(runs), f"{name}-s{seed}-{now:%Y%m%d-%H%M%S}")
+        path = _make_folder(Path(runs), f"{name}-s{seed}-{now:%Y%m%d-%H%M%S}")
         folder = cls(path)
         folder.lock()
         folder._run = {"format": FORMAT, "id": path.name, "name": name, "seed": seed, "created": timestamp(now)}
@@ -57,18 +57,30 @@ class RunFolder:
 
     @classmethod
     def open(cls, path: str | Path) -> RunFolder:
-        """An existing run's folder, to read it or, after `lock()`, to go on with it.
+        """An existing run's folder, to read it or, after `lock()`, to continue the run.
 
         Raises:
-            RunError: it is no run folder, or a newer karolos made it.
+            RunError: it is not a run folder, or a newer karolos made it.
         """
         folder = cls(Path(path))
-        run = read_description(folder.path)
-        folder._run = run
-        folder.id = run["id"]  # a folder that was renamed is still the same run
+        folder._run = _read_description(folder.path)
+        folder.id = folder._run["id"]  # a renamed folder is still the same run
         return folder
 
-    check_writable = staticmethod(check_writable)
+    @staticmethod
+    def check_writable(runs: str | Path) -> None:
+        """Make the runs folder if it does not exist, and write into it.
+
+        Raises:
+            MachineError: that fails.
+        """
+        root = Path(runs)
+        with writing(root):
+            root.mkdir(parents=True, exist_ok=True)
+            probe = FileLock(root / ".write-test")
+            probe.acquire()
+            probe.release()
+            probe.path.unlink(missing_ok=True)
 
     def __enter__(self) -> RunFolder:
         return self
@@ -79,20 +91,20 @@ class RunFolder:
         self.release()
 
     def lock(self) -> None:
-        """Claim the run for this process until `release` or its death.
+        """Lock the run for this process until `release` or the process's end.
 
         Raises:
-            RunError: another process has it.
+            RunError: another process has locked it.
         """
         if not self._lock.acquire(LOCK_SECONDS):
             raise RunError("another process is running it", where=self.id, hint="wait for it, or stop it first")
 
     def release(self) -> None:
-        """Give the run back. Safe to call twice."""
+        """Unlock the run. Safe to call twice."""
         self._lock.release()
 
     def is_locked(self) -> bool:
-        """Whether a process that lives has the run."""
+        """Whether a living process has locked the run."""
         return self._lock.is_locked()
 
     def describe(
@@ -103,7 +115,7 @@ class RunFolder:
         text: str | None = None,
         source: Path | None = None,
     ) -> None:
-        """Write what the run is made from. The folder counts as a run from here on, because run.json comes last.
+        """Write what the run is made from. The folder counts as a run from here on, because run.json is written last.
 
         Args:
             resolved: the spec with every default filled in, as JSON values.
@@ -128,17 +140,17 @@ class RunFolder:
         write_json(self.path / "run.json", self._run)
 
     def description(self) -> dict[str, Any]:
-        """What run.json holds: id, experiment, name, seed, created, versions, command, git."""
+        """The content of run.json: id, experiment, name, seed, created, versions, command, git."""
         return dict(self._run)
 
     def spec(self) -> dict[str, Any]:
-        """The resolved spec; empty where its file is missing or damaged (`record().problems` says so)."""
-        return read_object(self.path / "resolved.json") or {}
+        """The resolved spec; empty if its file is missing or damaged (`record().problems` says so)."""
+        return _read_object(self.path / "resolved.json") or {}
 
     def set_state(
         self, state: str, *, steps: int | None = None, seconds: float | None = None, error: str | None = None
     ) -> None:
-        """Replace the state; steps and seconds stay as they are when not given.
+        """Replace the state; steps and seconds keep their values if None.
 
         Args:
             state: created, running, finished, failed or stopped.
@@ -146,88 +158,179 @@ class RunFolder:
             seconds: wall-clock seconds of collecting and learning so far.
             error: why it failed, in one line.
         """
-        before = read_state(self.path)
+        before = self._stored_state()
         steps = before.steps if steps is None else int(steps)
         seconds = before.seconds if seconds is None else float(seconds)
         self._write_state(RunState(state, steps, seconds, before.attempt, error, timestamp()))
 
     def next_attempt(self) -> int:
-        """Count one more process that goes on with this run; returns its number, from 1."""
-        before = read_state(self.path)
+        """Count one more process that continues this run; returns its number, from 1."""
+        before = self._stored_state()
         attempt = before.attempt + 1
         self._write_state(RunState("created", before.steps, before.seconds, attempt, None, timestamp()))
         return attempt
 
     def labels(self) -> Labels:
-        """Tags and note; empty where nobody wrote any."""
+        """Tags and note."""
         return labels.read(self.path)
 
     def event(self, kind: str, **data: Any) -> None:
-        """Note that something happened; `data` are JSON values."""
+        """Append an event; `data` are JSON values."""
         append_lines(self.path / "events.jsonl", [{"time": timestamp(), "event": kind, **data}])
 
     def events(self) -> tuple[dict[str, Any], ...]:
-        """What happened, in order; lines that cannot be read are left out and named by `record().problems`."""
+        """The events in order; `record().problems` names lines that cannot be read."""
         return read_lines(self.path / "events.jsonl").rows
 
     def add_test(self, result: TestResult) -> None:
-        """Keep a test's result for good: it is on the disk when this returns."""
+        """Append a test's result; it is on the disk when this returns."""
         append_lines(self.path / "tests.jsonl", [encode_test(result)])
 
+    def tests(self) -> tuple[TestResult, ...]:
+        """The tests in the order of their steps; of two at the same step the later written, as a resumed run makes.
+
+        `record().problems` names lines that cannot be read.
+        """
+        return self._read_tests()[0]
+
+    def add_episodes(self, episodes: Iterable[Mapping[str, Any]]) -> None:
+        """Append the records of training episodes, JSON values each."""
+        append_lines(self.path / "episodes.jsonl", episodes)
+
     def episodes_bytes(self) -> int:
-        """How long episodes.jsonl is, for `cut_episodes` after the process died."""
+        """Size of episodes.jsonl, for `cut_episodes` when the run is resumed."""
         path = self.path / "episodes.jsonl"
         return path.stat().st_size if path.exists() else 0
 
     def cut_episodes(self, size: int) -> None:
-        """Forget the training episodes after this many bytes: a run that goes on plays them again."""
+        """Remove the training episodes after this many bytes: a resumed run plays them again."""
         path = self.path / "episodes.jsonl"
         if path.exists() and path.stat().st_size > size:
             with writing(path):
                 os.truncate(path, size)
 
-    def add_episodes(self, episodes: Iterable[Mapping[str, Any]]) -> None:
-        """Keep the records of training episodes, JSON values each."""
-        append_lines(self.path / "episodes.jsonl", episodes)
-
-    def tests(self) -> tuple[TestResult, ...]:
-        """The tests in the order of their steps; of two at the same step the later written, as a resumed run makes.
-
-        Lines that cannot be read are left out and named by `record().problems`.
-        """
-        return read_tests(self.path)[0]
-
     def state(self) -> RunState:
         """The state now, `lost` included."""
-        stored = read_state(self.path)
-        if stored.unfinished and not self.is_locked():
-            stored = read_state(self.path)  # it may have ended, and said so, between the two looks
-            return stored.as_lost() if stored.unfinished else stored
-        return stored
+        return self._current(self._stored_state())
+
+    def versions(self) -> dict[str, str] | None:
+        """Versions of the software that made the run; None if run.json does not hold them."""
+        found = self._run.get("versions")
+        return {str(name): str(version) for name, version in found.items()} if isinstance(found, dict) else None
 
     def summary(self) -> RunSummary:
         """The run in one row, as the store keeps it."""
         return summarise(
-            self.path.resolve(), self._run, self.state(), self.spec(), count_tests(self.path)[0], self.labels()
+            self.path.resolve(), self._run, self.state(), self.spec(), self._count_tests()[0], self.labels()
         )
 
     def record(self) -> RunRecord:
-        """All that the folder says, read once, and what is damaged or missing in it."""
-        tests, problems = count_tests(self.path)
-        spec = self.spec()
-        for name in ("resolved.json", "state.json"):
-            if read_object(self.path / name) is None:
+        """The content of the folder, and what is damaged or missing in it."""
+        tests, problems = self._count_tests()
+        spec, state = _read_object(self.path / "resolved.json"), _read_object(self.path / "state.json")
+        for name, row in (("resolved.json", spec), ("state.json", state)):
+            if row is None:
                 problems += (f"{name}: missing or damaged",)
         if labels.is_damaged(self.path):
             problems += ("labels.json: damaged; tags and note cannot be read",)
-        summary = summarise(self.path.resolve(), self._run, self.state(), spec, tests, self.labels())
         problems += read_lines(self.path / "events.jsonl").problems
-        return RunRecord(summary, spec, tests, problems, self.versions())
+        now = self._current(RunState.from_row(state or {}))
+        summary = summarise(self.path.resolve(), self._run, now, spec or {}, tests, self.labels())
+        return RunRecord(summary, spec or {}, tests, problems, self.versions())
 
-    def versions(self) -> dict[str, str] | None:
-        """Versions of what the run was made with; None where run.json does not tell."""
-        found = self._run.get("versions")
-        return {str(name): str(version) for name, version in found.items()} if isinstance(found, dict) else None
+    def _current(self, stored: RunState) -> RunState:
+        """The state now, given what state.json held just before."""
+        if stored.unfinished and not self.is_locked():
+            stored = self._stored_state()  # the run may have ended between the first read and the look at the lock
+            return stored.as_lost() if stored.unfinished else stored
+        return stored
+
+    def _stored_state(self) -> RunState:
+        return RunState.from_row(_read_object(self.path / "state.json") or {})
 
     def _write_state(self, state: RunState) -> None:
         write_json(self.path / "state.json", state.to_row())
+
+    def _read_tests(self) -> tuple[tuple[TestResult, ...], tuple[str, ...]]:
+        """The tests in the order of their steps, and one line per problem."""
+        rows, problems = read_lines(self.path / "tests.jsonl")
+        decoded = [decode_test(row) for row in rows]
+        unique = {result.steps: result for result in decoded if result is not None}
+        invalid = decoded.count(None)
+        if invalid:
+            problems += (f"tests.jsonl: {invalid} lines are not test results; left out",)
+        return tuple(unique[steps] for steps in sorted(unique)), problems
+
+    def _count_tests(self) -> tuple[tuple[TestCounts, ...], tuple[str, ...]]:
+        """As `_read_tests`, but the counts of the tests, which takes less time if no line is damaged."""
+        try:
+            *lines, torn = (self.path / "tests.jsonl").read_bytes().split(b"\n")
+        except OSError:
+            lines, torn = [], b"unreadable"
+        counts = [] if torn else [count_test(line) for line in lines]
+        if torn or None in counts:
+            results, problems = self._read_tests()
+            return tuple(TestCounts.of(result) for result in results), problems
+        unique = {test.steps: test for test in counts if test is not None}
+        return tuple(unique[steps] for steps in sorted(unique)), ()
+
+
+def paths(runs: str | Path, pattern: str = "*") -> list[Path]:
+    """The run folders in a runs folder, damaged ones included, by name.
+
+    Args:
+        runs: the runs folder; the list is empty if it does not exist.
+        pattern: of the folders' names, as in a shell.
+    """
+    try:
+        found = sorted(path for path in Path(runs).iterdir() if fnmatchcase(path.name, pattern))
+    except FileNotFoundError:
+        return []
+    except OSError as error:
+        raise MachineError(f"cannot be read ({error.strerror})", where=str(runs), hint="name a runs folder") from error
+    return [path for path in found if os.path.isfile(path / "run.json")]
+
+
+def scan(runs: str | Path, pattern: str = "*") -> Iterator[RunFolder | RunError]:
+    """The run folders in a runs folder, by name; for a damaged one its error. Arguments as those of `paths`."""
+    for path in paths(runs, pattern):
+        try:
+            yield RunFolder.open(path)
+        except RunError as error:
+            yield error
+
+
+def _make_folder(runs: Path, stem: str) -> Path:
+    with writing(runs):
+        runs.mkdir(parents=True, exist_ok=True)
+        for attempt in range(1, _FOLDERS):
+            path = runs / (stem if attempt == 1 else f"{stem}-{attempt}")
+            try:
+                path.mkdir()  # succeeds in one process only, however many try
+            except FileExistsError:
+                continue
+            return path
+    raise MachineError(f"{stem} is taken", where=str(runs))
+
+
+def _read_description(path: Path) -> dict[str, Any]:
+    """The content of run.json. Raises RunError if it is not a run folder, or a newer karolos made it."""
+    try:
+        run = parse_object((path / "run.json").read_bytes())
+    except OSError as error:
+        raise RunError(
+            f"this is not a run folder ({error.strerror})", where=str(path), hint="`karolos runs list` shows the runs"
+        ) from error
+    if run is None or not is_description(run):
+        raise RunError("run.json is damaged", where=str(path), hint="restore the folder from a copy, or remove it")
+    if run["format"] > FORMAT:
+        raise RunError("a newer karolos made this run folder", where=str(path), hint="update karolos")
+    return run
+
+
+def _read_object(path: Path) -> dict[str, Any] | None:
+    """The JSON object in a file; None if there is none."""
+    try:
+        return parse_object(path.read_bytes())
+    except OSError:
+        return None

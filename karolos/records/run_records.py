@@ -1,8 +1,7 @@
-"""What is known of a run, as frozen values: the row of a listing, the state, and tests as JSON lines."""
+"""A run as frozen values: its state, its row in a listing, and the content of its folder."""
 
 from __future__ import annotations
 
-import math
 import re
 from collections.abc import Iterator, Mapping, Sequence
 from dataclasses import asdict, dataclass, replace
@@ -11,21 +10,19 @@ from pathlib import Path
 from typing import Any
 
 from ..errors import UsageError
-from .counting import TestCounts
 from .labels import Labels
-from .results import TestResult
+from .results import TestCounts
 
 NAME = re.compile(r"[A-Za-z0-9][A-Za-z0-9._-]{0,63}")
 ID = re.compile(r"[A-Za-z0-9][A-Za-z0-9._-]{0,199}")
 """A run's id: its name, seed and time."""
 FORMAT = 1
 """Version of the folder's layout, in run.json."""
-STORED_UNFINISHED = ("created", "running")
 STORED_STATES = ("created", "running", "finished", "failed", "stopped")
 UNFINISHED = ("created", "running")
 STATES = (*STORED_STATES, "lost")
 THRESHOLD = 0.95
-"""`any` success from which a run counts as solved in steps_to_95 and seconds_to_95."""
+"""Lowest `any` success at which a run counts as solved in steps_to_95 and seconds_to_95."""
 
 
 def timestamp(time: datetime | None = None) -> str:
@@ -35,13 +32,13 @@ def timestamp(time: datetime | None = None) -> str:
 
 @dataclass(frozen=True)
 class RunState:
-    """How far a run is.
+    """The progress of a run.
 
     Args:
         state: one of STATES.
         steps: environment steps of training.
         seconds: wall-clock seconds of collecting and learning; tests excluded.
-        attempt: how many processes have worked on it, from 1.
+        attempt: number of processes that have worked on it, from 1.
         error: why it failed, in one line.
         updated: when this was written (ISO 8601, UTC).
     """
@@ -55,7 +52,7 @@ class RunState:
 
     def __post_init__(self) -> None:
         if self.state not in STATES:
-            raise ValueError(f"{self.state!r} is no state; there are {', '.join(STATES)}")
+            raise ValueError(f"{self.state!r} is not a state; there are {', '.join(STATES)}")
 
     @property
     def unfinished(self) -> bool:
@@ -67,12 +64,12 @@ class RunState:
 
     def to_row(self) -> dict[str, Any]:
         if self.state not in STORED_STATES:
-            raise ValueError(f"{self.state!r} is found out by readers and never written")
+            raise ValueError(f"{self.state!r} is never written; readers compute it")
         return asdict(self)
 
     @classmethod
     def from_row(cls, row: Mapping[str, Any]) -> RunState:
-        """The state that a JSON object holds; `created` at step 0 where it holds none."""
+        """The state in a JSON object; `created` at step 0 if it is not a state."""
         try:
             return cls(
                 state=str(row.get("state", "created")),
@@ -126,14 +123,14 @@ class RunSummary:
 
 @dataclass(frozen=True)
 class RunRecord:
-    """All that a run folder says about its run; `problems` names what is damaged in it, one line each."""
+    """The content of a run folder; `problems` holds one line per damaged file."""
 
     summary: RunSummary
     spec: Mapping[str, Any]
     tests: tuple[TestCounts, ...]
     problems: tuple[str, ...]
     versions: Mapping[str, str] | None = None
-    """Of Python, karolos, plugins and what they need, when the run began; None where the folder does not tell."""
+    """Of Python, karolos, plugins and their dependencies when the run began; None if the folder does not hold them."""
 
 
 def flatten(spec: Mapping[str, Any], prefix: str = "") -> Iterator[tuple[str, Any]]:
@@ -153,7 +150,7 @@ def summarise(
     tests: Sequence[TestCounts],
     labels: Labels,
 ) -> RunSummary:
-    """The row of a run from what its folder holds; `tests` in the order of their steps."""
+    """The row of a run from the content of its folder; `tests` in the order of their steps."""
     last = tests[-1] if tests else None
     solved = next((test for test in tests if test.success_any >= THRESHOLD), None)
     return RunSummary(
@@ -184,58 +181,14 @@ def summarise(
 
 
 def part_name(spec: Mapping[str, Any], kind: str) -> str | None:
-    """Name of a part (`robot`, `agent` ...) of a resolved spec, or None where it has none."""
+    """Name of a part (`robot`, `agent` ...) of a resolved spec, or None if it has none."""
     part = spec.get(kind)
     name = part.get("name") if isinstance(part, Mapping) else part
     return name if isinstance(name, str) else None
 
 
-def encode_test(result: TestResult) -> dict[str, Any]:
-    """A test as a JSON object; outcomes as 0 and 1, numbers that JSON lacks (nan, inf) as text."""
-    return {
-        "steps": int(result.steps),
-        "seconds": float(result.seconds),
-        "any": [int(flag) for flag in result.any],
-        "end": [int(flag) for flag in result.end],
-        "reset": [int(flag) for flag in result.reset],
-        "returns": _numbers(result.returns),
-        "lengths": [int(length) for length in result.lengths],
-        **({} if result.distances is None else {"distances": _numbers(result.distances)}),
-    }
-
-
-def _numbers(values: Sequence[float]) -> list[float | str]:
-    return [value if math.isfinite(value) else str(value) for value in map(float, values)]
-
-
-def decode_test(row: Mapping[str, Any]) -> TestResult | None:
-    """The test that a JSON object holds, or None when it holds none."""
-    try:
-        result = TestResult(
-            steps=int(row["steps"]),
-            seconds=float(row["seconds"]),
-            any=tuple(map(bool, row["any"])),
-            end=tuple(map(bool, row["end"])),
-            reset=tuple(map(bool, row["reset"])),
-            returns=tuple(map(float, row["returns"])),
-            lengths=tuple(map(int, row["lengths"])),
-            distances=tuple(map(float, row["distances"])) if "distances" in row else None,  # younger than the others
-        )
-    except (KeyError, TypeError, ValueError):
-        return None
-    lists = (
-        result.end,
-        result.reset,
-        result.returns,
-        result.lengths,
-        result.any if result.distances is None else result.distances,
-    )
-    whole = result.any and all(len(values) == len(result.any) for values in lists)
-    return result if whole else None
-
-
 def check_name(name: str) -> None:
-    """Refuse (UsageError) a run's name that could not be a folder's on every system."""
+    """Refuse (UsageError) a run's name that cannot be a folder's on every system."""
     if not NAME.fullmatch(name):
         raise UsageError(
             f"a run cannot be named {name!r}",
@@ -244,7 +197,7 @@ def check_name(name: str) -> None:
 
 
 def is_description(run: Mapping[str, Any]) -> bool:
-    """Whether run.json holds what it must."""
+    """Whether an object has the fields of run.json."""
     texts = all(isinstance(run.get(key), str) for key in ("name", "experiment", "created"))
     numbers = all(type(run.get(key)) is int for key in ("seed", "format"))
     return texts and numbers and isinstance(run.get("id"), str) and ID.fullmatch(run["id"]) is not None

@@ -1,37 +1,44 @@
-"""What is known of a sweep, as frozen values."""
+"""A sweep as frozen values, and reading it from its folder, which `karolos.sweep.folder` writes. Needs no Optuna."""
 
 from __future__ import annotations
 
+import math
+import os
 from collections.abc import Mapping, Sequence
-from dataclasses import asdict, dataclass
+from dataclasses import asdict, dataclass, replace
 from pathlib import Path
 from typing import Any, Literal, get_args
 
-from ..files import FileLock
+from ..errors import MachineError, RunError
+from ..files import FileLock, parse_object, read_lines
+from .run_records import ID
 
+FOLDER = "sweeps"
+"""Folder of all sweeps in the runs folder."""
+DESCRIPTION, TRIALS, FINAL = "sweep.json", "trials.jsonl", "final.json"
 FORMAT = 1
 """Version of the folder's layout, in sweep.json."""
 LOCK = "lock"
-"""The file that the process holds which carries a sweep out."""
-State = Literal["running", "complete", "pruned", "failed"]
+"""The file that the process of a running sweep holds locked."""
+SweepTrialState = Literal["running", "complete", "pruned", "failed"]
 
 
 @dataclass(frozen=True)
 class Trial:
-    """One trial: what was drawn, and what came of it."""
+    """One trial of a sweep: its settings and its result."""
 
     number: int
     """From 0."""
     name: str
-    """Of its runs."""
-    state: State
-    """Running until it has come to an end, even while an interrupted sweep rests."""
+    """Name of its runs."""
+    state: SweepTrialState
+    """Running until it ends, also while the sweep is interrupted."""
     drawn: Mapping[str, Any]
-    """Parameter -> number, or label of a choice; parameters whose condition did not hold are missing."""
+    """Parameter -> number, or label of a choice; a parameter whose condition does not hold is missing."""
     values: tuple[float, ...] | None
-    """One for each objective; None unless complete."""
+    """One per objective; None unless the trial is complete."""
     runs: tuple[str, ...]
-    """Ids of its runs, in the order of the seeds; known from its end on."""
+    """Ids of its runs, in the order of the seeds; empty until it ends."""
     error: str | None
 
     def row(self) -> dict[str, Any]:
@@ -40,7 +47,7 @@ class Trial:
 
     @classmethod
     def from_row(cls, row: Mapping[str, Any]) -> Trial | None:
-        """The trial that a JSON object holds, or None when it holds none."""
+        """The trial in a JSON object, or None if it is not one."""
         try:
             values = None if row["values"] is None else tuple(map(float, row["values"]))
             error = None if row["error"] is None else str(row["error"])
@@ -48,26 +55,26 @@ class Trial:
             trial = cls(int(row["number"]), str(row["name"]), row["state"], dict(row["drawn"]), values, runs, error)
         except (KeyError, TypeError, ValueError):
             return None
-        return trial if trial.state in get_args(State) else None
+        return trial if trial.state in get_args(SweepTrialState) else None
 
 
 @dataclass(frozen=True)
-class Final:
+class SweepFinal:
     """The best trials on seeds that they were not tuned on."""
 
     chosen: int
-    """Number of the trial that did best on the fresh seeds."""
+    """Number of the best trial on the fresh seeds."""
     seeds: tuple[int, ...]
     report_seeds: tuple[int, ...]
     tuned: tuple[float, ...]
-    """The chosen trial's objectives on the sweep's seeds, by which it came among the best: too good on the whole."""
+    """The chosen trial's objectives on the sweep's seeds; biased upwards, because it was selected by them."""
     fresh: Mapping[int, tuple[float, ...]]
-    """Trial -> objectives on the fresh seeds; a trial that failed there is missing."""
+    """Trial -> objectives on the fresh seeds; a trial that failed on them is missing."""
     reported: tuple[float, ...] | None
-    """The chosen trial's objectives on seeds used for nothing else; None where a run failed."""
+    """The chosen trial's objectives on seeds used for nothing else; None if a run failed."""
 
     def row(self) -> dict[str, Any]:
-        """As JSON values; `gap` is tuned minus reported, one for each objective."""
+        """As JSON values; `gap` is tuned minus reported, one per objective."""
         gap = None
         if self.reported is not None:
             gap = [tuned - reported for tuned, reported in zip(self.tuned, self.reported, strict=True)]
@@ -82,8 +89,8 @@ class Final:
         }
 
     @classmethod
-    def from_row(cls, row: Mapping[str, Any]) -> Final | None:
-        """What a JSON object holds, or None when it holds nothing of the kind."""
+    def from_row(cls, row: Mapping[str, Any]) -> SweepFinal | None:
+        """The final evaluation in a JSON object, or None if it is not one."""
         try:
             return cls(
                 int(row["chosen"]),
@@ -99,40 +106,40 @@ class Final:
 
 @dataclass(frozen=True)
 class SweepRecord:
-    """A search over a spec's settings, and its trials so far."""
+    """A search over a spec's settings, with its trials so far."""
 
     sweep: str
-    """Id: its name and the time at which it began."""
+    """Id: its name and start time."""
     name: str
     experiment: str
     """Hash of the spec whose settings are searched."""
     objectives: tuple[str, ...]
-    """What trials are judged by, the most important first."""
+    """The objectives of trials, the most important first."""
     directions: tuple[str, ...]
-    """maximize or minimize, one for each objective."""
+    """maximize or minimize, one per objective."""
     parameters: tuple[str, ...]
-    """Key paths of the settings that are searched."""
+    """Key paths of the searched settings."""
     seeds: tuple[int, ...]
     """Of every trial."""
     asked: int
-    """How many trials it is to have."""
+    """Number of trials it shall have."""
     wants_final: bool
-    """Whether the best trials are to be run on fresh seeds."""
+    """Whether the best trials shall be run on fresh seeds."""
     created: str
     """ISO 8601, UTC."""
     folder: str
     trials: tuple[Trial, ...] = ()
     """By number."""
-    final: Final | None = None
+    final: SweepFinal | None = None
 
     @property
     def ended(self) -> int:
-        """How many trials have come to an end."""
+        """Number of trials that have ended."""
         return sum(trial.state != "running" for trial in self.trials)
 
     @property
     def ranked(self) -> list[Trial]:
-        """The complete trials, best first: by the first objective, then the next; of equals the earlier."""
+        """The complete trials, the best first (`rank`)."""
         return rank(self.trials, self.directions)
 
     @property
@@ -143,14 +150,14 @@ class SweepRecord:
         return next(iter(self.ranked), None)
 
     def state(self) -> str:
-        """As it is now: running; finished; or stopped, when trials are missing and no process carries it out."""
+        """The state now: running; finished; or stopped, if trials are missing and no process carries it out."""
         if is_running(Path(self.folder)):
             return "running"
         missing = self.ended < self.asked or (self.wants_final and self.final is None and bool(self.ranked))
         return "stopped" if missing else "finished"
 
     def description(self) -> dict[str, Any]:
-        """What stands in sweep.json."""
+        """The content of sweep.json."""
         names = ("name", "experiment", "created", "asked", "wants_final")
         lists = ("objectives", "directions", "parameters", "seeds")
         texts = {name: getattr(self, name) for name in names} | {name: list(getattr(self, name)) for name in lists}
@@ -158,7 +165,7 @@ class SweepRecord:
 
     @classmethod
     def from_description(cls, row: Mapping[str, Any], folder: Path) -> SweepRecord | None:
-        """The sweep, without trials, that a JSON object describes; None when it describes none."""
+        """The sweep without its trials from the content of sweep.json; None if it is not one."""
         try:
             record = cls(
                 sweep=str(row["id"]),
@@ -191,12 +198,14 @@ class SweepRecord:
 
 
 def merit(values: Sequence[float], directions: Sequence[str]) -> tuple[float, ...]:
-    """Objectives so turned that smaller is better."""
-    return tuple(-value if way == "maximize" else value for value, way in zip(values, directions, strict=True))
+    """Objectives with signs such that smaller is better."""
+    return tuple(
+        -value if direction == "maximize" else value for value, direction in zip(values, directions, strict=True)
+    )
 
 
 def rank(trials: Sequence[Trial], directions: Sequence[str]) -> list[Trial]:
-    """The complete ones of some trials, best first: by the first objective, then the next; of equals the earlier."""
+    """The complete trials, the best first: by the first objective, then the next, then by number."""
     complete = [(merit(trial.values, directions), trial.number, trial) for trial in trials if trial.values is not None]
     return [trial for *_, trial in sorted(complete, key=lambda each: each[:2])]
 
@@ -204,3 +213,64 @@ def rank(trials: Sequence[Trial], directions: Sequence[str]) -> list[Trial]:
 def is_running(folder: Path) -> bool:
     """Whether a process carries out the sweep in this folder."""
     return FileLock(folder / LOCK).is_locked()
+
+
+def sweep_paths(runs: str | Path) -> list[Path]:
+    """The folders of sweeps in a runs folder, damaged ones included, by name."""
+    root = Path(runs) / FOLDER
+    try:
+        found = sorted(root.iterdir())
+    except (FileNotFoundError, NotADirectoryError):
+        return []
+    except OSError as error:
+        raise MachineError(f"cannot be read ({error.strerror})", where=str(root), hint="name a runs folder") from error
+    return [path for path in found if os.path.isfile(path / DESCRIPTION)]
+
+
+def read_sweep(folder: Path) -> tuple[SweepRecord, tuple[str, ...]]:
+    """A sweep from its folder, and one line per damaged file.
+
+    Raises:
+        RunError: it is not a sweep's folder, its sweep.json is damaged, or a newer karolos made it.
+    """
+    described = read_sweep_description(folder)
+    lines = read_lines(folder / TRIALS)
+    problems = list(lines.problems)
+    trials = {trial.number: trial for row in lines.rows if (trial := _valid(Trial.from_row(row), described))}
+    if len(trials) < len(lines.rows):
+        problems.append(f"{TRIALS}: {len(lines.rows) - len(trials)} lines are not trials or repeat one; left out")
+    final = None
+    if (folder / FINAL).exists():
+        row = parse_object((folder / FINAL).read_bytes())
+        final = None if row is None else SweepFinal.from_row(row)
+        if final is None:
+            problems.append(f"{FINAL} is damaged; left out")
+    record = replace(described, trials=tuple(trials[number] for number in sorted(trials)), final=final)
+    return record, tuple(f"{folder.name}: {problem}" for problem in problems)
+
+
+def _valid(trial: Trial | None, sweep: SweepRecord) -> Trial | None:
+    """The trial, or None if it cannot be a trial of this sweep."""
+    if trial is None or (trial.values is None) == (trial.state == "complete"):
+        return None
+    values = trial.values
+    whole = values is None or (len(values) == len(sweep.objectives) and all(map(math.isfinite, values)))
+    return trial if whole else None
+
+
+def read_sweep_description(folder: Path) -> SweepRecord:
+    """A sweep without its trials. Raises RunError as `read_sweep` does."""
+    try:
+        row = parse_object((folder / DESCRIPTION).read_bytes())
+    except OSError as error:
+        raise RunError(f"this is not a sweep's folder ({error.strerror})", where=str(folder)) from error
+    if row is not None and isinstance(row.get("format"), int) and row["format"] > FORMAT:
+        raise RunError("a newer karolos made this sweep's folder", where=str(folder), hint="update karolos")
+    record = None if row is None else SweepRecord.from_description(row, folder.resolve())
+    if record is None or not ID.fullmatch(record.sweep):
+        raise RunError(
+            f"{DESCRIPTION} is damaged",
+            where=str(folder),
+            hint="remove that file: `karolos sweep SPEC` writes it again",
+        )
+    return record

@@ -1,6 +1,6 @@
-"""How a run's policy did under changed settings: one line per such test in transfers.jsonl, in the run's folder.
+"""Transfer results: tests of a run's policy under changed settings, one line each in transfers.jsonl of its folder.
 
-Any process may add to it at any time, whether the run goes on or not; a lock of its own keeps the lines apart.
+Any process may append at any time, also while the run goes on; the file has its own lock.
 """
 
 from __future__ import annotations
@@ -13,37 +13,36 @@ from ..errors import MachineError
 from ..files import FileLock, append_lines, read_lines
 from ..statistics.intervals import wilson
 from . import RunFolder
-from .results import TestResult
-from .run_records import decode_test, encode_test
+from .results import TestResult, decode_test, encode_test
 
 FILE = "transfers.jsonl"
 LOCK_SECONDS = 20.0
-"""How long a process waits for another that adds a line; that takes milliseconds."""
+"""How long a process waits for another that appends a line, which takes milliseconds."""
 
 
 @dataclass(frozen=True)
-class Transfer:
-    """A test of a saved policy under settings of its own."""
+class TransferResult:
+    """The result of a test of a saved policy under changed settings."""
 
     time: str
-    """When it ended (ISO 8601, UTC)."""
+    """End of the test (ISO 8601, UTC)."""
     checkpoint: str
     sha256: str
-    """Of the agent's state in the checkpoint: which policy it was, should the checkpoint be overwritten."""
+    """Of the agent's state in the checkpoint; it identifies the policy if the checkpoint is overwritten later."""
     overrides: tuple[str, ...]
-    """What was changed of the run's spec, as `path=value`."""
+    """Changes to the run's spec, as `path=value`."""
     randomized: bool
     """Whether domain randomization was on."""
     seed: int
     """Root of the test episodes' seeds."""
     wall_seconds: float
-    """What the test took."""
+    """Duration of the test."""
     result: TestResult
     """Episode by episode; `steps` and `seconds` are those of training before the checkpoint."""
     versions: Mapping[str, str]
 
     def row(self) -> dict[str, Any]:
-        """What scripts rely on, in this order; intervals are Wilson's at 95 %."""
+        """The fields as JSON values, in the order that scripts rely on; intervals are Wilson's at 95 %."""
         result = self.result
         any_, end = sum(result.any), sum(result.end)
         return {
@@ -62,8 +61,8 @@ class Transfer:
         }
 
 
-def add(folder: RunFolder, transfer: Transfer) -> None:
-    """Keep the result for good: it is on the disk when this returns.
+def add(folder: RunFolder, transfer: TransferResult) -> None:
+    """Append a result; it is on the disk when this returns.
 
     Raises:
         MachineError: the folder cannot be written, or another process keeps the file locked.
@@ -77,17 +76,17 @@ def add(folder: RunFolder, transfer: Transfer) -> None:
         lock.release()
 
 
-def read(folder: RunFolder) -> tuple[tuple[Transfer, ...], tuple[str, ...]]:
-    """The results in the order in which they came, and what of the file could not be read, one line each."""
+def read(folder: RunFolder) -> tuple[tuple[TransferResult, ...], tuple[str, ...]]:
+    """The results in the order of the file, and one line per problem."""
     rows, problems = read_lines(folder.path / FILE)
     decoded = [_decode(row) for row in rows]
-    odd = decoded.count(None)
-    if odd:
-        problems += (f"{FILE}: {odd} lines are no results of a test; left out",)
+    invalid = decoded.count(None)
+    if invalid:
+        problems += (f"{FILE}: {invalid} lines are not results of a test; left out",)
     return tuple(transfer for transfer in decoded if transfer is not None), problems
 
 
-def _encode(transfer: Transfer) -> dict[str, Any]:
+def _encode(transfer: TransferResult) -> dict[str, Any]:
     return {
         "time": transfer.time,
         "checkpoint": transfer.checkpoint,
@@ -102,13 +101,13 @@ def _encode(transfer: Transfer) -> dict[str, Any]:
     }
 
 
-def _decode(row: Mapping[str, Any]) -> Transfer | None:
-    """The transfer that a JSON object holds, or None when it holds none."""
+def _decode(row: Mapping[str, Any]) -> TransferResult | None:
+    """The result in a JSON object, or None if it is not one."""
     try:
         result = decode_test(row["test"])
         if result is None:
             return None
-        return Transfer(
+        return TransferResult(
             time=str(row["time"]),
             checkpoint=str(row["checkpoint"]),
             sha256=str(row["sha256"]),

@@ -1,4 +1,4 @@
-"""Run folders that were thrown away: `.trash` beside the others, until it is emptied."""
+"""The trash: `.trash` in the runs folder holds removed run folders until they are purged."""
 
 from __future__ import annotations
 
@@ -14,11 +14,11 @@ NAME = ".trash"
 
 
 def throw_away(folder: RunFolder) -> Path:
-    """Move a run folder into the trash; returns where it lies now.
+    """Move a run folder into the trash; returns its new path.
 
     Raises:
         RunError: a process is running it.
-        MachineError: it cannot be moved; it is where it was.
+        MachineError: it cannot be moved; it stays in place.
     """
     trash = folder.path.parent / NAME
     with folder:
@@ -38,14 +38,14 @@ def thrown_away(runs: str | Path) -> list[Path]:
 
 
 def find(runs: str | Path, selector: str) -> Path:
-    """The one folder in the trash whose name is, or begins as, the selector.
+    """The one folder in the trash whose name is, or begins with, the selector.
 
     Raises:
         UsageError: there is none, or several.
     """
-    there = thrown_away(runs)
-    exact = [path for path in there if path.name == selector]
-    found = exact or [path for path in there if selector and path.name.startswith(selector)]
+    trashed = thrown_away(runs)
+    exact = [path for path in trashed if path.name == selector]
+    found = exact or [path for path in trashed if selector and path.name.startswith(selector)]
     if len(found) == 1:
         return found[0]
     if found:
@@ -55,10 +55,10 @@ def find(runs: str | Path, selector: str) -> Path:
 
 
 def restore(path: Path) -> RunFolder:
-    """Bring a folder back out of the trash, under its run's id.
+    """Move a folder out of the trash, under its run's id.
 
     Raises:
-        UsageError: a folder of that name is there.
+        UsageError: a folder of that name exists.
         RunError: it is damaged.
         MachineError: it cannot be moved.
     """
@@ -66,7 +66,7 @@ def restore(path: Path) -> RunFolder:
     target = path.parent.parent / folder.id
     if target.exists():
         raise UsageError(
-            f"there is a run {folder.id} again", where=str(target), hint="throw that one away first, or keep this one"
+            f"there is a run {folder.id} again", where=str(target), hint="`karolos runs rm` removes that one"
         )
     with writing(target):
         os.rename(path, target)
@@ -75,20 +75,20 @@ def restore(path: Path) -> RunFolder:
 
 
 def purge(path: Path) -> None:
-    """Remove a folder in the trash for good.
+    """Delete a folder in the trash.
 
     Raises:
-        RunError: it does not lie in a trash.
-        MachineError: some of it cannot be removed.
+        RunError: it is not in a trash.
+        MachineError: some of it cannot be deleted.
     """
     if path.parent.name != NAME or path.parent.is_symlink() or path.is_symlink():
-        raise RunError("this does not lie in the trash", where=str(path), hint="`karolos runs rm RUN` moves it there")
+        raise RunError("this is not in the trash", where=str(path), hint="`karolos runs rm RUN` moves it there")
     with writing(path):
         shutil.rmtree(path)
 
 
 def _free(trash: Path, name: str) -> Path:
-    """A path in the trash that is free: a run may have been thrown away, imported and thrown away again."""
+    """An unused path in the trash: a run may be removed, imported and removed again."""
     number, path = 1, trash / name
     while path.exists():
         number += 1

@@ -11,11 +11,10 @@ from rich.table import Table
 from rich.text import Text
 
 from ..records import run_records
-from ..records.results import WITHIN, TestResult
+from ..records.results import WITHIN, TestCounts, TestResult
 from ..records.run_records import RunSummary
-from ..records.transfer_results import Transfer
+from ..records.transfer_results import TransferResult
 from ..statistics.intervals import wilson
-from ..store import StoredTest
 from .terminal import clean
 
 _STATE_STYLES = {
@@ -77,7 +76,7 @@ def runs_table(runs: Sequence[RunSummary], *, title: str | None = None) -> Table
 
 
 def table_of_tests(
-    tests: Sequence[StoredTest], results: Sequence[TestResult] = (), *, title: str | None = None
+    tests: Sequence[TestCounts], results: Sequence[TestResult] = (), *, title: str | None = None
 ) -> Table:
     """One row per test, both ways to count success with their 95 % intervals.
 
@@ -104,7 +103,7 @@ def table_of_tests(
     return table
 
 
-def transfers_table(transfers: Sequence[Transfer], *, title: str | None = None) -> Table:
+def transfers_table(transfers: Sequence[TransferResult], *, title: str | None = None) -> Table:
     """One row per test under changed settings, both ways to count success with their 95 % intervals."""
     table = _table("changed", "checkpoint", title=title)
     for heading in ("success any", "success end", "episodes", "seed", "when"):

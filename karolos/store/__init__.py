@@ -2,14 +2,6 @@
 
 from .check import Difference, check
 from .reindex import Reindexed, reindex
-from .rows import StoredTest
 from .store import Store
 
-__all__ = [
-    "Difference",
-    "Reindexed",
-    "Store",
-    "StoredTest",
-    "check",
-    "reindex",
-]
+__all__ = ["Difference", "Reindexed", "Store", "check", "reindex"]

@@ -1,4 +1,4 @@
-"""What the folders of runs and sweeps say. Those of many runs are read by several processes: their JSON takes time."""
+"""Reading the folders of runs and sweeps for the index; several processes read many of them faster."""
 
 from __future__ import annotations
 
@@ -7,65 +7,63 @@ from dataclasses import dataclass
 from pathlib import Path
 
 from ..errors import RunError
-from ..records import RunFolder, paths, sweep_reading
-from ..records.sweep_records import SweepRecord
-from .writing import Entry
+from ..records import RunFolder, paths
+from ..records.sweep_records import SweepRecord, read_sweep, sweep_paths
+from .writing import RunEntry
 
 FEW = 200
-"""Run folders that one process has read before others have started."""
-_AT_ONCE = 25
+"""Up to this many run folders are read by one process; more processes take longer to start than to read them."""
+_FOLDERS_PER_TASK = 25
 
 
 @dataclass(frozen=True)
-class Found:
-    """A run folder; `entry` None where it is damaged or `alive`, and `problems` say what is wrong with it."""
+class FoundFolder:
+    """A run folder; `entry` is None if it is damaged or skipped because it is locked."""
 
     name: str
     run: str | None
-    entry: Entry | None
-    alive: bool
+    entry: RunEntry | None
     problems: tuple[str, ...]
 
 
-def read_folders(root: Path, jobs: int = 1, *, living: bool = True) -> Iterator[Found]:
+def read_folders(root: Path, jobs: int = 1, *, locked: bool = True) -> Iterator[FoundFolder]:
     """The run folders in a runs folder, by name.
 
     Args:
         root: the runs folder.
-        jobs: processes to read with; several only pay where there are many folders.
-        living: read folders that a process is working on, too.
+        jobs: processes that read them.
+        locked: also read folders of runs that a process is working on.
     """
     found = paths(root)
     if jobs == 1 or len(found) <= FEW:
-        yield from (_read(path, living) for path in found)
+        yield from (_read(path, locked) for path in found)
         return
-    import multiprocessing  # noqa: PLC0415  (both take longer to import than the index takes to answer)
+    import multiprocessing  # noqa: PLC0415  (both take longer to import than a query takes)
     from concurrent.futures import ProcessPoolExecutor  # noqa: PLC0415
 
     with ProcessPoolExecutor(jobs, mp_context=multiprocessing.get_context("spawn")) as pool:
-        yield from pool.map(_read, found, [living] * len(found), chunksize=_AT_ONCE)
+        yield from pool.map(_read, found, [locked] * len(found), chunksize=_FOLDERS_PER_TASK)
 
 
-def _read(path: Path, living: bool) -> Found:
+def _read(path: Path, locked: bool) -> FoundFolder:
     try:
         folder = RunFolder.open(path)
     except RunError as error:
-        return Found(path.name, None, None, False, (str(error),))
-    alive = folder.is_locked()
-    if alive and not living:
-        return Found(path.name, folder.id, None, True, ())
+        return FoundFolder(path.name, None, None, (str(error),))
+    if not locked and folder.is_locked():
+        return FoundFolder(path.name, folder.id, None, ())
     record = folder.record()
     problems = tuple(f"{path.name}: {problem}" for problem in record.problems)
-    return Found(path.name, folder.id, Entry.of(record), alive, problems)
+    return FoundFolder(path.name, folder.id, RunEntry.of(record), problems)
 
 
 def read_sweeps(root: Path) -> tuple[tuple[SweepRecord, ...], tuple[str, ...]]:
-    """The sweeps in a runs folder, each once, by the names of their folders; and what is damaged, one line each."""
+    """The sweeps in a runs folder by folder name, each once, and one line per damaged file."""
     found: dict[str, SweepRecord] = {}
     problems: list[str] = []
-    for path in sweep_reading.paths(root):
+    for path in sweep_paths(root):
         try:
-            record, damaged = sweep_reading.read(path)
+            record, damaged = read_sweep(path)
         except RunError as error:
             problems.append(str(error))
             continue
@@ -79,6 +77,6 @@ def read_sweeps(root: Path) -> tuple[tuple[SweepRecord, ...], tuple[str, ...]]:
 
 
 def is_gone(folder: str, home: Path) -> bool:
-    """Whether a folder that lay in `home` is not there any more."""
+    """Whether a folder that stood in `home` does not exist any more."""
     path = Path(folder)
     return path.parent == home and not path.exists()

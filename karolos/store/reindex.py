@@ -5,17 +5,17 @@ from __future__ import annotations
 from dataclasses import dataclass
 from pathlib import Path
 
-from ..records.sweep_reading import FOLDER
+from ..records.sweep_records import FOLDER
 from .folders import is_gone, read_folders, read_sweeps
 from .store import Store
-from .writing import Entry
+from .writing import RunEntry
 
 _RUNS_PER_TRANSACTION = 100
 
 
 @dataclass(frozen=True)
 class Reindexed:
-    """Runs and sweeps entered, those forgotten because their folders are gone, and what is damaged, one line each."""
+    """Numbers of runs and sweeps that were entered and forgotten (folder gone), and one line per damaged file."""
 
     runs: int
     forgotten: int
@@ -25,12 +25,12 @@ class Reindexed:
 
 
 def reindex(store: Store, runs: str | Path, *, jobs: int = 1) -> Reindexed:
-    """Make the index agree with the folders in `runs`; what lies elsewhere stays as it is.
+    """Make the index agree with the folders in `runs`; runs in other folders stay as they are.
 
     Args:
         store: the index.
         runs: the runs folder.
-        jobs: processes that read the folders; a script that asks for several guards its start by `__name__`.
+        jobs: processes that read the folders; a script that uses several guards its start by `__name__`.
 
     Raises:
         StoreError: the database cannot be written.
@@ -38,7 +38,7 @@ def reindex(store: Store, runs: str | Path, *, jobs: int = 1) -> Reindexed:
     root = Path(runs).resolve()
     known: dict[str, str] = {}
     problems: list[str] = []
-    waiting: list[Entry] = []
+    waiting: list[RunEntry] = []
     for found in read_folders(root, jobs):
         problems += found.problems
         if found.run is None or found.entry is None:
@@ -57,7 +57,7 @@ def reindex(store: Store, runs: str | Path, *, jobs: int = 1) -> Reindexed:
     store.remove_runs(gone)
     sweeps, damaged = read_sweeps(root)
     store.sweeps.add(sweeps)
-    there = {record.sweep for record in sweeps}
-    lost = [one.sweep for one in store.sweeps.all() if one.sweep not in there and is_gone(one.folder, root / FOLDER)]
+    read = {record.sweep for record in sweeps}
+    lost = [one.sweep for one in store.sweeps.all() if one.sweep not in read and is_gone(one.folder, root / FOLDER)]
     store.sweeps.remove(lost)
     return Reindexed(len(known), len(gone), (*problems, *damaged), len(sweeps), len(lost))

@@ -1,4 +1,4 @@
-"""How the success ratios of an experiment's runs are spread, test by test."""
+"""The distribution of the success ratios of an experiment's runs, test by test."""
 
 from __future__ import annotations
 
@@ -10,7 +10,7 @@ from typing import Any
 from sqlalchemy import Connection, select
 
 from ..statistics.density import kde
-from .connection import ReadOnlyError
+from .database import ReadOnlyError
 from .rows import put
 from .store import Store
 from .tables import RUNS, SUCCESSES, TESTS
@@ -25,13 +25,13 @@ class SuccessSummary:
         experiment: hash.
         steps: environment steps of training before the test.
         counting: any or end.
-        runs: how many were tested after these steps.
+        runs: number of runs that were tested after these steps.
         bandwidth: standard deviation of the kernel.
         mode: where the density is largest.
         modes: its local maxima.
         mean: of the density.
-        low: 5 % of the mass lie below.
-        high: 95 % of the mass lie below.
+        low: 5 % quantile.
+        high: 95 % quantile.
     """
 
     experiment: str
@@ -47,35 +47,33 @@ class SuccessSummary:
 
 
 def success_summaries(store: Store, experiment: str) -> tuple[SuccessSummary, ...]:
-    """How the success ratios of an experiment's runs are spread, in the order of steps; `any` before `end`.
+    """The summaries of an experiment's tests, in the order of steps; `any` before `end`.
 
-    Computed when asked for and then kept in the database until a test or a run of the experiment comes or goes. A
-    database that may only be read gives them, too.
+    They are computed on demand and stored in the database until a test or a run of the experiment is added or removed.
+    In a read-only database they are computed each time.
     """
-    with store.reading() as connection:
+    with store.database.reading() as connection:
         found = _stored(connection, experiment)
     if found:
         return found
     try:
-        with store.writing() as connection:
+        with store.database.writing() as connection:
             forget_summaries(connection, [experiment])
             found = _computed(connection, experiment)
             put(connection, SUCCESSES, [vars(one) | {"modes": list(one.modes)} for one in found])
     except ReadOnlyError:
-        with store.reading() as connection:
+        with store.database.reading() as connection:
             found = _computed(connection, experiment)
     return found
 
 
 def _stored(connection: Connection, experiment: str) -> tuple[SuccessSummary, ...]:
-    """The summaries that stand in the database, in order of steps."""
-    found = SUCCESSES.c
-    query = select(SUCCESSES).where(found.experiment == experiment).order_by(found.steps, found.counting)
+    columns = SUCCESSES.c
+    query = select(SUCCESSES).where(columns.experiment == experiment).order_by(columns.steps, columns.counting)
     return tuple(SuccessSummary(**{**row._mapping, "modes": tuple(row.modes)}) for row in connection.execute(query))
 
 
 def _computed(connection: Connection, experiment: str) -> tuple[SuccessSummary, ...]:
-    """The summaries of the tests that stand in the database, in order of steps."""
     tests = TESTS.c
     query = (
         select(tests.steps, tests.successes_any, tests.successes_end, tests.episodes)
@@ -87,22 +85,19 @@ def _computed(connection: Connection, experiment: str) -> tuple[SuccessSummary, 
     for steps, group in groupby(connection.execute(query), key=lambda row: row.steps):
         rows: Sequence[Any] = list(group)
         for counting in ("any", "end"):
-            ratios = [getattr(row, f"successes_{counting}") / row.episodes for row in rows]
-            found.append(_summary(experiment, steps, counting, ratios))
+            density = kde([getattr(row, f"successes_{counting}") / row.episodes for row in rows])
+            found.append(
+                SuccessSummary(
+                    experiment,
+                    steps,
+                    counting,
+                    len(rows),
+                    bandwidth=density.bandwidth,
+                    mode=density.mode,
+                    modes=density.modes,
+                    mean=density.mean,
+                    low=density.low,
+                    high=density.high,
+                )
+            )
     return tuple(found)
-
-
-def _summary(experiment: str, steps: int, counting: str, ratios: Sequence[float]) -> SuccessSummary:
-    density = kde(ratios)
-    return SuccessSummary(
-        experiment,
-        steps,
-        counting,
-        len(ratios),
-        bandwidth=density.bandwidth,
-        mode=density.mode,
-        modes=density.modes,
-        mean=density.mean,
-        low=density.low,
-        high=density.high,
-    )

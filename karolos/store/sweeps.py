@@ -1,68 +1,61 @@
-"""Sweeps in the index: entering, finding and forgetting them."""
+"""Sweeps in the index: entering, finding and removing them."""
 
 from __future__ import annotations
 
 from collections import defaultdict
 from collections.abc import Sequence
 from pathlib import Path
-from typing import TYPE_CHECKING, Any
+from typing import Any
 
 from sqlalchemy import delete, select
 
 from ..errors import UsageError
-from ..records.sweep_records import Final, SweepRecord, Trial
-from .rows import as_stored, put, where_it_lies
+from ..records.sweep_records import SweepFinal, SweepRecord, Trial
+from .database import Database
+from .rows import as_stored, folder_path, put
 from .tables import SWEEPS, TRIALS
-
-if TYPE_CHECKING:
-    from .store import Store
 
 _LISTED = 5
 
 
 class Sweeps:
-    """The sweeps of a results database; get it from `Store.sweeps`.
+    """The sweeps of a results database; get it from `Store.sweeps`."""
 
-    Raises:
-        StoreError: from every method, as those of Store.
-    """
-
-    def __init__(self, store: Store) -> None:
-        self._store = store
+    def __init__(self, database: Database) -> None:
+        self._database = database
 
     def add(self, records: Sequence[SweepRecord]) -> None:
-        """Enter sweeps with all their trials, in place of those stored, in one transaction."""
-        home = self._store.home
-        with self._store.writing() as connection:
+        """Enter sweeps with all their trials in one transaction; replace those stored."""
+        with self._database.writing() as connection:
             for record in records:
-                # A row of the sweep takes its trials with it.
+                # Deleting a sweep deletes its trials.
                 connection.execute(delete(SWEEPS).where(SWEEPS.c.sweep == record.sweep))
-                put(connection, SWEEPS, [_row(record, home)])
+                put(connection, SWEEPS, [_row(record, self._database.home)])
                 put(connection, TRIALS, [{"sweep": record.sweep, **trial.row()} for trial in record.trials])
 
     def remove(self, sweeps: Sequence[str]) -> None:
-        """Take sweeps out of the index by their ids; their runs and folders stay."""
-        with self._store.writing() as connection:
+        """Remove sweeps from the index by their ids; their runs and folders stay."""
+        with self._database.writing() as connection:
             for sweep in sweeps:
                 connection.execute(delete(SWEEPS).where(SWEEPS.c.sweep == sweep))
 
     def all(self, *, name: str | None = None) -> tuple[SweepRecord, ...]:
-        """Sweeps with their trials, the newest first; with a name those that are called so or have it as their id."""
+        """Sweeps with their trials, the newest first; `name` keeps those of this name or id."""
         query = select(SWEEPS).order_by(SWEEPS.c.created.desc(), SWEEPS.c.sweep.desc())
         trials = select(TRIALS).order_by(TRIALS.c.number)
         if name is not None:
             query = query.where((SWEEPS.c.name == name) | (SWEEPS.c.sweep == name))
-        with self._store.reading() as connection:
+        with self._database.reading() as connection:
             rows = connection.execute(query).all()
             if name is not None:
                 trials = trials.where(TRIALS.c.sweep.in_([row.sweep for row in rows]))
             grouped: dict[str, list[Trial]] = defaultdict(list)
             for row in connection.execute(trials):
                 grouped[row.sweep].append(_trial(row))
-        return tuple(_record(row, grouped[row.sweep], self._store.home) for row in rows)
+        return tuple(_record(row, grouped[row.sweep], self._database.home) for row in rows)
 
     def find(self, name: str) -> SweepRecord:
-        """The one sweep that is called so, or has this id.
+        """The one sweep of this name or id.
 
         Raises:
             UsageError: there is none, or several folders hold one of this name.
@@ -77,18 +70,18 @@ class Sweeps:
 
 
 def _row(record: SweepRecord, home: Path | None) -> dict[str, Any]:
-    known = record.description()
-    del known["format"]
+    description = record.description()
+    del description["format"]
     final = record.final.row() if record.final else None
-    return known | {"sweep": known.pop("id"), "folder": as_stored(record.folder, home), "final": final}
+    return description | {"sweep": description.pop("id"), "folder": as_stored(record.folder, home), "final": final}
 
 
 def _record(row: Any, trials: Sequence[Trial], home: Path | None) -> SweepRecord:
     values = dict(row._mapping)
     for name in ("objectives", "directions", "parameters", "seeds"):
         values[name] = tuple(values[name])
-    values["folder"] = where_it_lies(row.folder, home)
-    values["final"] = Final.from_row(row.final) if row.final else None
+    values["folder"] = folder_path(row.folder, home)
+    values["final"] = SweepFinal.from_row(row.final) if row.final else None
     return SweepRecord(**values, trials=tuple(trials))
 
 

@@ -1,6 +1,6 @@
 """Tables of the results database. Times are ISO 8601 text in UTC, which sorts like the time on every database.
 
-Plain tables: no rows are mapped to objects here, and SQLAlchemy's mapper would take longer to import than most queries.
+The tables are plain: SQLAlchemy's mapper takes longer to import than most queries take.
 """
 
 from __future__ import annotations
@@ -11,12 +11,15 @@ from sqlalchemy import JSON, BigInteger, Boolean, Column, Float, ForeignKey, Int
 from sqlalchemy.types import TypeEngine
 
 SCHEMA = 3
-"""Version of these tables, kept in `karolos_schema`; a higher one comes with a migration in `migrations`."""
+"""Version of these tables, stored in `karolos_schema`. Raise it with every change of the tables.
+
+A database of another version is refused: the run folders are the truth, and `karolos db reindex` builds a new one.
+"""
 TABLES = MetaData()
 
 
 def _column(name: str, kind: TypeEngine[Any], *, index: bool = False) -> Column[Any]:
-    """A column in which there is always a value."""
+    """A column that is never null."""
     return Column(name, kind, nullable=False, index=index)
 
 
@@ -25,18 +28,18 @@ def _part_of_key(name: str, kind: TypeEngine[Any] | ForeignKey, *, index: bool =
 
 
 def _owner(column: str) -> ForeignKey:
-    """What a row belongs to, and goes with."""
+    """The row that this row belongs to and is deleted with."""
     return ForeignKey(column, ondelete="CASCADE")
 
 
 SCHEMA_VERSION = Table("karolos_schema", TABLES, _part_of_key("version", Integer()))
-"""One row: the version of the tables. Its presence tells a karolos database from any other."""
+"""One row: the version of the tables. Only a karolos database has this table."""
 
 EXPERIMENTS = Table("experiments", TABLES, _part_of_key("hash", String(128)))
-"""What runs of the same hash have in common: their results may be put together."""
+"""Runs of the same hash belong to one experiment: their results may be pooled."""
 
 SPECS = Table("specs", TABLES, _part_of_key("digest", String(64)), _column("spec", JSON()))
-"""A resolved spec without its seeds, once for all runs that have the very same one.
+"""A resolved spec without its seeds, stored once for all runs that have exactly this one.
 
 Specs of one experiment may differ in what results do not depend on: name, device, threads.
 """
@@ -95,7 +98,7 @@ TAGS = Table(
     _part_of_key("run", _owner("runs.run")),
     _part_of_key("tag", String(200), index=True),
 )
-"""A word that somebody gave a run. It stands in the run folder, too."""
+"""A tag that a person gave a run. The run folder holds it, too."""
 
 TESTS = Table(
     "tests",
@@ -105,7 +108,7 @@ TESTS = Table(
     _column("seconds", Float(53)),
     *(_column(name, Integer()) for name in ("episodes", "successes_any", "successes_end", "solved_at_reset")),
 )
-"""One test of a run: k of n, by both ways to count success. Episode by episode it stands in the run folder."""
+"""The counts of one test of a run. The run folder holds the test episode by episode."""
 
 SUCCESSES = Table(
     "success_summaries",
@@ -126,7 +129,7 @@ SWEEPS = Table(
     TABLES,
     _part_of_key("sweep", String(200)),
     _column("name", String(64), index=True),
-    _column("experiment", String(128)),  # of no run: trials have other settings
+    _column("experiment", String(128)),  # not a foreign key: trials have other settings
     *(_column(name, JSON()) for name in ("objectives", "directions", "parameters", "seeds")),
     _column("asked", Integer()),
     _column("wants_final", Boolean()),
@@ -134,7 +137,7 @@ SWEEPS = Table(
     _column("folder", Text()),
     Column("final", JSON(none_as_null=True)),
 )
-"""A search over the settings of a spec: the fields of SweepRecord. `folder` is kept as that of a run."""
+"""A search over the settings of a spec: the fields of SweepRecord. `folder` is stored as that of a run."""
 
 TRIALS = Table(
     "trials",
@@ -148,4 +151,4 @@ TRIALS = Table(
     _column("runs", JSON()),  # no foreign key: a run may go to the trash and come back
     Column("error", Text()),
 )
-"""One trial of a sweep: what it drew, its runs, one per seed, and what they came to."""
+"""One trial of a sweep: the settings it drew, its runs (one per seed) and its objectives."""

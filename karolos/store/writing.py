@@ -1,4 +1,4 @@
-"""Entering runs into the index and taking them out; each function works inside a transaction that alone writes."""
+"""Entering runs into the index and removing them. Every function works inside a transaction that writes."""
 
 from __future__ import annotations
 
@@ -11,103 +11,116 @@ from sqlalchemy import Connection, Table, delete, select, update
 
 from ..records import labels
 from ..records.labels import Labels
+from ..records.results import TestCounts
 from ..records.run_records import RunRecord, RunSummary
-from .rows import StoredTest, chunks, digest, parameter_rows, put, run_row, upsert, without_seeds
+from .rows import chunks, digest, parameter_rows, put, run_row, test_row, upsert, without_seeds
 from .tables import EXPERIMENTS, PARAMETERS, RUNS, SPECS, SUCCESSES, TAGS, TESTS, VERSIONS
 
 
 @dataclass(frozen=True)
-class Entry:
-    """A run as it is to stand in the index; `tests` None leaves those that are there."""
+class RunEntry:
+    """What the index stores of a run."""
 
     summary: RunSummary
     spec: Mapping[str, Any]
+    """Resolved, without seeds."""
+    spec_digest: str
     versions: Mapping[str, str] | None
-    tests: Sequence[StoredTest] | None
+    software: str | None
+    """Digest of the versions."""
+    tests: Sequence[TestCounts] | None
+    """None keeps the tests that are stored."""
 
     @classmethod
-    def of(cls, record: RunRecord) -> Entry:
-        """What a run folder says."""
-        run = record.summary.run
-        tests = tuple(StoredTest.of(run, result) for result in record.tests)
-        return cls(record.summary, record.spec, record.versions, tests)
+    def make(
+        cls,
+        summary: RunSummary,
+        spec: Mapping[str, Any],
+        versions: Mapping[str, str] | None,
+        tests: Sequence[TestCounts] | None = None,
+    ) -> RunEntry:
+        shared = without_seeds(spec)
+        return cls(summary, shared, digest(shared), versions, digest(versions) if versions else None, tests)
+
+    @classmethod
+    def of(cls, record: RunRecord) -> RunEntry:
+        """The entry of a run folder."""
+        return cls.make(record.summary, record.spec, record.versions, record.tests)
 
 
 @dataclass(frozen=True)
 class _Shared:
-    """What rows of runs refer to, and what goes when no run refers to it any more."""
+    """Rows that several runs refer to. They are deleted with the last of these runs."""
 
     experiments: frozenset[str]
     specs: frozenset[str]
     software: frozenset[str]
 
 
-def enter(connection: Connection, entries: Sequence[Entry], home: Path | None) -> None:
-    """Enter runs in place of those that are stored under the same ids."""
-    runs = [entry.summary.run for entry in entries]
-    before = _shared(connection, runs)
-    specs = {digest(spec): spec for spec in (without_seeds(entry.spec) for entry in entries)}
-    software = {digest(entry.versions): entry.versions for entry in entries if entry.versions}
-    _add_specs(connection, specs)
-    _add_software(connection, software)
-    experiments = {entry.summary.experiment for entry in entries}
-    hashes = [{"hash": name} for name in sorted(experiments)]
-    upsert(connection, EXPERIMENTS, hashes, keys=("hash",), replace_old=False)
-    written = {entry.summary.run: current_labels(entry.summary) for entry in entries}
+def enter(connection: Connection, entries: Sequence[RunEntry], home: Path | None) -> None:
+    """Enter runs; replace those that are stored under the same ids."""
+    before = _shared(connection, [entry.summary.run for entry in entries])
+    _add_specs(connection, {entry.spec_digest: entry.spec for entry in entries})
+    _add_software(
+        connection, {entry.software: entry.versions for entry in entries if entry.software and entry.versions}
+    )
+    experiments = sorted({entry.summary.experiment for entry in entries})
+    upsert(connection, EXPERIMENTS, [{"hash": name} for name in experiments], keys=("hash",), replace_old=False)
+    current = {entry.summary.run: _current_labels(entry.summary) for entry in entries}
     rows = [
         {
             **run_row(entry.summary, home),
-            "note": written[entry.summary.run].note,
-            "spec": digest(without_seeds(entry.spec)),
-            "software": digest(entry.versions) if entry.versions else None,
+            "note": current[entry.summary.run].note,
+            "spec": entry.spec_digest,
+            "software": entry.software,
         }
         for entry in entries
     ]
     upsert(connection, RUNS, rows, keys=("run",))
-    _write_tags(connection, written)
-    tested = {entry.summary.run: entry.tests for entry in entries if entry.tests is not None}
-    _remove(connection, TESTS, tested)
-    put(connection, TESTS, [test.to_row() for tests in tested.values() for test in tests])
-    forget_summaries(connection, sorted(experiments | before.experiments))
+    _write_tags(connection, current)
+    tests = {entry.summary.run: entry.tests for entry in entries if entry.tests is not None}
+    _delete(connection, TESTS, tests)
+    put(connection, TESTS, [test_row(run, test) for run, found in tests.items() for test in found])
+    forget_summaries(connection, sorted({*experiments, *before.experiments}))
     _prune(connection, before)
 
 
 def remove(connection: Connection, runs: Sequence[str]) -> None:
-    """Take runs and all that is theirs alone out of the index."""
+    """Remove runs and everything that only they refer to."""
     before = _shared(connection, runs)
-    _remove(connection, RUNS, runs)
+    _delete(connection, RUNS, runs)
     forget_summaries(connection, sorted(before.experiments))
     _prune(connection, before)
 
 
 def refresh_labels(connection: Connection, run: str, folder: Path) -> bool:
-    """Make the index agree with the labels in a run folder; says whether it knows the run."""
-    # Read inside the transaction: who comes last has read all that was written before.
-    found = labels.read(folder)
-    changed = connection.execute(update(RUNS).where(RUNS.c.run == run).values(note=found.note))
+    """Copy the labels from a run folder into the index; returns whether the index has the run."""
+    # Read inside the transaction: the last writer has read everything that was written before.
+    current = labels.read(folder)
+    changed = connection.execute(update(RUNS).where(RUNS.c.run == run).values(note=current.note))
     if changed.rowcount:
-        _write_tags(connection, {run: found})
+        _write_tags(connection, {run: current})
     return bool(changed.rowcount)
 
 
 def forget_summaries(connection: Connection, experiments: Sequence[str]) -> None:
-    """Drop what is written down of how the success ratios of experiments are spread."""
+    """Delete the stored success summaries of experiments."""
     for experiment in experiments:
         connection.execute(delete(SUCCESSES).where(SUCCESSES.c.experiment == experiment))
 
 
-def current_labels(summary: RunSummary) -> Labels:
-    """As the folder has them now; where it is gone, as the summary does."""
+def _current_labels(summary: RunSummary) -> Labels:
+    """The labels in the run folder now; those of the summary if the folder is gone."""
     folder = Path(summary.folder)
     return labels.read(folder) if folder.is_dir() else Labels(summary.tags, summary.note)
 
 
-def _write_tags(connection: Connection, written: Mapping[str, Labels]) -> None:
-    _remove(connection, TAGS, written)
-    put(connection, TAGS, [{"run": run, "tag": tag} for run, found in written.items() for tag in found.tags])
+def _write_tags(connection: Connection, current: Mapping[str, Labels]) -> None:
+    _delete(connection, TAGS, current)
+    put(connection, TAGS, [{"run": run, "tag": tag} for run, found in current.items() for tag in found.tags])
 
 
-def _remove(connection: Connection, table: Table, runs: Iterable[str]) -> None:
+def _delete(connection: Connection, table: Table, runs: Iterable[str]) -> None:
     for portion in chunks(list(runs)):
         connection.execute(delete(table).where(table.c.run.in_(portion)))
 
@@ -128,10 +141,10 @@ def _add_software(connection: Connection, software: Mapping[str, Mapping[str, st
 
 
 def _missing(connection: Connection, column: Any, names: Collection[str]) -> list[str]:
-    there: set[str] = set()
+    stored: set[str] = set()
     for portion in chunks(sorted(names)):
-        there.update(connection.scalars(select(column).where(column.in_(portion)).distinct()))
-    return sorted(set(names) - there)
+        stored.update(connection.scalars(select(column).where(column.in_(portion)).distinct()))
+    return sorted(set(names) - stored)
 
 
 def _shared(connection: Connection, runs: Sequence[str]) -> _Shared:
@@ -147,13 +160,13 @@ def _shared(connection: Connection, runs: Sequence[str]) -> _Shared:
 
 
 def _prune(connection: Connection, before: _Shared) -> None:
-    """Remove what no run refers to any more."""
-    places: tuple[tuple[Any, Any, frozenset[str]], ...] = (
+    """Delete rows that no run refers to any more."""
+    references: tuple[tuple[Any, Any, frozenset[str]], ...] = (
         (EXPERIMENTS.c.hash, RUNS.c.experiment, before.experiments),
         (SPECS.c.digest, RUNS.c.spec, before.specs),
         (VERSIONS.c.software, RUNS.c.software, before.software),
     )
-    for column, reference, names in places:
+    for column, reference, names in references:
         for portion in chunks(sorted(names)):
             used = select(reference).where(reference == column).exists()
             connection.execute(delete(column.table).where(column.in_(portion), ~used))

@@ -13,7 +13,7 @@ from itertools import count, islice
 
 from ..experiment.events import RunWarned
 from ..experiment.signals import StopRequest
-from ..records.sweep_records import Final, Trial, merit
+from ..records.sweep_records import SweepFinal, Trial, merit
 from ..spec import Spec, spec_of_trial
 from ..spec.sweep import Final as Settings
 from .crew import Crew, Job
@@ -24,7 +24,7 @@ from .study import Study
 
 def choose(
     base: Spec, settings: Settings, study: Study, crew: Crew, tell: SweepListener, stop: StopRequest
-) -> Final | None:
+) -> SweepFinal | None:
     """Run the best trials on fresh seeds, choose among them, and run the chosen one on seeds used for nothing else.
 
     Runs that are there already are taken. None where every trial failed on the fresh seeds, or somebody asked to stop.
@@ -46,7 +46,7 @@ def choose(
     if stop.requested:
         return None
     assert chosen.values is not None  # it is complete
-    return Final(chosen.number, seeds, report_seeds, chosen.values, fresh, reported.get(chosen.number))
+    return SweepFinal(chosen.number, seeds, report_seeds, chosen.values, fresh, reported.get(chosen.number))
 
 
 def _values(

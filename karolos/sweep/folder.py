@@ -2,7 +2,7 @@
 
 runs/sweeps/<name>/
     sweep.yaml      the resolved spec with its sweep
-    sweep.json      id and what is searched; this, trials.jsonl and final.json are what `karolos.sweep_reading` reads
+    sweep.json      id and what is searched; read by `karolos.records.sweep_records`, as are trials.jsonl and final.json
     journal.log     every trial, as Optuna's journal: what a sweep goes on from
     trials.jsonl    the same, one line per trial, for whoever reads it without Optuna
     best.yaml       the best trial as a spec that runs
@@ -24,8 +24,16 @@ from types import TracebackType
 from ..errors import RunError, UsageError
 from ..files import FileLock, append_lines, write_json, write_whole, writing
 from ..records.run_records import timestamp
-from ..records.sweep_reading import DESCRIPTION, FINAL, TRIALS, read_description
-from ..records.sweep_records import LOCK, Final, SweepRecord, Trial
+from ..records.sweep_records import (
+    DESCRIPTION,
+    FINAL,
+    LOCK,
+    TRIALS,
+    SweepFinal,
+    SweepRecord,
+    Trial,
+    read_sweep_description,
+)
 from ..spec import Spec, load_spec, to_yaml
 from .objectives import directions
 
@@ -90,7 +98,7 @@ class SweepFolder:
         write_whole(path, "".join(f"# {line}\n" for line in comment) + to_yaml(spec.dump()))
         return path
 
-    def write_final(self, final: Final | None) -> None:
+    def write_final(self, final: SweepFinal | None) -> None:
         """What the best trials came to on fresh seeds; None takes away what an earlier call found."""
         path = self.path / FINAL
         if final is None:
@@ -118,7 +126,7 @@ class SweepFolder:
         now = datetime.now(UTC)
         identity, created = f"{self._spec.name}-{now:%Y%m%d-%H%M%S}", timestamp(now)
         if (self.path / DESCRIPTION).exists():
-            known = read_description(self.path)
+            known = read_sweep_description(self.path)
             identity, created = known.sweep, known.created
         return SweepRecord(
             sweep=identity,

@@ -8,7 +8,7 @@ from pathlib import Path
 from typing import Literal
 
 from ..experiment.events import RunWarned
-from ..records.sweep_records import Final, Trial
+from ..records.sweep_records import SweepFinal, Trial
 from ..spec import Sweep
 
 
@@ -24,7 +24,7 @@ class Outcome:
     """By the first objective; the one that `final` chose, where there is one."""
     front: tuple[Trial, ...]
     """The trials that no other beats in every objective; with one objective, the best."""
-    final: Final | None
+    final: SweepFinal | None
     folder: Path
     stop_code: int = 0
 

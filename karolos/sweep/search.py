@@ -12,8 +12,7 @@ from ..experiment.experiment import SeedRunner
 from ..experiment.signals import StopRequest, stop_on_signals
 from ..experiment.start_from import pinned
 from ..records import RunFolder
-from ..records.sweep_reading import FOLDER
-from ..records.sweep_records import Final, Trial
+from ..records.sweep_records import FOLDER, SweepFinal, Trial
 from ..spec import Spec, Sweep, spec_of_trial
 from ..spec.sweep import DEFAULT_TRIALS
 from ..store import Store
@@ -116,7 +115,7 @@ class Search:
                 final = choosing.choose(base, self.sweep.final, study, crew, tell, stop)
             return self._conclude(book, final, stop)
 
-    def _conclude(self, book: Book, final: Final | None, stop: StopRequest) -> Outcome:
+    def _conclude(self, book: Book, final: SweepFinal | None, stop: StopRequest) -> Outcome:
         from ..report.search import write_search_figures  # noqa: PLC0415  (matplotlib takes half a second)
 
         folder, study = book.folder, book.study
@@ -171,7 +170,7 @@ def _sweep_of(spec: Spec) -> Sweep:
     return spec.sweep
 
 
-def _comment(sweep: Sweep, best: Trial, final: Final | None) -> Iterator[str]:
+def _comment(sweep: Sweep, best: Trial, final: SweepFinal | None) -> Iterator[str]:
     """The lines above the best trial's spec."""
     drawn = ", ".join(f"{key} = {value}" for key, value in best.drawn.items())
     yield f"Trial {best.number} of a sweep: {drawn}."

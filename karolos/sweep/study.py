@@ -21,11 +21,11 @@ from optuna.trial import FrozenTrial, TrialState
 
 from ..core.seeding import SeedTree
 from ..files import FileLock
-from ..records.sweep_records import State, Trial, rank
+from ..records.sweep_records import SweepTrialState, Trial, rank
 from ..spec import Sweep
 from .objectives import directions
 
-_STATES: dict[TrialState, State] = {
+_STATES: dict[TrialState, SweepTrialState] = {
     TrialState.RUNNING: "running",
     TrialState.COMPLETE: "complete",
     TrialState.PRUNED: "pruned",

@@ -8,7 +8,7 @@ from dataclasses import dataclass, field
 from ..errors import SpecError, StoreError
 from ..experiment.events import RunWarned
 from ..experiment.signals import StopRequest
-from ..records.sweep_reading import read
+from ..records.sweep_records import read_sweep
 from ..spec import Spec, Sweep, spec_of_trial
 from ..store import Store
 from .crew import Job
@@ -36,7 +36,7 @@ class Book:
 
     def index(self) -> None:
         """Bring the store up to date; one that fails must not end a sweep that can go on without it."""
-        found, _ = read(self.folder.path)
+        found, _ = read_sweep(self.folder.path)
         try:
             self.store.sweeps.add([found])
         except StoreError as error:

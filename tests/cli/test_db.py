@@ -11,9 +11,6 @@ from support.run_commands import add_run, call, rows
 
 from karolos.errors import StoreError
 from karolos.store import Store
-from karolos.store.tables import SCHEMA
-
-ASSETS = Path(__file__).parents[1] / "store" / "assets"
 
 
 @pytest.fixture
@@ -62,19 +59,25 @@ def test_check_of_nothing_is_told_and_makes_nothing(runs: Path) -> None:
     assert list(runs.iterdir()) == []
 
 
-def test_upgrade_brings_an_old_database_up_to_date_and_fills_it(runs: Path) -> None:
+def test_upgrade_has_nothing_to_do_for_this_schema_and_refuses_others(runs: Path) -> None:
+    with pytest.raises(StoreError, match="there is no database; `karolos db reindex` makes one"):
+        call(app, "upgrade")
     run = add_run(runs, 0)
-    (runs / "karolos.sqlite").unlink()
-    with sqlite3.connect(runs / "karolos.sqlite") as old:
-        old.executescript((ASSETS / "schema1.sql").read_text())
-    old.close()
-    with pytest.raises(StoreError, match="`karolos db upgrade` brings it up to date and keeps a copy"):
-        call(runs_app, "list")
-    told = call(app, "upgrade", "--jobs", 1).stderr
-    assert f"from schema 1 to {SCHEMA}" in told
-    assert str(runs / "karolos.sqlite.schema1") in told
-    assert "1 runs entered" in told
-    found = rows(runs_app, "list")
-    assert len(found) == 4
-    assert found[0]["run"] == run
     assert "nothing to do" in call(app, "upgrade").stderr
+    with sqlite3.connect(runs / "karolos.sqlite") as other:
+        other.execute("UPDATE karolos_schema SET version = version - 1")
+    other.close()
+    for command, arguments in ((app, ["upgrade"]), (app, ["reindex"]), (runs_app, ["list"])):
+        with pytest.raises(StoreError, match=r"an older karolos made .*; move it away and run `karolos db reindex`"):
+            call(command, *arguments)
+    (runs / "karolos.sqlite").rename(runs / "old.sqlite")
+    call(app, "reindex")
+    assert [found["run"] for found in rows(runs_app, "list")] == [run]
+
+
+def test_database_of_another_program_is_refused(runs: Path) -> None:
+    with sqlite3.connect(runs / "karolos.sqlite") as other:
+        other.execute("CREATE TABLE alembic_version (x)")
+    other.close()
+    with pytest.raises(StoreError, match="belongs to another program; name another with --database, or move it away"):
+        call(app, "upgrade")

@@ -155,7 +155,7 @@ def test_show_names_what_is_damaged(runs: Path) -> None:
     assert "warning: tests.jsonl:2: the last line is torn" in shown.stderr
     assert "the checkpoint is damaged" in shown.stderr
     (runs / run / "run.json").unlink()
-    with pytest.raises(RunError, match="no run folder"):
+    with pytest.raises(RunError, match="not a run folder"):
         call("show", run, "--runs", runs)
 
 
@@ -178,7 +178,7 @@ def test_text_from_a_spec_cannot_steer_the_terminal(runs: Path) -> None:
 
 def test_newer_database_is_told(runs: Path) -> None:
     add_run(runs, 0)
-    with Store(Store.default_url(runs)) as store, store._engine.begin() as connection:
+    with Store(Store.default_url(runs)) as store, store.database.engine.begin() as connection:
         connection.exec_driver_sql("UPDATE karolos_schema SET version = 99")
     with pytest.raises(StoreError, match="a newer karolos made this database") as caught:
         call("list", "--runs", runs)

@@ -47,7 +47,7 @@ def test_list_takes_a_filter(runs: Path) -> None:
     assert (nothing.stdout, nothing.stderr) == ("", "no runs fit the filter\n")
     with pytest.raises(UsageError, match=r"filter, column 1: no run has 'agent\.learning_rat'; did you mean"):
         call("list", "agent.learning_rat=1")
-    with pytest.raises(UsageError, match=r"filter, column 6: .* is no value"):
+    with pytest.raises(UsageError, match=r"filter, column 6: .* is not a value"):
         call("list", "task=")
 
 
@@ -82,7 +82,7 @@ def test_tags_and_notes_are_found_shown_and_taken_away(runs: Path) -> None:
     for wrong in (["note", first], ["note", first, "text", "--remove"], ["note", first, ""]):
         with pytest.raises(UsageError, match="a note needs a text"):
             call(*wrong)
-    with pytest.raises(UsageError, match="is no tag"):
+    with pytest.raises(UsageError, match="is not a tag"):
         call("tag", first, "two\nlines")
 
 
@@ -138,7 +138,7 @@ def test_exported_runs_come_in_elsewhere(runs: Path, tmp_path: Path, name: str) 
     assert [{**row, "folder": ""} for row in came] == [{**row, "folder": ""} for row in rows("list")]
     with Store(Store.default_url(other)) as store:
         assert len(store.tests(first)) == 1
-    with pytest.raises(UsageError, match=r"is here already; `karolos runs rm`"):
+    with pytest.raises(UsageError, match=r"exists already; `karolos runs rm`"):
         call("import", tmp_path / name, "--runs", other)
     assert rows("list", "--runs", other) == came
 

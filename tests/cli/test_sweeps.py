@@ -10,7 +10,7 @@ from support.sweep_samples import some_trial, write_sweep
 
 from karolos.errors import UsageError
 from karolos.files import FileLock
-from karolos.records.sweep_records import Final
+from karolos.records.sweep_records import SweepFinal
 from karolos.store import Store
 
 
@@ -20,7 +20,7 @@ def runs(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> Path:
     monkeypatch.delenv("KAROLOS_DATABASE", raising=False)
     monkeypatch.setenv("KAROLOS_RUNS", str(tmp_path))
     trials = [some_trial(0, value=0.9), some_trial(1, "failed"), some_trial(2, value=0.8)]
-    final = Final(2, (1,), (2,), (0.8, 1000.0), {0: (0.6, 1500.0), 2: (0.7, 1200.0)}, (0.65, 1300.0))
+    final = SweepFinal(2, (1,), (2,), (0.8, 1000.0), {0: (0.6, 1500.0), 2: (0.7, 1200.0)}, (0.65, 1300.0))
     write_sweep(tmp_path, "done", trials, final)
     write_sweep(tmp_path, "half", [some_trial(0), some_trial(1, "running")], created="2026-01-02T00:00:00.000000Z")
     return tmp_path

@@ -16,7 +16,7 @@ from karolos.experiment.experiment import Experiment
 from karolos.files import FileLock
 from karolos.records import RunFolder
 from karolos.records import transfer_results as transfers
-from karolos.records.transfer_results import Transfer
+from karolos.records.transfer_results import TransferResult
 
 TOY: dict[str, Any] = {
     "name": "toy",
@@ -148,7 +148,7 @@ def test_many_that_add_at_once_lose_nothing(toy: RunFolder) -> None:
     kept = transfer_test(toy)
     many = [replace(kept, seed=seed) for seed in range(24)]
 
-    def add(transfer: Transfer) -> None:
+    def add(transfer: TransferResult) -> None:
         transfers.add(toy, transfer)
 
     with ThreadPoolExecutor(8) as pool:

@@ -306,8 +306,9 @@ def test_nothing_is_computed_for_a_runs_folder_that_cannot_be_written(tmp_path):
 
 
 def test_a_newer_database_is_refused_before_anything_runs(tmp_path):
-    (tmp_path / "karolos.sqlite").write_bytes(b"this is no database" * 100)
-    with pytest.raises(StoreError):
+    with Store(Store.default_url(tmp_path)) as store, store.database.writing() as connection:
+        connection.exec_driver_sql("UPDATE karolos_schema SET version = version + 1")
+    with pytest.raises(StoreError, match="a newer karolos made this database"):
         Experiment(spec()).run(tmp_path)
     assert [path.name for path in tmp_path.iterdir() if path.is_dir()] == []
 

@@ -75,7 +75,7 @@ def test_export_refuses_what_is_there_or_running_and_leaves_nothing(run: RunFold
     with pytest.raises(UsageError, match=r"archives end in \.tar\.gz or \.zip"):
         export_runs([run], place / "x.rar")
     (place / "x.zip").write_text("mine")
-    with pytest.raises(UsageError, match="the file is there already"):
+    with pytest.raises(UsageError, match="the file exists already"):
         export_runs([run], place / "x.zip")
     assert (place / "x.zip").read_text() == "mine"
     with new_run(tmp_path / "runs", source=tmp_path) as busy, pytest.raises(RunError, match="another process"):
@@ -87,16 +87,16 @@ def test_export_refuses_what_is_there_or_running_and_leaves_nothing(run: RunFold
 @pytest.mark.parametrize(
     ("name", "told"),
     [
-        ("../evil", "no name for a file in a run folder"),
-        ("a-s0-1/../../evil", "no name for a file in a run folder"),
-        ("/etc/evil", "no name for a file in a run folder"),
-        ("a-s0-1/\x1b[2J", "no name for a file in a run folder"),
-        ("a-s0-1/x\\..\\..\\evil", "no name for a file in a run folder"),
-        ("a-s0-1/C:evil", "no name for a file in a run folder"),
-        ("a-s0-1/NUL", "no name for a file in a run folder"),
-        ("evil", "lies in no run folder"),
-        (".trash/x", "lies in no run folder"),
-        ("a-s0-1/" + "d/" * 12 + "x", "lies in no run folder"),
+        ("../evil", "is not a valid name in a run folder"),
+        ("a-s0-1/../../evil", "is not a valid name in a run folder"),
+        ("/etc/evil", "is not a valid name in a run folder"),
+        ("a-s0-1/\x1b[2J", "is not a valid name in a run folder"),
+        ("a-s0-1/x\\..\\..\\evil", "is not a valid name in a run folder"),
+        ("a-s0-1/C:evil", "is not a valid name in a run folder"),
+        ("a-s0-1/NUL", "is not a valid name in a run folder"),
+        ("evil", "is not in a run folder"),
+        (".trash/x", "is not in a run folder"),
+        ("a-s0-1/" + "d/" * 12 + "x", "is not in a run folder"),
         ("a-s0-1/RUN.json", "is in it twice"),
     ],
 )
@@ -147,7 +147,7 @@ def test_damaged_archive_is_told_and_brings_nothing(run: RunFolder, tmp_path: Pa
         with pytest.raises(UsageError, match=r"the archive cannot be read|there is no run in it"):
             import_runs(source, tmp_path / "other")
         assert list((tmp_path / "other").iterdir()) == []
-    with pytest.raises(UsageError, match="there is no such file"):
+    with pytest.raises(UsageError, match="the archive cannot be opened"):
         import_runs(tmp_path / f"none.{suffix}", tmp_path / "other")
 
 
@@ -159,10 +159,10 @@ def test_run_that_is_here_is_refused_and_the_others_do_not_come(run: RunFolder, 
     file.write_text(json.dumps(json.loads(file.read_text()) | {"id": "reach-s3-z"}))
     export_runs([RunFolder.open(tmp_path / "second" / "reach-s3-z"), run], tmp_path / "x.zip")
     before = contents(tmp_path / "runs")
-    with pytest.raises(UsageError, match=f"the run {run.id} is here already"):
+    with pytest.raises(UsageError, match=f"the run {run.id} exists already"):
         import_runs(tmp_path / "x.zip", tmp_path / "runs")
     assert contents(tmp_path / "runs") == before
-    with pytest.raises(UsageError, match="the run reach-s3-z is here already"):
+    with pytest.raises(UsageError, match="the run reach-s3-z exists already"):
         import_runs(tmp_path / "x.zip", tmp_path / "new", known=lambda name: name == "reach-s3-z")
 
 
@@ -178,7 +178,7 @@ def test_torn_lines_come_in_and_are_told(run: RunFolder, tmp_path: Path) -> None
 @pytest.mark.parametrize(
     ("files", "told"),
     [
-        ({"a-s0-1/x": b""}, "a-s0-1: this is no run folder"),
+        ({"a-s0-1/x": b""}, "a-s0-1: this is not a run folder"),
         ({"a-s0-1/run.json": b"{"}, "a-s0-1: run.json is damaged"),
         ({"b-s0-1/run.json": json.dumps(DESCRIPTION).encode()}, "says that it is the run a-s0-1"),
         ({"a-s0-1/run.json": json.dumps(DESCRIPTION | {"format": 99}).encode()}, "a newer karolos made"),

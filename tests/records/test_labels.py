@@ -24,7 +24,7 @@ def test_tags_and_note_are_kept_and_changed(tmp_path: Path) -> None:
 
 @pytest.mark.parametrize("tag", ["", " ", " x", "x\n", "a\nb", "a\0b", "x" * 201, "\ud800"])
 def test_text_that_is_no_tag_is_refused_and_changes_nothing(tmp_path: Path, tag: str) -> None:
-    with pytest.raises(UsageError, match="is no tag; 1 to 200 characters"):
+    with pytest.raises(UsageError, match="is not a tag; 1 to 200 characters"):
         labels.add_tags(tmp_path, ["good", tag])
     assert labels.read(tmp_path) == Labels()
 

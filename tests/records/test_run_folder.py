@@ -120,7 +120,7 @@ def test_changed_code_is_kept_beside_the_commit(tmp_path: Path) -> None:
 def test_folder_is_no_run_before_it_is_described(tmp_path: Path) -> None:
     run = RunFolder.create(tmp_path, "x", 0)
     assert list(scan(tmp_path)) == []
-    with pytest.raises(RunError, match="no run folder"):
+    with pytest.raises(RunError, match="not a run folder"):
         RunFolder.open(run.path)
 
 
@@ -218,7 +218,7 @@ def test_torn_test_is_told_and_the_rest_is_read(tmp_path: Path) -> None:
     problems = run.record().problems
     assert problems == (
         "tests.jsonl:3: the last line is torn; left out",
-        "tests.jsonl: 1 lines are no test results; left out",
+        "tests.jsonl: 1 lines are not test results; left out",
     )
     run.add_test(result(300, 4))
     assert run.tests() == (result(100, 3), result(300, 4))

@@ -59,14 +59,14 @@ def test_run_thrown_away_twice_is_kept_twice(run: RunFolder, tmp_path: Path) -> 
 
 
 def test_purge_removes_only_what_lies_in_the_trash(run: RunFolder, tmp_path: Path) -> None:
-    with pytest.raises(RunError, match="does not lie in the trash"):
+    with pytest.raises(RunError, match="is not in the trash"):
         trash.purge(run.path)
     thrown = trash.throw_away(run)
     elsewhere = tmp_path / "elsewhere"
     elsewhere.mkdir()
     (elsewhere / "run.json").write_text("{}")
     (tmp_path / ".trash" / "link").symlink_to(elsewhere)
-    with pytest.raises(RunError, match="does not lie in the trash"):
+    with pytest.raises(RunError, match="is not in the trash"):
         trash.purge(tmp_path / ".trash" / "link")
     trash.purge(thrown)
     assert not thrown.exists()

@@ -6,10 +6,9 @@ from dataclasses import replace
 import pytest
 from rich.console import Console
 
-from karolos.records.results import TestResult
+from karolos.records.results import TestCounts, TestResult
 from karolos.records.run_records import RunSummary
 from karolos.report.tables import clean, count, duration, facts_table, flatten, runs_table, success, table_of_tests
-from karolos.store import StoredTest
 
 RUN = RunSummary(
     run="reach-s0-1",
@@ -54,7 +53,7 @@ def test_run_without_a_test_is_shown() -> None:
 
 
 def test_test_is_shown_with_both_ways_to_count() -> None:
-    text = shown(table_of_tests([StoredTest("x", 1000, 100.0, 20, 18, 0, 3)]))
+    text = shown(table_of_tests([TestCounts(1000, 100.0, 20, 18, 0, 3)]))
     for part in ("1,000", "1 min 40 s", "0.90 [0.70, 0.97]", "0.00 [0.00, 0.16]", "20", "3"):
         assert part in text
     assert "within" not in text
@@ -63,7 +62,7 @@ def test_test_is_shown_with_both_ways_to_count() -> None:
 def test_test_is_shown_with_how_many_ended_near_their_goal_where_that_is_known() -> None:
     flags = (True, False, False, False)
     far = TestResult(1000, 100.0, flags, flags, flags, (0.0,) * 4, (9,) * 4, (0.04, 0.09, 0.2, float("inf")))
-    tests = [StoredTest("x", 1000, 100.0, 4, 1, 1, 0), StoredTest("x", 2000, 200.0, 4, 1, 1, 0)]
+    tests = [TestCounts(1000, 100.0, 4, 1, 1, 0), TestCounts(2000, 200.0, 4, 1, 1, 0)]
     text = shown(table_of_tests(tests, [far]))
     for part in ("end within 0.05 / 0.10 / 0.25 m", "0.25 / 0.50 / 0.75"):
         assert part in text

@@ -19,7 +19,7 @@ from support.sweep_samples import some_trial, write_sweep
 
 from karolos.files import FileLock
 from karolos.records import RunFolder, labels, trash
-from karolos.records.sweep_records import Final, State
+from karolos.records.sweep_records import SweepFinal, SweepTrialState
 from karolos.store import Store, check, reindex
 from karolos.store.summaries import success_summaries
 from karolos.store.tables import TABLES
@@ -42,7 +42,7 @@ operations = st.lists(
         st.tuples(
             st.just("sweep"),
             st.sampled_from(["line", "other"]),
-            st.lists(st.tuples(st.sampled_from(get_args(State)), st.floats(-1, 1)), max_size=3),
+            st.lists(st.tuples(st.sampled_from(get_args(SweepTrialState)), st.floats(-1, 1)), max_size=3),
             st.booleans(),
         ),
         st.tuples(st.just("unsweep"), st.sampled_from(["line", "other"])),
@@ -91,12 +91,12 @@ class World:
         self.store.add_run(folder.summary(), spec, folder.versions())
         self.folders.append(folder)
 
-    def _sweep(self, name: str, trials: list[tuple[State, float]], with_final: bool) -> None:
+    def _sweep(self, name: str, trials: list[tuple[SweepTrialState, float]], with_final: bool) -> None:
         made = [some_trial(number, state, value) for number, (state, value) in enumerate(trials)]
         best = next((trial for trial in made if trial.values), None)
         final = None
         if with_final and best is not None:
-            final = Final(best.number, (1,), (2,), best.values or (), {best.number: (0.25, 7.0)}, None)
+            final = SweepFinal(best.number, (1,), (2,), best.values or (), {best.number: (0.25, 7.0)}, None)
         shutil.rmtree(self.runs / "sweeps" / name, ignore_errors=True)
         self.store.sweeps.add([write_sweep(self.runs, name, made, final)])
 
@@ -141,7 +141,7 @@ def answers(store: Store) -> list[Any]:
 
 
 def rows(store: Store) -> dict[str, int]:
-    with store._engine.connect() as connection:
+    with store.database.engine.connect() as connection:
         names = sorted(table for table in TABLES.tables if table != "karolos_schema")
         return {name: connection.exec_driver_sql(f"SELECT count(*) FROM {name}").scalar_one() for name in names}
 
@@ -181,17 +181,17 @@ def test_check_names_every_kind_of_difference(tmp_path: Path) -> None:
         untested.add_test(result(5, 3))
         labels.add_tags(labelled.path, ["good"])
         (torn.path / "tests.jsonl").write_text('{"steps":')
-        with store._engine.begin() as connection:
+        with store.database.engine.begin() as connection:
             connection.exec_driver_sql("PRAGMA foreign_keys = OFF")
             connection.exec_driver_sql("UPDATE parameters SET value = '0.5' WHERE key = 'agent.learning_rate'")
         found: dict[str | None, list[str]] = {}
         for one in check(store, tmp_path):
             found.setdefault(one.run, []).append(one.what)
-    others = "the settings of its spec are others in the database"
+    others = "the settings of its spec differ in the database"
     assert found[unknown.id] == ["it has a folder, and is not in the database"]
     assert found[gone.id] == ["it is in the database, and its folder is gone"]
     assert others in found[stale.id]
-    assert any(what == "its folder has 1 tests, the database 0 or others" for what in found[untested.id])
+    assert any(what == "its folder has 1 tests, the database has 0 or other tests" for what in found[untested.id])
     assert "tags is ['good'] in its folder and [] in the database" in found[labelled.id]
     assert any("tests.jsonl:1: the last line is torn" in what for what in found[torn.id])
 
@@ -203,7 +203,7 @@ def test_check_names_a_database_that_contradicts_itself(tmp_path: Path) -> None:
 
         with sqlite3.connect(tmp_path / "karolos.sqlite") as connection:
             connection.execute("INSERT INTO tags VALUES ('no run', 'x')")
-        assert [one.what for one in check(store, tmp_path)] == ["a row of tags refers to one of runs that is not there"]
+        assert [one.what for one in check(store, tmp_path)] == ["a row of tags refers to a missing row of runs"]
 
 
 def test_two_folders_of_one_run_are_told_and_the_first_is_kept(tmp_path: Path) -> None:

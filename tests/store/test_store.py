@@ -12,7 +12,8 @@ from support.store_samples import SPEC, bare, new_run, result
 
 from karolos.errors import StoreError, UsageError
 from karolos.records import RunFolder
-from karolos.store import Store, StoredTest
+from karolos.records.results import TestCounts
+from karolos.store import Store
 
 
 @pytest.fixture
@@ -21,7 +22,7 @@ def store(tmp_path: Path) -> Store:
 
 
 def database(store: Store) -> sqlite3.Connection:
-    return sqlite3.connect(store.url.database or "", isolation_level=None, timeout=0)
+    return sqlite3.connect(store.database.url.database or "", isolation_level=None, timeout=0)
 
 
 # What it keeps.
@@ -38,8 +39,8 @@ def test_run_comes_back_as_its_folder_says(store: Store, tmp_path: Path) -> None
     assert store.find(run.id) == run.summary()
     assert store.find(run.id).steps_to_95 == 200
     assert store.tests(run.id) == (
-        StoredTest(run.id, 100, 1.0, 20, 3, 20, 0),
-        StoredTest(run.id, 200, 2.0, 20, 19, 20, 0),
+        TestCounts(100, 1.0, 20, 3, 20, 0),
+        TestCounts(200, 2.0, 20, 19, 20, 0),
     )
 
 
@@ -70,7 +71,7 @@ def test_runs_move_with_their_database(store: Store, tmp_path: Path) -> None:
 def test_update_of_an_unknown_run_is_told(store: Store, tmp_path: Path) -> None:
     run = new_run(store, tmp_path)
     store.remove_runs([run.id])
-    with pytest.raises(StoreError, match=r"is not in the database; was the database exchanged"):
+    with pytest.raises(StoreError, match=r"is not in the database; its folder is complete"):
         store.update_run(run.summary())
     with pytest.raises(StoreError, match="database refuses"):
         store.add_test(run.id, result(1, 1))  # a test of no run

@@ -147,7 +147,7 @@ def test_database_that_may_only_be_read_still_answers(tmp_path: Path) -> None:
 
         from sqlalchemy import event
 
-        event.listen(store._engine, "connect", read_only)
+        event.listen(store.database.engine, "connect", read_only)
         assert [one.mode for one in success_summaries(store, "a" * 64)] == [1.0, 1.0]
         assert store.runs(where="task=reach") == (run.summary(),)
         with pytest.raises(StoreError, match="the database is read-only"):

@@ -5,13 +5,13 @@ import sqlite3
 from pathlib import Path
 
 import pytest
-from sqlalchemy import create_engine
+from sqlalchemy import create_engine, make_url
 from support.store_samples import bare, new_run
 
 from karolos.errors import MachineError, StoreError
 from karolos.records.run_records import RunSummary
 from karolos.store import Store
-from karolos.store.connection import explained, parse_url
+from karolos.store.database import explained
 from karolos.store.tables import SCHEMA
 
 
@@ -21,16 +21,16 @@ def store(tmp_path: Path) -> Store:
 
 
 def database(store: Store) -> sqlite3.Connection:
-    return sqlite3.connect(store.url.database or "", isolation_level=None, timeout=0)
+    return sqlite3.connect(store.database.url.database or "", isolation_level=None, timeout=0)
 
 
 def test_locked_database_is_told_after_the_time_limit(store: Store, tmp_path: Path) -> None:
     run = new_run(store, tmp_path)
     with database(store) as other:
         other.execute("BEGIN EXCLUSIVE")
-        with pytest.raises(StoreError, match=r"karolos\.sqlite: another process keeps it locked; wait for"):
+        with pytest.raises(StoreError, match=r"karolos\.sqlite: another process keeps the database locked; wait for"):
             store.update_run(run.summary())
-        with pytest.raises(StoreError, match="another process keeps it locked"):
+        with pytest.raises(StoreError, match="another process keeps the database locked"):
             store.runs()
         other.execute("ROLLBACK")
     store.update_run(run.summary())
@@ -47,17 +47,21 @@ def test_newer_database_is_refused_and_not_touched(store: Store) -> None:
     with database(store) as other:
         other.execute("UPDATE karolos_schema SET version = ?", [SCHEMA + 1])
     other.close()
-    content = Path(store.url.database or "").read_bytes()
-    with pytest.raises(StoreError, match=r"a newer karolos made this database .*; update karolos, or name another"):
-        Store(str(store.url))
-    assert Path(store.url.database or "").read_bytes() == content
+    content = Path(store.database.url.database or "").read_bytes()
+    with pytest.raises(
+        StoreError, match=r"a newer karolos made this database .*; move it away and run `karolos db reindex`"
+    ):
+        Store(str(store.database.url))
+    assert Path(store.database.url.database or "").read_bytes() == content
 
 
 def test_older_database_is_refused(store: Store) -> None:
     with database(store) as other:
         other.execute("UPDATE karolos_schema SET version = 0")
-    with pytest.raises(StoreError, match="an older karolos made this database"):
-        Store(str(store.url))
+    with pytest.raises(
+        StoreError, match=r"an older karolos made this database .*; move it away and run `karolos db reindex`"
+    ):
+        Store(str(store.database.url))
 
 
 def test_database_of_something_else_is_refused_and_not_touched(tmp_path: Path) -> None:
@@ -65,14 +69,16 @@ def test_database_of_something_else_is_refused_and_not_touched(tmp_path: Path) -
         other.execute("CREATE TABLE alembic_version (x)")
     other.close()
     content = (tmp_path / "other.sqlite").read_bytes()
-    with pytest.raises(StoreError, match=r"other\.sqlite: this database belongs to something else"):
+    with pytest.raises(
+        StoreError, match=r"other\.sqlite: this database belongs to another program; .*`karolos db reindex`"
+    ):
         Store(f"sqlite:///{tmp_path}/other.sqlite")
     assert (tmp_path / "other.sqlite").read_bytes() == content
 
 
 def test_file_that_is_no_database_is_refused(tmp_path: Path) -> None:
     (tmp_path / "karolos.sqlite").write_text("steps,success\n" * 100)
-    with pytest.raises(StoreError, match=r"the file is no database; name another"):
+    with pytest.raises(StoreError, match=r"the file is not a database; name another"):
         Store(Store.default_url(tmp_path))
     assert (tmp_path / "karolos.sqlite").read_text().startswith("steps,success")
 
@@ -80,31 +86,31 @@ def test_file_that_is_no_database_is_refused(tmp_path: Path) -> None:
 def test_damaged_database_is_told(store: Store, tmp_path: Path) -> None:
     for _ in range(50):
         bare(store, f"x{_}")
-    path = Path(store.url.database or "")
+    path = Path(store.database.url.database or "")
     data = bytearray(path.read_bytes())
     for page in range(1, len(data) // 4096):
         data[page * 4096 : page * 4096 + 64] = b"\xff" * 64
     path.write_bytes(data)
-    with pytest.raises(StoreError, match="the database is damaged; move the file away: a new one is built"):
-        Store(str(store.url)).runs()
+    with pytest.raises(StoreError, match="the database is damaged; move it away and run"):
+        Store(str(store.database.url)).runs()
 
 
 def test_read_only_database_is_told(tmp_path: Path) -> None:
     with sqlite3.connect(tmp_path / "x.sqlite") as other:
         other.execute("CREATE TABLE x (y)")
-    url = parse_url(f"sqlite:///{tmp_path}/x.sqlite")
+    url = make_url(f"sqlite:///{tmp_path}/x.sqlite")
     engine = create_engine("sqlite://", creator=lambda: sqlite3.connect(f"file:{tmp_path}/x.sqlite?mode=ro", uri=True))
     with pytest.raises(StoreError, match=r"x\.sqlite: the database is read-only"), explained(url):  # noqa: SIM117
         with engine.begin() as connection:
             connection.exec_driver_sql("INSERT INTO x VALUES (1)")
 
 
-def test_database_removed_while_a_run_goes_on_is_told_and_not_made_anew(store: Store, tmp_path: Path) -> None:
+def test_database_removed_while_a_run_goes_on_is_told_and_not_created_again(store: Store, tmp_path: Path) -> None:
     run = new_run(store, tmp_path)
-    Path(store.url.database or "").unlink()
+    Path(store.database.url.database or "").unlink()
     with pytest.raises(StoreError, match="the database cannot be opened"):
         store.update_run(run.summary())
-    assert not Path(store.url.database or "").exists()
+    assert not Path(store.database.url.database or "").exists()
 
 
 def test_folder_in_place_of_the_database_is_told(tmp_path: Path) -> None:
@@ -123,7 +129,7 @@ def test_file_in_place_of_its_folder_is_told(tmp_path: Path) -> None:
     "url", ["", "runs/karolos.sqlite", "sqlite://", "sqlite:///:memory:", "sqlite:///file:x?uri=true"]
 )
 def test_url_that_names_no_database_is_told(url: str) -> None:
-    with pytest.raises(StoreError, match=r"is none; e\.g\. sqlite|must name a file"):
+    with pytest.raises(StoreError, match=r"is not a database URL; e\.g\. sqlite|must name a file"):
         Store(url)
 
 
@@ -146,7 +152,7 @@ def test_full_disk_is_told_and_loses_nothing_stored(store: Store) -> None:
     limits = resource.getrlimit(resource.RLIMIT_FSIZE)
     resource.setrlimit(resource.RLIMIT_FSIZE, (100_000, limits[1]))
     try:
-        with pytest.raises(StoreError, match=r"full; free some space|fails or is full; look at the disk"):
+        with pytest.raises(StoreError, match=r"full; free some space|full or fails; check the disk"):
             fill(store)
     finally:
         resource.setrlimit(resource.RLIMIT_FSIZE, limits)
@@ -155,7 +161,7 @@ def test_full_disk_is_told_and_loses_nothing_stored(store: Store) -> None:
 
 
 def test_settings_of_sqlite_hold(store: Store) -> None:
-    with store._engine.connect() as connection:
+    with store.database.engine.connect() as connection:
         pragmas = [connection.exec_driver_sql(f"PRAGMA {name}").scalar() for name in ("foreign_keys", "synchronous")]
         assert pragmas == [1, 2]
         assert connection.exec_driver_sql("PRAGMA journal_mode").scalar() == "delete"

@@ -6,8 +6,8 @@ from collections.abc import Mapping, Sequence
 from typing import Any
 
 from karolos.comparison import ComparedRun, Contender
+from karolos.records.results import TestCounts
 from karolos.records.run_records import RunSummary
-from karolos.store import StoredTest
 
 SPEC: dict[str, Any] = {
     "name": "reach",
@@ -34,7 +34,7 @@ def run(
 ) -> ComparedRun:
     """A run with a test every `interval` steps: so many episodes succeed at some step, half of them at the end."""
     tests = tuple(
-        StoredTest(f"{name}-s{seed}", place * interval, place * interval / rate, episodes, k, k // 2, 0)
+        TestCounts(place * interval, place * interval / rate, episodes, k, k // 2, 0)
         for place, k in enumerate(successes, 1)
     )
     values = {

@@ -7,8 +7,7 @@ from dataclasses import replace
 from pathlib import Path
 from typing import Any
 
-from karolos.records.sweep_reading import DESCRIPTION, FINAL, FOLDER, TRIALS
-from karolos.records.sweep_records import Final, SweepRecord, Trial
+from karolos.records.sweep_records import DESCRIPTION, FINAL, FOLDER, TRIALS, SweepFinal, SweepRecord, Trial
 
 
 def sweep_spec(space: dict[str, Any], **sweep: Any) -> dict[str, Any]:
@@ -27,7 +26,9 @@ def sweep_spec(space: dict[str, Any], **sweep: Any) -> dict[str, Any]:
 LEARNING_RATE = {"agent.learning_rate": {"float": [1e-6, 1e-1], "log": True}}
 
 
-def write_sweep(runs: Path, name: str, trials: list[Trial], final: Final | None = None, **known: Any) -> SweepRecord:
+def write_sweep(
+    runs: Path, name: str, trials: list[Trial], final: SweepFinal | None = None, **known: Any
+) -> SweepRecord:
     """A sweep's folder as `karolos sweep` leaves it; returns what it says."""
     folder = runs / FOLDER / name
     folder.mkdir(parents=True, exist_ok=True)

@@ -19,7 +19,7 @@ from karolos.experiment.events import RunTested, RunWarned
 from karolos.experiment.experiment import Experiment
 from karolos.files import FileLock
 from karolos.records import RunFolder
-from karolos.records.sweep_reading import read
+from karolos.records.sweep_records import read_sweep
 from karolos.spec import Spec, load_spec
 from karolos.store import Store, check, reindex
 from karolos.store.sweeps import Sweeps
@@ -157,7 +157,7 @@ def test_the_store_hears_of_trials_as_they_begin_and_end_and_one_that_fails_ends
     outcome = Search(spec).run(tmp_path, listener=listen)
     assert heard == [["running"], ["complete"], ["complete", "running"], ["complete", "running"]]
     assert [trial.state for trial in outcome.trials] == ["complete", "complete"]
-    found, problems = read(outcome.folder)
+    found, problems = read_sweep(outcome.folder)
     assert (found.trials, problems) == (outcome.trials, ())
     assert (found.sweep, "the disk is full (the sweep goes on; its folder is complete)") in warnings
 

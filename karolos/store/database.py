@@ -1,0 +1,251 @@
+"""Database: the connection to the results database and its transactions, on SQLite or any other URL.
+
+Measured for SQLite: the driver's default loses updates silently, WAL with a plain BEGIN fails when a reader becomes a
+writer and has a race that corrupts before 3.51.3. Therefore: rollback journal, BEGIN IMMEDIATE for writers, a busy
+timeout, synchronous FULL, foreign keys on.
+"""
+
+from __future__ import annotations
+
+import contextlib
+import os
+import sqlite3
+from collections.abc import Iterator, Sequence
+from pathlib import Path
+from typing import Any
+
+from sqlalchemy import URL, Connection, Engine, Executable, create_engine, event, insert, inspect, make_url, select
+from sqlalchemy.exc import ArgumentError, DBAPIError, NoSuchModuleError
+from sqlalchemy.pool import NullPool
+
+from ..errors import StoreError
+from ..files import FileLock
+from ..files import writing as writing_file
+from ..records.provenance import redact
+from .tables import SCHEMA, SCHEMA_VERSION, TABLES
+
+BUSY_SECONDS = 20.0
+"""How long a transaction waits for those of other processes, which hold the lock for milliseconds."""
+_READ = "karolos_read"
+"""Execution option of a connection that only reads and therefore does not wait for writers."""
+_ADVISORY_LOCK = 0x6B61726F  # arbitrary, the same in every karolos
+_REBUILD = "move it away and run `karolos db reindex`, which builds a new one from the run folders"
+_LOCKED = ("another process keeps the database locked", "wait for that process, or stop it")
+_SQLITE_ERRORS = {
+    sqlite3.SQLITE_BUSY: _LOCKED,
+    sqlite3.SQLITE_LOCKED: _LOCKED,
+    sqlite3.SQLITE_READONLY: ("the database is read-only", "change its permissions, or name another with --database"),
+    sqlite3.SQLITE_NOTADB: ("the file is not a database", "name another with --database, or move the file away"),
+    sqlite3.SQLITE_CORRUPT: ("the database is damaged", _REBUILD),
+    sqlite3.SQLITE_FULL: ("the disk is full", "free some space; what was stored before is intact"),
+    sqlite3.SQLITE_IOERR: ("the disk is full or fails", "check the disk; what was stored before is intact"),
+    sqlite3.SQLITE_CANTOPEN: ("the database cannot be opened", "check that its folder exists and can be read"),
+    sqlite3.SQLITE_PERM: ("access to the database is denied", "change its permissions"),
+}
+
+
+class ReadOnlyError(StoreError):
+    """The database can be read but not written."""
+
+
+class Database:
+    """A results database: its URL and its transactions. A SQLite file that does not exist is created.
+
+    Args:
+        url: SQLAlchemy URL, e.g. sqlite:///runs/karolos.sqlite.
+        timeout: seconds a transaction that writes waits for other processes.
+
+    Attributes:
+        url: parsed.
+        home: folder of a SQLite database, None for any other.
+        engine: SQLAlchemy's; use `reading` and `writing` unless you know why not.
+
+    Raises:
+        StoreError: from every method, if the database is locked, read-only, damaged, not a karolos database or of
+            another schema.
+    """
+
+    def __init__(self, url: str, *, timeout: float = BUSY_SECONDS) -> None:
+        self.url = _parse_url(url)
+        self._path = _sqlite_file(self.url)
+        self.home = self._path.resolve().parent if self._path else None
+        self._timeout = timeout
+        self.engine = _make_engine(self.url, timeout)
+        self._readers = self.engine.execution_options(**{_READ: True})
+        self._ensure_tables()
+
+    @staticmethod
+    def exists(url: str) -> bool:
+        """Whether there is a database to open; always true unless it is SQLite."""
+        path = _sqlite_file(_parse_url(url))
+        return path is None or os.path.exists(path)
+
+    @property
+    def name(self) -> str:
+        """The URL without its password, for messages."""
+        return _without_secrets(self.url)
+
+    def close(self) -> None:
+        """Close every connection. Safe to call twice."""
+        self.engine.dispose()
+
+    @contextlib.contextmanager
+    def reading(self) -> Iterator[Connection]:
+        """A transaction that only reads and does not wait for writers."""
+        with explained(self.url), self._readers.connect() as connection:
+            yield connection
+
+    @contextlib.contextmanager
+    def writing(self) -> Iterator[Connection]:
+        """A transaction that writes while no other does."""
+        with explained(self.url), self.engine.begin() as connection:
+            if connection.dialect.name == "postgresql":
+                # SQLite's BEGIN IMMEDIATE does the same. The lock ends with the transaction.
+                connection.exec_driver_sql(f"SET LOCAL lock_timeout = {max(int(self._timeout * 1000), 1)}")
+                connection.exec_driver_sql(f"SELECT pg_advisory_xact_lock({_ADVISORY_LOCK})")
+            yield connection
+
+    def fetch(self, query: Executable) -> Sequence[Any]:
+        """The rows of one query."""
+        with self.reading() as connection:
+            return connection.execute(query).all()
+
+    def _ensure_tables(self) -> None:
+        """Create the tables in a database that is new or empty; refuse one that is not ours."""
+        path = self._path
+        if path is None:
+            if not self._has_tables():
+                self._create_tables()
+            return
+        if not os.path.exists(path):  # Path.exists raises where a folder may not be searched
+            with writing_file(path):
+                path.parent.mkdir(parents=True, exist_ok=True)
+        elif self._has_tables():
+            return
+        lock = FileLock(path.with_name(f"{path.name}.lock"))
+        if not lock.acquire(self._timeout):
+            raise StoreError("another process is still creating the database", where=self.name, hint="try again")
+        try:
+            with writing_file(path):
+                path.touch()
+            self._create_tables()
+        finally:
+            lock.release()
+
+    def _has_tables(self) -> bool:
+        with self.reading() as connection:
+            return self._check_schema(connection)
+
+    def _create_tables(self) -> None:
+        with self.writing() as connection:
+            if not self._check_schema(connection):  # whoever comes first creates them
+                TABLES.create_all(connection)
+                connection.execute(insert(SCHEMA_VERSION).values(version=SCHEMA))
+
+    def _check_schema(self, connection: Connection) -> bool:
+        """Whether the tables exist; False for an empty database.
+
+        Raises:
+            StoreError: the database belongs to another program or has another schema.
+        """
+        tables = set(inspect(connection).get_table_names())
+        if SCHEMA_VERSION.name not in tables:
+            if tables:
+                raise StoreError(
+                    "this database belongs to another program",
+                    where=self.name,
+                    hint=f"name another with --database, or {_REBUILD}",
+                )
+            return False
+        version: int | None = connection.scalar(select(SCHEMA_VERSION.c.version))
+        if version is None:
+            raise StoreError("the database is damaged: its schema version is missing", where=self.name, hint=_REBUILD)
+        if version != SCHEMA:
+            age = "a newer" if version > SCHEMA else "an older"
+            raise StoreError(
+                f"{age} karolos made this database (schema {version}, this karolos reads {SCHEMA})",
+                where=self.name,
+                hint=_REBUILD,
+            )
+        return True
+
+
+@contextlib.contextmanager
+def explained(url: URL) -> Iterator[None]:
+    """Turn a driver's error inside the block into a StoreError that names the URL."""
+    try:
+        yield
+    except DBAPIError as error:
+        what, hint = _reason(error.orig)
+        kind = ReadOnlyError if _is_read_only(error.orig) else StoreError
+        raise kind(what, where=_without_secrets(url), hint=hint) from error
+
+
+def _reason(error: Any) -> tuple[str, str]:
+    code = getattr(error, "sqlite_errorcode", None)
+    if code is not None and code & 0xFF in _SQLITE_ERRORS:  # the low byte is the kind, the rest says more
+        return _SQLITE_ERRORS[code & 0xFF]
+    if getattr(error, "sqlstate", None) == "55P03":
+        return _LOCKED
+    lines = str(error).strip().splitlines() or [type(error).__name__]
+    return f"the database refuses ({redact(lines[0])})", "check that the server is up and the URL is right"
+
+
+def _is_read_only(error: Any) -> bool:
+    code = getattr(error, "sqlite_errorcode", None)
+    return (code is not None and code & 0xFF == sqlite3.SQLITE_READONLY) or getattr(error, "sqlstate", None) == "25006"
+
+
+def _parse_url(text: str) -> URL:
+    try:
+        url = make_url(text)
+    except ArgumentError as error:
+        shown = "the database URL" if "@" in text else repr(text)  # an invalid URL may still hold a password
+        raise StoreError(f"{shown} is not a database URL", hint="e.g. sqlite:///runs/karolos.sqlite") from error
+    if url.get_backend_name() == "sqlite" and (url.database in {None, "", ":memory:"} or "uri" in url.query):
+        raise StoreError(
+            "a SQLite URL must name a file", where=_without_secrets(url), hint="e.g. sqlite:///karolos.sqlite"
+        )
+    return url
+
+
+def _without_secrets(url: URL) -> str:
+    """The URL without password and without the values of its query."""
+    return url.set(query=dict.fromkeys(url.query, "***")).render_as_string(hide_password=True)
+
+
+def _sqlite_file(url: URL) -> Path | None:
+    return Path(url.database) if url.get_backend_name() == "sqlite" and url.database else None
+
+
+def _make_engine(url: URL, timeout: float) -> Engine:
+    path = _sqlite_file(url)
+    try:
+        return create_engine(url, pool_pre_ping=True) if path is None else _make_sqlite_engine(url, path, timeout)
+    except (NoSuchModuleError, ModuleNotFoundError) as error:
+        raise StoreError(
+            f"the database driver is missing ({error})",
+            where=_without_secrets(url),
+            hint="for PostgreSQL: pip install karolos[postgres]",
+        ) from error
+
+
+def _make_sqlite_engine(url: URL, path: Path, timeout: float) -> Engine:
+    # mode=rw: a database that was removed while runs write to it must not come back without its tables.
+    address = f"{path.absolute().as_uri()}?mode=rw"
+
+    def connect() -> sqlite3.Connection:
+        connection = sqlite3.connect(address, uri=True, timeout=timeout, isolation_level=None)
+        connection.execute("PRAGMA foreign_keys = ON")
+        connection.execute("PRAGMA synchronous = FULL")
+        return connection
+
+    # One connection per transaction costs 0.1 ms, and a forked process cannot share one by accident.
+    engine = create_engine(url, creator=connect, poolclass=NullPool)
+
+    @event.listens_for(engine, "begin")
+    def begin(connection: Connection) -> None:
+        read = connection.get_execution_options().get(_READ, False)
+        connection.exec_driver_sql("BEGIN" if read else "BEGIN IMMEDIATE")
+
+    return engine

@@ -1,0 +1,98 @@
+from __future__ import annotations
+
+import json
+from pathlib import Path
+from typing import Any
+
+import pytest
+from hypothesis import given
+from hypothesis import strategies as st
+from support.run_samples import new_run, result
+
+from karolos.records import RunFolder
+from karolos.records.results import TestCounts, TestResult, count_test, decode_test, encode_test
+
+results = st.integers(1, 9).flatmap(
+    lambda n: st.builds(
+        TestResult,
+        steps=st.integers(0, 2**60),
+        seconds=st.floats(0, 1e9),
+        any=st.tuples(*[st.booleans()] * n),
+        end=st.tuples(*[st.booleans()] * n),
+        reset=st.tuples(*[st.booleans()] * n),
+        returns=st.tuples(*[st.floats()] * n),
+        lengths=st.tuples(*[st.integers(0, 2**40)] * n),
+        distances=st.none() | st.tuples(*[st.floats(0)] * n),
+    )
+)
+
+
+def line(row: dict[str, Any]) -> bytes:
+    return json.dumps(row, separators=(",", ":"), allow_nan=False).encode()
+
+
+@given(results)
+def test_counts_of_a_line_are_those_of_the_test(test: TestResult) -> None:
+    assert count_test(line(encode_test(test))) == TestCounts.of(test)
+
+
+@given(results)
+def test_line_gives_the_test_back(test: TestResult) -> None:
+    assert repr(decode_test(json.loads(line(encode_test(test))))) == repr(test)
+
+
+@given(results)
+def test_counts_have_the_fractions_of_the_test(test: TestResult) -> None:
+    counts = TestCounts.of(test)
+    assert (counts.success_any, counts.success_end) == (test.success_any, test.success_end)
+    assert (counts.steps, counts.seconds, counts.episodes) == (test.steps, test.seconds, test.episodes)
+
+
+@given(st.data())
+def test_damaged_line_is_counted_correctly_or_not_at_all(data: st.DataObject) -> None:
+    text = bytearray(line(encode_test(result(10, 1, episodes=2))))
+    place = data.draw(st.integers(0, text.index(b"returns")))
+    text[place : place + data.draw(st.integers(0, 3))] = data.draw(st.binary(max_size=2))
+    counts = count_test(bytes(text))
+    if counts is not None:
+        decoded = decode_test(json.loads(bytes(text)))
+        assert decoded is not None
+        assert counts == TestCounts.of(decoded)
+
+
+def test_line_that_is_cut_anywhere_is_not_counted() -> None:
+    whole = line(encode_test(result(10, 1, episodes=2)))
+    assert all(count_test(whole[:end]) is None for end in range(len(whole)))
+
+
+@pytest.mark.parametrize(
+    "change",
+    [{"any": []}, {"end": [1]}, {"any": [[1], 0]}, {"end": [1, 2]}, {"steps": "x"}, {"seconds": None}, {"reset": 3}],
+)
+def test_line_of_another_form_is_not_counted(change: dict[str, Any]) -> None:
+    row = encode_test(result(10, 1, episodes=2))
+    assert count_test(line(row)) is not None
+    assert count_test(line(row | change)) is None
+    assert count_test(line({"more": 1} | row)) is None
+    assert count_test(b"") is None
+
+
+@pytest.mark.parametrize(
+    "change", [{"any": []}, {"end": [1]}, {"steps": "x"}, {"returns": None}, {"lengths": [None]}, {"distances": [0.1]}]
+)
+def test_line_that_holds_no_whole_test_is_none(change: dict[str, Any]) -> None:
+    row = encode_test(result(10, 1, episodes=2))
+    assert decode_test(row) == result(10, 1, episodes=2)
+    assert decode_test(row | change) is None
+
+
+def test_folder_counts_lines_of_another_form_like_its_tests(tmp_path: Path) -> None:
+    with new_run(tmp_path) as folder:
+        folder.add_test(result(10, 1))
+        other = dict(reversed(encode_test(result(20, 2)).items()))
+        with (folder.path / "tests.jsonl").open("ab") as file:
+            file.write(line(other) + b"\n" + line({"steps": 1}) + b"\n")
+        record = RunFolder.open(folder.path).record()
+        assert record.tests == tuple(TestCounts.of(test) for test in folder.tests())
+        assert [test.steps for test in record.tests] == [10, 20]
+        assert record.problems == ("tests.jsonl: 1 lines are not test results; left out",)
