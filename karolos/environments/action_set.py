@@ -1,4 +1,4 @@
-"""Discrete actions: which one an array names, and a discrete set for robots."""
+"""Discrete actions: the index that an array names, and a discrete action set for robots."""
 
 from __future__ import annotations
 
@@ -7,14 +7,13 @@ import numpy as np
 from ..core import Array, Discrete, Field, Layout
 
 OPENING = "gripper_opening"
-"""The field of a robot's action that says where the gripper shall be, -1 closed and 1 open; all others are changes."""
-NOTHING = "nothing"
+"""The field of a robot's action with the target of the gripper, -1 closed and 1 open; all other fields are changes."""
 
 
-def chosen(action: Array, actions: Discrete, who: str) -> int:
-    """The index that an action names: an integer, or one float that holds it exactly, as stored actions do.
+def action_index(action: Array, actions: Discrete, who: str) -> int:
+    """The index in `actions`: an integer, or one float with an integer value, as stored actions have.
 
-    Raises ValueError, in the name of `who`, where it is none of the set.
+    Raises ValueError, in the name of `who`, for anything else.
     """
     action = np.asarray(action)
     index = float(action.item()) if action.size == 1 else np.nan
@@ -24,10 +23,10 @@ def chosen(action: Array, actions: Discrete, who: str) -> int:
 
 
 class ActionSet:
-    """What a robot can do, as a discrete set: one full step along each axis in both directions, and nothing.
+    """A robot's actions as a discrete set: one full step along each axis in both directions, and "nothing" as the last.
 
-    The opening of a gripper is a place, not a change: one step closes or opens it all the way, and every other action
-    leaves it where it was last asked to be. "Nothing" is the last of the set.
+    The gripper's opening is a position, not a change: one action closes or opens it, and every other action keeps the
+    last command.
 
     Args:
         layout: of the robot's continuous action.
@@ -36,29 +35,29 @@ class ActionSet:
     def __init__(self, layout: Layout) -> None:
         self._size = layout.size
         self._opening = layout.slice(OPENING).start if OPENING in layout.names else None
-        self._held = 0.0
+        self._last_opening = 0.0
         steps = [f"{axis} {sign}" for field in layout.fields for axis in _axes(field) for sign in "+-"]
-        self.actions = Discrete((*steps, NOTHING))
+        self.actions = Discrete((*steps, "nothing"))
 
     def reset(self, opening: float) -> None:
-        """A new episode begins with the gripper at this opening, in [0, 1]."""
-        self._held = 2 * opening - 1
+        """Start an episode with the gripper at this opening, in [0, 1]."""
+        self._last_opening = 2 * opening - 1
 
     def values(self, index: int) -> list[float]:
-        """The continuous action that stands behind `index`: numbers in [-1, 1]."""
+        """The continuous action of `index`: numbers in [-1, 1]."""
         values = [0.0] * self._size
-        axis, back = divmod(index, 2)
+        axis, negative = divmod(index, 2)
         if axis < self._size:
-            values[axis] = -1.0 if back else 1.0
+            values[axis] = -1.0 if negative else 1.0
         if self._opening is not None:
             if axis == self._opening:
-                self._held = values[axis]
-            values[self._opening] = self._held
+                self._last_opening = values[axis]
+            values[self._opening] = self._last_opening
         return values
 
 
 def _axes(field: Field) -> list[str]:
-    """A name for each number of a field: x, y, z for places and their changes, else 1, 2, ..."""
+    """A name for each number of a field: x, y, z for positions and their changes, else 1, 2, ..."""
     if field.size == 1:
         return [field.name]
     names = "xyz" if field.size == 3 and "position" in field.name else range(1, field.size + 1)

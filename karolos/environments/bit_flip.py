@@ -1,4 +1,4 @@
-"""Bits that are flipped one at a time until they match: where a sparse reward without hindsight is hopeless."""
+"""Bits flipped one at a time until they match the goal: a sparse reward that needs hindsight."""
 
 from __future__ import annotations
 
@@ -7,7 +7,7 @@ from pydantic import Field as Setting
 
 from ..core import Array, BoolArray, Discrete, Environment, Field, FloatArray, GoalRule, Layout, Signature, Step
 from ..core import Settings as BaseSettings
-from .action_set import chosen
+from .action_set import action_index
 
 
 class SameBits(GoalRule):
@@ -29,16 +29,21 @@ class BitFlip(Environment):
     """What to do: flip bits, one per step, until they equal the bits of the goal.
 
     What is randomised: the bits and the goal, each pattern equally likely, never equal at reset.
-    What counts as success: all bits equal the goal's. That ends the episode (`terminated`), for there is no action that
-    keeps the bits as they are; otherwise it is truncated after `bits` steps, which is enough for every goal.
 
-    Reward: -1 per step, 0 for the step that arrives. Observation: the bits (0 or 1). Action: which bit to flip.
-    Source: Andrychowicz et al. 2017, "Hindsight Experience Replay", section 3.1. There it is left open whether arriving
-    ends the episode.
+    Observation: the bits (0 or 1).
+    Action: the index of the bit to flip.
+    Goals: achieved, the bits; desired, the bits of the goal.
+    Reward: -1 per step, 0 for the step that reaches the goal.
+    What counts as success: all bits equal the goal's.
+    Termination: on success, because no action keeps the bits unchanged; truncated after `bits` steps, which is enough
+    for every goal.
+
+    Source: Andrychowicz et al. 2017, "Hindsight Experience Replay", section 3.1, which leaves open whether success ends
+    the episode.
     """
 
     class Settings(BaseSettings):
-        bits: int = Setting(15, ge=1, le=50, description="how many there are, and steps per episode")
+        bits: int = Setting(15, ge=1, le=50, description="number of bits, and of steps per episode")
 
     def __init__(self, settings: BitFlip.Settings) -> None:
         self.settings = settings
@@ -68,8 +73,8 @@ class BitFlip(Environment):
         return self._step(0.0, over=False)
 
     def step(self, action: Array) -> Step:
-        """Flip one bit. Raises ValueError for an action that names none, RuntimeError after an end."""
-        bit = chosen(action, self._actions, "BitFlip")
+        """Flip one bit. Raises ValueError for an invalid index, RuntimeError when the episode is over."""
+        bit = action_index(action, self._actions, "BitFlip")
         if self._steps >= self.settings.bits:
             raise RuntimeError("the episode is over; reset the environment first")
         self._bits = self._bits.copy()
@@ -85,7 +90,7 @@ class BitFlip(Environment):
         return Step(self._bits, self._bits, self._goal, reward, success, over and not success, success)
 
     def render(self, width: int = 640, height: int = 480) -> np.ndarray:
-        """The bits above, the goal below, set ones dark; bits that differ from the goal are red."""
+        """The bits above, the goal below, ones dark; bits that differ from the goal are red."""
         picture = np.full((height, width, 3), 255, np.uint8)
         edges = np.linspace(0, width, self.settings.bits + 1).astype(int)
         rows = ((0, height // 2, self._bits), (height // 2, height, self._goal))

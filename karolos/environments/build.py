@@ -1,4 +1,4 @@
-"""From a recipe to an environment: what a worker process does first."""
+"""From a recipe to an environment."""
 
 from __future__ import annotations
 
@@ -11,11 +11,11 @@ from ..spec.recipe import Part, Recipe
 
 
 def build_environment(recipe: Recipe) -> Environment:
-    """The environment that the recipe describes; nothing is simulated before its first reset.
+    """The environment of a recipe; nothing is simulated before its first reset.
 
     Raises:
         UsageError: a robot or task is missing, or given to an environment that takes none.
-        PluginError: robot and task do not go together, or a plugin does not import.
+        PluginError: robot and task are incompatible, or a plugin fails to import.
     """
     part = recipe.environment
     plugin = load(part.kind, part.name)
@@ -29,13 +29,13 @@ def build_environment(recipe: Recipe) -> Environment:
         raise UsageError(f"no {missing} is given", where="environment", hint="robot_task joins a robot and a task")
     joined: Environment = plugin(
         part.settings,
-        robot=_made(recipe.robot),
-        task=_made(recipe.task),
-        randomization={name: _made(distribution) for name, distribution in recipe.randomization},
+        robot=_instance(recipe.robot),
+        task=_instance(recipe.task),
+        randomization={name: _instance(distribution) for name, distribution in recipe.randomization},
     )
     return joined
 
 
-def _made(part: Part) -> Any:
-    """An instance of a plugin; which class it is only the registry knows."""
+def _instance(part: Part) -> Any:
+    """An instance of the plugin that the registry holds under this name."""
     return load(part.kind, part.name)(part.settings)

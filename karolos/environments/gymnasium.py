@@ -1,4 +1,4 @@
-"""Any environment that is registered in gymnasium, as an environment of karolos."""
+"""An environment of gymnasium as an environment of karolos."""
 
 from __future__ import annotations
 
@@ -11,40 +11,40 @@ from pydantic import JsonValue, model_validator
 from ..core import Array, Discrete, Environment, Field, FloatArray, Layout, Signature, Step
 from ..core import Settings as BaseSettings
 from ..errors import KarolosError, MachineError, UsageError
-from .action_set import chosen
+from .action_set import action_index
 
 ID = "environment.id"
 GOALS = ("achieved_goal", "desired_goal")
 
 
 class Gymnasium(Environment):
-    """What is registered in gymnasium under `id`, with Box or Discrete actions.
+    """The environment registered in gymnasium under `id`, with Box or Discrete actions.
 
-    Actions: a bounded Box is rescaled from [-1, 1], a Discrete set gives one label for each of its numbers.
-    Observations: laid out flat as `gymnasium.spaces.flatten` does (one field for each key of a Dict). There are no
-    goals: what a buffer relabels with has to be a pure rule, and `compute_reward` is a method of an environment.
-
+    Observation: flat as by `gymnasium.spaces.flatten`, one field for each key of a Dict.
+    Action: a bounded Box is rescaled from [-1, 1], a Discrete set gives one label for each of its numbers.
+    Goals: none. A buffer relabels with a pure rule, and `compute_reward` is a method of an environment.
+    Reward and termination: the environment's.
     What counts as success: the episode ends with a return of at least `success_return`; without it, of at least the
-    `reward_threshold` the id is registered with; without either, what the environment says in `info["is_success"]`.
-    Returns are judged at the end only: where rewards are negative, every episode begins above any threshold.
+    `reward_threshold` the id is registered with; without either, `info["is_success"]`. Returns are judged at the end
+    only: where rewards are negative, every episode begins above any threshold.
 
     Raises:
         UsageError: unknown id, or spaces that karolos cannot use; names the setting.
-        MachineError: a library that the environment needs is not installed.
+        MachineError: a library that the environment needs is missing.
     """
 
     class Settings(BaseSettings):
         id: str = Setting(min_length=1, description='as for gymnasium.make, e.g. "CartPole-v1" or "module:Name-v0"')
-        kwargs: dict[str, JsonValue] = Setting({}, description="what else gymnasium.make is given")
+        kwargs: dict[str, JsonValue] = Setting({}, description="further arguments of gymnasium.make")
         max_steps: int | None = Setting(None, ge=1, description="steps per episode; null: as the id is registered")
         success_return: float | None = Setting(
             None, description="return from which an episode is a success; null: the id's reward_threshold"
         )
         reward_range: tuple[float, float] | None = Setting(
             None,
-            description="smallest and largest reward of a step, where known: it bounds the values that are learned",
+            description="smallest and largest reward of a step, where known: it bounds the learned values",
         )
-        flatten_goals: bool = Setting(False, description="take the goals of a goal environment as mere observations")
+        flatten_goals: bool = Setting(False, description="take the goals of a goal environment as observations")
         window: bool = Setting(False, description="show the environment in a window; needs a display")
 
         @model_validator(mode="after")
@@ -54,7 +54,7 @@ class Gymnasium(Environment):
             return self
 
         def identity(self) -> dict[str, Any]:
-            """What results depend on."""
+            """The settings that results depend on."""
             return self.model_dump(mode="json", exclude={"window"})
 
     def __init__(self, settings: Gymnasium.Settings) -> None:
@@ -80,7 +80,7 @@ class Gymnasium(Environment):
         self._env = env
         self._actions: Any = env.action_space
         registered = getattr(env.spec, "reward_threshold", None)
-        self._enough = registered if settings.success_return is None else settings.success_return
+        self._success_return = registered if settings.success_return is None else settings.success_return
         self._steps = steps  # no episode is running
         self._return = 0.0
         self._last: Step | None = None
@@ -89,10 +89,10 @@ class Gymnasium(Environment):
     def _make(settings: Gymnasium.Settings) -> Any:
         import gymnasium  # noqa: PLC0415  (its import takes .2 s, and settings are read without it)
 
-        def make(**more: Any) -> Any:
-            # without its TimeLimit wrapper: steps are counted here, so that `max_steps` can be longer as well
+        def make(**kwargs: Any) -> Any:
+            # without the TimeLimit wrapper: steps are counted here, so `max_steps` can exceed the registered limit
             return gymnasium.make(
-                settings.id, max_episode_steps=-1, disable_env_checker=True, **settings.kwargs, **more
+                settings.id, max_episode_steps=-1, disable_env_checker=True, **settings.kwargs, **kwargs
             )
 
         try:
@@ -105,14 +105,14 @@ class Gymnasium(Environment):
         except KarolosError:
             raise
         except (gymnasium.error.DependencyNotInstalled, ImportError) as error:
-            raise MachineError(f"{settings.id} needs what is not installed: {_line(error)}", where=ID) from error
+            raise MachineError(f"{settings.id} needs a missing library: {_line(error)}", where=ID) from error
         except gymnasium.error.Error as error:
             raise UsageError(
                 _line(error), where=ID, hint="`python -m pip list` shows what could register it"
             ) from error
         except TypeError as error:
             raise UsageError(
-                f"{settings.id} does not take these: {_line(error)}", where="environment.kwargs"
+                f"{settings.id} does not take these arguments: {_line(error)}", where="environment.kwargs"
             ) from error
         return env
 
@@ -124,41 +124,41 @@ class Gymnasium(Environment):
         return self._last
 
     def step(self, action: Array) -> Step:
-        """Take one action. Raises ValueError for a wrong shape, NaN or an unknown number, RuntimeError after an end."""
-        taken = self._taken(np.asarray(action, np.float64))
+        """One step. Raises ValueError for a wrong shape, NaN or an invalid index, RuntimeError after the episode."""
+        converted = self._converted(np.asarray(action, np.float64))
         if self._last is None or self._steps >= self.signature.max_steps:
             raise RuntimeError(f"{self.settings.id}: the episode is over; reset the environment first")
-        observation, reward, terminated, truncated, info = self._env.step(taken)
+        observation, reward, terminated, truncated, info = self._env.step(converted)
         self._steps += 1
-        flat, worth = self._flat(observation), float(reward)
-        if not (np.isfinite(worth) and np.isfinite(flat).all()):
+        flat, reward = self._flat(observation), float(reward)
+        if not (np.isfinite(reward) and np.isfinite(flat).all()):
             self._steps = self.signature.max_steps
             return self._last._replace(terminated=False, truncated=True, success=False, diverged=True)
-        self._return += worth
+        self._return += reward
         out_of_time = bool(truncated) or self._steps >= self.signature.max_steps
-        self._last = self._step(flat, worth, bool(terminated), out_of_time and not terminated, info)
+        self._last = self._step(flat, reward, bool(terminated), out_of_time and not terminated, info)
         if self._last.terminated or self._last.truncated:
             self._steps = self.signature.max_steps
         return self._last
 
     def _step(self, flat: FloatArray, reward: float, terminated: bool, truncated: bool, info: Any) -> Step:
-        if self._enough is None:
+        if self._success_return is None:
             success = bool(info.get("is_success", False))
         else:
-            success = (terminated or truncated) and self._return >= self._enough
-        none = np.zeros(0, np.float32)
-        return Step(flat, none, none, reward, terminated, truncated, success)
+            success = (terminated or truncated) and self._return >= self._success_return
+        no_goal = np.zeros(0, np.float32)
+        return Step(flat, no_goal, no_goal, reward, terminated, truncated, success)
 
     def _flat(self, observation: Any) -> FloatArray:
         from gymnasium.spaces import flatten  # noqa: PLC0415
 
         return np.array(flatten(self._space, observation), np.float32)
 
-    def _taken(self, action: Array) -> Any:
-        """The action as the environment's own space has it."""
+    def _converted(self, action: Array) -> Any:
+        """The action in the environment's own space."""
         kind, space = self.signature.action, self._actions
         if isinstance(kind, Discrete):
-            return space.start + chosen(action, kind, self.settings.id)
+            return space.start + action_index(action, kind, self.settings.id)
         if action.shape != (kind.size,) or not np.isfinite(action).all():
             raise ValueError(f"{self.settings.id}: an action is {kind.size} finite numbers, not {action.tolist()}")
         low, high = space.low.astype(np.float64).ravel(), space.high.astype(np.float64).ravel()
@@ -170,7 +170,7 @@ class Gymnasium(Environment):
             raise MachineError(f"{self.settings.id} draws no pictures", where=ID)
         try:
             picture = np.asarray(self._env.render(), np.uint8)
-        except Exception as error:  # a missing pygame, no graphics card: whatever its library raises
+        except Exception as error:  # a missing pygame or graphics card raises errors of any class
             raise MachineError(f"{self.settings.id} cannot be drawn: {_line(error)}", where=ID) from error
         from PIL import Image  # noqa: PLC0415
 
@@ -181,7 +181,7 @@ class Gymnasium(Environment):
 
 
 def _registered_steps(name: str) -> int | None:
-    """gymnasium takes the limit off the spec of an environment that was made without it."""
+    """The registered limit, which the spec of an environment made without TimeLimit lacks."""
     from gymnasium import spec  # noqa: PLC0415
 
     return spec(name.rpartition(":")[2]).max_episode_steps  # its module is imported by now

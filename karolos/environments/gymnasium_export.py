@@ -2,9 +2,8 @@
 
     gymnasium.make("karolos/UR5PickPlace-v1", control="cartesian", reward="sparse")
 
-The ids are `karolos/<Robot><Task>-v1`, with the names of the classes, and come from the registry of plugins, so that a
-third party's robot is there with every task. Importing this module registers them; no plugin, no pybullet is imported
-before an environment is made. Gymnasium looks for no plugins since its version 1.0, but imports a module that an id
+The ids are `karolos/<Robot><Task>-v1`, with the names of the classes of all installed plugins. Importing this module
+registers them; plugins and pybullet are imported when an environment is made. Gymnasium imports a module that an id
 names: `gymnasium.make("karolos.environments.gymnasium_export:karolos/PandaReach-v1")` needs no import of karolos.
 """
 
@@ -28,6 +27,7 @@ if TYPE_CHECKING:
 
 NAMESPACE = "karolos"
 FRAMES_PER_SECOND = 24
+OBSERVED = ("observation", "achieved_goal", "desired_goal")
 _ACRONYMS = {"iiwa": "IIWA"}
 _PARTS = (("robots", "robot"), ("tasks", "task"), ("environments", "environment"))
 
@@ -35,20 +35,20 @@ Observation = dict[str, NDArray[np.float32]]
 
 
 def _render_modes() -> list[str]:
-    """A window needs a display; a mode that cannot work is not offered, so that `check_env` passes without one."""
+    """The modes that work on this machine. A window needs a display; `check_env` tries every listed mode."""
     return ["human", "rgb_array"] if sys.platform != "linux" or os.environ.get("DISPLAY") else ["rgb_array"]
 
 
 class GoalEnv(gymnasium.Env[Observation, NDArray[np.float32]]):
-    """An environment of karolos that has goals, by gymnasium's interface for goal environments.
+    """An environment of karolos with goals, with gymnasium's interface for goal environments.
 
     Observation: a dict of `observation` (o,), `achieved_goal` (a,) and `desired_goal` (d,), float32. Action: (n,) in
-    [-1, 1], or the number of a discrete one. An episode is truncated by the environment itself. `reset(seed=s)` begins
-    the very episode that karolos has under the seed s.
+    [-1, 1], or the index of a discrete one. The environment itself truncates an episode. `reset(seed=s)` begins
+    karolos' episode of the seed s.
 
     Args:
         environment: closed with this one.
-        render_mode: None, "rgb_array", or "human" (a window in real time, which the environment has to have).
+        render_mode: None, "rgb_array", or "human" (a window in real time; the environment must support it).
         width: of a picture in pixels.
         height: of a picture in pixels.
 
@@ -74,16 +74,16 @@ class GoalEnv(gymnasium.Env[Observation, NDArray[np.float32]]):
         self.observation_space = gymnasium.spaces.Dict(  # type: ignore[assignment]  # a Dict of Boxes is what it gives
             {
                 name: gymnasium.spaces.Box(-np.inf, np.inf, (getattr(signature, name).size,), np.float32)
-                for name in ("observation", "achieved_goal", "desired_goal")
+                for name in OBSERVED
             }
         )
 
     def reset(
         self, *, seed: int | None = None, options: dict[str, Any] | None = None
     ) -> tuple[Observation, dict[str, Any]]:
-        """Begin the episode of this seed; without one, the next of those that the last seed led to."""
+        """Begin the episode of this seed; without a seed, the next episode in the sequence of the last seed."""
         if options:
-            raise UsageError(f"reset knows no options, not {', '.join(map(repr, options))}")
+            raise UsageError(f"reset has no options, not {', '.join(map(repr, options))}")
         super().reset(seed=seed)
         episode = int(self.np_random.integers(2**63 - 1)) if seed is None else int(seed)
         step = self._environment.reset(episode)
@@ -94,7 +94,7 @@ class GoalEnv(gymnasium.Env[Observation, NDArray[np.float32]]):
         return _observed(step), info
 
     def step(self, action: NDArray[np.float32]) -> tuple[Observation, float, bool, bool, dict[str, Any]]:
-        """One control step. Raises ValueError for an action of a wrong shape or with NaN, RuntimeError after an end."""
+        """One control step. Raises ValueError for a wrong shape or NaN, RuntimeError when the episode is over."""
         step = self._environment.step(np.asarray(action, np.float32))
         if self.render_mode == "human":  # in real time
             now = time.monotonic()
@@ -107,17 +107,17 @@ class GoalEnv(gymnasium.Env[Observation, NDArray[np.float32]]):
         return {"is_success": bool(step.success), "truncated": bool(step.truncated), "diverged": bool(step.diverged)}
 
     def compute_reward(self, achieved_goal: Any, desired_goal: Any, info: Any) -> Any:  # noqa: ARG002
-        """Reward of arriving at (..., a) when (..., d) is asked for: shape (...)."""
+        """Reward (...) of achieved goals (..., a) and desired goals (..., d)."""
         reward = self._rule.reward(np.asarray(achieved_goal, np.float32), np.asarray(desired_goal, np.float32))
         return float(reward) if np.ndim(reward) == 0 else reward
 
     def compute_terminated(self, achieved_goal: Any, desired_goal: Any, info: Any) -> Any:  # noqa: ARG002
-        """Whether arriving there ends the episode: shape (...)."""
+        """Whether the achieved goals end the episode: (...)."""
         ends = self._rule.terminated(np.asarray(achieved_goal, np.float32), np.asarray(desired_goal, np.float32))
         return bool(ends) if np.ndim(ends) == 0 else ends
 
     def compute_truncated(self, achieved_goal: Any, desired_goal: Any, info: Any) -> Any:  # noqa: ARG002
-        """Whether time was up: it does not hang on goals, so it is what the info of the step says, else False."""
+        """Whether the episode was truncated, which does not depend on goals: from the step's info, else False."""
         shape = np.shape(achieved_goal)[:-1]
         if not shape:
             return bool(info.get("truncated", False)) if isinstance(info, Mapping) else False
@@ -126,7 +126,7 @@ class GoalEnv(gymnasium.Env[Observation, NDArray[np.float32]]):
         return np.array([bool(one.get("truncated", False)) for one in np.ravel(info)], np.bool_).reshape(shape)
 
     def render(self) -> NDArray[np.uint8] | None:
-        """A picture (height, width, 3); a window draws itself."""
+        """A picture (height, width, 3); None for a window."""
         return self._environment.render(*self._size) if self.render_mode == "rgb_array" else None
 
     def close(self) -> None:
@@ -134,21 +134,18 @@ class GoalEnv(gymnasium.Env[Observation, NDArray[np.float32]]):
 
 
 class RobotTaskEnv(GoalEnv):
-    """One robot with one task, for gymnasium.
+    """One robot with one task. `render_mode`, `width` and `height` as of `GoalEnv`.
 
     Args:
         robot: name of a robot.
         task: name of a task.
-        render_mode: as of every `GoalEnv`.
-        width: of a picture in pixels.
-        height: of a picture in pixels.
         randomization: as in a spec, e.g. {"task.gravity": {"name": "normal", "mean": -9.81, "std": 0.1}}.
-        settings: of the robot, of the task and of the environment that joins them (`substeps`, `actions`); each goes to
-            whoever declares it.
+        settings: of the robot, the task and the environment (`substeps`, `actions`); each goes to the part that
+            declares it.
 
     Raises:
-        UsageError: a setting that nobody declares, or a value that is not allowed.
-        PluginError: robot and task do not go together.
+        UsageError: an undeclared setting, or an invalid value.
+        PluginError: robot and task are incompatible.
     """
 
     def __init__(
@@ -167,7 +164,7 @@ class RobotTaskEnv(GoalEnv):
                 f"there is no render mode {render_mode!r}",
                 hint=alternatives(render_mode, self.metadata["render_modes"]) + "; human needs a display",
             )
-        from .build import build_environment  # noqa: PLC0415  (plugins, when one is wanted)
+        from .build import build_environment  # noqa: PLC0415  (it imports plugins)
 
         chosen = {"robot": robot, "task": task, "environment": "robot_task"}
         window = {"window": True} if render_mode == "human" else {}
@@ -184,16 +181,12 @@ def _action_space(action: Any) -> Any:
 
 
 def _observed(step: Any) -> Observation:
-    """Arrays of their own: the goal's is one and the same all through an episode."""
-    return {
-        "observation": step.observation.copy(),
-        "achieved_goal": step.achieved_goal.copy(),
-        "desired_goal": step.desired_goal.copy(),
-    }
+    """Copies: the environment uses one array for the goal throughout an episode."""
+    return {name: getattr(step, name).copy() for name in OBSERVED}
 
 
 def _recipe(chosen: Mapping[str, str], settings: Mapping[str, Any], randomization: Mapping[str, Any]) -> Any:
-    """A recipe, each setting given to the parts that declare it."""
+    """A recipe in which each part has the settings that it declares."""
     from ..registry import load  # noqa: PLC0415
     from ..spec.parts import OfKind  # noqa: PLC0415
     from ..spec.recipe import Part, Recipe  # noqa: PLC0415
@@ -232,27 +225,27 @@ def environment_ids() -> dict[str, tuple[str, str]]:
     """Robot and task behind each id, e.g. "karolos/PandaReach-v1": ("panda", "reach"). Imports no plugin."""
     robots, tasks = (_class_names(kind) for kind in ("robots", "tasks"))
     return {
-        f"{NAMESPACE}/{shown_robot}{shown_task}-v1": (robot, task)
-        for robot, shown_robot in robots.items()
-        for task, shown_task in tasks.items()
+        f"{NAMESPACE}/{robot_class}{task_class}-v1": (robot, task)
+        for robot, robot_class in robots.items()
+        for task, task_class in tasks.items()
     }
 
 
 def _class_names(kind: str) -> dict[str, str]:
-    """The class name of each plugin; where two share one, the plugin's own name with capitals instead."""
+    """The class name of each plugin; where two are equal, the plugin's own name in capitalized words instead."""
     classes = {
         entry.name: _ACRONYMS.get(entry.name) or entry.target.partition(":")[2].rpartition(".")[2]
         for entry in entries(kind)
     }
-    shown = list(classes.values())
+    names = list(classes.values())
     return {
-        name: shape if shown.count(shape) == 1 else "".join(word.capitalize() for word in name.split("_"))
-        for name, shape in classes.items()
+        plugin: name if names.count(name) == 1 else "".join(word.capitalize() for word in plugin.split("_"))
+        for plugin, name in classes.items()
     }
 
 
 def register() -> None:
-    """Make all pairs known to gymnasium. Once is enough, twice is harmless."""
+    """Register all pairs in gymnasium. A second call has no effect."""
     for name, (robot, task) in environment_ids().items():
         if name not in gymnasium.registry:
             gymnasium.register(

@@ -17,25 +17,26 @@ from ..randomization.distribution import Distribution
 from ..randomization.randomization import Randomization
 from ..simulation.bullet.world import World
 from ..simulation.interface import Expert, Robot, Task
-from .action_set import ActionSet, chosen
+from .action_set import ActionSet, action_index
 
 TIMESTEP = 1 / 240
-"""Seconds of a physics step, PyBullet's own."""
+"""Seconds of a physics step, PyBullet's default."""
 
 
 class RobotTask(Environment):
-    """Any robot with any task: they meet here and know nothing of each other.
+    """Any robot with any task. Neither knows the other. The physics world is built at the first reset.
 
-    Observation: the robot's part, then the task's. The physics world is built at the first reset, so that an
-    environment costs nothing until it is used.
+    Observation: the robot's part, then the task's.
+    Action: the robot's, each number in [-1, 1]; with `actions: discrete` one of an `ActionSet`.
+    Reward, success, termination: by the task's goal rule; the episode is truncated after the task's `max_steps`.
 
     Args:
         robot: a robot plugin's instance.
         task: a task plugin's instance.
-        randomization: what to draw at each reset, by parameter ("task.gravity"); nothing by default.
+        randomization: distributions of what is drawn at each reset, by parameter ("task.gravity").
 
     Raises:
-        PluginError: robot and task do not go together.
+        PluginError: robot and task are incompatible.
         UsageError: `randomization` names a parameter that neither declares.
     """
 
@@ -49,7 +50,7 @@ class RobotTask(Environment):
         window: bool = Setting(False, description="show the world in a window; needs a display")
 
         def identity(self) -> dict[str, Any]:
-            """What results depend on."""
+            """The settings that results depend on."""
             return self.model_dump(mode="json", exclude={"window"})
 
     def __init__(
@@ -63,8 +64,8 @@ class RobotTask(Environment):
         self.settings = settings
         self.robot = robot
         self.task = task
-        self.blow_ups = 0
-        """Episodes that were cut short because the physics left all sense."""
+        self.divergences = 0
+        """Number of episodes truncated because the physics diverged."""
         robot.prepare(gripper=task.uses_gripper, period=settings.substeps * TIMESTEP, points_down=task.points_down)
         task.fit(robot)
         declared = {
@@ -72,12 +73,12 @@ class RobotTask(Environment):
             **{f"task.{name}": parameter for name, parameter in task.parameters.items()},
         }
         self._randomization = Randomization(randomization or {}, declared)
-        self._set = ActionSet(robot.action) if settings.actions == "discrete" else None
+        self._action_set = ActionSet(robot.action) if settings.actions == "discrete" else None
         self._terminates = type(task.goal_rule).terminated is not GoalRule.terminated
         self._drawn: list[float] = []
         self.signature = Signature(
             observation=robot.observation + task.observation,
-            action=self._set.actions if self._set else robot.action,
+            action=self._action_set.actions if self._action_set else robot.action,
             max_steps=task.max_steps,
             reward_range=task.goal_rule.reward_range,
             achieved_goal=task.achieved_goal,
@@ -93,7 +94,7 @@ class RobotTask(Environment):
 
     @property
     def world(self) -> World:
-        """The physics world, built when first asked for."""
+        """The physics world, built at the first access."""
         if self._world is None:
             self._world = World(substeps=self.settings.substeps, timestep=TIMESTEP, window=self.settings.window)
             self.robot.build(self._world)
@@ -103,7 +104,7 @@ class RobotTask(Environment):
     def reset(self, seed: int) -> Step:
         world = self.world
         if self._randomization.layout.size:
-            # a stream of its own: with and without randomization, an episode has the same start and goal
+            # a separate generator: an episode has the same start and goal with and without randomization
             self._drawn = self._randomization.draw(SeedTree(seed).child("randomization").generator())
         for name, value in zip(self._randomization.layout.names, self._drawn, strict=True):
             part, _, parameter = name.partition(".")
@@ -114,29 +115,48 @@ class RobotTask(Environment):
         generator = np.random.Generator(np.random.PCG64(seed))
         self.robot.reset(generator)
         self.task.reset(generator)
-        if self._set is not None:
-            self._set.reset(self.robot.opening)
+        if self._action_set is not None:
+            self._action_set.reset(self.robot.opening)
         self._steps = 0
-        return self._observe(reward=False)
+        observation = self._observation()
+        if observation is None:
+            return self._diverged()
+        achieved, goal = self.task.achieved(), self.task.goal
+        success = bool(self.task.goal_rule.success(achieved, goal))
+        self._last = Step(observation, achieved, goal, 0.0, False, False, success)
+        return self._last
 
     def step(self, action: Array) -> Step:
-        """One control step. Raises ValueError for an action of a wrong shape, with NaN or of no set, RuntimeError after
-        an end.
+        """One control step.
+
+        Raises:
+            ValueError: an action of a wrong shape, with NaN, or not in the action set.
+            RuntimeError: the episode is over.
         """
-        values = self._checked(action)
-        self.robot.act(values)
+        self.robot.act(self._checked(action))
         self.world.step()
         self.robot.read()
         self.task.read()
         self._steps += 1
-        return self._observe(reward=True)
+        observation = self._observation()
+        if observation is None:
+            return self._diverged()
+        rule, achieved, goal = self.task.goal_rule, self.task.achieved(), self.task.goal
+        terminated = self._terminates and bool(rule.terminated(achieved, goal))
+        truncated = self._steps >= self.signature.max_steps and not terminated
+        if terminated:
+            self._steps = self.signature.max_steps
+        reward, success = float(rule.reward(achieved, goal)), bool(rule.success(achieved, goal))
+        self._last = Step(observation, achieved, goal, reward, terminated, truncated, success)
+        return self._last
 
     def _checked(self, action: Array) -> list[float]:
+        """The robot's action."""
         action = np.asarray(action)
         if self._steps >= self.signature.max_steps:
             raise RuntimeError(f"{self._name}: the episode is over; reset the environment first")
-        if self._set is not None:
-            return self._set.values(chosen(action, self._set.actions, self._name))
+        if self._action_set is not None:
+            return self._action_set.values(action_index(action, self._action_set.actions, self._name))
         if action.shape != self._shape:
             raise ValueError(f"{self._name}: an action has the shape {self._shape}, not {action.shape}")
         values: list[float] = action.tolist()
@@ -144,40 +164,31 @@ class RobotTask(Environment):
             raise ValueError(f"{self._name}: an action must be finite, not {values}")
         return values
 
-    def _observe(self, *, reward: bool) -> Step:
-        numbers = self.robot.observe() + self.task.observe()
-        if not isfinite(sum(numbers)) or self.task.lost():
-            return self._blow_up()
-        rule, goal = self.task.goal_rule, self.task.goal
-        observation = np.array(numbers, np.float32)
-        achieved = self.task.achieved()
-        terminated = bool(reward and self._terminates and rule.terminated(achieved, goal))
-        truncated = self._steps >= self.signature.max_steps and not terminated
-        worth = float(rule.reward(achieved, goal)) if reward else 0.0
-        success = bool(rule.success(achieved, goal))
-        if terminated:
-            self._steps = self.signature.max_steps
-        self._last = Step(observation, achieved, goal, worth, terminated, truncated, success)
-        return self._last
+    def _observation(self) -> FloatArray | None:
+        """The robot's part and the task's; None if the physics diverged."""
+        values = self.robot.observe() + self.task.observe()
+        if not isfinite(sum(values)) or self.task.lost():
+            return None
+        return np.array(values, np.float32)
 
-    def _blow_up(self) -> Step:
-        """End the episode with the last state that made sense, and build the world anew before the next."""
-        self.blow_ups += 1
+    def _diverged(self) -> Step:
+        """End the episode with the last finite state. The next reset builds a new world."""
+        self.divergences += 1
         self._steps = self.signature.max_steps
         self.close()
         if self._last is None:
-            raise RuntimeError(f"{self._name}: the physics blew up before the first step")
+            raise RuntimeError(f"{self._name}: the physics diverged before the first step")
         return self._last._replace(terminated=False, truncated=True, success=False, diverged=True)
 
     def expert(self) -> Expert:
-        """The task's scripted policy for this environment. Raises UsageError where none can act in it."""
-        if self._set is not None:
+        """The task's scripted policy. Raises UsageError for a task without one, or discrete actions."""
+        if self._action_set is not None:
             raise UsageError(
                 "experts give continuous actions, and this environment takes discrete ones",
                 where="environment.actions",
                 hint="set environment.actions=continuous",
             )
-        _ = self.world  # an expert acts in a world that is built
+        _ = self.world  # an expert needs the world
         expert = self.task.expert()
         if expert is None:
             raise UsageError(f"there is no expert for {self._name}", where="task")

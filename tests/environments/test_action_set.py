@@ -13,7 +13,7 @@ from gymnasium.utils.env_checker import check_env
 
 import karolos.environments.gymnasium_export  # noqa: F401  (registers the ids)
 from karolos.core import Discrete, Field, Layout
-from karolos.environments.action_set import ActionSet, chosen
+from karolos.environments.action_set import ActionSet, action_index
 from karolos.environments.build import build_environment
 from karolos.environments.robot_task import RobotTask
 from karolos.errors import UsageError
@@ -122,7 +122,7 @@ def test_an_action_that_is_none_of_the_set_is_refused_and_the_episode_goes_on(ac
 
 def test_an_index_is_found_in_any_form_it_travels_in() -> None:
     actions = Discrete(("a", "b", "c"))
-    assert [chosen(form, actions, "x") for form in (2, np.int64(2), np.array(2), np.float32([2]))] == [2] * 4
+    assert [action_index(form, actions, "x") for form in (2, np.int64(2), np.array(2), np.float32([2]))] == [2] * 4
 
 
 def test_workers_take_the_set_and_give_the_same_episode_as_the_environment_itself() -> None:

@@ -38,8 +38,8 @@ def test_discrete_actions_become_labels_and_the_pole_falls() -> None:
 
 def test_box_actions_are_rescaled() -> None:
     environment = make(id="Pendulum-v1")
-    assert environment._taken(np.array([1.0]))[0] == 2.0
-    assert environment._taken(np.array([-0.5]))[0] == -1.0
+    assert environment._converted(np.array([1.0]))[0] == 2.0
+    assert environment._converted(np.array([-0.5]))[0] == -1.0
     with pytest.raises(ValueError, match="finite"):
         environment.step(np.array([np.nan]))
 

@@ -81,7 +81,7 @@ def test_physics_blow_up_truncates_with_finite_numbers_and_the_next_episode_is_s
     assert step.truncated
     assert not step.terminated
     assert all(np.isfinite(part).all() for part in step)
-    assert made.blow_ups == 1
+    assert made.divergences == 1
     with pytest.raises(RuntimeError, match="over"):
         made.step(np.zeros(3))
     np.testing.assert_array_equal(made.reset(3).observation, reference.observation)

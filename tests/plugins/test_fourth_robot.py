@@ -39,7 +39,7 @@ def test_every_task_is_solved_by_its_expert(small: Candidate, task: str, control
     robot = replace(small, settings={"control": control})
     with joined(robot, candidate("tasks", task)) as made:
         found = score(made, expert_policy(made), episodes=10, seed=0)
-        assert made.blow_ups == 0
+        assert made.divergences == 0
     assert found.success_end >= ENOUGH.get(task, 0.1)
 
 

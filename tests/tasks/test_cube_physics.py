@@ -110,5 +110,5 @@ def test_a_cube_that_is_lost_ends_the_episode_as_truncated_and_diverged(task: st
     with pytest.raises(RuntimeError, match="over"):
         environment.step(still)
     np.testing.assert_array_equal(environment.reset(1).observation, start.observation)
-    assert environment.blow_ups == 1
+    assert environment.divergences == 1
     environment.close()

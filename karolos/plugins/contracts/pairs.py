@@ -18,7 +18,7 @@ def a_pair_is_solved_as_its_expert_shows_and_not_by_chance(robot: Candidate, tas
     with joined(robot, task) as environment:
         expert = score(environment, expert_policy(environment), episodes=EPISODES, seed=1)
         chance = score(environment, random_policy(environment, 1), episodes=EPISODES, seed=1)
-        demand(environment.blow_ups == 0, f"the physics left all sense in {environment.blow_ups} episodes")
+        demand(environment.divergences == 0, f"the physics left all sense in {environment.divergences} episodes")
     demand(expert.success_end >= 0.7, f"the expert solves {expert.success_end:.0%} of {EPISODES} episodes")
     demand(chance.success_end <= 0.3, f"random actions solve {chance.success_end:.0%} of {EPISODES} episodes")
 

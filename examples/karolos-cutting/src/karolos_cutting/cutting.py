@@ -8,7 +8,7 @@ from pydantic import model_validator
 
 from karolos.core import Array, Discrete, Environment, Field, FloatArray, Layout, Signature, Step
 from karolos.core import Settings as BaseSettings
-from karolos.environments.action_set import chosen
+from karolos.environments.action_set import action_index
 
 from .boards import CRACK, GRADES, KNOT, Order, best_value, draw_board, runs
 
@@ -101,7 +101,7 @@ class Cutting(Environment):
     def step(self, action: Array) -> Step:
         """Make one cut. Raises ValueError for an unknown action, RuntimeError after the end of the episode."""
         settings = self.settings
-        index = chosen(action, self._actions, "Cutting")
+        index = action_index(action, self._actions, "Cutting")
         if self._place >= settings.length:
             raise RuntimeError("the episode is over; reset the environment first")
         if index == len(settings.orders):
