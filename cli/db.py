@@ -69,6 +69,6 @@ def _existing(runs: Path, database: str | None) -> str:
 
 
 def _cores() -> int:
-    from karolos.orchestrator.probe import cores
+    from karolos.orchestrator.auto import cores
 
     return cores()

@@ -17,8 +17,8 @@ from typing import TYPE_CHECKING, Any
 import numpy as np
 
 from ..core import Orchestrator, random_actions
+from ..orchestrator.auto import PROBE_ROUNDS, Measured, choose, cores, process_counts, steps_per_second
 from ..orchestrator.local import Local
-from ..orchestrator.probe import DRAWN, Measured, choose, cores, process_counts, steps_per_second
 from ..registry import load
 from ..report.boxes import Panel
 from ..spec.recipe import Part, Recipe
@@ -168,7 +168,7 @@ def asynchronous(orchestrator: Orchestrator, seconds: float) -> float:
     """Steps per second when half of the environments are enough to act on."""
     half = max(orchestrator.size // 2, 1)
     generator = np.random.Generator(np.random.PCG64(0))
-    actions = [random_actions(orchestrator.signature, orchestrator.size, generator) for _ in range(DRAWN)]
+    actions = [random_actions(orchestrator.signature, orchestrator.size, generator) for _ in range(PROBE_ROUNDS)]
     orchestrator.reset(range(orchestrator.size), range(orchestrator.size))
     steps, started = 0, perf_counter()
     while steps == 0 or perf_counter() - started < seconds:
@@ -178,7 +178,7 @@ def asynchronous(orchestrator: Orchestrator, seconds: float) -> float:
         if over.any():
             orchestrator.reset(ready[over], (steps + ready[over]).tolist())
         if going.size:
-            orchestrator.step(going, actions[steps % DRAWN][: going.size])
+            orchestrator.step(going, actions[steps % PROBE_ROUNDS][: going.size])
         steps += going.size
     rate = steps / (perf_counter() - started)
     orchestrator.receive()
@@ -199,11 +199,11 @@ def _peer_steps(robot: str, task: str, processes: int, amounts: Amounts, _: int)
         together = SyncVectorEnv([make] * amounts.environments)
     together.reset(seed=0)
     together.action_space.seed(0)
-    actions = [together.action_space.sample() for _ in range(DRAWN)]
+    actions = [together.action_space.sample() for _ in range(PROBE_ROUNDS)]
     together.step(actions[0])
     steps, started = 0, perf_counter()
     while steps == 0 or perf_counter() - started < amounts.seconds:
-        together.step(actions[steps // together.num_envs % DRAWN])
+        together.step(actions[steps // together.num_envs % PROBE_ROUNDS])
         steps += together.num_envs
     rate = steps / (perf_counter() - started)
     together.close()

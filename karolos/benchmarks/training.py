@@ -19,7 +19,7 @@ from time import perf_counter
 from ..agents.device import use_threads
 from ..core import Array, FloatArray, Orchestrator, Received
 from ..core.seeding import SeedTree
-from ..orchestrator.probe import steps_per_second
+from ..orchestrator.auto import steps_per_second
 from ..spec import Spec
 from ..training.assembly import make_agent, make_buffer, make_orchestrator
 from ..training.training import Progress, Training

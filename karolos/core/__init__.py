@@ -1,8 +1,8 @@
-"""The vocabulary of karolos: what flows between environments, buffers and agents, and the interfaces of the parts.
+"""The data that environments, buffers and agents exchange, and the interfaces of these parts.
 
-Conventions, said once: SI units (m, s, kg, N, rad), quaternions x y z w, float32 arrays in memory that is shared or
-stored, any number of leading axes (none for one environment, one for several). An episode ends as `terminated` (the
-world has no future: no value beyond) or `truncated` (time is up: the value goes on). Continuous actions lie in [-1, 1].
+Conventions: SI units (m, s, kg, N, rad), quaternions x y z w, float32 arrays where memory is shared or stored, any
+number of leading axes (none for one environment, one for several). An episode ends as `terminated` (the value of the
+next state is 0) or `truncated` (the next state has a value). Continuous actions are in [-1, 1].
 """
 
 from .agent import Agent

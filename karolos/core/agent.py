@@ -21,18 +21,29 @@ if TYPE_CHECKING:
 
 
 class Agent(ABC, Generic[Experience]):
-    """A reinforcement-learning algorithm: acts, and learns from what it is given. Owns no buffer, file or environment.
+    """A reinforcement-learning algorithm: acts, and learns from experience. Owns no buffer, file or environment.
 
-    `Agent` alone learns from batches; an on-policy one is an `Agent[Rollout]`.
+    An `Agent` learns from batches of replayed transitions. An on-policy agent is an `Agent[Rollout]`.
+
+    Call order. The loop calls `act(explore=True)` for the environments that are ready, and `begin_episodes` before the
+    first action of new episodes. It calls `learn` as often as the replay ratio says, or once per complete rollout.
+    Warm-up actions are drawn without the agent. Tests call `act(explore=False)` with any number of rows.
+
+    Determinism. Random numbers come from generators made from `seeds`. The same calls give the same results bit for
+    bit, also after `load_state(state())` in a new agent. `act(explore=False)` changes no state.
+
+    Errors. `__init__` raises UsageError for a signature that the algorithm cannot handle, e.g. discrete actions.
     """
 
     Settings: ClassVar[type[BaseModel]]
+    """Settings of the spec's `agent` part, derived from `AgentSettings`."""
     on_policy: ClassVar[bool]
-    """Whether it must learn from its own latest actions only (PPO) or can learn from old ones (replay)."""
+    """Whether it learns from its own latest actions only (PPO), or also from old ones (replay)."""
     learned: ClassVar[tuple[str, ...]] = ()
-    """Keys of its state that hold what it has learned, which an agent of the same kind can start from."""
+    """Keys of its state with the learned weights, for `start_from`."""
 
     discount: float
+    """Discount factor per environment step. The loop gives it to the buffer."""
 
     @abstractmethod
     def __init__(self, settings: Any, signature: Signature, seeds: SeedTree, device: str = "cpu") -> None: ...
@@ -46,57 +57,61 @@ class Agent(ABC, Generic[Experience]):
         explore: bool,
         environments: NDArray[np.int64] | None = None,
     ) -> FloatArray:
-        """Actions (n, a) for observations (n, o) and goals (n, g). Without exploration it is deterministic.
+        """Actions (n, a), deterministic without exploration.
 
-        Continuous ones lie in [-1, 1], but for those of an exploring on-policy agent: they are stored as they are, and
-        clipped for the environment.
+        Continuous actions are in [-1, 1]. Those of an exploring on-policy agent may be outside: the buffer stores them
+        unchanged and the loop clips them for the environment. A discrete action is an index in one column.
 
         Args:
             observation: (n, o).
             desired_goal: (n, g).
             explore: act as in training.
-            environments: whose rows these are, (n,), for exploration that remembers; None: 0 .. n - 1.
+            environments: the environment of each row, (n,), for exploration with a state; None: 0 .. n - 1.
         """
 
     def begin_episodes(self, environments: NDArray[np.int64]) -> None:
-        """New episodes begin in these environments. Nothing to do where exploration remembers nothing of the old."""
+        """Reset the exploration state of these environments, whose next actions begin new episodes."""
 
     @abstractmethod
     def learn(self, batch: Experience) -> Mapping[str, Any]:
-        """One gradient update from a batch, or all those that a rollout is good for.
+        """One gradient update from a batch, or all updates from a rollout.
 
-        Returns named scalars as tensors on the device, read by whoever needs a number. May hold "priorities": (n,) one
-        non-negative number for each transition, the size of its error; and "updates": how many updates it took, if not
-        one.
+        The arrays of the batch are valid during the call only.
+
+        Returns:
+            Named scalars, as tensors on the device. Optional entries: "priorities", (n,) the non-negative error of each
+            transition, for `Buffer.update_priorities`; "updates", the number of updates, if not one.
         """
 
     def deployed(self) -> Deployed:
-        """How it acts without exploration, as plain arrays, for use outside karolos.
+        """The policy without exploration, as plain arrays, for use outside karolos.
 
         Raises:
-            UsageError: this kind of agent cannot be written down so.
+            UsageError: this kind of agent cannot be exported.
         """
-        raise UsageError(
-            f"{type(self).__name__} cannot be exported", hint="its class would have to say how it acts: `deployed`"
-        )
+        raise UsageError(f"{type(self).__name__} cannot be exported", hint="implement `deployed` in its class")
 
     @abstractmethod
     def state(self) -> State:
-        """Everything that `load_state` needs to go on bit for bit: weights, optimisers, statistics, generators."""
+        """Everything that `load_state` needs to continue bit for bit: weights, optimisers, statistics, generators.
+
+        Nested dicts of arrays, tensors, numbers and strings. Later updates must not change it.
+        """
 
     @abstractmethod
-    def load_state(self, state: State) -> None: ...
+    def load_state(self, state: State) -> None:
+        """Continue from the state of an agent with the same settings. Raises UsageError for another shape."""
 
     def start_from(self, state: State) -> None:
-        """Take over what another agent of the same kind has learned; optimisers and generators stay as they are.
+        """Load the learned weights from the state of another agent; optimisers and generators do not change.
 
         Raises:
-            UsageError: this kind of agent does not say what it learns, or the state is of networks of another shape.
+            UsageError: the class has no `learned` keys, or the state has networks of another shape.
         """
         if not self.learned:
             raise UsageError(
                 f"{type(self).__name__} cannot start from another run's agent",
                 where="agent.start_from",
-                hint="its class would have to name what it learns: `learned`",
+                hint="set `learned` in its class",
             )
         self.load_state({**self.state(), **{key: state[key] for key in self.learned}})

@@ -1,4 +1,4 @@
-"""Kinds of arrays, and of states."""
+"""Types of arrays and states."""
 
 from __future__ import annotations
 
@@ -11,4 +11,4 @@ Array = NDArray[Any]
 FloatArray = NDArray[np.float32]
 BoolArray = NDArray[np.bool_]
 State = dict[str, Any]
-"""What a stateful part hands out and takes back: nested dicts of arrays, tensors, numbers and strings; no objects."""
+"""The state of a part: nested dicts of arrays, tensors, numbers and strings; no other objects."""

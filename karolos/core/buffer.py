@@ -20,60 +20,89 @@ if TYPE_CHECKING:
 
 
 class Buffer(ABC, Generic[Experience]):
-    """Stores transitions and gives batches; an on-policy one is a `Buffer[Rollout]` and gives each rollout once."""
+    """Stores transitions and returns batches. An on-policy buffer is a `Buffer[Rollout]` and returns each rollout once.
+
+    Episodes. Successive transitions of an environment belong to one episode until one is `terminated` or `truncated`,
+    or until `cut`. One call of `add` has at most one transition of each environment, in any order, of any subset. The
+    arrays belong to the caller, so the buffer copies them.
+
+    Rewards. With hindsight, reward and `terminated` of relabelled transitions come from `signature.goal_rule`.
+
+    Determinism. Random numbers come from generators made from `seeds`. The same calls give the same batches bit for
+    bit, also after `load_state(state())` in a new buffer.
+
+    Errors. `__init__` raises UsageError for settings that do not fit the signature or the number of environments. `add`
+    raises PluginError for transitions that contradict the goal rule. `sample` raises RunError if the buffer is empty.
+    """
 
     Settings: ClassVar[type[BaseModel]]
+    """Settings of the spec's `buffer` part."""
     on_policy: ClassVar[bool]
+    """Whether it returns rollouts (`Buffer[Rollout]`) or batches. Must be that of the agent."""
 
     @abstractmethod
     def __init__(
         self, settings: Any, signature: Signature, seeds: SeedTree, *, environments: int, discount: float
-    ) -> None: ...
+    ) -> None:
+        """Make an empty buffer.
+
+        Args:
+            settings: an instance of `Settings`.
+            signature: of the environments.
+            seeds: of the buffer's generators.
+            environments: number of environments; `Transitions.environment` is in 0 .. environments - 1.
+            discount: per environment step.
+        """
 
     @abstractmethod
     def add(self, transitions: Transitions) -> None:
-        """Store one transition of each environment named."""
+        """Store at most one transition of each environment."""
 
     @abstractmethod
     def cut(self, environments: NDArray[np.int64]) -> None:
-        """End the running episodes of these environments as they stand; the next transition begins a new one."""
+        """End the running episodes of these environments; the next transition begins a new episode.
+
+        Called when a simulation diverged or a worker was lost. An environment without a running episode is ignored.
+        """
 
     @abstractmethod
     def sample(self, size: int) -> Experience:
-        """`size` transitions; a rollout is given as a whole, with `size = len(buffer)`.
+        """`size` transitions; for a rollout `size` is `len(buffer)`.
 
-        The arrays are valid until the next call; those of a rollout until the next `add`.
+        The arrays are valid until the next call of `sample`, those of a rollout until the next `add`.
         """
 
     def add_demonstrations(self, episodes: Sequence[Transitions], share: float | None = None) -> None:  # noqa: ARG002 (interface)
-        """Store demonstrations for good, beside the environments' transitions.
+        """Store demonstrations permanently, in addition to the environments' transitions.
 
         Args:
-            episodes: whole ones, each with its steps along the leading axis; `environment` is not looked at.
-            share: of each batch that comes from demonstrations; None: they are sampled as all else is.
+            episodes: whole episodes, each with its steps along the leading axis; `environment` is ignored.
+            share: the fraction of each batch that comes from demonstrations; None: sample them like other transitions.
 
         Raises:
-            UsageError: this buffer has no place for them.
+            UsageError: this buffer does not support demonstrations.
         """
         raise UsageError(
-            f"{type(self).__name__} keeps no demonstrations",
+            f"{type(self).__name__} does not support demonstrations",
             where="demonstrations",
-            hint="use a replay buffer, e.g. uniform, and an agent that learns from it",
+            hint="use a replay buffer, e.g. uniform, and an off-policy agent",
         )
 
     def metrics(self) -> Mapping[str, float]:
-        """Numbers about what is stored, for whoever watches a run; nothing by default."""
+        """Numbers about the content, for TensorBoard; empty by default."""
         return {}
 
     def update_priorities(self, slot: NDArray[np.int64], priorities: FloatArray) -> None:
-        """Tell the sampler how large the errors of a batch were. Nothing to do where sampling is uniform."""
+        """Set priorities from the errors (n,) of a batch; `slot` is `Batch.slot`. Does nothing for uniform sampling."""
 
     @abstractmethod
     def __len__(self) -> int:
-        """Transitions that can be sampled now: none of a rollout before it is complete."""
+        """Number of transitions that can be sampled; 0 before a rollout is complete."""
 
     @abstractmethod
-    def state(self) -> State: ...
+    def state(self) -> State:
+        """Everything that `load_state` needs to continue bit for bit; arrays are copies."""
 
     @abstractmethod
-    def load_state(self, state: State) -> None: ...
+    def load_state(self, state: State) -> None:
+        """Continue from a state. Raises UsageError for the state of a buffer of another shape."""

@@ -13,28 +13,44 @@ from .signature import Signature
 
 
 class Environment(ABC):
-    """One environment: a world that is reset with a seed and then takes actions until its episode ends.
+    """One environment: `reset` begins an episode, `step` takes one action until the episode ends.
 
-    The same seed and the same actions give the same episode, bit for bit, in a fresh and in a used environment.
+    Determinism. The seed and the actions determine the episode bit for bit, in a new and in a used environment. Random
+    numbers come from generators made from the seed; the environment uses no global generator.
+
+    Steps. Every Step has the shapes of `signature`, without a leading axis. Returned arrays belong to the caller: the
+    environment does not change them later. After a reset `reward` is 0, and `terminated` and `truncated` are False.
+    `truncated` is True at step `signature.max_steps` at the latest. If `signature.goal_rule` is set, `success` is the
+    rule's, `terminated` includes the rule's, and hindsight needs a reward that is the rule's.
+
+    Errors. An environment may raise any exception. The orchestrator then reports the episode as lost and builds the
+    environment again. For a simulation that diverges, return a Step with `diverged` and `truncated` instead.
+
+    Processes. An environment is built, stepped and closed by one thread, often of a worker process. Its module should
+    not import torch.
     """
 
     signature: Signature
+    """Shapes, names and the goal rule. It depends on the environment's settings alone and does not change."""
 
     @abstractmethod
     def reset(self, seed: int) -> Step:
-        """Begin the episode that `seed` (non-negative) determines."""
+        """Begin the episode of `seed` (>= 0), also in the middle of another episode; returns its first state."""
 
     @abstractmethod
     def step(self, action: Array) -> Step:
-        """Take one action: (action.size,) float32, or an index for a discrete set. Raises RuntimeError after an end."""
+        """Take one action: (action.size,) float32 in [-1, 1], or an index of a discrete set.
+
+        Raises RuntimeError after the end of an episode and before the first reset.
+        """
 
     def parameters(self) -> FloatArray:
-        """The values domain randomization drew for this episode, as `signature.parameters` lays them out."""
+        """The values that domain randomization drew for this episode, in the layout `signature.parameters`."""
         return np.zeros(0, np.float32)
 
     def render(self, width: int = 640, height: int = 480) -> NDArray[np.uint8]:
-        """A picture of the world as it is now: (height, width, 3)."""
-        raise NotImplementedError(f"{type(self).__name__} has no pictures")
+        """An image of the current state: (height, width, 3). Raises NotImplementedError without rendering."""
+        raise NotImplementedError(f"{type(self).__name__} cannot render")
 
     def close(self) -> None:  # noqa: B027 (nothing to free by default)
-        """Free what the environment holds. Safe to call twice."""
+        """Release resources. Safe to call twice."""

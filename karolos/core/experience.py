@@ -1,4 +1,4 @@
-"""What flows from environments through buffers to agents."""
+"""The data that goes from environments through buffers to agents."""
 
 from __future__ import annotations
 
@@ -12,7 +12,7 @@ from .arrays import BoolArray, FloatArray
 
 
 class Step(NamedTuple):
-    """What an environment gives back after a reset or a step. Leading axes: none, or one over environments."""
+    """The result of a reset or a step. Leading axes: none, or one over environments."""
 
     observation: FloatArray
     achieved_goal: FloatArray
@@ -21,17 +21,14 @@ class Step(NamedTuple):
     terminated: Any
     truncated: Any
     success: Any
-    """Whether the goal holds now. After a reset: reward 0, neither terminated nor truncated."""
+    """Whether the goal is reached in this state."""
     diverged: Any = False
-    """Whether the simulation left all sense (NaN, an object far away). The step is truncated then, its values are those
-    of the last sound one, and it is no experience: training counts it and keeps it from the buffer."""
+    """Whether the simulation diverged (NaN, an object far away). The step is then truncated and repeats the last valid
+    values. Training counts the step and does not add it to the buffer."""
 
 
 class Transitions(NamedTuple):
-    """One transition of each of n environments, as they come from collecting. All arrays have the leading axis n.
-
-    Successive calls that name the same environment continue its episode until terminated or truncated.
-    """
+    """One transition of each of n environments. All arrays have the leading axis n."""
 
     environment: NDArray[np.int64]
     observation: FloatArray
@@ -46,9 +43,9 @@ class Transitions(NamedTuple):
 
 
 class Batch(NamedTuple):
-    """n transitions to learn from, goals possibly relabelled; arrays with the leading axis n.
+    """n transitions to learn from, with goals possibly relabelled; arrays with the leading axis n.
 
-    Target of a value: reward + discount * (1 - terminated) * value(next_observation, desired_goal).
+    The target of a value is reward + discount * (1 - terminated) * value(next_observation, desired_goal).
     """
 
     observation: FloatArray
@@ -57,36 +54,35 @@ class Batch(NamedTuple):
     reward: FloatArray
     next_observation: FloatArray
     terminated: FloatArray
-    """1 where no value lies beyond, else 0. Truncated transitions carry 0."""
+    """1 where the episode terminated, else 0; also 0 for truncated transitions."""
     discount: FloatArray
     """gamma ** (environment steps between observation and next_observation)."""
     weight: FloatArray
     """Importance weights; 1 for uniform sampling."""
     slot: NDArray[np.int64]
-    """Where each transition lies in the buffer, for `Buffer.update_priorities`."""
+    """Identifies each transition in the buffer, for `Buffer.update_priorities`."""
     demonstrated: FloatArray | None = None
-    """1 where an expert took the action, else 0; None: the buffer holds no demonstrations."""
+    """1 for demonstrations, else 0; None: the buffer holds no demonstrations."""
 
 
 class Rollout(NamedTuple):
-    """What n environments played under one policy: at most T successive transitions of each, in their order.
+    """Successive transitions of n environments under one policy, at most T of each.
 
-    Arrays with the leading axes (T, n). Where an environment has fewer than T, the rows after its last are not
-    `stored`.
+    Arrays have the leading axes (T, n). If an environment has fewer than T transitions, its last rows are not `stored`.
     """
 
     observation: FloatArray
     desired_goal: FloatArray
     action: FloatArray
-    """As the agent gave them, before they were clipped to what the environment takes."""
+    """The agent's actions before they were clipped for the environment."""
     reward: FloatArray
     next_observation: FloatArray
     terminated: BoolArray
-    """No value lies beyond."""
+    """The next state has no value."""
     ended: BoolArray
-    """The row after this one does not continue its episode: terminated, truncated, cut short, or nothing follows."""
+    """The next row does not continue the episode: terminated, truncated, cut, or the last row."""
     stored: BoolArray
 
 
 Experience = TypeVar("Experience", Batch, Rollout, default=Batch)
-"""What an agent learns from and a buffer gives: a Batch of old transitions, or (on-policy) a whole Rollout."""
+"""What a buffer returns and an agent learns from: a Batch, or a Rollout if on-policy."""

@@ -10,10 +10,10 @@ from .arrays import Array, BoolArray, FloatArray
 
 
 class GoalRule(ABC):
-    """When a goal is reached and what that is worth.
+    """Reward, success and termination as functions of achieved and desired goal.
 
-    Pure, vectorised over leading axes and picklable: environment, buffer and tests share one. `achieved` may carry more
-    columns than `desired` names.
+    The methods are pure and vectorised over leading axes. The object is picklable: environment, buffer and tests share
+    it. `achieved` may have more columns than `desired`; its first columns are then the goal (see hindsight).
     """
 
     reward_range: tuple[float, float] = (-np.inf, np.inf)
@@ -21,16 +21,16 @@ class GoalRule(ABC):
 
     @abstractmethod
     def reward(self, achieved: Array, desired: Array) -> FloatArray:
-        """Reward of arriving at `achieved` (..., a) when `desired` (..., d) is asked for: shape (...)."""
+        """Reward of a step that arrives at `achieved` (..., a) with the goal `desired` (..., d): shape (...)."""
 
     @abstractmethod
     def success(self, achieved: Array, desired: Array) -> BoolArray:
-        """Whether the goal holds: shape (...)."""
+        """Whether the goal is reached: shape (...)."""
 
     def terminated(self, achieved: Array, desired: Array) -> BoolArray:  # noqa: ARG002 (part of the interface)
-        """Whether arriving there ends the episode: shape (...). By default reaching a goal ends nothing."""
+        """Whether the step terminates the episode: shape (...); False by default."""
         return np.zeros(np.shape(achieved)[:-1], np.bool_)
 
     def distance(self, achieved: Array, desired: Array) -> FloatArray | None:  # noqa: ARG002 (part of the interface)
-        """How far from the goal that is, in m: shape (...); inf where it does not count. None: the rule knows none."""
+        """Distance to the goal in m: shape (...); inf where it is undefined. None: the rule has no distance."""
         return None

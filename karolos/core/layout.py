@@ -1,4 +1,4 @@
-"""What stands where in a flat vector, and which actions a discrete set has."""
+"""The names of the columns of flat vectors, and discrete action sets."""
 
 from __future__ import annotations
 
@@ -7,7 +7,7 @@ from dataclasses import dataclass
 
 @dataclass(frozen=True)
 class Field:
-    """A named run of numbers in a flat vector."""
+    """Consecutive columns of a flat vector under one name."""
 
     name: str
     size: int
@@ -16,14 +16,14 @@ class Field:
 
 @dataclass(frozen=True)
 class Layout:
-    """The fields of a flat float32 vector, in order, so that parts can be addressed by name."""
+    """The fields of a flat float32 vector, in order."""
 
     fields: tuple[Field, ...] = ()
 
     def __post_init__(self) -> None:
         names = [field.name for field in self.fields]
         if len(set(names)) != len(names):
-            raise ValueError(f"a layout names a field twice: {names}")
+            raise ValueError(f"a layout has a field name twice: {names}")
 
     @property
     def size(self) -> int:
@@ -34,7 +34,7 @@ class Layout:
         return tuple(field.name for field in self.fields)
 
     def slice(self, name: str) -> slice:
-        """Where the field lies in the vector. Raises KeyError for a name the layout does not have."""
+        """The columns of the field. Raises KeyError for an unknown name."""
         start = 0
         for field in self.fields:
             if field.name == name:
@@ -57,5 +57,5 @@ class Discrete:
 
     @property
     def size(self) -> int:
-        """Columns that one stored action takes."""
+        """Columns of a stored action."""
         return 1

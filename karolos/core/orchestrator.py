@@ -1,4 +1,4 @@
-"""The interface of orchestrators, and what they give back."""
+"""The interface of orchestrators and their results."""
 
 from __future__ import annotations
 
@@ -16,71 +16,76 @@ from .signature import Signature
 
 
 class Failure(NamedTuple):
-    """An environment that raised, or a worker that died or hung: these environments have lost their episodes."""
+    """An environment that raised, or a worker that ended or hangs: these environments lost their episodes."""
 
     environment: NDArray[np.int64]
     error: KarolosError
 
 
 class Received(NamedTuple):
-    """What an orchestrator gives back: the environments that answered, in ascending order, and their steps."""
+    """The environments that answered, in ascending order, and their steps."""
 
     environment: NDArray[np.int64]
     step: Step
     updates: NDArray[np.int64]
-    """The gradient updates behind the policy that chose each action, as `Orchestrator.step` was told; -1 after a
-    reset. What has been learned since is the policy lag."""
+    """The argument `updates` of each environment's `Orchestrator.step`, to compute the policy lag; -1 after a reset."""
     failures: tuple[Failure, ...] = ()
 
     @property
     def failed(self) -> NDArray[np.int64]:
-        """The environments that have lost their episodes, in ascending order."""
+        """The environments that lost their episodes, in ascending order."""
         return np.unique(np.concatenate([np.zeros(0, np.int64), *(failure.environment for failure in self.failures)]))
 
 
 class Orchestrator(ABC):
-    """Many environments, addressed by id 0 .. size - 1, each with at most one command under way.
+    """Many environments with ids 0 .. size - 1, each with at most one pending command.
 
-    Failure. An environment that raises, or whose worker dies or hangs, loses its episode, whether it was busy or idle.
-    The next `receive` names it in `failed`, with the reason in `failures`, and gives no answer of it. It is idle then
-    and has no episode before it is reset, which builds it anew, with a new worker where the old one is gone. A loop
-    therefore cuts the lost episodes short in its buffer (`buffer.cut(received.failed)`), forgets what it counted of
-    them, notes the failures and resets these environments with fresh seeds; the reset may fail as any command may.
-    What goes on failing raises from `receive`, so that no loop has to count.
+    Commands. `reset` and `step` start a command and return; `receive` returns the results. All three raise ValueError
+    for unknown or repeated ids, for an environment with a pending command, and after `close`.
+
+    Determinism. The results of an environment depend on its seeds and actions alone, not on the layout or on timing.
+
+    Failures. An environment that raises, or whose worker ends or hangs, loses its episode, whether it is busy or idle.
+    The next `receive` lists it in `failed` with the cause in `failures`, and returns no step of it. The environment is
+    then idle. Its next reset builds it again, with a new worker if necessary, and may fail like any command. A loop
+    cuts the lost episodes in its buffer (`buffer.cut(received.failed)`), drops their counts and resets these
+    environments with new seeds. `receive` raises the error of an environment that fails repeatedly.
     """
 
     signature: Signature
+    """Of every environment."""
     size: int
+    """Number of environments."""
 
     @abstractmethod
     def reset(self, environments: Sequence[int] | NDArray[np.int64], seeds: Sequence[int]) -> None:
-        """Begin an episode in each environment named, with the seed that stands beside it. Does not wait."""
+        """Begin an episode in each of these environments, with its seed. Does not wait."""
 
     @abstractmethod
     def step(self, environments: Sequence[int] | NDArray[np.int64], actions: FloatArray, *, updates: int = 0) -> None:
-        """Hand each environment named its row of actions. Does not wait.
+        """Step each of these environments with its row of actions (n, a), or (n, 1) for indices. Does not wait.
 
-        `updates` says how many gradient updates the policy behind the actions had seen, and comes back with the step.
+        `updates` is the number of gradient updates of the policy that chose the actions; `receive` returns it.
         """
 
     @abstractmethod
     def receive(self, at_least: int | None = None) -> Received:
-        """Wait for all commands under way (lockstep), or until `at_least` environments have answered or failed (async).
+        """Wait for all pending commands (lockstep), or until `at_least` environments answered or failed (async).
 
-        Gives all that has answered by then; 0 does not wait. The arrays are the caller's to keep.
+        Returns all answers so far; `at_least` = 0 does not wait. The arrays belong to the caller.
         """
 
     @abstractmethod
     def parameters(self, environments: Sequence[int] | NDArray[np.int64]) -> FloatArray:
-        """What domain randomization drew for the running episodes: (n, signature.parameters.size)."""
+        """The values that domain randomization drew for the running episodes: (n, signature.parameters.size)."""
 
     def describe(self) -> dict[str, Any]:
-        """How the environments share the machine, and what led to it, for the record; JSON-able."""
+        """The layout of the environments over the machine, as JSON-able data for the run's record."""
         return {}
 
     @abstractmethod
     def close(self) -> None:
-        """End workers and free shared memory. Safe to call twice."""
+        """End the workers and free shared memory. Safe to call twice."""
 
     def __enter__(self) -> Orchestrator:
         return self

@@ -1,4 +1,4 @@
-"""When something is due, and how large it is, as objects instead of modulo arithmetic spread over loops."""
+"""Schedules: when something is due, and the value of a quantity, as functions of a count."""
 
 from __future__ import annotations
 
@@ -6,16 +6,16 @@ import math
 
 
 class Every:
-    """Due once for each multiple of `interval` that a growing count reaches or passes, the first one excluded at 0."""
+    """Due whenever a growing count reaches or passes a positive multiple of `interval`."""
 
     def __init__(self, interval: int) -> None:
         if interval < 1:
-            raise ValueError(f"an interval is at least 1, not {interval}")
+            raise ValueError(f"an interval must be at least 1, not {interval}")
         self.interval = interval
         self.reached = 0
 
     def __call__(self, count: int) -> bool:
-        """Whether a multiple was passed since the last call that said yes."""
+        """Whether a multiple was reached since the last call that returned True."""
         multiples = count // self.interval
         due = multiples > self.reached
         self.reached = max(self.reached, multiples)
@@ -23,16 +23,16 @@ class Every:
 
 
 class Ratio:
-    """How many of one thing are due so that it keeps a fixed ratio to another; what is left over is carried on."""
+    """The number of events due, so that they keep a fixed ratio to another count; fractions carry over."""
 
     def __init__(self, ratio: float) -> None:
         if not 0 <= ratio < math.inf:
-            raise ValueError(f"a ratio is finite and not negative, not {ratio}")
+            raise ValueError(f"a ratio must be finite and not negative, not {ratio}")
         self.ratio = ratio
         self.counted = 0
 
     def __call__(self, count: int) -> int:
-        """What is due once `count` of the other thing have happened, less what was due before."""
+        """The number due at this count, minus the number that earlier calls returned."""
         total = math.floor(count * self.ratio)
         due = max(total - self.counted, 0)
         self.counted = max(self.counted, total)
@@ -40,11 +40,11 @@ class Ratio:
 
 
 class Linear:
-    """A number that goes evenly from `start` to `end` while a count grows from 0 to `over`, and stays at `end`."""
+    """Linear interpolation from `start` at count 0 to `end` at count `over`, constant afterwards."""
 
     def __init__(self, start: float, end: float, over: int) -> None:
         if over < 0:
-            raise ValueError(f"a schedule goes over 0 counts or more, not {over}")
+            raise ValueError(f"the length of a schedule must not be negative, not {over}")
         self.start, self.end, self.over = start, end, over
 
     def __call__(self, count: int) -> float:

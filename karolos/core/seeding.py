@@ -1,7 +1,7 @@
 """One SeedSequence tree for every random number of a run: run -> part -> index.
 
-A part draws from a generator of its own, so that adding a draw in one leaves every other stream as it was.
-The tree is addressed by name and number, never by order of creation: `spawn` would make the streams depend on it.
+Each part draws from its own generator, so an additional draw in one part does not change the others.
+Nodes are addressed by name and number. With `spawn` the streams would depend on the order of creation.
 Source: NumPy's SeedSequence (spawn keys), O'Neill 2015.
 """
 
@@ -25,7 +25,7 @@ class SeedTree:
     path: tuple[int, ...] = ()
 
     def child(self, *keys: str | int) -> SeedTree:
-        """The node below this one that `keys` name, e.g. child("environment", 3)."""
+        """The node at `keys` below this one, e.g. child("environment", 3)."""
         numbers = tuple(zlib.crc32(key.encode()) if isinstance(key, str) else key for key in keys)
         return SeedTree(self.entropy, self.path + numbers)
 
@@ -36,19 +36,19 @@ class SeedTree:
         return np.random.Generator(np.random.PCG64(self.sequence()))
 
     def integer(self) -> int:
-        """A seed of 63 bits, for what takes a number (torch, an environment's reset)."""
+        """A seed of 63 bits, e.g. for torch or an environment's reset."""
         return int(self.sequence().generate_state(1, np.uint64)[0] >> np.uint64(1))
 
 
 def generator_state(generator: Generator) -> dict[str, str]:
-    """What `load_generator_state` needs: the PCG64's numbers as text, because they take 128 bits."""
+    """The state of a PCG64 generator for `load_generator_state`, as text because its numbers have 128 bits."""
     inner = dict(generator.bit_generator.state)
     numbers = {**inner.pop("state"), "has_uint32": inner["has_uint32"], "uinteger": inner["uinteger"]}
     return {name: str(int(number)) for name, number in numbers.items()}
 
 
 def load_generator_state(generator: Generator, state: Mapping[str, str]) -> None:
-    """Put a generator back where `generator_state` found another."""
+    """Set a generator to a state from `generator_state`."""
     numbers = {name: int(text) for name, text in state.items()}
     generator.bit_generator.state = {
         "bit_generator": "PCG64",

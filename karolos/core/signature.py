@@ -1,4 +1,4 @@
-"""What an environment takes and gives."""
+"""The signature of environments: layouts of their inputs and outputs."""
 
 from __future__ import annotations
 
@@ -10,52 +10,49 @@ from .arrays import FloatArray
 from .goals import GoalRule
 from .layout import NO_FIELDS, Discrete, Layout
 
-SAME_LAYOUTS = "robots have the same layouts where control is cartesian and the task is the same"
-"""Hint for whoever meets `layout_differences`."""
+SAME_LAYOUTS = "robots have the same layouts with cartesian control and the same task"
+"""The hint for `layout_differences`."""
 
 
 @dataclass(frozen=True)
 class Signature:
-    """What an environment takes and gives: all that an agent or a buffer may know of it. Picklable."""
+    """Layouts of an environment's inputs and outputs: all that agents and buffers know about it. Picklable."""
 
     observation: Layout
     action: Layout | Discrete
     max_steps: int
-    """Steps after which an episode is truncated."""
+    """Number of steps after which an episode is truncated."""
     reward_range: tuple[float, float] = (-np.inf, np.inf)
     achieved_goal: Layout = NO_FIELDS
     desired_goal: Layout = NO_FIELDS
     goal_rule: GoalRule | None = None
-    """None: the environment has no goals, and both goal layouts are empty."""
+    """None: the environment has no goals and empty goal layouts."""
     parameters: Layout = NO_FIELDS
-    """What domain randomization draws at each reset, in the order in which `Environment.parameters` gives it."""
+    """The values that domain randomization draws at each reset, see `Environment.parameters`."""
 
 
 def random_actions(signature: Signature, size: int, generator: np.random.Generator) -> FloatArray:
-    """Uniform actions (size, action.size), for warm-up and for the floor that a random policy sets."""
+    """Uniformly random actions (size, action.size)."""
     if isinstance(signature.action, Discrete):
         return generator.integers(len(signature.action.labels), size=(size, 1)).astype(np.float32)
     return generator.uniform(-1, 1, (size, signature.action.size)).astype(np.float32)
 
 
 def layout_differences(here: Signature, there: Signature) -> list[str]:
-    """Why an agent trained on `there` cannot act on `here`: one line for each layout that differs, with both sides."""
-    told = []
+    """The differences that prevent an agent trained on `there` from acting on `here`: one line for each layout."""
+    lines = []
     for part in ("observation", "action", "desired_goal"):
-        mine, its = _field_texts(getattr(here, part)), _field_texts(getattr(there, part))
-        if mine != its:
-            lacking, more = [field for field in its if field not in mine], [field for field in mine if field not in its]
-            what = "; ".join(
-                text
-                for text in (
-                    f"only there: {', '.join(lacking)}" if lacking else "",
-                    f"only here: {', '.join(more)}" if more else "",
-                    "" if lacking or more else "the order differs",
-                )
-                if text
+        mine, other = _field_texts(getattr(here, part)), _field_texts(getattr(there, part))
+        if mine != other:
+            missing, extra = (
+                [field for field in other if field not in mine],
+                [field for field in mine if field not in other],
             )
-            told.append(f"{part} is [{', '.join(mine)}] here and [{', '.join(its)}] there ({what})")
-    return told
+            details = [f"only there: {', '.join(missing)}"] if missing else []
+            details += [f"only here: {', '.join(extra)}"] if extra else []
+            detail = "; ".join(details) or "the order differs"
+            lines.append(f"{part} is [{', '.join(mine)}] here and [{', '.join(other)}] there ({detail})")
+    return lines
 
 
 def _field_texts(layout: Layout | Discrete) -> list[str]:

@@ -1,50 +1,64 @@
-"""The orchestrator that finds its own layout."""
+"""The orchestrator that measures layouts on this machine and uses a fast one."""
 
 from __future__ import annotations
 
+import itertools
+import os
 import pickle
-from collections.abc import Sequence
+from collections.abc import Iterator, Sequence
+from dataclasses import asdict, dataclass
+from time import perf_counter
 from typing import Any
 
+import numpy as np
 from pydantic import Field as Setting
 
-from ..core import FloatArray, Orchestrator, Received
+from ..core import FloatArray, Orchestrator, Received, random_actions
 from ..environments.build import build_environment
-from .commands import Build
-from .local import Limits, Local, Named
-from .probe import Measured, choose, probe
+from .executor import Build
+from .local import EnvironmentIds, Limits, Local
+
+THREADS = 4
+"""Threads per process that the probe tries with the best number of processes."""
+PROBE_ROUNDS = 64
+"""Rounds of random actions that are drawn before the measurement and then repeated."""
+SPEEDUP = 1.1
+"""A layout with more workers must be faster by this factor, because workers take memory and the learner's cores."""
+
 
 _probed: dict[bytes, list[Measured]] = {}
-"""What was measured for a robot and task in this process: a run's tests need no second probe."""
+"""Measurements of this process by robot, task and settings, so that a run's tests need no second probe."""
 
 
 class Auto(Orchestrator):
-    """The local orchestrator in the layout that was fastest in a probe of a few seconds on this machine.
+    """The local orchestrator with the layout that was fastest in a probe of a few seconds.
 
-    Results do not depend on the layout, so that the probe's timing changes no run: a spec with `auto` and one with
-    `local` and as many environments are the same experiment. What was measured and chosen stands in `describe`.
+    Results do not depend on the layout. A spec with `auto` and a spec with `local` and the same number of environments
+    are the same experiment. `describe` returns the measurements and the chosen layout.
     """
 
     class Settings(Limits):
-        environments: int = Setting(default=8, ge=1, le=65536, description="environments in all")
+        environments: int = Setting(default=8, ge=1, le=65536, description="number of environments")
         seconds: float = Setting(
-            default=3.0, gt=0, description="seconds of stepping that the probe takes; starting its workers comes on top"
+            default=3.0,
+            gt=0,
+            description="seconds of stepping in the probe; starting its workers takes additional time",
         )
 
         @property
         def size(self) -> int:
-            """Environments in all."""
+            """Number of environments."""
             return self.environments
 
         def identity(self) -> dict[str, Any]:
-            """What results depend on: how many episodes run side by side."""
+            """The settings that results depend on: those of a local orchestrator of this size."""
             return {"name": "local", "environments": self.environments}
 
     def __init__(self, settings: Auto.Settings, recipe: Any, *, build: Build = build_environment) -> None:
-        """Measure, choose, and start the workers.
+        """Measure layouts, choose one, and start its workers.
 
         Raises:
-            KarolosError: as `Local` does.
+            KarolosError: as `Local`.
         """
         key = pickle.dumps((build, getattr(recipe, "robot", recipe), getattr(recipe, "task", None), settings))
         if key not in _probed:
@@ -64,21 +78,105 @@ class Auto(Orchestrator):
         )
         self.signature, self.size = self._local.signature, self._local.size
 
-    def reset(self, environments: Named, seeds: Sequence[int]) -> None:
+    def reset(self, environments: EnvironmentIds, seeds: Sequence[int]) -> None:
         self._local.reset(environments, seeds)
 
-    def step(self, environments: Named, actions: FloatArray, *, updates: int = 0) -> None:
+    def step(self, environments: EnvironmentIds, actions: FloatArray, *, updates: int = 0) -> None:
         self._local.step(environments, actions, updates=updates)
 
     def receive(self, at_least: int | None = None) -> Received:
         return self._local.receive(at_least)
 
-    def parameters(self, environments: Named) -> FloatArray:
+    def parameters(self, environments: EnvironmentIds) -> FloatArray:
         return self._local.parameters(environments)
 
     def describe(self) -> dict[str, Any]:
-        """The layout chosen, and every layout measured with its steps per second."""
-        return {**self._local.describe(), "measured": [found.dump() for found in self.measured]}
+        """The chosen layout, and all measured layouts with their steps per second."""
+        return {**self._local.describe(), "measured": [asdict(one) for one in self.measured]}
 
     def close(self) -> None:
         self._local.close()
+
+
+@dataclass(frozen=True)
+class Measured:
+    """A layout and its speed."""
+
+    processes: int
+    threads: int
+    steps_per_second: float
+
+
+def cores() -> int:
+    """Number of CPU cores that this process may use."""
+    return len(os.sched_getaffinity(0)) if hasattr(os, "sched_getaffinity") else os.cpu_count() or 1
+
+
+def steps_per_second(orchestrator: Orchestrator, seconds: float) -> float:
+    """Environment steps per second of wall-clock time with random actions in lockstep, including resets."""
+    everything = np.arange(orchestrator.size)
+    generator = np.random.Generator(np.random.PCG64(0))
+    actions = [random_actions(orchestrator.signature, orchestrator.size, generator) for _ in range(PROBE_ROUNDS)]
+    orchestrator.reset(everything, range(orchestrator.size))
+    orchestrator.receive()
+    steps, started = 0, perf_counter()
+    for drawn in itertools.cycle(actions):
+        orchestrator.step(everything, drawn)
+        step = orchestrator.receive().step
+        steps += orchestrator.size
+        over = np.flatnonzero(step.terminated | step.truncated)
+        if over.size:
+            orchestrator.reset(over, (steps + over).tolist())
+            orchestrator.receive()
+        elapsed = perf_counter() - started
+        if elapsed >= seconds:
+            break
+    return steps / elapsed
+
+
+def probe(recipe: Any, size: int, seconds: float, build: Build = build_environment) -> list[Measured]:
+    """Measure layouts of `size` environments: first 1, 2, 4 ... processes until one is slower, then threads.
+
+    Args:
+        seconds: of stepping in total, without starting the workers.
+
+    Raises:
+        KarolosError: an environment cannot be built, or fails.
+    """
+    counts = list(process_counts(min(cores(), size)))
+    seconds_each = seconds / (len(counts) + 2)
+
+    def measured(processes: int, threads: int) -> Measured:
+        layout = Local.Settings(processes=processes, threads=threads)
+        with Local(layout, recipe, size=size, build=build) as orchestrator:
+            return Measured(processes, threads, steps_per_second(orchestrator, seconds_each))
+
+    found: list[Measured] = []
+    for count in counts:
+        found.append(measured(count, 1))
+        if len(found) > 1 and found[-1].steps_per_second < found[-2].steps_per_second:
+            break
+    best = choose(found)
+    if size // best.processes > 1:
+        found.append(measured(best.processes, min(THREADS, size // best.processes)))
+    found.append(measured(0, 1))
+    return found
+
+
+def process_counts(most: int) -> Iterator[int]:
+    """Numbers of processes to try: 1, 2, 4 ... and `most`."""
+    count = 1
+    while count < most:
+        yield count
+        count *= 2
+    yield most
+
+
+def choose(measured: Sequence[Measured]) -> Measured:
+    """The layout to use: the fastest, or one with fewer workers that is nearly as fast.
+
+    A layout without processes comes last, because the main process cannot step while the agent learns.
+    """
+    fastest = max(one.steps_per_second for one in measured)
+    close = [one for one in measured if one.steps_per_second * SPEEDUP >= fastest]
+    return min(close, key=lambda one: (one.processes == 0, one.processes * one.threads))

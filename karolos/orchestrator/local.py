@@ -1,4 +1,4 @@
-"""The orchestrator of one machine: environments over processes and threads."""
+"""The local orchestrator: environments over processes and threads of this machine."""
 
 from __future__ import annotations
 
@@ -18,59 +18,58 @@ from ..core import Failure, FloatArray, Orchestrator, Received, Step
 from ..core import Settings as BaseSettings
 from ..environments.build import build_environment
 from ..errors import RunError
-from .commands import RESET, STEP, Build
-from .crew import Crew, Group, Ids, Serial
-from .workers import Workers
+from .backend import Backend, Group, Ids, InProcess
+from .executor import RESET, STEP, Build
+from .pool import WorkerPool
 
-Named = Sequence[int] | NDArray[np.int64]
+EnvironmentIds = Sequence[int] | NDArray[np.int64]
 
 
 class Limits(BaseSettings):
-    """What is borne from environments and workers before a run gives up."""
+    """Settings for failures of environments and workers."""
 
     time_limit: float = Setting(
         default=60.0,
         gt=0,
         description="seconds that one reset or step may take before its worker is killed and replaced; "
-        "nothing watches over `processes: 0`",
+        "no limit with `processes: 0`",
     )
     failures: int = Setting(
         default=5,
         ge=0,
-        description="how often an environment may fail (raise, or lose its worker) without an episode that ends "
-        "in between; what fails is replaced, one time more ends the run",
+        description="consecutive failures of an environment (an error or a lost worker) that are replaced; "
+        "one more ends the run. A completed episode resets the count",
     )
 
 
 class Local(Orchestrator):
-    """Environments on this machine, over `processes` x `threads` x `environments` (per thread).
+    """Environments on this machine: `processes` x `threads` x `environments` (per thread).
 
-    Processes are what makes physics faster: PyBullet holds Python's interpreter lock while it steps, so that threads
-    take turns. Threads pay for environments that release the lock: those that wait for a device, a socket or another
-    program, and simulators that release it while they compute. With `processes: 0` all environments are stepped by the
-    calling thread when it receives, one after the other, which is what a debugger wants.
+    Use processes to speed up physics: PyBullet holds Python's interpreter lock while it steps, so threads take turns.
+    Use threads for environments that release the lock because they wait for a device, a socket or another program.
+    With `processes: 0` the calling thread steps all environments in `receive`, one after the other, for debugging.
 
-    What an environment does depends on its seeds and actions alone, so the layout changes no result.
+    An environment depends on its seeds and actions alone, so the layout does not change results.
 
-    An environment that fails more than `failures` times without an episode that ends in between raises its error from
-    `receive`: the KarolosError that it raised, or a WorkerError with the traceback. It is idle then and has no episode;
-    a reset gives it one. Other environments' answers are kept for the next `receive`.
+    `receive` raises the error of an environment that fails more than `failures` times without a completed episode in
+    between: its KarolosError, or a WorkerError with the traceback. The environment is then idle and can be reset. The
+    next `receive` returns the answers of the other environments.
     """
 
     class Settings(Limits):
         processes: int = Setting(default=1, ge=0, le=1024, description="worker processes; 0: step in the main process")
         threads: int = Setting(
-            default=1, ge=1, le=1024, description="threads per process; for environments that wait for things"
+            default=1, ge=1, le=1024, description="threads per process, for environments that wait for I/O"
         )
         environments: int = Setting(default=8, ge=1, le=65536, description="environments per thread")
 
         @property
         def size(self) -> int:
-            """Environments in all."""
+            """Number of environments."""
             return max(self.processes, 1) * self.threads * self.environments
 
         def identity(self) -> dict[str, Any]:
-            """What results depend on: how many episodes run side by side, not where."""
+            """The settings that results depend on: the number of environments, not their layout."""
             return {"environments": self.size}
 
     def __init__(
@@ -80,108 +79,105 @@ class Local(Orchestrator):
 
         Args:
             settings: the layout.
-            recipe: what to build, once per environment: whatever `build` takes. Picklable.
-            size: how many environments, if not as many as the layout names; spread evenly over it.
+            recipe: the argument of `build` for each environment. Picklable.
+            size: number of environments, spread evenly over the layout; None: `settings.size`.
             build: makes an environment from the recipe. Picklable.
 
         Raises:
-            KarolosError: an environment cannot be built; the error is the environment's own where it is one.
-            MachineError: the machine gives no more processes.
+            KarolosError: an environment cannot be built.
+            MachineError: the machine cannot start the processes.
         """
         self.size = settings.size if size is None else size
         if self.size < 1:
             raise ValueError(f"an orchestrator needs at least one environment, not {self.size}")
         self._layout = _layout(self.size, settings.processes or 1, settings.threads)
         self._settings = settings
-        self._crew: Crew | None
+        self._backend: Backend | None
         if settings.processes:
-            self._crew = Workers(build, recipe, self._layout, settings.time_limit)
+            self._backend = WorkerPool(build, recipe, self._layout, settings.time_limit)
         else:
-            self._crew = Serial(build, recipe, self.size)
-        # Before the interpreter waits for its child processes at exit, and when nobody refers to this any more.
-        self._close = weakref.finalize(self, self._crew.close)
+            self._backend = InProcess(build, recipe, self.size)
+        # Close when this object is collected, and at exit before the interpreter waits for its child processes.
+        self._close = weakref.finalize(self, self._backend.close)
         atexit.register(self._close)
-        self.signature = self._crew.signature
+        self.signature = self._backend.signature
         self._action_size = self.signature.action.size
         self._busy = np.zeros(self.size, np.bool_)
         self._answered = np.zeros(self.size, np.bool_)
         self._updates = np.full(self.size, -1)
         self._failed = np.zeros(self.size, np.int64)
-        """How often each environment has failed since an episode of it ended."""
+        """Failures of each environment since its last completed episode."""
         self._any_failed = False
-        self._under_way = self._ready = 0
-        self._known: dict[bytes, Group] = {}
-        self._everything = np.arange(self.size)
+        self._pending = self._ready = 0
+        self._groups: dict[bytes, Group] = {}
+        self._all_ids = np.arange(self.size)
 
-    def reset(self, environments: Named, seeds: Sequence[int]) -> None:
-        """Begin an episode in each environment named, with the seed (0 .. 2**64 - 1) beside it. Does not wait.
+    def reset(self, environments: EnvironmentIds, seeds: Sequence[int]) -> None:
+        """Begin an episode in each of these environments, with its seed (0 .. 2**64 - 1). Does not wait.
 
-        Raises ValueError for unknown or repeated ids, ids with a command under way, and seeds that are none.
+        Raises ValueError for unknown or repeated ids, busy environments and invalid seeds.
         """
-        crew, group = self._check(environments)
+        backend, group = self._check(environments)
         if len(seeds) != group.ids.size:
             raise ValueError(f"{group.ids.size} environments need {group.ids.size} seeds, not {len(seeds)}")
         try:
             numbers = np.array([operator.index(seed) for seed in seeds], np.uint64)
         except OverflowError:
-            raise ValueError(f"a seed lies in 0 .. 2**64 - 1; these do not: {list(seeds)}") from None
-        crew.block.seed[group.rows] = numbers
-        self._send(crew, RESET, group, -1)
+            raise ValueError(f"seeds must be in 0 .. 2**64 - 1, not {list(seeds)}") from None
+        backend.arrays.seed[group.rows] = numbers
+        self._send(backend, RESET, group, -1)
 
-    def step(self, environments: Named, actions: FloatArray, *, updates: int = 0) -> None:
-        """Hand each environment named its row of `actions` (n, action.size). Does not wait.
+    def step(self, environments: EnvironmentIds, actions: FloatArray, *, updates: int = 0) -> None:
+        """Step each of these environments with its row of `actions` (n, action.size). Does not wait.
 
         Raises ValueError for ids as `reset` does and for another shape, RunError for an action that is not finite.
         """
-        crew, group = self._check(environments)
+        backend, group = self._check(environments)
         ids = group.ids
         shape = (ids.size, self._action_size)
         if actions.shape != shape:
             raise ValueError(f"{ids.size} environments take actions of shape {shape}, not {actions.shape}")
-        if not math.isfinite(actions.sum()) and not np.isfinite(actions).all():  # a sum costs less, and may overflow
+        if not math.isfinite(actions.sum()) and not np.isfinite(actions).all():  # the sum is faster, but may overflow
             raise RunError(
                 "the agent gave an action that is not a finite number",
                 where=f"environment {ids[~np.isfinite(actions).all(axis=1)][0]}",
-                hint="learning has diverged: lower the learning rate, or look at what the environment observes",
+                hint="learning has diverged: lower the learning rate, or check the observations",
             )
-        crew.block.action[group.rows] = actions
-        self._send(crew, STEP, group, updates)
+        backend.arrays.action[group.rows] = actions
+        self._send(backend, STEP, group, updates)
 
     def receive(self, at_least: int | None = None) -> Received:
-        """Wait for all commands under way, or until `at_least` environments have answered or failed.
+        """Wait for all pending commands, or until `at_least` environments have answered or failed.
 
-        Nothing under way gives nothing. The arrays are the caller's to keep. Raises the error of an environment that
-        has failed once too often; see the class. An interrupt while it waits (KeyboardInterrupt) closes the
-        orchestrator.
+        The result is empty without pending commands. The arrays belong to the caller. Raises the error of an
+        environment that failed too often; see the class. A KeyboardInterrupt while waiting closes the orchestrator.
         """
-        crew = self._running()
+        backend = self._running()
         failures: list[Failure] = []
-        lost = 0
-        asked = at_least is None or at_least > self._ready
-        while self._under_way and (at_least is None or asked):
-            failures += self._collect(crew, wait=True)
-            lost = sum(failure.environment.size for failure in failures)
-            asked = at_least is None or at_least > self._ready + lost
-        if at_least == 0 and self._under_way:
-            failures += self._collect(crew, wait=False)
-        return self._fetch(crew, tuple(failures))
+        failed = 0
+        while self._pending and (at_least is None or at_least > self._ready + failed):
+            failures += self._collect(backend, wait=True)
+            failed = sum(failure.environment.size for failure in failures)
+        if at_least == 0 and self._pending:
+            failures += self._collect(backend, wait=False)
+        return self._fetch(backend, tuple(failures))
 
-    def _collect(self, crew: Crew, *, wait: bool) -> list[Failure]:
-        """Take note of what has ended. Raises the error of the first environment that has failed too often."""
+    def _collect(self, backend: Backend, *, wait: bool) -> list[Failure]:
+        """Record the answers of the backend. Raises the error of the first environment that failed too often."""
         try:
-            answers = crew.collect(wait=wait)
-        except BaseException:  # an interrupt has torn a message or a step; what comes next could not be trusted
+            answers = backend.collect(wait=wait)
+        except BaseException:  # an interrupt may have cut a message or a step short
             self.close()
             raise
         for ids, rows in answers.done:
             self._busy[rows] = False
             self._answered[rows] = True
-            self._under_way -= ids.size
+            self._pending -= ids.size
             self._ready += ids.size
         if not answers.failures:
             return answers.failures
         for ids, _ in answers.failures:
-            self._under_way -= int(self._busy[ids].sum())
+            self._pending -= int(self._busy[ids].sum())
             self._ready -= int(self._answered[ids].sum())
             self._busy[ids] = self._answered[ids] = False
             self._failed[ids] += 1
@@ -191,104 +187,101 @@ class Local(Orchestrator):
                 raise error
         return answers.failures
 
-    def _fetch(self, crew: Crew, failures: tuple[Failure, ...]) -> Received:
-        """What has answered and nobody has had yet."""
-        block = crew.block
-        everything = self._ready == self.size
-        ids = self._everything.copy() if everything else np.flatnonzero(self._answered)
+    def _fetch(self, backend: Backend, failures: tuple[Failure, ...]) -> Received:
+        """The answers that no `receive` has returned yet."""
+        arrays = backend.arrays
+        all_ready = self._ready == self.size
+        ids = self._all_ids.copy() if all_ready else np.flatnonzero(self._answered)
         self._answered[:] = False
         self._ready = 0
 
-        def taken(array: NDArray[Any]) -> NDArray[Any]:
-            return array.copy() if everything else array[ids]
+        def rows(array: NDArray[Any]) -> NDArray[Any]:
+            return array.copy() if all_ready else array[ids]
 
-        terminated, truncated = taken(block.terminated), taken(block.truncated)
+        terminated, truncated = rows(arrays.terminated), rows(arrays.truncated)
         if self._any_failed:
             self._failed[ids[terminated | truncated]] = 0
         step = Step(
-            taken(block.observation),
-            taken(block.achieved_goal),
-            taken(block.desired_goal),
-            taken(block.reward),
+            rows(arrays.observation),
+            rows(arrays.achieved_goal),
+            rows(arrays.desired_goal),
+            rows(arrays.reward),
             terminated,
             truncated,
-            taken(block.success),
-            taken(block.diverged),
+            rows(arrays.success),
+            rows(arrays.diverged),
         )
-        return Received(ids, step, taken(self._updates), failures)
+        return Received(ids, step, rows(self._updates), failures)
 
-    def parameters(self, environments: Named) -> FloatArray:
-        """What domain randomization drew for the running episodes: (n, signature.parameters.size)."""
-        crew, group = self._check(environments)
-        return crew.block.parameters[group.ids]
+    def parameters(self, environments: EnvironmentIds) -> FloatArray:
+        """The values that domain randomization drew for the running episodes: (n, signature.parameters.size)."""
+        backend, group = self._check(environments)
+        return backend.arrays.parameters[group.ids]
 
     def describe(self) -> dict[str, Any]:
-        """The layout as it is: fewer processes or threads than asked for where there are not enough environments."""
+        """The actual layout: never more processes or threads than environments."""
         processes = len(self._layout) if self._settings.processes else 0
         return {"processes": processes, "threads": max(map(len, self._layout)), "environments": self.size}
 
     def close(self) -> None:
-        """End workers and free shared memory; commands under way are given up. Safe to call twice."""
-        self._crew = None
+        """End the workers and free shared memory; pending commands are lost. Safe to call twice."""
+        self._backend = None
         self._close()
         atexit.unregister(self._close)
 
-    def _running(self) -> Crew:
-        if self._crew is None:
+    def _running(self) -> Backend:
+        if self._backend is None:
             raise ValueError("this orchestrator is closed")
-        return self._crew
+        return self._backend
 
-    def _check(self, environments: Named) -> tuple[Crew, Group]:
-        """The environments, as a group. Raises ValueError unless they are known, distinct and idle.
+    def _check(self, environments: EnvironmentIds) -> tuple[Backend, Group]:
+        """The environments as a group. Raises ValueError unless they are known, distinct and idle.
 
-        What was checked once is known by its bytes: the same few sets come again and again.
+        Groups are cached by the bytes of the ids, because the same few sets recur.
         """
-        crew = self._running()
+        backend = self._running()
         key = b""
         if isinstance(environments, np.ndarray) and environments.dtype == np.int64 and environments.ndim == 1:
             key = environments.tobytes()
-        group = self._known.get(key)
+        group = self._groups.get(key)
         if group is None:
             group = Group.of(self._ids(environments))
-            if len(self._known) >= 64:
-                self._known.clear()
+            if len(self._groups) >= 64:
+                self._groups.clear()
             if key:
-                self._known[key] = group
-        if self._under_way and self._busy[group.rows].any():
+                self._groups[key] = group
+        if self._pending and self._busy[group.rows].any():
             busy = group.ids[self._busy[group.ids]][0]
-            raise ValueError(f"environment {busy} has a command under way; receive its answer first")
-        return crew, group
+            raise ValueError(f"environment {busy} has a pending command; receive its answer first")
+        return backend, group
 
-    def _ids(self, environments: Named) -> Ids:
-        named = np.asarray(environments)
-        if not named.size:
+    def _ids(self, environments: EnvironmentIds) -> Ids:
+        given = np.asarray(environments)
+        if not given.size:
             return np.zeros(0, np.int64)
-        if named.ndim != 1 or named.dtype.kind not in "iu":
-            raise ValueError(f"environments are named by a list of ids, not by {named.dtype} of shape {named.shape}")
-        ids = named.astype(np.int64)
-        if ids.min() < 0 or ids.max() >= self.size:
-            raise ValueError(f"environments are numbered 0 to {self.size - 1}; there is no {_first(ids, self.size)}")
+        if given.ndim != 1 or given.dtype.kind not in "iu":
+            raise ValueError(f"environments must be a list of ids, not {given.dtype} of shape {given.shape}")
+        ids = given.astype(np.int64)
+        unknown = ids[(ids < 0) | (ids >= self.size)]
+        if unknown.size:
+            raise ValueError(f"environments are numbered 0 to {self.size - 1}; unknown: {unknown[0]}")
         if np.unique(ids).size < ids.size:
-            raise ValueError(f"an environment takes one command at a time; named twice among {ids.tolist()}")
+            raise ValueError(f"an environment takes one command at a time; repeated ids in {ids.tolist()}")
         return ids
 
-    def _send(self, crew: Crew, command: bytes, group: Group, updates: int) -> None:
+    def _send(self, backend: Backend, command: bytes, group: Group, updates: int) -> None:
         if group.ids.size:
-            if self._ready:  # an answer that nobody fetched is overwritten now
+            if self._ready:  # the command overwrites an answer that was not received
                 self._ready -= int(self._answered[group.rows].sum())
                 self._answered[group.rows] = False
             self._busy[group.rows] = True
             self._updates[group.rows] = updates
-            self._under_way += group.ids.size
-            crew.send(command, group)
-
-
-def _first(ids: Ids, size: int) -> int:
-    return int(ids[(ids < 0) | (ids >= size)][0])
+            self._pending += group.ids.size
+            backend.send(command, group)
 
 
 def _layout(size: int, processes: int, threads: int) -> tuple[tuple[range, ...], ...]:
-    """Ids 0 .. size - 1 over processes, and each process's over its threads: even, in order, nobody without one."""
+    """Ids 0 .. size - 1 split evenly and in order over processes, and those of a process over its threads."""
     return tuple(tuple(_split(ids, threads)) for ids in _split(range(size), processes))
 
 

@@ -1,8 +1,8 @@
-"""How worker processes begin: fresh, fast, and without whatever the user's own program has imported.
+"""Start of worker processes, without the modules that the user's program has imported.
 
-Linux forks them from a small server that has imported what workers need and nothing else; elsewhere each starts anew
-(macOS's system libraries do not survive a fork). Either way a worker never runs the user's main module again: a script
-without an `if __name__ == "__main__"` guard works, and one that imports torch does not bring it into the workers.
+On Linux, workers are forked from a small server process that has imported only what they need. Elsewhere each worker
+is a new process, because macOS's system libraries do not survive a fork. A worker never runs the user's main module: a
+script needs no `if __name__ == "__main__"` guard, and a script that imports torch does not import it in the workers.
 """
 
 from __future__ import annotations
@@ -21,7 +21,7 @@ from types import ModuleType
 from typing import Any, Literal
 
 from ..errors import PluginError
-from .commands import Build
+from .executor import Build
 from .worker import work
 
 WorkerProcess = ForkServerProcess | SpawnProcess
@@ -34,13 +34,13 @@ ONE_THREAD = (
     "NUMEXPR_NUM_THREADS",
     "VECLIB_MAXIMUM_THREADS",
 )
-"""Set to 1 in workers: they share the cores as processes, and libraries that each take all cores fight."""
+"""Set to 1 in workers, because the processes share the cores."""
 
 _starting = Lock()
 
 
 class _Modules(pickle.Unpickler):
-    """Notes the modules from which a pickle takes its classes and functions."""
+    """Records the modules of the classes and functions in a pickle."""
 
     def __init__(self, data: bytes) -> None:
         super().__init__(io.BytesIO(data))
@@ -52,15 +52,15 @@ class _Modules(pickle.Unpickler):
 
 
 def pack_recipe(build: Build, recipe: Any) -> bytes:
-    """The pair (build, recipe), pickled for workers. Raises PluginError for what a worker could not import."""
-    hint = "put it into a module of its own, or use `processes: 0` to step environments in this process"
+    """Pickle the pair (build, recipe) for workers. Raises PluginError if a worker could not import its parts."""
+    hint = "define it in a module, or use `processes: 0` to step environments in the main process"
     try:
         data = pickle.dumps((build, recipe))
     except (pickle.PicklingError, AttributeError, TypeError) as error:
-        raise PluginError(f"cannot be handed to a worker process: {error}", where="environment", hint=hint) from error
+        raise PluginError(f"cannot be sent to a worker process: {error}", where="environment", hint=hint) from error
     if "__main__" in _modules(data):
         raise PluginError(
-            "is defined in the script that runs, which worker processes do not import", where="environment", hint=hint
+            "is defined in the main script, which worker processes do not import", where="environment", hint=hint
         )
     return data
 
@@ -72,9 +72,9 @@ def _modules(data: bytes) -> set[str]:
 
 
 def start_worker(number: int, recipe: bytes, ids: Sequence[range], size: int) -> tuple[WorkerProcess, list[Connection]]:
-    """Start worker `number`, one thread for each range of ids; the process and the parent's ends of its connections.
+    """Start worker `number` with one thread for each range of ids; returns the process and its connections.
 
-    Raises OSError or EOFError when the machine gives no process.
+    Raises OSError or EOFError if the machine cannot start a process.
     """
     context = _context()
     context.set_forkserver_preload(_preload(recipe))
@@ -94,7 +94,7 @@ def start_worker(number: int, recipe: bytes, ids: Sequence[range], size: int) ->
         raise
     finally:
         for end in theirs:
-            end.close()  # so that the connection ends with the worker
+            end.close()  # so that the connection ends when the worker does
     return process, [end for end, _ in pairs]
 
 
@@ -105,13 +105,13 @@ def _context() -> ForkServerContext | SpawnContext:
 
 
 def _preload(recipe: bytes) -> list[str]:
-    """Karolos's own modules that the recipe needs; a third party's may start threads, which a fork would lose."""
+    """Karolos modules that the recipe needs. Other modules may start threads, which do not survive a fork."""
     return [work.__module__, *sorted(name for name in _modules(recipe) if name.startswith("karolos."))]
 
 
 @contextmanager
 def _fresh_start() -> Iterator[None]:
-    """Hide the main module from a starting process, and tell it to compute on one thread."""
+    """Hide the main module from the new process, and set its libraries to one thread."""
     with _starting:
         main = sys.modules["__main__"]
         before = {name: os.environ.get(name) for name in ONE_THREAD}

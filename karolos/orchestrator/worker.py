@@ -1,9 +1,9 @@
-"""A worker process: one lane per thread, each a connection and the environments it drives.
+"""The worker process: one thread per channel, which is a connection and its environments.
 
-What travels on a connection, after the worker's first answer (its signature) and the parent's memory:
-    to the worker    one command byte and the ids of the environments it is for, as uint32 numbers
-    to the parent    DONE for each message, or FAILED and the errors of those environments that failed
-A connection that ends means that the parent is gone or wants no more: the worker ends. Nothing here imports torch.
+The worker first sends its signature and receives the shared memory. Then the messages are:
+    to the worker    one byte for the command and the ids of its environments as uint32
+    to the parent    DONE for each message, or FAILED and the errors of the environments that failed
+The worker exits when a connection ends. This module does not import torch.
 """
 
 from __future__ import annotations
@@ -24,57 +24,57 @@ import numpy as np
 from numpy.typing import NDArray
 
 from ..errors import KarolosError
-from .block import Block, SharedBytes
-from .commands import FAILURES, Executor, as_karolos_error, pack_errors
+from .executor import FAILURES, Executor, as_karolos_error, pack_errors
+from .shared_memory import EnvironmentArrays, SharedBytes
 
 DONE = b"."
 FAILED = b"!"
-NOBODY = -1
-"""Stands for an environment's id in an error from before there were any."""
-ORPHAN_PATIENCE = 2.0
-"""Seconds that a worker's lanes get to end by themselves when the parent is gone."""
+NO_ENVIRONMENT = -1
+"""The environment id in errors of building."""
+ORPHAN_TIMEOUT = 2.0
+"""Seconds for the channels to end by themselves after the parent has ended."""
 
-Lane = tuple[Connection, range]
-"""A connection, and the ids of the environments behind it."""
+Channel = tuple[Connection, range]
+"""A connection and the ids of its environments."""
 
 
-def work(number: int, recipe: bytes, lanes: Sequence[Lane], size: int) -> None:
-    """Body of worker process `number`. `recipe` is a pickled pair (build, recipe); `size` counts all environments."""
-    _settle_in()
+def work(number: int, recipe: bytes, channels: Sequence[Channel], size: int) -> None:
+    """Run worker process `number`. `recipe` is a pickled pair (build, recipe); `size` counts all environments."""
+    _isolate()
     where = f"worker {number}"
-    others = [Thread(target=_drive, args=(where, recipe, lane, size)) for lane in lanes[1:]]
+    others = [Thread(target=_serve, args=(where, recipe, channel, size)) for channel in channels[1:]]
     for thread in others:
         thread.start()
-    _drive(where, recipe, lanes[0], size)
+    _serve(where, recipe, channels[0], size)
     for thread in others:
         thread.join()
 
 
-def _settle_in() -> None:
-    """Make this process a quiet servant: the parent decides about signals, and owns standard output."""
-    for name in ("SIGINT", "SIGTERM", "SIGUSR1"):  # terminals and job schedulers send them to the whole group
+def _isolate() -> None:
+    """Ignore signals, which the parent handles, and redirect standard output to standard error."""
+    for name in ("SIGINT", "SIGTERM", "SIGUSR1"):  # terminals and job schedulers send these to the process group
         if hasattr(signal, name):
             signal.signal(getattr(signal, name), signal.SIG_IGN)
-    with suppress(OSError):  # no standard error to write to
+    with suppress(OSError):  # there may be no standard error
         sys.stdout.flush()
         os.dup2(2, 1)
-        faulthandler.enable()  # a crash in native code says where
-    Thread(target=_outlive_no_parent, daemon=True).start()
+        faulthandler.enable()  # prints the line of a crash in native code
+    Thread(target=_exit_with_parent, daemon=True).start()
 
 
-def _outlive_no_parent() -> None:
-    """End the process when the parent has vanished, even where a lane hangs in a step and reads no connection."""
+def _exit_with_parent() -> None:
+    """End the process after the parent has ended, also while an environment hangs."""
     parent = multiprocessing.parent_process()
     if parent is None:
         return
     wait([parent.sentinel])
-    time.sleep(ORPHAN_PATIENCE)  # lanes that read their connection have ended by then, and this thread with them
+    time.sleep(ORPHAN_TIMEOUT)  # without a hanging environment, the process has ended by then
     os._exit(1)
 
 
-def _drive(where: str, recipe: bytes, lane: Lane, size: int) -> None:
-    """Build the lane's environments and run commands until the connection ends."""
-    connection, ids = lane
+def _serve(where: str, recipe: bytes, channel: Channel, size: int) -> None:
+    """Build the channel's environments and run commands until the connection ends."""
+    connection, ids = channel
     with connection, suppress(EOFError, ConnectionError), ExitStack() as stack:
         try:
             build, contents = pickle.loads(recipe)
@@ -82,23 +82,23 @@ def _drive(where: str, recipe: bytes, lane: Lane, size: int) -> None:
             signature = executor.signature
             answer = DONE + pickle.dumps(signature)
         except FAILURES as error:
-            connection.send_bytes(FAILED + pack_errors([(NOBODY, as_karolos_error(error, where))]))
+            connection.send_bytes(FAILED + pack_errors([(NO_ENVIRONMENT, as_karolos_error(error, where))]))
             return
         connection.send_bytes(answer)
-        buffer = SharedBytes.receive(connection, Block.size(signature, size))
-        executor.attach(Block.over(buffer, signature, size), ids.start)
+        buffer = SharedBytes.receive(connection, EnvironmentArrays.size(signature, size))
+        executor.attach(EnvironmentArrays.over(buffer, signature, size), ids.start)
         while True:
             message = connection.recv_bytes()
-            connection.send_bytes(_obey(executor, message, where))
+            connection.send_bytes(_execute(executor, message, where))
 
 
 def packed(command: bytes, ids: NDArray[np.int64]) -> bytes:
-    """A message to the worker."""
+    """The message for a command on these environments."""
     return command + ids.astype(np.uint32).tobytes()
 
 
-def _obey(executor: Executor, message: bytes, where: str) -> bytes:
-    """Run a message's command on each environment that it names; the answer."""
+def _execute(executor: Executor, message: bytes, where: str) -> bytes:
+    """Run a message's command on each of its environments; returns the answer."""
     command = message[:1]
     errors: list[tuple[int, KarolosError]] = []
     for index in np.frombuffer(message, np.uint32, offset=1).tolist():

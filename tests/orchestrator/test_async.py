@@ -20,7 +20,7 @@ def test_every_answer_arrives_once_and_the_least_number_is_kept(layout):
             assert ids
             seen += ids
         assert sorted(seen) == [0, 1, 2, 3]
-        assert orchestrator.receive(at_least=1).environment.size == 0, "nothing under way gives nothing"
+        assert orchestrator.receive(at_least=1).environment.size == 0, "nothing pending gives nothing"
 
 
 @pytest.mark.parametrize("layout", [TWO, THREADS], ids=["2", "threads"])
@@ -30,7 +30,7 @@ def test_who_is_ready_goes_on_while_others_are_busy(layout):
         step(orchestrator, SLOW, FINE, FINE, FINE)
         assert orchestrator.receive(at_least=2).environment.tolist() == [2, 3]
         orchestrator.step([2, 3], np.zeros((2, 1), np.float32))
-        with pytest.raises(ValueError, match="environment 0 has a command under way"):
+        with pytest.raises(ValueError, match="environment 0 has a pending command"):
             orchestrator.step([0], np.zeros((1, 1), np.float32))
         received = orchestrator.receive()
         assert received.environment.tolist() == [0, 1, 2, 3]
@@ -45,7 +45,7 @@ def test_asking_for_none_does_not_wait():
         assert orchestrator.receive().environment.size == 4
 
 
-def test_asking_for_more_than_is_under_way_gives_what_there_is():
+def test_asking_for_more_than_is_pending_gives_what_there_is():
     with make(TWO) as orchestrator:
         reset(orchestrator)
         step(orchestrator, FINE, FINE)

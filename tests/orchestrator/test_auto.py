@@ -8,10 +8,9 @@ from hypothesis import given
 from hypothesis import strategies as st
 
 from karolos.environments.toy import Toy
-from karolos.orchestrator import auto, probe
-from karolos.orchestrator.auto import Auto
+from karolos.orchestrator import auto
+from karolos.orchestrator.auto import Auto, Measured, choose, process_counts
 from karolos.orchestrator.local import Local
-from karolos.orchestrator.probe import Measured, choose, process_counts
 from karolos.spec import Spec
 
 TOY = Toy.Settings(dimensions=3, max_steps=5, reward="dense", threshold=0.3)
@@ -62,8 +61,8 @@ def test_what_was_measured_and_chosen_is_told_and_measured_once(monkeypatch):
 def test_the_choice_is_close_to_the_fastest_and_no_smaller_layout_is(layouts):
     measured = [Measured(*layout) for layout in layouts]
     chosen = choose(measured)
-    close = [found for found in measured if found.steps_per_second * probe.WORTHWHILE >= chosen.steps_per_second]
-    assert chosen.steps_per_second * probe.WORTHWHILE >= max(found.steps_per_second for found in measured)
+    close = [found for found in measured if found.steps_per_second * auto.SPEEDUP >= chosen.steps_per_second]
+    assert chosen.steps_per_second * auto.SPEEDUP >= max(found.steps_per_second for found in measured)
     assert chosen in close
 
 

@@ -27,7 +27,7 @@ from support.fake_environments import (
 from support.layouts import IN_PROCESS, ONE, THREADS, TWO, make, reset, step
 
 from karolos.errors import KarolosError, MachineError, PluginError, WorkerError
-from karolos.orchestrator import lanes, start, workers
+from karolos.orchestrator import channels, pool, start
 from karolos.orchestrator.local import Local
 
 every_layout = pytest.mark.parametrize("layout", [IN_PROCESS, ONE, TWO, THREADS], ids=["0", "1", "2", "threads"])
@@ -89,7 +89,7 @@ def test_after_a_failure_the_other_answers_arrive_and_a_reset_helps(layout):
 
 
 @every_layout
-def test_a_failure_leaves_later_commands_of_the_same_worker_under_way(layout):
+def test_a_failure_leaves_later_commands_of_the_same_worker_pending(layout):
     with make(layout) as orchestrator:
         reset(orchestrator)
         orchestrator.step([0], np.array([[RAISE]], np.float32))
@@ -153,7 +153,7 @@ def test_an_environment_that_cannot_be_built_says_why(layout, recipe):
 def test_an_environment_that_breaks_its_signature_is_refused(layout):
     with make(layout, "short") as orchestrator:
         orchestrator.reset([0], [0])
-        with pytest.raises(PluginError, match=r"Fake gives observation of shape \(1,\), its signature says \(5,\)"):
+        with pytest.raises(PluginError, match=r"Fake returns observation of shape \(1,\), its signature says \(5,\)"):
             orchestrator.receive()
 
 
@@ -189,8 +189,8 @@ def test_a_worker_killed_from_outside_is_noticed_while_others_are_busy():
         threading.Timer(0.1, os.kill, (pids[2], signal.SIGKILL)).start()
         with pytest.raises(WorkerError, match="worker 1: the worker process was killed by SIGKILL"):
             orchestrator.receive()
-        orchestrator._crew._workers[0].process.kill()  # spares the patience of close
-        orchestrator._crew._workers[0].process.join()
+        orchestrator._backend._workers[0].process.kill()  # spares the timeout of close
+        orchestrator._backend._workers[0].process.join()
 
 
 def test_one_death_is_a_failure_of_all_threads_of_the_worker():
@@ -202,14 +202,14 @@ def test_one_death_is_a_failure_of_all_threads_of_the_worker():
         assert (received.environment.tolist(), received.failed.tolist()) == ([], [0, 1, 2, 3])
         assert [str(failure.error) for failure in received.failures] == [
             "worker 0: the worker process was killed by SIGKILL, with environments 0 to 3; "
-            "if nobody did, memory ran out: use fewer environments"
+            "probably out of memory: use fewer environments"
         ]
         assert len(set(reset(orchestrator))) == 1
 
 
 @pytest.mark.parametrize("layout", [ONE, TWO, THREADS], ids=["1", "2", "threads"])
 def test_close_ends_every_worker_also_those_that_hang(layout, monkeypatch):
-    monkeypatch.setattr(workers, "PATIENCE", 0.2)
+    monkeypatch.setattr(pool, "CLOSE_TIMEOUT", 0.2)
     orchestrator = make(layout)
     pids = reset(orchestrator)
     step(orchestrator, HANG)
@@ -249,13 +249,13 @@ def test_a_machine_without_processes_to_give_is_a_clear_error(monkeypatch):
     def refuse(*_: object) -> None:
         raise BlockingIOError(11, "Resource temporarily unavailable")
 
-    monkeypatch.setattr(lanes, "start_worker", refuse)
-    with pytest.raises(MachineError, match=r"worker process 0 of 2 does not start: .*unavailable; ask for fewer"):
+    monkeypatch.setattr(channels, "start_worker", refuse)
+    with pytest.raises(MachineError, match=r"worker process 0 of 2 cannot be started: .*unavailable; use fewer"):
         make(TWO)
 
 
 def test_a_recipe_that_workers_cannot_import_is_refused(monkeypatch):
-    with pytest.raises(PluginError, match="cannot be handed to a worker process"):
+    with pytest.raises(PluginError, match="cannot be sent to a worker process"):
         Local(Local.Settings(), "", build=lambda recipe: Fake(recipe))  # noqa: PLW0108
     monkeypatch.setattr(fake_environments.Fake, "__module__", "__main__")
     monkeypatch.setattr(start.sys.modules["__main__"], "Fake", Fake, raising=False)

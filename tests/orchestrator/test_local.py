@@ -10,8 +10,8 @@ from pydantic import ValidationError
 from support.fake_environments import FINE, Fake
 
 from karolos.core import Field, Layout, Signature
-from karolos.orchestrator.block import ALIGNMENT, Block, SharedBytes
 from karolos.orchestrator.local import Local, _layout
+from karolos.orchestrator.shared_memory import ALIGNMENT, EnvironmentArrays, SharedBytes
 
 counts = st.integers(1, 40)
 
@@ -23,15 +23,15 @@ def make(*layout: int, recipe: str = "", size: int | None = None) -> Local:
 
 
 @given(size=counts, processes=counts, threads=counts)
-def test_every_environment_has_one_lane_and_the_load_is_even(size, processes, threads):
+def test_every_environment_has_one_channel_and_the_load_is_even(size, processes, threads):
     layout = _layout(size, processes, threads)
-    assert [index for lanes in layout for ids in lanes for index in ids] == list(range(size))
+    assert [index for channels in layout for ids in channels for index in ids] == list(range(size))
     assert len(layout) == min(size, processes)
-    per_process = [sum(map(len, lanes)) for lanes in layout]
+    per_process = [sum(map(len, channels)) for channels in layout]
     assert max(per_process) - min(per_process) <= 1
-    for lanes, count in zip(layout, per_process, strict=True):
-        lengths = [len(ids) for ids in lanes]
-        assert len(lanes) == min(count, threads)
+    for channels, count in zip(layout, per_process, strict=True):
+        lengths = [len(ids) for ids in channels]
+        assert len(channels) == min(count, threads)
         assert max(lengths) - min(lengths) <= 1
 
 
@@ -59,7 +59,7 @@ def test_size_overrides_the_layouts_number(layout, size):
         assert orchestrator.size == size
         orchestrator.reset(range(size), range(size))
         assert orchestrator.receive().environment.tolist() == list(range(size))
-        with pytest.raises(ValueError, match=f"there is no {size}"):
+        with pytest.raises(ValueError, match=f"unknown: {size}"):
             orchestrator.reset([size], [0])
 
 
@@ -103,7 +103,7 @@ widths = st.integers(0, 5)
 
 
 @given(n=st.integers(1, 9), observation=widths, goal=widths, action=st.integers(1, 5), parameters=widths)
-def test_the_arrays_of_a_block_share_nothing_with_each_other(n, observation, goal, action, parameters):
+def test_the_arrays_do_not_overlap(n, observation, goal, action, parameters):
     def wide(size: int) -> Layout:
         return Layout((Field("x", size),))
 
@@ -115,8 +115,8 @@ def test_the_arrays_of_a_block_share_nothing_with_each_other(n, observation, goa
         desired_goal=wide(goal),
         parameters=wide(parameters),
     )
-    buffer = bytearray(Block.size(signature, n))
-    ours, theirs = Block.over(buffer, signature, n), Block.over(buffer, signature, n)
+    buffer = bytearray(EnvironmentArrays.size(signature, n))
+    ours, theirs = EnvironmentArrays.over(buffer, signature, n), EnvironmentArrays.over(buffer, signature, n)
     arrays = vars(ours)
     for number, array in enumerate(arrays.values()):
         assert len(array) == n
@@ -129,11 +129,11 @@ def test_the_arrays_of_a_block_share_nothing_with_each_other(n, observation, goa
 
 def test_shared_memory_has_no_name_and_outlives_its_handle():
     memory = SharedBytes(128)
-    block = np.frombuffer(memory.buffer, np.uint8)
-    block[:] = 3
+    content = np.frombuffer(memory.buffer, np.uint8)
+    content[:] = 3
     memory.close()
     memory.close()
-    assert block.sum() == 3 * 128
+    assert content.sum() == 3 * 128
 
 
 def test_settings_travel_to_workers():

@@ -11,7 +11,7 @@ from support.layouts import IN_PROCESS, ONE, THREADS, TWO, make, reset, step
 
 from karolos.environments.toy import Toy
 from karolos.errors import MachineError, PluginError, WorkerError
-from karolos.orchestrator import lanes, workers
+from karolos.orchestrator import channels, pool
 from karolos.orchestrator.local import Local
 
 every_layout = pytest.mark.parametrize("layout", [IN_PROCESS, ONE, TWO, THREADS], ids=["0", "1", "2", "threads"])
@@ -73,13 +73,13 @@ def test_a_worker_that_dies_is_replaced_and_its_neighbours_go_on(trouble):
 def test_a_worker_that_dies_while_idle_is_named_by_the_next_answer():
     with make(TWO, failures=1) as orchestrator:
         pids = reset(orchestrator)
-        orchestrator._crew._workers[1].process.kill()
-        orchestrator._crew._workers[1].process.join()
+        orchestrator._backend._workers[1].process.kill()
+        orchestrator._backend._workers[1].process.join()
         orchestrator.step([0, 1], np.zeros((2, 1), np.float32))
         received = orchestrator.receive()
         assert (received.environment.tolist(), received.failed.tolist()) == ([0, 1], [2, 3])
         orchestrator.step([2], np.zeros((1, 1), np.float32))
-        assert orchestrator._crew._workers[1].lost, "a step cannot go on with a lost episode, and starts no worker"
+        assert orchestrator._backend._workers[1].lost, "a step cannot go on with a lost episode, and starts no worker"
         with pytest.raises(WorkerError, match="SIGKILL, with environments 2 to 3"):
             orchestrator.receive()
         assert reset(orchestrator)[:2] == pids[:2]
@@ -93,7 +93,7 @@ def test_a_worker_that_hangs_is_killed_and_replaced():
         assert (received.environment.tolist(), received.failed.tolist()) == ([0, 1], [2, 3])
         assert reasons(received) == [
             "worker 1: a reset or step took longer than 0.4 s, with environments 2 to 3; "
-            "it hangs, or raise orchestrator.time_limit"
+            "find out why it hangs, or raise orchestrator.time_limit"
         ]
         reset(orchestrator)
         step(orchestrator, FINE, FINE, FINE, FINE)
@@ -112,7 +112,7 @@ def test_the_time_limit_is_one_steps_and_not_all_steps_of_a_worker(monkeypatch):
 
 
 def test_building_for_ever_is_a_clear_error(monkeypatch):
-    monkeypatch.setattr(workers, "BUILD_PATIENCE", 0.3)
+    monkeypatch.setattr(pool, "BUILD_TIMEOUT", 0.3)
     with pytest.raises(WorkerError, match=r"worker 0: building an environment took longer than 0\.3 s"):
         make(ONE, "hang", time_limit=0.4)
 
@@ -149,7 +149,7 @@ def test_a_replacement_that_does_not_build_is_a_failure_too(tmp_path, monkeypatc
         os.kill(pids[0], signal.SIGKILL)
         orchestrator.reset([0], [0])
         assert orchestrator.receive().failed.tolist() == [0, 1, 2, 3]
-        monkeypatch.setattr(lanes, "start_worker", _refuse)
+        monkeypatch.setattr(channels, "start_worker", _refuse)
         orchestrator.reset([0], [0])
         with pytest.raises(WorkerError, match="SIGKILL"):
             orchestrator.receive()
@@ -160,8 +160,8 @@ def _refuse(*_: object) -> None:
 
 
 def test_a_machine_that_gives_no_worker_at_the_start_is_a_clear_error(monkeypatch):
-    monkeypatch.setattr(lanes, "start_worker", _refuse)
-    with pytest.raises(MachineError, match="worker process 0 of 2 does not start"):
+    monkeypatch.setattr(channels, "start_worker", _refuse)
+    with pytest.raises(MachineError, match="worker process 0 of 2 cannot be started"):
         make(TWO)
 
 
@@ -173,7 +173,7 @@ def test_episodes_after_a_replacement_are_what_they_would_have_been():
             orchestrator.reset(range(4), range(4))
             orchestrator.receive()
             if kill:
-                orchestrator._crew._workers[0].process.kill()
+                orchestrator._backend._workers[0].process.kill()
                 orchestrator.step([0], np.zeros((1, 3), np.float32))
                 assert orchestrator.receive().failed.tolist() == [0, 1]
             orchestrator.reset(range(4), range(4))

@@ -111,9 +111,9 @@ def test_nothing_under_way_gives_nothing(orchestrator):
 
 def test_a_second_command_to_a_busy_environment_is_refused(orchestrator):
     orchestrator.reset([2, 4], [0, 0])
-    with pytest.raises(ValueError, match="environment 4 has a command under way"):
+    with pytest.raises(ValueError, match="environment 4 has a pending command"):
         orchestrator.reset([3, 4], [0, 0])
-    with pytest.raises(ValueError, match="environment 2 has a command under way"):
+    with pytest.raises(ValueError, match="environment 2 has a pending command"):
         orchestrator.step([2], np.zeros((1, 3), np.float32))
     with pytest.raises(ValueError, match="under way"):
         orchestrator.parameters([2])

@@ -81,7 +81,7 @@ def test_an_environment_without_an_expert_is_refused_where_it_was_asked_for() ->
 
 def test_an_agent_that_learns_from_its_own_actions_only_is_refused_demonstrations() -> None:
     changed = {**REACH, "agent": "ppo", "buffer": "on_policy", "training": {}, "demonstrations": {}}
-    with pytest.raises(UsageError, match="keeps no demonstrations"):
+    with pytest.raises(UsageError, match="does not support demonstrations"):
         check_parts(Spec.from_dict(changed))
 
 

@@ -1,4 +1,4 @@
-"""Who carries out commands: the calling thread (`Serial`) or worker processes (workers.py). `Local` stands in front."""
+"""Backends of the local orchestrator: `InProcess` runs commands in the calling thread, pool.py in worker processes."""
 
 from __future__ import annotations
 
@@ -10,18 +10,18 @@ import numpy as np
 from numpy.typing import NDArray
 
 from ..core import Failure, Signature
-from .block import Block
-from .commands import FAILURES, Build, Executor, as_karolos_error
+from .executor import FAILURES, Build, Executor, as_karolos_error
+from .shared_memory import EnvironmentArrays
 
 Ids = NDArray[np.int64]
 
 
 class Group(NamedTuple):
-    """Environments that are told something together: distinct ids, and what picks their rows of an array."""
+    """Environments with the same command: distinct ids, and the index of their rows in an array."""
 
     ids: Ids
     rows: slice | Ids
-    """A slice where the ids are consecutive: NumPy does that faster than a list of places."""
+    """A slice if the ids are consecutive, because NumPy indexes faster with slices."""
 
     @classmethod
     def of(cls, ids: Ids) -> Group:
@@ -30,32 +30,32 @@ class Group(NamedTuple):
 
 
 class Answers(NamedTuple):
-    """The environments whose commands are done, and the failures, whose environments have no episode any more."""
+    """Environments that completed their commands, and failures, whose environments have lost their episodes."""
 
     done: list[Group]
     failures: list[Failure]
 
 
-class Crew(ABC):
-    """Carries out commands on environments 0 .. n - 1; inputs and results stand in the block."""
+class Backend(ABC):
+    """Runs commands on environments 0 .. n - 1. Inputs and results are in `arrays`."""
 
     signature: Signature
-    block: Block
+    arrays: EnvironmentArrays
 
     @abstractmethod
     def send(self, command: bytes, environments: Group) -> None:
-        """Begin a command on idle environments. Does not wait, raises nothing."""
+        """Start a command on idle environments. Does not wait and does not raise."""
 
     @abstractmethod
     def collect(self, *, wait: bool = True) -> Answers:
-        """What has ended since the last call. Waits for something, but not for ever: it may come with nothing."""
+        """Answers since the last call. With `wait`, blocks for a limited time until there are some; may be empty."""
 
     @abstractmethod
     def close(self) -> None: ...
 
 
-class Serial(Crew):
-    """All environments in this process; commands run when they are collected."""
+class InProcess(Backend):
+    """Runs all environments in this process; `collect` runs the commands."""
 
     def __init__(self, build: Build, recipe: Any, size: int) -> None:
         with ExitStack() as stack:
@@ -65,16 +65,16 @@ class Serial(Crew):
                 raise as_karolos_error(error, "building an environment") from error
             self._open = stack.pop_all()
         self.signature = self._executor.signature
-        self.block = Block.private(self.signature, size)
-        self._executor.attach(self.block, 0)
-        self._waiting: list[tuple[bytes, Group]] = []
+        self.arrays = EnvironmentArrays.private(self.signature, size)
+        self._executor.attach(self.arrays, 0)
+        self._commands: list[tuple[bytes, Group]] = []
 
     def send(self, command: bytes, environments: Group) -> None:
-        self._waiting.append((command, environments))
+        self._commands.append((command, environments))
 
-    def collect(self, *, wait: bool = True) -> Answers:  # noqa: ARG002 (what is asked for is done at once)
-        commands = [(index, command) for command, group in self._waiting for index in group.ids.tolist()]
-        self._waiting.clear()
+    def collect(self, *, wait: bool = True) -> Answers:  # noqa: ARG002 (commands run at once)
+        commands = [(index, command) for command, group in self._commands for index in group.ids.tolist()]
+        self._commands.clear()
         done, failures = [], []
         for index, command in commands:
             try:

@@ -1,6 +1,6 @@
-"""The memory in which seeds and actions travel to the environments, and steps back: arrays, never pickles.
+"""Shared memory between parent and workers: seeds and actions to the environments, steps back, without pickling.
 
-One row per environment and one array per quantity, all in one run of bytes that parent and workers map alike.
+There is one array per quantity with one row per environment. All arrays are in one block of memory.
 """
 
 from __future__ import annotations
@@ -21,12 +21,12 @@ from numpy.typing import NDArray
 from ..core import BoolArray, FloatArray, Signature
 
 ALIGNMENT = 64
-"""Bytes; each array begins on a cache line of its own."""
+"""Bytes: each array begins at a multiple, so that no two arrays share a cache line."""
 
 
 @dataclass(frozen=True)
-class Block:
-    """Rows of n environments: what they are told (seed, action) and what they tell (all else)."""
+class EnvironmentArrays:
+    """One row per environment: `seed` and `action` are written by the parent, the other arrays by the environments."""
 
     seed: NDArray[np.uint64]
     action: FloatArray
@@ -40,7 +40,7 @@ class Block:
     success: BoolArray
     diverged: BoolArray
     commands: NDArray[np.uint64]
-    """How many commands each environment has ended: what stands still for long hangs."""
+    """Number of commands that each environment has completed. A hanging environment completes none."""
 
     @staticmethod
     def _columns(signature: Signature, environments: int) -> dict[str, tuple[type[np.generic], tuple[int, ...]]]:
@@ -65,12 +65,12 @@ class Block:
 
     @classmethod
     def size(cls, signature: Signature, environments: int) -> int:
-        """How much memory `environments` rows take."""
+        """Bytes that the arrays of `environments` environments need."""
         return sum(_aligned(_bytes(*column)) for column in cls._columns(signature, environments).values())
 
     @classmethod
-    def over(cls, buffer: Any, signature: Signature, environments: int) -> Block:
-        """The arrays that lie in `buffer`, at the same places in every process."""
+    def over(cls, buffer: Any, signature: Signature, environments: int) -> EnvironmentArrays:
+        """The arrays in `buffer`, at the same offsets in every process."""
         arrays: dict[str, Any] = {}
         start = 0
         for name, (kind, shape) in cls._columns(signature, environments).items():
@@ -79,8 +79,8 @@ class Block:
         return cls(**arrays)
 
     @classmethod
-    def private(cls, signature: Signature, environments: int) -> Block:
-        """A block in this process's own memory."""
+    def private(cls, signature: Signature, environments: int) -> EnvironmentArrays:
+        """Arrays in the private memory of this process."""
         return cls.over(bytearray(cls.size(signature, environments)), signature, environments)
 
 
@@ -93,10 +93,10 @@ def _aligned(count: int) -> int:
 
 
 class SharedBytes:
-    """Memory that other processes can map and that no end of this process leaves behind.
+    """Memory that other processes can map and that the system frees even if this process is killed.
 
-    On POSIX it has no name: it is reached by a file descriptor alone, so that the kernel frees it with the last process
-    that holds it, whatever ended the others. Windows knows only named memory, and frees it with its last handle.
+    On POSIX the memory has a file descriptor and no name, so the kernel frees it with the last process that holds it.
+    On Windows shared memory is named, and freed with the last handle.
     """
 
     def __init__(self, size: int) -> None:
@@ -109,13 +109,13 @@ class SharedBytes:
             self._descriptor = os.memfd_create("karolos")
             os.ftruncate(self._descriptor, size)
         else:
-            with tempfile.TemporaryFile() as file:  # has lost its name already
+            with tempfile.TemporaryFile() as file:  # has no name any more
                 file.truncate(size)
                 self._descriptor = os.dup(file.fileno())
         self.buffer: Any = mmap.mmap(self._descriptor, size)
 
     def send(self, connection: Connection, process: int) -> None:
-        """Let the process with this id, at the other end of a two-way connection, map the memory."""
+        """Let the process with this id, at the other end of the connection, map the memory."""
         if sys.platform == "win32":
             connection.send_bytes(self._named.name.encode())
         else:
@@ -123,9 +123,11 @@ class SharedBytes:
 
     @staticmethod
     def receive(connection: Connection, size: int) -> Any:
-        """The other end of `send`: a writable buffer, mapped as long as something refers to it."""
+        """Receive the memory from `send`: a writable buffer, mapped while something refers to it."""
         if sys.platform == "win32":
-            return _keep(SharedMemory(connection.recv_bytes().decode()))
+            memory = SharedMemory(connection.recv_bytes().decode())
+            _received.append(memory)
+            return memory.buf
         descriptor = reduction.recv_handle(connection)
         try:
             return mmap.mmap(descriptor, size)
@@ -133,7 +135,7 @@ class SharedBytes:
             os.close(descriptor)
 
     def close(self) -> None:
-        """Forget the memory; it stays mapped while arrays refer to it. Safe to call twice."""
+        """Release the memory; it stays mapped while arrays refer to it. Safe to call twice."""
         self.buffer = None
         if sys.platform == "win32":
             return
@@ -142,9 +144,5 @@ class SharedBytes:
             self._descriptor = -1
 
 
-_kept: list[SharedMemory] = []
-
-
-def _keep(memory: SharedMemory) -> Any:
-    _kept.append(memory)  # SharedMemory unmaps itself when collected, even under a live view
-    return memory.buf
+_received: list[SharedMemory] = []
+"""References, because a collected SharedMemory unmaps itself even while arrays use it."""

@@ -1,4 +1,4 @@
-"""What is done to one environment on command, the same in a worker process and in the parent's own."""
+"""Execution of commands on environments, in a worker process or in the main process."""
 
 from __future__ import annotations
 
@@ -12,26 +12,26 @@ import numpy as np
 
 from ..core import Discrete, Environment, Signature, Step
 from ..errors import KarolosError, PluginError, WorkerError
-from .block import Block
+from .shared_memory import EnvironmentArrays
 
 Build = Callable[[Any], Environment]
-"""Makes an environment from a recipe; picklable, so a function of a module."""
+"""Builds an environment from a recipe; picklable, so a function at module level."""
 
 RESET = b"r"
 STEP = b"s"
-"""Commands, as the first byte of a message. What they need stands in the block, in the environment's row."""
+"""Commands: the first byte of a message. Their arguments are in the environment's row of the arrays."""
 
 FAILURES = (Exception, SystemExit)
-"""What a plugin's code may raise: all of it is reported, because a worker that ends in silence helps nobody."""
+"""Exceptions of plugins that are reported to the parent."""
 
 
 class Executor:
-    """Builds environments of one recipe, and runs commands on them between their rows of a block.
+    """Builds environments from one recipe and runs commands on them. Reads from and writes to their rows of the arrays.
 
-    An environment that has raised may be in any state: its next reset builds it anew.
+    The state of an environment that raised is unknown, so its next reset builds it again.
 
     Args:
-        stack: closes the environments, also those built before one failed.
+        stack: closes the environments, also if a later one cannot be built.
     """
 
     def __init__(self, build: Build, recipe: Any, count: int, stack: ExitStack) -> None:
@@ -45,13 +45,13 @@ class Executor:
         self.signature: Signature = self._environments[0].signature
         self._discrete = isinstance(self.signature.action, Discrete)
 
-    def attach(self, block: Block, first: int) -> None:
-        """Take commands from `block` for the environments, whose ids begin at `first`."""
-        self._block = block
+    def attach(self, arrays: EnvironmentArrays, first: int) -> None:
+        """Use these arrays; `first` is the id of the first environment."""
+        self._arrays = arrays
         self._first = first
 
     def run(self, command: bytes, index: int) -> None:
-        """Carry out `command` on the environment with the id `index`. Raises whatever the environment raises."""
+        """Run `command` on the environment with the id `index`. Raises what the environment raises."""
         try:
             if command == RESET:
                 self._reset(index)
@@ -61,49 +61,49 @@ class Executor:
             self._broken.add(index)
             raise
         finally:
-            self._block.commands[index] += 1
+            self._arrays.commands[index] += 1
 
     def _close(self) -> None:
         for environment in self._environments:
             environment.close()
 
     def _reset(self, index: int) -> None:
-        place = index - self._first
+        position = index - self._first
         if index in self._broken:
-            self._environments[place].close()
-            self._environments[place] = self._build(self._recipe)
+            self._environments[position].close()
+            self._environments[position] = self._build(self._recipe)
             self._broken.remove(index)
-        environment = self._environments[place]
-        step = environment.reset(int(self._block.seed[index]))
+        environment = self._environments[position]
+        step = environment.reset(int(self._arrays.seed[index]))
         _check_shapes(environment, step)
         self._write(index, step)
         if self.signature.parameters.size:
-            self._block.parameters[index] = environment.parameters()
+            self._arrays.parameters[index] = environment.parameters()
 
     def _step(self, index: int) -> None:
-        row = self._block.action[index]
-        # A copy: an environment may keep its last actions (an action delay does), and the row is overwritten.
+        row = self._arrays.action[index]
+        # A copy, because an environment may store its last actions (e.g. an action delay) and the row is overwritten.
         action = int(row[0]) if self._discrete else row.copy()
         self._write(index, self._environments[index - self._first].step(np.asarray(action)))
 
     def _write(self, index: int, step: Step) -> None:
-        block = self._block
+        arrays = self._arrays
         (
-            block.observation[index],
-            block.achieved_goal[index],
-            block.desired_goal[index],
-            block.reward[index],
-            block.terminated[index],
-            block.truncated[index],
-            block.success[index],
-            block.diverged[index],
+            arrays.observation[index],
+            arrays.achieved_goal[index],
+            arrays.desired_goal[index],
+            arrays.reward[index],
+            arrays.terminated[index],
+            arrays.truncated[index],
+            arrays.success[index],
+            arrays.diverged[index],
         ) = step
 
 
 def _check_shapes(environment: Environment, step: Step) -> None:
-    """Refuse what NumPy would stretch to fit; once per episode is enough, a wrong plugin is wrong from the start."""
+    """Raise PluginError for a shape that NumPy would broadcast silently. Called once per episode."""
     signature = environment.signature
-    for what, array, layout in (
+    for name, array, layout in (
         ("observation", step.observation, signature.observation),
         ("achieved goal", step.achieved_goal, signature.achieved_goal),
         ("desired goal", step.desired_goal, signature.desired_goal),
@@ -111,39 +111,39 @@ def _check_shapes(environment: Environment, step: Step) -> None:
     ):
         if np.shape(array) != (layout.size,):
             raise PluginError(
-                f"{type(environment).__name__} gives {what} of shape {np.shape(array)}, "
+                f"{type(environment).__name__} returns {name} of shape {np.shape(array)}, "
                 f"its signature says {(layout.size,)}",
                 hint="make the environment's signature and its steps agree",
             )
 
 
 def as_karolos_error(error: BaseException, where: str) -> KarolosError:
-    """The error to raise at the parent: itself where it speaks to a person, else a WorkerError with the traceback."""
+    """A KarolosError itself; any other error as a WorkerError with the traceback."""
     if isinstance(error, KarolosError):
         return error
     text = str(error).strip().splitlines()
     return WorkerError(
         f"{type(error).__name__}: {text[0]}" if text else type(error).__name__,
         where=where,
-        hint="the traceback shows the line in the environment or plugin that failed",
+        hint="the traceback shows the line that failed in the environment or plugin",
         traceback="".join(traceback.format_exception(error)),
     )
 
 
 def pack_errors(errors: list[tuple[int, KarolosError]]) -> bytes:
-    """Errors beside the ids of their environments, as bytes for another process."""
+    """Pickle pairs of environment id and error for another process."""
     portable = []
     for index, error in errors:
         try:
             pickle.loads(pickle.dumps(error))
             portable.append((index, error))
-        except Exception:  # a plugin's own kind of KarolosError may hold anything, and fail in any way
+        except Exception:  # a plugin's subclass of KarolosError may fail to pickle in any way
             text = "".join(traceback.format_exception(error))
             portable.append((index, WorkerError(error.what, where=error.where, hint=error.hint, traceback=text)))
     return pickle.dumps(portable)
 
 
 def unpack_errors(message: bytes) -> list[tuple[int, KarolosError]]:
-    """The other end of `pack_errors`."""
+    """Unpickle the pairs from `pack_errors`."""
     errors: list[tuple[int, KarolosError]] = pickle.loads(message)
     return errors
