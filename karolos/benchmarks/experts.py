@@ -11,7 +11,7 @@ from itertools import product
 from ..errors import KarolosError
 from ..evaluation.playing import expert_policy
 from ..evaluation.scoring import score
-from ..orchestrator.probe import cores
+from ..orchestrator.auto import cores
 from ..plugins.inspection import floor, pair
 from ..registry import names
 from .side_by_side import Row

@@ -53,5 +53,5 @@ def test_linear_goes_evenly_from_start_to_end_and_stays_there(start, end, over, 
 
 
 def test_linear_refuses_to_go_backwards():
-    with pytest.raises(ValueError, match="0 counts or more"):
+    with pytest.raises(ValueError, match="must not be negative"):
         Linear(1, 0, -1)
