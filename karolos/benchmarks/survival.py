@@ -20,11 +20,10 @@ from collections.abc import Callable, Iterator, Mapping
 from pathlib import Path
 from typing import Any
 
-import numpy as np
-
 from .. import checkpoint
 from ..errors import MachineError, RunError
 from ..experiment.experiment import Experiment
+from ..plugins.contracts.case import state_differences
 from ..records import RunFolder
 from ..spec import Spec
 from ..store import Store
@@ -165,9 +164,8 @@ def differences_of(folder: RunFolder, reference: RunFolder, database: str) -> li
         reference: folder of the undisturbed run.
         database: URL of the index that holds the run.
     """
-    found = differences(
-        checkpoint.load(folder.checkpoints, "last")[0], checkpoint.load(reference.checkpoints, "last")[0], "last"
-    )
+    one, other = (checkpoint.load(run.checkpoints, "last")[0] for run in (folder, reference))
+    found = state_differences(one, other, ignore=frozenset({"seconds"}), path="last")
     tests = [(test.steps, test.any, test.end, test.returns) for test in folder.tests()]
     if tests != [(test.steps, test.any, test.end, test.returns) for test in reference.tests()]:
         found.append("tests.jsonl")
@@ -180,20 +178,3 @@ def differences_of(folder: RunFolder, reference: RunFolder, database: str) -> li
         if store.find(folder.id) != folder.summary():
             found.append("the run's row in the database")
     return found
-
-
-def differences(one: object, other: object, path: str = "") -> list[str]:
-    """Key paths at which two states differ, except the seconds that training took."""
-    if isinstance(one, dict) and isinstance(other, dict):
-        if one.keys() != other.keys():
-            return [f"{path}: {sorted(one)} and {sorted(other)}"]
-        return [
-            found for key in one if key != "seconds" for found in differences(one[key], other[key], f"{path}.{key}")
-        ]
-    if isinstance(one, list | tuple) and isinstance(other, list | tuple):
-        if len(one) != len(other):
-            return [f"{path}: {len(one)} and {len(other)} entries"]
-        pairs = enumerate(zip(one, other, strict=True))
-        return [found for index, (a, b) in pairs for found in differences(a, b, f"{path}[{index}]")]
-    first, second = np.asarray(one), np.asarray(other)
-    return [] if np.array_equal(first, second, equal_nan=first.dtype.kind == "f") else [path]

@@ -1,1 +1,1 @@
-"""What the author of a plugin needs: contracts, inspection, starter packages."""
+"""Tools for authors of plugins: contracts, inspection, starter packages."""

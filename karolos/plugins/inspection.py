@@ -1,4 +1,4 @@
-"""What a robot or a task is, for a person: facts as tables, a picture, and what a random policy achieves with it."""
+"""Tables of facts about a robot or a task, a picture of it, and the success of a random policy."""
 
 from __future__ import annotations
 
@@ -20,12 +20,12 @@ from ..registry import load
 from ..spec.recipe import Part, Recipe
 
 Facts = dict[str, Any]
-"""One line: names of columns to values that JSON knows."""
+"""One row: names of columns and JSON-able values."""
 
 
 @dataclass(frozen=True)
 class Inspection:
-    """Facts under headings, and a picture."""
+    """Tables of facts by heading, and a picture."""
 
     name: str
     about: str
@@ -34,9 +34,11 @@ class Inspection:
 
 
 def pair(robot: str, task: str, **robot_settings: Any) -> RobotTask:
-    """A robot with a task, everything at its defaults but for the robot's settings named.
+    """A robot with a task at their defaults, except the given settings of the robot.
 
-    Raises UsageError for an unknown name, PluginError where the two do not go together.
+    Raises:
+        UsageError: the robot or the task is unknown.
+        PluginError: the task does not work with the robot.
     """
     environment = build_environment(
         Recipe(
@@ -46,7 +48,7 @@ def pair(robot: str, task: str, **robot_settings: Any) -> RobotTask:
         )
     )
     if not isinstance(environment, RobotTask):
-        raise PluginError("is not karolos's own", where="environment robot_task")
+        raise PluginError("another package replaces it", where="environment robot_task")
     return environment
 
 
@@ -55,7 +57,7 @@ def _part(kind: str, name: str, **settings: Any) -> Part:
 
 
 def inspect_robot(name: str, *, size: tuple[int, int] | None = (960, 720)) -> Inspection:
-    """A robot with its gripper, where it has one. `size`: of the picture in pixels; None: no picture."""
+    """Facts about a robot and its gripper. `size`: of the picture in pixels; None: no picture."""
     plugin = load("robots", name)
     control = plugin.Settings.model_fields.get("control")
     modes = _modes(control.annotation if control else None) or [None]
@@ -89,7 +91,7 @@ def inspect_robot(name: str, *, size: tuple[int, int] | None = (960, 720)) -> In
 
 
 def _modes(annotation: Any) -> list[Any]:
-    """The values that a Literal, possibly one of a union, lists; without None, which names no mode."""
+    """The values of a Literal, which may be part of a union, except None."""
     if get_origin(annotation) is Literal:
         return [value for value in get_args(annotation) if value is not None]
     return [mode for part in get_args(annotation) for mode in _modes(part)]
@@ -102,7 +104,7 @@ def _prepared(plugin: Any, mode: str | None) -> Any:
 
 
 def inspect_task(name: str, robot: str = "panda", *, size: tuple[int, int] | None = (960, 720)) -> Inspection:
-    """A task as it stands with this robot. `size`: of the picture in pixels; None: no picture."""
+    """Facts about a task with a robot. `size`: of the picture in pixels; None: no picture."""
     plugin = load("tasks", name)
     environment = pair(robot, name)
     signature, task = environment.signature, environment.task
@@ -168,7 +170,7 @@ def _settings(plugin: Any) -> list[Facts]:
 
 
 def _picture(robot: str, task: str | None, size: tuple[int, int] | None) -> NDArray[np.uint8] | None:
-    """Of the first test episode's start. A robot alone is shown with the simplest task, which needs no gripper."""
+    """A picture of the first test episode's start. A robot alone is shown with reach, which needs no gripper."""
     if size is None:
         return None
     environment = pair(robot, task or "reach")
@@ -181,7 +183,7 @@ def _picture(robot: str, task: str | None, size: tuple[int, int] | None) -> NDAr
 
 
 def halved(picture: NDArray[np.uint8]) -> NDArray[np.uint8]:
-    """A picture (2h, 2w, 3) as (h, w, 3), each pixel the mean of four: the renderer itself leaves edges jagged."""
+    """A picture (2h, 2w, 3) as (h, w, 3), each pixel the mean of four, because the renderer does not smooth edges."""
     height, width = picture.shape[0] // 2, picture.shape[1] // 2
     blocks = picture[: 2 * height, : 2 * width].reshape(height, 2, width, 2, 3).astype(np.uint16)
     mean: NDArray[np.uint8] = ((blocks.sum((1, 3)) + 2) // 4).astype(np.uint8)
@@ -189,7 +191,7 @@ def halved(picture: NDArray[np.uint8]) -> NDArray[np.uint8]:
 
 
 def floor(robot: str, task: str, *, episodes: int = 100, seed: int = 0, **robot_settings: Any) -> Score:
-    """Success of uniformly random actions in the first test episodes under the root `seed`."""
+    """Success of uniformly random actions in the first test episodes of the root `seed`."""
     environment = pair(robot, task, **robot_settings)
     try:
         return score(environment, random_policy(environment, seed), episodes=episodes, seed=seed)

@@ -1,4 +1,4 @@
-"""Starter packages: a plugin of each kind that is small, whole and tested, to be changed into what one needs."""
+"""Starter packages: a small, complete and tested plugin of each kind, to be changed step by step."""
 
 from __future__ import annotations
 
@@ -12,7 +12,7 @@ from ..errors import UsageError
 from ..registry import alternatives
 
 KINDS = ("robot", "task", "agent", "buffer", "environment", "distribution")
-"""What there is a starter for. An orchestrator is too much to begin from a page."""
+"""Kinds with a starter package."""
 
 
 def write_starter(kind: str, name: str, out: Path) -> list[Path]:
@@ -20,23 +20,23 @@ def write_starter(kind: str, name: str, out: Path) -> list[Path]:
 
     Args:
         kind: one of KINDS.
-        name: of the plugin, as a spec will call it: lower-case letters, digits and underscores.
-        out: the package's folder; made if it is not there.
+        name: of the plugin in specs: lower-case letters, digits and underscores.
+        out: the package's folder; created if it is missing.
 
     Raises:
-        UsageError: no such kind, a name that cannot be one, or a folder that holds something or cannot be written.
+        UsageError: the kind or the name is invalid, or the folder is not empty or cannot be written.
     """
     if kind not in KINDS:
         raise UsageError(f"there is no starter for {kind!r}", hint=alternatives(kind, KINDS))
     if not re.fullmatch(r"[a-z](_?[a-z0-9])*", name) or keyword.iskeyword(name) or len(name) > 60:
         raise UsageError(
             f"{name!r} cannot be the name of a plugin",
-            hint="lower-case letters, digits and single underscores, beginning with a letter, no word of Python's own",
+            hint="lower-case letters, digits and single underscores, beginning with a letter, not a Python keyword",
         )
     texts = _rendered(kind, name)
     try:
         if out.exists() and (not out.is_dir() or any(out.iterdir())):
-            raise UsageError("is there already", where=str(out), hint="name another folder with --out DIR")
+            raise UsageError("already exists", where=str(out), hint="name another folder with --out DIR")
         for path, text in texts.items():
             (out / path).parent.mkdir(parents=True, exist_ok=True)
             (out / path).write_text(text, encoding="utf-8")
@@ -46,7 +46,7 @@ def write_starter(kind: str, name: str, out: Path) -> list[Path]:
 
 
 def _rendered(kind: str, name: str) -> dict[str, str]:
-    """The package's files: path below its folder, and text."""
+    """The package's files: path below its folder -> text."""
     values = {
         "kind": kind,
         "name": name,

@@ -109,8 +109,8 @@ def test_a_folder_that_holds_something_is_not_written_to(tmp_path):
     (tmp_path / "mine.txt").write_text("mine")
     code, _, err = call(app, "new", "robot", "x", "--out", str(tmp_path))
     assert code == 2
-    assert "is there already" in err
+    assert "already exists" in err
     assert [path.name for path in tmp_path.iterdir()] == ["mine.txt"]
     code, _, err = call(app, "new", "robot", "x", "--out", str(tmp_path / "mine.txt"))
     assert code == 2
-    assert "is there already" in err
+    assert "already exists" in err

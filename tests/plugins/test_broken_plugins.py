@@ -32,7 +32,7 @@ def made(kind: str, name: str, methods: dict[str, Any], **settings: Any) -> Cand
     return Candidate(kind, "mine", type("Mine", (load(kind, name),), methods), settings)
 
 
-def test_an_agent_that_acts_at_random_and_forgets_its_generator_is_told() -> None:
+def test_an_agent_that_acts_with_a_generator_of_its_own_breaks_two_promises() -> None:
     parent = load("agents", "dqn")
 
     def act(self: Any, observation: Any, desired_goal: Any, **how: Any) -> Any:
@@ -40,14 +40,14 @@ def test_an_agent_that_acts_at_random_and_forgets_its_generator_is_told() -> Non
         return found + np.random.default_rng().integers(0, 5, found.shape).astype(np.float32)
 
     found = broken(made("agents", "dqn", {"act": act}))
-    assert "are no indices in {0, 1, 2}" in found["actions_have_their_shape_and_range"]
+    assert "are not among [0, 1, 2]" in found["actions_have_their_shape_and_range"]
     assert found["without_exploration_acting_is_deterministic_and_draws_nothing"].startswith(
-        "actions for the same observations: "
+        "actions for the same observations differ: "
     )
     assert len(found) == 2
 
 
-def test_an_agent_whose_state_is_its_own_arrays_is_told() -> None:
+def test_an_agent_whose_state_is_not_a_copy_breaks_a_promise() -> None:
     parent = load("agents", "dqn")
 
     def learn(self: Any, batch: Any) -> Any:
@@ -58,10 +58,10 @@ def test_an_agent_whose_state_is_its_own_arrays_is_told() -> None:
         return parent.state(self) | {"mine": self.__dict__.setdefault("updates_so_far", np.zeros(1))}
 
     found = broken(made("agents", "dqn", {"learn": learn, "state": state}))
-    assert "hand out copies" in found["a_saved_state_does_not_change_with_the_agent"]
+    assert "return copies" in found["a_saved_state_does_not_change_with_the_agent"]
 
 
-def test_a_buffer_that_draws_from_elsewhere_is_told() -> None:
+def test_a_buffer_with_a_generator_of_its_own_breaks_a_promise() -> None:
     parent = load("buffers", "uniform")
 
     def sample(self: Any, size: int) -> Any:
@@ -69,12 +69,10 @@ def test_a_buffer_that_draws_from_elsewhere_is_told() -> None:
         return parent.sample(self, size)
 
     found = broken(made("buffers", "uniform", {"sample": sample}))
-    assert found["the_same_seed_samples_the_same_and_another_does_not"].startswith(
-        "the slots sampled with the same seed"
-    )
+    assert found["the_same_seed_samples_the_same_and_another_does_not"].startswith("slots sampled with the same seed")
 
 
-def test_an_environment_of_float64_whose_seed_means_nothing_is_told() -> None:
+def test_an_environment_of_float64_that_ignores_its_seed_breaks_promises() -> None:
     parent = load("environments", "toy")
 
     def reset(self: Any, seed: int) -> Any:
@@ -87,7 +85,7 @@ def test_an_environment_of_float64_whose_seed_means_nothing_is_told() -> None:
     assert "in a used environment" in found[used] or "an episode of the same seed" in found[used]
 
 
-def test_a_distribution_that_draws_from_elsewhere_is_told() -> None:
+def test_a_distribution_with_a_generator_of_its_own_breaks_a_promise() -> None:
     found = broken(
         made(
             "distributions",
@@ -100,14 +98,14 @@ def test_a_distribution_that_draws_from_elsewhere_is_told() -> None:
     assert set(found) == {"the_generator_alone_determines_the_values"}
 
 
-def test_a_robot_that_is_slower_than_it_says_is_told() -> None:
+def test_a_robot_whose_tool_moves_too_little_breaks_a_promise() -> None:
     parent = load("robots", "panda")
     slow = {"towards": lambda self, target, opening: 0.1 * parent.towards(self, target, opening)}
     found = broken(made("robots", "panda", slow))
     assert "mm away from" in found["the_tool_reaches_every_corner_of_the_workspace"]
 
 
-def test_a_task_without_the_words_a_reader_needs_is_told() -> None:
+def test_a_task_without_the_headings_of_its_docstring_breaks_a_promise() -> None:
     found = broken(made("tasks", "reach", {"__doc__": "Reach."}))
     assert found == {
         "the_docstring_says_what_to_do_what_is_randomised_and_what_counts": 'the docstring lacks "What to do:"'
@@ -115,7 +113,7 @@ def test_a_task_without_the_words_a_reader_needs_is_told() -> None:
 
 
 def test_settings_and_kinds_that_cannot_be_checked_are_refused() -> None:
-    with pytest.raises(UsageError, match="distribution mine: low: Field required; name settings that have no default"):
+    with pytest.raises(UsageError, match="distribution mine: low: Field required; give a value for each setting"):
         broken(made("distributions", "uniform", {}))
     with pytest.raises(UsageError, match="no contracts for orchestrator local"):
         cases(karolos.plugins.contracts.candidate("orchestrators", "local"))
@@ -132,7 +130,7 @@ def test_the_command_line_names_broken_promises_and_ends_with_3(monkeypatch: pyt
     ended = CliRunner().invoke(app, ["check", "distribution", "mine"])
     assert ended.exit_code == 3
     assert "BROKEN mine-0-1-values_are_finite_floats" in ended.stdout
-    assert "`draw` gives a Python float that is finite." in ended.stdout
+    assert "`draw` returns a finite Python float." in ended.stdout
     assert "ZeroDivisionError: of my own making" in ended.stdout
     assert "Traceback" in ended.stderr
     assert "0 of 2 promises are kept" in ended.stderr

@@ -12,7 +12,7 @@ from support.fourth_robot import small_arm
 from karolos.errors import PluginError
 from karolos.evaluation.playing import expert_policy
 from karolos.evaluation.scoring import score
-from karolos.plugins.contracts import Candidate, candidate, cases, grippers
+from karolos.plugins.contracts import Candidate, candidate, cases, robots
 from karolos.plugins.contracts.joined import CONTROLS, goes_with, join, joined
 from karolos.registry import load, names
 
@@ -27,7 +27,7 @@ def small(tmp_path_factory: pytest.TempPathFactory) -> Candidate:
 
 def test_it_keeps_what_robots_promise(small: Candidate) -> None:
     for case in cases(small, alone=True):
-        if case.promise not in grippers.PROMISES:  # it lifts the cube, and loses it in the shake: 15 N hold it
+        if case.promise not in robots.GRIPPER:  # its grip of 15 N lifts the cube, and loses it in the shake
             case()
 
 

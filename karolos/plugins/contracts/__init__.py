@@ -1,4 +1,4 @@
-"""What plugins promise, to be checked from a test of one's own, by `karolos plugins check`, or by karolos's own tests.
+"""What plugins promise: checked by a plugin's own tests, by `karolos plugins check`, and by karolos's tests.
 
     from karolos.plugins.contracts import check_agent
 

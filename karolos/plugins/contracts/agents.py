@@ -1,7 +1,8 @@
-"""What every agent promises."""
+"""Promises of every agent."""
 
 from __future__ import annotations
 
+from copy import deepcopy
 from dataclasses import replace
 from typing import Any
 
@@ -10,7 +11,7 @@ import numpy as np
 from ...core import Agent, Batch, Discrete, Field, FloatArray, Layout, Rollout, Signature
 from ...core.seeding import SeedTree
 from ...errors import UsageError
-from .case import Candidate, demand, demand_same
+from .case import Candidate, demand, demand_same, state_differences
 
 CONTINUOUS = Signature(
     observation=Layout((Field("x", 4),)),
@@ -21,11 +22,11 @@ CONTINUOUS = Signature(
 )
 DISCRETE = replace(CONTINUOUS, action=Discrete(("left", "right", "stay")))
 SIZE = 16
-"""Transitions of an update."""
+"""Transitions of a batch."""
 
 
 def actions_have_their_shape_and_range(one: Candidate) -> None:
-    """Actions are float32, one row per observation, and within their range."""
+    """Actions are float32, one row per observation, within [-1, 1] or the indices of a discrete set."""
     agent, signature = _made(one)
     for rows in (1, 7):
         data = _batch(signature, 0, rows)
@@ -35,85 +36,91 @@ def actions_have_their_shape_and_range(one: Candidate) -> None:
             demand(actions.shape == wanted, f"the actions have the shape {actions.shape} instead of {wanted}")
             demand(actions.dtype == np.float32, f"the actions are {actions.dtype} instead of float32")
             if isinstance(signature.action, Discrete):
-                allowed, found = set(range(len(signature.action.labels))), set(actions.ravel().tolist())
-                demand(found <= allowed, f"{sorted(found)} are no indices in {allowed}")
+                allowed, indices = set(range(len(signature.action.labels))), set(actions.ravel().tolist())
+                demand(indices <= allowed, f"the actions {sorted(indices)} are not among {sorted(allowed)}")
             elif explore and agent.on_policy:  # clipped for the environment only
                 demand(np.isfinite(actions).all(), "an action is not finite")
             else:
-                demand(np.abs(actions).max() <= 1, f"an action is {np.abs(actions).max()}, and 1 is the most")
+                demand(np.abs(actions).max() <= 1, f"an action has the magnitude {np.abs(actions).max()}")
 
 
 def without_exploration_acting_is_deterministic_and_draws_nothing(one: Candidate) -> None:
-    """Without exploration the same observation gives the same action, and the state stays as it is."""
+    """Without exploration the same observation gives the same action, and acting does not change the state."""
     agent, signature = _made(one)
     data = _batch(signature, 0)
     before = agent.state()
     first, second = (agent.act(data.observation, data.desired_goal, explore=False) for _ in range(2))
     demand_same(first, second, "actions for the same observations")
-    demand(_equal(before, agent.state()), "acting without exploration changes the agent's state")
+    changed = state_differences(before, agent.state())
+    demand(not changed, f"acting without exploration changes the agent's state at {changed}")
 
 
-def metrics_are_scalars_on_the_device_and_priorities_one_per_transition(one: Candidate) -> None:
-    """`learn` gives scalar tensors without gradient, and may give priorities, one per transition."""
+def metrics_are_scalars_and_priorities_one_per_transition(one: Candidate) -> None:
+    """`learn` returns metrics as scalar tensors without gradient, and optionally priorities, one per transition."""
     agent, signature = _made(one)
     metrics = dict(agent.learn(_experience(agent, signature, 0)))
     priorities = metrics.pop("priorities", None)
     demand(metrics.pop("updates", 1) >= 1, "`updates` is less than 1")
-    demand(metrics, "`learn` gives no metrics")
+    demand(metrics, "`learn` returns no metrics")
     for name, value in metrics.items():
-        demand(hasattr(value, "numel") and value.numel() == 1, f"the metric {name} is no tensor of one number")
-        demand(not value.requires_grad, f"the metric {name} holds on to its gradient: detach it")
+        demand(hasattr(value, "numel") and value.numel() == 1, f"the metric {name} is not a tensor with one number")
+        demand(not value.requires_grad, f"the metric {name} requires a gradient: detach it")
     if priorities is not None:
         found = np.asarray(priorities)
-        demand(found.shape == (SIZE,), f"{SIZE} transitions have priorities of the shape {found.shape}")
+        demand(
+            found.shape == (SIZE,),
+            f"the priorities have the shape {found.shape} instead of ({SIZE},)",
+        )
         demand((found >= 0).all(), "a priority is negative")
 
 
 def the_same_seed_learns_the_same_and_another_does_not(one: Candidate) -> None:
-    """Seed and batches alone determine what is learned, bit for bit."""
+    """Seed and batches determine the state after learning, bit for bit; another seed gives another state."""
     states = []
     for seed in (0, 0, 1):
         agent, signature = _made(one, seed)
         for number in range(3):
             agent.learn(_experience(agent, signature, number))
         states.append(agent.state())
-    demand(_equal(states[0], states[1]), "the same seed and batches led to different states: draw from the seeds given")
-    demand(not _equal(states[0], states[2]), "another seed led to the very same state")
+    differing = state_differences(states[0], states[1])
+    demand(not differing, f"the same seed and batches lead to different states at {differing}: use the given seeds")
+    demand(state_differences(states[0], states[2]), "another seed leads to the same state")
 
 
 def learning_goes_on_bit_for_bit_from_a_saved_state(one: Candidate) -> None:
-    """An agent that loads another's state learns on as that would have."""
+    """An agent that loads a saved state continues to learn bit for bit like the agent that saved it."""
     (whole, signature), (first, _), (second, _) = _made(one), _made(one), _made(one, 5)
     for number in range(4):
         for agent in (whole, first if number < 2 else second):
             agent.learn(_experience(agent, signature, number))
         if number == 1:
             second.load_state(first.state())
-    demand(_equal(whole.state(), second.state()), "what is learned after load_state differs: the state lacks something")
+    differing = state_differences(whole.state(), second.state())
+    demand(not differing, f"learning after load_state differs at {differing}: the state lacks something")
 
 
 def a_saved_state_does_not_change_with_the_agent(one: Candidate) -> None:
-    """`state` gives copies: a checkpoint is not written to by the updates that follow."""
+    """`state` returns copies, which later updates do not change."""
     agent, signature = _made(one)
     agent.learn(_experience(agent, signature, 0))
     saved = agent.state()
-    copies = [leaf.copy() for leaf in _leaves(saved)]
+    copy = deepcopy(saved)
     agent.learn(_experience(agent, signature, 1))
-    kept = all(np.array_equal(ours, theirs) for ours, theirs in zip(copies, _leaves(saved), strict=True))
-    demand(kept, "a state that was handed out changes when the agent learns: hand out copies")
-    demand(not _equal(saved, agent.state()), "an update changes nothing in the state")
+    changed = state_differences(copy, saved)
+    demand(not changed, f"learning changes a state that was saved before, at {changed}: return copies")
+    demand(state_differences(saved, agent.state()), "an update does not change the state")
 
 
 def the_discount_is_below_one(one: Candidate) -> None:
-    """`discount` lies in [0, 1)."""
+    """The discount is in [0, 1)."""
     discount = _made(one)[0].discount
-    demand(0 <= discount < 1, f"the discount is {discount}")
+    demand(0 <= discount < 1, f"the discount {discount} is not in [0, 1)")
 
 
 PROMISES = (
     actions_have_their_shape_and_range,
     without_exploration_acting_is_deterministic_and_draws_nothing,
-    metrics_are_scalars_on_the_device_and_priorities_one_per_transition,
+    metrics_are_scalars_and_priorities_one_per_transition,
     the_same_seed_learns_the_same_and_another_does_not,
     learning_goes_on_bit_for_bit_from_a_saved_state,
     a_saved_state_does_not_change_with_the_agent,
@@ -122,7 +129,7 @@ PROMISES = (
 
 
 def _made(one: Candidate, seed: int = 0) -> tuple[Agent[Any], Signature]:
-    """The agent, for the first kind of action that it takes."""
+    """The agent with continuous actions, or with discrete ones where it refuses those."""
     try:
         return one.plugin(one.settled(), CONTINUOUS, SeedTree(seed)), CONTINUOUS
     except UsageError:
@@ -154,7 +161,7 @@ def _batch(signature: Signature, seed: int, size: int = SIZE) -> Batch:
 
 
 def _experience(agent: Agent[Any], signature: Signature, seed: int) -> Batch | Rollout:
-    """Transitions of noise, as this agent takes them."""
+    """A batch of noise, or a rollout for an on-policy agent."""
     batch = _batch(signature, seed)
     if not agent.on_policy:
         return batch
@@ -162,14 +169,3 @@ def _experience(agent: Agent[Any], signature: Signature, seed: int) -> Batch | R
     found = {name: rows[name].reshape(8, 2, *rows[name].shape[1:]) for name in Rollout._fields if name in rows}
     truncated = np.arange(SIZE).reshape(8, 2) % 5 == 4
     return Rollout(**found, ended=found["terminated"] | truncated, stored=np.ones((8, 2), np.bool_))
-
-
-def _leaves(state: Any) -> list[np.ndarray[Any, Any]]:
-    if isinstance(state, dict):
-        return [leaf for key in sorted(state, key=str) for leaf in _leaves(state[key])]
-    return [np.asarray(state)]
-
-
-def _equal(first: Any, second: Any) -> bool:
-    ours, theirs = _leaves(first), _leaves(second)
-    return len(ours) == len(theirs) and all(np.array_equal(one, other) for one, other in zip(ours, theirs, strict=True))

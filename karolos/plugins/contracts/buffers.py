@@ -1,4 +1,4 @@
-"""What every buffer promises: those that replay, and those that hand out an on-policy agent's rollout."""
+"""Promises of every buffer: replay buffers, and buffers that collect an on-policy agent's rollout."""
 
 from __future__ import annotations
 
@@ -17,7 +17,7 @@ CALLS = 20
 
 
 def a_batch_has_the_shapes_of_the_signature(one: Candidate) -> None:
-    """A batch has the shapes of the signature, in float32; weights and discounts are sound."""
+    """A batch has the signature's shapes in float32, positive weights, and discounts in (0, discount]."""
     buffer = _made(one)
     _feed(buffer)
     batch = buffer.sample(12)
@@ -31,57 +31,62 @@ def a_batch_has_the_shapes_of_the_signature(one: Candidate) -> None:
         wanted = np.int64 if field == "slot" else np.float32
         demand(array.dtype == wanted, f"{field} is {array.dtype} instead of {np.dtype(wanted)}")
     demand((batch.weight > 0).all(), "a weight is not positive")
-    demand(((batch.discount > 0) & (batch.discount <= 0.9)).all(), "a discount is not in (0, .9], where .9 was given")
-    demand(set(batch.terminated) <= {0.0, 1.0}, "terminated is neither 0 nor 1")
+    demand(
+        ((batch.discount > 0) & (batch.discount <= 0.9)).all(), "a discount is not in (0, .9], where the agent's is .9"
+    )
+    demand(set(batch.terminated) <= {0.0, 1.0}, "a value of terminated is neither 0 nor 1")
 
 
 def transitions_can_be_sampled_before_their_episode_ends(one: Candidate) -> None:
-    """What was added can be sampled at once, whether or not its episode has ended."""
+    """Transitions can be sampled as soon as they are added, before their episode ends."""
     buffer = _made(one)
     _feed(buffer, calls=3)
-    demand(len(buffer) == 3 * ENVIRONMENTS, f"it holds {len(buffer)} transitions after {3 * ENVIRONMENTS} were added")
+    demand(len(buffer) == 3 * ENVIRONMENTS, f"len() is {len(buffer)} after {3 * ENVIRONMENTS} transitions were added")
     demand(set(buffer.sample(9).reward) <= set(range(9)), "a batch holds a reward that was never added")
 
 
-def an_empty_buffer_says_so(one: Candidate) -> None:
+def sampling_from_an_empty_buffer_is_an_error(one: Candidate) -> None:
     """Sampling from an empty buffer raises a KarolosError."""
     buffer = _made(one)
-    demand(len(buffer) == 0, f"a new buffer holds {len(buffer)} transitions")
-    demand_refusal(lambda: buffer.sample(1), KarolosError, "an empty buffer gives a batch")
+    demand(len(buffer) == 0, f"len() of a new buffer is {len(buffer)}")
+    demand_refusal(lambda: buffer.sample(1), KarolosError, "sampling from an empty buffer raises no KarolosError")
 
 
 def sampling_goes_on_bit_for_bit_from_a_saved_state(one: Candidate) -> None:
-    """A buffer that loads another's state samples on as that would have."""
+    """A buffer that loads a saved state continues to sample bit for bit like the buffer that saved it."""
     first, second = _made(one), _made(one, 5)
     _feed(first)
     first.sample(6)
     second.load_state(first.state())
     for buffer in (first, second):
         _feed(buffer, first=CALLS, calls=5)
-    demand(len(first) == len(second), f"{len(second)} transitions after load_state instead of {len(first)}")
+    demand(len(first) == len(second), f"len() after load_state is {len(second)} instead of {len(first)}")
     ours, theirs = _copied(first.sample(15)), _copied(second.sample(15))
     for field, left, right in zip(Batch._fields, ours, theirs, strict=True):
         demand_same(left, right, f"{field} of a batch after load_state")
 
 
 def the_same_seed_samples_the_same_and_another_does_not(one: Candidate) -> None:
-    """The seed alone determines what is sampled."""
+    """The seed determines which transitions are sampled; another seed samples others."""
     slots = []
     for seed in (0, 0, 1):
         buffer = _made(one, seed)
         _feed(buffer)
         slots.append(np.array(buffer.sample(15).slot))
-    demand_same(slots[0], slots[1], "the slots sampled with the same seed")
-    demand(not np.array_equal(slots[0], slots[2]), "another seed samples the very same transitions")
+    demand_same(slots[0], slots[1], "slots sampled with the same seed")
+    demand(not np.array_equal(slots[0], slots[2]), "another seed samples the same transitions")
 
 
 def a_rollout_has_the_shapes_of_the_signature_and_is_given_once(one: Candidate) -> None:
-    """A rollout is there when it is complete, has the signature's shapes, and is given once."""
+    """A complete rollout is returned once and has the signature's shapes."""
     buffer = _made(one)
     _feed(buffer, calls=CALLS - 1)
-    demand(len(buffer) == 0, "a rollout that is not complete is handed out")
+    demand(len(buffer) == 0, "len() is not 0 before the rollout is complete")
     _feed(buffer, first=CALLS - 1, calls=1)
-    demand(len(buffer) == CALLS * ENVIRONMENTS, f"a complete rollout has {len(buffer)} transitions")
+    demand(
+        len(buffer) == CALLS * ENVIRONMENTS,
+        f"len() of a complete rollout is {len(buffer)} instead of {CALLS * ENVIRONMENTS}",
+    )
     rollout = buffer.sample(len(buffer))
     size = CALLS, ENVIRONMENTS
     columns = {"observation": 4, "next_observation": 4, "desired_goal": 2, "action": 2}
@@ -89,13 +94,15 @@ def a_rollout_has_the_shapes_of_the_signature_and_is_given_once(one: Candidate) 
         wanted = (*size, columns[field]) if field in columns else size
         found = getattr(rollout, field).shape
         demand(found == wanted, f"{field} has the shape {found} instead of {wanted}")
-    demand_same(rollout.reward.ravel(), np.arange(CALLS * ENVIRONMENTS), "rewards in the order in which they came")
-    demand(len(buffer) == 0, "a rollout that was handed out is still there")
-    demand_refusal(lambda: buffer.sample(CALLS * ENVIRONMENTS), KarolosError, "a rollout is handed out twice")
+    demand_same(
+        rollout.reward.ravel(), np.arange(CALLS * ENVIRONMENTS), "rewards in the order in which they were added"
+    )
+    demand(len(buffer) == 0, "len() is not 0 after the rollout was returned")
+    demand_refusal(lambda: buffer.sample(CALLS * ENVIRONMENTS), KarolosError, "a rollout is returned twice")
 
 
 def a_rollout_goes_on_bit_for_bit_from_a_saved_state(one: Candidate) -> None:
-    """A buffer that loads another's state completes its rollout as that would have."""
+    """A buffer that loads a saved state completes the rollout bit for bit like the buffer that saved it."""
     first, second = _made(one), _made(one, 5)
     _feed(second, calls=7)
     _feed(first, calls=CALLS // 2)
@@ -110,19 +117,19 @@ def a_rollout_goes_on_bit_for_bit_from_a_saved_state(one: Candidate) -> None:
 REPLAY = (
     a_batch_has_the_shapes_of_the_signature,
     transitions_can_be_sampled_before_their_episode_ends,
-    an_empty_buffer_says_so,
+    sampling_from_an_empty_buffer_is_an_error,
     sampling_goes_on_bit_for_bit_from_a_saved_state,
     the_same_seed_samples_the_same_and_another_does_not,
 )
 ON_POLICY = (
     a_rollout_has_the_shapes_of_the_signature_and_is_given_once,
-    an_empty_buffer_says_so,
+    sampling_from_an_empty_buffer_is_an_error,
     a_rollout_goes_on_bit_for_bit_from_a_saved_state,
 )
 
 
 def _made(one: Candidate, seed: int = 0) -> Buffer[Any]:
-    """The buffer; a rollout is complete after CALLS calls."""
+    """The buffer. Rollouts are complete after CALLS calls."""
     settings = one.settled(rollout=CALLS) if one.plugin.on_policy else one.settled()
     made: Buffer[Any] = one.plugin(settings, SIGNATURE, SeedTree(seed), environments=ENVIRONMENTS, discount=0.9)
     return made

@@ -1,4 +1,4 @@
-"""A promise of a kind of plugin, and the plugin that is to keep it. Nothing here needs a test framework."""
+"""Promises and the plugins that are checked for them. No test framework is needed."""
 
 from __future__ import annotations
 
@@ -13,18 +13,18 @@ from pydantic import ValidationError
 from ...errors import UsageError
 from ...registry import load, singular
 
-_HINT = "name settings that have no default or another value, e.g. low=0"
+_HINT = "give a value for each setting without a default, e.g. low=0"
 
 
 @dataclass(frozen=True)
 class Candidate:
-    """A plugin that is to be checked.
+    """A plugin to check.
 
     Args:
         kind: of plugin, as the registry calls it: robots, tasks, ...
-        name: what specs call it.
+        name: its name in specs.
         plugin: its class.
-        settings: other than its defaults.
+        settings: those that differ from the defaults.
     """
 
     kind: str
@@ -33,10 +33,10 @@ class Candidate:
     settings: Mapping[str, Any] = field(default_factory=dict)
 
     def settled(self, **more: Any) -> Any:
-        """Its settings.
+        """The plugin's settings, with `more` on top.
 
         Raises:
-            UsageError: a setting that has no default is missing, or one is not as it should be.
+            UsageError: a setting without a default is missing, or a value is invalid.
         """
         try:
             return self.plugin.Settings.model_validate({**self.settings, **more})
@@ -53,10 +53,10 @@ def candidate(kind: str, name: str, **settings: Any) -> Candidate:
 
 @dataclass(frozen=True)
 class Case:
-    """A promise and who is to keep it; call it to see whether that is so.
+    """A promise and the plugins that it is checked for. A call checks it.
 
     Raises:
-        AssertionError: it is not; says what is wrong in one line.
+        AssertionError: the promise is broken; the message is one line.
     """
 
     promise: Callable[..., None]
@@ -81,24 +81,47 @@ def cases_of(promises: Iterable[Callable[..., None]], *candidates: Candidate) ->
 
 
 def demand(holds: object, otherwise: str) -> None:
-    """Raise AssertionError with these words unless it holds."""
+    """Raise AssertionError with this message unless `holds` is true."""
     if not holds:
         raise AssertionError(otherwise)
 
 
 def demand_same(first: object, second: object, what: str) -> None:
-    """Raise AssertionError unless two arrays, or what can be made one, are equal bit for bit."""
+    """Raise AssertionError unless two arrays, or values that become arrays, are equal bit for bit."""
     one, other = np.asarray(first), np.asarray(second)
-    demand(one.shape == other.shape, f"{what}: the shapes are {one.shape} and {other.shape}")
+    demand(one.shape == other.shape, f"{what} differ in shape: {one.shape} and {other.shape}")
     if not np.array_equal(one, other):
         place = tuple(int(index) for index in np.argwhere(np.atleast_1d(one != other))[0])
-        raise AssertionError(f"{what}: {np.atleast_1d(one)[place]} and {np.atleast_1d(other)[place]} at {place}")
+        raise AssertionError(f"{what} differ: {np.atleast_1d(one)[place]} and {np.atleast_1d(other)[place]} at {place}")
 
 
 def demand_refusal(call: Callable[[], object], error: type[Exception], otherwise: str) -> None:
-    """Raise AssertionError unless the call raises this error."""
+    """Raise AssertionError with the message `otherwise` unless the call raises this error."""
     try:
         call()
     except error:
         return
     raise AssertionError(otherwise)
+
+
+def state_differences(one: object, other: object, *, ignore: frozenset[str] = frozenset(), path: str = "") -> list[str]:
+    """Key paths at which two nested states of dicts, lists and arrays differ. NaN equals NaN.
+
+    Args:
+        one: a state.
+        other: another state.
+        ignore: keys of dicts that are not compared.
+        path: prefix of the key paths.
+    """
+    if isinstance(one, dict) and isinstance(other, dict):
+        if one.keys() != other.keys():
+            return [f"{path}: {sorted(map(str, one))} and {sorted(map(str, other))}"]
+        pairs = [(f"{path}.{key}", one[key], other[key]) for key in one if key not in ignore]
+    elif isinstance(one, list | tuple) and isinstance(other, list | tuple):
+        if len(one) != len(other):
+            return [f"{path}: {len(one)} and {len(other)} entries"]
+        pairs = [(f"{path}[{index}]", *pair) for index, pair in enumerate(zip(one, other, strict=True))]
+    else:
+        first, second = np.asarray(one), np.asarray(other)
+        return [] if np.array_equal(first, second, equal_nan=first.dtype.kind == "f") else [path]
+    return [found for key, a, b in pairs for found in state_differences(a, b, ignore=ignore, path=key)]

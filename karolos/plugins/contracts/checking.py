@@ -1,31 +1,32 @@
-"""Which promises a plugin has to keep, by its kind, and whether it does."""
+"""The promises of a plugin, by its kind, and functions that check them."""
 
 from __future__ import annotations
 
+from functools import partial
 from typing import Any
 
 from ...errors import UsageError
 from ...registry import alternatives, names, singular
-from . import agents, buffers, distributions, environments, grippers, pairs, robots, tasks
+from . import agents, buffers, distributions, environments, pairs, robots, tasks
 from .case import Candidate, Case, candidate, cases_of
 from .joined import CONTROLS, goes_with
 
 KINDS = ("robots", "tasks", "agents", "buffers", "environments", "distributions")
-"""What there are contracts for. An orchestrator's is tested in karolos alone."""
+"""Kinds with contracts. Orchestrators are tested in karolos alone."""
 USUAL_ROBOT = "panda"
-"""With which a task is asked for what does not depend on the robot."""
+"""The robot with which a task's own promises are checked."""
 
 
 def cases(one: Candidate, *, alone: bool = False) -> list[Case]:
-    """Every promise that a plugin has to keep.
+    """Every promise of a plugin.
 
     Args:
         one: the plugin.
-        alone: leave out what a robot promises with each installed task, and a task with each robot.
+        alone: leave out the promises of a robot with each installed task, and of a task with each installed robot.
 
     Raises:
-        UsageError: a setting is missing, or there are no contracts for its kind, or it is the environment robot_task,
-            which a robot and a task make.
+        UsageError: a setting is missing, the kind has no contracts, or it is the environment robot_task, which is
+            checked as a robot with a task.
     """
     if one.kind == "robots":
         return _of_robot(one) + ([] if alone else [case for task in _all("tasks") for case in of_pair(one, task)])
@@ -48,7 +49,7 @@ def cases(one: Candidate, *, alone: bool = False) -> list[Case]:
 
 
 def of_pair(robot: Candidate, task: Candidate) -> list[Case]:
-    """What a robot promises with a task: as an environment under each control that fits, and as a pair."""
+    """Promises of a robot with a task: as an environment under each control mode that fits, and as a pair."""
     if task.plugin.uses_gripper and not _has_gripper(robot):
         return []
     modes = [control for control in CONTROLS if goes_with(task, control)]
@@ -61,17 +62,17 @@ def of_pair(robot: Candidate, task: Candidate) -> list[Case]:
 
 
 def check(kind: str, name: str, **settings: Any) -> None:
-    """Check everything that an installed plugin promises.
+    """Check every promise of an installed plugin.
 
     Args:
         kind: robots, tasks, agents, buffers, environments or distributions.
-        name: what specs call it.
-        settings: other than its defaults.
+        name: its name in specs.
+        settings: those that differ from the defaults.
 
     Raises:
-        AssertionError: it breaks promises; one line for each.
-        UsageError: no such plugin, or no contracts for its kind.
-        PluginError: it does not import, or lacks a part of its kind's interface.
+        AssertionError: promises are broken; one line for each.
+        UsageError: the plugin is unknown, or its kind has no contracts.
+        PluginError: the plugin does not import, or lacks a part of its kind's interface.
     """
     broken = []
     for case in cases(candidate(kind, name, **settings)):
@@ -83,40 +84,20 @@ def check(kind: str, name: str, **settings: Any) -> None:
         raise AssertionError("\n".join(broken))
 
 
-def check_robot(name: str, **settings: Any) -> None:
-    """`check` for a robot, with every installed task. Takes about a minute."""
-    check("robots", name, **settings)
-
-
-def check_task(name: str, **settings: Any) -> None:
-    """`check` for a task, with every installed robot. Takes about a minute."""
-    check("tasks", name, **settings)
-
-
-def check_agent(name: str, **settings: Any) -> None:
-    """`check` for an agent."""
-    check("agents", name, **settings)
-
-
-def check_buffer(name: str, **settings: Any) -> None:
-    """`check` for a buffer."""
-    check("buffers", name, **settings)
-
-
-def check_environment(name: str, **settings: Any) -> None:
-    """`check` for an environment."""
-    check("environments", name, **settings)
-
-
-def check_distribution(name: str, **settings: Any) -> None:
-    """`check` for a distribution."""
-    check("distributions", name, **settings)
+check_robot = partial(check, "robots")
+"""`check` for a robot, with every installed task. Takes about a minute."""
+check_task = partial(check, "tasks")
+"""`check` for a task, with every installed robot. Takes about a minute."""
+check_agent = partial(check, "agents")
+check_buffer = partial(check, "buffers")
+check_environment = partial(check, "environments")
+check_distribution = partial(check, "distributions")
 
 
 def _of_robot(one: Candidate) -> list[Case]:
     found = [case for control in CONTROLS for case in cases_of(robots.ANY_CONTROL, _under(one, control))]
     found += cases_of(robots.JOINT_CONTROL, _under(one, "joint"))
-    return found + (cases_of(grippers.PROMISES, _under(one, "cartesian")) if _has_gripper(one) else [])
+    return found + (cases_of(robots.GRIPPER, _under(one, "cartesian")) if _has_gripper(one) else [])
 
 
 def _under(robot: Candidate, control: str) -> Candidate:

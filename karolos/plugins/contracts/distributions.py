@@ -1,4 +1,4 @@
-"""What every distribution promises."""
+"""Promises of every distribution."""
 
 from __future__ import annotations
 
@@ -12,17 +12,17 @@ DRAWS = 1000
 
 
 def values_are_finite_floats(one: Candidate) -> None:
-    """`draw` gives a Python float that is finite."""
+    """`draw` returns a finite Python float."""
     found = _drawn(one, 0)
-    demand(all(type(value) is float for value in found), "a value is no Python float")
+    demand(all(type(value) is float for value in found), "a value is not a Python float")
     demand(all(map(math.isfinite, found)), "a value is not finite")
 
 
 def the_generator_alone_determines_the_values(one: Candidate) -> None:
-    """The same generator gives the same values; another gives others, unless there is one value only."""
+    """The same generator gives the same values; another gives others, unless there is only one value."""
     first = _drawn(one, 1)
-    demand(first == _drawn(one, 1), "the same generator gives other values: draw from the one that is given")
-    demand(len(set(first)) == 1 or first != _drawn(one, 2), "another generator gives the very same values")
+    demand(first == _drawn(one, 1), "the same generator gives other values: draw from the given generator")
+    demand(len(set(first)) == 1 or first != _drawn(one, 2), "another generator gives the same values")
 
 
 PROMISES = (values_are_finite_floats, the_generator_alone_determines_the_values)

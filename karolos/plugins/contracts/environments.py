@@ -1,4 +1,4 @@
-"""What every environment promises."""
+"""Promises of every environment."""
 
 from __future__ import annotations
 
@@ -12,11 +12,11 @@ from .case import Candidate, demand, demand_refusal, demand_same
 from .joined import build
 
 STARTS = 300
-"""Resets after which no goal may be reached."""
+"""Seeds whose goal must not be reached at the start."""
 
 
 def the_same_seed_gives_the_same_trajectory_in_a_fresh_and_in_a_used_environment(*who: Candidate) -> None:
-    """A seed and the actions determine an episode, whatever the environment did before."""
+    """A seed and the actions determine an episode bit for bit, whatever the environment did before."""
     with _made(who) as environment, _made(who) as fresh:
         first = _played(environment, 3)
         _played(environment, 4)
@@ -24,22 +24,25 @@ def the_same_seed_gives_the_same_trajectory_in_a_fresh_and_in_a_used_environment
         environment.step(_actions(environment, 0, 1)[0])
         for what, used in (("in a used environment", environment), ("in a fresh environment", fresh)):
             again = _played(used, 3)
-            demand(len(again) == len(first), f"an episode of the same seed has {len(again) - 1} steps {what}")
+            demand(
+                len(again) == len(first),
+                f"an episode of the same seed has {len(again) - 1} instead of {len(first) - 1} steps {what}",
+            )
             for place, (one, other) in enumerate(zip(first, again, strict=True)):
                 for field, left, right in zip(Step._fields, one, other, strict=True):
                     demand_same(left, right, f"{field} of step {place} {what}")
 
 
 def different_seeds_give_different_episodes(*who: Candidate) -> None:
-    """Each seed begins an episode of its own."""
+    """Different seeds give different first observations or goals."""
     with _made(who) as environment:
         starts = [environment.reset(seed) for seed in range(4)]
         different = {(step.observation.tobytes(), step.desired_goal.tobytes()) for step in starts}
-        demand(len(different) == 4, f"4 seeds gave {len(different)} different beginnings")
+        demand(len(different) == 4, f"4 seeds give {len(different)} different starts")
 
 
 def steps_are_as_the_signature_says(*who: Candidate) -> None:
-    """Observations and goals have the signature's shapes in float32, rewards its range, and a reset gives none."""
+    """Observations and goals have the signature's shapes in float32, rewards are in its range, and a reset gives 0."""
     with _made(who) as environment:
         signature = environment.signature
         steps = _played(environment, 7)
@@ -50,16 +53,20 @@ def steps_are_as_the_signature_says(*who: Candidate) -> None:
                 demand(array.shape == wanted, f"{field} has the shape {array.shape} instead of {wanted}")
                 demand(array.dtype == np.float32, f"{field} is {array.dtype} instead of float32")
             demand(low <= step.reward <= high, f"the reward {step.reward} is outside {signature.reward_range}")
-        demand(steps[0].reward == 0, f"a reset gives the reward {steps[0].reward}")
+        demand(steps[0].reward == 0, f"a reset gives the reward {steps[0].reward} instead of 0")
         demand(not steps[0].terminated and not steps[0].truncated, "a reset ends its episode")
         demand(
-            len(steps) - 1 <= signature.max_steps, f"{len(steps) - 1} steps where {signature.max_steps} are the most"
+            len(steps) - 1 <= signature.max_steps,
+            f"an episode has {len(steps) - 1} steps, more than max_steps {signature.max_steps}",
         )
-        demand(environment.parameters().shape == (signature.parameters.size,), "parameters() does not fit its layout")
+        demand(
+            environment.parameters().shape == (signature.parameters.size,),
+            "parameters() does not have the size of its layout",
+        )
 
 
 def an_episode_ends_once_and_no_step_follows(*who: Candidate) -> None:
-    """An episode ends by termination or truncation, and a step after its end raises RuntimeError."""
+    """An episode is terminated or truncated, never both, and a step after its end raises RuntimeError."""
     with _made(who) as environment:
         steps = _played(environment, 8)
         ends = [bool(step.terminated or step.truncated) for step in steps]
@@ -69,19 +76,19 @@ def an_episode_ends_once_and_no_step_follows(*who: Candidate) -> None:
         demand_refusal(lambda: environment.step(action), RuntimeError, "a step after the end raises no RuntimeError")
 
 
-def arrays_of_a_step_are_not_written_again(*who: Candidate) -> None:
-    """A step that was handed out stays as it was."""
+def a_step_stays_as_it_was_returned(*who: Candidate) -> None:
+    """Later steps and resets do not change the arrays of an earlier step."""
     with _made(who) as environment:
         step = environment.reset(1)
-        kept = [np.copy(value) for value in step]
+        copies = [np.copy(value) for value in step]
         environment.step(_actions(environment, 1, 1)[0])
         environment.reset(2)
-        for field, before, after in zip(Step._fields, kept, step, strict=True):
-            demand_same(before, after, f"{field} of a step that was handed out before")
+        for field, before, after in zip(Step._fields, copies, step, strict=True):
+            demand_same(before, after, f"{field} of a step before and after the next step")
 
 
 def the_goal_rule_gives_the_rewards_and_ends_of_the_steps(*who: Candidate) -> None:
-    """Where there is a goal rule, it gives reward, success and termination of every step."""
+    """The goal rule, if there is one, gives the reward, success and termination of every step."""
     with _made(who) as environment:
         rule = environment.signature.goal_rule
         if rule is None:
@@ -96,14 +103,14 @@ def the_goal_rule_gives_the_rewards_and_ends_of_the_steps(*who: Candidate) -> No
 
 
 def the_goal_is_never_reached_at_the_start(*who: Candidate) -> None:
-    """No episode begins where its goal is reached."""
+    """The goal is not reached at the start of an episode."""
     with _made(who) as environment:
         solved = [seed for seed in range(STARTS) if environment.reset(seed).success]
-        demand(not solved, f"{len(solved)} of {STARTS} episodes begin solved, e.g. that of seed {solved[:1]}")
+        demand(not solved, f"{len(solved)} of {STARTS} seeds begin at their goal, e.g. {solved[:1]}")
 
 
 def closing_twice_is_safe(*who: Candidate) -> None:
-    """`close` may be called again."""
+    """`close` may be called twice."""
     with _made(who) as environment:
         environment.reset(0)
         environment.close()
@@ -114,7 +121,7 @@ PROMISES = (
     different_seeds_give_different_episodes,
     steps_are_as_the_signature_says,
     an_episode_ends_once_and_no_step_follows,
-    arrays_of_a_step_are_not_written_again,
+    a_step_stays_as_it_was_returned,
     the_goal_rule_gives_the_rewards_and_ends_of_the_steps,
     the_goal_is_never_reached_at_the_start,
     closing_twice_is_safe,
@@ -123,7 +130,7 @@ PROMISES = (
 
 @contextmanager
 def _made(who: tuple[Candidate, ...]) -> Iterator[Environment]:
-    """The environment, or that of a robot and a task."""
+    """The environment, or the one that a robot and a task make."""
     environment = build(*who)
     try:
         yield environment

@@ -1,4 +1,4 @@
-"""Environments of the plugins that are checked: one as it is, or a robot with a task."""
+"""Environments of the checked plugins: an environment itself, or a robot with a task."""
 
 from __future__ import annotations
 
@@ -26,9 +26,9 @@ def join(robot: Candidate, task: Candidate, *, drawn: Mapping[str, float] | None
     """A robot with a task.
 
     Args:
-        robot: to be joined.
-        task: likewise.
-        drawn: parameters of the two and the value that randomization is to give them.
+        robot: a robot.
+        task: a task.
+        drawn: values that randomization gives to parameters of the two.
         settings: of the task.
     """
     return RobotTask(
@@ -43,7 +43,7 @@ def join(robot: Candidate, task: Candidate, *, drawn: Mapping[str, float] | None
 
 @contextmanager
 def joined(robot: Candidate, task: Candidate, **how: Any) -> Iterator[RobotTask]:
-    """`join`, closed at the end."""
+    """`join` as a context, which closes the environment."""
     environment = join(robot, task, **how)
     try:
         yield environment
@@ -53,11 +53,11 @@ def joined(robot: Candidate, task: Candidate, **how: Any) -> Iterator[RobotTask]
 
 @contextmanager
 def reaching(robot: Candidate, *, steps: int = 100_000) -> Iterator[RobotTask]:
-    """A robot with the task reach, in episodes that are long enough to look at its motion."""
+    """A robot with the task reach, in episodes without a practical limit."""
     with joined(robot, candidate("tasks", "reach"), max_steps=steps) as environment:
         yield environment
 
 
 def goes_with(task: Candidate, control: str | None) -> bool:
-    """Cartesian control keeps the tool pointing down, which not every task can be done with."""
+    """Whether the task works under a control mode: cartesian control keeps the tool pointing down."""
     return control != "cartesian" or bool(task.plugin.points_down)

@@ -1,4 +1,4 @@
-"""What every robot promises with every task."""
+"""Promises of every robot with every task."""
 
 from __future__ import annotations
 
@@ -13,18 +13,18 @@ from .joined import joined
 EPISODES = 10
 
 
-def a_pair_is_solved_as_its_expert_shows_and_not_by_chance(robot: Candidate, task: Candidate) -> None:
-    """The task's expert solves 70 % with this robot, random actions 30 % at the most."""
+def the_expert_solves_the_pair_and_random_actions_do_not(robot: Candidate, task: Candidate) -> None:
+    """The task's expert succeeds in at least 70 % of the episodes, random actions in at most 30 %."""
     with joined(robot, task) as environment:
         expert = score(environment, expert_policy(environment), episodes=EPISODES, seed=1)
         chance = score(environment, random_policy(environment, 1), episodes=EPISODES, seed=1)
-        demand(environment.divergences == 0, f"the physics left all sense in {environment.divergences} episodes")
-    demand(expert.success_end >= 0.7, f"the expert solves {expert.success_end:.0%} of {EPISODES} episodes")
-    demand(chance.success_end <= 0.3, f"random actions solve {chance.success_end:.0%} of {EPISODES} episodes")
+        demand(environment.divergences == 0, f"the simulation diverges in {environment.divergences} episodes")
+    demand(expert.success_end >= 0.7, f"the expert succeeds in only {expert.success_end:.0%} of {EPISODES} episodes")
+    demand(chance.success_end <= 0.3, f"random actions succeed in {chance.success_end:.0%} of {EPISODES} episodes")
 
 
-def drawing_the_nominal_values_is_the_world_as_it_is(robot: Candidate, task: Candidate) -> None:
-    """Randomization that draws every nominal value changes nothing."""
+def drawing_the_nominal_values_changes_nothing(robot: Candidate, task: Candidate) -> None:
+    """Randomization that draws every nominal value gives the episodes of the plain environment."""
     with joined(robot, task) as plain:
         nominal = {name: value for name, (value, _, _) in _declared(plain).items()}
         with joined(robot, task, drawn=nominal) as drawn:
@@ -36,14 +36,15 @@ def drawing_the_nominal_values_is_the_world_as_it_is(robot: Candidate, task: Can
                     one, other = plain.step(action), drawn.step(action)
                     demand_same(one.observation, other.observation, "observations with every nominal value drawn")
                     demand(
-                        one.terminated == other.terminated, "with every nominal value drawn an episode ends elsewhere"
+                        one.terminated == other.terminated,
+                        "with every nominal value drawn an episode ends at another step",
                     )
                     if one.terminated:
                         break
 
 
 def extreme_values_of_every_parameter_can_be_drawn(robot: Candidate, task: Candidate) -> None:
-    """The lowest and the highest values of all parameters at once make a world that can be stepped."""
+    """The environment steps with all parameters at their lowest, or highest, values at once."""
     with joined(robot, task) as plain:
         declared = _declared(plain)
     for place in (1, 2):
@@ -52,12 +53,12 @@ def extreme_values_of_every_parameter_can_be_drawn(robot: Candidate, task: Candi
             environment.reset(0)
             wanted = [values[name] for name in sorted(values)]
             near = np.allclose(environment.parameters(), wanted, rtol=1e-6)
-            demand(near, f"parameters() says {environment.parameters()}, drawn was {wanted}")
+            demand(near, f"parameters() returns {environment.parameters()}, but {wanted} were drawn")
             environment.step(np.ones(environment.signature.action.size, np.float32))
 
 
-def every_parameter_changes_episodes_and_leaves_nothing_behind(robot: Candidate, task: Candidate) -> None:
-    """A parameter changes the episodes of its own world, and of no other."""
+def every_parameter_changes_the_episodes_of_its_own_environment_alone(robot: Candidate, task: Candidate) -> None:
+    """Each parameter changes the episodes of its own environment and of no other."""
     with joined(robot, task) as plain:
         nominal = _trace(plain, 3)
         for name, (usual, low, high) in _declared(plain).items():
@@ -65,15 +66,15 @@ def every_parameter_changes_episodes_and_leaves_nothing_behind(robot: Candidate,
                 continue
             with joined(robot, task, drawn={name: high if high != usual else low}) as changed:
                 demand(_trace(changed, 3) != nominal, f"{name} changes nothing")
-            demand(_trace(plain, 3) == nominal, f"{name} reaches another world")
+            demand(_trace(plain, 3) == nominal, f"{name} also changes another environment")
 
 
 PROMISES = (
-    a_pair_is_solved_as_its_expert_shows_and_not_by_chance,
-    drawing_the_nominal_values_is_the_world_as_it_is,
+    the_expert_solves_the_pair_and_random_actions_do_not,
+    drawing_the_nominal_values_changes_nothing,
     extreme_values_of_every_parameter_can_be_drawn,
 )
-IN_REACH = (every_parameter_changes_episodes_and_leaves_nothing_behind,)
+IN_REACH = (every_parameter_changes_the_episodes_of_its_own_environment_alone,)
 
 
 def _declared(environment: RobotTask) -> dict[str, tuple[float, float, float]]:
@@ -87,7 +88,7 @@ def _declared(environment: RobotTask) -> dict[str, tuple[float, float, float]]:
 
 
 def _trace(environment: RobotTask, seed: int) -> bytes:
-    """What is observed in an episode's first steps of an arm that goes down, opens and closes and goes aside."""
+    """Observations of up to 30 steps with random actions, of which the first 14 lower the arm."""
     generator = np.random.default_rng(0)
     seen = [environment.reset(seed).observation]
     for step in range(30):

@@ -1,4 +1,4 @@
-"""What every task promises, whatever robot does it; they are asked of it with the robot given."""
+"""Promises of every task, whatever the robot. They are checked with the robot given."""
 
 from __future__ import annotations
 
@@ -14,20 +14,20 @@ REWARDS = ("sparse", "dense")
 
 
 def the_docstring_says_what_to_do_what_is_randomised_and_what_counts(_: Candidate, task: Candidate) -> None:
-    """The class's text has the headings "What to do:", "What is randomised:" and "What counts as success:"."""
+    """The class's docstring has the headings "What to do:", "What is randomised:" and "What counts as success:"."""
     for heading in HEADINGS:
         demand(heading in (task.plugin.__doc__ or ""), f'the docstring lacks "{heading}"')
 
 
 def the_goal_rule_survives_pickling_and_works_on_leading_axes(robot: Candidate, task: Candidate) -> None:
-    """The goal rule can be pickled and judges many goals at once as it judges each."""
+    """The goal rule can be pickled, and its results for arrays of goals are those for each goal."""
     known = task.plugin.Settings.model_fields
     for reward in REWARDS if "reward" in known else (None,):
         with joined(robot, task, **({} if reward is None else {"reward": reward})) as environment:
             signature = environment.signature
         rule = signature.goal_rule
         if rule is None:
-            raise AssertionError("a task has a goal rule, and this one has none")
+            raise AssertionError("the task has no goal rule")
         draws = np.random.default_rng(0)
         achieved = draws.normal(0, 0.05, (4, 3, signature.achieved_goal.size)).astype(np.float32)
         desired = draws.normal(0, 0.05, (4, 3, signature.desired_goal.size)).astype(np.float32)
@@ -41,12 +41,15 @@ def the_goal_rule_survives_pickling_and_works_on_leading_axes(robot: Candidate, 
 
 
 def declared_parameters_have_a_nominal_value_in_their_range(robot: Candidate, task: Candidate) -> None:
-    """Every parameter of robot and task has unit, description and a nominal value within its range."""
+    """Every parameter of task and robot has a unit, a description and a nominal value within its range."""
     with joined(robot, task) as environment:
         for who, declared in ((task.name, environment.task.parameters), (robot.name, environment.robot.parameters)):
             demand(declared, f"{who} declares no parameter")
             for name, one in declared.items():
-                demand(one.low <= one.nominal <= one.high, f"{name}: {one.nominal} is not in {one.low} .. {one.high}")
+                demand(
+                    one.low <= one.nominal <= one.high,
+                    f"{name}: the nominal value {one.nominal} is not in {one.low} .. {one.high}",
+                )
                 demand(one.unit and one.description, f"{name} has no unit or no description")
 
 
