@@ -63,8 +63,8 @@ def play(
     if width % 2 or height % 2:
         raise UsageError(f"a film of {width} x {height} pixels cannot be coded", hint="use even numbers")
     window = record is None and _has_display()
-    from karolos.evaluation.playing import load_expert, load_player
     from karolos.evaluation.playing import play as play_episodes
+    from karolos.evaluation.policies import load_expert, load_player
     from karolos.report.video import check_video_path, write_video
 
     if expert:

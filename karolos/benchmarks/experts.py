@@ -9,8 +9,8 @@ from dataclasses import dataclass
 from itertools import product
 
 from ..errors import KarolosError
-from ..evaluation.playing import expert_policy
-from ..evaluation.scoring import score
+from ..evaluation.playing import score
+from ..evaluation.policies import expert_policy
 from ..orchestrator.auto import cores
 from ..plugins.inspection import floor, pair
 from ..registry import names

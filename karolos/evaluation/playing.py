@@ -1,36 +1,19 @@
-"""Watching a policy, a saved one without exploration or a scripted one: its episodes, one moment at a time."""
+"""Plays episodes of a policy step by step, to watch or to score them."""
 
 from __future__ import annotations
 
-from collections.abc import Callable, Iterator
-from dataclasses import dataclass, replace
+from collections.abc import Iterator
+from dataclasses import dataclass
 
-import numpy as np
-from numpy.typing import NDArray
-
-from ..core import Environment, Step
-from ..environments.build import build_environment
-from ..environments.robot_task import RobotTask
-from ..errors import MachineError, UsageError
-from ..records import RunFolder
-from ..spec import Spec
-from ..spec.recipe import Recipe
-from .policies import load_agent
+from ..core import Environment
+from ..statistics.intervals import wilson
+from .policies import Policy
 from .testing import test_seeds
 
 
 @dataclass(frozen=True)
-class Policy:
-    """What to do after a step: an action (a,)."""
-
-    act: Callable[[Step], NDArray[np.float32]]
-    begin: Callable[[], None] = lambda: None
-    """Called after each reset."""
-
-
-@dataclass(frozen=True)
 class Moment:
-    """One step of an episode that is played."""
+    """One step of an episode."""
 
     episode: int
     """From 0."""
@@ -40,73 +23,28 @@ class Moment:
     over: bool
     """Whether the episode ends here."""
     environment: Environment
-    """To take a picture of: `environment.render()`."""
+    """For pictures: `environment.render()`."""
 
 
-def load_player(folder: RunFolder, name: str = "best", *, window: bool = False) -> tuple[Spec, Environment, Policy]:
-    """The spec, one environment without randomization and the policy of a run's checkpoint.
+@dataclass(frozen=True)
+class Score:
+    """Success over some episodes."""
 
-    Args:
-        folder: the run's.
-        name: `best` or `last`.
-        window: show the world in a window.
-
-    Raises:
-        RunError: the run has no such checkpoint, or it is damaged.
-        MachineError: a window is asked for and there is no display.
-    """
-    saved = load_agent(folder, name)
-    spec, agent = saved.spec, saved.agent
-    environment = _environment(spec, window)
-
-    def policy(state: Step) -> NDArray[np.float32]:
-        return np.asarray(agent.act(state.observation[None], state.desired_goal[None], explore=False)[0])
-
-    return spec, environment, Policy(policy)
-
-
-def load_expert(spec: Spec, *, window: bool = False) -> tuple[Environment, Policy]:
-    """One environment of the spec without randomization, and the scripted policy of its task.
-
-    Raises:
-        UsageError: the spec has no robot and task, or the task has no expert.
-        MachineError: a window is asked for and there is no display.
-    """
-    environment = _environment(spec, window)
-    try:
-        return environment, expert_policy(environment)
-    except BaseException:
-        environment.close()
-        raise
-
-
-def expert_policy(environment: Environment) -> Policy:
-    """The scripted policy of the environment's task. Raises UsageError where there is none."""
-    if not isinstance(environment, RobotTask):
-        raise UsageError("there is no expert for this environment", where="environment", hint="tasks have experts")
-    expert = environment.expert()
-
-    def act(_: Step) -> NDArray[np.float32]:
-        return np.asarray(expert.act(), np.float32)
-
-    return Policy(act, expert.reset)
-
-
-def _environment(spec: Spec, window: bool) -> Environment:
-    recipe = spec.recipe(randomize=False)
-    return build_environment(_in_a_window(recipe) if window else recipe)
-
-
-def _in_a_window(recipe: Recipe) -> Recipe:
-    part = recipe.environment
-    if "window" not in type(part.settings).model_fields:
-        raise MachineError(f"environment {part.name} has no window", hint="record a film with --record FILE.mp4")
-    settings = part.settings.model_copy(update={"window": True})
-    return replace(recipe, environment=replace(part, settings=settings))
+    episodes: int
+    success_any: float
+    """Fraction of the episodes that reached the goal at some step."""
+    success_end: float
+    """Fraction of the episodes whose goal held at the last step."""
+    low: float
+    """Lower end of the 95 % Wilson interval of `success_end`."""
+    high: float
+    """Upper end."""
+    steps: float | None
+    """Mean step at which the goal was first reached, over the episodes that reached it; None without any."""
 
 
 def play(environment: Environment, policy: Policy, *, episodes: int, seed: int) -> Iterator[Moment]:
-    """Play the first `episodes` test episodes under the root `seed`: with `testing.seed`, those it was tested on."""
+    """Play the first `episodes` test episodes of `seed`; with `testing.seed` these are the run's test episodes."""
     for episode, episode_seed in enumerate(test_seeds(seed, episodes)):
         state = environment.reset(episode_seed)
         policy.begin()
@@ -118,3 +56,17 @@ def play(environment: Environment, policy: Policy, *, episodes: int, seed: int) 
             step += 1
             over = bool(state.terminated or state.truncated)
             yield Moment(episode, step, bool(state.success), over, environment)
+
+
+def score(environment: Environment, policy: Policy, *, episodes: int, seed: int) -> Score:
+    """Play the first `episodes` test episodes of `seed`."""
+    first_successes: dict[int, int] = {}
+    ends = 0
+    for moment in play(environment, policy, episodes=episodes, seed=seed):
+        if moment.success:
+            first_successes.setdefault(moment.episode, moment.step)
+            ends += moment.over
+    low, high = wilson(ends, episodes)
+    reached = len(first_successes)
+    mean = sum(first_successes.values()) / reached if reached else None
+    return Score(episodes, reached / episodes, ends / episodes, low, high, mean)

@@ -1,17 +1,31 @@
-"""Agents as runs have saved them, put together again to act."""
+"""Policies that act in one environment: a saved agent, a task's expert, random actions."""
 
 from __future__ import annotations
 
-from dataclasses import dataclass
+from collections.abc import Callable
+from dataclasses import dataclass, replace
+
+import numpy as np
+from numpy.typing import NDArray
 
 from .. import checkpoint
-from ..core import Agent, Signature
+from ..core import Agent, Environment, Signature, Step, random_actions
 from ..core.seeding import SeedTree
 from ..environments.build import build_environment
-from ..errors import RunError
+from ..environments.robot_task import RobotTask
+from ..errors import MachineError, RunError, UsageError
 from ..records import RunFolder
 from ..registry import load
 from ..spec import Spec
+
+
+@dataclass(frozen=True)
+class Policy:
+    """Chooses the action (a,) after a step."""
+
+    act: Callable[[Step], NDArray[np.float32]]
+    begin: Callable[[], None] = lambda: None
+    """Is called after each reset."""
 
 
 @dataclass(frozen=True)
@@ -19,17 +33,25 @@ class SavedAgent:
     """The agent of a checkpoint, on the CPU."""
 
     spec: Spec
-    """What the run was made from."""
+    """Of the run."""
     signature: Signature
     """Of the environment that the agent was trained in."""
     agent: Agent
     checkpoint: str
     sha256: str
-    """Of the agent's state in the checkpoint, as hexadecimal digits."""
+    """Of the agent's state in the checkpoint, in hexadecimal digits."""
     steps: int
-    """Environment steps it had been trained for."""
+    """Environment steps of its training."""
     seconds: float
-    """Wall-clock seconds of collecting and learning until then."""
+    """Wall-clock seconds of collecting and learning of its training."""
+
+    def policy(self) -> Policy:
+        """Acts without exploration."""
+
+        def act(step: Step) -> NDArray[np.float32]:
+            return np.asarray(self.agent.act(step.observation[None], step.desired_goal[None], explore=False)[0])
+
+        return Policy(act)
 
 
 def load_agent(folder: RunFolder, name: str = "best") -> SavedAgent:
@@ -40,7 +62,7 @@ def load_agent(folder: RunFolder, name: str = "best") -> SavedAgent:
         name: `best` or `last`.
 
     Raises:
-        RunError: the run has no such checkpoint, or it or its resolved spec is damaged.
+        RunError: the checkpoint is missing, or the checkpoint or the resolved spec is damaged.
     """
     resolved = folder.spec()
     if not resolved:
@@ -55,9 +77,65 @@ def load_agent(folder: RunFolder, name: str = "best") -> SavedAgent:
 
 
 def signature_of(spec: Spec, *, randomize: bool = False) -> Signature:
-    """What an agent may know of this spec's environment; no world of a robot is simulated."""
+    """The signature of the spec's environment. A robot's world is not simulated."""
     environment = build_environment(spec.recipe(randomize=randomize))
     try:
         return environment.signature
     finally:
         environment.close()
+
+
+def expert_policy(environment: Environment) -> Policy:
+    """The scripted expert of the environment's task. Raises UsageError if there is none."""
+    if not isinstance(environment, RobotTask):
+        raise UsageError("there is no expert for this environment", where="environment", hint="tasks have experts")
+    expert = environment.expert()
+    return Policy(lambda _: np.asarray(expert.act(), np.float32), expert.reset)
+
+
+def random_policy(environment: Environment, seed: int) -> Policy:
+    """Uniformly random actions from a separate generator under `seed`."""
+    generator = SeedTree(seed).child("random policy").generator()
+    return Policy(lambda _: np.asarray(random_actions(environment.signature, 1, generator)[0]))
+
+
+def load_player(folder: RunFolder, name: str = "best", *, window: bool = False) -> tuple[Spec, Environment, Policy]:
+    """The spec, one environment without randomization and the policy of a run's checkpoint.
+
+    Args:
+        folder: the run's.
+        name: `best` or `last`.
+        window: whether to show the world in a window.
+
+    Raises:
+        RunError: the checkpoint is missing or damaged.
+        MachineError: there is no display for the window.
+    """
+    saved = load_agent(folder, name)
+    return saved.spec, _environment(saved.spec, window), saved.policy()
+
+
+def load_expert(spec: Spec, *, window: bool = False) -> tuple[Environment, Policy]:
+    """One environment of the spec without randomization, and the expert of its task.
+
+    Raises:
+        UsageError: the spec has no robot and task, or the task has no expert.
+        MachineError: there is no display for the window.
+    """
+    environment = _environment(spec, window)
+    try:
+        return environment, expert_policy(environment)
+    except BaseException:
+        environment.close()
+        raise
+
+
+def _environment(spec: Spec, window: bool) -> Environment:
+    recipe = spec.recipe(randomize=False)
+    part = recipe.environment
+    if not window:
+        return build_environment(recipe)
+    if "window" not in type(part.settings).model_fields:
+        raise MachineError(f"environment {part.name} has no window", hint="record a film with --record FILE.mp4")
+    settings = part.settings.model_copy(update={"window": True})
+    return build_environment(replace(recipe, environment=replace(part, settings=settings)))

@@ -1,4 +1,4 @@
-"""Tests: episodes without exploration on fixed seeds, apart from training, counted honestly."""
+"""Tests: episodes on fixed seeds, without exploration and apart from training."""
 
 from __future__ import annotations
 
@@ -14,12 +14,12 @@ from ..training.episodes import empty_steps, write_rows
 
 
 def test_seeds(root: int, episodes: int) -> tuple[int, ...]:
-    """Seeds of the test episodes: the same for every run with the same `testing.seed`, so that runs are paired."""
+    """Seeds of the test episodes. All runs with the same `testing.seed` have the same ones and are therefore paired."""
     tree = SeedTree(root).child("test")
     return tuple(tree.child(index).integer() for index in range(episodes))
 
 
-test_seeds.__test__ = False  # type: ignore[attr-defined]  # a name of the field's, no test case
+test_seeds.__test__ = False  # type: ignore[attr-defined]  # pytest takes the name for a test case
 
 
 def play_episodes(
@@ -31,39 +31,48 @@ def play_episodes(
     seconds: float = 0.0,
     on_failure: Callable[[Failure], object] | None = None,
 ) -> TestResult:
-    """Play one episode per seed with the deterministic policy.
+    """Play one episode per seed with the deterministic policy. No episode runs afterwards.
 
-    Seed k is played by environment k mod size, whatever finishes first: taking the episodes that end soonest
-    would favour short ones, which are the successes. Leaves no episode of the orchestrator's running. An episode whose
-    environment fails is played again from its beginning, and `on_failure` hears of it.
+    Environment k mod size plays seed k. To take the episodes that end first would favour short episodes, which are the
+    successes.
 
-    Raises ValueError without seeds.
+    Args:
+        orchestrator: the environments.
+        agent: acts without exploration.
+        seeds: one per episode.
+        steps: environment steps of training so far, for the result.
+        seconds: of training so far, for the result.
+        on_failure: is called with each failure of an environment, whose episode is then played again.
+
+    Raises:
+        ValueError: `seeds` is empty.
     """
     count, size = len(seeds), orchestrator.size
     if not count:
         raise ValueError("a test needs at least one episode")
-    reached = np.zeros(count, np.bool_)
-    held = np.zeros(count, np.bool_)
-    solved = np.zeros(count, np.bool_)
+    success_any = np.zeros(count, np.bool_)
+    success_end = np.zeros(count, np.bool_)
+    success_reset = np.zeros(count, np.bool_)
     returns = np.zeros(count)
     lengths = np.zeros(count, np.int64)
     distances = np.full(count, np.nan)
     rule = orchestrator.signature.goal_rule
     latest = empty_steps(orchestrator)
-    playing = np.arange(size)  # the episode that each environment plays; none from `count` on
+    playing = np.arange(size)
+    """The episode of each environment; an environment whose episode is `count` or more has finished."""
 
     def begin(environments: NDArray[np.int64]) -> None:
-        """Begin the episodes that these environments are to play, and again those that fail meanwhile."""
+        """Begin the episodes of these environments, and begin again those that fail meanwhile."""
         while environments.size:
             orchestrator.reset(environments, [seeds[episode] for episode in playing[environments].tolist()])
             received = orchestrator.receive()
             write_rows(latest, received.environment, received.step)
             episodes = playing[received.environment]
-            solved[episodes] = reached[episodes] = held[episodes] = received.step.success
+            success_reset[episodes] = success_any[episodes] = success_end[episodes] = received.step.success
             returns[episodes] = lengths[episodes] = 0
-            environments = lost(received)
+            environments = failed(received)
 
-    def lost(received: Received) -> NDArray[np.int64]:
+    def failed(received: Received) -> NDArray[np.int64]:
         """The environments that failed and have an episode to play."""
         if on_failure:
             for failure in received.failures:
@@ -75,25 +84,25 @@ def play_episodes(
         actions = agent.act(latest.observation[environments], latest.desired_goal[environments], explore=False)
         orchestrator.step(environments, actions)
         received = orchestrator.receive()
-        state = received.step
-        write_rows(latest, received.environment, state)
+        step = received.step
+        write_rows(latest, received.environment, step)
         episodes = playing[received.environment]
-        returns[episodes] += state.reward
+        returns[episodes] += step.reward
         lengths[episodes] += 1
-        reached[episodes] |= state.success
-        held[episodes] = state.success
-        far = None if rule is None else rule.distance(state.achieved_goal, state.desired_goal)
-        if far is not None:
-            distances[episodes] = far
-        over = received.environment[state.terminated | state.truncated]
+        success_any[episodes] |= step.success
+        success_end[episodes] = step.success
+        distance = None if rule is None else rule.distance(step.achieved_goal, step.desired_goal)
+        if distance is not None:
+            distances[episodes] = distance
+        over = received.environment[step.terminated | step.truncated]
         playing[over] += size
-        begin(np.sort(np.concatenate((over[playing[over] < count], lost(received)))))
+        begin(np.sort(np.concatenate((over[playing[over] < count], failed(received)))))
     return TestResult(
         steps=steps,
         seconds=seconds,
-        any=tuple(reached.tolist()),
-        end=tuple(held.tolist()),
-        reset=tuple(solved.tolist()),
+        any=tuple(success_any.tolist()),
+        end=tuple(success_end.tolist()),
+        reset=tuple(success_reset.tolist()),
         returns=tuple(returns.tolist()),
         lengths=tuple(lengths.tolist()),
         distances=None if np.isnan(distances).any() else tuple(distances.tolist()),

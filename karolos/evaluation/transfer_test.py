@@ -1,4 +1,4 @@
-"""A run's saved policy under changed settings: another robot, other physics, randomization. Nothing is learned."""
+"""Tests a run's saved policy under changed settings: another robot, other physics, randomization."""
 
 from __future__ import annotations
 
@@ -8,8 +8,7 @@ from collections.abc import Callable, Sequence
 from ..core import Failure
 from ..core.signature import SAME_LAYOUTS, layout_differences
 from ..errors import UsageError
-from ..records import RunFolder, provenance
-from ..records import transfer_results as transfers
+from ..records import RunFolder, provenance, transfer_results
 from ..records.run_records import timestamp
 from ..records.transfer_results import TransferResult
 from ..spec import Spec
@@ -18,7 +17,7 @@ from .policies import SavedAgent, load_agent, signature_of
 from .testing import play_episodes, test_seeds
 
 CHANGEABLE = ("robot", "task", "environment", "randomization", "orchestrator")
-"""Keys of a spec that say what a policy is tested in; the others say how it was trained."""
+"""Keys of a spec that define the environment of a test. The other keys define the training."""
 
 
 def transfer_test(
@@ -31,22 +30,22 @@ def transfer_test(
     randomize: bool = False,
     on_failure: Callable[[Failure], object] | None = None,
 ) -> TransferResult:
-    """Play test episodes of a run's policy under its spec with overrides, and keep the result in the run's folder.
+    """Play test episodes of a run's policy under its spec with overrides, and write the result into the run's folder.
 
     Args:
         folder: the run's.
-        overrides: `path.to.key=value`, below one of CHANGEABLE.
+        overrides: `path.to.key=value`, each below one of CHANGEABLE.
         checkpoint: `best` or `last`.
-        episodes: as many as in the run's own tests by default.
-        seed: root of the episodes' seeds; that of the run's own tests by default, which makes the episodes the same.
-        randomize: draw what the spec's `randomization` says at each reset; without it, nothing is drawn.
-        on_failure: hears of environments that fail; their episodes are played again.
+        episodes: number of episodes; by default that of the run's own tests.
+        seed: root of the episodes' seeds; by default that of the run's own tests, for the same episodes.
+        randomize: whether to draw the spec's `randomization` at each reset.
+        on_failure: is called with each failure of an environment, whose episode is then played again.
 
     Raises:
         SpecError: an override is not valid.
-        UsageError: an override says how to train, observations, actions or goals are laid out in another way than
-            where the agent was trained, or there is nothing to randomize.
-        RunError: the run has no such checkpoint, or it is damaged.
+        UsageError: an override is about training, observations, actions or goals have another layout than in training,
+            or there is nothing to randomize.
+        RunError: the checkpoint is missing or damaged.
         MachineError: the result cannot be written.
     """
     from ..agents.device import use_threads  # noqa: PLC0415  (imports torch)
@@ -59,8 +58,8 @@ def transfer_test(
         _check_layouts(spec, saved, overrides, randomize=randomize)
     seed = spec.testing.seed if seed is None else seed
     count = spec.testing.episodes if episodes is None else episodes
-    use_threads(spec.training.threads or 1)  # as in training: sums in another order could end an episode otherwise
-    began = time.perf_counter()
+    use_threads(spec.training.threads or 1)  # as in training: sums in another order could change an episode
+    started = time.perf_counter()
     with make_orchestrator(spec, randomize=randomize) as orchestrator:
         result = play_episodes(
             orchestrator,
@@ -77,42 +76,42 @@ def transfer_test(
         overrides=tuple(overrides),
         randomized=randomize,
         seed=seed,
-        wall_seconds=time.perf_counter() - began,
+        wall_seconds=time.perf_counter() - started,
         result=result,
         versions=provenance.versions(),
     )
-    transfers.add(folder, transfer)
+    transfer_results.add(folder, transfer)
     return transfer
 
 
 def _check_keys(overrides: Sequence[str]) -> None:
-    """Raise a UsageError for the first override that would change more than what the policy is tested in."""
+    """Raise a UsageError for an override outside CHANGEABLE."""
     for override in overrides:
         root = override.partition("=")[0].strip().partition(".")[0]
         if root not in CHANGEABLE:
             hint = f"a test can change {', '.join(CHANGEABLE)}"
             if root == "testing":
-                hint = "give --episodes and --seed"
-            raise UsageError(f"{override!r} says how to train, and the policy is trained", where="override", hint=hint)
+                hint = "use --episodes and --seed"
+            raise UsageError(f"{override!r} is about training, not about the test", where="override", hint=hint)
 
 
 def _check_randomization(spec: Spec, overrides: Sequence[str], *, randomize: bool) -> None:
-    """Raise a UsageError where nothing is there to draw, or would not be drawn."""
+    """Raise a UsageError if `randomize` has nothing to draw, or if `randomization` is given without it."""
     if randomize and not spec.randomization:
         raise UsageError(
             "there is nothing to randomize",
             where="randomization",
-            hint="say what: randomization.task.gravity='{name: normal, mean: -9.81, std: 0.5}'",
+            hint="add a distribution: randomization.task.gravity='{name: normal, mean: -9.81, std: 0.5}'",
         )
     if not randomize and any(override.strip().startswith("randomization") for override in overrides):
         raise UsageError("randomization is off in a test", where="randomization", hint="turn it on with --randomize")
 
 
 def _check_layouts(spec: Spec, saved: SavedAgent, overrides: Sequence[str], *, randomize: bool) -> None:
-    told = layout_differences(signature_of(spec, randomize=randomize), saved.signature)
-    if told:
+    differences = layout_differences(signature_of(spec, randomize=randomize), saved.signature)
+    if differences:
         raise UsageError(
-            "the policy sees and does other things than this environment has: " + "; ".join(told),
+            "the policy was trained with other observations, actions or goals: " + "; ".join(differences),
             where=_changed(overrides),
             hint=SAME_LAYOUTS,
         )

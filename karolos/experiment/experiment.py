@@ -13,7 +13,7 @@ from ..records.run_records import RunSummary
 from ..spec import Spec
 from ..store import Store
 from ..training.assembly import check_parts
-from .events import Listener, RunEvent
+from .events import Listener
 from .jobs import run_side_by_side
 from .resume import find_run, newest_snapshot
 from .run import Run
@@ -106,7 +106,7 @@ class Experiment:
         check_parts(self.spec)
         RunFolder.check_writable(folder)
         Store(url).close()  # an unusable database is an error before anything is computed
-        listener = listener or _ignore
+        listener = listener or (lambda _: None)
         spec = pinned(self.spec.alone(), folder)
         work = SeedRunner(spec.dump(), folder, url, text, existing)
         with stop_on_signals(time_limit=time_limit) as stop:
@@ -144,7 +144,7 @@ def resume_run(
     spec = Spec.from_dict(folder.spec())
     check_parts(spec)
     with stop_on_signals(time_limit=time_limit) as stop, Store(url) as store, folder:
-        summary = _resume(folder, spec, store, listener or _ignore, stop)
+        summary = _resume(folder, spec, store, listener or (lambda _: None), stop)
     return Outcome((summary,), 1, stop.exit_code)
 
 
@@ -182,7 +182,3 @@ def _resume(folder: RunFolder, spec: Spec, store: Store, listener: Listener, sto
     folder.next_attempt()
     store.add_run(folder.summary(), spec.dump(), folder.versions())
     return Run(spec, folder.description()["seed"], folder, store, listener, stop, snapshot).execute()
-
-
-def _ignore(event: RunEvent) -> None:
-    pass

@@ -4,11 +4,11 @@ from __future__ import annotations
 
 import multiprocessing
 import signal
-from collections.abc import Iterator, Sequence
+from collections.abc import Callable, Iterator, Sequence
 from contextlib import contextmanager
 from dataclasses import dataclass
 from multiprocessing.connection import Connection, wait
-from typing import Any, Protocol
+from typing import Any
 
 from ..records.run_records import RunSummary
 from .events import Listener, RunEnded, RunEvent, RunStarted
@@ -18,10 +18,8 @@ POLL_SECONDS = 0.2
 """Time within which the parent notices a stop request."""
 
 
-class Work(Protocol):
-    """Runs one seed. It is called in a new process, and therefore pickled."""
-
-    def __call__(self, seed: int, listener: Listener, stop: StopRequest) -> RunSummary: ...
+Work = Callable[[int, Listener, StopRequest], RunSummary]
+"""Runs one seed. It is called in a new process, and therefore pickled."""
 
 
 @dataclass

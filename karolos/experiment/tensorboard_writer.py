@@ -92,7 +92,7 @@ class TensorBoardWriter(RunObserver):
         speed = {
             "steps_per_second": training.steps / training.seconds,
             "updates_per_second": training.updates / training.seconds,
-            **training.collector.lag.read(),
+            **training.collector.read_policy_lag(),
             **self._replay_ratio(training),
         }
         groups = {"agent": metrics, "buffer": training.buffer.metrics(), "speed": speed}

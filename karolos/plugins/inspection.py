@@ -13,7 +13,8 @@ from ..core import Discrete, Layout
 from ..environments.build import build_environment
 from ..environments.robot_task import RobotTask
 from ..errors import PluginError
-from ..evaluation.scoring import Score, random_policy, score
+from ..evaluation.playing import Score, score
+from ..evaluation.policies import random_policy
 from ..evaluation.testing import test_seeds
 from ..randomization.randomization import RandomizedParameter
 from ..registry import load

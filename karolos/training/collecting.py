@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-from dataclasses import dataclass
 from typing import Any
 
 import numpy as np
@@ -22,29 +21,7 @@ from ..core import (
     random_actions,
 )
 from ..core.seeding import SeedTree, generator_state, load_generator_state
-from .episodes import Episode, Episodes, answers_reset, empty_steps, select_rows, write_rows
-
-
-@dataclass
-class PolicyLag:
-    """Gradient updates between the choice of an action and the storing of its transition."""
-
-    _sum: int = 0
-    _count: int = 0
-    _max: int = 0
-
-    def add(self, lags: np.ndarray) -> None:
-        """Add the lags (n,) of n transitions."""
-        if lags.size:
-            self._sum += int(lags.sum())
-            self._count += lags.size
-            self._max = max(self._max, int(lags.max()))
-
-    def read(self) -> dict[str, float]:
-        """Mean and maximum since the last call; empty if no transition was stored."""
-        lag = {"policy_lag_mean": self._sum / self._count, "policy_lag_max": self._max} if self._count else {}
-        self._sum = self._count = self._max = 0
-        return lag
+from .episodes import Episode, Episodes, empty_steps, select_rows, write_rows
 
 
 class Collector:
@@ -67,7 +44,6 @@ class Collector:
         agent: Agent[Any],
         buffer: Buffer[Any],
         seeds: SeedTree,
-        *,
         warmup_episodes: int,
         at_least: int | None = None,
     ) -> None:
@@ -77,7 +53,6 @@ class Collector:
         self.started = False
         """Whether the environments have begun their first episodes."""
         self.steps = self.episodes = 0
-        self.lag = PolicyLag()
         self._running = Episodes(orchestrator, seeds)
         self._latest = empty_steps(orchestrator)
         """The latest step of every environment."""
@@ -88,6 +63,7 @@ class Collector:
         """The agent's latest action for each environment."""
         self._received: list[Received] = []
         """Answers that are not stored yet."""
+        self._lags: list[np.ndarray] = []
         self._warmup = seeds.child("warmup").generator()
         self._learning_since = 0 if self._warmed_up() else None
 
@@ -139,6 +115,14 @@ class Collector:
         failures, self._running.failures = self._running.failures, ()
         return finished, failures
 
+    def read_policy_lag(self) -> dict[str, float]:
+        """Mean and maximum, since the last call, of the updates between choosing an action and storing its transition.
+
+        Empty if no transition was stored.
+        """
+        lags, self._lags = np.concatenate([np.zeros(0, np.int64), *self._lags]), []
+        return {"policy_lag_mean": float(lags.mean()), "policy_lag_max": int(lags.max())} if lags.size else {}
+
     def _receive(self, at_least: int | None) -> int:
         """Wait until this many environments have answered since answers were last stored; returns how many have."""
         count = sum(received.environment.size + received.failed.size for received in self._received)
@@ -155,12 +139,10 @@ class Collector:
             return ()
         ready, over, finished = [self._ready], [], []
         for received in answers:
-            reset = answers_reset(received)
-            environments, after = (
-                select_rows(received, ~reset) if reset.any() else (received.environment, received.step)
-            )
+            stepped = received.updates >= 0  # the other answers are to a reset
+            environments, after = select_rows(received, stepped)
             self._store(environments, after)
-            self.lag.add(updates - received.updates[~reset])
+            self._lags.append(updates - received.updates[stepped])
             self.steps += environments.size
             write_rows(self._latest, received.environment, received.step)
             ends = received.step.terminated | received.step.truncated
@@ -219,7 +201,6 @@ class Collector:
         self._buffer.add(transitions if valid.all() else Transitions(*(field[valid] for field in transitions)))
 
     def state(self) -> State:
-        """The counts, the generator of the warm-up, and the running episodes."""
         return {
             "steps": self.steps,
             "episodes": self.episodes,
@@ -229,11 +210,7 @@ class Collector:
         }
 
     def load_state(self, state: State) -> None:
-        """Play the running episodes again up to where they were.
-
-        Raises:
-            UsageError: the state has another number of environments or of action columns.
-        """
+        """Play the running episodes again up to where they were. Raises as `Episodes.load_state`."""
         if state["running"] is not None:
             self._running.load_state(state["running"], self._latest)
             self.started = True

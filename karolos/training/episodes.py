@@ -85,14 +85,12 @@ class Episodes:
         """
         received = self._orchestrator.receive(at_least)
         self.failures += received.failures
-        reset = answers_reset(received)
-        if not reset.any():
-            self._count(received.environment, received.step)
-            return received
-        environments = received.environment[reset]
-        for flags in (self._any, self._end, self._reset_success):
-            flags[environments] = received.step.success[reset]
-        self._parameters[environments] = self._orchestrator.parameters(environments)
+        reset = received.updates < 0
+        if reset.any():
+            environments = received.environment[reset]
+            for flags in (self._any, self._end, self._reset_success):
+                flags[environments] = received.step.success[reset]
+            self._parameters[environments] = self._orchestrator.parameters(environments)
         self._count(*select_rows(received, ~reset))
         return received
 
@@ -190,11 +188,8 @@ def write_rows(steps: Step, environments: np.ndarray, rows: Step) -> None:
         field[environments] = new
 
 
-def answers_reset(received: Received) -> np.ndarray:
-    """Which rows answer a reset, (n,) bool. The other rows answer a step."""
-    return received.updates < 0
-
-
 def select_rows(received: Received, which: np.ndarray) -> tuple[np.ndarray, Step]:
     """The environments and steps of the rows marked in `which`, (n,) bool."""
+    if which.all():
+        return received.environment, received.step
     return received.environment[which], Step(*(field[which] for field in received.step))

@@ -47,7 +47,7 @@ class Learner:
     """
 
     def __init__(
-        self, agent: Agent[Any], buffer: Buffer[Any], *, batch_size: int, replay_ratio: float, environments: int
+        self, agent: Agent[Any], buffer: Buffer[Any], batch_size: int, replay_ratio: float, environments: int
     ) -> None:
         self._agent, self._buffer, self._batch_size = agent, buffer, batch_size
         self._due = Ratio(replay_ratio / batch_size)
@@ -91,7 +91,6 @@ class Learner:
         self.metrics.add(metrics)
 
     def state(self) -> State:
-        """The counts that decide what is due."""
         return {"updates": self.updates, "due": self._due.counted, "owed": self._owed}
 
     def load_state(self, state: State) -> None:

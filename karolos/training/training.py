@@ -76,19 +76,10 @@ class Training:
             raise ValueError(f"a round cannot wait for {self.at_least} answers")
         amounts = self.amounts
         self.collector = Collector(
-            self.orchestrator,
-            self.agent,
-            self.buffer,
-            self.seeds,
-            warmup_episodes=amounts.warmup_episodes,
-            at_least=self.at_least,
+            self.orchestrator, self.agent, self.buffer, self.seeds, amounts.warmup_episodes, self.at_least
         )
         self.learner = Learner(
-            self.agent,
-            self.buffer,
-            batch_size=amounts.batch_size,
-            replay_ratio=amounts.replay_ratio,
-            environments=self.orchestrator.size,
+            self.agent, self.buffer, amounts.batch_size, amounts.replay_ratio, self.orchestrator.size
         )
 
     def rounds(self) -> Iterator[Progress]:
@@ -126,17 +117,14 @@ class Training:
 
     @property
     def steps(self) -> int:
-        """Environment steps taken."""
         return self.collector.steps
 
     @property
     def episodes(self) -> int:
-        """Episodes that have ended."""
         return self.collector.episodes
 
     @property
     def updates(self) -> int:
-        """Gradient updates made."""
         return self.learner.updates
 
     def read_metrics(self) -> dict[str, float]:
@@ -164,11 +152,7 @@ class Training:
         return {"seconds": self.seconds, **self.collector.state(), **self.learner.state()}
 
     def load_state(self, state: State) -> None:
-        """Continue where the state was taken; the states of agent and buffer are loaded separately.
-
-        Raises:
-            UsageError: the state has another number of environments or of action columns.
-        """
+        """Continue where the state was taken, with loaded agent and buffer. Raises as `Episodes.load_state`."""
         self.collector.load_state(state)
         self.learner.load_state(state)
         self.seconds = float(state["seconds"])

@@ -17,7 +17,7 @@ from karolos.environments.action_set import ActionSet, action_index
 from karolos.environments.build import build_environment
 from karolos.environments.robot_task import RobotTask
 from karolos.errors import UsageError
-from karolos.evaluation.playing import load_expert
+from karolos.evaluation.policies import load_expert
 from karolos.orchestrator.local import Local
 from karolos.registry import load
 from karolos.spec import Spec

@@ -1,31 +1,16 @@
-"""Watching policies: the same episodes as in tests, moment by moment; what cannot be played is refused."""
+"""Playing a policy: the test episodes moment by moment, and their score."""
 
 from __future__ import annotations
 
 import numpy as np
 import pytest
 
+from karolos.core import Array, Environment, Field, Layout, Signature, Step
 from karolos.environments.toy import Toy
-from karolos.errors import MachineError, RunError, UsageError
-from karolos.evaluation.playing import Policy, expert_policy, load_expert, load_player, play
+from karolos.evaluation.playing import Score, play, score
+from karolos.evaluation.policies import Policy, random_policy
 from karolos.evaluation.testing import test_seeds
-from karolos.experiment.experiment import Experiment
-from karolos.records import RunFolder
-from karolos.spec import Spec
-
-TOY = {
-    "name": "toy",
-    "environment": {"name": "toy", "max_steps": 7},
-    "agent": {"name": "sac", "hidden": [8]},
-    "orchestrator": {"processes": 0, "environments": 2},
-    "training": {"steps": 60, "batch_size": 8, "replay_ratio": 2, "warmup_episodes": 2},
-    "testing": {"interval": 30, "episodes": 4},
-}
-REACH = {"name": "reach", "robot": "panda", "task": "reach", "agent": "sac"}
-
-
-def spec(**changes) -> Spec:
-    return Spec.from_dict({**REACH, **changes})
+from karolos.statistics.intervals import wilson
 
 
 def test_moments_follow_an_episode_from_its_reset_to_its_end_on_the_seeds_of_the_tests():
@@ -38,49 +23,48 @@ def test_moments_follow_an_episode_from_its_reset_to_its_end_on_the_seeds_of_the
     np.testing.assert_array_equal(begun, [other.reset(seed).desired_goal for seed in test_seeds(8, 3)])
 
 
-def test_the_expert_of_a_spec_solves_its_task_and_is_played_without_randomization():
-    drawn = {"task.gravity": {"name": "normal", "mean": -9.81, "std": 1.0}}
-    environment, policy = load_expert(spec(randomization=drawn))
-    assert environment.signature.parameters.size == 0
-    ends = [moment.success for moment in play(environment, policy, episodes=3, seed=0) if moment.over]
-    environment.close()
-    assert ends == [True, True, True]
+class Scripted(Environment):
+    """Episode k, counted from the first reset, succeeds at the steps that `episodes[k]` marks; 0 is the reset."""
+
+    def __init__(self, episodes: list[str]) -> None:
+        one = Layout((Field("one", 1),))
+        self.signature = Signature(observation=one, action=one, max_steps=9)
+        self._episodes = iter(episodes)
+
+    def reset(self, seed: int) -> Step:
+        self._marks, self._at = next(self._episodes), 0
+        return self._now()
+
+    def step(self, action: Array) -> Step:
+        self._at += 1
+        return self._now()
+
+    def _now(self) -> Step:
+        over = self._at == len(self._marks) - 1
+        nothing = np.zeros(1, np.float32)
+        return Step(nothing, nothing, nothing, 0.0, over, False, self._marks[self._at] == "x")
 
 
-def test_an_environment_without_a_task_has_no_expert():
-    with pytest.raises(UsageError, match="there is no expert for this environment"):
-        load_expert(Spec.from_dict(TOY))
-    with pytest.raises(UsageError, match="tasks have experts"):
-        expert_policy(Toy(Toy.Settings()))
+STILL = Policy(lambda _: np.zeros(1, np.float32))
 
 
-def test_a_window_needs_an_environment_that_has_one_and_a_display(monkeypatch):
-    with pytest.raises(MachineError, match="environment toy has no window"):
-        load_expert(Spec.from_dict(TOY), window=True)
-    monkeypatch.delenv("DISPLAY", raising=False)
-    with pytest.raises(MachineError, match="no display"):
-        load_expert(spec(), window=True)
+def test_success_is_counted_at_some_step_and_at_the_end_and_the_first_is_timed():
+    found = score(Scripted(["..x.x", "...x.", ".....", ".x"]), STILL, episodes=4, seed=0)
+    assert (found.success_any, found.success_end) == (0.75, 0.5)
+    assert found.steps == pytest.approx((2 + 3 + 1) / 3)
+    assert (found.low, found.high) == wilson(2, 4)
 
 
-@pytest.fixture(scope="module")
-def folder(tmp_path_factory) -> RunFolder:
-    outcome = Experiment(TOY).run(tmp_path_factory.mktemp("runs"))
-    return RunFolder.open(outcome.runs[0].folder)
+def test_a_policy_that_never_succeeds_has_no_time_of_success():
+    found = score(Scripted(["...", "."]), Policy(lambda _: np.zeros(1)), episodes=1, seed=0)
+    assert found.steps is None
+    assert found.success_end == found.low == 0.0
 
 
-def test_a_saved_policy_plays_without_exploration_and_the_same_each_time(folder):
-    def films() -> list[bytes]:
-        found, environment, policy = load_player(folder, "last")
-        assert found.name == "toy"
-        seen = []
-        for moment in play(environment, policy, episodes=2, seed=found.testing.seed):
-            seen.append(moment.environment._position.tobytes())
-        return seen
+def test_the_same_seed_gives_the_same_score() -> None:
+    def found(seed: int) -> Score:
+        environment = Toy(Toy.Settings())
+        return score(environment, random_policy(environment, seed), episodes=60, seed=seed)
 
-    assert films() == films()
-    assert len(set(films())) > 8, "the point moves"
-
-
-def test_a_checkpoint_that_is_not_there_is_refused(folder):
-    with pytest.raises(RunError, match="never"):
-        load_player(folder, "never")
+    assert found(3) == found(3)
+    assert 0 < found(3).success_any < 1

@@ -1,4 +1,4 @@
-"""A saved policy under changed settings: what is played, what is kept, and what is refused."""
+"""TransferResult tests of a saved policy: what is played, what is written, and what is refused."""
 
 from __future__ import annotations
 
@@ -14,8 +14,7 @@ from karolos.errors import MachineError, RunError, SpecError, UsageError
 from karolos.evaluation.transfer_test import transfer_test
 from karolos.experiment.experiment import Experiment
 from karolos.files import FileLock
-from karolos.records import RunFolder
-from karolos.records import transfer_results as transfers
+from karolos.records import RunFolder, transfer_results
 from karolos.records.transfer_results import TransferResult
 
 TOY: dict[str, Any] = {
@@ -61,7 +60,7 @@ def test_with_nothing_changed_it_repeats_the_runs_own_last_test(toy: RunFolder) 
 def test_results_are_appended_and_come_back_as_they_were(toy: RunFolder) -> None:
     first = transfer_test(toy, ["environment.threshold=0.9"], checkpoint="last", episodes=3, seed=8)
     second = transfer_test(toy, ["environment.max_steps=3"])
-    assert transfers.read(toy) == ((first, second), ())
+    assert transfer_results.read(toy) == ((first, second), ())
     assert (first.result.episodes, first.seed, first.result.steps) == (3, 8, 80)
     assert set(second.result.lengths) == {3}
     assert first.versions["karolos"]
@@ -78,24 +77,24 @@ def test_overrides_change_what_is_played_and_seeds_which_episodes(toy: RunFolder
 
 
 def test_a_policy_is_tested_on_another_robot_and_with_randomization(reach: RunFolder) -> None:
-    here = transfer_test(reach, checkpoint="last")
+    own = transfer_test(reach, checkpoint="last")
     other = transfer_test(reach, ["robot=ur5"], checkpoint="last")
-    assert here.result.distances != other.result.distances
+    assert own.result.distances != other.result.distances
     gravity = "randomization.task.gravity={name: uniform, low: -12, high: -2}"
     assert transfer_test(reach, [gravity], checkpoint="last", randomize=True).randomized
-    assert transfers.read(reach)[0][-2] == other
+    assert transfer_results.read(reach)[0][-2] == other
     with pytest.raises(UsageError, match="--randomize"):
         transfer_test(reach, [gravity], checkpoint="last")
 
 
 def test_other_layouts_are_refused_and_both_are_shown(reach: RunFolder, toy: RunFolder) -> None:
-    before = transfers.read(reach)
-    with pytest.raises(UsageError, match="sees and does other things") as caught:
+    before = transfer_results.read(reach)
+    with pytest.raises(UsageError, match="with other observations, actions or goals") as caught:
         transfer_test(reach, ["robot.control=joint"], checkpoint="last")
     text = str(caught.value)
     for told in ("override robot.control=joint", "joint_changes 7 1", "tool_position_change 3 1", "here", "there"):
         assert told in text
-    assert transfers.read(reach) == before
+    assert transfer_results.read(reach) == before
     with pytest.raises(UsageError, match=r"position 3 1\] here and \[position 2 1\] there"):
         transfer_test(toy, ["environment.dimensions=3"])
 
@@ -103,12 +102,12 @@ def test_other_layouts_are_refused_and_both_are_shown(reach: RunFolder, toy: Run
 @pytest.mark.parametrize(
     ("overrides", "message"),
     [
-        (["agent.hidden=[3]"], "says how to train"),
-        (["training.steps=3"], "says how to train"),
+        (["agent.hidden=[3]"], "is about training"),
+        (["training.steps=3"], "is about training"),
         (["testing.episodes=3"], "--episodes"),
     ],
 )
-def test_what_a_test_does_not_go_by_is_refused(toy: RunFolder, overrides: list[str], message: str) -> None:
+def test_overrides_of_training_are_refused(toy: RunFolder, overrides: list[str], message: str) -> None:
     with pytest.raises(UsageError, match=message):
         transfer_test(toy, overrides)
 
@@ -120,7 +119,7 @@ def test_wrong_overrides_and_nothing_to_randomize_are_refused(toy: RunFolder) ->
         transfer_test(toy, randomize=True)
     with pytest.raises(RunError, match="never"):
         transfer_test(toy, checkpoint="never")
-    assert not (toy.path / transfers.FILE).exists()
+    assert not (toy.path / transfer_results.FILE).exists()
 
 
 def test_a_run_without_its_spec_says_so(toy: RunFolder) -> None:
@@ -130,37 +129,37 @@ def test_a_run_without_its_spec_says_so(toy: RunFolder) -> None:
 
 
 def test_damaged_lines_are_left_out_and_named(toy: RunFolder) -> None:
-    kept = transfer_test(toy)
-    path = toy.path / transfers.FILE
+    first = transfer_test(toy)
+    path = toy.path / transfer_results.FILE
     path.write_text('{"time": 3}\nnot json\n' + path.read_text() + '{"torn')
-    found, problems = transfers.read(toy)
-    assert found == (kept,)
+    found, problems = transfer_results.read(toy)
+    assert found == (first,)
     assert [problem.split(": ")[0] for problem in problems] == [
-        f"{transfers.FILE}:2",
-        f"{transfers.FILE}:4",
-        transfers.FILE,
+        f"{transfer_results.FILE}:2",
+        f"{transfer_results.FILE}:4",
+        transfer_results.FILE,
     ]
-    transfers.add(toy, kept)
-    assert transfers.read(toy)[0] == (kept, kept)
+    transfer_results.add(toy, first)
+    assert transfer_results.read(toy)[0] == (first, first)
 
 
 def test_many_that_add_at_once_lose_nothing(toy: RunFolder) -> None:
-    kept = transfer_test(toy)
-    many = [replace(kept, seed=seed) for seed in range(24)]
+    first = transfer_test(toy)
+    many = [replace(first, seed=seed) for seed in range(24)]
 
     def add(transfer: TransferResult) -> None:
-        transfers.add(toy, transfer)
+        transfer_results.add(toy, transfer)
 
     with ThreadPoolExecutor(8) as pool:
         list(pool.map(add, many))
-    assert sorted(transfer.seed for transfer in transfers.read(toy)[0][1:]) == list(range(24))
+    assert sorted(transfer.seed for transfer in transfer_results.read(toy)[0][1:]) == list(range(24))
 
 
-def test_a_lock_that_is_kept_is_an_error_that_says_so(toy: RunFolder, monkeypatch: pytest.MonkeyPatch) -> None:
-    kept = transfer_test(toy)
-    monkeypatch.setattr(transfers, "LOCK_SECONDS", 0.0)
+def test_a_lock_held_by_another_process_is_an_error(toy: RunFolder, monkeypatch: pytest.MonkeyPatch) -> None:
+    first = transfer_test(toy)
+    monkeypatch.setattr(transfer_results, "LOCK_SECONDS", 0.0)
     lock = FileLock(toy.path / "transfers.lock")
     assert lock.acquire()
     with pytest.raises(MachineError, match="locked"):
-        transfers.add(toy, kept)
+        transfer_results.add(toy, first)
     lock.release()

@@ -10,8 +10,8 @@ import pytest
 from support.fourth_robot import small_arm
 
 from karolos.errors import PluginError
-from karolos.evaluation.playing import expert_policy
-from karolos.evaluation.scoring import score
+from karolos.evaluation.playing import score
+from karolos.evaluation.policies import expert_policy
 from karolos.plugins.contracts import Candidate, candidate, cases, robots
 from karolos.plugins.contracts.joined import CONTROLS, goes_with, join, joined
 from karolos.registry import load, names

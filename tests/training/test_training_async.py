@@ -138,14 +138,14 @@ def test_policy_lag_is_the_updates_between_an_action_and_its_storing():
     ]
     assert min(lags) >= 0
     assert len(set(lags)) > 3
-    assert training.collector.lag.read() == {"policy_lag_mean": np.mean(lags), "policy_lag_max": max(lags)}
-    assert training.collector.lag.read() == {}, "once read it begins anew"
+    assert training.collector.read_policy_lag() == {"policy_lag_mean": np.mean(lags), "policy_lag_max": max(lags)}
+    assert training.collector.read_policy_lag() == {}, "reading resets it"
 
 
 def test_policy_lag_in_lockstep_is_what_was_learned_while_the_environments_stepped():
     progress, _, training = train(steps=60)
     learned = updates_per_round(progress)
-    assert training.collector.lag.read() == {"policy_lag_mean": np.mean(learned), "policy_lag_max": max(learned)}
+    assert training.collector.read_policy_lag() == {"policy_lag_mean": np.mean(learned), "policy_lag_max": max(learned)}
 
 
 def test_stored_actions_are_those_the_environments_took():

@@ -5,8 +5,8 @@ from __future__ import annotations
 import numpy as np
 
 from ...environments.robot_task import RobotTask
-from ...evaluation.playing import expert_policy
-from ...evaluation.scoring import random_policy, score
+from ...evaluation.playing import score
+from ...evaluation.policies import expert_policy, random_policy
 from .case import Candidate, demand, demand_same
 from .joined import joined
 

@@ -1,0 +1,90 @@
+"""Policies: a saved agent, an expert and random actions; a policy that cannot be had is refused."""
+
+from __future__ import annotations
+
+from typing import Any
+
+import numpy as np
+import pytest
+
+from karolos.core import Array
+from karolos.environments.toy import Toy
+from karolos.errors import MachineError, RunError, UsageError
+from karolos.evaluation.playing import play
+from karolos.evaluation.policies import expert_policy, load_expert, load_player, random_policy
+from karolos.experiment.experiment import Experiment
+from karolos.records import RunFolder
+from karolos.spec import Spec
+
+TOY: dict[str, Any] = {
+    "name": "toy",
+    "environment": {"name": "toy", "max_steps": 7},
+    "agent": {"name": "sac", "hidden": [8]},
+    "orchestrator": {"processes": 0, "environments": 2},
+    "training": {"steps": 60, "batch_size": 8, "replay_ratio": 2, "warmup_episodes": 2},
+    "testing": {"interval": 30, "episodes": 4},
+}
+
+
+def reach(**changes: Any) -> Spec:
+    return Spec.from_dict({"name": "reach", "robot": "panda", "task": "reach", "agent": "sac", **changes})
+
+
+def test_the_expert_of_a_spec_solves_its_task_without_randomization() -> None:
+    gravity = {"task.gravity": {"name": "normal", "mean": -9.81, "std": 1.0}}
+    environment, policy = load_expert(reach(randomization=gravity))
+    assert environment.signature.parameters.size == 0
+    ends = [moment.success for moment in play(environment, policy, episodes=3, seed=0) if moment.over]
+    environment.close()
+    assert ends == [True, True, True]
+
+
+def test_an_environment_without_a_task_has_no_expert() -> None:
+    with pytest.raises(UsageError, match="there is no expert for this environment"):
+        load_expert(Spec.from_dict(TOY))
+    with pytest.raises(UsageError, match="tasks have experts"):
+        expert_policy(Toy(Toy.Settings()))
+
+
+def test_a_window_needs_an_environment_that_has_one_and_a_display(monkeypatch: pytest.MonkeyPatch) -> None:
+    with pytest.raises(MachineError, match="environment toy has no window"):
+        load_expert(Spec.from_dict(TOY), window=True)
+    monkeypatch.delenv("DISPLAY", raising=False)
+    with pytest.raises(MachineError, match="no display"):
+        load_expert(reach(), window=True)
+
+
+def test_a_random_policy_fills_the_action_range_and_is_determined_by_its_seed() -> None:
+    environment = Toy(Toy.Settings())
+    step = environment.reset(0)
+
+    def actions(seed: int) -> Array:
+        policy = random_policy(environment, seed)
+        return np.array([policy.act(step) for _ in range(200)])
+
+    np.testing.assert_array_equal(actions(1), actions(1))
+    assert not np.array_equal(actions(1), actions(2))
+    assert actions(1).shape == (200, 2)
+    assert actions(1).min() < -0.9
+    assert actions(1).max() > 0.9
+
+
+@pytest.fixture(scope="module")
+def folder(tmp_path_factory: pytest.TempPathFactory) -> RunFolder:
+    return RunFolder.open(Experiment(TOY).run(tmp_path_factory.mktemp("runs")).runs[0].folder)
+
+
+def test_a_saved_policy_plays_without_exploration_and_the_same_each_time(folder: RunFolder) -> None:
+    def positions() -> list[bytes]:
+        spec, environment, policy = load_player(folder, "last")
+        assert isinstance(environment, Toy)
+        assert spec.name == "toy"
+        return [environment._position.tobytes() for _ in play(environment, policy, episodes=2, seed=spec.testing.seed)]
+
+    assert positions() == positions()
+    assert len(set(positions())) > 8, "the point moves"
+
+
+def test_a_missing_checkpoint_is_refused(folder: RunFolder) -> None:
+    with pytest.raises(RunError, match="never"):
+        load_player(folder, "never")
