@@ -220,6 +220,6 @@ class Killing(Greedy):
         self.acts += 1
         if self.acts % 3 == 0 and self.kills:
             self.kills -= 1
-            self.orchestrator._crew._workers[0].process.kill()
-            self.orchestrator._crew._workers[0].process.join()
+            self.orchestrator._backend._workers[0].process.kill()
+            self.orchestrator._backend._workers[0].process.join()
         return super().act(observation, desired_goal, explore=explore)
