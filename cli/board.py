@@ -11,14 +11,14 @@ import typer
 
 from karolos.errors import UsageError
 
-from .common import Runs
+from .arguments import Runs
 
 
 def board(
     runs: Runs = Path("runs"),
     port: Annotated[int, typer.Option(min=0, max=65535, help="Port on this machine; 0 picks a free one.")] = 6006,
 ) -> None:
-    """Start TensorBoard on the runs folder; Ctrl-C ends it."""
+    """Start TensorBoard on the runs folder. Ctrl-C ends it."""
     if not runs.is_dir():
         raise UsageError(f"there is no runs folder {runs}", hint="run a spec first, or name the folder with --runs")
     command = [sys.executable, "-m", "tensorboard.main", "--logdir", str(runs), "--host", "localhost"]

@@ -1,4 +1,4 @@
-"""`karolos check`: whether specs are right, without running them."""
+"""`karolos check`: whether specs are valid, without running them."""
 
 from __future__ import annotations
 
@@ -7,9 +7,8 @@ from typing import Annotated, Any
 
 import typer
 
-from karolos.report.terminal import clean
-
-from .common import Json, rows
+from .arguments import Json
+from .output import print_line, print_rows
 
 
 def check(
@@ -17,16 +16,16 @@ def check(
         list[str],
         typer.Argument(
             metavar="SPEC... [PATH=VALUE]...",
-            help="YAML specs to check, and settings that replace those of each.",
+            help="YAML specs to check, and settings that replace those of every spec.",
             show_default=False,
         ),
     ],
     json: Json = False,
 ) -> None:
-    """Check specs and print every problem found, as file:line:column: key: what is wrong.
+    """Check specs and print every problem as file:line:column: key: what is wrong.
 
-    The parts of a spec without mistakes are put together once, to see that they can work with each other; nothing runs.
-    Ends with 0 if all are right, 2 if one is not, 3 if a plugin that one names is broken.
+    The parts of a valid spec are created once to see whether they fit together. Nothing is trained.
+    Exit code 0: all specs are valid; 2: one is invalid; 3: one names a broken plugin.
     """
     from karolos.errors import KarolosError, SpecError, UsageError
     from karolos.spec import load_spec
@@ -35,7 +34,7 @@ def check(
     overrides = [argument for argument in arguments if _is_override(argument)]
     specs = [Path(argument) for argument in arguments if not _is_override(argument)]
     if not specs:
-        raise UsageError(f"{' '.join(overrides)} names no spec", hint="karolos check SPEC... [PATH=VALUE]...")
+        raise UsageError(f"{' '.join(overrides)} is not a spec", hint="karolos check SPEC... [PATH=VALUE]...")
     for path in specs:
         found: list[dict[str, Any]] = []
         try:
@@ -50,14 +49,14 @@ def check(
             worst = max(worst, error.exit_code)
             found = [_row(path, error.where, "", error.what, error.hint)]
         if json:
-            rows(found or [_row(path, str(path), "", None, None)], json=True)
+            print_rows(found or [_row(path, str(path), "", None, None)], json=True)
         else:
             _print(path, found)
     raise typer.Exit(worst)
 
 
 def _is_override(argument: str) -> bool:
-    """Whether this sets something, rather than naming a file."""
+    """Whether an argument sets something instead of naming a file."""
     return "=" in argument and not Path(argument).exists()
 
 
@@ -67,7 +66,7 @@ def _row(path: Path, where: str | None, key: str, what: str | None, hint: str | 
 
 def _print(path: Path, found: list[dict[str, Any]]) -> None:
     if not found:
-        print(clean(f"{path}: ok"))
+        print_line(f"{path}: ok")
     for row in found:
         line = ": ".join(part for part in (row["where"], row["key"], row["problem"]) if part)
-        print(clean(f"{line}; {row['hint']}" if row["hint"] else line))
+        print_line(f"{line}; {row['hint']}" if row["hint"] else line)

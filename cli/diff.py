@@ -1,51 +1,48 @@
-"""`karolos diff`: how what two runs were made from differs."""
+"""`karolos diff`: differences in what two runs were made from."""
 
 from __future__ import annotations
 
-import sys
 from pathlib import Path
 from typing import TYPE_CHECKING, Annotated
 
 import typer
 
-from karolos.report.terminal import clean
-
-from .common import Database, Json, Runs, print_rich, rows
-from .selection import is_spec, open_run
+from .arguments import Database, Json, Runs, is_spec, open_run
+from .output import print_line, print_rows, print_table, say
 
 if TYPE_CHECKING:
     from karolos.comparison.sides import Side
 
-_HELP = "A run's id or how it begins, @last, a run folder, or a spec file: what it would be run from now."
+_HELP = "A run's id or how it begins, @last, a run folder, or a spec file: what a run of it would be made from now."
 
 
 def diff(
     a: Annotated[str, typer.Argument(metavar="A", help=_HELP, show_default=False)],
-    b: Annotated[str, typer.Argument(metavar="B", help="The same.", show_default=False)],
+    b: Annotated[str, typer.Argument(metavar="B", help="As A.", show_default=False)],
     runs: Runs = Path("runs"),
     database: Database = None,
     json: Json = False,
     patch: Annotated[
-        bool, typer.Option("--patch", help="Print how their code.diff differ, line by line, instead.")
+        bool, typer.Option("--patch", help="Print the differences of their code.diff, line by line, instead.")
     ] = False,
 ) -> None:
-    """Show where two runs differ: settings, versions of karolos, plugins and libraries, git commit, changed files."""
+    """Show how two runs differ: settings, versions of karolos, plugins and libraries, git commit, changed files."""
     from karolos.comparison.sides import compare_sides, patch_difference
 
     one, other = _side(a, runs, database), _side(b, runs, database)
     if patch:
         for line in patch_difference(one, other).splitlines():
-            print(clean(line))
+            print_line(line)
         return
     found = list(compare_sides(one, other))
     if json:
-        rows([difference.row() for difference in found], json=True)
+        print_rows([difference.row() for difference in found], json=True)
     elif found:
         from karolos.report.comparison_tables import differences_table
 
-        print_rich(differences_table(found, one.name, other.name))
+        print_table(differences_table(found, one.name, other.name))
     else:
-        print("no difference in settings, versions and code", file=sys.stderr)
+        say("no difference in settings, versions and code")
 
 
 def _side(selector: str, runs: Path, database: str | None) -> Side:

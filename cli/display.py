@@ -1,4 +1,4 @@
-"""What a person sees while runs go on: a live bar on a terminal, plain lines elsewhere, always on stderr."""
+"""What a person sees while runs and sweeps go on, always on stderr: live bars on a terminal, plain lines elsewhere."""
 
 from __future__ import annotations
 
@@ -6,15 +6,21 @@ import sys
 from collections import deque
 from contextlib import ExitStack
 from types import TracebackType
-from typing import TextIO
+from typing import TYPE_CHECKING, TextIO
 
 from rich.console import Console
 from rich.progress import BarColumn, MofNCompleteColumn, Progress, TaskID, TextColumn, TimeRemainingColumn
 
 from karolos.experiment.events import RunAdvanced, RunEnded, RunEvent, RunStarted, RunTested, RunWarned
 
+from .output import say
+from .sweep import drawn_text
+
+if TYPE_CHECKING:
+    from karolos.sweep.records import SweepEvent
+
 SPEED_WINDOW = 50
-"""Reports over which the speeds shown are averaged: about five seconds."""
+"""Events over which speeds are averaged: about five seconds."""
 
 
 class Speed:
@@ -25,8 +31,8 @@ class Speed:
 
     def add(self, event: RunAdvanced) -> str:
         self._points.append((event.seconds, event.steps, event.updates))
-        (began, steps, updates), (ended, more_steps, more_updates) = self._points[0], self._points[-1]
-        passed = ended - began
+        (start, steps, updates), (end, more_steps, more_updates) = self._points[0], self._points[-1]
+        passed = end - start
         if passed <= 0:
             return ""
         text = f"{(more_steps - steps) / passed:,.0f} steps/s"
@@ -36,7 +42,7 @@ class Speed:
 
 
 class Quiet:
-    """Shows nothing but warnings and failures."""
+    """Shows only warnings and failures."""
 
     def __init__(self, stream: TextIO | None = None) -> None:
         self._console = Console(file=stream or sys.stderr, stderr=stream is None, highlight=False, markup=False)
@@ -58,7 +64,7 @@ class Quiet:
 
 
 class Plain(Quiet):
-    """One line per run begun, test and run ended: for logs and pipes."""
+    """Shows one line per start of a run, test and end of a run: for logs and pipes."""
 
     def __init__(self, stream: TextIO | None = None) -> None:
         super().__init__(stream)
@@ -87,7 +93,7 @@ class Plain(Quiet):
 
 
 class Live(Quiet):
-    """A bar per run: steps, speeds, last success ratio, time left."""
+    """Shows a bar per run: steps, speeds, last success ratio, time left."""
 
     def __init__(self, stream: TextIO | None = None) -> None:
         super().__init__(stream)
@@ -135,7 +141,35 @@ class Live(Quiet):
 
 
 def choose_display(*, quiet: bool) -> Quiet:
-    """Live on a terminal, plain lines otherwise, warnings and failures only when quiet."""
+    """Live bars on a terminal, plain lines elsewhere; only warnings and failures if quiet."""
     if quiet:
         return Quiet()
     return Live() if sys.stderr.isatty() else Plain()
+
+
+class SweepDisplay:
+    """Shows one line per start and end of a trial; only warnings and failures if quiet."""
+
+    def __init__(self, objectives: tuple[str, ...], *, quiet: bool) -> None:
+        self._objectives = objectives
+        self._quiet = quiet
+
+    def __call__(self, event: SweepEvent) -> None:
+        from karolos.sweep.records import TrialBegan, TrialEnded
+
+        if isinstance(event, RunWarned):
+            say(f"{event.run}: {event.warning}")
+        elif isinstance(event, TrialEnded) and event.trial.state == "failed":
+            say(f"trial {event.trial.number} failed: {event.trial.error} [{event.done}/{event.asked}]")
+        elif self._quiet:
+            return
+        elif isinstance(event, TrialBegan):
+            say(f"trial {event.trial.number}: {drawn_text(event.trial)}")
+        elif isinstance(event, TrialEnded):
+            values = zip(self._objectives, event.trial.values or (), strict=False)
+            found = ", ".join(f"{name} {value:.4g}" for name, value in values)
+            text = f"{event.trial.state}: {found}" if found else event.trial.state
+            say(f"trial {event.trial.number} {text} [{event.done}/{event.asked}]")
+        else:
+            seeds = ", ".join(map(str, event.seeds))
+            say(f"trials {', '.join(map(str, event.trials))} on seeds {seeds}, to {event.purpose}")

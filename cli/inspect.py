@@ -1,4 +1,4 @@
-"""`karolos inspect`: a robot or a task in a picture and in numbers."""
+"""`karolos inspect`: a robot or a task as a picture and as numbers."""
 
 from __future__ import annotations
 
@@ -9,9 +9,9 @@ from typing import TYPE_CHECKING, Annotated
 import typer
 
 from karolos.errors import MachineError, UsageError
-from karolos.report.terminal import clean
 
-from .common import Json, rows
+from .arguments import Json
+from .output import print_line, print_rows
 
 if TYPE_CHECKING:
     from karolos.plugins.inspection import Inspection
@@ -20,10 +20,10 @@ app = typer.Typer(name="inspect", help="Show a robot or a task: a picture and it
 Picture = Annotated[
     Path | None,
     typer.Option(
-        "--picture", metavar="FILE", help="Picture to write: FILE.png. Default: NAME.png here.", show_default=False
+        "--picture", metavar="FILE", help="Picture to write: FILE.png. Default: ./NAME.png.", show_default=False
     ),
 ]
-Size = Annotated[int, typer.Option(min=16, max=2048, help="In pixels.")]
+Size = Annotated[int, typer.Option(min=16, max=2048, help="Size of the picture in pixels.")]
 
 
 @app.command()
@@ -34,7 +34,7 @@ def robot(
     height: Size = 720,
     json: Json = False,
 ) -> None:
-    """Show a robot: joints with limits, workspace, control modes, layouts, and what can be randomized."""
+    """Show a robot: joints with limits, workspace, control modes, layouts, parameters for randomization."""
     target = _target(picture, name)
     from karolos.plugins.inspection import inspect_robot
 
@@ -44,20 +44,20 @@ def robot(
 @app.command()
 def task(
     name: Annotated[str, typer.Argument(metavar="NAME", help="Name of a task.")],
-    robot: Annotated[str, typer.Option(help="With which robot.")] = "panda",
-    floor: Annotated[bool, typer.Option("--floor", help="Only the success of a random policy.")] = False,
+    robot: Annotated[str, typer.Option(help="Robot to show the task with.")] = "panda",
+    floor: Annotated[bool, typer.Option("--floor", help="Measure the success of a random policy instead.")] = False,
     episodes: Annotated[int, typer.Option(min=1, help="Episodes of the random policy.")] = 100,
     picture: Picture = None,
     width: Size = 960,
     height: Size = 720,
     json: Json = False,
 ) -> None:
-    """Show a task: goal rule, layouts, settings, and what can be randomized; or the floor a random policy sets."""
+    """Show a task: goal rule, layouts, settings, parameters for randomization; or the success of a random policy."""
     if floor:
         from karolos.plugins.inspection import floor as random_policy
 
         found = random_policy(robot, name, episodes=episodes)
-        rows([{"robot": robot, "task": name, **asdict(found)}], json=json)
+        print_rows([{"robot": robot, "task": name, **asdict(found)}], json=json)
         return
     target = _target(picture, name)
     from karolos.plugins.inspection import inspect_task
@@ -68,7 +68,9 @@ def task(
 def _target(picture: Path | None, name: str) -> Path:
     target = picture or Path(f"{name}.png")
     if target.suffix.lower() not in (".png", ".jpg", ".jpeg"):
-        raise UsageError(f"cannot write a picture {target.name!r}", hint="name a file that ends in .png or .jpg")
+        raise UsageError(
+            f"{target.name} has no file extension of a picture", hint="name a file that ends in .png or .jpg"
+        )
     if not target.parent.is_dir():
         raise UsageError(f"there is no folder {target.parent} to write a picture into")
     return target
@@ -83,14 +85,15 @@ def _show(kind: str, found: Inspection, target: Path, *, json: bool) -> None:
     except OSError as error:
         raise MachineError(f"cannot write {target}: {error.strerror or error}") from error
     if json:
-        rows(
+        print_rows(
             [{"kind": kind, "name": found.name, "about": found.about, **found.tables, "picture": str(target)}],
             json=True,
         )
         return
-    print(clean(f"{kind} {found.name}\n") if not found.about else f"{kind} {found.name}\n\n{found.about}\n")
+    for line in (f"{kind} {found.name}", "", *found.about.splitlines(), *([""] if found.about else [])):
+        print_line(line)
     for heading, lines in found.tables.items():
         print(f"{heading}:" if lines else f"{heading}: none")
-        rows(lines, json=False)
+        print_rows(lines, json=False)
         print()
     print(f"picture: {target}")

@@ -9,7 +9,6 @@ import traceback
 import typer
 
 from karolos.errors import KarolosError, PluginError
-from karolos.report.terminal import clean
 
 from . import bench, db, inspect, plugins, runs, spec, sweeps
 from .board import board
@@ -17,14 +16,15 @@ from .check import check
 from .compare import compare
 from .diff import diff
 from .export import export
+from .output import say
 from .play import play
 from .run import resume, run
 from .sweep import sweep
 from .test import transfer
 
 OBJECTS_PER_COLLECTION = 50_000
-"""New objects until Python looks for garbage: by its default an eighth of a short command's time goes into looking
-among what imports have made."""
+"""New objects before Python looks for garbage. With Python's default a short command spends an eighth of its time on
+looking through the objects that imports make."""
 
 app = typer.Typer(
     name="karolos",
@@ -49,7 +49,7 @@ app.command("test")(transfer)
 app.command()(play)
 app.command()(export)
 app.command()(board)
-app.add_typer(bench.app, name="bench")
+app.add_typer(bench.app)
 
 
 @app.callback(invoke_without_command=True)
@@ -58,14 +58,15 @@ def root() -> None:
 
 
 def main() -> None:
-    """Run the command line; a KarolosError is a line on stderr and its exit code, a second Ctrl-C is 130."""
+    """Run the command line. A KarolosError becomes a line on stderr and its exit code; a second Ctrl-C is 130."""
     gc.set_threshold(OBJECTS_PER_COLLECTION)
     try:
         app()
     except KarolosError as error:
         if isinstance(error, PluginError) and error.__cause__ is not None:
-            traceback.print_exception(error.__cause__)  # the plugin's fault: its author needs to see where
-        print("\n".join(clean(line) for line in str(error).splitlines()), file=sys.stderr)
+            traceback.print_exception(error.__cause__)  # shows the author of the plugin where it failed
+        for line in str(error).splitlines():
+            say(line)
         sys.exit(error.exit_code)
     except KeyboardInterrupt:
         sys.exit(130)

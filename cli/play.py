@@ -1,4 +1,4 @@
-"""`karolos play`: watch a trained agent or a scripted expert, in a window or as a film."""
+"""`karolos play`: a trained agent or a scripted expert in a window or as a film."""
 
 from __future__ import annotations
 
@@ -13,8 +13,8 @@ import typer
 
 from karolos.errors import UsageError
 
-from .common import Database, Runs
-from .selection import check_checkpoint, open_run
+from .arguments import RUN_HELP, Database, Runs, check_checkpoint, open_run
+from .output import say
 
 if TYPE_CHECKING:
     import numpy as np
@@ -24,7 +24,7 @@ if TYPE_CHECKING:
     from karolos.records import RunFolder
 
 FRAMES_PER_SECOND = 24
-"""The control rate of robot tasks, so that a film runs in real time."""
+"""The control rate of robot tasks: a film shows real time."""
 
 
 def play(
@@ -32,11 +32,11 @@ def play(
         str,
         typer.Argument(
             metavar="RUN",
-            help="Run id, unique prefix of one, @last, or a run folder; with --expert a SPEC.yaml.",
+            help=f"{RUN_HELP} With --expert a SPEC.yaml.",
             show_default=False,
         ),
     ],
-    expert: Annotated[bool, typer.Option("--expert", help="Play the scripted expert of a spec's task.")] = False,
+    expert: Annotated[bool, typer.Option("--expert", help="Play the expert of a spec's task instead.")] = False,
     record: Annotated[
         Path | None, typer.Option(help="Film to write: FILE.mp4 or FILE.gif.", show_default=False)
     ] = None,
@@ -44,7 +44,7 @@ def play(
     checkpoint: Annotated[
         str | None,
         typer.Option(
-            help="Which checkpoint to play: best or last. By default best, or last before the run's first test.",
+            help="Checkpoint to play: best or last. Default: best, or last if the run has no test yet.",
             show_default=False,
         ),
     ] = None,
@@ -53,15 +53,15 @@ def play(
     runs: Runs = Path("runs"),
     database: Database = None,
 ) -> None:
-    """Play test episodes of a run's saved policy, or with --expert of the scripted one for a spec.
+    """Play test episodes of a run's saved policy, or with --expert of the scripted policy for a spec.
 
-    With a display it opens a window. Without one, or with --record, it writes a film; by default play.mp4 in the run's
-    folder, or NAME.mp4 here for the spec of that name.
+    Opens a window if there is a display. Without a display, or with --record, writes a film. Default: play.mp4 in the
+    run's folder, or NAME.mp4 in the current folder for the spec NAME.
     """
     if checkpoint is not None:
         check_checkpoint(checkpoint)
     if width % 2 or height % 2:
-        raise UsageError(f"a film of {width} x {height} pixels cannot be coded", hint="use even numbers")
+        raise UsageError(f"a film of {width} x {height} pixels cannot be encoded", hint="use even numbers")
     window = record is None and _has_display()
     from karolos.evaluation.playing import play as play_episodes
     from karolos.evaluation.policies import load_expert, load_player
@@ -81,7 +81,7 @@ def play(
         environment, policy = load_expert(spec, window=window)
     else:
         spec, environment, policy = load_player(folder, checkpoint or _best_or_last(folder), window=window)
-    moments = _tell(play_episodes(environment, policy, episodes=episodes, seed=spec.testing.seed))
+    moments = _report_episodes(play_episodes(environment, policy, episodes=episodes, seed=spec.testing.seed))
     try:
         if window:
             for _ in moments:
@@ -94,13 +94,13 @@ def play(
 
 
 def _best_or_last(folder: RunFolder) -> str:
-    """The checkpoint to play when none was named; `last`, which is said, of a run that ended before its first test."""
+    """The checkpoint to play by default: `best`, or `last` with a message if the run ended before its first test."""
     from karolos.checkpoint import names
 
-    there = names(folder.checkpoints)
-    if "best" in there or "last" not in there:
+    available = names(folder.checkpoints)
+    if "best" in available or "last" not in available:
         return "best"
-    print(f"{folder.id} was never tested and has no checkpoint best: playing last", file=sys.stderr)
+    say(f"{folder.id} was never tested and has no checkpoint best: playing last")
     return "last"
 
 
@@ -109,15 +109,15 @@ def _pictures(moments: Iterator[Moment], width: int, height: int) -> Iterator[ND
         yield moment.environment.render(width, height)
 
 
-def _tell(moments: Iterator[Moment]) -> Iterator[Moment]:
-    """Pass moments on; say on stderr how each episode went."""
+def _report_episodes(moments: Iterator[Moment]) -> Iterator[Moment]:
+    """Pass moments on, and print the outcome of each episode on stderr."""
     reached = False
     for moment in moments:
         reached = moment.success or (reached and moment.step > 0)
         yield moment
         if moment.over:
             outcome = "success" if moment.success else "reached, then lost" if reached else "no success"
-            print(f"episode {moment.episode + 1}: {outcome} after {moment.step} steps", file=sys.stderr)
+            say(f"episode {moment.episode + 1}: {outcome} after {moment.step} steps")
 
 
 def _has_display() -> bool:

@@ -1,9 +1,7 @@
-"""`karolos plugins`: what is installed, what can be set, and a package to begin one's own from."""
+"""`karolos plugins`: what is installed, its settings, and a package to start a plugin from."""
 
 from __future__ import annotations
 
-import json as json_text
-import sys
 import traceback
 from pathlib import Path
 from typing import TYPE_CHECKING, Annotated, Any
@@ -11,9 +9,10 @@ from typing import TYPE_CHECKING, Annotated, Any
 import typer
 
 from karolos.errors import KarolosError, PluginError
-from karolos.report.terminal import clean
+from karolos.report.tables import Table, setting
 
-from .common import Json, rows, table
+from .arguments import Json
+from .output import print_line, print_rows, print_table, say
 
 if TYPE_CHECKING:
     from pydantic import BaseModel
@@ -21,7 +20,7 @@ if TYPE_CHECKING:
     from karolos.plugins.contracts import Case
 
 app = typer.Typer(
-    name="plugins", help="List, show and check robots, tasks, agents, ..., or begin a new one.", no_args_is_help=True
+    name="plugins", help="List, show and check robots, tasks, agents and others; start a new one.", no_args_is_help=True
 )
 Kind = Annotated[str, typer.Argument(metavar="KIND", help="robot, task, environment, agent, buffer, ...")]
 
@@ -33,11 +32,11 @@ def list_plugins(
     ] = None,
     json: Json = False,
 ) -> None:
-    """List the installed plugins and the distributions that they come from. Imports none of them."""
+    """List the installed plugins and their distributions. No plugin is imported."""
     from karolos.registry import KINDS, entries, singular
 
     found = [entry for each in ([_kind(kind)] if kind else KINDS) for entry in entries(each)]
-    rows(
+    print_rows(
         [
             {
                 "kind": singular(entry.kind),
@@ -58,7 +57,7 @@ def show(
     name: Annotated[str, typer.Argument(metavar="NAME", help="The name that a spec uses.")],
     json: Json = False,
 ) -> None:
-    """Show a plugin: what it is, and its settings with types, defaults and units."""
+    """Show a plugin: its documentation, and its settings with types, defaults and units."""
     import inspect
 
     from karolos.registry import find, load, singular
@@ -67,16 +66,16 @@ def show(
     plugin = load(entry.kind, name)
     settings = _settings(plugin.Settings)
     if json:
-        rows(settings, json=True)
+        print_rows(settings, json=True)
         return
-    print(clean(f"{singular(entry.kind)} {name} ({entry.distribution} {entry.version}, {entry.target})"))
+    print_line(f"{singular(entry.kind)} {name} ({entry.distribution} {entry.version}, {entry.target})")
     for line in (inspect.getdoc(plugin) or "").splitlines():
-        print(f"  {clean(line)}".rstrip())
+        print_line(f"  {line}".rstrip())
     print()
     if not settings:
         print("no settings")
         return
-    table([_cells(row) for row in settings], ["setting", "type", "default", "description"])
+    print_table(Table(("setting", "type", "default", "description"), [_cells(row) for row in settings]))
 
 
 @app.command()
@@ -84,16 +83,16 @@ def new(
     kind: Annotated[
         str, typer.Argument(metavar="KIND", help="robot, task, agent, buffer, environment or distribution.")
     ],
-    name: Annotated[str, typer.Argument(metavar="NAME", help="What specs will call it, e.g. my_arm.")],
+    name: Annotated[str, typer.Argument(metavar="NAME", help="Its name in specs, e.g. my_arm.")],
     out: Annotated[
-        Path | None, typer.Option(metavar="DIR", help="Folder to write; karolos-NAME if not given.", show_default=False)
+        Path | None, typer.Option(metavar="DIR", help="Folder to write. Default: karolos-NAME.", show_default=False)
     ] = None,
 ) -> None:
-    """Write a package with a plugin that works and is tested, to be changed into one's own. Prints its files."""
+    """Write a package with a working, tested plugin to start from. Prints its files."""
     from karolos.plugins.starter import write_starter
 
     for path in write_starter(kind, name, out or Path(f"karolos-{name.replace('_', '-')}")):
-        print(clean(str(path)))
+        print_line(str(path))
 
 
 @app.command()
@@ -102,13 +101,13 @@ def check(
     name: Annotated[str, typer.Argument(metavar="NAME", help="The name that a spec uses.")],
     settings: Annotated[
         list[str] | None,
-        typer.Argument(metavar="[SETTING=VALUE]...", help="Settings other than its defaults.", show_default=False),
+        typer.Argument(metavar="[SETTING=VALUE]...", help="Settings other than the defaults.", show_default=False),
     ] = None,
     json: Json = False,
 ) -> None:
-    """Check what plugins of that kind promise, as karolos's own tests do; exit code 3 if a promise is broken.
+    """Check what plugins of this kind promise, as karolos's own tests do. Exit code 3 if a promise is broken.
 
-    A robot is checked with every installed task, a task with every installed robot, which takes a minute.
+    A robot is checked with every installed task, and a task with every installed robot. This takes a minute.
     """
     from karolos.plugins.contracts import candidate, cases
     from karolos.spec import parse_settings
@@ -119,39 +118,41 @@ def check(
         problem = _problem(case)
         broken += problem is not None
         if json:
-            rows([{"promise": str(case), "text": case.text, "kept": problem is None, "problem": problem}], json=True)
+            print_rows(
+                [{"promise": str(case), "text": case.text, "kept": problem is None, "problem": problem}], json=True
+            )
         else:
-            print(clean(f"{'ok    ' if problem is None else 'BROKEN'} {case}"), flush=True)
+            print_line(f"{'ok    ' if problem is None else 'BROKEN'} {case}")
             for line in () if problem is None else (case.text, problem):
-                print(clean(f"       {line}"), flush=True)
-    print(f"{len(found) - broken} of {len(found)} promises are kept", file=sys.stderr)
+                print_line(f"       {line}")
+    say(f"{len(found) - broken} of {len(found)} promises are kept")
     if broken:
         raise typer.Exit(PluginError.exit_code)
 
 
 def _problem(case: Case) -> str | None:
-    """What is wrong, in one line; None where the promise is kept."""
+    """What is wrong, in one line; None if the promise is kept."""
     try:
         case()
     except AssertionError as error:
         return str(error)
     except KarolosError as error:
         return " ".join(str(error).splitlines())
-    except Exception as error:  # a plugin's code may raise anything; its author needs to see where
+    except Exception as error:  # a plugin may raise anything; the traceback shows its author where
         traceback.print_exception(error)
         return f"{type(error).__name__}: {' '.join(str(error).splitlines())}"
     return None
 
 
 def _kind(text: str) -> str:
-    """The kind, named in singular or plural. An unknown one is the registry's to refuse."""
+    """The kind in plural, from singular or plural. The registry refuses an unknown one."""
     from karolos.registry import KINDS
 
     return f"{text}s" if f"{text}s" in KINDS else text
 
 
 def _settings(model: type[BaseModel], prefix: str = "") -> list[dict[str, Any]]:
-    """One row per setting; the settings of nested models follow their own, with dotted names."""
+    """One row per setting. The settings of a nested model follow with dotted names."""
     from karolos.spec.problems import models_in
 
     schemas = model.model_json_schema()["properties"] if model.model_fields else {}
@@ -160,7 +161,7 @@ def _settings(model: type[BaseModel], prefix: str = "") -> list[dict[str, Any]]:
         found.append(
             {
                 "setting": f"{prefix}{name}",
-                "type": _words(schemas.get(name, {})),
+                "type": _type_text(schemas.get(name, {})),
                 "required": field.is_required(),
                 "default": None if field.is_required() else _plain(field.get_default(call_default_factory=True)),
                 "description": field.description or "",
@@ -172,29 +173,23 @@ def _settings(model: type[BaseModel], prefix: str = "") -> list[dict[str, Any]]:
 
 
 def _plain(value: object) -> object:
-    """A default as it would stand in a spec."""
+    """A default as a spec writes it."""
     from pydantic_core import to_jsonable_python
 
     return to_jsonable_python(value)
 
 
 def _cells(row: dict[str, Any]) -> list[str]:
-    default = "required" if row["required"] else row["default"]
-    text = default if isinstance(default, str) else json_text.dumps(default)
-    return [row["setting"], row["type"], text, row["description"]]
+    default = "required" if row["required"] else setting(row["default"])
+    return [row["setting"], row["type"], default, row["description"]]
 
 
-_LIMITS = {
-    "minimum": ">=",
-    "exclusiveMinimum": ">",
-    "maximum": "<=",
-    "exclusiveMaximum": "<",
-}
+_LIMITS = {"minimum": ">=", "exclusiveMinimum": ">", "maximum": "<=", "exclusiveMaximum": "<"}
 
 
-def _words(schema: dict[str, Any]) -> str:
+def _type_text(schema: dict[str, Any]) -> str:
     if "anyOf" in schema:
-        return " or ".join(dict.fromkeys(_words(entry) for entry in schema["anyOf"]))
+        return " or ".join(dict.fromkeys(_type_text(entry) for entry in schema["anyOf"]))
     if "enum" in schema:
         return " | ".join(map(str, schema["enum"]))
     if "const" in schema:
@@ -203,6 +198,6 @@ def _words(schema: dict[str, Any]) -> str:
         return "mapping"
     kind = {"object": "mapping", "array": "list"}.get(schema.get("type", ""), schema.get("type", "any"))
     if schema.get("type") == "array" and isinstance(schema.get("items"), dict):
-        kind = f"list of {_words(schema['items'])}"
+        kind = f"list of {_type_text(schema['items'])}"
     limits = [f"{sign} {schema[limit]:g}" for limit, sign in _LIMITS.items() if limit in schema]
     return " ".join([kind, ", ".join(limits)]).strip()

@@ -1,30 +1,17 @@
-"""`karolos run` and `karolos resume`: specs into results."""
+"""`karolos run` and `karolos resume`: train what a spec describes."""
 
 from __future__ import annotations
 
-import re
-import sys
 from pathlib import Path
 from typing import TYPE_CHECKING, Annotated, NoReturn
 
 import typer
 
-from karolos.errors import UsageError
-
-from .common import RUN_HELP, Database, Json, Overrides, Runs, print_rich, rows
-from .selection import open_run
+from .arguments import Database, Json, OneRun, Overrides, Quiet, Runs, TimeLimit, open_run, seconds
+from .output import print_rows, print_table, say
 
 if TYPE_CHECKING:
     from karolos.experiment.experiment import Outcome
-
-TimeLimit = Annotated[
-    str | None,
-    typer.Option(
-        metavar="DURATION",
-        help="Stop after this long with a checkpoint to go on from, e.g. 90s, 30m, 2h; exit code 124.",
-        show_default=False,
-    ),
-]
 
 
 def run(
@@ -34,17 +21,17 @@ def run(
     database: Database = None,
     jobs: Annotated[int, typer.Option(min=1, help="Seeds to run at the same time, each in its own process.")] = 1,
     resume: Annotated[
-        bool, typer.Option("--resume", help="Go on with runs of this spec that ended too soon; finished seeds stay.")
+        bool, typer.Option("--resume", help="Resume interrupted runs of this spec; skip finished seeds.")
     ] = False,
-    if_needed: Annotated[bool, typer.Option("--if-needed", help="Leave out seeds that are finished.")] = False,
+    if_needed: Annotated[bool, typer.Option("--if-needed", help="Skip seeds that are finished.")] = False,
     time_limit: TimeLimit = None,
-    quiet: Annotated[bool, typer.Option("--quiet", "-q", help="Show warnings and failures only.")] = False,
+    quiet: Quiet = False,
     json: Json = False,
 ) -> None:
-    """Train and test what SPEC describes, once for each of its seeds.
+    """Train and test what SPEC describes, once per seed.
 
-    Results go below the runs folder, one folder per run, and into the database. Ctrl-C finishes the step, writes a
-    checkpoint and leaves the run stopped; pressed twice it ends at once.
+    Each run writes a folder in the runs folder and an entry in the database. Ctrl-C finishes the step, writes a
+    checkpoint and stops the run. A second Ctrl-C ends it at once.
     """
     from karolos.spec import load_spec
 
@@ -68,16 +55,16 @@ def run(
 
 
 def resume(
-    run: Annotated[str, typer.Argument(metavar="RUN", help=RUN_HELP, show_default=False)],
+    run: OneRun,
     runs: Runs = Path("runs"),
     database: Database = None,
     time_limit: TimeLimit = None,
-    quiet: Annotated[bool, typer.Option("--quiet", "-q", help="Show warnings and failures only.")] = False,
+    quiet: Quiet = False,
     json: Json = False,
 ) -> None:
-    """Go on with a run that was stopped, failed or died, from its newest checkpoint.
+    """Resume a run that was stopped, failed or killed, from its newest checkpoint.
 
-    What it computes is bit for bit what it would have computed without the break (on the CPU, in lockstep).
+    On the CPU and in lockstep the result is bit for bit that of a run without the interruption.
     """
     from karolos.experiment.experiment import resume_run
     from karolos.store import Store
@@ -94,24 +81,14 @@ def resume(
 
 
 def report(outcome: Outcome, runs: Path, *, quiet: bool, json: bool) -> NoReturn:
-    """Print what became of the runs and end with the outcome's exit code."""
+    """Print the runs and end with the outcome's exit code."""
     if json:
-        rows([summary.row() for summary in outcome.runs], json=True)
+        print_rows([summary.row() for summary in outcome.runs], json=True)
     elif outcome.runs and not quiet:
         from karolos.report.tables import runs_table
 
-        print_rich(runs_table(outcome.runs))
+        print_table(runs_table(outcome.runs))
         last = outcome.runs[-1]
         plays = ", `karolos play @last` shows it" if last.success_any is not None else ""
-        print(f"\nresults in {runs}; `karolos runs show {last.run}` tells more{plays}", file=sys.stderr)
+        say(f"results in {runs}; `karolos runs show {last.run}` shows more{plays}")
     raise typer.Exit(outcome.exit_code)
-
-
-def seconds(text: str | None) -> float | None:
-    """A duration such as 90, 90s, 30m, 2h or 1d in seconds. Raises UsageError for anything else."""
-    if text is None:
-        return None
-    found = re.fullmatch(r"(\d+(?:\.\d+)?)\s*([smhd]?)", text.strip())
-    if found is None or float(found[1]) <= 0:
-        raise UsageError(f"{text!r} is no duration", where="--time-limit", hint="write e.g. 90s, 30m, 2h or 1d")
-    return float(found[1]) * {"": 1, "s": 1, "m": 60, "h": 3600, "d": 86400}[found[2]]

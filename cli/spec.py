@@ -1,17 +1,15 @@
-"""`karolos spec`: what a spec resolves to, and what may stand in one."""
+"""`karolos spec`: what a spec resolves to, and the schema of specs."""
 
 from __future__ import annotations
 
 import json as json_text
-import sys
 from pathlib import Path
 from typing import Annotated
 
 import typer
 
-from karolos.report.terminal import clean
-
-from .common import Json, Overrides, rows
+from .arguments import Json, Overrides
+from .output import print_line, print_rows, warn
 
 app = typer.Typer(name="spec", help="Show what a spec resolves to, and the schema of specs.", no_args_is_help=True)
 
@@ -20,13 +18,14 @@ app = typer.Typer(name="spec", help="Show what a spec resolves to, and the schem
 def show(
     spec: Annotated[Path, typer.Argument(help="The YAML spec.", show_default=False)],
     overrides: Overrides = None,
-    origin: Annotated[bool, typer.Option("--origin", help="Say of each value where it comes from.")] = False,
+    origin: Annotated[bool, typer.Option("--origin", help="Show where each value comes from.")] = False,
     json: Json = False,
 ) -> None:
-    """Print SPEC with everything it extends and every default filled in: YAML that is a spec itself.
+    """Print SPEC with everything that it extends and every default: YAML that is a valid spec itself.
 
-    With --origin: one line per value with the file:line:column, override or default that it comes from.
+    With --origin: one line per value with its file:line:column, override or default.
     """
+    from karolos.report.tables import setting
     from karolos.spec import load_spec, to_yaml
     from karolos.spec.nodes import leaves
 
@@ -37,24 +36,22 @@ def show(
     origins = found.origins
     values = {".".join(path): value for path, value in leaves(found.dump())}
     if json:
-        rows([{"path": path, "value": value, "origin": origins[path]} for path, value in values.items()], json=True)
+        print_rows(
+            [{"path": path, "value": value, "origin": origins[path]} for path, value in values.items()], json=True
+        )
         return
-    lines = {path: f"{path} = {_inline(value)}" for path, value in values.items()}
+    lines = {path: f"{path} = {setting(value)}" for path, value in values.items()}
     width = min(max(map(len, lines.values())), 60)
     for path, line in lines.items():
-        print(clean(f"{line:<{width}}  # {origins[path]}"))
+        print_line(f"{line:<{width}}  # {origins[path]}")
 
 
 @app.command()
 def schema() -> None:
-    """Print the JSON Schema of specs, with the settings of every installed plugin, for editors to use."""
+    """Print the JSON Schema of specs for editors, with the settings of every installed plugin."""
     from karolos.spec.schema import spec_schema
 
     found, broken = spec_schema()
     for error in broken:
-        print(clean(f"warning: left out: {error}"), file=sys.stderr)
+        warn(f"left out: {error}")
     print(json_text.dumps(found, indent=2))
-
-
-def _inline(value: object) -> str:
-    return value if isinstance(value, str) else json_text.dumps(value)

@@ -5,22 +5,24 @@ from __future__ import annotations
 import shutil
 import subprocess
 import sys
+from collections.abc import Iterable, Sequence
 from pathlib import Path
-from typing import TYPE_CHECKING, Annotated
+from typing import TYPE_CHECKING, Annotated, Any
 
 import typer
 
 from karolos.errors import MachineError, SpecError, UsageError
 
-from .common import Database, Json, Overrides, Runs, rows
-from .run import TimeLimit, seconds
-from .sweep_output import Teller, report
+from .arguments import Database, Json, Overrides, Quiet, Runs, TimeLimit, seconds
+from .output import print_rows, say
 
 if TYPE_CHECKING:
+    from karolos.records.sweep_records import SweepFinal, Trial
+    from karolos.sweep.records import Outcome
     from karolos.sweep.search import Search
 
 SAMPLES = 5
-"""Sampled specs that --dry-run prints at most."""
+"""Most sampled specs that --dry-run prints."""
 DASHBOARD = "optuna-dashboard"
 
 
@@ -30,37 +32,98 @@ def sweep(
     runs: Runs = Path("runs"),
     database: Database = None,
     trials: Annotated[
-        int | None, typer.Option(min=1, help="Trials in all, instead of the spec's.", show_default=False)
+        int | None, typer.Option(min=1, help="Trials in total, instead of the spec's number.", show_default=False)
     ] = None,
-    jobs: Annotated[int, typer.Option(min=1, help="Trials at the same time; each seed of each is a process.")] = 1,
+    jobs: Annotated[int, typer.Option(min=1, help="Trials at the same time. Each seed of each is a process.")] = 1,
     dry_run: Annotated[bool, typer.Option("--dry-run", help="Check the search and print some sampled specs.")] = False,
     time_limit: TimeLimit = None,
     dashboard: Annotated[
-        bool, typer.Option("--dashboard", help=f"Look at the sweep so far with {DASHBOARD} instead.")
+        bool, typer.Option("--dashboard", help=f"Open the sweep so far in {DASHBOARD} instead.")
     ] = False,
-    quiet: Annotated[bool, typer.Option("--quiet", "-q", help="Show warnings and failures only.")] = False,
+    quiet: Quiet = False,
     json: Json = False,
 ) -> None:
-    """Search the settings that SPEC's sweep names, trial by trial, and keep the best as a spec.
+    """Search the settings that SPEC's sweep names, and write the best as a spec.
 
-    Each trial is the spec with other values, run on the sweep's seeds as ordinary runs. The same command goes on with
-    a sweep that was interrupted. The sweep's own folder is sweeps/NAME below the runs folder, with best.yaml in it.
+    Each trial is the spec with other values, run on the sweep's seeds as ordinary runs. The same command resumes a
+    sweep that was interrupted. The sweep's folder is sweeps/NAME in the runs folder; best.yaml is in it.
     """
     from karolos.spec import load_spec
 
     found = load_spec(spec, overrides or ())
     from karolos.sweep.search import Search
 
+    from .display import SweepDisplay
+
     search = Search(found, text=spec.read_text("utf-8"), trials=trials)
     if dashboard:
         raise typer.Exit(_open_dashboard(search.folder(runs) / "journal.log"))
     if dry_run:
-        _sample(search, json=json)
+        _print_samples(search, json=json)
         return
-    teller = Teller(search.sweep.objectives, quiet=quiet)
-    outcome = search.run(runs, database=database, jobs=jobs, time_limit=seconds(time_limit), listener=teller)
+    listener = SweepDisplay(search.sweep.objectives, quiet=quiet)
+    outcome = search.run(runs, database=database, jobs=jobs, time_limit=seconds(time_limit), listener=listener)
     report(outcome, quiet=quiet, json=json)
     raise typer.Exit(outcome.exit_code)
+
+
+def report(outcome: Outcome, *, quiet: bool, json: bool) -> None:
+    """Print the trials on stdout, and the best of them on stderr."""
+    objectives = outcome.objectives
+    if json or not quiet:
+        rows = (trial_row(trial, objectives, outcome.sweep.space, outcome.final) for trial in outcome.trials)
+        print_rows(rows, json=json)
+    if not quiet:
+        for trial in outcome.front if len(objectives) > 1 else ():
+            say(f"no trial is better than trial {trial.number} in every objective: {drawn_text(trial)}")
+        report_best(outcome.best, outcome.final, objectives, outcome.folder)
+
+
+def drawn_text(trial: Trial) -> str:
+    """The settings of a trial in one line."""
+    return ", ".join(
+        f"{key}={value:.4g}" if isinstance(value, float) else f"{key}={value}" for key, value in trial.drawn.items()
+    )
+
+
+def trial_row(
+    trial: Trial, objectives: Sequence[str], parameters: Iterable[str], final: SweepFinal | None
+) -> dict[str, Any]:
+    """A trial as a row: state, objectives, settings, error, runs.
+
+    After the final choice there are two more columns per objective: on the fresh seeds that the choice was made on, and
+    on the unused seeds that only the chosen trial was run on.
+    """
+    row: dict[str, Any] = {"trial": trial.number, "state": trial.state}
+    for place, name in enumerate(objectives):
+        row[name] = trial.values[place] if trial.values else None
+        if final is not None:
+            fresh = final.fresh.get(trial.number)
+            row[f"{name}_fresh"] = fresh[place] if fresh else None
+            unused = final.reported if trial.number == final.chosen else None
+            row[f"{name}_unused"] = unused[place] if unused else None
+    settings = {key: trial.drawn.get(key) for key in parameters}  # None for a setting that the trial did not draw
+    return {**row, **settings, "error": trial.error, "runs": list(trial.runs)}
+
+
+def report_best(best: Trial | None, final: SweepFinal | None, objectives: Sequence[str], folder: Path) -> None:
+    """Print the best trial on stderr: its settings, how good it is on which seeds, and how to run it."""
+    if best is None:
+        say("no trial is complete yet")
+        return
+    say(f"best: trial {best.number}, {drawn_text(best)}")
+    for place, name in enumerate(objectives if final is not None else ()):
+        assert final is not None
+        line = (
+            f"{name}: {final.tuned[place]:.4g} on the seeds it was tuned on, "
+            f"{final.fresh[final.chosen][place]:.4g} on {len(final.seeds)} fresh seeds that it was chosen by"
+        )
+        if final.reported is not None:
+            gap = final.tuned[place] - final.reported[place]
+            line += f", {final.reported[place]:.4g} on {len(final.report_seeds)} used for nothing else: gap {gap:+.4g}"
+        say(line)
+    if (folder / "best.yaml").is_file():
+        say(f"`karolos run {folder / 'best.yaml'}` runs it; figures in {folder}")
 
 
 def _open_dashboard(journal: Path) -> int:
@@ -68,10 +131,10 @@ def _open_dashboard(journal: Path) -> int:
     if program is None:
         raise MachineError(f"{DASHBOARD} is not installed", hint=f"`pip install {DASHBOARD}`, then try again")
     if not journal.is_file():
-        raise UsageError(f"there is no sweep at {journal.parent} yet", hint="`karolos sweep SPEC` begins one")
+        raise UsageError(f"there is no sweep at {journal.parent} yet", hint="`karolos sweep SPEC` starts one")
     from karolos.experiment.jobs import sigint_ignored
 
-    with sigint_ignored():  # inherited: at Ctrl-C, which is how one leaves it, it would end with a traceback
+    with sigint_ignored():  # the dashboard inherits it; otherwise Ctrl-C would end it with a traceback
         process = subprocess.Popen([program, str(journal)])
     try:
         return process.wait()
@@ -81,12 +144,11 @@ def _open_dashboard(journal: Path) -> int:
         return 0
 
 
-def _sample(search: Search, *, json: bool) -> None:
-    """Print what trials may look like: the changed settings, and whether they make a spec."""
+def _print_samples(search: Search, *, json: bool) -> None:
+    """Print what trials may look like: the changed settings, and whether the spec with them is valid."""
     from karolos.sweep.search import samples
 
-    shown = list(samples(search.spec, min(search.asked, SAMPLES)))
-    rows(
+    print_rows(
         [
             {
                 "trial": place,
@@ -94,9 +156,9 @@ def _sample(search: Search, *, json: bool) -> None:
                 "problem": str(made) if isinstance(made, SpecError) else None,
                 **({"spec": made.dump()} if json and not isinstance(made, SpecError) else {}),
             }
-            for place, (drawn, made) in enumerate(shown)
+            for place, (drawn, made) in enumerate(samples(search.spec, min(search.asked, SAMPLES)))
         ],
         json=json,
     )
     each = f"{len(search.sweep.seeds)} seeds of {search.spec.training.steps:,} steps each"
-    print(f"{search.asked} trials, {each}; nothing was run", file=sys.stderr)
+    say(f"{search.asked} trials, {each}; nothing was run")

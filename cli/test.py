@@ -2,16 +2,13 @@
 
 from __future__ import annotations
 
-import sys
 from pathlib import Path
 from typing import TYPE_CHECKING, Annotated, Any
 
 import typer
 
-from karolos.report.terminal import clean
-
-from .common import RUN_HELP, Database, Json, Runs, print_rich, rows
-from .selection import check_checkpoint, open_run
+from .arguments import Checkpoint, Database, Json, OneRun, Runs, check_checkpoint, open_run
+from .output import print_rows, print_table, warn
 
 if TYPE_CHECKING:
     from karolos.core import Failure
@@ -19,35 +16,34 @@ if TYPE_CHECKING:
 
 
 def transfer(
-    run: Annotated[str, typer.Argument(metavar="RUN", help=RUN_HELP, show_default=False)],
+    run: OneRun,
     overrides: Annotated[
         list[str] | None,
         typer.Argument(
             metavar="[PATH=VALUE]...",
-            help="What to change of the run's robot, task, environment, randomization or orchestrator: robot=ur5 "
-            "task.object_mass=0.3",
+            help="Settings to change of the run's robot, task, environment, randomization or orchestrator, e.g. "
+            "robot=ur5 task.object_mass=0.3",
             show_default=False,
         ),
     ] = None,
     episodes: Annotated[
-        int | None, typer.Option(min=1, help="Episodes to play; as in the run's own tests.", show_default=False)
+        int | None,
+        typer.Option(min=1, help="Episodes. Default: as in the run's own tests.", show_default=False),
     ] = None,
     seed: Annotated[
         int | None,
-        typer.Option(min=0, help="Root of the episodes' seeds; that of the run's own tests.", show_default=False),
+        typer.Option(min=0, help="Root of the episodes' seeds. Default: that of the run's tests.", show_default=False),
     ] = None,
-    checkpoint: Annotated[str, typer.Option(help="Which checkpoint to test: best or last.")] = "best",
-    randomize: Annotated[
-        bool, typer.Option("--randomize", help="Draw what the spec's randomization says, as in training.")
-    ] = False,
+    checkpoint: Checkpoint = "best",
+    randomize: Annotated[bool, typer.Option("--randomize", help="Randomize as in training.")] = False,
     runs: Runs = Path("runs"),
     database: Database = None,
     json: Json = False,
 ) -> None:
     """Test a run's saved policy under changed settings: another robot, other physics, randomization.
 
-    The result is kept in the run's folder (transfers.jsonl), shown by `karolos runs show`, and printed beside the
-    run's own last test.
+    The result is printed beside the run's own last test. It is also written to the run's folder (transfers.jsonl),
+    and `karolos runs show` shows it.
     """
     check_checkpoint(checkpoint)
     folder = open_run(run, runs, database)
@@ -60,18 +56,18 @@ def transfer(
         episodes=episodes,
         seed=seed,
         randomize=randomize,
-        on_failure=_tell,
+        on_failure=_warn_of_failure,
     )
     own = folder.tests()
     if json:
-        rows([{"run": folder.id, **done.row(), "own": _own(own[-1]) if own else None}], json=True)
+        print_rows([{"run": folder.id, **done.row(), "own": _own(own[-1]) if own else None}], json=True)
         return
     from karolos.records.results import TestCounts
     from karolos.report.tables import table_of_tests, transfers_table
 
-    print_rich(transfers_table([done], title=folder.id))
+    print_table(transfers_table([done], title=folder.id))
     if own:
-        print_rich(table_of_tests([TestCounts.of(own[-1])], own[-1:], title="the run's own last test"))
+        print_table(table_of_tests([TestCounts.of(own[-1])], own[-1:], title="the run's own last test"))
 
 
 def _own(result: TestResult) -> dict[str, Any]:
@@ -87,5 +83,5 @@ def _own(result: TestResult) -> dict[str, Any]:
     }
 
 
-def _tell(failure: Failure) -> None:
-    print(f"warning: {clean(str(failure.error))}; its episodes are played again", file=sys.stderr)
+def _warn_of_failure(failure: Failure) -> None:
+    warn(f"{failure.error}; its episodes are played again")

@@ -1,4 +1,4 @@
-"""karolos bench: how fast the parts are on this machine, beside a peer measured in the same run. One file a command."""
+"""`karolos bench`: how fast the parts are on this machine, beside a peer measured in the same run."""
 
 from __future__ import annotations
 
@@ -14,7 +14,7 @@ from .survival import survival
 from .training import training
 from .updates import updates
 
-app = typer.Typer(help="Measure the speed of parts, beside a peer in the same run.", no_args_is_help=True)
+app = typer.Typer(name="bench", help="Measure the speed of parts beside a peer in the same run.", no_args_is_help=True)
 app.command()(agents)
 app.command()(buffers)
 app.command()(environment)
@@ -24,8 +24,3 @@ app.command()(store)
 app.command()(survival)
 app.command()(training)
 app.command()(updates)
-
-
-@app.callback()
-def bench() -> None:
-    """Measure the speed of parts, beside a peer in the same run."""

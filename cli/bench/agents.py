@@ -1,4 +1,4 @@
-"""karolos bench agents."""
+"""`karolos bench agents`."""
 
 from __future__ import annotations
 
@@ -7,22 +7,23 @@ from typing import Annotated
 
 import typer
 
-from ..common import Overrides
-from .output import print_rows
+from ..arguments import Json, Overrides
+from ..output import say
+from .output import print_measurements
 
 
 def agents(
     overrides: Overrides = None,
     folder: Annotated[Path, typer.Option("--runs", help="Folder of the runs and of the table.")] = Path("runs/bench"),
-    only: Annotated[str | None, typer.Option(help="Beginnings of entries, by comma: pendulum,panda_reach sac.")] = None,
-    seeds: Annotated[int, typer.Option(min=1, help="How many runs of each.")] = 5,
-    quick: Annotated[bool, typer.Option("--quick", help="Toys that prove nothing but that they run.")] = False,
-    peers: Annotated[bool, typer.Option("--peers", help="Beside stable-baselines3, tuned, for as many steps.")] = False,
-    as_json: Annotated[bool, typer.Option("--json", help="One JSON object per line.")] = False,
+    only: Annotated[str | None, typer.Option(help="Beginnings of entries to run: pendulum,panda_reach sac.")] = None,
+    seeds: Annotated[int, typer.Option(min=1, help="Runs of each entry.")] = 5,
+    quick: Annotated[bool, typer.Option("--quick", help="Toy tasks, which only show that everything runs.")] = False,
+    peers: Annotated[bool, typer.Option("--peers", help="Run tuned stable-baselines3 too.")] = False,
+    json: Json = False,
 ) -> None:
-    """What each agent learns with each buffer, over several seeds. Takes hours; goes on where it was broken off.
+    """Measure what each agent learns with each buffer over several seeds. Takes hours; a second call resumes.
 
-    The table so far lies in the runs folder as agents.md and agents.json.
+    The table so far is in the runs folder as agents.md and agents.json.
     """
     from karolos.benchmarks.agents import measure
 
@@ -33,6 +34,6 @@ def agents(
         seeds=seeds,
         peers=peers,
         quick=quick,
-        say=lambda line: typer.echo(line, err=True),
+        say=say,
     )
-    print_rows((result.row() for result in results), as_json=as_json)
+    print_measurements((result.row() for result in results), json=json)

@@ -1,4 +1,4 @@
-"""karolos bench buffers."""
+"""`karolos bench buffers`."""
 
 from __future__ import annotations
 
@@ -6,15 +6,16 @@ from typing import Annotated
 
 import typer
 
-from .output import print_rows
+from ..arguments import Json
+from .output import print_measurements
 
 
 def buffers(
-    transitions: Annotated[int, typer.Option(min=1000, help="How many the buffers hold.")] = 1_000_000,
-    seconds: Annotated[float, typer.Option(min=0.1, help="Time for the measurements together.")] = 10.0,
-    as_json: Annotated[bool, typer.Option("--json", help="One JSON object per line.")] = False,
+    transitions: Annotated[int, typer.Option(min=1000, help="Transitions in each buffer.")] = 1_000_000,
+    seconds: Annotated[float, typer.Option(min=0.1, help="Time for all measurements together.")] = 10.0,
+    json: Json = False,
 ) -> None:
-    """Milliseconds to sample and to add, and memory, of replay buffers full of pick-and-place transitions."""
+    """Measure the milliseconds to sample and to add, and the memory, of full replay buffers (pick-and-place)."""
     from karolos.benchmarks.buffers import measure
 
-    print_rows(measure(transitions=transitions, seconds=seconds), as_json=as_json)
+    print_measurements(measure(transitions=transitions, seconds=seconds), json=json)

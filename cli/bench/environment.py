@@ -1,4 +1,4 @@
-"""karolos bench environment."""
+"""`karolos bench environment`."""
 
 from __future__ import annotations
 
@@ -7,7 +7,8 @@ from typing import Annotated
 
 import typer
 
-from .output import print_rows
+from ..arguments import Json
+from .output import print_measurements
 
 
 class Control(StrEnum):
@@ -20,18 +21,18 @@ class Control(StrEnum):
 def environment(
     robot: Annotated[str, typer.Option(help="Name of a robot.")] = "panda",
     task: Annotated[str, typer.Option(help="Name of a task.")] = "reach",
-    control: Annotated[Control | None, typer.Option(help="One control mode only; both by default.")] = None,
-    seconds: Annotated[float, typer.Option(min=0.1, help="Time for the measurements together.")] = 10.0,
-    peers: Annotated[bool, typer.Option("--peers", help="Beside panda-gym, where it is installed.")] = False,
-    as_json: Annotated[bool, typer.Option("--json", help="One JSON object per line.")] = False,
+    control: Annotated[Control | None, typer.Option(help="Only this control mode. Default: both.")] = None,
+    seconds: Annotated[float, typer.Option(min=0.1, help="Time for all measurements together.")] = 10.0,
+    peers: Annotated[bool, typer.Option("--peers", help="Measure panda-gym too, if it is installed.")] = False,
+    json: Json = False,
 ) -> None:
-    """Steps per second of a robot with a task on one core, beside the bare physics of the same episodes."""
+    """Measure steps per second of a robot with a task on one core, beside the bare physics of the same episodes."""
     if peers:
         from karolos.benchmarks.environment import measure_panda_gym
 
-        print_rows(measure_panda_gym(seconds=seconds), as_json=as_json)
+        print_measurements(measure_panda_gym(seconds=seconds), json=json)
         return
     from karolos.benchmarks.environment import measure
 
     controls = [mode.value for mode in Control] if control is None else [control.value]
-    print_rows(measure(robot, task, controls=controls, seconds=seconds), as_json=as_json)
+    print_measurements(measure(robot, task, controls=controls, seconds=seconds), json=json)

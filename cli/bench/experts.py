@@ -1,15 +1,15 @@
-"""karolos bench experts."""
+"""`karolos bench experts`."""
 
 from __future__ import annotations
 
-import sys
 from typing import TYPE_CHECKING, Annotated
 
 import typer
 
 from karolos.errors import UsageError
 
-from ..common import Json, rows
+from ..arguments import Json
+from ..output import print_rows, say
 from .environment import Control
 
 if TYPE_CHECKING:
@@ -19,28 +19,28 @@ if TYPE_CHECKING:
 def experts(
     pair: Annotated[
         list[str] | None,
-        typer.Option(metavar="ROBOT/TASK", help="This pair only; may be repeated. All by default.", show_default=False),
+        typer.Option(metavar="ROBOT/TASK", help="Only this pair; may be repeated. Default: all.", show_default=False),
     ] = None,
-    episodes: Annotated[int, typer.Option(min=1, help="Seeded test episodes of each pair and policy.")] = 200,
-    control: Annotated[Control | None, typer.Option(help="Control mode; the robot's default by default.")] = None,
-    seed: Annotated[int, typer.Option(min=0, help="Root of the episodes' seeds.")] = 0,
+    episodes: Annotated[int, typer.Option(min=1, help="Seeded test episodes per pair and policy.")] = 200,
+    control: Annotated[Control | None, typer.Option(help="Control mode. Default: that of the robot.")] = None,
+    seed: Annotated[int, typer.Option(min=0, help="Root of the seeds of the episodes.")] = 0,
     jobs: Annotated[
-        int | None, typer.Option(min=1, help="Processes side by side. One per core by default.", show_default=False)
+        int | None, typer.Option(min=1, help="Processes at the same time. Default: one per core.", show_default=False)
     ] = None,
     json: Json = False,
 ) -> None:
-    """Success of the scripted expert with each robot and task, beside that of a random policy in the same episodes."""
+    """Measure the success of the scripted expert per robot and task, beside a random policy in the same episodes."""
     from karolos.benchmarks.experts import measure
 
     cases = _cases(pair or [], control.value if control else None)
     lines = []
     for row in measure(cases, episodes=episodes, seed=seed, jobs=jobs):
-        print(f"{row.case}: {row.value:.3g}", file=sys.stderr)
+        say(f"{row.case}: {row.value:.3g}")
         lines.append(row.dump())
         if json:
-            rows(lines[-1:], json=True)
+            print_rows(lines[-1:], json=True)
     if not json:
-        rows(
+        print_rows(
             (
                 {
                     "pair": line["case"],
@@ -59,19 +59,19 @@ def experts(
 
 
 def _cases(pairs: list[str], control: str | None) -> list[Case]:
-    """Those named, which have to go together, or all that do."""
+    """The named pairs, which must fit together, or all pairs that do."""
     from karolos.benchmarks.experts import Case, all_cases, check
 
     if not pairs:
         cases, refusals = all_cases(control)
         for refusal in refusals:
-            print(f"left out: {refusal}", file=sys.stderr)
+            say(f"left out: {refusal}")
         return cases
     cases = []
     for text in pairs:
         robot, slash, task = text.partition("/")
         if not (robot and slash and task):
-            raise UsageError(f"{text!r} is no pair", where="--pair", hint="write ROBOT/TASK, as in panda/reach")
+            raise UsageError(f"{text!r} is not a pair", where="--pair", hint="write ROBOT/TASK, as in panda/reach")
         cases.append(Case(robot, task, control))
     for case in cases:
         check(case)

@@ -1,4 +1,4 @@
-"""karolos bench orchestrator."""
+"""`karolos bench orchestrator`."""
 
 from __future__ import annotations
 
@@ -7,28 +7,30 @@ from typing import Annotated
 
 import typer
 
-from .output import print_rows
+from ..arguments import Json
+from ..output import say
+from .output import print_measurements
 
 
 def orchestrator(
     robot: Annotated[str, typer.Option(help="Name of a robot.")] = "panda",
     task: Annotated[str, typer.Option(help="Name of a task.")] = "reach",
     figure: Annotated[
-        Path | None, typer.Option(help="Write the box plots: FILE.svg, .png or .pdf.", show_default=False)
+        Path | None, typer.Option(help="Box plots to write: FILE.svg, .pdf or .png.", show_default=False)
     ] = None,
-    quick: Annotated[bool, typer.Option("--quick", help="Seconds, not minutes; the figures mean little.")] = False,
-    as_json: Annotated[bool, typer.Option("--json", help="One JSON object per line.")] = False,
+    quick: Annotated[bool, typer.Option("--quick", help="Seconds, not minutes; the numbers mean little.")] = False,
+    json: Json = False,
 ) -> None:
-    """Resets and steps over processes and threads, beside gymnasium's vector environments; what to use here."""
+    """Measure resets and steps over processes and threads beside gymnasium's vector environments; advise settings."""
     from karolos.benchmarks.orchestrator import QUICK, Amounts, measure
-    from karolos.report.boxes import check_format, draw_boxes
+    from karolos.report.figures import check_format, write_box_plots
 
     if figure is not None:
         check_format(figure)
     report = measure(robot, task, QUICK if quick else Amounts())
-    print_rows(report.rows, as_json=as_json)
+    print_measurements(report.rows, json=json)
     for line in report.advice:
-        typer.echo(line, err=True)
+        say(line)
     if figure is not None:
-        draw_boxes(report.panels, figure)
-        typer.echo(f"wrote the box plots into {figure}", err=True)
+        write_box_plots(report.plots, figure)
+        say(f"wrote the box plots into {figure}")

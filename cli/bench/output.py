@@ -2,11 +2,12 @@
 
 from __future__ import annotations
 
-import json
 from collections.abc import Iterable
 from typing import TYPE_CHECKING
 
-import typer
+from karolos.report.tables import Table
+
+from ..output import print_rows, print_table
 
 if TYPE_CHECKING:
     from karolos.benchmarks.side_by_side import Row
@@ -14,17 +15,13 @@ if TYPE_CHECKING:
 COLUMNS = ("benchmark", "case", "value", "unit", "peer", "peer_value", "ratio", "ratio_min", "ratio_max")
 
 
-def print_rows(rows: Iterable[Row], *, as_json: bool) -> None:
-    """Rows on stdout: a table, or one JSON object per line."""
-    if as_json:
-        for row in rows:
-            typer.echo(json.dumps(row.dump()))
-        return
-    table = [row.dump() for row in rows]
-    cells = [COLUMNS, *(tuple(_cell(line[column]) for column in COLUMNS) for line in table)]
-    widths = [max(len(line[column]) for line in cells) for column in range(len(COLUMNS))]
-    for line in cells:
-        typer.echo("  ".join(text.ljust(width) for text, width in zip(line, widths, strict=True)).rstrip())
+def print_measurements(rows: Iterable[Row], *, json: bool) -> None:
+    """Print a table, or one JSON object per measurement as soon as it is made."""
+    measured = (row.dump() for row in rows)
+    if json:
+        print_rows(measured, json=True)
+    else:
+        print_table(Table(COLUMNS, [[_cell(row[column]) for column in COLUMNS] for row in measured]))
 
 
 def _cell(value: object) -> str:

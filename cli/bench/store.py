@@ -1,4 +1,4 @@
-"""karolos bench store."""
+"""`karolos bench store`."""
 
 from __future__ import annotations
 
@@ -6,23 +6,24 @@ from typing import Annotated
 
 import typer
 
-from .output import print_rows
+from ..arguments import Json
+from .output import print_measurements
 
 
 def store(
     runs: Annotated[int, typer.Option(min=16, help="Runs in the database.")] = 10_000,
-    tests: Annotated[int, typer.Option(min=1, help="Tests of each run.")] = 50,
-    episodes: Annotated[int, typer.Option(min=1, help="Episodes of each test.")] = 100,
-    writers: Annotated[int, typer.Option(min=1, help="Processes that write at once.")] = 16,
+    tests: Annotated[int, typer.Option(min=1, help="Tests per run.")] = 50,
+    episodes: Annotated[int, typer.Option(min=1, help="Episodes per test.")] = 100,
+    writers: Annotated[int, typer.Option(min=1, help="Processes that write at the same time.")] = 16,
     database: Annotated[
         str | None,
-        typer.Option(
-            help="URL of an empty database to fill and measure; a SQLite file by default.", show_default=False
-        ),
+        typer.Option(help="URL of an empty database to fill and measure. Default: a SQLite file.", show_default=False),
     ] = None,
-    as_json: Annotated[bool, typer.Option("--json", help="One JSON object per line.")] = False,
+    json: Json = False,
 ) -> None:
-    """Seconds to rebuild, check and ask the results database, and what many processes write into it at once."""
+    """Measure the seconds to rebuild, check and query the results database, and how fast many processes write to it."""
     from karolos.benchmarks.store import measure
 
-    print_rows(measure(runs=runs, tests=tests, episodes=episodes, writers=writers, database=database), as_json=as_json)
+    print_measurements(
+        measure(runs=runs, tests=tests, episodes=episodes, writers=writers, database=database), json=json
+    )

@@ -1,4 +1,4 @@
-"""karolos bench training."""
+"""`karolos bench training`."""
 
 from __future__ import annotations
 
@@ -6,22 +6,25 @@ from typing import Annotated
 
 import typer
 
-from .output import print_rows
+from ..arguments import Json
+from ..output import say
+from .output import print_measurements
 
 
 def training(
-    seeds: Annotated[int, typer.Option(min=1, help="Runs from start to success; as many of the peer's.")] = 1,
+    seeds: Annotated[int, typer.Option(min=1, help="Runs from start to success, and the same number of the peer.")] = 1,
     quick: Annotated[
-        bool, typer.Option("--quick", help="Seconds, not minutes, and no run to success; the figures mean little.")
+        bool,
+        typer.Option("--quick", help="Seconds, not minutes, and no run to success; the numbers mean little."),
     ] = False,
     peers: Annotated[
-        bool, typer.Option("--peers", help="Beside stable-baselines3 on panda-gym, where installed.")
+        bool, typer.Option("--peers", help="Measure stable-baselines3 on panda-gym too, if installed.")
     ] = False,
-    as_json: Annotated[bool, typer.Option("--json", help="One JSON object per line.")] = False,
+    json: Json = False,
 ) -> None:
-    """What learning while the environments step saves, and seconds until a Panda reaches, from start to success."""
+    """Measure what learning while environments step saves, and the seconds until a Panda has learned to reach."""
     from karolos.benchmarks.training import QUICK, Amounts, measure
 
     amounts = QUICK if quick else Amounts(seeds=tuple(range(seeds)))
-    rows = measure(amounts, peers=peers, end_to_end=not quick, say=lambda line: typer.echo(line, err=True))
-    print_rows(rows, as_json=as_json)
+    rows = measure(amounts, peers=peers, end_to_end=not quick, say=say)
+    print_measurements(rows, json=json)

@@ -1,4 +1,4 @@
-"""karolos bench updates."""
+"""`karolos bench updates`."""
 
 from __future__ import annotations
 
@@ -9,7 +9,8 @@ import typer
 
 from karolos.errors import UsageError
 
-from .output import print_rows
+from ..arguments import Json
+from .output import print_measurements
 
 
 class Device(StrEnum):
@@ -21,14 +22,16 @@ class Device(StrEnum):
 
 
 def updates(
-    threads: Annotated[str, typer.Option(help="Numbers of CPU threads, each measured by itself: 1,2.")] = "1",
-    only: Annotated[str | None, typer.Option(help="Names of agents, by comma; all that replay by default.")] = None,
+    threads: Annotated[str, typer.Option(help="Numbers of CPU threads to measure with: 1,2.")] = "1",
+    only: Annotated[
+        str | None, typer.Option(help="Names of agents: sac,td3. Default: all with a replay buffer.")
+    ] = None,
     device: Annotated[Device, typer.Option(help="Where the agents learn.")] = Device.CPU,
-    seconds: Annotated[float, typer.Option(min=0.1, help="Time for each number of threads.")] = 20.0,
-    peers: Annotated[bool, typer.Option("--peers", help="Beside stable-baselines3 and SBX, where installed.")] = False,
-    as_json: Annotated[bool, typer.Option("--json", help="One JSON object per line.")] = False,
+    seconds: Annotated[float, typer.Option(min=0.1, help="Time per number of threads.")] = 20.0,
+    peers: Annotated[bool, typer.Option("--peers", help="Measure stable-baselines3 and SBX too.")] = False,
+    json: Json = False,
 ) -> None:
-    """Gradient updates per second of each agent: two hidden layers of 256, batches of 256, 20 inputs, 4 actions."""
+    """Measure gradient updates per second: two hidden layers of 256, batches of 256, 20 inputs, 4 actions."""
     from karolos.agents.device import resolve_device
     from karolos.benchmarks.updates import AGENTS, measure
 
@@ -45,12 +48,12 @@ def updates(
         peers=peers,
         seconds=seconds,
     )
-    print_rows(rows, as_json=as_json)
+    print_measurements(rows, json=json)
 
 
 def _numbers(text: str) -> list[int]:
-    """ "1,2" -> [1, 2]."""
+    """The numbers in a text such as "1,2"."""
     parts = text.split(",")
     if not all(part.strip().isdecimal() and int(part) > 0 for part in parts):
-        raise UsageError(f"{text!r} is no list of numbers of threads", where="--threads", hint="write 1,2")
+        raise UsageError(f"{text!r} is not a list of numbers of threads", where="--threads", hint="write 1,2")
     return [int(part) for part in parts]

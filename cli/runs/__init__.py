@@ -1,4 +1,4 @@
-"""`karolos runs`: what was run and what became of it. One file per kind of command."""
+"""`karolos runs`: what was run, and with which results."""
 
 from __future__ import annotations
 
@@ -10,7 +10,9 @@ from .listing import list_runs
 from .show import show
 from .trash import remove, restore
 
-app = typer.Typer(name="runs", help="Find runs, show, label, remove, give away and take in.", no_args_is_help=True)
+app = typer.Typer(
+    name="runs", help="List, show, label and remove runs; write them to an archive and read one.", no_args_is_help=True
+)
 app.command("list")(list_runs)
 app.command()(show)
 app.command()(tag)

@@ -1,8 +1,7 @@
-"""`karolos runs tag` and `note`: what a person writes on runs, while they run or later."""
+"""`karolos runs tag` and `note`: what a person writes on runs, at any time."""
 
 from __future__ import annotations
 
-import sys
 from collections.abc import Callable
 from pathlib import Path
 from typing import Annotated
@@ -11,19 +10,21 @@ import typer
 
 from karolos.errors import UsageError
 
-from ..common import Database, Json, Runs, rows
-from ..selection import MANY_HELP, select_runs
+from ..arguments import MANY_HELP, Database, Json, Runs, select_runs
+from ..output import print_rows, say
+
+_Run = Annotated[str, typer.Argument(metavar="RUN", help=MANY_HELP, show_default=False)]
 
 
 def tag(
-    run: Annotated[str, typer.Argument(metavar="RUN", help=MANY_HELP, show_default=False)],
+    run: _Run,
     tags: Annotated[list[str], typer.Argument(metavar="TAG...", help="Words of your own.", show_default=False)],
-    remove: Annotated[bool, typer.Option("--remove", help="Take the tags away.")] = False,
+    remove: Annotated[bool, typer.Option("--remove", help="Remove these tags instead.")] = False,
     runs: Runs = Path("runs"),
     database: Database = None,
     json: Json = False,
 ) -> None:
-    """Give a run tags, or all runs of an experiment. `karolos runs list 'tags=good'` finds them."""
+    """Add tags to a run, or to all runs of an experiment. `karolos runs list 'tags=good'` finds them."""
     from karolos.records import labels
 
     change = labels.remove_tags if remove else labels.add_tags
@@ -31,14 +32,14 @@ def tag(
 
 
 def note(
-    run: Annotated[str, typer.Argument(metavar="RUN", help=MANY_HELP, show_default=False)],
-    text: Annotated[str | None, typer.Argument(metavar="[TEXT]", help="Replaces the note.", show_default=False)] = None,
+    run: _Run,
+    text: Annotated[str | None, typer.Argument(metavar="[TEXT]", help="The new note.", show_default=False)] = None,
     remove: Annotated[bool, typer.Option("--remove", help="Remove the note.")] = False,
     runs: Runs = Path("runs"),
     database: Database = None,
     json: Json = False,
 ) -> None:
-    """Write a note on a run, or on all runs of an experiment, in place of the one before."""
+    """Set the note of a run, or of all runs of an experiment. It replaces the note before."""
     from karolos.records import labels
 
     if (text is None) != remove or text == "":
@@ -47,7 +48,7 @@ def note(
 
 
 def _relabel(selector: str, change: Callable[[Path], None], runs: Path, database: str | None, *, json: bool) -> None:
-    """Write into the folders, which are the truth, and let the index read them again."""
+    """Write into the run folders, and let the index read them again."""
     from karolos.records import RunFolder
 
     store, found = select_runs([selector], None, runs, database)
@@ -57,6 +58,6 @@ def _relabel(selector: str, change: Callable[[Path], None], runs: Path, database
             change(folder.path)
             store.refresh_labels(folder)
         if json:
-            rows([folder.summary().row() for folder in folders], json=True)
+            print_rows([folder.summary().row() for folder in folders], json=True)
             return
-    print(f"{len(folders)} run{'s' if len(folders) > 1 else ''} changed", file=sys.stderr)
+    say(f"{len(folders)} run{'s' if len(folders) > 1 else ''} changed")

@@ -1,18 +1,15 @@
-"""`karolos runs show`: all about one run."""
+"""`karolos runs show`: everything about one run."""
 
 from __future__ import annotations
 
 import os
-import sys
 from collections.abc import Mapping, Sequence
 from dataclasses import dataclass, field
 from pathlib import Path
-from typing import TYPE_CHECKING, Annotated, Any
+from typing import TYPE_CHECKING, Any
 
-import typer
-
-from ..common import RUN_HELP, Database, Json, Runs, print_rich, rows
-from ..selection import find_run
+from ..arguments import Database, Json, OneRun, Runs, find_run
+from ..output import print_rows, print_table, warn
 
 if TYPE_CHECKING:
     from karolos.records import RunFolder
@@ -23,24 +20,24 @@ if TYPE_CHECKING:
 
 
 def show(
-    run: Annotated[str, typer.Argument(metavar="RUN", help=RUN_HELP)],
+    run: OneRun,
     runs: Runs = Path("runs"),
     database: Database = None,
     json: Json = False,
 ) -> None:
-    """Show a run: its state, tests with 95 % intervals, spec, checkpoints and what it was made with."""
+    """Show a run: state, tests with 95 % intervals, spec, checkpoints, versions, command and git commit."""
     store, summary = find_run(run, runs, database)
     with store:
         view = _from_folder(summary) if os.path.isdir(summary.folder) else _from_index(store, summary)
     if json:
-        rows([view.row()], json=True)
+        print_rows([view.row()], json=True)
     else:
         _print_view(view)
 
 
 @dataclass(frozen=True)
 class _View:
-    """All that is known of one run."""
+    """Everything known about one run."""
 
     summary: RunSummary
     tests: Sequence[TestCounts]
@@ -92,12 +89,12 @@ def _from_folder(summary: RunSummary) -> _View:
 
 
 def _from_index(store: Store, summary: RunSummary) -> _View:
-    """What is left of a run whose folder is gone."""
+    """What the index has of a run whose folder is missing."""
     return _View(
         summary=summary,
         tests=store.tests(summary.run),
         spec=store.spec(summary.experiment),
-        problems=(f"the run folder is gone: {summary.folder}",),
+        problems=(f"the run folder is missing: {summary.folder}",),
     )
 
 
@@ -117,7 +114,7 @@ def _test_row(test: TestCounts) -> dict[str, Any]:
 
 
 def _checkpoints(folder: RunFolder) -> tuple[list[dict[str, Any]], list[str]]:
-    """The checkpoints with what they say of themselves, and what is wrong with others."""
+    """The metadata of the checkpoints that can be read, and what is wrong with the others."""
     from karolos import checkpoint
 
     found, problems = [], []
@@ -154,10 +151,13 @@ def _print_view(view: _View) -> None:
         "git commit": commit,
         "versions": ", ".join(f"{name} {version}" for name, version in (about.get("versions") or {}).items()) or None,
     }
-    print_rich(facts_table(facts))
-    print_rich(table_of_tests(view.tests, view.results, title="tests") if view.tests else "\nno tests yet\n")
+    print_table(facts_table(facts))
+    if view.tests:
+        print_table(table_of_tests(view.tests, view.results, title="tests"))
+    else:
+        print("\nno tests yet")
     if view.transfers:
-        print_rich(transfers_table(view.transfers, title="tests under changed settings"))
-    print_rich(facts_table(dict(flatten(view.spec)), title="spec"))
+        print_table(transfers_table(view.transfers, title="tests under changed settings"))
+    print_table(facts_table(dict(flatten(view.spec)), title="spec"))
     for problem in view.problems:
-        print(f"warning: {problem}", file=sys.stderr)
+        warn(problem)

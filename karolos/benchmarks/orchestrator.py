@@ -20,7 +20,7 @@ from ..core import Orchestrator, random_actions
 from ..orchestrator.auto import PROBE_ROUNDS, Measured, choose, cores, process_counts, steps_per_second
 from ..orchestrator.local import Local
 from ..registry import load
-from ..report.boxes import Panel
+from ..report.figures import BoxPlot
 from ..spec.recipe import Part, Recipe
 from .side_by_side import Row, beside, take_turns
 from .waiting import Waiting
@@ -56,10 +56,10 @@ QUICK = Amounts(resets=20, more_resets=40, repeats=2, seconds=0.05, threads=2, e
 
 @dataclass
 class Report:
-    """Rows, the panels of the figure, and advice for this machine."""
+    """Rows, the box plots of the figure, and advice for this machine."""
 
     rows: list[Row] = field(default_factory=list)
-    panels: list[Panel] = field(default_factory=list)
+    plots: list[BoxPlot] = field(default_factory=list)
     advice: list[str] = field(default_factory=list)
 
 
@@ -105,7 +105,7 @@ def _add_resets(
         report.rows.append(beside(NAME, case, found, "s", peer, times[layouts[0]]))
     title = f"{resets:,} resets of {what}" + (f", {layouts[0][0]} processes" if over_threads else "")
     boxes = {str(layout[1 if over_threads else 0]): found for layout, found in times.items()}
-    report.panels.append(Panel(title, "threads" if over_threads else "processes", "s", boxes))
+    report.plots.append(BoxPlot(title, "threads" if over_threads else "processes", "s", boxes))
 
 
 def _seconds_for(orchestrator: Orchestrator, resets: int) -> float:

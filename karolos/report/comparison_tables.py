@@ -1,41 +1,104 @@
-"""A comparison for the terminal."""
+"""A comparison as tables, for the terminal and for the page."""
 
 from __future__ import annotations
 
 from collections.abc import Sequence
+from typing import Any
 
-from rich import box
-from rich.table import Table
-from rich.text import Text
-
-from ..comparison import Comparison
+from ..comparison import MISSING, Comparison, Estimate, Improvement, Scores
 from ..comparison.sides import Difference
-from .comparison_cells import Row, cell, parameter_rows, score_rows
-from .terminal import clean
+from .tables import Table, duration, rate, setting
 
 
 def scores_table(comparison: Comparison) -> Table:
     """One row per number, one column per contender."""
-    return _table([contender.label for contender in comparison.contenders], score_rows(comparison), "")
+    contenders, scores = comparison.contenders, comparison.scores
+    rows = [
+        ("experiment", *(contender.experiment[:12] for contender in contenders)),
+        ("seeds", *(str(len(contender.runs)) for contender in contenders)),
+        ("success any", *(estimate(one.any) for one in scores)),
+        ("success end", *(estimate(one.end) for one in scores)),
+        (f"inter-quartile mean, {comparison.success}", *(estimate(one.iqm) for one in scores)),
+    ]
+    if len(contenders) > 1:
+        rows.append((f"better than {contenders[0].label}", *(improvement(one.improvement) for one in scores)))
+    for place, reaching in enumerate(scores[0].reaching):
+        for unit, name in (("steps", "steps"), ("seconds", "time")):
+            rows.append((f"{name} to {reaching.ratio * 100:g} %", *(_reached(one, place, unit) for one in scores)))
+    if any(one.density for one in scores):
+        rows.append(("density over seeds", *map(_density, scores)))
+    rows += [
+        ("steps of a run", *(rate(one.steps) for one in scores)),
+        ("time of a run", *(duration(one.seconds) for one in scores)),
+        ("updates per second", *(rate(one.updates_per_second) for one in scores)),
+    ]
+    return Table(["", *(contender.label for contender in contenders)], rows)
 
 
 def parameters_table(comparison: Comparison) -> Table:
-    """The settings that differ."""
-    labels = [contender.label for contender in comparison.contenders]
-    return _table(labels, parameter_rows(comparison), "settings that differ")
+    """The settings that differ, one column per contender."""
+    rows = [(path, *map(_value, values)) for path, values in comparison.parameters.items()]
+    return Table(["setting", *(contender.label for contender in comparison.contenders)], rows, "settings that differ")
 
 
-def differences_table(found: Sequence[Difference], a: str, b: str) -> Table:
-    """What two runs were made from, where it differs."""
-    rows = [(f"{one.part}: {one.key}", (cell(one.a), cell(one.b))) for one in found]
-    return _table([a, b], rows, "")
+def differences_table(differences: Sequence[Difference], a: str, b: str) -> Table:
+    """What differs in what two runs were made from."""
+    return Table(["", a, b], [(f"{one.part}: {one.key}", _value(one.a), _value(one.b)) for one in differences])
 
 
-def _table(labels: Sequence[str], rows: Sequence[Row], corner: str) -> Table:
-    table = Table(box=box.SIMPLE_HEAD, pad_edge=False)
-    table.add_column(corner, overflow="fold")
-    for label in labels:
-        table.add_column(Text(clean(label)), overflow="fold")
-    for name, cells in rows:
-        table.add_row(Text(clean(name), "bold"), *(Text(clean(cell)) for cell in cells))
-    return table
+def explanations(comparison: Comparison) -> list[str]:
+    """What the signs in the scores mean, as far as they occur."""
+    scores = comparison.scores
+    kinds = {one.any.kind for one in scores}
+    lines = ["success is that of the last test; the unit is the seed"]
+    if "bootstrap" in kinds:
+        lines.append("[low, high]: 95 % bootstrap interval over 10 seeds or more")
+    if "approximate" in kinds:
+        lines.append("~[low, high]: the same over 5 to 9 seeds, which covers less than 95 %")
+    if "range" in kinds:
+        lines.append("(low - high): smallest and largest of 2 to 4 seeds, too few for an interval")
+    if "wilson" in kinds:
+        lines.append("[low, high] of a single run: 95 % Wilson interval of its test, which says nothing about seeds")
+    lines.append(
+        f"steps and time to: median over seeds of the first test with that success ({comparison.success}); "
+        "(k of n) reached it; - if half of the seeds or more did not"
+    )
+    if len(scores) > 1:
+        lines.append("better than: probability that a run is better than one of the first contender; .5: no difference")
+    if any(one.density for one in scores):
+        lines.append("density over seeds: its modes, and the range of 5 to 95 % of its mass")
+    return lines
+
+
+def estimate(found: Estimate) -> str:
+    """A ratio with its interval, whose brackets tell its kind."""
+    if found.kind == "range":
+        return f"{found.value:.3f} ({found.low:.3f} - {found.high:.3f})"
+    return f"{found.value:.3f} {'~' if found.kind == 'approximate' else ''}[{found.low:.3f}, {found.high:.3f}]"
+
+
+def improvement(found: Improvement | None) -> str:
+    """A probability with its interval; - for the contender that the others are measured against."""
+    if found is None:
+        return "-"
+    if found.low is None or found.high is None:
+        return f"{found.probability:.2f}"
+    return f"{found.probability:.2f} {'~' if found.approximate else ''}[{found.low:.2f}, {found.high:.2f}]"
+
+
+def _value(value: Any) -> str:
+    """A value of a spec as a spec writes it; - where the spec has no such key."""
+    return "-" if value is MISSING else setting(value)
+
+
+def _reached(scores: Scores, place: int, unit: str) -> str:
+    found = scores.reaching[place]
+    median = rate(found.steps) if unit == "steps" else duration(found.seconds)
+    return f"{median} ({found.reached} of {found.seeds})"
+
+
+def _density(scores: Scores) -> str:
+    found = scores.density
+    if found is None:
+        return "-"
+    return f"{' and '.join(f'{mode:.2f}' for mode in found.modes)}; {found.low:.2f} - {found.high:.2f}"

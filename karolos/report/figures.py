@@ -1,133 +1,223 @@
-"""Charts as SVG and PDF files for papers: the same marks as on the page, drawn by matplotlib."""
+"""Figures: how they look, how they are written into files, and how one stands inside a page."""
 
 from __future__ import annotations
 
-from collections.abc import Iterable
+import warnings
+from collections.abc import Iterator, Mapping, Sequence
+from contextlib import contextmanager
+from dataclasses import dataclass
 from pathlib import Path
 from typing import TYPE_CHECKING, Any
+from xml.etree import ElementTree
 
-import numpy as np
-
-from ..errors import MachineError
+from ..errors import UsageError
 from ..files import writing
-from .chart import LIGHT, Band, Chart, Dots, Line, Mark, Shades, short, spread
+from .markup import Markup
+from .tables import clean
 
 if TYPE_CHECKING:
-    from matplotlib.axes import Axes
+    from matplotlib.artist import Artist
     from matplotlib.figure import Figure
 
-FORMATS = ("svg", "pdf")
-INCHES = (4.6, 3.0)
-"""Fits a column of a page."""
-_STYLES = ("-", (0, (4, 2)), (0, (1, 1)))
-_LINES: dict[str, dict[str, Any]] = {
-    "seed": {"linewidth": 0.6, "alpha": 0.4},
-    "main": {"linewidth": 1.8},
-    "edge": {"linewidth": 0.7, "alpha": 0.8},
-}
+FORMATS = (".svg", ".pdf", ".png")
+COLOURS = ("#0072b2", "#bf4a00", "#00805c", "#a03a80", "#8a6a00", "#5a5a5a")
+"""Colours of the contenders, in order, after Okabe and Ito's set for colour-blind readers. They are darkened until each
+stands out from white by 4.5 : 1, as text must."""
+DASHES: tuple[tuple[float, ...], ...] = ((), (5, 2), (1.5, 1.5))
+"""Dash patterns of the contenders: solid for the first six, dashed for the next six, then dotted."""
 LOOK: dict[Any, Any] = {
-    "font.size": 8,
+    "font.size": 9,
+    "axes.titlesize": 10,
+    "axes.titleweight": "bold",
+    "axes.titlelocation": "left",
     "axes.spines.top": False,
     "axes.spines.right": False,
     "axes.axisbelow": True,
-    "svg.hashsalt": "karolos",  # or every file would differ from the one before
-    "pdf.fonttype": 42,  # text that can be searched and edited
+    "axes.edgecolor": "#8a8a86",
+    "axes.labelcolor": "#454545",
+    "xtick.color": "#8a8a86",
+    "ytick.color": "#8a8a86",
+    "xtick.labelcolor": "#454545",
+    "ytick.labelcolor": "#454545",
+    "grid.color": "#e2e2de",
+    "grid.linewidth": 0.6,
+    "legend.frameon": False,
+    "savefig.dpi": 200,
+    "text.parse_math": False,  # a name with two dollar signs is no formula
+    "svg.hashsalt": "karolos",  # without it the ids in a file are random
+    "svg.fonttype": "none",  # text stays text, which can be searched and edited
+    "pdf.fonttype": 42,
 }
-_UNDATED: dict[str, dict[str, Any]] = {"svg": {"Date": None}, "pdf": {"CreationDate": None}}
-_LABEL_GAP = 0.062
-"""Between two labels, as a share of the axis."""
+_UNDATED = {".svg": {"Date": None}, ".pdf": {"CreationDate": None}, ".png": {}}
+_SVG, _XLINK = "{http://www.w3.org/2000/svg}", "{http://www.w3.org/1999/xlink}"
 
 
-def write_figures(charts: Iterable[Chart], folder: Path) -> tuple[Path, ...]:
-    """Write each chart into `folder`, made if it is not there, as <name>.svg and <name>.pdf; returns the files.
-
-    Raises:
-        MachineError: they cannot be written.
-    """
+@contextmanager
+def look() -> Iterator[None]:
+    """The settings of matplotlib under which figures are drawn and written."""
     import matplotlib  # noqa: PLC0415  (takes half a second)
-    from matplotlib.figure import Figure  # noqa: PLC0415
 
-    with writing(folder):
-        folder.mkdir(parents=True, exist_ok=True)
-    found: list[Path] = []
-    with matplotlib.rc_context(LOOK):
-        for chart in charts:
-            figure = Figure(figsize=INCHES, layout="constrained")
-            _draw(figure.add_subplot(), chart)
-            found.extend(save(figure, folder, chart.name))
-    return tuple(found)
+    with matplotlib.rc_context(LOOK), warnings.catch_warnings():
+        warnings.filterwarnings("ignore", "Glyph .* missing from")  # a browser has fonts that matplotlib lacks
+        yield
 
 
-def save(figure: Figure, folder: Path, name: str) -> list[Path]:
-    """Write a figure into the folder in every format; returns the files.
+def check_format(path: Path) -> None:
+    """Raise a UsageError unless the file's extension is that of a picture."""
+    if path.suffix not in FORMATS:
+        raise UsageError(f"{path.name} has no file extension of a picture", hint=f"let it end in {', '.join(FORMATS)}")
+
+
+def save(figure: Figure, path: Path) -> None:
+    """Write a figure in the format of the file's extension; the same figure gives the same bytes.
 
     Raises:
-        MachineError: they cannot be written.
+        MachineError: the file cannot be written.
     """
-    found = []
-    for ending in FORMATS:
-        path = folder / f"{name}.{ending}"
-        try:
-            figure.savefig(path, metadata=_UNDATED[ending])
-        except OSError as error:
-            raise MachineError(f"cannot be written ({error.strerror})", where=str(path)) from error
-        found.append(path)
-    return found
+    with look(), writing(path):
+        figure.savefig(path, metadata=_UNDATED[path.suffix])
 
 
-def _draw(axes: Axes, chart: Chart) -> None:
-    axes.set_title(_plain(chart.title))
-    axes.set(xlabel=chart.across.label, ylabel=chart.up.label)
-    axes.set_xlim(chart.across.low, chart.across.high)
-    axes.set_ylim(chart.up.low, chart.up.high)
-    axes.set_xticks([place for place, _ in chart.across.ticks], [text for _, text in chart.across.ticks])
-    axes.set_yticks([place for place, _ in chart.up.ticks], [_plain(short(text)) for _, text in chart.up.ticks])
-    axes.grid(axis="x" if chart.up.categories else "both", color="#d9d9d4", linewidth=0.6)
-    for mark in chart.marks:
-        _mark(axes, mark)
-    low, high = chart.up.low, chart.up.high
-    heights = spread([label.y for label in chart.labels], _LABEL_GAP * (high - low), low, high)
-    for label, height in zip(chart.labels, heights, strict=True):
-        axes.annotate(
-            _plain(short(label.text)),
-            (1.0, height),
-            xycoords=axes.get_yaxis_transform(),
-            xytext=(5, 0),
-            textcoords="offset points",
-            verticalalignment="center",
-            color=_colour(label.series),
-            fontweight="bold",
-        )
+def short(text: str, length: int = 28) -> str:
+    """A name shortened in the middle, since names differ at their ends; control characters are replaced."""
+    text = clean(text)
+    if len(text) <= length:
+        return text
+    head = (length - 1) // 2
+    return f"{text[:head]}…{text[len(text) - (length - 1 - head) :]}"
 
 
-def _mark(axes: Axes, mark: Mark) -> None:
-    colour, dashes = _colour(mark.series), _STYLES[mark.series // len(LIGHT) % len(_STYLES)]
-    match mark:
-        case Line():
-            axes.plot(mark.x, mark.y, color=colour, linestyle=dashes, **_LINES[mark.role])
-        case Band():
-            axes.fill_between(mark.x, mark.low, mark.high, color=colour, alpha=0.16, linewidth=0)
-        case Dots():
-            axes.plot(mark.x, mark.y, "o", color=colour, alpha=0.75, markersize=4, markeredgewidth=0, clip_on=False)
-        case Shades():
-            _shades(axes, mark, colour)
+def style(series: int) -> dict[str, Any]:
+    """Colour and dashes of a contender's lines."""
+    dashes = DASHES[series // len(COLOURS) % len(DASHES)]
+    return {"color": COLOURS[series % len(COLOURS)], "linestyle": (0, dashes) if dashes else "-"}
 
 
-def _shades(axes: Axes, mark: Shades, colour: str) -> None:
-    from matplotlib.colors import LinearSegmentedColormap  # noqa: PLC0415
+class Drawing:
+    """A figure with one set of axes, whose parts a page can address by class.
 
-    scale = LinearSegmentedColormap.from_list("shades", ["#ffffff", colour])
-    heights = np.linspace(0, 1, mark.shades.shape[1])
-    half = heights[1] / 2
-    borders = np.clip(np.append(heights - half, 1 + half), 0, 1)
-    mesh = axes.pcolormesh(mark.edges, borders, mark.shades.T, cmap=scale, vmin=0, vmax=1, linewidth=0)
-    mesh.set_rasterized(True)  # thousands of rectangles show seams in many viewers
+    Args:
+        name: of its files, without extension.
+        title: stands above the axes.
+        caption: stands below the figure in a page.
+        series: the contender that the whole figure shows, if it shows only one.
+    """
+
+    def __init__(self, name: str, title: str, caption: str, series: int | None = None) -> None:
+        from matplotlib.figure import Figure  # noqa: PLC0415  (takes half a second)
+
+        self.name, self.title, self.caption, self.series = name, title, caption, series
+        self.figure = Figure(figsize=(4.8, 3.4), layout="constrained")
+        self.axes = self.figure.add_subplot()
+        self.axes.set_title(short(title, 44))
+        self.parts: dict[str, tuple[str, str]] = {}
+        """Group id of an artist -> class names and tooltip of its element in the page."""
+
+    def part(self, artist: Artist, classes: str, tooltip: str = "") -> None:
+        """Give an artist class names and a tooltip in the page."""
+        gid = f"part{len(self.parts)}"
+        artist.set_gid(gid)
+        self.parts[gid] = (classes, clean(tooltip))
+
+    def artists(self, classes: str) -> list[Any]:
+        """The artists that have exactly these class names."""
+        gids = {gid for gid, (found, _) in self.parts.items() if found == classes}
+        return [artist for artist in self.axes.get_children() if artist.get_gid() in gids]
+
+    def legend(self, labels: Sequence[str]) -> None:
+        """Name the contenders below the axes."""
+        from matplotlib.lines import Line2D  # noqa: PLC0415
+
+        lines = [Line2D([], [], **style(series), label=short(label)) for series, label in enumerate(labels)]
+        legend = self.figure.legend(handles=lines, loc="outside lower center", ncols=min(len(labels), 2))
+        for series, (line, text) in enumerate(zip(legend.legend_handles, legend.get_texts(), strict=True)):
+            assert line is not None
+            self.part(line, f"series-{series}")
+            self.part(text, f"series-{series}")
+
+    def write(self, folder: Path) -> list[Path]:
+        """Write the figure into a folder in every format; returns the files."""
+        paths = [folder / f"{self.name}{suffix}" for suffix in FORMATS]
+        for path in paths:
+            save(self.figure, path)
+        return paths
+
+    def svg(self) -> Markup:
+        """The figure as an <svg> element for an HTML page with a strict security policy.
+
+        Inline styles become presentation attributes, since the policy forbids the former. The groups of artists get
+        their classes and tooltips. Ids begin with the figure's name, so that several figures fit into one page.
+        """
+        from io import StringIO  # noqa: PLC0415
+
+        stream = StringIO()
+        with look():
+            self.figure.savefig(stream, format="svg", metadata={"Date": None})
+        root = ElementTree.fromstring(stream.getvalue())
+        for parent in list(root.iter()):
+            for child in list(parent):
+                if child.tag in (f"{_SVG}metadata", f"{_SVG}style"):
+                    parent.remove(child)
+        for element in root.iter():
+            self._plain_element(element)
+        size = {"viewBox": root.get("viewBox", ""), "role": "img", "aria-label": clean(self.title)}
+        root.attrib.clear()
+        root.attrib |= size | {"stroke-linejoin": "round", "stroke-linecap": "butt"}
+        return Markup(ElementTree.tostring(root, "unicode"))
+
+    def _plain_element(self, element: ElementTree.Element) -> None:
+        element.tag = element.tag.removeprefix(_SVG)
+        gid = element.get("id", "")
+        attributes = {key.removeprefix(_XLINK): value for key, value in element.attrib.items()}
+        for declaration in attributes.pop("style", "").split(";"):
+            key, _, value = declaration.strip().partition(": ")
+            if key == "font":
+                *weight, size = value.split("px")[0].split()
+                attributes |= {"font-size": size} | ({"font-weight": weight[0]} if weight else {})
+            elif key:
+                attributes[key] = value
+        for key, value in attributes.items():
+            if key == "href" and value.startswith("#"):
+                attributes[key] = f"#{self.name}-{value[1:]}"
+            attributes[key] = attributes[key].replace("url(#", f"url(#{self.name}-")
+        if gid:
+            attributes["id"] = f"{self.name}-{gid}"
+        element.attrib.clear()
+        element.attrib |= attributes
+        if gid in self.parts:
+            classes, tooltip = self.parts[gid]
+            element.set("class", classes)
+            if tooltip:
+                title = ElementTree.Element("title")
+                title.text = tooltip
+                element.insert(0, title)
 
 
-def _colour(series: int) -> str:
-    return LIGHT[series % len(LIGHT)]
+@dataclass(frozen=True)
+class BoxPlot:
+    """One set of axes: for each label the values of its box."""
+
+    title: str
+    x_label: str
+    y_label: str
+    values: Mapping[str, Sequence[float]]
 
 
-def _plain(text: str) -> str:
-    """Text that matplotlib does not take for a formula."""
-    return text.replace("$", r"\$")
+def write_box_plots(plots: Sequence[BoxPlot], path: Path) -> None:
+    """Write box plots side by side into a file, in the format of its extension.
+
+    Raises:
+        UsageError: the extension is not that of a picture.
+        MachineError: the file cannot be written.
+    """
+    check_format(path)
+    with look():
+        from matplotlib.figure import Figure  # noqa: PLC0415
+
+        figure = Figure(figsize=(5 * len(plots), 4), layout="constrained")
+        for axes, plot in zip(figure.subplots(1, len(plots), squeeze=False)[0], plots, strict=True):
+            axes.boxplot(list(plot.values.values()), tick_labels=list(plot.values))
+            axes.set(title=plot.title, xlabel=plot.x_label, ylabel=plot.y_label)
+            axes.set_ylim(bottom=0)
+            axes.grid(axis="y")
+        save(figure, path)

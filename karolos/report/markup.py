@@ -2,12 +2,15 @@
 
 from __future__ import annotations
 
-from collections.abc import Iterable
 from html import escape
+
+from .tables import clean
+
+_EMPTY = frozenset({"meta", "input", "path"})
 
 
 class Markup(str):
-    """Text that is markup already. Only `tag` and `join` make it, and whoever writes a constant."""
+    """Text that is markup already. Only `tag` makes it, and code that writes a constant."""
 
     __slots__ = ()
 
@@ -17,35 +20,19 @@ def tag(name: str, /, *children: object, **attributes: object) -> Markup:
 
     Attributes: `class_` for class, underscores become hyphens, True is an attribute without a value.
     """
-    written = "".join(_attribute(key, value) for key, value in attributes.items() if not _nothing(value))
-    inside = join(children)
+    inside = "".join(
+        child if isinstance(child, Markup) else _escaped(child)
+        for child in children
+        if child is not None and child is not False  # 0 is shown
+    )
+    written = "".join(
+        f" {key.rstrip('_').replace('_', '-')}" + ("" if value is True else f'="{_escaped(value)}"')
+        for key, value in attributes.items()
+        if value is not None and value is not False
+    )
     return Markup(f"<{name}{written}/>" if name in _EMPTY else f"<{name}{written}>{inside}</{name}>")
 
 
-def join(children: Iterable[object]) -> Markup:
-    """Children one after the other, escaped unless they are Markup."""
-    return Markup("".join(_child(child) for child in children if not _nothing(child)))
-
-
-_EMPTY = frozenset({"meta", "br", "input", "rect", "path", "line", "circle", "stop"})
-
-_BLANKS = "\n\N{NO-BREAK SPACE}"
-
-
-def _nothing(value: object) -> bool:
-    return value is None or value is False  # 0 is something
-
-
-def _child(child: object) -> str:
-    return child if isinstance(child, Markup) else escape(_shown(child))
-
-
-def _attribute(key: str, value: object) -> str:
-    name = key.rstrip("_").replace("_", "-")
-    return f" {name}" if value is True else f' {name}="{escape(_shown(value))}"'
-
-
-def _shown(value: object) -> str:
-    """Without control characters and marks that reorder a line, which HTML cannot escape."""
-    text = f"{value:.5g}" if isinstance(value, float) else str(value)
-    return "".join(sign if sign.isprintable() or sign in _BLANKS else "\N{REPLACEMENT CHARACTER}" for sign in text)
+def _escaped(value: object) -> str:
+    """Escaped, without control characters and marks that reorder a line, which HTML cannot escape."""
+    return escape(clean(value, allowed="\n\N{NO-BREAK SPACE}"))

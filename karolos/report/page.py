@@ -4,37 +4,71 @@ from __future__ import annotations
 
 import base64
 import hashlib
-from collections.abc import Sequence
+from collections.abc import Iterable, Sequence
 from pathlib import Path
 
 from .. import __version__
 from ..comparison import ComparedRun, Comparison
 from ..files import write_whole
-from ..statistics.intervals import wilson
-from . import charts, svg
-from .chart import LIGHT, Chart
-from .comparison_cells import Row, explanations, parameter_rows, score_rows
+from .comparison_tables import explanations, parameters_table, scores_table
+from .figures import COLOURS, DASHES, Drawing
 from .markup import Markup, tag
-from .style import style
-from .tables import count, duration
+from .tables import Table, count, duration, rate, success
+
+_STYLE = """
+:root{color-scheme:light;--soft:#5c5c5c;--panel:#f6f6f4;--rule:#d9d9d4}
+*{box-sizing:border-box}
+body,svg text{font-family:system-ui,-apple-system,"Segoe UI",Roboto,"Liberation Sans",sans-serif}
+body{margin:0 auto;padding:1rem;max-width:78rem;background:#fff;color:#1c1c1c;font-size:16px;line-height:1.5}
+h1{font-size:1.5rem;line-height:1.25;margin:.5rem 0;overflow-wrap:anywhere}
+h2{font-size:1.2rem;margin:2.2rem 0 .6rem}
+p,figcaption,.notes{color:var(--soft);margin:.3rem 0;max-width:65rem}
+figcaption,.notes{font-size:.85rem}
+.notes{padding-left:1.1rem}
+.warnings{background:#fff3d6;border-radius:6px;padding:.6rem 1rem .6rem 2rem;margin:1rem 0;overflow-wrap:anywhere}
+.legend{display:flex;flex-wrap:wrap;gap:.3rem 1.2rem;margin:1rem 0;padding:.5rem 0;position:sticky;top:0;z-index:1;
+background:#fff;border-bottom:1px solid var(--rule)}
+.legend label{display:inline-flex;gap:.4rem;align-items:center;cursor:pointer;overflow-wrap:anywhere}
+.swatch{width:26px;height:10px;flex:none;margin-right:.3rem}
+.figures{display:grid;grid-template-columns:repeat(auto-fit,minmax(min(100%,30rem),1fr));gap:1.2rem}
+figure{margin:0;padding:.8rem;background:var(--panel);border-radius:8px;min-width:0}
+figure svg{display:block;width:100%;height:auto;max-width:40rem;border-radius:4px}
+.scroll{overflow-x:auto}
+table{border-collapse:collapse;font-size:.9rem;font-variant-numeric:tabular-nums}
+th,td{padding:.3rem .7rem;text-align:left;vertical-align:top;border-bottom:1px solid var(--rule);
+overflow-wrap:break-word;max-width:24rem}
+thead th{border-bottom:2px solid var(--rule)}
+tbody th,thead th:first-child{position:sticky;left:0;background:#fff;font-weight:normal}
+tbody th{color:var(--soft)}
+td{white-space:nowrap}
+td:first-child{max-width:none}
+td.long{white-space:pre-line;min-width:6rem}
+@media (max-width:40rem){.legend{position:static}body{padding:.7rem}figure{padding:.4rem}tbody th{max-width:8rem}}
+@media print{.legend{position:static}figure{break-inside:avoid}}
+body:has(#seeds:not(:checked)) .seed{display:none}
+"""
 
 
-def write_page(comparison: Comparison, path: Path) -> None:
+def write_page(comparison: Comparison, drawings: Sequence[Drawing], path: Path) -> None:
     """Write the page, whole or not at all.
 
     Raises:
         MachineError: the file cannot be written.
     """
-    write_whole(path, page(comparison))
+    write_whole(path, page(comparison, drawings))
 
 
-def page(comparison: Comparison) -> str:
-    """The page as text. Its security policy allows the style sheet inside it, named by its hash, and nothing else."""
+def page(comparison: Comparison, drawings: Sequence[Drawing]) -> str:
+    """The page as text, with the figures of the comparison in it.
+
+    Its security policy allows the style sheet inside it, named by its hash, and pictures inside it; nothing else.
+    """
     labels = [contender.label for contender in comparison.contenders]
     title = f"{' and '.join(labels) if len(labels) < 3 else f'{labels[0]} and {len(labels) - 1} others'} compared"
-    rules = Markup(style(len(labels)))
-    digest = base64.b64encode(hashlib.sha256(rules.encode()).digest()).decode()
-    policy = f"default-src 'none'; style-src 'sha256-{digest}'; base-uri 'none'; form-action 'none'"
+    hidden = (f"body:has(#show-{k}:not(:checked)) .series-{k}{{display:none}}\n" for k in range(len(labels)))
+    style = Markup(_STYLE + "".join(hidden))
+    digest = base64.b64encode(hashlib.sha256(style.encode()).digest()).decode()
+    policy = f"default-src 'none'; style-src 'sha256-{digest}'; img-src data:; base-uri 'none'; form-action 'none'"
     head = tag(
         "head",
         tag("meta", charset="utf-8"),
@@ -42,122 +76,124 @@ def page(comparison: Comparison) -> str:
         tag("meta", name="viewport", content="width=device-width, initial-scale=1"),
         tag("meta", name="referrer", content="no-referrer"),
         tag("title", title),
-        tag("style", rules),
+        tag("style", style),
     )
-    body = tag("body", tag("h1", title), *_sections(comparison))
+    body = tag("body", tag("h1", title), *_sections(comparison, drawings))
     return f"<!doctype html>\n{tag('html', head, body, lang='en')}\n"
 
 
-def _sections(comparison: Comparison) -> list[Markup | None]:
+def _sections(comparison: Comparison, drawings: Sequence[Drawing]) -> list[Markup | None]:
     labels = [contender.label for contender in comparison.contenders]
-    densities = list(charts.density_charts(comparison))
-    parameters = parameter_rows(comparison)
+    learning, seeds, density = drawings[:2], drawings[2:4], drawings[4:]
     return [
         tag("p", f"{sum(len(one.runs) for one in comparison.contenders)} runs, karolos {__version__}."),
-        _warnings(comparison.warnings),
-        _keys(labels),
+        _list("warnings", comparison.warnings) if comparison.warnings else None,
+        _legend(labels),
         tag("h2", "Learning"),
-        _figures([charts.learning(comparison, "steps"), charts.learning(comparison, "seconds")]),
+        _figures(learning),
         tag("h2", "In numbers"),
-        _table("", labels, score_rows(comparison)),
-        tag("ul", *(tag("li", _kept(line)) for line in explanations(comparison)), class_="notes"),
+        _contenders_table(scores_table(comparison)),
+        _list("notes", explanations(comparison)),
         tag("h2", "Settings that differ") if len(labels) > 1 else None,
-        _table("setting", labels, parameters) if parameters else None,
-        tag("p", "The specs are the same.") if len(labels) > 1 and not parameters else None,
+        _contenders_table(parameters_table(comparison)) if comparison.parameters else None,
+        tag("p", "The specs are the same.") if len(labels) > 1 and not comparison.parameters else None,
         tag("h2", "Seeds"),
-        _figures([charts.final(comparison), charts.profiles(comparison)]),
+        _figures(seeds),
         tag("h2", "Density of the success ratio over training"),
         tag(
             "p",
             "At each test the kernel density over the seeds, reflected at 0 and 1 and normalised by Simpson's rule. "
-            "The darker, the denser (by the root of the density; one scale for all). Bold: its mean; thin: 5 and 95 % "
-            "of its mass lie below."
-            if densities
+            "Darker is denser: shades follow the square root of the density and are the same in all figures. Bold: "
+            "mean of the density; thin: 5 and 95 % of its mass are below."
+            if density
             else "A single seed has no density.",
         ),
-        _figures(densities),
+        _figures(density),
         tag("h2", "Runs"),
-        _runs(comparison),
+        _runs_table(comparison),
     ]
 
 
-def _warnings(warnings: Sequence[str]) -> Markup | None:
-    return tag("ul", *(tag("li", warning) for warning in warnings), class_="warnings") if warnings else None
+def _list(kind: str, lines: Iterable[str]) -> Markup:
+    return tag("ul", *(tag("li", line) for line in lines), class_=kind)
 
 
-def _keys(labels: Sequence[str]) -> Markup:
-    """The legend; each entry shows or hides its contender, without a script."""
-    line = tag("polyline", points="1,5 25,5", class_="main")
+def _legend(labels: Sequence[str]) -> Markup:
+    """Check boxes that show or hide a contender, or the lines of single seeds; the style sheet does it."""
     entries = [
-        tag(
-            "label",
-            tag("input", type="checkbox", checked=True, id=f"e{place}"),
-            tag("svg", line, viewBox="0 0 26 10", class_=svg.series_classes(place).rsplit(" ", 1)[0]),
-            label,
-        )
-        for place, label in enumerate(labels)
+        tag("label", tag("input", type="checkbox", checked=True, id=f"show-{series}"), _swatch(series), label)
+        for series, label in enumerate(labels)
     ]
     seeds = tag("label", tag("input", type="checkbox", checked=True, id="seeds"), "each seed")
-    return tag("div", *entries, seeds, class_="keys")
+    return tag("div", *entries, seeds, class_="legend")
 
 
-def _figures(drawn: Sequence[Chart]) -> Markup:
-    return tag("div", *map(_figure, drawn), class_="figures")
+def _swatch(series: int) -> Markup:
+    """A piece of a contender's line."""
+    dashes = " ".join(f"{2 * length:g}" for length in DASHES[series // len(COLOURS) % len(DASHES)]) or None
+    colour = COLOURS[series % len(COLOURS)]
+    line = tag("path", d="M1,5h24", stroke=colour, stroke_width=4, stroke_dasharray=dashes)
+    return tag("svg", line, viewBox="0 0 26 10", class_="swatch")
 
 
-def _figure(chart: Chart) -> Markup:
-    series = {mark.series for mark in chart.marks}
-    only = f"s{series.pop()}" if len(series) == 1 else None  # goes when its contender is hidden
-    return tag("figure", tag("h3", chart.title), svg.draw(chart), tag("figcaption", _kept(chart.caption)), class_=only)
-
-
-def _table(corner: str, labels: Sequence[str], rows: Sequence[Row]) -> Markup:
-    names = [
-        tag("th", tag("span", class_=f"swatch c{place % len(LIGHT)}"), label, scope="col")
-        for place, label in enumerate(labels)
+def _figures(drawings: Sequence[Drawing]) -> Markup:
+    figures = [
+        tag(
+            "figure",
+            drawing.svg(),
+            tag("figcaption", drawing.caption),
+            class_=None if drawing.series is None else f"series-{drawing.series}",
+        )
+        for drawing in drawings
     ]
-    lines = [
-        tag("tr", tag("th", _kept(name), scope="row"), *(tag("td", cell) for cell in cells)) for name, cells in rows
-    ]
-    head = tag("thead", tag("tr", tag("th", corner), *names))
-    return tag("div", tag("table", head, tag("tbody", *lines)), class_="scroll", tabindex=0)
+    return tag("div", *figures, class_="figures")
 
 
-def _kept(text: str) -> str:
-    """Without a break between a number and its sign."""
-    return text.replace(" %", "\N{NO-BREAK SPACE}%")
+def _contenders_table(table: Table) -> Markup:
+    """A table whose first column names the rows and whose others are the contenders."""
+    corner, *labels = table.columns
+    head = [tag("th", corner), *(tag("th", _swatch(k), label, scope="col") for k, label in enumerate(labels))]
+    return _table(head, [tag("tr", tag("th", name, scope="row"), *map(_cell, cells)) for name, *cells in table.rows])
 
 
-def _runs(comparison: Comparison) -> Markup:
+def _runs_table(comparison: Comparison) -> Markup:
     runs = [(series, run) for series, contender in enumerate(comparison.contenders) for run in contender.runs]
     labelled = any(run.summary.tags or run.summary.note for _, run in runs)
     names = ["run", "seed", "state", "steps", "time", "success any", "success end", "updates/s", "code"]
     names += ["tags", "note"] if labelled else []
-    lines = [_run(series, run, labelled=labelled) for series, run in runs]
-    head = tag("thead", tag("tr", *(tag("th", name, scope="col") for name in names)))
-    return tag("div", tag("table", head, tag("tbody", *lines)), class_="scroll", tabindex=0)
-
-
-def _run(series: int, run: ComparedRun, *, labelled: bool) -> Markup:
-    summary, last = run.summary, run.tests[-1]
-    successes = [
-        f"{k / last.episodes:.2f} [{low:.2f}, {high:.2f}]"
-        for k in (last.any, last.end)
-        for low, high in [wilson(k, last.episodes)]
+    rows = [
+        tag(
+            "tr",
+            tag("td", _swatch(series), run.summary.run),
+            *map(_cell, _run_cells(run)[: len(names) - 1]),
+            class_=f"series-{series}",
+        )
+        for series, run in runs
     ]
-    numbers = [count(summary.steps), duration(summary.seconds), *successes, _rate(run), run.commit or "-"]
-    state = summary.state if summary.error is None else f"{summary.state}: {summary.error}"
-    labels = (", ".join(summary.tags), summary.note or "")
-    return tag(
-        "tr",
-        tag("td", tag("span", class_=f"swatch c{series % len(LIGHT)}"), summary.run, class_="number"),
-        tag("td", str(summary.seed)),
-        tag("td", state, class_="long"),
-        *(tag("td", number, class_="number") for number in numbers),
-        *(tag("td", text, class_="long") for text in (labels if labelled else ())),
-        class_=f"s{series}",
-    )
+    return _table([tag("th", name, scope="col") for name in names], rows)
 
 
-def _rate(run: ComparedRun) -> str:
-    return "-" if run.updates_per_second is None else f"{run.updates_per_second:,.0f}"
+def _run_cells(run: ComparedRun) -> list[str]:
+    summary, last = run.summary, run.tests[-1]
+    return [
+        str(summary.seed),
+        summary.state if summary.error is None else f"{summary.state}: {summary.error}",
+        count(summary.steps),
+        duration(summary.seconds),
+        success(last.any / last.episodes, last.episodes),
+        success(last.end / last.episodes, last.episodes),
+        rate(run.updates_per_second),
+        run.commit or "-",
+        ", ".join(summary.tags),
+        summary.note or "",
+    ]
+
+
+def _cell(text: str) -> Markup:
+    """A cell; a long text may be broken, a number may not."""
+    return tag("td", text, class_="long" if len(text) > 26 else None)
+
+
+def _table(head: Sequence[Markup], rows: Sequence[Markup]) -> Markup:
+    """A table that scrolls sideways by itself where the window is too narrow for it."""
+    return tag("div", tag("table", tag("thead", tag("tr", *head)), tag("tbody", *rows)), class_="scroll", tabindex=0)

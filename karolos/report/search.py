@@ -10,7 +10,8 @@ import numpy as np
 
 from ..files import writing
 from ..spec.sweep import OBJECTIVES, Parameter
-from .figures import LOOK, save
+from .figures import look, save
+from .tables import clean
 
 if TYPE_CHECKING:
     from matplotlib.axes import Axes
@@ -50,18 +51,20 @@ def write_search_figures(
     Raises:
         MachineError: they cannot be written.
     """
-    import matplotlib  # noqa: PLC0415  (takes half a second)
-    from matplotlib.figure import Figure  # noqa: PLC0415
-
     with writing(folder):
         folder.mkdir(parents=True, exist_ok=True)
-    with matplotlib.rc_context(LOOK):
+    paths = tuple(folder / f"search.{suffix}" for suffix in ("svg", "pdf"))
+    with look():
+        from matplotlib.figure import Figure  # noqa: PLC0415  (takes half a second)
+
         figure = Figure(figsize=INCHES, layout="constrained")
         grid = figure.add_gridspec(2, 2, width_ratios=(3, 2))
         _history(figure.add_subplot(grid[0, 0]), trials, objective)
         _importances(figure.add_subplot(grid[0, 1]), importances)
         _parallel(figure.add_subplot(grid[1, :]), trials, objective, space)
-        return tuple(save(figure, folder, "search"))
+        for path in paths:
+            save(figure, path)
+    return paths
 
 
 def _first(trial: SearchTrial) -> float:
@@ -99,7 +102,7 @@ def _importances(axes: Axes, importances: Mapping[str, float]) -> None:
         axes.text(0.5, 0.5, "too few trials that differ", ha="center", va="center", transform=axes.transAxes)
         return
     ordered = sorted(importances.items(), key=lambda one: one[1])
-    bars = axes.barh([_plain(name) for name, _ in ordered], [share for _, share in ordered], color=_COLOUR)
+    bars = axes.barh([clean(name) for name, _ in ordered], [share for _, share in ordered], color=_COLOUR)
     axes.bar_label(bars, fmt="%.2f", padding=2)
     axes.set_xlim(0, 1.15 * max(importances.values()))
 
@@ -119,8 +122,8 @@ def _parallel(axes: Axes, trials: Sequence[SearchTrial], objective: str, space: 
     for across, marks in enumerate(ticks):
         axes.axvline(across, color=_PALE, linewidth=0.8, zorder=0)
         for height, text in marks:
-            axes.annotate(_plain(text), (across, height), xytext=(3, 3), textcoords="offset points")
-    axes.set_xticks(range(len(ticks)), [_plain(name) for name in (objective, *space)])
+            axes.annotate(clean(text), (across, height), xytext=(3, 3), textcoords="offset points")
+    axes.set_xticks(range(len(ticks)), [clean(name) for name in (objective, *space)])
     axes.tick_params(axis="x", length=0)
     axes.set_yticks([])
     axes.set_ylim(-0.02, 1.06)
@@ -146,8 +149,3 @@ def _ticks(parameter: Parameter) -> list[tuple[float, str]]:
         return [(_height(parameter, label), label) for label in parameter.labels]
     low, high = parameter.bounds
     return [(0.0, f"{low:g}"), (1.0, f"{high:g}")]
-
-
-def _plain(text: str) -> str:
-    """Text that matplotlib does not take for a formula."""
-    return text.replace("$", r"\$")

@@ -1,30 +1,46 @@
-"""Tables for the terminal: runs, tests, specs. Every text that comes from a file is made harmless first."""
+"""Tables of runs, tests and specs as plain texts; `karolos_cli.output` and `page` show them."""
 
 from __future__ import annotations
 
 import json
-from collections.abc import Iterator, Mapping, Sequence
-from typing import Any
+from collections.abc import Iterable, Iterator, Mapping, Sequence
+from dataclasses import dataclass
+from typing import TYPE_CHECKING, Any
 
-from rich import box
-from rich.table import Table
-from rich.text import Text
-
-from ..records import run_records
-from ..records.results import WITHIN, TestCounts, TestResult
-from ..records.run_records import RunSummary
-from ..records.transfer_results import TransferResult
 from ..statistics.intervals import wilson
-from .terminal import clean
 
-_STATE_STYLES = {
-    "finished": "green",
-    "running": "cyan",
-    "created": "cyan",
-    "stopped": "yellow",
-    "failed": "red",
-    "lost": "red",
-}
+if TYPE_CHECKING:
+    from ..records.results import TestCounts, TestResult
+    from ..records.run_records import RunSummary
+    from ..records.transfer_results import TransferResult
+
+
+@dataclass(frozen=True)
+class Table:
+    """Texts in rows under column headings.
+
+    Args:
+        columns: headings; all empty: the table is shown without them.
+        rows: as many cells as columns in each.
+        title: stands above the table, if it is not empty.
+    """
+
+    columns: Sequence[str]
+    rows: Sequence[Sequence[str]]
+    title: str = ""
+
+
+def clean(text: object, allowed: str = "") -> str:
+    """A text without characters that steer a terminal or reorder a line; "\N{REPLACEMENT CHARACTER}" replaces each.
+
+    Args:
+        text: often comes from a file.
+        allowed: characters to let through although they are not printable, such as a line break.
+    """
+    return "".join(
+        character if character.isprintable() or character in allowed else "\N{REPLACEMENT CHARACTER}"
+        for character in str(text)
+    )
 
 
 def duration(seconds: float | None) -> str:
@@ -44,114 +60,104 @@ def count(number: int | None) -> str:
     return "-" if number is None else f"{number:,}"
 
 
-def success(share: float | None, episodes: int | None) -> str:
+def rate(per_second: float | None) -> str:
+    """A rate without decimals, in groups of three digits; - for None."""
+    return "-" if per_second is None else f"{per_second:,.0f}"
+
+
+def success(ratio: float | None, episodes: int | None) -> str:
     """A success ratio with its Wilson interval at 95 %: 0.97 [0.92, 0.99]; - without a test."""
-    if share is None or not episodes:
+    if ratio is None or not episodes:
         return "-"
-    low, high = wilson(round(share * episodes), episodes)
-    return f"{share:.2f} [{low:.2f}, {high:.2f}]"
+    low, high = wilson(round(ratio * episodes), episodes)
+    return f"{ratio:.2f} [{low:.2f}, {high:.2f}]"
 
 
-def runs_table(runs: Sequence[RunSummary], *, title: str | None = None) -> Table:
-    """One row per run. Success is of the last test, with its 95 % interval; `to .95` is when a test first got there."""
-    table = _table("run", "state", title=title)
-    for heading in ("steps", "time", "success any", "end", "steps to .95", "time to .95"):
-        table.add_column(heading, justify="right")
+def setting(value: object) -> str:
+    """A value of a spec as a spec writes it."""
+    return value if isinstance(value, str) else json.dumps(value)
+
+
+def runs_table(runs: Sequence[RunSummary]) -> Table:
+    """One row per run. Success is that of the last test; `steps to .95` is when a test first showed that ratio."""
+    columns = ["run", "state", "steps", "time", "success any", "end", "steps to .95", "time to .95"]
     tagged = any(run.tags for run in runs)
-    if tagged:
-        table.add_column("tags", overflow="fold")
-    for run in runs:
-        table.add_row(
-            _plain(run.run),
-            _plain(run.state, _STATE_STYLES.get(run.state, "")),
+    rows = [
+        (
+            run.run,
+            run.state,
             count(run.steps),
             duration(run.seconds),
             success(run.success_any, run.episodes),
             "-" if run.success_end is None else f"{run.success_end:.2f}",
             count(run.steps_to_95),
             duration(run.seconds_to_95),
-            *([_plain(", ".join(run.tags))] if tagged else []),
+            *([", ".join(run.tags)] if tagged else []),
         )
-    return table
+        for run in runs
+    ]
+    return Table([*columns, *(["tags"] if tagged else [])], rows)
 
 
-def table_of_tests(
-    tests: Sequence[TestCounts], results: Sequence[TestResult] = (), *, title: str | None = None
-) -> Table:
-    """One row per test, both ways to count success with their 95 % intervals.
+def table_of_tests(tests: Iterable[TestCounts], results: Iterable[TestResult] = (), *, title: str = "") -> Table:
+    """One row per test, with both ways to count success.
 
     Args:
-        results: the same tests episode by episode, where their run folder is there: with the distances from the goal.
+        tests: what to show.
+        results: the same tests episode by episode, as far as the run folder has them. They add how many episodes end
+            within some distances of the goal.
+        title: of the table.
     """
-    table = _table(title=title)
-    near = {result.steps: [result.within(metres) for metres in WITHIN] for result in results if result.distances}
-    for heading in ("steps", "time", "success any", "success end", "episodes", "solved at reset"):
-        table.add_column(heading, justify="right")
-    if near:
-        table.add_column(f"end within {' / '.join(f'{metres:.2f}' for metres in WITHIN)} m", justify="right")
-    for test in tests:
-        shares = [" / ".join(f"{share:.2f}" for share in near[test.steps])] if test.steps in near else ["-"]
-        table.add_row(
+    from ..records.results import WITHIN  # noqa: PLC0415  (numpy)
+
+    near = {
+        result.steps: " / ".join(f"{result.within(metres):.2f}" for metres in WITHIN)
+        for result in results
+        if result.distances
+    }
+    columns = ["steps", "time", "success any", "success end", "episodes", "solved at reset"]
+    columns += [f"end within {' / '.join(f'{metres:.2f}' for metres in WITHIN)} m"] if near else []
+    rows = [
+        (
             count(test.steps),
             duration(test.seconds),
             success(test.any / test.episodes, test.episodes),
             success(test.end / test.episodes, test.episodes),
             count(test.episodes),
             count(test.reset),
-            *(shares if near else ()),
+            *([near.get(test.steps, "-")] if near else []),
         )
-    return table
+        for test in tests
+    ]
+    return Table(columns, rows, title)
 
 
-def transfers_table(transfers: Sequence[TransferResult], *, title: str | None = None) -> Table:
-    """One row per test under changed settings, both ways to count success with their 95 % intervals."""
-    table = _table("changed", "checkpoint", title=title)
-    for heading in ("success any", "success end", "episodes", "seed", "when"):
-        table.add_column(heading, justify="right")
-    for transfer in transfers:
-        result = transfer.result
-        changed = [*transfer.overrides, *(["randomized"] if transfer.randomized else [])]
-        table.add_row(
-            _plain(", ".join(changed) or "nothing"),
-            _plain(f"{transfer.checkpoint} ({result.steps:,} steps)"),
-            success(result.success_any, result.episodes),
-            success(result.success_end, result.episodes),
-            count(result.episodes),
+def transfers_table(transfers: Iterable[TransferResult], *, title: str = "") -> Table:
+    """One row per test under changed settings, with both ways to count success."""
+    columns = ["changed", "checkpoint", "success any", "success end", "episodes", "seed", "when"]
+    rows = [
+        (
+            ", ".join([*transfer.overrides, *(["randomized"] if transfer.randomized else [])]) or "nothing",
+            f"{transfer.checkpoint} ({transfer.result.steps:,} steps)",
+            success(transfer.result.success_any, transfer.result.episodes),
+            success(transfer.result.success_end, transfer.result.episodes),
+            count(transfer.result.episodes),
             str(transfer.seed),
-            _plain(transfer.time[:16].replace("T", " ")),
+            transfer.time[:16].replace("T", " "),
         )
-    return table
+        for transfer in transfers
+    ]
+    return Table(columns, rows, title)
 
 
-def facts_table(facts: Mapping[str, object], *, title: str | None = None) -> Table:
-    """Names and what they stand for, one per line; None is left out."""
-    table = Table(box=None, show_header=False, title=title, title_justify="left", pad_edge=False)
-    table.add_column(style="bold", no_wrap=True)
-    table.add_column(overflow="fold")
-    for name, value in facts.items():
-        if value is not None:
-            table.add_row(_plain(name), _plain(value))
-    return table
+def facts_table(facts: Mapping[str, object], *, title: str = "") -> Table:
+    """Names and their values, one per line; a value None is left out."""
+    return Table(("", ""), [(name, str(value)) for name, value in facts.items() if value is not None], title)
 
 
 def flatten(spec: Mapping[str, Any]) -> Iterator[tuple[str, str]]:
     """A nested mapping as pairs of key path and value as text: ("agent.learning_rate", "0.001")."""
+    from ..records import run_records  # noqa: PLC0415  (yaml, which `karolos --help` can do without)
+
     for path, value in run_records.flatten(spec):
         yield path, setting(value)
-
-
-def setting(value: object) -> str:
-    """A value of a spec as one would write it."""
-    return value if isinstance(value, str) else json.dumps(value)
-
-
-def _table(*columns: str, title: str | None) -> Table:
-    table = Table(box=box.SIMPLE_HEAD, title=title, title_justify="left", pad_edge=False)
-    for column in columns:
-        table.add_column(column, overflow="fold")
-    return table
-
-
-def _plain(value: object, style: str = "") -> Text:
-    """Text that rich takes literally: no markup, no control characters."""
-    return Text(clean(value), style)

@@ -29,7 +29,11 @@ def test_a_table_has_one_line_per_pair() -> None:
 
 
 def test_what_is_no_pair_is_refused() -> None:
-    for pair, message in (("panda", "is no pair"), ("panda/", "is no pair"), ("panda/raech", "did you mean 'reach'")):
+    for pair, message in (
+        ("panda", "is not a pair"),
+        ("panda/", "is not a pair"),
+        ("panda/raech", "did you mean 'reach'"),
+    ):
         code, _, err = call(app, "experts", "--pair", pair)
         assert code == 2
         assert message in err

@@ -10,7 +10,7 @@ from support.commands import call
 from typer import Typer
 
 from karolos.benchmarks.orchestrator import Report
-from karolos.report.boxes import Panel
+from karolos.report.figures import BoxPlot
 
 app = Typer()
 app.command()(orchestrator)
@@ -19,7 +19,7 @@ app.command()(orchestrator)
 @pytest.fixture(autouse=True)
 def measured(monkeypatch: pytest.MonkeyPatch, tmp_path: Path) -> None:
     """Nothing is measured, and the current folder is an empty one."""
-    found = Report(panels=[Panel("resets", "processes", "s", {"1": [1.0, 2.0]})], advice=["use 2 processes"])
+    found = Report(plots=[BoxPlot("resets", "processes", "s", {"1": [1.0, 2.0]})], advice=["use 2 processes"])
     monkeypatch.setattr("karolos.benchmarks.orchestrator.measure", lambda *_: found)
     monkeypatch.chdir(tmp_path)
 
@@ -41,4 +41,4 @@ def test_the_box_plots_are_where_it_says(tmp_path: Path) -> None:
 def test_a_figure_that_is_no_picture_is_refused_before_anything_is_measured() -> None:
     code, out, err = call(app, "--figure", "boxes.txt")
     assert (code, out) == (2, "")
-    assert "boxes.txt names no picture; let it end in .svg, .png, .pdf" in err
+    assert "boxes.txt has no file extension of a picture; let it end in .svg, .pdf, .png" in err

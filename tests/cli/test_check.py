@@ -43,7 +43,7 @@ def test_overrides_hold_for_every_spec_and_may_be_wrong(specs):
 def test_overrides_alone_are_no_spec():
     code, _, err = call(app, "agent.discount=2")
     assert code == 2
-    assert "names no spec" in err
+    assert "is not a spec" in err
 
 
 def test_every_problem_of_every_bad_spec_is_printed_and_the_exit_code_is_2(specs):

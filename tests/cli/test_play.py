@@ -39,7 +39,7 @@ def test_the_expert_of_a_spec_is_filmed_and_its_episodes_are_told(spec: Path, tm
 @pytest.mark.parametrize(
     ("arguments", "message"),
     [
-        (("--width", "65"), "cannot be coded"),
+        (("--width", "65"), "cannot be encoded"),
         (("--record", "film.txt"), "cannot record"),
         (("--checkpoint", "worst"), "there is no checkpoint 'worst'"),
     ],

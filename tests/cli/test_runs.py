@@ -96,7 +96,7 @@ def test_place_without_runs_lists_nothing_and_makes_nothing(
     assert nothing.stdout == ""
     assert "no runs in runs yet; `karolos run SPEC` makes one" in nothing.stderr
     assert rows("list") == []
-    with pytest.raises(UsageError, match="means no run: there are none in runs yet"):
+    with pytest.raises(UsageError, match="means no run: there are no runs in runs yet"):
         call("show", "@last")
     assert list(tmp_path.iterdir()) == []
     with pytest.raises(UsageError, match="there is no folder elsewhere; name the runs folder"):
@@ -165,7 +165,7 @@ def test_show_without_a_folder_tells_what_the_index_knows(runs: Path) -> None:
     (found,) = rows("show", run, "--runs", runs)
     assert found["spec"] == {key: value for key, value in SPEC.items() if key != "seeds"}
     assert len(found["tests"]) == 1
-    assert found["problems"] == [f"the run folder is gone: {runs / run}"]
+    assert found["problems"] == [f"the run folder is missing: {runs / run}"]
 
 
 def test_text_from_a_spec_cannot_steer_the_terminal(runs: Path) -> None:

@@ -44,7 +44,7 @@ def test_list_takes_a_filter(runs: Path) -> None:
     assert ids("task=reach", "--limit", 1) == [second]
     assert ids("seed in (0, 5)") == [first]
     nothing = call("list", "task=push")
-    assert (nothing.stdout, nothing.stderr) == ("", "no runs fit the filter\n")
+    assert (nothing.stdout, nothing.stderr) == ("", "no runs match the filter\n")
     with pytest.raises(UsageError, match=r"filter, column 1: no run has 'agent\.learning_rat'; did you mean"):
         call("list", "agent.learning_rat=1")
     with pytest.raises(UsageError, match=r"filter, column 6: .* is not a value"):
@@ -103,7 +103,7 @@ def test_filter_chooses_what_is_removed(runs: Path) -> None:
     first, second = add_run(runs, 0), add_run(runs, 1, rate=1e-4)
     with pytest.raises(UsageError, match="which runs"):
         call("rm")
-    with pytest.raises(UsageError, match="no runs fit the filter"):
+    with pytest.raises(UsageError, match="no runs match the filter"):
         call("rm", first, "--where", "seed=1")
     with pytest.raises(UsageError, match="'reach-' means several runs"):
         call("rm", "reach-")

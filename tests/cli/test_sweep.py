@@ -12,8 +12,8 @@ import sys
 import pytest
 import typer
 import yaml
-from karolos_cli.sweep import sweep
-from karolos_cli.sweep_output import Teller, report
+from karolos_cli.display import SweepDisplay
+from karolos_cli.sweep import report, sweep
 from support.commands import call
 from support.sweep_samples import LEARNING_RATE, sweep_spec
 
@@ -51,7 +51,7 @@ def test_a_dry_run_prints_specs_and_runs_nothing(home):
         (["sweep.objective=sucess_end"], 2, ["'sucess_end'", "success_end"]),
         (["sweep.space={}", "sweep.space.agent.learning_rate=null"], 2, ["sweep.space"]),
         (["sweep=null"], 2, ["no sweep"]),
-        (["--time-limit", "soon"], 2, ["no duration"]),
+        (["--time-limit", "soon"], 2, ["not a duration"]),
         (["training.batch_size=4000"], 2, ["buffer"]),
     ],
 )
@@ -103,10 +103,10 @@ def test_rows_and_words_tell_what_was_chosen_and_how_far_to_trust_it(home, capsy
     )
     final = SweepFinal(0, (2,), (3, 4), (0.9,), {0: (0.8,)}, (0.75,))
     outcome = Outcome(search, trials, 2, trials[0], trials[:1], final, home)
-    teller = Teller(outcome.objectives, quiet=False)
+    display = SweepDisplay(outcome.objectives, quiet=False)
     for place, trial in enumerate(trials):
-        teller(TrialBegan(trial))
-        teller(TrialEnded(trial, place + 1, 2))
+        display(TrialBegan(trial))
+        display(TrialEnded(trial, place + 1, 2))
     report(outcome, quiet=False, json=True)
     out, err = capsys.readouterr()
     rows = [json.loads(line) for line in out.splitlines()]

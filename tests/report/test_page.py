@@ -5,100 +5,90 @@ from __future__ import annotations
 import base64
 import hashlib
 import re
-from dataclasses import replace
 from pathlib import Path
 
 import pytest
-from support.compared_runs import SPEC, contender
+from support.compared_runs import CURVES, SPEC, comparison, contender, evil
 
-from karolos.comparison import Comparison, Contender, compare
+from karolos.comparison import Comparison, compare
 from karolos.errors import MachineError
+from karolos.report.comparison_figures import comparison_figures
 from karolos.report.page import page, write_page
 
-CURVES = [[0, 50, 90], [0, 40, 100], [10, 60, 95], [0, 0, 0], [0, 20, 85]]
-EVIL = "<script>alert(1)</script>\"'><img src=x onerror=alert(2)>"
 
-
-def comparison() -> Comparison:
-    return compare([contender("one", CURVES), contender("two", CURVES[:2])])
-
-
-def evil() -> Comparison:
-    """Everything that a person or a plugin can put a text into."""
-    spec = SPEC | {"agent": {"name": EVIL, EVIL: EVIL}}
-    found = contender(EVIL, CURVES, spec=spec, commit=EVIL, versions={EVIL: EVIL}, state=EVIL, error=EVIL)
-    runs = tuple(replace(run, summary=replace(run.summary, tags=(EVIL,), note=EVIL)) for run in found.runs)
-    return compare([contender("one", CURVES, versions={EVIL: "1"}), Contender(EVIL, runs, (EVIL,))])
+def text_of(compared: Comparison) -> str:
+    return page(compared, comparison_figures(compared))
 
 
 def test_page_has_a_figure_for_each_question() -> None:
-    text = page(comparison())
+    text = text_of(comparison())
     assert text.count("<figure") == text.count("</svg><figcaption>") == 6
     for title in ("over environment steps", "over wall-clock time", "at the last test", "Performance profiles"):
-        assert f"{title}</h3>" in text
+        assert f"{title}</text>" in text
 
 
 def test_page_shows_numbers_warnings_and_settings() -> None:
     other = SPEC | {"agent": {"name": "ppo"}}
-    text = page(compare([contender("one", CURVES), contender("two", CURVES[:2], spec=other)]))
+    text = text_of(compare([contender("one", CURVES), contender("two", CURVES[:2], spec=other)]))
     for part in ("0.740 ~[", "0.950 (0.900 - 1.000)", "unequal numbers of seeds: one 5; two 2", "agent.name", "ppo"):
         assert part in text
     assert text.count("two-s1") >= 2  # in the table and on its lines
 
 
 def test_same_specs_are_said_to_be_the_same() -> None:
-    assert "The specs are the same." in page(comparison())
+    assert "The specs are the same." in text_of(comparison())
 
 
 def test_every_text_is_escaped() -> None:
-    text = page(evil())
+    text = text_of(evil())
     assert text.count("&lt;script&gt;alert(1)&lt;/script&gt;") >= 10
     assert "<script" not in text
     assert "<img" not in text
 
 
 def test_page_asks_for_nothing_from_elsewhere() -> None:
-    text = page(comparison())
-    assert not re.search(r"https?:|//|@import|src=|href=|url\((?!#)", text)
+    text = text_of(comparison())
+    assert not re.search(r"https?:|@import|src=|href=\"(?!#|data:image/png;base64,)|url\((?!#)", text)
 
 
 def test_security_policy_allows_the_one_style_sheet_and_nothing_else() -> None:
-    text = page(comparison())
+    text = text_of(comparison())
     [rules] = re.findall(r"<style>(.*?)</style>", text, re.DOTALL)
     digest = base64.b64encode(hashlib.sha256(rules.encode()).digest()).decode()
     [policy] = re.findall(r'Content-Security-Policy" content="(.*?)"', text)
     assert policy == (
-        f"default-src &#x27;none&#x27;; style-src &#x27;sha256-{digest}&#x27;; base-uri &#x27;none&#x27;; "
-        "form-action &#x27;none&#x27;"
+        f"default-src &#x27;none&#x27;; style-src &#x27;sha256-{digest}&#x27;; img-src data:; "
+        "base-uri &#x27;none&#x27;; form-action &#x27;none&#x27;"
     )
     assert "style=" not in text
     assert text.index("Content-Security-Policy") < text.index("<style>")
 
 
 def test_single_runs_are_compared_without_densities() -> None:
-    text = page(compare([contender("one", [[10]]), contender("two", [[20]])]))
+    text = text_of(compare([contender("one", [[10]]), contender("two", [[20]])]))
     assert "A single seed has no density." in text
 
 
 def test_legend_hides_a_contender_or_the_seeds_without_a_script() -> None:
-    text = page(comparison())
+    text = text_of(comparison())
     for place in (0, 1):
-        assert f'id="e{place}"' in text
-        assert f"body:has(#e{place}:not(:checked)) .s{place}{{display:none}}" in text
+        assert f'id="show-{place}"' in text
+        assert f"body:has(#show-{place}:not(:checked)) .series-{place}{{display:none}}" in text
     assert 'id="seeds"' in text
     assert "body:has(#seeds:not(:checked)) .seed{display:none}" in text
 
 
 def test_same_comparison_gives_the_same_page() -> None:
-    assert page(comparison()) == page(comparison())
+    assert text_of(comparison()) == text_of(comparison())
 
 
 def test_seventh_contender_is_dashed() -> None:
-    text = page(compare([contender(f"e{place}", [[10, 20]]) for place in range(7)]))
-    assert 'class="main c0 d1 s6"' in text
+    text = text_of(compare([contender(f"e{place}", [[10, 20]]) for place in range(7)]))
+    assert text.count('stroke-dasharray="10 4"') == 3  # in the legend and in two tables
+    assert 'class="main series-6"' in text
 
 
 def test_page_that_cannot_be_written_is_told(tmp_path: Path) -> None:
     (tmp_path / "file").touch()
     with pytest.raises(MachineError):
-        write_page(comparison(), tmp_path / "file" / "page.html")
+        write_page(comparison(), [], tmp_path / "file" / "page.html")

@@ -4,11 +4,22 @@ import io
 from dataclasses import replace
 
 import pytest
+from karolos_cli.output import rich_table
 from rich.console import Console
 
 from karolos.records.results import TestCounts, TestResult
 from karolos.records.run_records import RunSummary
-from karolos.report.tables import clean, count, duration, facts_table, flatten, runs_table, success, table_of_tests
+from karolos.report.tables import (
+    Table,
+    clean,
+    count,
+    duration,
+    facts_table,
+    flatten,
+    runs_table,
+    success,
+    table_of_tests,
+)
 
 RUN = RunSummary(
     run="reach-s0-1",
@@ -35,9 +46,9 @@ RUN = RunSummary(
 )
 
 
-def shown(what: object) -> str:
+def shown(table: Table) -> str:
     stream = io.StringIO()
-    Console(file=stream, width=200, force_terminal=True, color_system=None).print(what)
+    Console(file=stream, width=200, force_terminal=True, color_system=None).print(rich_table(table))
     return stream.getvalue()
 
 

@@ -3,9 +3,10 @@
 from __future__ import annotations
 
 from collections.abc import Mapping, Sequence
+from dataclasses import replace
 from typing import Any
 
-from karolos.comparison import ComparedRun, Contender
+from karolos.comparison import ComparedRun, Comparison, Contender, compare
 from karolos.records.results import TestCounts
 from karolos.records.run_records import RunSummary
 
@@ -61,3 +62,19 @@ def run(
 def contender(label: str, curves: Sequence[Sequence[int]], **options: Any) -> Contender:
     """One run for each curve, with seeds 0, 1 ..."""
     return Contender(label, tuple(run(seed, curve, name=label, **options) for seed, curve in enumerate(curves)))
+
+
+CURVES = [[0, 50, 90], [0, 40, 100], [10, 60, 95], [0, 0, 0], [0, 20, 85]]
+EVIL = "<script>alert(1)</script>\"'><img src=x onerror=alert(2)>"
+
+
+def comparison() -> Comparison:
+    return compare([contender("one", CURVES), contender("two", CURVES[:2])])
+
+
+def evil() -> Comparison:
+    """Everything that a person or a plugin can put a text into."""
+    spec = SPEC | {"agent": {"name": EVIL, EVIL: EVIL}}
+    found = contender(EVIL, CURVES, spec=spec, commit=EVIL, versions={EVIL: EVIL}, state=EVIL, error=EVIL)
+    runs = tuple(replace(run, summary=replace(run.summary, tags=(EVIL,), note=EVIL)) for run in found.runs)
+    return compare([contender("one", CURVES, versions={EVIL: "1"}), Contender(EVIL, runs, (EVIL,))])

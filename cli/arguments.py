@@ -1,0 +1,178 @@
+"""Options that commands share, and the runs that somebody means by what they type."""
+
+from __future__ import annotations
+
+import os
+import re
+from collections.abc import Sequence
+from pathlib import Path
+from typing import TYPE_CHECKING, Annotated
+
+import typer
+
+from karolos.errors import UsageError
+
+from .output import say, warn
+
+if TYPE_CHECKING:
+    from karolos.records import RunFolder
+    from karolos.records.run_records import RunSummary
+    from karolos.store import Store
+
+RUN_HELP = "A run's id or its beginning, @last for the newest run, @last-1 for the one before, or a run folder."
+MANY_HELP = (
+    "A run's id or its beginning, @last, @last-2, a run folder; or an experiment's name, the beginning of its hash "
+    "or a SPEC.yaml, which select all runs of the experiment."
+)
+FILTER_HELP = (
+    "Only runs that match, e.g. 'task=reach and agent.learning_rate<1e-3 and not state in (failed, lost)'. "
+    "Operators: = != < <= > >= ~ (contains) in. Names: columns, settings of the spec, tags, note, versions.PACKAGE."
+)
+_SPECS = (".yaml", ".yml")
+
+Runs = Annotated[Path, typer.Option("--runs", envvar="KAROLOS_RUNS", help="Folder of the run folders.", file_okay=True)]
+Database = Annotated[
+    str | None,
+    typer.Option(
+        "--database",
+        envvar="KAROLOS_DATABASE",
+        help="SQLAlchemy URL of the results database. Default: karolos.sqlite in the runs folder.",
+        show_default=False,
+    ),
+]
+Overrides = Annotated[
+    list[str] | None,
+    typer.Argument(
+        metavar="[PATH=VALUE]...",
+        help="Settings that replace the spec's, e.g. agent.learning_rate=1e-4 seeds=[0,1].",
+        show_default=False,
+    ),
+]
+OneRun = Annotated[str, typer.Argument(metavar="RUN", help=RUN_HELP, show_default=False)]
+ManyRuns = Annotated[list[str] | None, typer.Argument(metavar="[RUN]...", help=MANY_HELP, show_default=False)]
+Where = Annotated[str | None, typer.Option(metavar="FILTER", help=FILTER_HELP, show_default=False)]
+Json = Annotated[bool, typer.Option("--json", help="Print one JSON object per row.")]
+Quiet = Annotated[bool, typer.Option("--quiet", "-q", help="Show only warnings and failures.")]
+Checkpoint = Annotated[str, typer.Option(help="The checkpoint to use: best or last.")]
+TimeLimit = Annotated[
+    str | None,
+    typer.Option(
+        metavar="DURATION",
+        help="Stop after this time with a checkpoint to resume from, e.g. 90s, 30m, 2h. The exit code is then 124.",
+        show_default=False,
+    ),
+]
+
+
+def open_store(runs: Path, database: str | None) -> Store | None:
+    """The index, or None if there are no runs. A missing index is rebuilt from the run folders."""
+    from karolos.store import Store, reindex
+
+    if not os.path.isdir(runs) and database is None and runs != Path("runs"):
+        raise UsageError(f"there is no folder {runs}", hint="name the runs folder with --runs")
+    url = database or Store.default_url(runs)
+    if Store.exists(url):
+        return Store(url)
+    if not any(runs.glob("*/run.json")) and not any(runs.glob("sweeps/*/sweep.json")):
+        return None
+    store = Store(url)
+    done = reindex(store, runs)
+    say(f"the index was missing and is rebuilt from {done.runs} run folders")
+    for problem in done.problems:
+        warn(problem)
+    return store
+
+
+def open_run(selector: str, runs: Path, database: str | None) -> RunFolder:
+    """The folder of the one run that a selector (MANY_HELP) means.
+
+    Raises:
+        UsageError: the selector means no run or several.
+        RunError: the run's folder is missing or damaged.
+    """
+    from karolos.records import RunFolder
+
+    if (Path(selector) / "run.json").is_file():
+        return RunFolder.open(selector)
+    store, summary = find_run(selector, runs, database)
+    store.close()
+    return RunFolder.open(summary.folder)
+
+
+def check_checkpoint(name: str) -> None:
+    """Raise a UsageError for a checkpoint that no run writes."""
+    if name not in ("best", "last"):
+        raise UsageError(f"there is no checkpoint {name!r}", hint="a run has best and last")
+
+
+def find_run(selector: str, runs: Path, database: str | None) -> tuple[Store, RunSummary]:
+    """The open index, and the one run in it that a selector means.
+
+    Raises:
+        UsageError: the selector means no run or several.
+    """
+    store = _existing_store(selector, runs, database)
+    if is_spec(selector):
+        from karolos.store.selectors import only
+
+        return store, only(selector, _of_spec(store, selector))
+    return store, store.find(selector)
+
+
+def select_runs(
+    selectors: Sequence[str], where: str | None, runs: Path, database: str | None
+) -> tuple[Store, tuple[RunSummary, ...]]:
+    """The open index, and the runs that any selector means and that match the filter, each once.
+
+    Raises:
+        UsageError: neither selector nor filter is given, a selector means no run, or no run matches.
+    """
+    if not selectors and where is None:
+        raise UsageError("which runs?", hint="name RUN, or give --where FILTER")
+    store = _existing_store(selectors[0] if selectors else str(where), runs, database)
+    selected = {run.run: run for selector in selectors for run in select(store, selector)}
+    if where is not None:
+        matching = {run.run: run for run in store.runs(where=where)}
+        selected = {run: matching[run] for run in selected if run in matching} if selectors else matching
+    if not selected:
+        raise UsageError("no runs match the filter", hint="`karolos runs list FILTER` shows which runs match")
+    return store, tuple(selected.values())
+
+
+def select(store: Store, selector: str) -> tuple[RunSummary, ...]:
+    """The runs that a selector means: those of `Store.select`, or all runs of the experiment of a spec file."""
+    return _of_spec(store, selector) if is_spec(selector) else store.select(selector)
+
+
+def _of_spec(store: Store, path: str) -> tuple[RunSummary, ...]:
+    from karolos.spec import load_spec
+
+    digest = load_spec(Path(path), ()).hash()
+    found = store.runs(experiment=digest)
+    if not found:
+        raise UsageError(f"there are no runs of {path}", hint=f"`karolos run {path}` makes them")
+    return found
+
+
+def is_spec(selector: str) -> bool:
+    """Whether a selector is a spec file."""
+    return selector.endswith(_SPECS) and os.path.isfile(selector)
+
+
+def _existing_store(selector: str, runs: Path, database: str | None) -> Store:
+    store = open_store(runs, database)
+    if store is None:
+        raise UsageError(
+            f"{selector!r} means no run: there are no runs in {runs} yet", hint="`karolos run SPEC` makes one"
+        )
+    return store
+
+
+def seconds(text: str | None) -> float | None:
+    """A duration such as 90, 90s, 30m, 2h or 1d in seconds. Raises UsageError for anything else."""
+    if text is None:
+        return None
+    found = re.fullmatch(r"(\d+(?:\.\d+)?)\s*([smhd]?)", text.strip())
+    if found is None or float(found[1]) <= 0:
+        raise UsageError(f"{text!r} is not a duration", where="--time-limit", hint="write e.g. 90s, 30m, 2h or 1d")
+    return float(found[1]) * {"": 1, "s": 1, "m": 60, "h": 3600, "d": 86400}[found[2]]

@@ -1,0 +1,135 @@
+"""How commands print: rows as JSON, CSV or a table on stdout, and lines for a person on stderr."""
+
+from __future__ import annotations
+
+import csv
+import json as json_text
+import math
+import sys
+from collections.abc import Iterable, Mapping, Sequence
+from typing import TYPE_CHECKING, Any
+
+from karolos.report.tables import Table, clean
+
+if TYPE_CHECKING:
+    from rich.table import Table as RichTable
+
+_STATE_STYLES = {
+    "finished": "green",
+    "running": "cyan",
+    "created": "cyan",
+    "stopped": "yellow",
+    "failed": "red",
+    "lost": "red",
+}
+
+
+def say(text: str) -> None:
+    """Print a line for a person on stderr."""
+    print(clean(text), file=sys.stderr, flush=True)
+
+
+def warn(text: str) -> None:
+    """Print a warning on stderr."""
+    say(f"warning: {text}")
+
+
+def print_line(text: str) -> None:
+    """Print one line on stdout."""
+    print(clean(text), flush=True)
+
+
+def print_rows(rows: Iterable[Mapping[str, Any]], *, json: bool) -> None:
+    """Print one JSON object per row, or a table of the columns that are not empty in all rows."""
+    if json:
+        for row in rows:
+            print(json_text.dumps(_finite(row), allow_nan=False, default=str), flush=True)
+        return
+    listed = list(rows)
+    if listed:
+        names = [name for name in listed[0] if any(row.get(name) not in (None, "", []) for row in listed)]
+        print_table(Table(names, [[_text(row.get(name)) for name in names] for row in listed]))
+
+
+def print_csv(rows: Sequence[Mapping[str, Any]]) -> None:
+    """Print rows as comma-separated values under their names; a list is one cell.
+
+    A text that a spreadsheet would take for a formula gets an apostrophe in front (OWASP, CSV injection).
+    """
+    if rows:
+        writer = csv.writer(sys.stdout, lineterminator="\n")
+        writer.writerow(rows[0])
+        writer.writerows([_csv_cell(value) for value in row.values()] for row in rows)
+
+
+def print_table(table: Table) -> None:
+    """Print a table: coloured and folded at the width of a terminal; in a pipe one line per row with whole cells."""
+    if sys.stdout.isatty():
+        from rich.console import Console
+
+        Console().print(rich_table(table))
+        return
+    if table.title:
+        print(f"\n{clean(table.title)}")
+    lines = [table.columns] if any(table.columns) else []
+    cells = [[clean(cell) for cell in line] for line in (*lines, *table.rows)]
+    widths = [max(map(len, column)) for column in zip(*cells, strict=True)]
+    for line in cells:
+        print("  ".join(cell.ljust(width) for cell, width in zip(line, widths, strict=True)).rstrip())
+
+
+def rich_table(table: Table) -> RichTable:
+    """A table for a terminal. Texts are taken literally; columns of numbers are aligned at the right."""
+    from rich import box
+    from rich.table import Table as RichTable
+    from rich.text import Text
+
+    headed = any(table.columns)
+    drawn = RichTable(
+        box=box.SIMPLE_HEAD if headed else None,
+        show_header=headed,
+        title=Text(clean(table.title)) if table.title else None,
+        title_justify="left",
+        pad_edge=False,
+    )
+    for place, name in enumerate(table.columns):
+        numbers = all(row[place] in ("", "-") or row[place][0].isdigit() for row in table.rows)
+        style = "bold" if not name and place == 0 else None  # names of the rows
+        justify: Any = "right" if numbers else "left"
+        drawn.add_column(Text(clean(name)), overflow="fold", justify=justify, style=style)
+    for row in table.rows:
+        drawn.add_row(
+            *(
+                Text(clean(cell), _STATE_STYLES.get(cell, "") if name == "state" else "")
+                for name, cell in zip(table.columns, row, strict=True)
+            )
+        )
+    return drawn
+
+
+def _finite(value: Any) -> Any:
+    """The value with null for numbers that JSON lacks: nan and the infinities."""
+    if isinstance(value, float):
+        return value if math.isfinite(value) else None
+    if isinstance(value, Mapping):
+        return {str(key): _finite(entry) for key, entry in value.items()}
+    if isinstance(value, list | tuple):
+        return [_finite(entry) for entry in value]
+    return value
+
+
+def _text(value: Any) -> str:
+    if value is None:
+        return ""
+    if isinstance(value, float):
+        return f"{value:.6g}"
+    return " ".join(map(str, value)) if isinstance(value, list | tuple) else str(value)
+
+
+def _csv_cell(value: Any) -> object:
+    if isinstance(value, list | tuple):
+        value = "; ".join(map(str, value))
+    if not isinstance(value, str):
+        return value
+    text = clean(value, allowed="\n")
+    return f"'{text}" if text.startswith(("=", "+", "-", "@")) else text

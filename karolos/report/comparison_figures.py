@@ -1,0 +1,215 @@
+"""The figures of a comparison: learning curves, final success, performance profiles, densities over training."""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+from pathlib import Path
+
+import numpy as np
+from numpy.typing import NDArray
+
+from ..comparison import Comparison, Contender, densities, learning_curve
+from ..comparison.curves import Axis, places
+from ..core.seeding import SeedTree
+from ..files import writing
+from ..statistics import aggregates
+from .figures import COLOURS, Drawing, look, short, style
+
+_Floats = NDArray[np.float64]
+_SECONDS = ((7200, 3600, "h"), (120, 60, "min"), (0, 1, "s"))
+"""From how many seconds on a time axis has which unit, and the seconds in that unit."""
+
+
+def comparison_figures(comparison: Comparison) -> list[Drawing]:
+    """Every figure, in the order of the page: learning twice, seeds twice, then a density for each contender."""
+    return [
+        learning(comparison, "steps"),
+        learning(comparison, "seconds"),
+        final(comparison),
+        profiles(comparison),
+        *density_figures(comparison),
+    ]
+
+
+def write_figures(drawings: Sequence[Drawing], folder: Path) -> tuple[Path, ...]:
+    """Write figures into `folder`, which is made if it is missing, as SVG, PDF and PNG; returns the files.
+
+    Raises:
+        MachineError: they cannot be written.
+    """
+    with writing(folder):
+        folder.mkdir(parents=True, exist_ok=True)
+    return tuple(path for drawing in drawings for path in drawing.write(folder))
+
+
+@look()
+def learning(comparison: Comparison, axis: Axis) -> Drawing:
+    """Success over training: every seed thin, their mean or inter-quartile mean bold, with its interval as a band."""
+    contenders, success = comparison.contenders, comparison.success
+    robust = min(len(contender.runs) for contender in contenders) >= aggregates.FEW_SEEDS
+    statistic, name = (aggregates.iqm, "inter-quartile mean") if robust else (aggregates.mean, "mean")
+    tree = SeedTree(0).child("report", axis)
+    drawing = Drawing(
+        f"success_over_{axis}",
+        f"Success over {'environment steps' if axis == 'steps' else 'wall-clock time'}",
+        f"Bold: {name} over seeds; thin: each seed. Band: 95 % bootstrap interval for 5 seeds or more (approximate "
+        "below 10), smallest to largest for 2 to 4 seeds, Wilson interval for one run.",
+    )
+    axes, scale = drawing.axes, _x_axis(drawing, contenders, axis)
+    for series, contender in enumerate(contenders):
+        curve = learning_curve(contender.runs, axis, success, statistic, tree.child(series).generator())
+        colour, at = style(series)["color"], curve.at / scale
+        band = axes.fill_between(at, curve.low, curve.high, color=colour, alpha=0.16, linewidth=0)
+        drawing.part(band, f"band series-{series}")
+        for place, run in enumerate(contender.runs):
+            x = places(run, axis) / scale
+            [line] = axes.plot(x, run.ratios(success), **style(series), linewidth=0.6, alpha=0.45)
+            drawing.part(line, f"seed series-{series}", _run_text(contender, place))
+        [line] = axes.plot(at, curve.middle, **style(series), linewidth=2, zorder=3)
+        drawing.part(line, f"main series-{series}", f"{contender.label}: {name}")
+    _ratio_axis(drawing, "y", _success_label(comparison))
+    drawing.legend([contender.label for contender in contenders])
+    return drawing
+
+
+@look()
+def final(comparison: Comparison) -> Drawing:
+    """The last test of every seed as a dot; below them mean and interval as a cross."""
+    drawing = Drawing(
+        "final_success",
+        "Success at the last test",
+        "A dot is a seed. Below: mean and its interval (95 %; smallest to largest for 2 to 4 seeds).",
+    )
+    axes, count = drawing.axes, len(comparison.contenders)
+    for series, (contender, scores) in enumerate(zip(comparison.contenders, comparison.scores, strict=True)):
+        estimate = scores.any if comparison.success == "any" else scores.end
+        values = np.array([run.last(comparison.success) for run in contender.runs])
+        row, colour = count - series, style(series)["color"]
+        for place, (x, y) in enumerate(zip(values, row + _offsets(values), strict=True)):
+            [dot] = axes.plot(x, y, "o", color=colour, alpha=0.75, markersize=4.5, markeredgewidth=0, clip_on=False)
+            drawing.part(dot, f"dot series-{series}", _run_text(contender, place))
+        [line] = axes.plot([estimate.low, estimate.high], [row - 0.3] * 2, color=colour, linewidth=1.2)
+        drawing.part(line, f"edge series-{series}")
+        [tick] = axes.plot([estimate.value] * 2, [row - 0.38, row - 0.22], color=colour, linewidth=2.2)
+        text = f"{contender.label}: mean {estimate.value:.3f}, {estimate.low:.3f} to {estimate.high:.3f}"
+        drawing.part(tick, f"main series-{series}", text)
+    _ratio_axis(drawing, "x", _success_label(comparison))
+    labels = [short(contender.label, 22) for contender in comparison.contenders]
+    axes.set_yticks(range(count, 0, -1), labels)
+    axes.set_ylim(0.4, count + 0.6)
+    axes.tick_params(axis="y", length=0)
+    axes.grid(axis="x")
+    return drawing
+
+
+@look()
+def profiles(comparison: Comparison) -> Drawing:
+    """Performance profile: the fraction of seeds whose last test shows at least the success on the axis."""
+    drawing = Drawing(
+        "performance_profiles",
+        "Performance profiles",
+        "Fraction of seeds whose last test shows at least that success. A curve above another is better.",
+    )
+    for series, contender in enumerate(comparison.contenders):
+        values = [run.last(comparison.success) for run in contender.runs]
+        thresholds = np.unique([0.0, *values, 1.0])
+        # The fraction at t holds from the threshold before t up to t.
+        [line] = drawing.axes.step(
+            thresholds, aggregates.profile(values, thresholds), where="pre", **style(series), linewidth=2
+        )
+        drawing.part(line, f"main series-{series}", contender.label)
+    _ratio_axis(drawing, "x", f"at least this {_success_label(comparison)}")
+    _ratio_axis(drawing, "y", "fraction of seeds")
+    drawing.legend([contender.label for contender in comparison.contenders])
+    return drawing
+
+
+@look()
+def density_figures(comparison: Comparison) -> list[Drawing]:
+    """The density of the success ratio over training, one figure for each contender with two or more seeds.
+
+    As in figures 3 and 4 of the Karolos paper: at each test the kernel density over the seeds. All figures have one
+    scale of shades and one of steps.
+    """
+    from matplotlib.colors import LinearSegmentedColormap  # noqa: PLC0415  (takes half a second)
+
+    several = {k: contender for k, contender in enumerate(comparison.contenders) if len(contender.runs) > 1}
+    found = {series: densities(contender.runs, comparison.success) for series, contender in several.items()}
+    peak = max((float(one.density.max()) for _, each in found.values() for one in each), default=1.0)
+    drawings = []
+    for series, (at, each) in found.items():
+        contender = several[series]
+        drawing = Drawing(
+            f"density_{series + 1}",
+            contender.label,
+            f"{len(contender.runs)} seeds. Darkest: a density of {peak:.0f}.",
+            series,
+        )
+        axes = drawing.axes
+        _x_axis(drawing, list(several.values()), "steps")
+        # The square root keeps a density of 1, which is no knowledge at all, visible beside one of 40.
+        shades = np.sqrt(np.stack([one.density for one in each], axis=1) / peak)
+        heights = np.linspace(0, 1, len(shades))
+        borders = np.clip(np.append(heights, heights[-1] + heights[1]) - heights[1] / 2, 0, 1)
+        colours = LinearSegmentedColormap.from_list("shades", ["#ffffff", COLOURS[series % len(COLOURS)]])
+        mesh = axes.pcolormesh(_columns(at), borders, shades, cmap=colours, vmin=0, vmax=1, linewidth=0)
+        mesh.set_rasterized(True)  # thousands of rectangles show seams in many viewers
+        for key, width, text in (
+            ("low", 0.8, "5 % of the mass is below"),
+            ("high", 0.8, "95 % of the mass is below"),
+            ("mean", 2.0, "mean of the density"),
+        ):
+            [line] = axes.plot(at, [getattr(one, key) for one in each], color=style(series)["color"], linewidth=width)
+            drawing.part(line, "main" if key == "mean" else "edge", text)
+        _ratio_axis(drawing, "y", _success_label(comparison))
+        drawings.append(drawing)
+    return drawings
+
+
+def _x_axis(drawing: Drawing, contenders: Sequence[Contender], axis: Axis) -> float:
+    """Set the x axis from 0 to the last test of all runs; returns the steps or seconds in one unit of it."""
+    from matplotlib.ticker import EngFormatter  # noqa: PLC0415  (takes half a second)
+
+    high = max(float(places(run, axis)[-1]) for contender in contenders for run in contender.runs)
+    scale, label = 1, "environment steps"
+    if axis == "seconds":
+        scale, unit = next((scale, unit) for least, scale, unit in _SECONDS if high >= least)
+        label = f"time of collecting and learning ({unit})"
+    else:
+        drawing.axes.xaxis.set_major_formatter(EngFormatter(sep=""))
+    drawing.axes.set_xlim(0, (high or 1.0) / scale)
+    drawing.axes.set_xlabel(label)
+    drawing.axes.grid()
+    return scale
+
+
+def _ratio_axis(drawing: Drawing, axis: str, label: str) -> None:
+    """An axis from 0 to 1, with room for what is on the border."""
+    drawing.axes.set(**{f"{axis}label": label, f"{axis}lim": (-0.03, 1.03), f"{axis}ticks": (0, 0.25, 0.5, 0.75, 1)})
+    drawing.axes.grid(visible=True, axis="x" if axis == "x" else "y")
+
+
+def _columns(at: _Floats) -> _Floats:
+    """Borders of a column around each of some ascending steps: (t,) to (t + 1,). The last column ends at its step."""
+    first = at[0] - (at[1] - at[0]) / 2 if at.size > 1 else at[0] * 0.9
+    return np.concatenate([[max(first, 0.0)], (at[1:] + at[:-1]) / 2, [at[-1]]])
+
+
+def _success_label(comparison: Comparison) -> str:
+    return "success ratio" if comparison.success == "any" else "success ratio at the end"
+
+
+def _run_text(contender: Contender, place: int) -> str:
+    run = contender.runs[place].summary
+    return f"{contender.label}, seed {run.seed}: {run.run} ({run.state})"
+
+
+def _offsets(values: _Floats) -> _Floats:
+    """Vertical offsets that keep equal values apart: each further dot of about the same value is .09 higher."""
+    seen: dict[int, int] = {}
+    offsets = []
+    for value in values:
+        key = round(float(value) * 40)
+        offsets.append(min(0.09 * seen.setdefault(key, 0), 0.6) - 0.1)
+        seen[key] += 1
+    return np.array(offsets)

@@ -1,0 +1,125 @@
+from __future__ import annotations
+
+from pathlib import Path
+from xml.etree import ElementTree
+
+import numpy as np
+import pytest
+from matplotlib.collections import QuadMesh
+from support.compared_runs import contender, run
+
+from karolos.comparison import Comparison, Contender, compare
+from karolos.errors import MachineError
+from karolos.report import comparison_figures as figures
+from karolos.report.figures import COLOURS, short
+
+CURVES = [[0, 50, 90], [0, 40, 100], [10, 60, 95], [0, 0, 0], [0, 20, 85]]
+NAMES = ["success_over_steps", "success_over_seconds", "final_success", "performance_profiles", "density_1"]
+
+
+def comparison() -> Comparison:
+    return compare([contender("$x_1 <b>&$", CURVES), contender("two", CURVES[:1])])
+
+
+def test_every_seed_and_every_mean_is_drawn() -> None:
+    compared = compare([contender("a", CURVES), contender("b", CURVES[:2])])
+    for drawing in (figures.learning(compared, "steps"), figures.learning(compared, "seconds")):
+        for series, seeds in ((0, 5), (1, 2)):
+            assert len(drawing.artists(f"seed series-{series}")) == seeds
+            assert len(drawing.artists(f"main series-{series}")) == 1
+            assert len(drawing.artists(f"band series-{series}")) == 1
+
+
+def test_one_statistic_for_all_contenders_of_a_figure() -> None:
+    assert "inter-quartile" in figures.learning(compare([contender("a", CURVES)]), "steps").caption
+    mixed = figures.learning(compare([contender("a", CURVES), contender("b", CURVES[:2])]), "steps")
+    assert "inter-quartile" not in mixed.caption
+    [mean] = mixed.artists("main series-0")
+    assert mean.get_ydata().tolist() == pytest.approx([0.02, 0.34, 0.74])
+
+
+def test_density_has_a_column_for_each_test_and_one_scale_for_all() -> None:
+    compared = compare([contender("a", CURVES), contender("b", [[100] * 3] * 5), contender("c", [[5, 5, 5]])])
+    drawings = list(figures.density_figures(compared))
+    assert [(drawing.title, drawing.series) for drawing in drawings] == [("a", 0), ("b", 1)]  # one seed has no density
+    meshes = [child for drawing in drawings for child in drawing.axes.get_children() if isinstance(child, QuadMesh)]
+    shades = [mesh.get_array().reshape(101, 3) for mesh in meshes]
+    for mesh in meshes:
+        assert mesh.get_coordinates()[0, :, 0].tolist() == [500, 1500, 2500, 3000]
+    assert shades[1].max() == 1.0
+    assert shades[0][:, -1].max() < 0.5
+
+
+def test_profile_is_a_step_function_down_from_all_seeds() -> None:
+    drawing = figures.profiles(compare([contender("a", [[20], [50], [100], [100]])]))
+    [line] = drawing.artists("main series-0")
+    assert line.get_drawstyle() == "steps-pre"
+    assert line.get_xdata().tolist() == [0, 0.2, 0.5, 1]
+    assert line.get_ydata().tolist() == [1, 1, 0.75, 0.5]
+
+
+def test_final_success_shows_each_seed_by_its_run() -> None:
+    drawing = figures.final(compare([contender("a", CURVES)]))
+    dots = drawing.artists("dot series-0")
+    assert [dot.get_xdata()[0] for dot in dots] == [0.9, 1.0, 0.95, 0.0, 0.85]
+    assert drawing.parts[dots[3].get_gid()][1] == "a, seed 3: a-s3 (finished)"
+
+
+def test_single_test_at_step_zero_can_be_drawn() -> None:
+    runs = (run(0, [50], interval=0), run(1, [60], interval=0))
+    for drawing in figures.comparison_figures(compare([Contender("a", runs)])):
+        low, high = drawing.axes.get_xlim()
+        assert low < high
+        assert "<svg" in drawing.svg()
+
+
+def test_every_figure_is_written_in_every_format(tmp_path: Path) -> None:
+    written = figures.write_figures(figures.comparison_figures(comparison()), tmp_path / "new" / "figures")
+    assert [path.name for path in written] == [f"{name}.{end}" for name in NAMES for end in ("svg", "pdf", "png")]
+    for path in written:
+        if path.suffix == ".svg":
+            assert len(list(ElementTree.parse(path).iter())) > 50
+        else:
+            assert path.read_bytes().startswith({".pdf": b"%PDF-", ".png": b"\x89PNG"}[path.suffix])
+    assert "$x_1 &lt;b&gt;&amp;$" in written[0].read_text()  # text, and no formula
+
+
+def test_same_comparison_gives_the_same_files_and_the_same_page_figures(tmp_path: Path) -> None:
+    drawings = [figures.learning(comparison(), "steps") for _ in range(2)]
+    one, other = (figures.write_figures([drawing], tmp_path / str(k)) for k, drawing in enumerate(drawings))
+    assert [path.read_bytes() for path in one] == [path.read_bytes() for path in other]
+    assert drawings[0].svg() == drawings[1].svg()
+
+
+def test_folder_that_cannot_be_made_is_an_error(tmp_path: Path) -> None:
+    (tmp_path / "file").touch()
+    with pytest.raises(MachineError):
+        figures.write_figures([], tmp_path / "file" / "figures")
+
+
+def test_figure_of_a_page_has_classes_tooltips_and_ids_of_its_own() -> None:
+    svg = figures.learning(comparison(), "steps").svg()
+    root = ElementTree.fromstring(svg)
+    seeds = [element for element in root.iter("g") if element.get("class") == "seed series-0"]
+    assert [seed.findtext("title") for seed in seeds][3] == "$x_1 <b>&$, seed 3: $x_1 <b>&$-s3 (finished)"
+    assert all(element.get("id", "success_over_steps-").startswith("success_over_steps-") for element in root.iter())
+    for part in ("style=", "<style", "xmlns", "http"):
+        assert part not in svg
+
+
+def test_long_names_keep_both_ends() -> None:
+    assert short("panda_pick_place_sac_slow", 16) == "panda_p…sac_slow"
+    assert short("x" * 16, 16) == "x" * 16
+    assert short("a\x1bb") == "a\ufffdb"
+
+
+def _luminance(colour: str) -> float:
+    channels = [int(colour[place : place + 2], 16) / 255 for place in (1, 3, 5)]
+    linear = [c / 12.92 if c <= 0.04045 else ((c + 0.055) / 1.055) ** 2.4 for c in channels]
+    return float(np.dot([0.2126, 0.7152, 0.0722], linear))
+
+
+def test_colours_stand_out_from_white() -> None:
+    """WCAG 2.2, 1.4.3: text needs a contrast of 4.5 to 1."""
+    for colour in COLOURS:
+        assert 1.05 / (_luminance(colour) + 0.05) >= 4.5
