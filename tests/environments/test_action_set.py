@@ -10,6 +10,7 @@ import gymnasium
 import numpy as np
 import pytest
 from gymnasium.utils.env_checker import check_env
+from support.rig import part
 
 import karolos.environments.gymnasium_export  # noqa: F401  (registers the ids)
 from karolos.core import Discrete, Field, Layout
@@ -19,18 +20,14 @@ from karolos.environments.robot_task import RobotTask
 from karolos.errors import UsageError
 from karolos.evaluation.policies import load_expert
 from karolos.orchestrator.local import Local
-from karolos.registry import load
 from karolos.spec import Spec
-from karolos.spec.recipe import Part, Recipe
+from karolos.spec.recipe import Recipe
 
 CARTESIAN = Layout((Field("tool_position_change", 3), Field("gripper_opening", 1)))
 X_UP, Y_DOWN, OPEN, CLOSE, NOTHING = 0, 3, 6, 7, 8
 
 
 def recipe(task: str = "reach", actions: str = "discrete", **robot: Any) -> Recipe:
-    def part(kind: str, name: str, **settings: Any) -> Part:
-        return Part(kind, name, load(kind, name).Settings(**settings))
-
     environment = part("environments", "robot_task", actions=actions)
     return Recipe(environment, part("robots", "panda", **robot), part("tasks", task))
 

@@ -2,6 +2,7 @@ from __future__ import annotations
 
 import numpy as np
 import pytest
+from support.rig import part
 
 from karolos.environments.build import build_environment
 from karolos.environments.robot_task import RobotTask
@@ -9,7 +10,6 @@ from karolos.errors import UsageError
 from karolos.randomization.distribution import Distribution
 from karolos.randomization.normal import Normal
 from karolos.randomization.uniform import Uniform
-from karolos.registry import load
 from karolos.robots.panda import Panda
 from karolos.spec.recipe import Part, Recipe
 from karolos.tasks.reach import Reach
@@ -26,10 +26,6 @@ def environment(randomization: dict[str, Distribution] | None = None, **robot: o
 
 def normal(mean: float, std: float) -> Normal:
     return Normal(Normal.Settings(mean=mean, std=std))
-
-
-def part(kind: str, name: str) -> Part:
-    return Part(kind, name, load(kind, name).Settings())
 
 
 @pytest.mark.parametrize("action", [np.zeros(4), np.zeros((1, 3)), np.float32(0), np.zeros(0)])

@@ -77,7 +77,7 @@ def small_arm(folder: Path, *, fingers: bool = True) -> type[Arm]:
         """Six joints, reach .7 m."""
 
         class Settings(ArmSettings):
-            """As every arm's."""
+            """The settings of every arm."""
 
         model = ArmModel(
             urdf=path,
