@@ -10,6 +10,7 @@ import pytest
 import torch
 from pydantic import ValidationError
 from support.parts import batch, signature
+from support.states import assert_same_state
 
 from karolos.agents.sac import SAC
 from karolos.agents.tensors import ALL_OBSERVED, OBSERVED_EVERY, TensorBatch, tensor_batch
@@ -39,13 +40,6 @@ def leaves(state: Any) -> list[Any]:
     if isinstance(state, dict):
         return [leaf for item in state.values() for leaf in leaves(item)]
     return [state]
-
-
-def assert_same(first: Any, second: Any) -> None:
-    ours, theirs = leaves(first), leaves(second)
-    assert len(ours) == len(theirs)
-    for one, other in zip(ours, theirs, strict=True):
-        assert torch.equal(torch.as_tensor(one), torch.as_tensor(other))
 
 
 @pytest.mark.parametrize(("terminated", "value"), [(0.0, 5.0), (1.0, 1.0)])
@@ -106,7 +100,7 @@ def test_transitions_that_weigh_nothing_teach_nothing() -> None:
         agent = make()
         agent.learn(each._replace(weight=weight))
         states.append(agent.critic.state())
-    assert_same(*states)
+    assert_same_state(*states)
     unweighted = make()
     unweighted.learn(other)
     assert not torch.equal(unweighted.critic.named["layer0.weight"], states[0]["layer0.weight"])
@@ -167,7 +161,7 @@ def test_learning_goes_on_bit_for_bit_in_a_fresh_agent(settings: dict[str, Any])
     for seed in range(6, 12):
         second.learn(batch(32, signature(), seed))
         second.act(*_seen(seed), explore=True)
-    assert_same(whole.state(), second.state())
+    assert_same_state(whole.state(), second.state())
     np.testing.assert_array_equal(whole.act(*_seen(0), explore=True), second.act(*_seen(0), explore=True))
 
 
@@ -182,7 +176,7 @@ def test_acting_leaves_the_normaliser_as_it_is() -> None:
     before = agent.normaliser.state()
     agent.act(*_seen(3), explore=True)
     agent.act(*_seen(3), explore=False)
-    assert_same(before, agent.normaliser.state())
+    assert_same_state(before, agent.normaliser.state())
 
 
 def test_statistics_include_the_goals_of_the_batch() -> None:

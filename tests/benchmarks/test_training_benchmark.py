@@ -5,6 +5,7 @@ import numpy as np
 import pytest
 from karolos_cli.bench import app
 from karolos_cli.bench.output import COLUMNS
+from support.states import assert_same_state
 from typer.testing import CliRunner
 
 from karolos.benchmarks import end_to_end
@@ -60,17 +61,8 @@ def learned(*, overlap: bool) -> dict[str, dict]:
         return {"agent": agent.state(), "buffer": buffer.state(), "training": training.state()}
 
 
-def same(one, other):
-    if isinstance(one, dict):
-        assert one.keys() == other.keys()
-        for key in one.keys() - {"seconds"}:
-            same(one[key], other[key])
-    else:
-        np.testing.assert_array_equal(np.asarray(one), np.asarray(other))
-
-
 def test_overlap_changes_nothing_that_is_learned():
-    same(learned(overlap=True), learned(overlap=False))
+    assert_same_state(learned(overlap=True), learned(overlap=False))
 
 
 @pytest.mark.parametrize("answers", [None, 1])

@@ -7,6 +7,7 @@ import signal
 
 import numpy as np
 import pytest
+from support.states import assert_same_state
 
 from karolos import checkpoint
 from karolos.errors import MachineError, RunError, StoreError, UsageError
@@ -36,18 +37,6 @@ def spec(**changes):
 def weights(folder: RunFolder, name: str = "last"):
     parts, meta = checkpoint.load(folder.checkpoints, name)
     return parts["agent"], meta
-
-
-def assert_same(one, other, path="agent"):
-    if isinstance(one, dict):
-        assert one.keys() == other.keys()
-        for key in one:
-            assert_same(one[key], other[key], f"{path}.{key}")
-    elif isinstance(one, (list, tuple)):
-        for index, (first, second) in enumerate(zip(one, other, strict=True)):
-            assert_same(first, second, f"{path}[{index}]")
-    else:
-        np.testing.assert_array_equal(np.asarray(one), np.asarray(other), err_msg=path)
 
 
 def folders(outcome):
@@ -165,7 +154,7 @@ def test_same_seed_gives_identical_tests_and_weights_whatever_the_processes(fini
     (folder,), before = folders(again), folders(outcome)[1]
     for one, other in zip(folder.tests(), before.tests(), strict=True):
         assert (one.any, one.end, one.returns) == (other.any, other.end, other.returns)
-    assert_same(weights(folder)[0], weights(before)[0])
+    assert_same_state(weights(folder)[0], weights(before)[0])
 
 
 def test_seeds_side_by_side_give_what_seeds_one_after_the_other_give(finished, tmp_path):
@@ -174,7 +163,7 @@ def test_seeds_side_by_side_give_what_seeds_one_after_the_other_give(finished, t
     together = Experiment(spec(seeds=[3, 1])).run(tmp_path, jobs=2, listener=events.append)
     assert [run.seed for run in together.runs] == [3, 1]
     for one, other in zip(folders(together), folders(outcome), strict=True):
-        assert_same(weights(one)[0], weights(other)[0])
+        assert_same_state(weights(one)[0], weights(other)[0])
     assert {type(event) for event in events} >= {RunStarted, RunTested, RunEnded}
 
 
@@ -182,7 +171,7 @@ def test_another_seed_gives_other_weights(finished):
     _, outcome, _ = finished
     one, other = (weights(folder)[0] for folder in folders(outcome))
     with pytest.raises(AssertionError):
-        assert_same(one, other)
+        assert_same_state(one, other)
 
 
 def test_a_stop_request_ends_the_round_and_leaves_a_checkpoint(tmp_path):

@@ -7,8 +7,8 @@ import signal
 from pathlib import Path
 from typing import Any
 
-import numpy as np
 import pytest
+from support.states import assert_same_state
 
 from karolos import checkpoint
 from karolos.errors import RunError
@@ -44,21 +44,8 @@ CASES = {
 }
 
 
-def same(one: Any, other: Any, path: str = "") -> None:
-    """Bit for bit, but for the seconds that training took."""
-    if isinstance(one, dict):
-        assert one.keys() == other.keys(), path
-        for key in one.keys() - {"seconds"}:
-            same(one[key], other[key], f"{path}.{key}")
-    elif isinstance(one, list | tuple):
-        for index, (first, second) in enumerate(zip(one, other, strict=True)):
-            same(first, second, f"{path}[{index}]")
-    else:
-        np.testing.assert_array_equal(np.asarray(one), np.asarray(other), err_msg=path)
-
-
 def same_runs(one: RunFolder, other: RunFolder) -> None:
-    same(checkpoint.load(one.checkpoints, "last")[0], checkpoint.load(other.checkpoints, "last")[0])
+    assert_same_state(checkpoint.load(one.checkpoints, "last")[0], checkpoint.load(other.checkpoints, "last")[0])
     for first, second in zip(one.tests(), other.tests(), strict=True):
         assert (first.steps, first.any, first.end, first.returns) == (
             second.steps,

@@ -5,8 +5,8 @@ from __future__ import annotations
 from pathlib import Path
 from typing import Any
 
-import numpy as np
 import pytest
+from support.states import assert_same_state
 
 from karolos import checkpoint
 from karolos.core import Signature
@@ -15,6 +15,7 @@ from karolos.environments.build import build_environment
 from karolos.errors import UsageError
 from karolos.experiment.experiment import Experiment
 from karolos.experiment.start_from import apply, find, pinned
+from karolos.plugins.contracts.case import state_differences
 from karolos.records import RunFolder
 from karolos.spec import Spec
 from karolos.training.assembly import make_agent
@@ -44,12 +45,6 @@ def signature(of: Spec) -> Signature:
     return build_environment(of.recipe(randomize=False)).signature
 
 
-def same(one: Any, other: Any) -> bool:
-    if isinstance(one, dict):
-        return all(same(one[key], other[key]) for key in one)
-    return bool(np.array_equal(np.asarray(one), np.asarray(other)))
-
-
 @pytest.mark.parametrize("name", ["sac", "td3", "ddpg"])
 def test_weights_and_statistics_are_taken_over_and_optimisers_are_not(name: str, tmp_path: Path) -> None:
     small = {**TOY, "agent": {"name": name, "hidden": [8]}}
@@ -62,10 +57,10 @@ def test_weights_and_statistics_are_taken_over_and_optimisers_are_not(name: str,
     apply(start, agent)
     state = agent.state()
     for key in agent.learned:
-        assert same(state[key], start.state[key])
+        assert_same_state(state[key], start.state[key])
     for key in state.keys() - set(agent.learned):
-        assert same(state[key], fresh[key])
-    assert not same(state["policy"], fresh["policy"])
+        assert_same_state(state[key], fresh[key])
+    assert state_differences(state["policy"], fresh["policy"])
 
 
 def test_a_run_that_starts_from_another_says_so_and_begins_where_that_ended(source: RunFolder) -> None:
@@ -77,7 +72,7 @@ def test_a_run_that_starts_from_another_says_so_and_begins_where_that_ended(sour
     (event,) = [event for event in folder.events() if event["event"] == "started_from"]
     assert (event["run"], event["checkpoint"], event["steps"]) == (source.id, "last", 80)
     before, after = (checkpoint.load(run.checkpoints, "last")[0]["agent"] for run in (source, folder))
-    assert same(before["policy"], after["policy"])  # nothing was learned since
+    assert_same_state(before["policy"], after["policy"])  # nothing was learned since
     assert folder.spec()["agent"]["start_sha256"] == event["sha256"]
 
 

@@ -1,1 +1,1 @@
-"""What several tests share: parts that count, runs and sweeps made by hand, plugins that misbehave."""
+"""Shared by several tests: sample specs, runs and sweeps, fake parts, comparisons."""

@@ -1,4 +1,4 @@
-"""What the tests of checkpoints share."""
+"""Parts and metadata of checkpoints, and equality of loaded states with their types."""
 
 from __future__ import annotations
 

@@ -1,4 +1,4 @@
-"""What tests of commands share: run a sub-app as the command line would."""
+"""Runs a command in this process as the command line does."""
 
 from __future__ import annotations
 

@@ -1,4 +1,4 @@
-"""What the tests of comparisons share: runs that need no folder and no database."""
+"""Runs for comparisons, without folders or a database."""
 
 from __future__ import annotations
 

@@ -1,4 +1,4 @@
-"""Empty databases of each kind that the store knows."""
+"""Empty databases of each kind that the store supports."""
 
 from __future__ import annotations
 

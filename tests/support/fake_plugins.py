@@ -1,4 +1,4 @@
-"""Plugins that tests of the registry and of specs run on: settings, and nothing that could be slow."""
+"""Plugins with settings alone, for tests of the registry and of specs."""
 
 from __future__ import annotations
 

@@ -1,4 +1,4 @@
-"""A robot of nobody's: a small arm of six joints as a plugin would bring it, its URDF written when it is asked for.
+"""A small arm of six joints, as a plugin would provide it; its URDF is written on demand.
 
 It works to its left instead of ahead, in a workspace smaller than the square of the tasks, and holds its gripper askew
 to the axes of the world: what a task must not take for granted.

@@ -1,4 +1,4 @@
-"""Fake environments in the layouts that the tests of the orchestrator go through."""
+"""Layouts of processes, threads and environments for tests of the orchestrator."""
 
 import numpy as np
 

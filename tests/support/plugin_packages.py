@@ -1,4 +1,4 @@
-"""Starter packages for tests: written, and put where Python finds them as if they were installed."""
+"""Starter packages, written and made importable as if they were installed."""
 
 from __future__ import annotations
 

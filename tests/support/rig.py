@@ -1,4 +1,4 @@
-"""What tests of tasks share: a robot with a task, and an episode of its expert."""
+"""A robot with a task, and an episode of its expert."""
 
 from __future__ import annotations
 

@@ -1,4 +1,4 @@
-"""What the tests of `karolos runs` and `karolos db` share."""
+"""Run folders and calls for tests of `karolos runs` and `karolos db`."""
 
 from __future__ import annotations
 

@@ -1,4 +1,4 @@
-"""What the tests of runs share."""
+"""Spec and folders of small runs."""
 
 from __future__ import annotations
 

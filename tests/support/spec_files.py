@@ -1,4 +1,4 @@
-"""What tests of specs share."""
+"""Specs written to files, and the errors of loading them."""
 
 from __future__ import annotations
 

@@ -1,4 +1,4 @@
-"""What the tests of the store share."""
+"""Summaries and tests of runs for the store."""
 
 from __future__ import annotations
 

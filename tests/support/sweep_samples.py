@@ -1,4 +1,4 @@
-"""What the tests of sweeps share: a point on a line, learned within a second where the learning rate is right."""
+"""A sweep over a point on a line, which is learned within a second with a suitable learning rate."""
 
 from __future__ import annotations
 

@@ -1,4 +1,4 @@
-"""Transitions whose numbers say where they come from, and a reference that keeps them all."""
+"""Transitions whose numbers identify them, and a reference that stores all of them."""
 
 from __future__ import annotations
 

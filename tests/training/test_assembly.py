@@ -6,8 +6,8 @@ from itertools import islice
 from pathlib import Path
 from typing import Any
 
-import numpy as np
 import pytest
+from support.states import assert_same_state
 
 from karolos.core.seeding import SeedTree
 from karolos.errors import KarolosError, SpecError
@@ -128,23 +128,14 @@ def trained(learner: str, processes: int, *, saved_after: int = 0, rounds: int =
     return states
 
 
-def assert_same(one: Any, other: Any) -> None:
-    if isinstance(one, dict):
-        assert one.keys() == other.keys()
-        for key in one.keys() - {"seconds"}:
-            assert_same(one[key], other[key])
-    else:
-        np.testing.assert_array_equal(np.asarray(one), np.asarray(other))
-
-
 @pytest.mark.parametrize("learner", LEARNERS)
 def test_what_is_learned_does_not_depend_on_the_number_of_processes(learner: str) -> None:
     alone = trained(learner, 0)
     for processes in (1, 2):
-        assert_same(alone, trained(learner, processes))
+        assert_same_state(alone, trained(learner, processes))
 
 
 @pytest.mark.parametrize("saved_after", [1, 37])
 @pytest.mark.parametrize("learner", LEARNERS)
 def test_new_parts_go_on_bit_for_bit_from_saved_states(learner: str, saved_after: int) -> None:
-    assert_same(trained(learner, 0), trained(learner, 0, saved_after=saved_after))
+    assert_same_state(trained(learner, 0), trained(learner, 0, saved_after=saved_after))
