@@ -50,7 +50,6 @@ def test_starters_are_found_and_checked_in_a_spec_without_a_line_changed_in_karo
     spec = tmp_path / "mine.yaml"
     spec.write_text(
         "robot: desk_arm\ntask: my_task\nagent: my_agent\nbuffer: my_buffer\n"
-        "environment: {name: robot_task, actions: discrete}\n"
         "randomization: {task.gravity: {name: my_distribution, low: -10.5, mode: -9.81, high: -9}}\n"
     )
     sources = [package / "src" for package in packages.values()]
@@ -65,6 +64,16 @@ def test_the_robot_in_examples_is_the_starter(packages):
         "__init__.py", "desk_arm.py", "desk_arm.urdf",
     ))):  # fmt: skip
         assert (example / path).read_text() == (written / path).read_text(), path
+
+
+def test_the_agent_in_examples_is_the_starter(tmp_path):
+    code, out, err = call(app, "new", "agent", "actor_critic", "--out", str(tmp_path / "written"))
+    assert code == 0, err
+    example = ROOT / "examples" / "karolos-actor-critic"
+    for line in out.splitlines():
+        path = Path(line).relative_to(tmp_path / "written")
+        if path.name != "README.md":
+            assert (example / path).read_text() == Path(line).read_text(), path
 
 
 def test_the_code_in_the_guide_is_that_of_the_starters(packages):

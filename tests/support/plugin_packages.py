@@ -47,6 +47,6 @@ def python(*arguments: str, sources: list[Path], folder: Path) -> subprocess.Com
         env={**os.environ, "PYTHONPATH": path, "OMP_NUM_THREADS": "1"},
         capture_output=True,
         text=True,
-        timeout=120,
+        timeout=300,
         check=False,
     )

@@ -1,0 +1,1 @@
+"""The agent `actor_critic`, a plugin of karolos."""
