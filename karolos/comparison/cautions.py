@@ -1,4 +1,4 @@
-"""What to beware of when experiments are compared: what differs besides what was meant to."""
+"""Warnings about a comparison: unintended differences between the experiments."""
 
 from __future__ import annotations
 
@@ -9,7 +9,7 @@ from .contenders import ComparedRun, Contender
 
 
 def cautions(contenders: Sequence[Contender]) -> tuple[str, ...]:
-    """One line each, the most telling first."""
+    """One line per warning, the most important first."""
     found = [problem for contender in contenders for problem in contender.problems]
     found += _different(contenders, "they do different tasks", _task)
     found += _unfinished(contenders)
@@ -39,7 +39,7 @@ def _unfinished(contenders: Sequence[Contender]) -> list[str]:
 
 
 def _versions(contenders: Sequence[Contender]) -> list[str]:
-    """A line for each package whose version is not the same in all runs; karolos and plugins stand among them."""
+    """One line for each package with different versions, karolos and plugins included."""
     names = sorted({name for contender in contenders for run in contender.runs for name in run.versions})
     found: list[str] = []
     for name in names:
@@ -48,7 +48,7 @@ def _versions(contenders: Sequence[Contender]) -> list[str]:
 
 
 def _different(contenders: Sequence[Contender], what: str, of: Callable[[ComparedRun], object]) -> list[str]:
-    """One line if the runs do not all have the same; runs of which it is not known do not count."""
+    """One line if the values of the runs differ; unknown values (None) do not count."""
     values = [
         sorted({str(value) for value in map(of, contender.runs) if value is not None}) for contender in contenders
     ]
@@ -70,7 +70,7 @@ def _version(package: str, run: ComparedRun) -> str | None:
 
 
 def _task(run: ComparedRun) -> str | None:
-    """Name of the task, or of the environment where there is none, with its id."""
+    """Name of the task, or of the environment and its id if there is no task."""
     name = run.summary.task or run.summary.environment
     environment = run.spec.get("environment")
     if run.summary.task or not isinstance(environment, Mapping) or "id" not in environment:

@@ -1,4 +1,4 @@
-"""What is compared: experiments, each with the runs that speak for it, one per seed."""
+"""What is compared: experiments, each with one run per seed."""
 
 from __future__ import annotations
 
@@ -16,7 +16,7 @@ from ..records.run_records import RunSummary
 from ..store import Store
 
 Success = Literal["any", "end"]
-"""Which way to count success: the goal was reached at some step, or it held at the last."""
+"""How success is counted: the goal is reached at any step, or at the last step."""
 
 LISTED = 5
 

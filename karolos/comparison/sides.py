@@ -1,4 +1,4 @@
-"""What two runs, or specs as they would run now, were made from, and where that differs."""
+"""What two runs were made from, or a run of a spec would be made from now, and how they differ."""
 
 from __future__ import annotations
 
@@ -19,7 +19,7 @@ _FILE = re.compile(r"^diff --git a/.* b/(.*)$", re.MULTILINE)
 
 @dataclass(frozen=True)
 class Side:
-    """One of two: its resolved spec, versions by package, seed, git commit, and what was changed since that commit."""
+    """One of the two: resolved spec, versions by package, seed, git commit, and the changes since that commit."""
 
     name: str
     spec: Mapping[str, Any]
@@ -30,8 +30,8 @@ class Side:
 
 
 @dataclass(frozen=True)
-class Difference:
-    """One thing that is not the same; MISSING on the side that does not have it.
+class SideDifference:
+    """One thing that differs; MISSING on the side that lacks it.
 
     Args:
         part: run, spec, version or code.
@@ -44,7 +44,7 @@ class Difference:
     b: Any
 
     def row(self) -> dict[str, Any]:
-        """As JSON values: null where a side does not have it, and in `missing` which side that is."""
+        """As JSON values: null for a side that lacks it; `missing` names that side."""
         sides = {"a": self.a, "b": self.b}
         missing = next((side for side, value in sides.items() if value is MISSING), None)
         values = {side: None if value is MISSING else value for side, value in sides.items()}
@@ -52,7 +52,7 @@ class Difference:
 
 
 def of_run(folder: RunFolder) -> Side:
-    """What a run was made from, as its folder tells."""
+    """What a run was made from, according to its folder."""
     about = folder.description()
     path = folder.path / "code.diff"
     return Side(
@@ -66,32 +66,32 @@ def of_run(folder: RunFolder) -> Side:
 
 
 def of_spec(spec: Spec, name: str) -> Side:
-    """What a run of this spec would be made from here and now."""
+    """What a run of this spec would be made from now, in the current folder."""
     code = provenance.code(Path.cwd())
     return Side(
         name, spec.dump(), provenance.versions(), None, code.commit if code else None, code.diff if code else ""
     )
 
 
-def compare_sides(a: Side, b: Side) -> Iterator[Difference]:
+def compare_sides(a: Side, b: Side) -> Iterator[SideDifference]:
     """Everything that differs: seed, settings, versions, commit, changed files."""
     if a.seed is not None and b.seed is not None and a.seed != b.seed:
-        yield Difference("run", "seed", a.seed, b.seed)
+        yield SideDifference("run", "seed", a.seed, b.seed)
     for key, (one, other) in differences([without_seeds(a.spec), without_seeds(b.spec)]).items():
-        yield Difference("spec", key, one, other)
+        yield SideDifference("spec", key, one, other)
     for key, (one, other) in differences([a.versions, b.versions]).items():
-        yield Difference("version", key, one, other)
+        yield SideDifference("version", key, one, other)
     if a.commit != b.commit:
-        yield Difference("code", "commit", a.commit or MISSING, b.commit or MISSING)
+        yield SideDifference("code", "commit", a.commit or MISSING, b.commit or MISSING)
     ours, theirs = _changed(a.patch), _changed(b.patch)
     for file in sorted({*ours, *theirs}):
         if ours.get(file) != theirs.get(file):
             one, other = (_lines(side[file]) if file in side else MISSING for side in (ours, theirs))
-            yield Difference("code", file, one, other)
+            yield SideDifference("code", file, one, other)
 
 
 def patch_difference(a: Side, b: Side) -> str:
-    """How what was changed since the commit differs: a unified diff of the two code.diff; empty if not at all."""
+    """A unified diff of the two code.diff; empty if they are equal."""
     lines = difflib.unified_diff(
         a.patch.splitlines(), b.patch.splitlines(), f"{a.name}/code.diff", f"{b.name}/code.diff", lineterm=""
     )
@@ -99,13 +99,13 @@ def patch_difference(a: Side, b: Side) -> str:
 
 
 def _changed(patch: str) -> dict[str, str]:
-    """A patch cut into files: name -> its part."""
+    """File name -> its part of a patch."""
     _, *pieces = _FILE.split(patch)
     return dict(zip(pieces[::2], pieces[1::2], strict=True))
 
 
 def _lines(patch: str) -> str:
-    """How much a file was changed."""
+    """The numbers of added and removed lines of a file."""
     lines = patch.splitlines()
     added = sum(line.startswith("+") and not line.startswith("+++") for line in lines)
     removed = sum(line.startswith("-") and not line.startswith("---") for line in lines)

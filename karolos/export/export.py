@@ -65,13 +65,13 @@ def export_policy(folder: RunFolder, out: Path, *, checkpoint: str = "best", onn
     saved = load_agent(folder, checkpoint)
     policy = saved.agent.deployed()
     if not policy.is_finite():
-        raise RunError("the policy holds numbers that are none (nan or infinite)", where=folder.id)
+        raise RunError("the policy has weights that are nan or infinite", where=folder.id)
     described = description(folder, saved, policy)
     golden = golden_samples(saved, policy)
     paths = {name: out / name for name in ("policy.npz", "policy.json", "golden.npz")}
     with writing(out):
         out.mkdir(parents=True, exist_ok=True)
-        (out / "policy.onnx").unlink(missing_ok=True)  # that of another policy must not stay beside this one
+        (out / "policy.onnx").unlink(missing_ok=True)  # otherwise the model of an older export could stay
         np.savez(paths["policy.npz"], **arrays(policy))
         np.savez(paths["golden.npz"], **golden)
     write_json(paths["policy.json"], described)
@@ -85,7 +85,7 @@ def export_policy(folder: RunFolder, out: Path, *, checkpoint: str = "best", onn
     error = max(float(np.abs(found - golden["action"]).max()) for found in acted)
     if error > LARGEST_ERROR:
         for path in paths.values():
-            path.unlink()  # nobody should use them
+            path.unlink()  # they must not be used
         raise RunError(f"what was written does not act as the agent does: it differs by {error:.2g}", where=folder.id)
     return Exported(out, tuple(paths.values()), saved.steps, error)
 

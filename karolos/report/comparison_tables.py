@@ -6,7 +6,7 @@ from collections.abc import Sequence
 from typing import Any
 
 from ..comparison import MISSING, Comparison, Estimate, Improvement, Scores
-from ..comparison.sides import Difference
+from ..comparison.sides import SideDifference
 from .tables import Table, duration, rate, setting
 
 
@@ -41,7 +41,7 @@ def parameters_table(comparison: Comparison) -> Table:
     return Table(["setting", *(contender.label for contender in comparison.contenders)], rows, "settings that differ")
 
 
-def differences_table(differences: Sequence[Difference], a: str, b: str) -> Table:
+def differences_table(differences: Sequence[SideDifference], a: str, b: str) -> Table:
     """What differs in what two runs were made from."""
     return Table(["", a, b], [(f"{one.part}: {one.key}", _value(one.a), _value(one.b)) for one in differences])
 

@@ -1,4 +1,4 @@
-"""What many seeds say together: pure functions of arrays. The seed is the unit; episodes are never pooled over seeds.
+"""Statistics over seeds: pure functions of arrays. The seed is the unit; episodes are never pooled over seeds.
 
 Sources: Agarwal et al. 2021, "Deep Reinforcement Learning at the Edge of the Statistical Precipice" (inter-quartile
 mean, stratified bootstrap, probability of improvement, performance profiles); the coverage of small samples is in
@@ -20,7 +20,7 @@ Statistic = Callable[[_Floats], _Floats]
 """A number for each row: values (..., n) to (...)."""
 RESAMPLES = 2000
 FEW_SEEDS = 5
-"""From here on there is a bootstrap interval."""
+"""Fewest seeds with a bootstrap interval."""
 
 
 def mean(values: ArrayLike) -> _Floats:
@@ -36,10 +36,10 @@ def iqm(values: ArrayLike) -> _Floats:
 
 
 def reliability(seeds: int) -> Literal["none", "approximate", "usual"]:
-    """What a bootstrap interval of so many seeds is worth.
+    """How reliable a bootstrap interval over this number of seeds is.
 
     A nominal 95 % interval of the mean covered the truth in 61 % of cases with 3 seeds, 77 % with 5 and 93 % with 10
-    (one simulated bimodal case): under 5 there is none, under 10 it is approximate.
+    (one simulated bimodal case): below 5 there is no interval, below 10 it is approximate.
     """
     return "none" if seeds < FEW_SEEDS else "approximate" if seeds < 10 else "usual"
 
@@ -78,7 +78,7 @@ def improvement(ours: ArrayLike, theirs: ArrayLike) -> float:
 def improvement_interval(
     ours: ArrayLike, theirs: ArrayLike, generator: Generator, *, level: float = 0.95
 ) -> tuple[float, float] | None:
-    """Bootstrap interval of `improvement`, seeds of both sides drawn anew; None for fewer than 5 seeds on a side."""
+    """Bootstrap interval of `improvement`, seeds of both sides resampled; None for fewer than 5 seeds on a side."""
     one, other = np.asarray(ours, float), np.asarray(theirs, float)
     if "none" in {reliability(one.size), reliability(other.size)}:
         return None
@@ -88,12 +88,12 @@ def improvement_interval(
 
 
 def profile(values: ArrayLike, thresholds: ArrayLike) -> _Floats:
-    """Performance profile: the share of seeds whose value (n,) is at least each threshold (t,): (t,)."""
+    """Performance profile: the fraction of seeds whose value (n,) is at least each threshold (t,): (t,)."""
     return np.asarray((np.asarray(values, float)[None] >= np.asarray(thresholds, float)[:, None]).mean(axis=1))
 
 
 def first_reaching(ratios: Sequence[float], at: Sequence[float], threshold: float) -> float | None:
-    """Where (steps or seconds) a run's test ratio first is `threshold` or more; None: never, which is censored."""
+    """Where (steps or seconds) a run's test ratio first is `threshold` or more; None: never (censored)."""
     return next((place for ratio, place in zip(ratios, at, strict=True) if ratio >= threshold), None)
 
 

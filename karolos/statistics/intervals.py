@@ -1,4 +1,4 @@
-"""The interval of a success ratio, in plain floats: tables show it, and numpy takes longer to import than they do."""
+"""The interval of a success ratio, without numpy, whose import would take longer than a table of runs."""
 
 from __future__ import annotations
 
@@ -9,7 +9,7 @@ from statistics import NormalDist
 def wilson(successes: int, episodes: int, level: float = 0.95) -> tuple[float, float]:
     """Interval of the success probability behind k successes in n independent episodes: low, high in [0, 1].
 
-    Wilson's score interval keeps its level at 0 and at n successes, where the textbook's normal one has no width.
+    Wilson's score interval keeps its level at 0 and at n successes, where the normal approximation has no width.
     Source: Wilson 1927, J. Am. Stat. Assoc. 22, 209; recommended by Brown, Cai, DasGupta 2001, Stat. Sci. 16, 101.
 
     Raises:
@@ -20,10 +20,10 @@ def wilson(successes: int, episodes: int, level: float = 0.95) -> tuple[float, f
     if not 0 < level < 1:
         raise ValueError(f"level {level} is not between 0 and 1")
     z = NormalDist().inv_cdf((1 + level) / 2)
-    share = successes / episodes
+    ratio = successes / episodes
     scale = 1 + z**2 / episodes
-    middle = (share + z**2 / (2 * episodes)) / scale
-    half = z / scale * math.sqrt(share * (1 - share) / episodes + z**2 / (4 * episodes**2))
+    middle = (ratio + z**2 / (2 * episodes)) / scale
+    half = z / scale * math.sqrt(ratio * (1 - ratio) / episodes + z**2 / (4 * episodes**2))
     low: float = 0.0 if successes == 0 else max(middle - half, 0.0)  # exact where rounding would leave 1e-17
     high: float = 1.0 if successes == episodes else min(middle + half, 1.0)
     return low, high

@@ -130,7 +130,7 @@ def test_a_policy_that_would_act_otherwise_or_is_no_number_is_refused(
         export_policy(folder, tmp_path, checkpoint="last", onnx=False)
     assert not (tmp_path / "policy.npz").exists()
     monkeypatch.setattr(agent, "deployed", lambda self: replace(right(self), scale=right(self).scale * np.nan))
-    with pytest.raises(RunError, match="numbers that are none"):
+    with pytest.raises(RunError, match="weights that are nan or infinite"):
         export_policy(folder, tmp_path, checkpoint="last", onnx=False)
 
 
