@@ -124,18 +124,20 @@ def decode_test(row: Mapping[str, Any]) -> TestResult | None:
 def count_test(line: bytes) -> TestCounts | None:
     """The counts of a line as `encode_test` makes it, or None for any other line.
 
-    Reads the line up to the returns, which takes a quarter of the time of `decode_test`.
+    Reads the line up to the returns, and its lists as text, which takes a tenth of the time of `decode_test`.
     """
-    head, _, rest = line.partition(b',"returns":[')
-    row = parse_object(head + b"}")
-    if row is None or list(row) != ["steps", "seconds", "any", "end", "reset"] or not rest.endswith(b"]}"):
+    head, _, rest = line.partition(b'],"returns":[')
+    if head.count(b'"') != 10 or not rest.endswith(b"]}"):  # the quotes of five keys
+        return None
+    row = parse_object(head.replace(b":[", b':"').replace(b"],", b'",') + b'"}')
+    if row is None or list(row) != ["steps", "seconds", "any", "end", "reset"]:
         return None
     steps, seconds, *flags = row.values()
-    if type(steps) is not int or type(seconds) is not float:
+    if type(steps) is not int or type(seconds) is not float or not all(isinstance(text, str) for text in flags):
         return None
-    if not all(isinstance(values, list) for values in flags):
-        return None
-    episodes, successes = len(flags[0]), [values.count(1) for values in flags]
-    if any(values.count(0) + ones != episodes for values, ones in zip(flags, successes, strict=True)):
-        return None
-    return TestCounts(steps, seconds, episodes, *successes) if episodes else None
+    episodes = len(flags[0]) // 2 + 1
+    separators = "," * (episodes - 1)
+    for text in flags:
+        if len(text) != 2 * episodes - 1 or text[1::2] != separators or text[::2].strip("01"):
+            return None
+    return TestCounts(steps, seconds, episodes, *(text.count("1") for text in flags))
