@@ -1,14 +1,14 @@
-"""Checkpoints: a folder of files that is whole or not there, and says so when it is damaged.
+"""Checkpoints: folders that are complete or missing, and detect damage.
 
     <name>/<part>.pt        one file per part, written by torch.save, read with weights_only=True and nothing else
-    <name>/manifest.json    format, meta, size and sha256 of each file, blocks, sha256 of itself; written last
-    .blocks/                large arrays in pieces, which checkpoints share (`karolos.checkpoint.array_files`)
+    <name>/manifest.json    format, meta, size and sha256 of each file, array files, sha256 of itself; written last
+    .arrays/                large arrays in files that checkpoints share (`karolos.checkpoint.array_files`)
 
-A checkpoint is written beside the old one and takes its place by renaming. Killed between the two renames, the old one
-still lies in `.<name>.previous`, where `load` finds it.
+A checkpoint is written beside the old one and takes its place by renaming. If the process is killed between the two
+renames, `load` finds the old one in `.<name>.previous`.
 """
 
-from .errors import CheckpointError
 from .folder import digest, load, names, read_meta, rename, save
+from .manifest import CheckpointError
 
 __all__ = ["CheckpointError", "digest", "load", "names", "read_meta", "rename", "save"]

@@ -1,7 +1,7 @@
-"""Large arrays of checkpoints, in blocks that are named by their content and written once.
+"""Array files: large arrays of checkpoints in files of 1 MiB that are named by their content.
 
-A replay buffer of a gigabyte changes little between two checkpoints. Cut into blocks, only those that changed are
-written, and checkpoints share the others. A block is whole or not there: it is written beside its place, and renamed.
+A replay buffer of a gigabyte changes little between two checkpoints. Only the files that changed are written, and
+checkpoints share the others. A file is complete or missing: it is written beside its place and renamed.
 """
 
 from __future__ import annotations
@@ -17,70 +17,70 @@ import numpy as np
 from ..files import sync_folder
 
 SIZE = 1 << 20
-"""Bytes of a block; the last one of an array is shorter."""
+"""Bytes of a file; the last one of an array is shorter."""
 _NAME = re.compile(r"[0-9a-f]{64}")
 
 
-class BlockError(ValueError):
-    """A block that is missing, damaged, or not named as blocks are."""
+class ArrayFileError(ValueError):
+    """An array file that is missing, damaged or has an invalid name."""
 
 
-class Blocks:
-    """The blocks in one folder, which is made when the first is written."""
+class ArrayFiles:
+    """The array files in one folder, which is created with the first file."""
 
     def __init__(self, folder: Path) -> None:
         self.folder = folder
         self.used: set[str] = set()
-        """Names that `write` returned: what must not be swept."""
+        """Names that `write` returned: `remove_unused` must keep them."""
 
     def write(self, data: np.ndarray) -> list[str]:
-        """Keep the bytes of a flat uint8 array for good; returns the names of its blocks (sha256), in order.
+        """Write the bytes of a flat uint8 array to the disk; returns the names of its files (sha256), in order.
 
         Raises:
-            OSError: the disk is full or the folder cannot be written; blocks are whole or not there.
+            OSError: the disk is full or the folder cannot be written; every file is complete or missing.
         """
         view = data.data
-        names = [self._write_block(view[start : start + SIZE]) for start in range(0, len(view), SIZE)]
+        names = [self._write_file(view[start : start + SIZE]) for start in range(0, len(view), SIZE)]
         self.used.update(names)
         return names
 
     def sync(self) -> None:
-        """Make the names survive a power cut; called once after all blocks of a checkpoint are written."""
+        """Make the names survive a power cut; called once after all files of a checkpoint are written."""
         if self.folder.is_dir():
             sync_folder(self.folder)
 
     def read(self, names: Sequence[str], size: int) -> np.ndarray:
-        """The `size` bytes that `write` was given: a flat uint8 array.
+        """The `size` bytes that `write` wrote: a flat uint8 array.
 
         Raises:
-            BlockError: a block is missing or damaged.
+            ArrayFileError: a file is missing or damaged.
         """
         found = np.empty(size, np.uint8)
         start = 0
         for name in names:
             if not isinstance(name, str) or not _NAME.fullmatch(name):
-                raise BlockError(f"{name!r} is no block")
+                raise ArrayFileError(f"{name!r} is not the name of an array file")
             try:
                 data = (self.folder / name).read_bytes()
             except OSError as error:
-                raise BlockError(f"the block {name[:12]} cannot be read ({error.strerror})") from error
+                raise ArrayFileError(f"the array file {name[:12]} cannot be read ({error.strerror})") from error
             if hashlib.sha256(data).hexdigest() != name or start + len(data) > size:
-                raise BlockError(f"the block {name[:12]} was changed")
+                raise ArrayFileError(f"the array file {name[:12]} was changed")
             found[start : start + len(data)] = np.frombuffer(data, np.uint8)
             start += len(data)
         if start != size:
-            raise BlockError(f"{start:,} bytes in blocks instead of {size:,}")
+            raise ArrayFileError(f"the array files hold {start:,} bytes instead of {size:,}")
         return found
 
-    def sweep(self, keep: Collection[str]) -> None:
-        """Remove blocks that no checkpoint uses, and what a killed process left half-written."""
+    def remove_unused(self, used: Collection[str]) -> None:
+        """Remove files that no checkpoint uses, also those that a killed process left incomplete."""
         if not self.folder.is_dir():
             return
         for path in self.folder.iterdir():
-            if path.name not in keep:
+            if path.name not in used:
                 path.unlink(missing_ok=True)
 
-    def _write_block(self, data: memoryview) -> str:
+    def _write_file(self, data: memoryview) -> str:
         name = hashlib.sha256(data).hexdigest()
         place = self.folder / name
         if place.exists() and place.stat().st_size == len(data):

@@ -1,4 +1,4 @@
-"""Checkpoints in a folder: saved whole or not at all, found, loaded, renamed, and blocks that none needs removed."""
+"""Checkpoints in a folder: save (completely or not at all), find, load, rename; remove array files that none uses."""
 
 from __future__ import annotations
 
@@ -11,30 +11,28 @@ from typing import Any
 
 from ..core import State
 from ..files import below, sync_folder, writing
-from .array_files import Blocks
-from .encoding import encode
-from .errors import CheckpointError
-from .manifest import PART, read_manifest, write_manifest
-from .parts import read_part, write_part
+from .array_files import ArrayFiles
+from .manifest import PART, CheckpointError, read_manifest, write_manifest
+from .state_file import encode, read_state, write_state
 
 _PREVIOUS = re.compile(r"\.(.*)\.previous")
-_BLOCKS = ".blocks"
+_ARRAYS = ".arrays"
 
 
 def save(folder: Path, name: str, parts: Mapping[str, State], meta: Mapping[str, Any]) -> Path:
-    """Write a checkpoint and put it in the place of an older one of that name.
+    """Write a checkpoint; it replaces an older one of that name.
 
     Args:
-        folder: where the checkpoints of the run lie; made if it is not there.
+        folder: the run's folder of checkpoints; created if it does not exist.
         name: e.g. "best" or "last".
         parts: nested dictionaries, lists and tuples of tensors, numpy arrays, numbers, strings, booleans and None.
-        meta: JSON values that say what it is (experiment, steps ...).
+        meta: JSON values (experiment, steps ...).
 
     Returns:
         The checkpoint's folder.
 
     Raises:
-        MachineError: the disk is full or the folder cannot be written; the older checkpoint is kept.
+        MachineError: the disk is full or the folder cannot be written; the older checkpoint stays.
         TypeError: a state holds something else; names the key path.
     """
     _check_names(name, parts)
@@ -44,24 +42,24 @@ def save(folder: Path, name: str, parts: Mapping[str, State], meta: Mapping[str,
     fresh = folder / f".{name}.new"
     with writing(target):
         try:
-            shutil.rmtree(fresh, ignore_errors=True)  # what a killed process left
+            shutil.rmtree(fresh, ignore_errors=True)  # left by a killed process
             fresh.mkdir()
-            blocks = Blocks(folder / _BLOCKS)
+            arrays = ArrayFiles(folder / _ARRAYS)
             files = {
-                part: write_part(fresh / f"{part}.pt", encode(state, part, blocks)) for part, state in parts.items()
+                part: write_state(fresh / f"{part}.pt", encode(state, part, arrays)) for part, state in parts.items()
             }
-            blocks.sync()
-            write_manifest(fresh, {"meta": dict(meta), "files": files, "blocks": sorted(blocks.used)})
-        except BaseException:  # an interrupt, too, leaves nothing behind
+            arrays.sync()
+            write_manifest(fresh, {"meta": dict(meta), "files": files, "array_files": sorted(arrays.used)})
+        except BaseException:  # also after an interrupt nothing is left behind
             shutil.rmtree(fresh, ignore_errors=True)
             raise
         _put_in_place(fresh, target)
-        _sweep(folder)
+        _remove_unused(folder)
     return target
 
 
 def rename(folder: Path, name: str, other: str) -> None:
-    """Give a checkpoint another name, in the place of one that had it; nothing happens when there is none.
+    """Rename a checkpoint; it replaces one of the new name. Does nothing if there is none.
 
     Raises:
         MachineError: the folder cannot be written.
@@ -76,12 +74,12 @@ def load(folder: Path, name: str, only: Collection[str] | None = None) -> tuple[
     """Read a checkpoint: its parts and its meta.
 
     Args:
-        folder: where the checkpoints of the run lie.
+        folder: the run's folder of checkpoints.
         name: of the checkpoint.
-        only: parts to read; all of them unless told otherwise.
+        only: parts to read; all by default.
 
     Raises:
-        CheckpointError: it is missing, truncated, changed, from a newer karolos, or holds what is no plain state.
+        CheckpointError: it is missing, truncated, changed, from a newer karolos, or does not hold plain states.
     """
     path = _find(folder, name)
     before = _identity(path)
@@ -90,11 +88,11 @@ def load(folder: Path, name: str, only: Collection[str] | None = None) -> tuple[
     except CheckpointError:
         if _identity(_find(folder, name)) == before:
             raise
-    return load(folder, name, only)  # a run that goes on put a new one in its place while this one was read
+    return load(folder, name, only)  # the run replaced it while it was read
 
 
 def read_meta(folder: Path, name: str) -> dict[str, Any]:
-    """The meta of a checkpoint; of its files only the manifest is looked at.
+    """The meta of a checkpoint; only its manifest is read.
 
     Raises:
         CheckpointError: the manifest is missing, damaged or of a newer format.
@@ -119,29 +117,29 @@ def names(folder: Path) -> tuple[str, ...]:
 
 def _load(path: Path, only: Collection[str] | None) -> tuple[dict[str, State], dict[str, Any]]:
     manifest = read_manifest(path)
-    blocks = Blocks(path.parent / _BLOCKS)
+    arrays = ArrayFiles(path.parent / _ARRAYS)
     parts = {
-        part: read_part(path / f"{part}.pt", facts, blocks)
+        part: read_state(path / f"{part}.pt", facts, arrays)
         for part, facts in manifest["files"].items()
         if only is None or part in only
     }
     return parts, manifest["meta"]
 
 
-def _sweep(folder: Path) -> None:
-    """Remove blocks that no checkpoint uses. One whose manifest cannot be read might: then all are kept."""
-    keep: set[str] = set()
+def _remove_unused(folder: Path) -> None:
+    """Remove array files that no checkpoint uses. If a manifest cannot be read, it might use any, and all stay."""
+    used: set[str] = set()
     for path in folder.iterdir():
-        if path.is_dir() and path.name != _BLOCKS and not path.name.endswith(".new"):
+        if path.is_dir() and path.name != _ARRAYS and not path.name.endswith(".new"):
             try:
-                keep.update(read_manifest(path).get("blocks", ()))
+                used.update(read_manifest(path).get("array_files", ()))
             except CheckpointError:
                 return
-    Blocks(folder / _BLOCKS).sweep(keep)
+    ArrayFiles(folder / _ARRAYS).remove_unused(used)
 
 
 def _identity(path: Path) -> tuple[int, int] | None:
-    """What tells this folder from another one of the same name."""
+    """Distinguishes this folder from another one of the same name."""
     try:
         found = path.stat()
     except OSError:
@@ -171,8 +169,8 @@ def _put_in_place(fresh: Path, target: Path) -> None:
 
 def _find(folder: Path, name: str) -> Path:
     path = below(folder, name)
-    for candidate in (path, _previous(path), path):  # it may come into place between two looks
+    for candidate in (path, _previous(path), path):  # it may be renamed between two attempts
         if os.path.isdir(candidate):
             return candidate
-    there = ", ".join(names(folder)) or "none"
-    raise CheckpointError(f"there is no checkpoint {name!r}", where=str(folder), hint=f"there are: {there}")
+    existing = ", ".join(names(folder)) or "no checkpoints"
+    raise CheckpointError(f"there is no checkpoint {name!r}", where=str(folder), hint=f"there are {existing}")

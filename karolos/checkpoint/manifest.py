@@ -1,4 +1,4 @@
-"""The manifest of a checkpoint: format, meta, size and sha256 of each file, blocks, sha256 of itself."""
+"""The manifest of a checkpoint: format, meta, size and sha256 of each file, array files, sha256 of itself."""
 
 from __future__ import annotations
 
@@ -10,8 +10,8 @@ from collections.abc import Mapping
 from pathlib import Path
 from typing import Any
 
+from ..errors import RunError
 from ..files import parse_object, sync_folder
-from .errors import CheckpointError, damaged
 
 FORMAT = 1
 """Version of the encoding and of the manifest."""
@@ -21,8 +21,19 @@ _MANIFEST = "manifest.json"
 _MANIFEST_BYTES = 1 << 24
 
 
+class CheckpointError(RunError):
+    """A checkpoint that is missing, damaged, from a newer karolos or unsafe to load."""
+
+
+def damaged(path: Path, why: str) -> CheckpointError:
+    """The error for a damaged checkpoint."""
+    return CheckpointError(
+        f"the checkpoint is damaged: {why}", where=str(path), hint="use another checkpoint of the run, or train again"
+    )
+
+
 def read_manifest(path: Path) -> dict[str, Any]:
-    """Manifest of the checkpoint in the folder `path`, verified in itself: format, meta, files.
+    """The manifest of the checkpoint in the folder `path`, verified against its own sha256.
 
     Raises:
         CheckpointError: it is missing, damaged or of a newer format.
@@ -40,19 +51,19 @@ def read_manifest(path: Path) -> dict[str, Any]:
             f"the checkpoint has format {version}, this karolos knows {FORMAT}", where=str(path), hint="update karolos"
         )
     files = manifest.get("files")
-    sound = (
+    valid = (
         manifest.get("sha256") == seal(manifest)
         and isinstance(manifest.get("meta"), dict)
         and isinstance(files, dict)
         and all(PART.fullmatch(part) for part in files)
     )
-    if not sound:
+    if not valid:
         raise damaged(path, f"its {_MANIFEST} was changed")
     return manifest
 
 
 def write_manifest(path: Path, content: Mapping[str, Any]) -> None:
-    """Write the manifest of the checkpoint in the folder `path` for good. Raises OSError when that cannot be done."""
+    """Write the manifest of the checkpoint in the folder `path` to the disk. Raises OSError."""
     manifest: dict[str, Any] = {"format": FORMAT, **content}
     manifest["sha256"] = seal(manifest)
     with (path / _MANIFEST).open("w", encoding="utf-8", newline="\n") as file:
@@ -63,6 +74,6 @@ def write_manifest(path: Path, content: Mapping[str, Any]) -> None:
 
 
 def seal(manifest: Mapping[str, Any]) -> str:
-    """sha256 of a manifest without its own."""
+    """sha256 (hex) of a manifest without its field `sha256`."""
     rest = {key: value for key, value in manifest.items() if key != "sha256"}
     return hashlib.sha256(json.dumps(rest, sort_keys=True).encode()).hexdigest()

@@ -64,9 +64,9 @@ def test_missing_file_is_found(whole: Path, name: str) -> None:
 
 
 def test_missing_checkpoint_names_those_that_are_there(whole: Path) -> None:
-    with pytest.raises(CheckpointError, match="there is no checkpoint 'last'; there are: best"):
+    with pytest.raises(CheckpointError, match="there is no checkpoint 'last'; there are best"):
         load(whole.parent, "last")
-    with pytest.raises(CheckpointError, match="there are: none"):
+    with pytest.raises(CheckpointError, match="there are no checkpoints"):
         load(whole / "nowhere", "last")
 
 
@@ -106,7 +106,7 @@ def test_malicious_pickle_is_refused_and_not_run(whole: Path, by: str, tmp_path:
     else:
         torch.save({"x": Trap(mark)}, whole / "agent.pt")
     rewrite(whole)
-    with pytest.raises(CheckpointError, match=r"holds what is no plain state, and was not loaded; it may run foreign"):
+    with pytest.raises(CheckpointError, match=r"does not hold a plain state and was not loaded; it may run foreign"):
         load(whole.parent, "best")
     assert not mark.exists()
 

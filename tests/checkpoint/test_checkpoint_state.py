@@ -12,7 +12,7 @@ from hypothesis.extra import numpy as arrays
 from support.checkpoint_samples import META, same
 
 from karolos.checkpoint import load, save
-from karolos.checkpoint.encoding import decode, encode
+from karolos.checkpoint.state_file import decode, encode
 
 
 def test_state_of_an_agent_comes_back_bit_for_bit(tmp_path: Path) -> None:
