@@ -17,7 +17,7 @@ from .output import say
 from .sweep import drawn_text
 
 if TYPE_CHECKING:
-    from karolos.sweep.records import SweepEvent
+    from karolos.sweep.events import SweepEvent
 
 SPEED_WINDOW = 50
 """Events over which speeds are averaged: about five seconds."""
@@ -155,7 +155,7 @@ class SweepDisplay:
         self._quiet = quiet
 
     def __call__(self, event: SweepEvent) -> None:
-        from karolos.sweep.records import TrialBegan, TrialEnded
+        from karolos.sweep.events import TrialBegan, TrialEnded
 
         if isinstance(event, RunWarned):
             say(f"{event.run}: {event.warning}")

@@ -18,7 +18,7 @@ from .output import print_rows, say
 
 if TYPE_CHECKING:
     from karolos.records.sweep_records import SweepFinal, Trial
-    from karolos.sweep.records import Outcome
+    from karolos.sweep.events import SweepOutcome
     from karolos.sweep.search import Search
 
 SAMPLES = 5
@@ -67,7 +67,7 @@ def sweep(
     raise typer.Exit(outcome.exit_code)
 
 
-def report(outcome: Outcome, *, quiet: bool, json: bool) -> None:
+def report(outcome: SweepOutcome, *, quiet: bool, json: bool) -> None:
     """Print the trials on stdout, and the best of them on stderr."""
     objectives = outcome.objectives
     if json or not quiet:

@@ -9,7 +9,7 @@ from typing import TYPE_CHECKING, Any, Protocol
 import numpy as np
 
 from ..files import writing
-from ..spec.sweep import OBJECTIVES, Parameter
+from ..spec.sweep import OBJECTIVES, SweepParameter
 from .figures import look, save
 from .tables import clean
 
@@ -36,7 +36,7 @@ class SearchTrial(Protocol):
 def write_search_figures(
     trials: Sequence[SearchTrial],
     objective: str,
-    space: Mapping[str, Parameter],
+    space: Mapping[str, SweepParameter],
     importances: Mapping[str, float],
     folder: Path,
 ) -> tuple[Path, ...]:
@@ -107,7 +107,7 @@ def _importances(axes: Axes, importances: Mapping[str, float]) -> None:
     axes.set_xlim(0, 1.15 * max(importances.values()))
 
 
-def _parallel(axes: Axes, trials: Sequence[SearchTrial], objective: str, space: Mapping[str, Parameter]) -> None:
+def _parallel(axes: Axes, trials: Sequence[SearchTrial], objective: str, space: Mapping[str, SweepParameter]) -> None:
     """A line per complete trial across all parameters; where a parameter was not drawn the line is broken."""
     done = _complete(trials)
     values = np.array([_first(trial) for trial in done])
@@ -131,7 +131,7 @@ def _parallel(axes: Axes, trials: Sequence[SearchTrial], objective: str, space: 
     axes.set_title("Parallel coordinates")
 
 
-def _height(parameter: Parameter, drawn: Any) -> float:
+def _height(parameter: SweepParameter, drawn: Any) -> float:
     """Where a value lies between the ends of its parameter, from 0 to 1; nan where it was not drawn."""
     if drawn is None:
         return float("nan")
@@ -143,7 +143,7 @@ def _height(parameter: Parameter, drawn: Any) -> float:
     return float((drawn - low) / (high - low))
 
 
-def _ticks(parameter: Parameter) -> list[tuple[float, str]]:
+def _ticks(parameter: SweepParameter) -> list[tuple[float, str]]:
     """Heights and words beside a parameter's axis: every choice, or the ends of a range."""
     if parameter.choice is not None:
         return [(_height(parameter, label), label) for label in parameter.labels]

@@ -1,4 +1,4 @@
-"""Specs: YAML or a dictionary in, a checked, frozen and hashed description of an experiment out."""
+"""Specs: from YAML or a dictionary to a validated, frozen and hashed description of an experiment."""
 
 from .load import load_spec, spec_of_trial
 from .merge import parse_settings

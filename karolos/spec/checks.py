@@ -1,4 +1,4 @@
-"""What has to fit together in a spec, beyond what each part can see of itself."""
+"""Checks of a spec across its parts."""
 
 from __future__ import annotations
 
@@ -10,11 +10,11 @@ from .model import Spec
 from .nodes import DEFAULT, Located, Node
 
 ROBOT_TASK = "robot_task"
-"""The environment that is made of a robot and a task."""
+"""The environment that consists of a robot and a task."""
 
 
 def environment_problems(tree: Node) -> list[Located]:
-    """Robot and task go together, and with no other environment than robot_task."""
+    """Robot and task need each other, and the environment robot_task."""
     robot, task, environment = tree.get("robot"), tree.get("task"), tree.get("environment")
     if environment is None:
         return _without_environment(tree, robot, task)
@@ -43,7 +43,7 @@ def environment_problems(tree: Node) -> list[Located]:
 
 def _without_environment(tree: Node, robot: Node | None, task: Node | None) -> list[Located]:
     if any(_misspelt(tree, key) for key in ("robot", "task", "environment")):
-        return []  # the misspelt key is told; once it is right, this may be as well
+        return []  # validation reports the misspelt key, which may be the only problem
     if robot is None and task is None:
         return [Located(tree.at, "", "says nothing to learn in", "give robot and task, or environment")]
     given, key, other = (robot, "robot", "task") if robot is not None else (task, "task", "robot")
@@ -52,7 +52,7 @@ def _without_environment(tree: Node, robot: Node | None, task: Node | None) -> l
 
 
 def pairing_problems(tree: Node) -> list[Located]:
-    """An on-policy agent learns from an on-policy buffer, any other from replay."""
+    """An on-policy agent needs an on-policy buffer, an off-policy agent a replay buffer."""
     agent_node, buffer_node = tree.get("agent"), tree.get("buffer")
     agent, buffer = _plugin("agents", agent_node), _plugin("buffers", buffer_node)
     if agent is None or buffer is None or agent_node is None or buffer_node is None:
@@ -81,7 +81,7 @@ def _name(part: Node | None) -> str | None:
 
 
 def _plugin(kind: str, part: Node | None) -> Any:
-    """The class that the part names; None where there is none: validation tells why."""
+    """The class of the part; None if it cannot be loaded, which validation reports."""
     name = _name(part)
     if name is None:
         return None

@@ -1,4 +1,4 @@
-"""Spec files: reading one, and laying it over those that it extends."""
+"""Reads spec files and merges them with the files that they extend."""
 
 from __future__ import annotations
 
@@ -13,33 +13,33 @@ from .nodes import Located, Mark, Node, refuse, shown
 from .yaml_text import MAX_CHARACTERS, BrokenTextError, read
 
 TREE = "specs"
-"""Name of the folder that holds a project's specs; `extends` does not leave it."""
+"""Name of a project's folder of specs; `extends` cannot refer to files outside it."""
 MAX_CHAIN = 16
-"""Files that extend one another in a row."""
+"""Largest number of files in a chain of `extends`."""
 SUFFIXES = (".yaml", ".yml")
 
 
 @dataclass
 class SpecFiles:
-    """Reads a spec file and what it extends, each file once.
+    """Reads a spec file and the files that it extends, each file once.
 
     Args:
-        root: the spec's own file; no file outside its folder tree is read.
+        root: the spec file; no file outside its folder tree is read.
     """
 
     root: Path
     problems: list[Located] = field(default_factory=list)
-    """What is wrong, but does not keep the rest from being read."""
+    """Problems after which reading can continue."""
     broken: list[Located] = field(default_factory=list)
-    """What leaves parts of the spec unknown, so that checking it further would mislead."""
+    """Problems that leave parts of the spec unknown, so that further checks would mislead."""
     count: int = 0
     _done: dict[Path, Node] = field(default_factory=dict)
 
     def load(self) -> Node:
-        """The whole tree of nodes, shorthand written out. Problems are gathered, not raised, but for the root's own.
+        """The merged tree of nodes without shorthand. Collects problems; raises those of the root file.
 
         Raises:
-            SpecError: the root itself cannot be read.
+            SpecError: the root file cannot be read.
         """
         shown_name = os.fspath(self.root)
         missing = _unreadable(self.root)
@@ -84,7 +84,7 @@ class SpecFiles:
         return [target for target in targets if isinstance(target.value, str) and target.value]
 
     def _base(self, target: Node, path: Path, name: str, above: tuple[Path, ...]) -> Node | None:
-        """The tree of a file that `path` extends, or None once it has been told why there is none."""
+        """The tree of a file that `path` extends; None after recording a problem."""
         found = (path.parent / target.value.replace("\0", "?")).resolve()
         wrong = self._unfit(target.value, found, above)
         if wrong:
@@ -97,7 +97,7 @@ class SpecFiles:
             return None
 
     def _unfit(self, target: str, found: Path, above: tuple[Path, ...]) -> tuple[str, str | None] | None:
-        """Why a file cannot be extended, and what to do; None where it can."""
+        """The problem and hint if a file cannot be extended; otherwise None."""
         tree = spec_tree(self.root)
         if not found.is_relative_to(tree):
             return f"{shown(target)} lies outside {shown(os.fspath(tree))}", "extend files of that folder"
@@ -111,13 +111,13 @@ class SpecFiles:
 
 
 def spec_tree(root: Path) -> Path:
-    """The folder that `extends` must not leave: the nearest one called `specs` above the file, else the file's own."""
+    """The folder that limits `extends`: the nearest one named `specs` above the file, or the file's own."""
     folder = root.resolve().parent
     return next((above for above in (folder, *folder.parents) if above.name == TREE), folder)
 
 
 def _unreadable(path: Path) -> str | None:
-    """Why there is nothing to read at `path`, if so. Pipes and devices are left alone: they may never end."""
+    """The reason why `path` is unreadable, or None. Refuses pipes and devices, because they may never end."""
     try:
         if path.is_dir():
             return "is a folder, not a spec file"
@@ -129,7 +129,7 @@ def _unreadable(path: Path) -> str | None:
 
 
 def _similar(path: Path) -> str | None:
-    """A hint at a spec beside `path` whose name is near, or at those in a folder."""
+    """A hint at specs in the folder `path`, or at a file with a similar name."""
     try:
         folder = path if path.is_dir() else path.parent
         beside = sorted(entry.name for entry in folder.iterdir() if entry.suffix in SUFFIXES and entry != path)

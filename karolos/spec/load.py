@@ -1,4 +1,4 @@
-"""From a file or a dictionary to a checked Spec, every problem told at once."""
+"""Loads a file or a dictionary into a validated Spec and reports all problems at once."""
 
 from __future__ import annotations
 
@@ -13,21 +13,20 @@ from ..errors import PluginError
 from ..registry import singular
 from .checks import ROBOT_TASK, environment_problems, pairing_problems
 from .files import SpecFiles
-from .merge import PARTS, RANDOMIZATION, SWEEP, merged, normalised, override_trees
+from .merge import PARTS, RANDOMIZATION, SWEEP, merged, normalised, override_trees, with_shared_settings
 from .model import NAME, Spec
 from .nodes import DEFAULT, Located, Mark, Node, from_plain, leaves, refuse
 from .parts import validate_strictly
 from .problems import located_problems
 from .space import space_problems, trial_spec
-from .switch import keeping_what_fits
 
 
 def load_spec(path: str | Path, overrides: Iterable[str] = ()) -> Spec:
-    """The spec in a YAML file, laid over what it extends, with `path.to.key=value` overrides laid over it.
+    """The spec in a YAML file, merged with the files that it extends and with `path.to.key=value` overrides.
 
     Raises:
-        SpecError: the file cannot be read or is no valid spec; carries every problem found, at file:line:column.
-        PluginError: a plugin that it names is broken.
+        SpecError: the file is unreadable or invalid; carries every problem found, at file:line:column.
+        PluginError: a plugin of the spec is broken.
     """
     files = SpecFiles(Path(path))
     tree = files.load()
@@ -38,7 +37,7 @@ def load_spec(path: str | Path, overrides: Iterable[str] = ()) -> Spec:
 
 
 def spec_from_dict(spec: Mapping[str, Any], overrides: Iterable[str] = ()) -> Spec:
-    """The spec that a dictionary describes. Raises as `load_spec` does, with "dict" for a place."""
+    """The spec in a dictionary. Raises as `load_spec` does, with "dict" as the position."""
     mark = Mark("dict")
     if "extends" in spec:
         refuse([Located(mark, "extends", "a dictionary has no file to extend from", "load the file with load_spec")])
@@ -50,7 +49,7 @@ def spec_from_dict(spec: Mapping[str, Any], overrides: Iterable[str] = ()) -> Sp
 
 def _resolve(tree: Node, overrides: Iterable[Node], problems: list[Located], stem: str | None) -> Spec:
     for override in overrides:
-        tree = merged(tree, keeping_what_fits(tree, override))
+        tree = merged(tree, with_shared_settings(tree, override))
     tree = _with_defaults(_without_nulls(tree), stem)
     problems = [*problems, *environment_problems(tree), *pairing_problems(tree)]
     spec: Spec | None = None
@@ -68,7 +67,7 @@ def _resolve(tree: Node, overrides: Iterable[Node], problems: list[Located], ste
 
 
 def _sweep_problems(tree: Node, spec: Spec | None, stem: str | None) -> list[Located]:
-    """What is wrong with the sweep of a spec that is right otherwise."""
+    """The problems of a valid spec's sweep."""
     if spec is None or spec.sweep is None:
         return []
     return space_problems(tree, spec.sweep, lambda probe: _with_defaults(probe, stem))
@@ -78,13 +77,13 @@ def spec_of_trial(base: Spec, drawn: Mapping[str, Any], name: str, seeds: tuple[
     """The spec of one trial of a sweep. Arguments as those of `trial_spec`.
 
     Raises:
-        SpecError: these values do not go together; told at `source`.
+        SpecError: these values are incompatible; reported at `source`.
     """
     return _resolve(trial_spec(base, drawn, name, seeds, source), [], [], None)
 
 
 def _without_nulls(tree: Node) -> Node:
-    """The tree without what says null: left out, so that a spec can drop what it inherits."""
+    """The tree without nulls, so that a spec can remove inherited values."""
     tree = _kept(tree)
     entries = dict(tree.mapping or {})
     if RANDOMIZATION in entries:

@@ -1,10 +1,12 @@
-"""One tree from several: shorthand, deep merging, and overrides as trees of their own."""
+"""Merging of trees of nodes, and parsing of overrides into trees."""
 
 from __future__ import annotations
 
 from collections.abc import Iterable
 from typing import Any
 
+from ..errors import PluginError, UsageError
+from ..registry import load
 from .nodes import Located, Mark, Node, refuse, shown
 from .yaml_text import BrokenTextError, read
 
@@ -16,18 +18,18 @@ PARTS = {
     "buffer": "buffers",
     "orchestrator": "orchestrators",
 }
-"""Keys of a spec that hold a part, and the kind of plugin that each names."""
+"""Keys of a spec that hold a part, and their kinds of plugins."""
 RANDOMIZATION = "randomization"
 SWEEP = "sweep"
 
 
 def is_part(path: tuple[str, ...]) -> bool:
-    """Whether a part stands at this path of a spec."""
+    """Whether this path of a spec holds a part."""
     return (len(path) == 1 and path[0] in PARTS) or (len(path) == 2 and path[0] == RANDOMIZATION)
 
 
 def normalised(node: Node, path: tuple[str, ...] = ()) -> Node:
-    """The tree with every part written out: `robot: ur5` becomes `robot: {name: ur5}`."""
+    """The tree without shorthand: `robot: ur5` becomes `robot: {name: ur5}`."""
     if is_part(path):
         if isinstance(node.value, str):
             return Node({"name": node.with_key(node.key)}, node.at, node.key)
@@ -39,11 +41,10 @@ def normalised(node: Node, path: tuple[str, ...] = ()) -> Node:
 
 
 def merged(below: Node, above: Node, path: tuple[str, ...] = ()) -> Node:
-    """`above` laid over `below`, mapping by mapping; whatever is no mapping is replaced.
+    """Merge `above` into `below`, mapping by mapping; other values are replaced.
 
-    A part whose name changes replaces the whole part: the settings of another plugin mean nothing to it. (An override
-    that only names another plugin brings those along that fit, see `switch`.) A parameter of a search space is replaced
-    as a whole.
+    A part with another name replaces the whole part, because plugins have different settings. (For overrides that only
+    change the name see `with_shared_settings`.) A parameter of a search space is replaced as a whole.
     """
     if below.mapping is None or above.mapping is None:
         return above
@@ -65,7 +66,7 @@ def _changes_name(below: Node, above: Node) -> bool:
 
 
 def override_trees(overrides: Iterable[str], rank: int, problems: list[Located]) -> list[Node]:
-    """Each `path.to.key=value` as a tree to lay over the spec. Adds to `problems` what cannot be read."""
+    """Each `path.to.key=value` as a tree to merge into the spec. Appends invalid overrides to `problems`."""
     trees = []
     for place, text in enumerate(overrides):
         mark = Mark(f"override {shown(text)}", rank=rank + place)
@@ -77,14 +78,14 @@ def override_trees(overrides: Iterable[str], rank: int, problems: list[Located])
 
 
 def parse_settings(overrides: Iterable[str]) -> dict[str, Any]:
-    """Each `path.to.key=value` as in an override, put together as one dictionary. Raises SpecError."""
+    """Overrides `path.to.key=value` as one dictionary. Raises SpecError."""
     problems: list[Located] = []
     tree = Node({}, Mark("settings"))
     for override in override_trees(overrides, 0, problems):
         tree = merged(tree, override)
     refuse(problems)
-    found: dict[str, Any] = tree.plain()
-    return found
+    settings: dict[str, Any] = tree.plain()
+    return settings
 
 
 def _override(text: str, mark: Mark, problems: list[Located]) -> Node:
@@ -110,19 +111,58 @@ def _override(text: str, mark: Mark, problems: list[Located]) -> Node:
 
 
 def _in_value(problem: Located, key: str) -> Located:
-    """A column counted in the value becomes one counted in the whole override, and is said as such."""
+    """The problem with its column counted in the whole override instead of the value."""
     mark = problem.mark
     column = f"column {len(key) + 1 + mark.column}: " if mark.column else ""
     return Located(Mark(mark.source, rank=mark.rank), "", f"{column}{problem.what}", problem.hint)
 
 
 def segments(key: str) -> list[str]:
-    """The keys of a dotted path. The names below `randomization` (task.gravity) and `sweep.space` have dots of their
-    own.
-    """
+    """The keys of a dotted path. Keys below `randomization` (task.gravity) and `sweep.space` contain dots."""
     path = key.split(".")
     if path[0] == RANDOMIZATION and len(path) > 2:
         path[1:3] = [".".join(path[1:3])]
     if path[:2] == [SWEEP, "space"] and len(path) > 3:
         path[2:] = [".".join(path[2:])]
     return path
+
+
+def with_shared_settings(tree: Node, override: Node) -> Node:
+    """The override; if it only names another plugin, with the settings that both plugins declare with the same type.
+
+    `buffer.name=priority` therefore retains capacity, hindsight and n_step of a uniform buffer. A file that names
+    another plugin replaces the whole part instead.
+    """
+    if override.mapping is None or len(override.mapping) != 1:
+        return override
+    ((key, above),) = override.mapping.items()
+    below = tree.get(key)
+    if (
+        key not in PARTS
+        or below is None
+        or below.mapping is None
+        or above.mapping is None
+        or set(above.mapping) != {"name"}
+    ):
+        return override
+    old, new = below.mapping.get("name"), above.mapping["name"]
+    if old is None or old.value == new.value:
+        return override
+    before, after = _types(key, old.value), _types(key, new.value)
+    shared = {
+        name: node
+        for name, node in below.mapping.items()
+        if name in before and name in after and before[name] == after[name]
+    }
+    return Node({key: Node({**shared, **above.mapping}, above.at, above.key)}, override.at, override.key)
+
+
+def _types(key: str, name: object) -> dict[str, object]:
+    """The settings of a plugin with their types; empty if it cannot be loaded, which validation reports."""
+    if not isinstance(name, str):
+        return {}
+    try:
+        fields = load(PARTS[key], name).Settings.model_fields
+    except (UsageError, PluginError):
+        return {}
+    return {field: info.annotation for field, info in fields.items()}

@@ -1,4 +1,4 @@
-"""What a spec says, once it is resolved and checked."""
+"""The models of a validated spec."""
 
 from __future__ import annotations
 
@@ -16,13 +16,13 @@ from .recipe import Part, Recipe
 from .sweep import Sweep
 
 NAME = r"^[A-Za-z0-9][A-Za-z0-9._-]{0,63}$"
-"""Names become folders: letters, digits, dot, underscore, hyphen; 64 at most; no path."""
+"""Names are used as folder names: at most 64 letters, digits, dots, underscores and hyphens."""
 PARAMETER = r"^(robot|task)\.[A-Za-z_][A-Za-z0-9_]*$"
-"""What can be randomized, e.g. task.gravity."""
+"""Parameters for randomization, e.g. task.gravity."""
 
 
 class Training(Settings):
-    """How much is collected and learned."""
+    """Amounts of collecting and learning, and where the agent runs."""
 
     steps: int = Setting(default=100_000, ge=1, description="environment steps of training, all environments together")
     batch_size: int = Setting(default=256, ge=1, description="transitions per gradient update")
@@ -56,33 +56,36 @@ class Training(Settings):
 
     @property
     def at_least(self) -> int | None:
-        """Environments that a round of training waits for; None: all."""
+        """Number of environments that a round of training waits for; None: all."""
         return (self.minimum_batch or 1) if self.mode == "async" else None
 
     def identity(self) -> dict[str, Any]:
-        """What results depend on. Lockstep goes without saying, so that runs from before there was a choice count."""
+        """The settings that results depend on. The default mode, lockstep, is not included."""
         fixed = self.model_dump(mode="json", exclude={"device", "threads", "mode", "minimum_batch"})
         return fixed | ({"mode": self.mode, "minimum_batch": self.at_least} if self.mode == "async" else {})
 
 
 class Demonstrations(Settings):
-    """Episodes of the task's scripted expert, in the buffer before training begins; they count as no training steps."""
+    """Episodes of the task's scripted expert, collected before training. They do not count as training steps."""
 
     episodes: int = Setting(default=100, ge=1, description="episodes to collect")
     noise: float = Setting(
         default=0.1, ge=0, description="standard deviation of the Gaussian noise on the expert's actions"
     )
-    random: float = Setting(default=0.05, ge=0, le=1, description="share of actions drawn uniformly instead")
+    random: float = Setting(default=0.05, ge=0, le=1, description="probability of a uniformly random action instead")
     share: float | None = Setting(
-        default=None, gt=0, lt=1, description="of each batch, taken from them; null: they are sampled as all else is"
+        default=None,
+        gt=0,
+        lt=1,
+        description="fraction of each batch from demonstrations; null: sampled like other transitions",
     )
     updates: int = Setting(
-        default=0, ge=0, description="updates from them alone, before the first step is taken in an environment"
+        default=0, ge=0, description="gradient updates on the demonstrations before the first environment step"
     )
 
 
 class Testing(Settings):
-    """How often and on what the agent is tested, without exploration."""
+    """Tests of the agent without exploration."""
 
     interval: int = Setting(default=5_000, ge=1, description="environment steps of training between two tests")
     episodes: int = Setting(default=100, ge=1, description="episodes per test")
@@ -104,9 +107,9 @@ Seed = Annotated[int, Setting(ge=0)]
 
 
 class Spec(Settings):
-    """An experiment: what is learned, by whom, and for how long. Frozen; equal when it resolves to the same.
+    """An experiment: the environment, the agent and the training. Frozen; specs with the same `dump` are equal.
 
-    Come by one with `load_spec(path, overrides)` or `Spec.from_dict(dictionary)`.
+    Made by `load_spec(path, overrides)` or `Spec.from_dict(dictionary)`.
     """
 
     name: Annotated[str, StringConstraints(pattern=NAME)] = Setting(
@@ -139,8 +142,8 @@ class Spec(Settings):
         """A spec from a dictionary of the same shape as a spec file.
 
         Raises:
-            SpecError: it is no valid spec; carries every problem found.
-            PluginError: a plugin that it names is broken.
+            SpecError: it is not a valid spec; carries every problem found.
+            PluginError: a plugin of the spec is broken.
         """
         from .load import spec_from_dict  # noqa: PLC0415  (load builds on this module)
 
@@ -148,11 +151,11 @@ class Spec(Settings):
 
     @property
     def origins(self) -> dict[str, str]:
-        """Where each value of `dump` comes from: key path -> "file:line:column", "override ...", "dict", "default"."""
+        """The origin of each value of `dump`: key path -> "file:line:column", "override ...", "dict", "default"."""
         return dict(self._origins)
 
     def dump(self) -> dict[str, Any]:
-        """The resolved spec with every default filled in, as plain JSON-able data that loads as an equal spec."""
+        """The spec with all defaults, as JSON-able data that loads as an equal spec."""
         return {
             "name": self.name,
             "seeds": list(self.seeds),
@@ -165,25 +168,26 @@ class Spec(Settings):
         }
 
     def alone(self) -> Spec:
-        """This experiment without the sweep that may stand beside it."""
+        """This spec without its sweep."""
         return self.model_copy(update={"sweep": None})
 
     def hash(self) -> str:
-        """SHA-256 (hex) of what results depend on: everything but name, seeds, sweep, device, threads and what a
-        plugin's `Settings.identity()` leaves out. Specs with the same hash are one experiment.
+        """SHA-256 (hex) of the settings that results depend on. Specs with the same hash are one experiment.
+
+        Excludes name, seeds, sweep, device, threads and settings that a plugin's `Settings.identity()` omits.
         """
-        matter = {
+        identity = {
             **{key: part.identity() for key, part in self._parts().items()},
             "randomization": {key: part.identity() for key, part in self.randomization.items()},
             **self._demonstrated(),
             "training": self.training.identity(),
             "testing": self.testing.model_dump(mode="json"),
         }
-        text = json.dumps(matter, sort_keys=True, separators=(",", ":"))
+        text = json.dumps(identity, sort_keys=True, separators=(",", ":"))
         return hashlib.sha256(text.encode()).hexdigest()
 
     def recipe(self, *, randomize: bool) -> Recipe:
-        """How to build one environment, with or without randomization."""
+        """The recipe of one environment, with or without randomization."""
         drawn = tuple(sorted(self.randomization.items())) if randomize else ()
         return Recipe(self.environment, self.robot, self.task, drawn)
 

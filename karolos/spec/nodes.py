@@ -1,4 +1,4 @@
-"""A spec as a tree of nodes that know where they were written, and problems that point at them."""
+"""A spec as a tree of nodes with source positions, and problems at these positions."""
 
 from __future__ import annotations
 
@@ -10,7 +10,7 @@ from typing import Any, TypeAlias
 from ..errors import Problem, SpecError
 
 MAX_DEPTH = 32
-"""Mappings and lists inside one another. A spec needs six."""
+"""Largest depth of nested mappings and lists. A spec needs six."""
 
 Scalar: TypeAlias = bool | int | float | str | None
 Path: TypeAlias = tuple[str | int, ...]
@@ -18,7 +18,7 @@ Path: TypeAlias = tuple[str | int, ...]
 
 @dataclass(frozen=True)
 class Mark:
-    """Where something was written: a place in a file, an override, a dictionary, or nowhere (a default)."""
+    """A source position: in a file, an override or a dictionary, or a default."""
 
     source: str
     line: int = 0
@@ -26,7 +26,7 @@ class Mark:
     column: int = 0
     """From 1; 0 for a source without columns."""
     rank: int = 0
-    """Place of the source among all sources: problems are told in this order."""
+    """Index of the source, by which problems are sorted."""
 
     def __str__(self) -> str:
         parts = [self.source, *(str(number) for number in (self.line, self.column) if number)]
@@ -47,7 +47,7 @@ class Node:
     value: Any
     at: Mark
     key: Mark | None = None
-    """Where the key of this value stands, when it has one."""
+    """Position of this value's key, if it has one."""
 
     @property
     def mapping(self) -> dict[str, Node] | None:
@@ -59,7 +59,7 @@ class Node:
 
     @property
     def place(self) -> Mark:
-        """Where to point when the whole entry is meant: its key, else itself."""
+        """The position of the whole entry: its key's, otherwise its own."""
         return self.key or self.at
 
     def with_key(self, key: Mark | None) -> Node:
@@ -81,7 +81,7 @@ class Node:
         return node
 
     def child(self, step: str | int) -> Node | None:
-        """The entry of a mapping or a list that `step` names, or None."""
+        """The entry `step` of a mapping or a list, or None."""
         if self.mapping is not None:
             return self.mapping.get(step) if isinstance(step, str) else None
         if self.items is not None and isinstance(step, int) and 0 <= step < len(self.items):
@@ -91,7 +91,7 @@ class Node:
 
 @dataclass(frozen=True)
 class Located:
-    """A problem and the place it is told at."""
+    """A problem and its position."""
 
     mark: Mark
     path: str
@@ -103,20 +103,20 @@ class Located:
 
 
 def refuse(problems: Iterable[Located]) -> None:
-    """Raise a SpecError with every problem, in the order of their places, if there is one."""
+    """Raise a SpecError with all problems, sorted by position, if there are any."""
     ordered = sorted(dict.fromkeys(problems), key=lambda problem: problem.mark.order)
     if ordered:
         raise SpecError([problem.problem() for problem in ordered])
 
 
 def shown(text: str) -> str:
-    """Text from a spec as it may be printed: whatever is not printable is escaped, and long text is cut."""
+    """Text from a spec for messages: escaped if not printable, and shortened."""
     safe = text if text.isprintable() else ascii(text)[1:-1]
     return safe if len(safe) <= 200 else f"{safe[:200]}..."
 
 
 def dotted(path: Sequence[str | int]) -> str:
-    """A path as it is written in messages and overrides: agent.learning_rate, seeds[1]."""
+    """A path in the notation of messages and overrides: agent.learning_rate, seeds[1]."""
     text = ""
     for step in path:
         text += f"[{step}]" if isinstance(step, int) else f"{'.' if text else ''}{shown(step)}"
@@ -124,10 +124,10 @@ def dotted(path: Sequence[str | int]) -> str:
 
 
 def from_plain(value: object, mark: Mark) -> Node:
-    """A tree of nodes from dicts, lists, tuples and scalars, all marked alike.
+    """A tree of nodes from dicts, lists, tuples and scalars, all with the same mark.
 
     Raises:
-        SpecError: something in it cannot stand in a spec; every such thing is told.
+        SpecError: values that a spec cannot contain; carries all of them.
     """
     problems: list[Located] = []
     node = _from_plain(value, mark, (), problems)
@@ -159,7 +159,7 @@ def _from_plain(value: object, mark: Mark, path: Path, problems: list[Located]) 
 
 
 def leaves(value: object, path: tuple[str, ...] = ()) -> Iterator[tuple[tuple[str, ...], object]]:
-    """Every value below a plain mapping that is not itself a mapping with entries, with its path."""
+    """All values in nested dicts that are not non-empty dicts, with their paths."""
     if isinstance(value, dict) and (value or not path):
         for key, entry in value.items():
             yield from leaves(entry, (*path, key))

@@ -1,7 +1,7 @@
-"""The field type of a part: validated by the plugin that its `name` names, which alone is imported.
+"""The pydantic field type of a part, which the plugin of its `name` validates.
 
-No pydantic union over plugins: it would import all of them, and refuse a third party's name before the registry is
-asked. Errors keep clean paths, e.g. agent.learning_rate.
+A pydantic union over plugins would import all of them and reject plugins of other packages. Errors have paths in the
+spec, e.g. agent.learning_rate.
 """
 
 from __future__ import annotations
@@ -28,7 +28,7 @@ class OfKind:
         return core_schema.no_info_plain_validator_function(self.validate)
 
     def validate(self, value: object) -> Part:
-        """A mapping with `name` and settings to a Part. Raises ValidationError at paths below this field."""
+        """Convert a mapping with `name` and settings. Raises ValidationError at paths below this field."""
         if isinstance(value, Part):
             return value
         what = _with_article(singular(self.kind))
@@ -57,15 +57,15 @@ def _at_name(kind: str, message: str, value: object, hint: str | None = None) ->
 
 
 def validate_strictly(model: type[BaseModel], value: object) -> Any:
-    """Plain data to a model without guessing: "5" is no number, `yes` no truth value, true no 1; 1e6 is an integer.
+    """Convert plain data to a model without coercion: "5" is not a number, true is not 1; 1e6 is an integer.
 
-    JSON mode is what lets strict models take lists for tuples and strings for enumerations.
+    JSON mode lets strict models accept lists for tuples and strings for enumerations.
     """
     return model.model_validate_json(json.dumps(_integers(value)), strict=True)
 
 
 def _integers(value: object) -> object:
-    """Whole numbers written as floats become integers, which every float field takes as well."""
+    """Convert whole floats to integers, which float fields accept too."""
     if isinstance(value, float) and value.is_integer():
         return int(value)
     if isinstance(value, dict):

@@ -1,4 +1,4 @@
-"""pydantic's errors as problems at the places in the files that they are about."""
+"""Converts pydantic's errors to problems with source positions."""
 
 from __future__ import annotations
 
@@ -34,11 +34,11 @@ _WORDS = (
 )
 _LENGTH = ("too_short", "too_long")
 _UNSHOWN = ("value_error", "assertion_error", "unknown_name", "missing_name", "part_type", *_LENGTH)
-"""Errors whose message needs no value beside it."""
+"""Errors whose message does not show the value."""
 
 
 def located_problems(error: ValidationError, tree: Node) -> list[Located]:
-    """One problem for each mistake, at the key or value that it is about."""
+    """One problem for each mistake, at its key or value."""
     found: dict[Path, list[dict[str, Any]]] = {}
     forked: set[Path] = set()
     for entry in error.errors(include_url=False):
@@ -49,23 +49,23 @@ def located_problems(error: ValidationError, tree: Node) -> list[Located]:
     for path in list(found):
         deeper = any(other != path and other[: len(path)] == path for other in found)
         if deeper and (path in forked or found[path][0]["type"] in _LENGTH):
-            del found[path]  # a member of a union that came less far; a list counted without its bad items
+            del found[path]  # a less specific error of a union's member; the length of a list without its invalid items
     unknown = [path for path, entries in found.items() if entries[0]["type"] == "extra_forbidden"]
     return [
         _problem(tree, path, entries)
         for path, entries in found.items()
-        if entries[0]["type"] != "missing" or not _told_already(path, unknown)
+        if entries[0]["type"] != "missing" or not _reported_elsewhere(path, unknown)
     ]
 
 
-def _told_already(path: Path, unknown: Iterable[Path]) -> bool:
-    """Whether a missing key is told elsewhere: as the misspelt key beside it, or by the check of environments."""
+def _reported_elsewhere(path: Path, unknown: Iterable[Path]) -> bool:
+    """Whether a missing key is reported elsewhere: as a misspelt key beside it, or by the check of environments."""
     beside = (other for other in unknown if other[:-1] == path[:-1])
     return path == ("environment",) or any(closest(str(other[-1]), [str(path[-1])]) for other in beside)
 
 
 def _untagged(tree: Node, location: Iterable[str | int], kind: str) -> tuple[Path, bool]:
-    """The path in the spec that an error's location means, and whether pydantic's union tags lay in it."""
+    """The path in the spec of an error's location, and whether the location contains pydantic's union tags."""
     steps = [step for step in location if step != "[key]"]
     path: Path = ()
     node: Node | None = tree
@@ -83,7 +83,7 @@ def _untagged(tree: Node, location: Iterable[str | int], kind: str) -> tuple[Pat
 
 
 def _problem(tree: Node, path: Path, entries: list[dict[str, Any]]) -> Located:
-    """Several errors at one path are the members of a union: it should be one thing or another."""
+    """The problem at a path. Several errors at one path come from the members of a union and are joined by "or"."""
     kind = entries[0]["type"]
     place = _place(tree, path, kind, at_key="[key]" in entries[0]["loc"])
     text = dotted(path)
@@ -148,7 +148,7 @@ def _written(node: Node) -> str:
 
 
 def _near_choice(entries: list[dict[str, Any]], given: object) -> str | None:
-    """The closest of the choices of a literal, if the value is nearly one."""
+    """A hint at the closest choice of a literal."""
     if not isinstance(given, str):
         return None
     choices = [
@@ -159,7 +159,7 @@ def _near_choice(entries: list[dict[str, Any]], given: object) -> str | None:
 
 
 def _allowed(tree: Node, path: Path) -> list[str]:
-    """The keys that may stand where the last key of `path` stands."""
+    """The allowed keys at the last position of `path`."""
     steps = tuple(str(step) for step in path[:-1])
     if not steps:
         return ["extends", *Spec.model_fields]
@@ -177,7 +177,7 @@ def _allowed(tree: Node, path: Path) -> list[str]:
 
 
 def _keys(models: list[type[BaseModel]], path: Path) -> list[str]:
-    """The fields of the models that lie at `path` below these; several where a union leaves it open."""
+    """The fields of the models at `path` below these models; several for a union."""
     for step in path:
         if isinstance(step, str):
             fields = [model.model_fields[step] for model in models if step in model.model_fields]

@@ -1,4 +1,4 @@
-"""Frozen, picklable descriptions of parts and environments: what crosses to a worker process."""
+"""Frozen, picklable descriptions of parts and environments, also for worker processes."""
 
 from __future__ import annotations
 
@@ -10,9 +10,9 @@ from pydantic import BaseModel
 
 @dataclass(frozen=True)
 class Part:
-    """One part of a spec: which plugin, and its checked settings.
+    """One part of a spec: a plugin and its validated settings.
 
-    Pickles by reference to the plugin's nested Settings class: unpickling imports that plugin's module and no other.
+    Unpickling imports the plugin's module, for its Settings class, and no other plugin.
     """
 
     kind: str
@@ -22,12 +22,12 @@ class Part:
     """An instance of the plugin's `Settings`."""
 
     def dump(self) -> dict[str, Any]:
-        """Name and every setting as they stand in a spec; JSON-able."""
+        """Name and all settings as in a spec; JSON-able."""
         settings: BaseModel = self.settings
         return {"name": self.name, **settings.model_dump(mode="json")}
 
     def identity(self) -> dict[str, Any]:
-        """Name and the settings that results depend on: all of them, or those that `Settings.identity()` gives."""
+        """Name and the settings that results depend on: `Settings.identity()` if defined, otherwise all."""
         identity = getattr(self.settings, "identity", None)
         return {"name": self.name, **identity()} if callable(identity) else self.dump()
 
@@ -40,4 +40,4 @@ class Recipe:
     robot: Part | None = None
     task: Part | None = None
     randomization: tuple[tuple[str, Part], ...] = ()
-    """What to draw at each reset ("task.gravity") and from which distribution, sorted by name."""
+    """Parameters to draw at each reset ("task.gravity") with their distributions, sorted by name."""

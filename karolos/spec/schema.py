@@ -1,4 +1,4 @@
-"""JSON Schema of a spec file, for editors: completion and hints with the settings of every installed plugin."""
+"""JSON Schema of a spec file, for completion and hints in editors, with the settings of every installed plugin."""
 
 from __future__ import annotations
 
@@ -18,9 +18,9 @@ Schema = dict[str, Any]
 
 
 def spec_schema() -> tuple[Schema, list[PluginError]]:
-    """The schema, and the errors of plugins that do not import: those are left out of it.
+    """The schema, and the errors of plugins that cannot be imported, which it does not contain.
 
-    What may be left to a file that this one extends is not required here; `karolos check` knows the whole.
+    Keys that an extended file may hold are not required; `karolos check` validates the merged spec.
     """
     definitions: Schema = {}
     broken: list[PluginError] = []
@@ -61,7 +61,7 @@ def spec_schema() -> tuple[Schema, list[PluginError]]:
 
 
 def _part(kind: str, definitions: Schema, broken: list[PluginError]) -> Schema:
-    """A name, or a mapping whose settings are those of the plugin that it names."""
+    """A name, or a mapping with the settings of the named plugin."""
     found, cases = [], []
     for name in names(kind):
         try:
@@ -70,7 +70,7 @@ def _part(kind: str, definitions: Schema, broken: list[PluginError]) -> Schema:
         except PluginError as error:
             broken.append(error)
             continue
-        except PydanticUserError as error:  # a type that JSON Schema cannot say
+        except PydanticUserError as error:  # a type without JSON Schema
             text = str(error).splitlines()[0]
             broken.append(PluginError(text, where=f"{singular(kind)} {name!r}", hint="settings must be plain data"))
             continue
@@ -86,7 +86,7 @@ def _part(kind: str, definitions: Schema, broken: list[PluginError]) -> Schema:
 
 
 def _settings(model: type[BaseModel], name: str, definitions: Schema) -> Schema:
-    """The schema of a settings model; nested models go to `definitions` under names of their own."""
+    """The schema of a settings model; adds nested models to `definitions`."""
     schema = model.model_json_schema(ref_template=f"#/$defs/{name}.{{model}}")
     for nested, entry in schema.pop("$defs", {}).items():
         definitions[f"{name}.{nested}"] = entry
@@ -96,7 +96,7 @@ def _settings(model: type[BaseModel], name: str, definitions: Schema) -> Schema:
 
 
 def _or_null(schema: Schema) -> Schema:
-    """Every key may say null: left out, also where an extended file has it."""
+    """The schema with null, which removes a key, also one of an extended file."""
     description = schema.pop("description", None)
     either = (
         {"anyOf": [*schema["anyOf"], {"type": "null"}]} if "anyOf" in schema else {"anyOf": [schema, {"type": "null"}]}

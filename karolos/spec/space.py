@@ -1,7 +1,6 @@
-"""A sweep's search space against the plugins' settings, and the spec of one trial.
+"""Validation of a sweep's search space against the plugins' settings, and the spec of one trial.
 
-A range is tried at both ends and a choice at every value: what a setting refuses there is told at the place where the
-number or the choice is written.
+Both ends of each range and every value of each choice are validated. Problems are reported at the number or choice.
 """
 
 from __future__ import annotations
@@ -19,11 +18,11 @@ from .model import Spec
 from .nodes import Located, Mark, Node, from_plain
 from .parts import validate_strictly
 from .problems import located_problems
-from .sweep import Parameter, Sweep
+from .sweep import Sweep, SweepParameter
 
 SEARCHABLE = ("robot", "task", "environment", "agent", "buffer", RANDOMIZATION, "demonstrations", "training")
 """Keys of a spec below which settings can be searched."""
-KEPT = {
+FIXED = {
     "training.steps": "every trial has the same budget",
     "training.device": "it does not change what is learned",
     "training.threads": "it does not change what is learned",
@@ -32,18 +31,18 @@ KEPT = {
     "seeds": "sweep.seeds says on which seeds",
     "name": "the sweep names its trials",
 }
-"""What is the same in all trials, and why."""
+"""Settings that are the same in all trials, and why."""
 MOST_COMBINATIONS = 200
-"""Of choices that a parameter depends on, with which it is tried."""
+"""Largest number of combinations of the choices a parameter depends on with which it is validated."""
 
 
 def application_order(keys: Iterator[str] | Mapping[str, Any]) -> list[str]:
-    """Parameters in the order in which they are laid over a spec: what replaces a whole part before what lies in it."""
+    """Parameters in the order of merging: those that replace a whole part before those inside it."""
     return sorted(keys, key=lambda key: (len(segments(key)), segments(key)[-1] != "name"))
 
 
 def trial_spec(base: Spec, drawn: Mapping[str, Any], name: str, seeds: tuple[int, ...], source: str) -> Node:
-    """The tree of nodes of a trial: the base with what was drawn laid over it.
+    """The tree of nodes of a trial: the base merged with the drawn values.
 
     Args:
         base: the spec that has the sweep.
@@ -62,12 +61,12 @@ def trial_spec(base: Spec, drawn: Mapping[str, Any], name: str, seeds: tuple[int
 
 
 def space_problems(tree: Node, sweep: Sweep, complete: Callable[[Node], Node]) -> list[Located]:
-    """What is wrong with a sweep's search space.
+    """The problems of a sweep's search space.
 
     Args:
-        tree: the spec, sound but for its sweep.
-        sweep: as it stands in the tree.
-        complete: fills in the parts that a spec may leave out, once names have changed.
+        tree: the spec, valid except for its sweep.
+        sweep: of the tree.
+        complete: adds default parts, after names have changed.
     """
     space = tree.get(SWEEP, "space")
     assert space is not None  # the sweep was validated
@@ -83,14 +82,14 @@ def space_problems(tree: Node, sweep: Sweep, complete: Callable[[Node], Node]) -
         assert node is not None  # the sweep was made from this tree
         for value, probe in _probes(base, space, sweep, key, refused):
             wrong = [probe] if isinstance(probe, Located) else _wrong_values(complete(probe))
-            found.update(dict.fromkeys(_told_at(node, key, problem) for problem in wrong))
+            found.update(dict.fromkeys(_at_parameter(node, key, problem) for problem in wrong))
             if wrong:
-                refused.add((key, value))  # and tell no more of what depends on it
+                refused.add((key, value))  # so that dependent parameters report no further problems
     return list(found)
 
 
-def _told_at(node: Node, key: str, problem: Located) -> Located:
-    """The problem at the parameter that brings it about, when what is told lies elsewhere."""
+def _at_parameter(node: Node, key: str, problem: Located) -> Located:
+    """The problem, moved to the parameter if its position is elsewhere."""
     marks = set(_marks(node))
     if problem.mark in marks:
         return problem
@@ -111,9 +110,9 @@ def _wrong_keys(space: Node) -> Iterator[Located]:
     for key, node in (space.mapping or {}).items():
         path = f"sweep.space.{key}"
         first = key.partition(".")[0]
-        kept = next((why for prefix, why in KEPT.items() if key == prefix or key.startswith(f"{prefix}.")), None)
-        if kept is not None:
-            yield Located(node.place, path, f"cannot be searched: {kept}", "remove it")
+        fixed = next((why for prefix, why in FIXED.items() if key == prefix or key.startswith(f"{prefix}.")), None)
+        if fixed is not None:
+            yield Located(node.place, path, f"cannot be searched: {fixed}", "remove it")
         elif first not in SEARCHABLE:
             yield Located(node.place, path, "no such setting", alternatives(first, SEARCHABLE))
         elif not all(segments(key)):
@@ -139,16 +138,16 @@ def _wrong_conditions(space: Node, sweep: Sweep) -> Iterator[Located]:
                 yield Located(node.at, path, what, alternatives(unknown, other.labels))
         if key not in order:
             place = space.get(key, "when")
-            assert place is not None  # nothing without a condition lies on a circle
+            assert place is not None  # a parameter in a circle has a condition
             yield Located(place.place, f"sweep.space.{key}.when", "goes in a circle", "remove one of the conditions")
 
 
 def _probes(
     base: Node, space: Node, sweep: Sweep, key: str, refused: Set[tuple[str, Any]]
 ) -> Iterator[tuple[Any, Node | Located]]:
-    """Each extreme value of a parameter and the spec with it, under every combination of the choices it depends on.
+    """Values of a parameter (both ends, or all choices) with their specs, for all combinations it depends on.
 
-    Choices in `refused` are left out. Where the parameter cannot be laid over the spec, the problem stands instead.
+    Skips choices in `refused`. Yields a problem instead of a spec if the parameter cannot be merged.
     """
     parameter = sweep.space[key]
     depends = _depends(sweep, key)
@@ -175,7 +174,7 @@ def _probes(
 
 
 def _depends(sweep: Sweep, key: str) -> list[str]:
-    """The choices that decide whether a parameter is active, or which plugin or mapping it lies in."""
+    """The choices that determine whether a parameter is active, or the plugin or mapping that contains it."""
     found: dict[str, None] = {}
     waiting = [key]
     while waiting:
@@ -191,8 +190,8 @@ def _depends(sweep: Sweep, key: str) -> list[str]:
     return list(found)
 
 
-def _written(space: Node, key: str, parameter: Parameter, value: Any) -> Node:
-    """The node in the spec that holds this value of a parameter, so that it points at where it was written."""
+def _written(space: Node, key: str, parameter: SweepParameter, value: Any) -> Node:
+    """The node of this value in the search space, with its source position."""
     node = space.get(key)
     assert node is not None  # the sweep was made from this tree
     kind = "choice" if parameter.choice is not None else "float" if parameter.float is not None else "int"
@@ -206,7 +205,7 @@ def _written(space: Node, key: str, parameter: Parameter, value: Any) -> Node:
 
 
 def _nested(key: str, value: Node) -> Node:
-    """The value at its path, as a tree to lay over a spec."""
+    """The value at its path, as a tree for merging."""
     tree = value
     for step in reversed(segments(key)):
         tree = Node({step: tree}, value.at, value.key)

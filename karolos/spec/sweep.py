@@ -1,4 +1,4 @@
-"""The `sweep` of a spec: which settings are searched, how, and by what they are judged."""
+"""The `sweep` of a spec: search space, sampler, objectives."""
 
 from __future__ import annotations
 
@@ -12,7 +12,7 @@ from pydantic import Field as Setting
 
 from ..core import Settings
 
-Number: TypeAlias = float  # in Parameter the words float and int are settings
+Number: TypeAlias = float  # SweepParameter has fields named float and int
 Whole: TypeAlias = int
 
 OBJECTIVES: dict[str, Literal["maximize", "minimize"]] = {
@@ -25,19 +25,21 @@ OBJECTIVES: dict[str, Literal["maximize", "minimize"]] = {
     "steps_to_90": "minimize",
     "steps_to_95": "minimize",
 }
-"""What a trial can be judged by, each the mean over its seeds: success and return of the last test; mean_*: of all
-tests, which is the area under the learning curve; steps_to_*: environment steps to the first test with that `any`
-success, a run that never got there counting twice its steps (PAR2, penalised run time in algorithm configuration)."""
+"""Objectives of a trial and their directions. Each is a mean over the seeds.
+
+success and return are those of the last test. mean_* is the mean over all tests, the area under the learning curve.
+steps_to_* is the number of environment steps until the first test with that `any` success; a run that never reaches it
+counts twice its steps (PAR2, penalised run time in algorithm configuration)."""
 DEFAULT_TRIALS = 20
 
 
 def label(value: object) -> str:
-    """How a choice is called in the journal, in figures and in `when`."""
+    """The name of a choice in the journal, in figures and in `when`."""
     return value if isinstance(value, str) else json.dumps(value)
 
 
-class Parameter(Settings):
-    """Where one setting is searched: a range of numbers, of whole numbers, or a choice."""
+class SweepParameter(Settings):
+    """The search range of one setting: numbers, whole numbers, or a choice."""
 
     float: tuple[Number, Number] | None = Setting(None, description="lowest and highest value")
     int: tuple[Whole, Whole] | None = Setting(None, description="lowest and highest whole number")
@@ -51,7 +53,7 @@ class Parameter(Settings):
     )
 
     @model_validator(mode="after")
-    def _sound(self) -> Parameter:
+    def _sound(self) -> SweepParameter:
         given = [name for name in ("float", "int", "choice") if getattr(self, name) is not None]
         if len(given) != 1:
             raise ValueError(f"takes one of float, int and choice, not {' and '.join(given) or 'none'}")
@@ -72,9 +74,9 @@ class Parameter(Settings):
 
     @property
     def bounds(self) -> tuple[Number, Number]:
-        """Of a range."""
+        """The ends of a range."""
         bounds = self.float or self.int
-        assert bounds is not None  # asked of ranges only
+        assert bounds is not None  # called for ranges only
         return bounds
 
     @property
@@ -86,11 +88,11 @@ class Parameter(Settings):
 
     @property
     def labels(self) -> list[str]:
-        """What a choice chooses among; a value given twice stands here twice."""
+        """The labels of a choice, with duplicates."""
         return list(self.choice) if isinstance(self.choice, dict) else [label(value) for value in self.choice or ()]
 
     def grid(self) -> list[Any]:
-        """The values that a grid takes: a choice's labels, every whole number, or `points` values of a range."""
+        """The values of a grid: a choice's labels, every whole number, or `points` values of a range."""
         if self.choice is not None:
             return self.labels
         low, high = self.bounds
@@ -101,27 +103,27 @@ class Parameter(Settings):
             low, high = math.log(low), math.log(high)
         values = [low + (high - low) * place / (count - 1) for place in range(count)]
         values = [math.exp(value) for value in values] if self.log else values
-        values[0], values[-1] = self.bounds  # exactly, whatever exp(log) makes of them
+        values[0], values[-1] = self.bounds  # exact, because exp(log(x)) rounds
         return list(dict.fromkeys(map(round, values))) if self.int is not None else values
 
     def value(self, drawn: Any) -> Any:
-        """The setting's value for what was drawn: a label of a choice, or a number."""
+        """The setting's value for a drawn label or number."""
         return drawn if self.choice is None else self.choices[drawn]
 
     def accepted(self, condition: object) -> set[str]:
-        """The labels of this choice that a `when` asks for; may name some that it does not have."""
+        """The labels of this choice that a `when` accepts; may contain unknown labels."""
         one = label(condition)
         if one in self.labels or not isinstance(condition, list):
             return {one}
         return {label(value) for value in condition}
 
     def dump(self) -> dict[str, Any]:
-        """As it stands in a spec. Nulls within a choice are values and stay."""
+        """The data of the spec. Nulls within a choice are values and remain."""
         return {key: value for key, value in self.model_dump(mode="json").items() if value is not None}
 
 
 class Pruner(Settings):
-    """Stops trials early that do worse than others did at the same step."""
+    """Stops trials that are worse than others at the same step."""
 
     name: Literal["median"] = Setting("median", description="stop a trial whose best test so far lies below the median")
     warmup: float = Setting(
@@ -130,16 +132,15 @@ class Pruner(Settings):
     startup: int = Setting(5, ge=1, description="trials that have to be complete before one is stopped")
 
 
-class Final(Settings):
-    """What is done with the best trials: hyper-parameters overfit the seeds that they were tuned on (Eimer et al. 2023,
-    "Hyperparameters in Reinforcement Learning and How To Tune Them").
+class FinalSettings(Settings):
+    """The final phase, on new seeds, because hyper-parameters overfit the seeds that they were tuned on.
+
+    Source: Eimer et al. 2023, "Hyperparameters in Reinforcement Learning and How To Tune Them".
     """
 
-    top: int = Setting(3, ge=1, description="best trials among which is chosen")
-    seeds: int = Setting(3, ge=1, description="fresh seeds to choose by")
-    report_seeds: int = Setting(
-        5, ge=1, description="further seeds, used for nothing else, to report the chosen one on"
-    )
+    top: int = Setting(3, ge=1, description="number of best trials to choose from")
+    seeds: int = Setting(3, ge=1, description="number of new seeds to choose by")
+    report_seeds: int = Setting(5, ge=1, description="number of further seeds, on which the chosen trial is reported")
 
 
 def _distinct_seeds(seeds: tuple[int, ...]) -> tuple[int, ...]:
@@ -159,26 +160,24 @@ def _objectives(value: str | tuple[str, ...]) -> str | tuple[str, ...]:
 
 
 class Sweep(Settings):
-    """A search for good settings: each trial is this spec with other values, run on the sweep's seeds."""
+    """A search for good settings. Each trial is the spec with other values, run on the sweep's seeds."""
 
-    space: dict[str, Parameter] = Setting(min_length=1, description="setting to search -> where")
+    space: dict[str, SweepParameter] = Setting(min_length=1, description="setting to search -> where")
     trials: int | None = Setting(
         None, ge=1, description=f"how many trials. Default: {DEFAULT_TRIALS}, or the whole of a grid"
     )
     seeds: Annotated[tuple[Annotated[int, Setting(ge=0)], ...], AfterValidator(_distinct_seeds)] = Setting(
-        (0, 1), description="of every trial"
+        (0, 1), description="seeds of every trial"
     )
     objective: Annotated[str | tuple[str, ...], AfterValidator(_objectives)] = Setting(
-        "success_end", description=f"what trials are judged by, or several: {', '.join(OBJECTIVES)}"
+        "success_end", description=f"one or several of {', '.join(OBJECTIVES)}"
     )
     sampler: Literal["tpe", "gp", "random", "grid"] = Setting(
-        "tpe", description="how values are drawn: Parzen estimators, Gaussian process, at random, every combination"
+        "tpe", description="Parzen estimators, Gaussian process, random values, or every combination"
     )
-    pruner: Pruner | None = Setting(None, description="what stops trials early; null: nothing")
+    pruner: Pruner | None = Setting(None, description="stops trials early; null: off")
     seed: int = Setting(0, ge=0, description="root of the sampler's random numbers")
-    final: Final | None = Setting(
-        None, description="how the best trial is chosen and reported on fresh seeds; null: by its trial alone"
-    )
+    final: FinalSettings | None = Setting(None, description="choose and report the best trial on new seeds; null: off")
 
     @model_validator(mode="after")
     def _fitting(self) -> Sweep:
@@ -195,7 +194,7 @@ class Sweep(Settings):
         return (self.objective,) if isinstance(self.objective, str) else self.objective
 
     def order(self) -> list[str]:
-        """The parameters, each after those that its `when` names; parameters on a circle are left out."""
+        """The parameters, each after those in its `when`; without parameters in a circle."""
         found: dict[str, None] = {}
         while more := [
             key
@@ -206,12 +205,12 @@ class Sweep(Settings):
         return list(found)
 
     def is_active(self, key: str, drawn: Mapping[str, Any]) -> bool:
-        """Whether a parameter is searched in a trial in which its conditions have drawn this."""
+        """Whether a parameter is searched in a trial with these drawn values."""
         conditions = self.space[key].when.items()
         return all(on in drawn and drawn[on] in self.space[on].accepted(value) for on, value in conditions)
 
     def combinations(self) -> Iterator[dict[str, Any]]:
-        """What each trial of the grid draws, in order; a parameter that is not active is not drawn."""
+        """The values of each trial of the grid, in order, without inactive parameters."""
         yield from self._combinations(self.order(), {})
 
     def _combinations(self, rest: list[str], drawn: dict[str, Any]) -> Iterator[dict[str, Any]]:
@@ -226,6 +225,6 @@ class Sweep(Settings):
             yield from self._combinations(later, drawn)
 
     def dump(self) -> dict[str, Any]:
-        """As it stands in a spec, every default filled in."""
+        """The data of the spec with all defaults."""
         plain = self.model_dump(mode="json")
         return {**plain, "space": {key: one.dump() for key, one in self.space.items()}}

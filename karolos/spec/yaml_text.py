@@ -1,7 +1,7 @@
-"""YAML text to nodes and back: the only home of PyYAML.
+"""Conversion between YAML text and nodes. This module alone imports PyYAML.
 
-Read event by event rather than with `compose()`: explicit tags and aliases stay visible, and depth and alias expansion
-are capped before anything is built. Scalars follow the YAML 1.2 core schema (https://yaml.org/spec/1.2.2, 10.3.2).
+The reader uses parser events instead of `compose()` to see explicit tags and aliases, and to limit depth and alias
+expansion before building nodes. Scalars follow the YAML 1.2 core schema (https://yaml.org/spec/1.2.2, 10.3.2).
 """
 
 from __future__ import annotations
@@ -16,11 +16,11 @@ import yaml
 from .nodes import MAX_DEPTH, Located, Mark, Node, Scalar, shown
 
 MAX_CHARACTERS = 256 * 1024
-"""Of a file. Specs are a page long; PyYAML reads about 100 kB/s."""
+"""Largest length of a file. PyYAML reads about 100 kB/s."""
 MAX_NODES = 20_000
-"""Values of a file after its aliases are expanded."""
+"""Largest number of values in a file after alias expansion."""
 MAX_DIGITS = 400
-"""Of a number; more than the largest float has."""
+"""Largest number of digits; more than the largest float has."""
 
 _NULL = re.compile(r"null|Null|NULL|~|")
 _BOOL = re.compile(r"true|True|TRUE|false|False|FALSE")
@@ -33,7 +33,7 @@ _NAN = re.compile(r"\.(nan|NaN|NAN)")
 
 
 class BrokenTextError(Exception):
-    """The text cannot be read on; carries where and why."""
+    """Reading the text cannot continue; carries the problem and its position."""
 
     def __init__(self, problem: Located) -> None:
         super().__init__(problem.what)
@@ -41,7 +41,7 @@ class BrokenTextError(Exception):
 
 
 def scalar(text: str) -> Scalar:
-    """What a plain (unquoted) scalar means in the YAML 1.2 core schema. Raises ValueError for a number too long."""
+    """The value of a plain (unquoted) scalar in the YAML 1.2 core schema. Raises ValueError for too many digits."""
     if _NULL.fullmatch(text):
         return None
     if _BOOL.fullmatch(text):
@@ -62,16 +62,16 @@ def _number(text: str) -> int | float | None:
 
 
 def read(text: str, source: str, rank: int = 0, *, lines: bool = True) -> tuple[Node | None, list[Located]]:
-    """The document in `text` and the problems that do not keep the rest from being read.
+    """The document in `text`, and the problems after which reading can continue.
 
     Args:
         text: one YAML document.
         source: name of the file or override, for positions.
-        rank: place of this source among all.
-        lines: whether positions have line and column; without, everything is marked with the source alone.
+        rank: index of this source, for sorting problems.
+        lines: whether positions have line and column, or the source alone.
 
     Returns:
-        The document's node, None when there is nothing but comments; and duplicate keys, tags and other keys refused.
+        The document's node, None for an empty document; and problems with duplicate or invalid keys and with tags.
 
     Raises:
         BrokenTextError: the text is not YAML, holds several documents, or is too large, deep or repetitive.
@@ -98,7 +98,7 @@ class _Reader:
     lines: bool
     problems: list[Located] = field(default_factory=list)
     _anchors: dict[str, tuple[Node, int] | None] = field(default_factory=dict)
-    """Anchor -> its node and how many values it holds; None while it is being read."""
+    """Anchor -> its node and the number of its values; None while reading it."""
     _count: int = 0
 
     def place(self, mark: Any) -> Mark:
@@ -136,7 +136,7 @@ class _Reader:
             return self._alias(event)
         if event.anchor:
             self._anchors[event.anchor] = None
-        if event.tag and event.tag != "!":  # a lone ! only says that the scalar is a string
+        if event.tag and event.tag != "!":  # a lone ! means that the scalar is a string
             self._tell(event, f"the tag {shown(event.tag)} is not allowed", "write the plain value")
         if isinstance(event, yaml.ScalarEvent):
             node = self._scalar(event)
@@ -206,12 +206,12 @@ class _Reader:
 
 
 def _nothing(event: Any) -> bool:
-    """Whether the event is the null that stands for no text at all."""
+    """Whether the event is the null of an empty document."""
     return type(event) is yaml.ScalarEvent and not (event.value or event.style or event.tag or event.anchor)
 
 
 class _Dumper(yaml.SafeDumper):
-    """Quotes every string that YAML 1.1 or 1.2 would read as something else."""
+    """Quotes every string that YAML 1.1 or 1.2 would read as another type."""
 
     def ignore_aliases(self, data: Any) -> bool:  # noqa: ARG002  (the overridden signature)
         return True

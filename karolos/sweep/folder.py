@@ -1,14 +1,14 @@
-"""The sweep's own folder; its runs lie beside all others in the runs folder.
+"""The folder of a sweep. Its runs are in the runs folder like all others.
 
 runs/sweeps/<name>/
     sweep.yaml      the resolved spec with its sweep
     sweep.json      id and what is searched; read by `karolos.records.sweep_records`, as are trials.jsonl and final.json
-    journal.log     every trial, as Optuna's journal: what a sweep goes on from
-    trials.jsonl    the same, one line per trial, for whoever reads it without Optuna
-    best.yaml       the best trial as a spec that runs
-    final.json      the best trials on fresh seeds
+    journal.log     every trial, as Optuna's journal, to resume the sweep
+    trials.jsonl    the same, one line per trial, for readers without Optuna
+    best.yaml       the best trial as a spec
+    final.json      the best trials on new seeds
     figures/        of the search
-    lock            held by the process that carries it out; workers/ those of its processes
+    lock            held by the process of the sweep; workers/ has those of its worker processes
 """
 
 from __future__ import annotations
@@ -38,25 +38,25 @@ from ..spec import Spec, load_spec, to_yaml
 from .objectives import directions
 
 ORPHAN_SECONDS = 60.0
-"""How long the processes of a sweep that was killed are waited for: they notice, write a checkpoint and end."""
+"""Seconds to wait for the worker processes of a killed sweep, which write a checkpoint and exit."""
 _POLL_SECONDS = 0.05
 _LOCK_SECONDS = 0.5
-"""A reader that looks whether a sweep goes on holds the lock for an instant."""
+"""Readers hold the lock for an instant to test whether the sweep is running."""
 _FREE = ("trials", "final")
-"""What of a sweep may change between two calls: it adds trials, and changes none."""
+"""Settings of a sweep that may change between two calls, because they do not change existing trials."""
 
 
 class SweepFolder:
-    """One sweep's folder, locked for as long as it is used in a `with`.
+    """A sweep's folder, a context manager that holds its lock.
 
     Args:
         path: the folder.
         spec: with its sweep.
-        asked: how many trials it is to have.
+        asked: number of trials that the sweep should have.
 
     Raises:
-        RunError: another process carries this sweep out.
-        UsageError: a sweep of this name searches something else.
+        RunError: another process runs this sweep.
+        UsageError: a sweep of this name has other settings.
         MachineError: from every method that writes.
     """
 
@@ -73,11 +73,11 @@ class SweepFolder:
         with writing(self.path):
             self.workers.mkdir(parents=True, exist_ok=True)
         if not self._lock.acquire(_LOCK_SECONDS):
-            raise RunError("another process carries this sweep out", where=str(self.path), hint="wait for it")
+            raise RunError("another process runs this sweep", where=str(self.path), hint="wait for it")
         try:
             self._claim()
             self._await_orphans()
-            append_lines(self.journal, ())  # cuts off what a killed process may have left half-written
+            append_lines(self.journal, ())  # removes an incomplete last line of a killed process
         except BaseException:
             self._lock.release()
             raise
@@ -93,13 +93,13 @@ class SweepFolder:
         write_whole(self.path / TRIALS, "".join(f"{line}\n" for line in lines))
 
     def write_best(self, spec: Spec, comment: Iterable[str]) -> Path:
-        """The spec under the words that say where it comes from."""
+        """Write the spec below a comment on its origin."""
         path = self.path / "best.yaml"
         write_whole(path, "".join(f"# {line}\n" for line in comment) + to_yaml(spec.dump()))
         return path
 
     def write_final(self, final: SweepFinal | None) -> None:
-        """What the best trials came to on fresh seeds; None takes away what an earlier call found."""
+        """Write the result of the final phase; None removes that of an earlier call."""
         path = self.path / FINAL
         if final is None:
             with writing(path):
@@ -108,11 +108,11 @@ class SweepFolder:
             write_json(path, final.row())
 
     def _claim(self) -> None:
-        """Write the spec down, or see that what was written down searches the same."""
+        """Write the spec, and raise if the folder belongs to a sweep with other settings."""
         path = self.path / "sweep.yaml"
         if path.exists() and _fingerprint(load_spec(path)) != _fingerprint(self._spec):
             raise UsageError(
-                f"a sweep {self._spec.name!r} with other settings is there already",
+                f"a sweep {self._spec.name!r} with other settings exists",
                 where=str(path),
                 hint="give this one another name (name=...), or remove that folder",
             )
@@ -120,7 +120,7 @@ class SweepFolder:
         write_json(self.path / DESCRIPTION, self._described().description())
 
     def _described(self) -> SweepRecord:
-        """What sweep.json is to say; id and time are those of the first call."""
+        """The content of sweep.json; id and time are those of the first call."""
         sweep = self._spec.sweep
         assert sweep is not None  # only such a spec has a folder
         now = datetime.now(UTC)
@@ -147,7 +147,7 @@ class SweepFolder:
         while any(FileLock(path).is_locked() for path in self.workers.iterdir()):
             if time.monotonic() > deadline:
                 raise RunError(
-                    "a process of this sweep, whose parent was killed, is still running",
+                    "a worker process of this sweep is still running after its parent was killed",
                     where=str(self.workers),
                     hint="end it, and start the sweep again",
                 )
@@ -155,7 +155,7 @@ class SweepFolder:
 
 
 def _fingerprint(spec: Spec) -> str:
-    """What two calls must have in common to be the same sweep."""
+    """A hash of the settings that two calls of the same sweep have in common."""
     assert spec.sweep is not None  # only such a spec has a folder
     search = {key: value for key, value in spec.sweep.dump().items() if key not in _FREE}
     return hashlib.sha256(json.dumps([spec.hash(), search], sort_keys=True).encode()).hexdigest()

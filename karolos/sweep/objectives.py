@@ -1,4 +1,4 @@
-"""What a trial is judged by: numbers of its runs' tests, means over the seeds. Names as in karolos.spec.sweep."""
+"""The objectives of a sweep, computed from tests as means over the seeds. Their names are in karolos.spec.sweep."""
 
 from __future__ import annotations
 
@@ -12,7 +12,7 @@ from ..spec.sweep import OBJECTIVES
 from ..statistics.aggregates import first_reaching
 
 CENSORED = 2
-"""A run that never reached the threshold counts as having taken this many times its steps (PAR2)."""
+"""Penalty factor on the steps of a run that never reached the threshold (PAR2)."""
 Tests = Mapping[int, Sequence[TestResult]]
 """Seed -> its tests, in order."""
 
@@ -23,7 +23,7 @@ def directions(objectives: Sequence[str]) -> tuple[Literal["maximize", "minimize
 
 
 def measure(objective: str, tests: Tests, steps: int) -> float:
-    """The objective's value for runs of `steps` environment steps that are finished; nan where there is no test."""
+    """The objective's value for finished runs of `steps` environment steps; nan without tests."""
     if not tests or not all(tests.values()):
         return float("nan")
     return float(np.mean([_of_run(objective, results, steps) for results in tests.values()]))
@@ -44,9 +44,9 @@ def _of_test(name: str, test: TestResult) -> float:
 
 
 def so_far(objective: str, tests: Tests, count: int) -> float:
-    """What the pruner compares after `count` tests of every seed; better in the same direction as the objective.
+    """The value for the pruner after `count` tests of every seed; it has the direction of the objective.
 
-    For steps_to_*, which are not known yet, the share of test episodes that fail.
+    For steps_to_*, which are unknown before the end, this is the fraction of failed test episodes.
     """
     begun = {seed: results[:count] for seed, results in tests.items()}
     if objective.startswith("steps_to_"):
@@ -55,5 +55,5 @@ def so_far(objective: str, tests: Tests, count: int) -> float:
 
 
 def nominal_steps(steps: int, interval: int, budget: int) -> int:
-    """The multiple of the interval that a test after so many steps stands for: trials differ by a round at most."""
+    """The multiple of the test interval at or below `steps`: tests of different trials differ by up to a round."""
     return budget if steps >= budget else steps // interval * interval

@@ -1,4 +1,4 @@
-"""Search: a spec's sweep from its first trial to the best settings."""
+"""Search: runs the sweep of a spec."""
 
 from __future__ import annotations
 
@@ -18,27 +18,27 @@ from ..spec.sweep import DEFAULT_TRIALS
 from ..store import Store
 from ..training.assembly import check_parts
 from . import choosing
-from .crew import Crew
+from .events import SweepEvent, SweepListener, SweepOutcome
 from .folder import SweepFolder
-from .records import Outcome, SweepEvent, SweepListener
+from .pool import RunPool
 from .study import Study
-from .trials import Book, Trials
+from .trials import Trials, TrialWriter
 
 LONGEST_NAME = 58
-"""Of a sweep, so that its trials' runs can be called <name>-t0000."""
+"""Longest name of a sweep, because its trials' runs are named <name>-t0000."""
 
 
 class Search:
-    """Carries a spec's sweep out: each trial is the spec with other values, run on the sweep's seeds.
+    """Runs a spec's sweep: each trial is the spec with other values, run on the sweep's seeds.
 
     Args:
         spec: a Spec with a sweep, or a dictionary of the same shape as a spec file.
-        text: the spec as its author wrote it, kept in every run's folder.
-        trials: how many the sweep is to have, instead of what the spec says.
+        text: the text of the spec file, written into every run's folder.
+        trials: number of trials; None: the spec's.
 
     Raises:
-        SpecError: the dictionary is no valid spec; carries every problem found.
-        UsageError: there is no sweep in it, or its name is too long.
+        SpecError: the dictionary is not a valid spec; carries every problem found.
+        UsageError: the spec has no sweep, or its name is too long.
     """
 
     def __init__(self, spec: Spec | Mapping[str, Any], *, text: str | None = None, trials: int | None = None) -> None:
@@ -50,7 +50,7 @@ class Search:
 
     @property
     def asked(self) -> int:
-        """How many trials the sweep is to have."""
+        """Number of trials that the sweep should have."""
         most = self.sweep.trials or DEFAULT_TRIALS
         if self.sweep.sampler != "grid":
             return most
@@ -58,7 +58,7 @@ class Search:
         return min(self.sweep.trials or size, size)
 
     def folder(self, runs: str | Path) -> Path:
-        """The sweep's own folder in a runs folder."""
+        """The sweep's folder in a runs folder."""
         return Path(runs) / FOLDER / self.spec.name
 
     def run(
@@ -69,28 +69,27 @@ class Search:
         jobs: int = 1,
         time_limit: float | None = None,
         listener: SweepListener | None = None,
-    ) -> Outcome:
-        """Carry out the trials that are missing, choose the best, and write down what was found.
+    ) -> SweepOutcome:
+        """Run the missing trials, choose the best one, and write the results.
 
-        The same call after an interruption goes on: trials that had begun are finished, their runs from their newest
-        checkpoints, and none is run twice. A trial fails when one of its runs does, or when its parts do not go
-        together; it counts as one of the trials.
+        The same call resumes an interrupted sweep: it continues unfinished runs from their newest checkpoints and runs
+        no trial twice. A trial fails if one of its runs fails or its parts are incompatible. Failed trials count.
 
         Args:
-            runs: folder of the run folders; the sweep's own is `sweeps/<name>` in it.
+            runs: folder of the run folders; the sweep's folder is `sweeps/<name>` in it.
             database: SQLAlchemy URL of the results database.
-            jobs: trials at the same time; each seed of each is a process.
+            jobs: number of concurrent trials; each seed of a trial has its own process.
             time_limit: seconds after which to stop.
-            listener: is called with every SweepEvent.
+            listener: called with every SweepEvent.
 
         Raises:
-            UsageError: the spec's parts do not go together, or a sweep of this name searches something else.
-            RunError: another process carries this sweep out.
+            UsageError: the spec's parts are incompatible, or a sweep of this name has other settings.
+            RunError: another process runs this sweep.
             MachineError: the runs folder cannot be written, or processes cannot be started.
             StoreError: the database cannot be used.
         """
         if jobs < 1:
-            raise UsageError(f"jobs is {jobs}", hint="run at least one trial at a time")
+            raise UsageError(f"jobs is {jobs}", hint="use at least 1")
         root = Path(runs)
         url = database or Store.default_url(root)
         check_parts(self.spec)
@@ -104,21 +103,21 @@ class Search:
             Store(url) as store,
             folder,
             stop_on_signals(time_limit=time_limit) as stop,
-            Crew(size, folder.workers, runner) as crew,
+            RunPool(size, folder.workers, runner) as pool,
         ):
             study = Study(folder.journal, self.sweep, self.spec.name, self.spec.training.steps)
-            book = Book(folder, study, store, tell)
-            book.write()
-            crew.run(Trials(base, self.sweep, study, jobs, self.asked, tell, stop, book), stop)
+            writer = TrialWriter(folder, study, store, tell)
+            writer.write()
+            pool.run(Trials(base, self.sweep, study, jobs, self.asked, tell, stop, writer), stop)
             final = None
             if self.sweep.final is not None and not stop.requested and study.ranked():
-                final = choosing.choose(base, self.sweep.final, study, crew, tell, stop)
-            return self._conclude(book, final, stop)
+                final = choosing.choose(base, self.sweep.final, study, pool, tell, stop)
+            return self._conclude(writer, final, stop)
 
-    def _conclude(self, book: Book, final: SweepFinal | None, stop: StopRequest) -> Outcome:
+    def _conclude(self, writer: TrialWriter, final: SweepFinal | None, stop: StopRequest) -> SweepOutcome:
         from ..report.search import write_search_figures  # noqa: PLC0415  (matplotlib takes half a second)
 
-        folder, study = book.folder, book.study
+        folder, study = writer.folder, writer.study
         ranked = study.ranked()
         best = study.trial(final.chosen) if final is not None else ranked[0] if ranked else None
         if best is not None:
@@ -129,8 +128,8 @@ class Search:
                 study.trials(), self.sweep.objectives[0], self.sweep.space, study.importances(), folder.figures
             )
         folder.write_final(final)
-        book.write()
-        return Outcome(
+        writer.write()
+        return SweepOutcome(
             sweep=self.sweep,
             trials=study.trials(),
             asked=self.asked,
@@ -143,7 +142,7 @@ class Search:
 
 
 def samples(spec: Spec, count: int) -> Iterator[tuple[dict[str, Any], Spec | SpecError]]:
-    """What trials may draw, each with its spec or why that is none: at random, or a grid's first combinations."""
+    """Sampled values with their spec, or the error of an invalid one: random, or a grid's first combinations."""
     sweep = _sweep_of(spec)
     drawn = list(islice(sweep.combinations(), count)) if sweep.sampler == "grid" else Study.draws(sweep, count)
     for place, values in enumerate(drawn):
@@ -155,7 +154,7 @@ def samples(spec: Spec, count: int) -> Iterator[tuple[dict[str, Any], Spec | Spe
 
 
 def _sweep_of(spec: Spec) -> Sweep:
-    """The spec's sweep. Raises UsageError where there is none, or the name leaves no room for its trials'."""
+    """The spec's sweep. Raises UsageError if it has none or its name is too long."""
     if spec.sweep is None:
         raise UsageError(
             f"the spec {spec.name!r} has no sweep",
@@ -163,7 +162,7 @@ def _sweep_of(spec: Spec) -> Sweep:
         )
     if len(spec.name) > LONGEST_NAME:
         raise UsageError(
-            f"the name {spec.name!r} is longer than {LONGEST_NAME} characters, which leaves no room for its trials'",
+            f"the name {spec.name!r} is longer than {LONGEST_NAME} characters; trials append to it",
             where="name",
             hint="give a shorter one (name=...)",
         )

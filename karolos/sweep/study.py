@@ -1,8 +1,7 @@
-"""The sampler, the pruner and the journal: the only home of Optuna.
+"""Sampler, pruner and journal of a sweep. This module alone imports Optuna.
 
-One process asks and tells; the trials' own processes know nothing of the study. What trial k draws depends on the
-sweep's seed, k and the trials before it, so that a sweep with one job at a time draws the same however often it was
-interrupted.
+Only the main process accesses the study. The values of trial k depend on the sweep's seed, k and the earlier trials, so
+interruptions do not change a sweep with one job at a time.
 """
 
 from __future__ import annotations
@@ -33,13 +32,13 @@ _STATES: dict[TrialState, SweepTrialState] = {
 }
 _LOCK_SECONDS = 60.0
 _RUNS, _ERROR = "runs", "error"
-optuna.logging.set_verbosity(optuna.logging.ERROR)  # the sweep tells its own progress
+optuna.logging.set_verbosity(optuna.logging.ERROR)  # the sweep reports its own progress
 FEW_TRIALS = 4
-"""Fewer complete trials say nothing about which parameter matters."""
+"""Smallest number of complete trials for parameter importances."""
 
 
 class _JournalLock(JournalFileOpenLock):
-    """The journal's lock; unlike Optuna's own it dies with its process."""
+    """The journal's lock. Unlike Optuna's own, it is released when its process dies."""
 
     def __init__(self, journal: Path) -> None:
         super().__init__(str(journal))
@@ -53,7 +52,7 @@ class _JournalLock(JournalFileOpenLock):
 
 
 class OpenTrial:
-    """A trial that goes on."""
+    """An unfinished trial."""
 
     def __init__(self, trial: optuna.Trial, drawn: Mapping[str, Any]) -> None:
         self._trial = trial
@@ -61,13 +60,13 @@ class OpenTrial:
         self.drawn = drawn
 
     def is_hopeless(self, value: float, step: int) -> bool:
-        """Report the objective so far; whether the pruner gives the trial up. A step is reported once."""
+        """Report the objective at a step, once; returns whether the pruner stops the trial."""
         if step not in self._trial.study.get_trials(deepcopy=False)[self.number].intermediate_values:
             self._trial.report(value, step)
         return self._trial.should_prune()
 
     def describe(self, runs: Sequence[str], error: str | None) -> None:
-        """Note the ids of its runs, and why it failed if it did."""
+        """Record the ids of its runs, and its error."""
         self._trial.set_user_attr(_RUNS, list(runs))
         if error is not None:
             self._trial.set_user_attr(_ERROR, error)
@@ -77,7 +76,7 @@ class Study:
     """The trials of a sweep, in its journal.
 
     Args:
-        journal: the file; made if it is not there.
+        journal: the file; created if missing.
         sweep: the search.
         name: of the sweep; trials are called `<name>-t000` and so on.
         steps: of training, in each run.
@@ -101,19 +100,19 @@ class Study:
 
     @staticmethod
     def draws(sweep: Sweep, count: int) -> list[dict[str, Any]]:
-        """What so many trials might draw, at random."""
+        """Random values for `count` trials."""
         study = optuna.create_study(sampler=optuna.samplers.RandomSampler(seed=_seed(sweep, 0)))
         return [dict(_drawn(study.ask(), sweep).drawn) for _ in range(count)]
 
     def trials(self) -> tuple[Trial, ...]:
-        """All trials begun, by number."""
+        """All trials that have begun, by number."""
         return tuple(self._record(one) for one in self._all() if one.state in _STATES)
 
     def trial(self, number: int) -> Trial:
         return self._record(self._all()[number])
 
     def unfinished(self) -> list[OpenTrial]:
-        """Trials that an interrupted sweep left, to go on with. Nobody else works on them: the sweep's lock is held."""
+        """Trials to resume after an interruption. No other process runs them, because this one has the lock."""
         found = []
         for one in self._all():
             if one.state == TrialState.RUNNING:
@@ -122,7 +121,7 @@ class Study:
         return found
 
     def ask(self) -> OpenTrial:
-        """Draw one more trial. Of a grid, the next combination that no trial has had."""
+        """Sample one more trial; for a grid the next unused combination."""
         trials = self._all()
         waiting = any(one.state == TrialState.WAITING for one in trials)
         if self._grid and not waiting:
@@ -141,30 +140,30 @@ class Study:
         self._study.tell(trial.number, state=TrialState.FAIL)
 
     def ranked(self) -> list[Trial]:
-        """The complete trials, best first: by the first objective, then the next; of equals the earlier."""
+        """The complete trials, best first, by the objectives in order; ties by number."""
         return rank(self.trials(), self._directions)
 
     def front(self) -> tuple[Trial, ...]:
-        """The trials that no other beats in every objective; with one objective the best."""
+        """The Pareto front of the objectives; with one objective the best trial."""
         if len(self._sweep.objectives) == 1:
             return tuple(self.ranked()[:1])
         return tuple(self._record(one) for one in self._study.best_trials)
 
     def importances(self) -> dict[str, float]:
-        """How much each parameter drawn in every trial matters to the first objective; they sum to 1.
+        """The importance of each parameter for the first objective, for parameters of every trial; the sum is 1.
 
-        Source: Watanabe et al. 2023, "PED-ANOVA". Empty for fewer than 4 complete trials, or when they do not differ.
+        Source: Watanabe et al. 2023, "PED-ANOVA". Empty for fewer than 4 complete trials, or equal values.
         """
         complete = [one for one in self._all() if one.state == TrialState.COMPLETE]
         if len(complete) < FEW_TRIALS or len({one.values[0] for one in complete}) < 2:
             return {}
         sign = -1 if self._directions[0] == "maximize" else 1
         with warnings.catch_warnings():
-            warnings.simplefilter("ignore")  # PED-ANOVA's remark on targets
+            warnings.simplefilter("ignore")  # PED-ANOVA warns about targets
             found = optuna.importance.get_param_importances(
                 self._study,
                 evaluator=optuna.importance.PedAnovaImportanceEvaluator(),
-                target=lambda one: sign * one.values[0],  # with a target, smaller is taken to be better
+                target=lambda one: sign * one.values[0],  # with a target, PED-ANOVA minimises
             )
         return {key: float(value) for key, value in found.items() if math.isfinite(value)}
 
@@ -202,19 +201,19 @@ class Study:
 
 @contextmanager
 def _experiments_allowed() -> Iterator[None]:
-    """No warning of what Optuna calls experimental; its version is pinned by the project's constraints."""
+    """Suppress warnings of experimental features; the project's constraints pin Optuna's version."""
     with warnings.catch_warnings():
         warnings.simplefilter("ignore", optuna.exceptions.ExperimentalWarning)
         yield
 
 
 def _seed(sweep: Sweep, number: int) -> int:
-    """Of the sampler that draws this trial: 32 bits."""
+    """The seed of the sampler for this trial: 32 bits."""
     return SeedTree(sweep.seed).child("sampler", number).integer() % 2**32
 
 
 def _drawn(trial: optuna.Trial, sweep: Sweep) -> OpenTrial:
-    """Draw every parameter whose conditions hold. What a trial has drawn already it draws again."""
+    """Sample every active parameter. A resumed trial gets its recorded values again."""
     drawn: dict[str, Any] = {}
     for key in sweep.order():
         parameter = sweep.space[key]

@@ -1,4 +1,4 @@
-"""A sweep's trials as a crew's jobs: each is drawn, run, judged and written down."""
+"""The trials of a sweep as jobs of a pool: sampled, run, evaluated and recorded."""
 
 from __future__ import annotations
 
@@ -11,18 +11,18 @@ from ..experiment.signals import StopRequest
 from ..records.sweep_records import read_sweep
 from ..spec import Spec, Sweep, spec_of_trial
 from ..store import Store
-from .crew import Job
+from .events import SweepListener, TrialBegan, TrialEnded
 from .folder import SweepFolder
 from .objectives import measure, nominal_steps, so_far
-from .records import SweepListener, TrialBegan, TrialEnded
+from .pool import Job
 from .study import OpenTrial, Study
 
 PRUNED = "pruned"
 
 
 @dataclass(frozen=True)
-class Book:
-    """Writes down what becomes of a sweep: into its folder, and what stands there into the store."""
+class TrialWriter:
+    """Writes a sweep's trials into its folder, and indexes the folder in the store."""
 
     folder: SweepFolder
     study: Study
@@ -30,22 +30,22 @@ class Book:
     tell: SweepListener
 
     def write(self) -> None:
-        """Write the trials as they are now."""
+        """Write the current trials."""
         self.folder.write_trials(self.study.trials())
         self.index()
 
     def index(self) -> None:
-        """Bring the store up to date; one that fails must not end a sweep that can go on without it."""
+        """Update the store. A store that fails causes a warning and does not end the sweep."""
         found, _ = read_sweep(self.folder.path)
         try:
             self.store.sweeps.add([found])
         except StoreError as error:
-            self.tell(RunWarned(found.sweep, f"{error} (the sweep goes on; its folder is complete)"))
+            self.tell(RunWarned(found.sweep, f"{error} (the sweep continues; its folder is complete)"))
 
 
 @dataclass
 class Trials:
-    """The sweep's trials as a crew's jobs."""
+    """The feed of a sweep's trials."""
 
     base: Spec
     sweep: Sweep
@@ -54,7 +54,7 @@ class Trials:
     asked: int
     tell: SweepListener
     stop: StopRequest
-    book: Book
+    writer: TrialWriter
     _open: dict[Job, OpenTrial] = field(default_factory=dict)
     _reported: dict[Job, int] = field(default_factory=dict)
     _left: list[OpenTrial] | None = None
@@ -76,7 +76,7 @@ class Trials:
 
     def _begin(self, trial: OpenTrial) -> Job | None:
         record = self.study.trial(trial.number)
-        self.book.write()
+        self.writer.write()
         self.tell(TrialBegan(record))
         try:
             spec = spec_of_trial(self.base, trial.drawn, record.name, self.sweep.seeds, record.name)
@@ -89,7 +89,7 @@ class Trials:
         return job
 
     def tested(self, job: Job) -> str | None:
-        """Report the mean at each test that every seed has had; PRUNED once the pruner gives the trial up."""
+        """Report the mean at each test that every seed has completed; PRUNED when the pruner stops the trial."""
         if self.sweep.pruner is None:
             return None
         results, settings = job.results(), job.spec
@@ -99,7 +99,7 @@ class Trials:
             step = nominal_steps(last.steps, settings.testing.interval, settings.training.steps)
             value = so_far(self.sweep.objectives[0], results, count)
             if step >= settings.training.steps or not math.isfinite(value):
-                continue  # it is over anyway, and no number is a failure and no reason to prune
+                continue  # the trial is over, or its value is not a number, which is no reason to prune
             if self._open[job].is_hopeless(value, step):
                 return PRUNED
         return None
@@ -123,7 +123,7 @@ class Trials:
             self._ended(trial)
         elif not self.stop.requested:
             self._fail(trial, runs, "a run was stopped from outside")
-        # else it stays open, and the next call of the sweep goes on with it
+        # otherwise the trial stays open and the next call of the sweep resumes it
 
     def warned(self, event: RunWarned) -> None:
         self.tell(event)
@@ -135,6 +135,6 @@ class Trials:
 
     def _ended(self, trial: OpenTrial) -> None:
         trials = self.study.trials()
-        self.book.write()
+        self.writer.write()
         done = sum(one.state != "running" for one in trials)
         self.tell(TrialEnded(trials[trial.number], done, self.asked))

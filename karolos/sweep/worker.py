@@ -1,7 +1,7 @@
-"""One worker process of a sweep: it carries out one run after another for the crew that has hired it.
+"""A worker process of a sweep: executes one run after another for its pool.
 
-It holds a lock file for its life, so that a sweep whose parent was killed is not begun again beside its orphans. It
-notices on its own that the parent is gone, writes a checkpoint and ends.
+It holds a lock file while it runs, so that a sweep whose parent was killed is not started again beside orphans. When
+the parent has ended, the worker writes a checkpoint and exits.
 """
 
 from __future__ import annotations
@@ -27,7 +27,7 @@ _LOCK_SECONDS = 10.0
 
 @dataclass(frozen=True)
 class Begin:
-    """To the worker: carry out this run."""
+    """To the worker: execute this run."""
 
     seed: int
     spec: dict[str, Any]
@@ -35,25 +35,25 @@ class Begin:
 
 @dataclass(frozen=True)
 class Halt:
-    """To the worker: stop the run, with a checkpoint."""
+    """To the worker: stop the run with a checkpoint."""
 
     word: str
 
 
 @dataclass(frozen=True)
 class Ready:
-    """From the worker: it holds its lock, and does nothing."""
+    """From the worker: it holds its lock and is idle."""
 
 
 @dataclass(frozen=True)
 class Refused:
-    """From the worker: the run could not be begun."""
+    """From the worker: the run could not be started."""
 
     error: str
 
 
 def work(pipe: Connection, lock: Path, runner: SeedRunner) -> None:
-    """A worker's life: one run after another until the parent closes the pipe or is gone."""
+    """Execute runs until the parent closes the pipe or ends."""
     life = FileLock(lock)
     if not life.acquire(_LOCK_SECONDS):
         raise SystemExit(f"{lock} is held by another process")
@@ -66,14 +66,14 @@ def work(pipe: Connection, lock: Path, runner: SeedRunner) -> None:
                     message = pipe.recv()
                     if isinstance(message, Halt):
                         stop.program_reason = message.word
-            except (BrokenPipeError, ConnectionResetError, EOFError):  # nobody listens: end like after SIGTERM
+            except (BrokenPipeError, ConnectionResetError, EOFError):  # the parent has ended: stop as after SIGTERM
                 stop.signal = signal.SIGTERM
 
         try:
             pipe.send(Ready())
             while stop.signal is None:
                 message = pipe.recv()
-                if isinstance(message, Begin):  # or a halt that came too late
+                if isinstance(message, Begin):  # otherwise a Halt for a run that has ended
                     stop.program_reason = None
                     pipe.send(_outcome(replace(runner, resolved=message.spec), message.seed, tell, stop))
         except (BrokenPipeError, ConnectionResetError, EOFError):

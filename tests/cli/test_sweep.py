@@ -19,7 +19,7 @@ from support.sweep_samples import LEARNING_RATE, sweep_spec
 
 from karolos.records.sweep_records import SweepFinal, Trial
 from karolos.spec import Spec
-from karolos.sweep.records import Outcome, TrialBegan, TrialEnded
+from karolos.sweep.events import SweepOutcome, TrialBegan, TrialEnded
 
 app = typer.Typer()
 app.command()(sweep)
@@ -102,7 +102,7 @@ def test_rows_and_words_tell_what_was_chosen_and_how_far_to_trust_it(home, capsy
         Trial(1, "line-t001", "failed", {"agent.learning_rate": 1e-1}, None, (), "a loss that is nan\x1b[2J"),
     )
     final = SweepFinal(0, (2,), (3, 4), (0.9,), {0: (0.8,)}, (0.75,))
-    outcome = Outcome(search, trials, 2, trials[0], trials[:1], final, home)
+    outcome = SweepOutcome(search, trials, 2, trials[0], trials[:1], final, home)
     display = SweepDisplay(outcome.objectives, quiet=False)
     for place, trial in enumerate(trials):
         display(TrialBegan(trial))

@@ -23,7 +23,7 @@ from karolos.records.sweep_records import read_sweep
 from karolos.spec import Spec, load_spec
 from karolos.store import Store, check, reindex
 from karolos.store.sweeps import Sweeps
-from karolos.sweep.records import Outcome, TrialBegan
+from karolos.sweep.events import SweepOutcome, TrialBegan
 from karolos.sweep.search import Search, samples
 
 TRIALS = 5
@@ -38,7 +38,7 @@ BEGIN += "Search(json.loads(sys.argv[1])).run('runs')"
 
 
 @pytest.fixture(scope="module")
-def killed(tmp_path_factory) -> Outcome:
+def killed(tmp_path_factory) -> SweepOutcome:
     """A sweep whose process was killed half-way, and that was then started again and lost a worker."""
     home = tmp_path_factory.mktemp("killed")
     command = [sys.executable, "-c", BEGIN, json.dumps(SPEC)]
@@ -174,7 +174,7 @@ def test_another_search_of_the_same_name_is_refused(killed):
 
 
 @pytest.fixture(scope="module")
-def grid(tmp_path_factory) -> Outcome:
+def grid(tmp_path_factory) -> SweepOutcome:
     """A sweep on two seeds, of whose trials most are no good; it was asked to stop at the first, and begun again."""
     space = {
         "agent.learning_rate": {"choice": [1e-1, 1e-6, 1e30]},  # the last leads to losses that are no numbers

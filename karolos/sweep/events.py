@@ -1,4 +1,4 @@
-"""What becomes of a sweep, and what is told while it goes on, as frozen values."""
+"""The outcome of a sweep and the events during it, as frozen values."""
 
 from __future__ import annotations
 
@@ -13,17 +13,17 @@ from ..spec import Sweep
 
 
 @dataclass(frozen=True)
-class Outcome:
-    """What became of a sweep."""
+class SweepOutcome:
+    """The result of a sweep."""
 
     sweep: Sweep
     trials: tuple[Trial, ...]
     asked: int
-    """How many trials the sweep is to have."""
+    """Number of trials that the sweep should have."""
     best: Trial | None
-    """By the first objective; the one that `final` chose, where there is one."""
+    """The trial that `final` chose; otherwise the best by the first objective."""
     front: tuple[Trial, ...]
-    """The trials that no other beats in every objective; with one objective, the best."""
+    """The Pareto front of the objectives; with one objective the best trial."""
     final: SweepFinal | None
     folder: Path
     stop_code: int = 0
@@ -34,7 +34,7 @@ class Outcome:
 
     @property
     def exit_code(self) -> int:
-        """0: it has its trials and one is complete; 1: none is; 128 + signal or 124 when stopped before."""
+        """0: at least one trial is complete; 1: no trial is; 128 + signal or 124: stopped before the end."""
         done = sum(trial.state != "running" for trial in self.trials)
         if self.stop_code and (done < self.asked or (self.sweep.final is not None and self.final is None)):
             return self.stop_code
@@ -43,14 +43,14 @@ class Outcome:
 
 @dataclass(frozen=True)
 class TrialBegan:
-    """A trial begins, or goes on after the sweep was interrupted."""
+    """A trial begins, or resumes after an interruption of the sweep."""
 
     trial: Trial
 
 
 @dataclass(frozen=True)
 class TrialEnded:
-    """A trial has ended; `done` of `asked` have."""
+    """A trial has ended; `done` of `asked` trials have ended."""
 
     trial: Trial
     done: int
@@ -59,7 +59,7 @@ class TrialEnded:
 
 @dataclass(frozen=True)
 class FinalBegan:
-    """Trials are run on seeds that they were not tuned on."""
+    """Runs of the final phase begin, on seeds that were not used for tuning."""
 
     trials: tuple[int, ...]
     seeds: tuple[int, ...]

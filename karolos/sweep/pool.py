@@ -1,4 +1,4 @@
-"""A crew of worker processes and the jobs it carries out: what is imported once serves a whole sweep."""
+"""A pool of worker processes that run the jobs of a sweep, so that each process imports libraries once."""
 
 from __future__ import annotations
 
@@ -23,61 +23,61 @@ from ..records.run_records import RunSummary
 from ..spec import Spec
 from .worker import Begin, Halt, Ready, Refused, work
 
-PATIENCE = 2
-"""Processes that may die on a run before it counts as failed; the second goes on from the checkpoint of the first."""
+MAX_DEATHS = 2
+"""Processes that may die during a run until it fails. The second process resumes the run from its checkpoint."""
 
 
 @dataclass(eq=False)
 class Job:
-    """A spec on several seeds, and how far it has come."""
+    """A spec with several seeds, and the results of its runs."""
 
     spec: Spec
     tests: dict[int, dict[int, TestResult]] = field(default_factory=dict)
     """Seed -> steps -> test."""
     summaries: dict[int, RunSummary] = field(default_factory=dict)
     error: str | None = None
-    """Why it failed: the first run's that did."""
+    """The error of the first run that failed."""
     halted: str | None = None
-    """Why its runs were told to stop."""
+    """Why its runs were stopped."""
     deaths: dict[int, int] = field(default_factory=dict)
-    """Seed -> processes that died on it."""
+    """Seed -> number of processes that died."""
 
     @property
     def finished(self) -> bool:
-        """Whether every run came to its end."""
+        """Whether every run is finished."""
         return len(self.summaries) == len(self.spec.seeds) and all(
             summary.state == "finished" for summary in self.summaries.values()
         )
 
     def results(self) -> dict[int, list[TestResult]]:
-        """Seed -> its tests in order, in the order of the seeds."""
+        """Seed -> its tests in order; seeds in the spec's order."""
         return {seed: [test for _, test in sorted(self.tests.get(seed, {}).items())] for seed in self.spec.seeds}
 
-    def take(self, summary: RunSummary) -> None:
-        """A run of the job has come to an end."""
+    def record(self, summary: RunSummary) -> None:
+        """Record the end of a run."""
         self.summaries[summary.seed] = summary
         self.read_tests(summary.seed, summary.folder)
 
     def read_tests(self, seed: int, folder: str) -> None:
-        """Take the tests that stand in a run's folder, which are those of a run that goes on, too."""
-        found = RunFolder.open(folder).tests()
-        self.tests.setdefault(seed, {}).update({test.steps: test for test in found})
+        """Read the tests in a run's folder, also of a resumed run."""
+        tests = RunFolder.open(folder).tests()
+        self.tests.setdefault(seed, {}).update({test.steps: test for test in tests})
 
 
 class Feed(Protocol):
-    """Where a crew's jobs come from, and what is done with them."""
+    """The source of a pool's jobs and the receiver of their results."""
 
     def next(self) -> Job | None:
-        """Another job to begin now; None while there is none."""
+        """The next job to start; None if there is none at the moment."""
 
     def tested(self, job: Job) -> str | None:
-        """Every seed of the job may have one test more; a word to stop its runs with, or None."""
+        """Called after each test of a run. Returns a reason to stop the job's runs, or None."""
 
     def ended(self, job: Job) -> None:
-        """No run of the job goes on."""
+        """Called when no run of the job is active."""
 
     def warned(self, event: RunWarned) -> None:
-        """A run can go on, but not as it should."""
+        """Called for a warning of a run."""
 
 
 @dataclass
@@ -90,13 +90,13 @@ class _Worker:
     seed: int = 0
 
 
-class Crew:
-    """Worker processes that carry out jobs; use it in a `with`.
+class RunPool:
+    """Worker processes that run jobs; a context manager.
 
     Args:
-        size: processes at the same time.
+        size: largest number of processes.
         locks: folder of their lock files.
-        runner: how runs are carried out; each is handed a spec of its own.
+        runner: runs one seed; the worker sets its spec.
     """
 
     def __init__(self, size: int, locks: Path, runner: SeedRunner) -> None:
@@ -106,24 +106,24 @@ class Crew:
         self._workers: list[_Worker] = []
         self._waiting: deque[tuple[Job, int]] = deque()
 
-    def __enter__(self) -> Crew:
+    def __enter__(self) -> RunPool:
         return self
 
     def __exit__(
         self, kind: type[BaseException] | None, error: BaseException | None, trace: TracebackType | None
     ) -> None:
         for worker in self._workers:
-            worker.pipe.close()  # which tells it to end
+            worker.pipe.close()  # which makes it exit
         for worker in self._workers:
             worker.process.join()
 
     def run(self, feed: Feed, stop: StopRequest) -> None:
-        """Carry out the feed's jobs until it has no more; a request to stop leaves their runs with a checkpoint."""
+        """Run the feed's jobs until it has no more. After a stop request the runs end with a checkpoint."""
         active: list[Job] = []
         while True:
             while not stop.requested and (job := feed.next()) is not None:
                 active.append(job)
-                self._waiting.extend((job, seed) for seed in job.spec.seeds if not self._is_there(job, seed))
+                self._waiting.extend((job, seed) for seed in job.spec.seeds if not self._is_finished(job, seed))
             if not active:
                 return
             if stop.requested:
@@ -132,49 +132,50 @@ class Crew:
             self._assign()
             for pipe in wait([worker.pipe for worker in self._workers], POLL_SECONDS):
                 worker = next(worker for worker in self._workers if worker.pipe is pipe)
-                self._hear(worker, feed)
-            for job in [job for job in active if not self._goes_on(job)]:
+                self._receive(worker, feed)
+            for job in [job for job in active if not self._is_active(job)]:
                 active.remove(job)
                 feed.ended(job)
 
-    def _is_there(self, job: Job, seed: int) -> bool:
-        """Whether the run is finished already, as in a sweep that was interrupted; the job then has its results."""
-        found = find_run(self._runner.runs, job.spec.name, job.spec.hash(), seed)
-        if found is None or found.state().state != "finished":
+    def _is_finished(self, job: Job, seed: int) -> bool:
+        """Whether an earlier call of the sweep finished the run; if so, record its results."""
+        folder = find_run(self._runner.runs, job.spec.name, job.spec.hash(), seed)
+        if folder is None or folder.state().state != "finished":
             return False
-        job.take(found.summary())
+        job.record(folder.summary())
         return True
 
-    def _goes_on(self, job: Job) -> bool:
+    def _is_active(self, job: Job) -> bool:
         return any(worker.job is job for worker in self._workers) or any(one is job for one, _ in self._waiting)
 
     def _assign(self) -> None:
         idle = [worker for worker in self._workers if worker.job is None]
         for _ in range(min(self._size - len(self._workers), len(self._waiting) - len(idle))):
-            idle.append(self._hire())
+            idle.append(self._start_worker())
         for worker in idle:
             if worker.ready and self._waiting:
                 worker.job, worker.seed = self._waiting.popleft()
                 _send(worker, Begin(worker.seed, worker.job.spec.dump()))
 
-    def _hire(self) -> _Worker:
-        taken = {worker.lock.name for worker in self._workers}
-        lock = next(self._locks / f"{place}.lock" for place in range(self._size) if f"{place}.lock" not in taken)
+    def _start_worker(self) -> _Worker:
+        used = {worker.lock for worker in self._workers}
+        locks = (self._locks / f"{number}.lock" for number in range(self._size))
+        lock = next(lock for lock in locks if lock not in used)
         context = multiprocessing.get_context("spawn")
         ours, theirs = context.Pipe()
         process = context.Process(target=work, args=(theirs, lock, self._runner))
-        with sigint_ignored():  # inherited by the child: Ctrl-C reaches the parent, which decides
+        with sigint_ignored():  # inherited by the child, because the parent handles Ctrl-C
             process.start()
         theirs.close()
         worker = _Worker(process, ours, lock)
         self._workers.append(worker)
         return worker
 
-    def _hear(self, worker: _Worker, feed: Feed) -> None:
+    def _receive(self, worker: _Worker, feed: Feed) -> None:
         try:
             message = worker.pipe.recv()
-        except (EOFError, OSError):  # at a message's end, or in the middle of one
-            self._bury(worker)
+        except (EOFError, OSError):  # also in the middle of a message
+            self._handle_exit(worker)
             return
         job, seed = worker.job, worker.seed
         if isinstance(message, Ready):
@@ -188,45 +189,45 @@ class Crew:
         elif isinstance(message, RunWarned):
             feed.warned(message)
         elif isinstance(message, RunSummary):
-            job.take(message)
+            job.record(message)
             worker.job = None
         elif isinstance(message, Refused):
             worker.job = None
-        self._judge(job, message, feed)
+        self._stop_if_needed(job, message, feed)
 
-    def _judge(self, job: Job, message: object, feed: Feed) -> None:
-        """Stop a job of which a run has failed, or which the feed gives up."""
+    def _stop_if_needed(self, job: Job, message: object, feed: Feed) -> None:
+        """Stop a job if one of its runs failed or the feed stops it."""
         error = message.error if isinstance(message, Refused | RunSummary) else None
         if error is not None and not job.halted:
             job.error = error
             self._halt(job, "another run of this trial failed")
         elif isinstance(message, RunTested) and not job.halted:
-            word = feed.tested(job)
-            if word is not None:
-                self._halt(job, word)
+            reason = feed.tested(job)
+            if reason is not None:
+                self._halt(job, reason)
 
-    def _halt(self, job: Job, word: str) -> None:
+    def _halt(self, job: Job, reason: str) -> None:
         if job.halted:
             return
-        job.halted = word
+        job.halted = reason
         self._waiting = deque((one, seed) for one, seed in self._waiting if one is not job)
         for worker in self._workers:
             if worker.job is job:
-                _send(worker, Halt(word))
+                _send(worker, Halt(reason))
 
-    def _bury(self, worker: _Worker) -> None:
-        """A process has died: its run is begun again where it was, once."""
+    def _handle_exit(self, worker: _Worker) -> None:
+        """Handle the death of a process: resume its run once."""
         worker.process.join()
         worker.pipe.close()
         self._workers.remove(worker)
         code, job = worker.process.exitcode, worker.job
         how = f"was killed by signal {-code}" if code < 0 else f"ended with exit code {code}"
         if not worker.ready:
-            raise MachineError(f"a worker process {how} before it could begin", hint="its own words stand above")
+            raise MachineError(f"a worker process {how} before it was ready", hint="see its output above")
         if job is None or job.halted:
             return
         job.deaths[worker.seed] = job.deaths.get(worker.seed, 0) + 1
-        if job.deaths[worker.seed] < PATIENCE:
+        if job.deaths[worker.seed] < MAX_DEATHS:
             self._waiting.appendleft((job, worker.seed))
             return
         job.error = f"the process of seed {worker.seed} {how}, for the second time"
@@ -234,5 +235,5 @@ class Crew:
 
 
 def _send(worker: _Worker, message: Begin | Halt) -> None:
-    with suppress(BrokenPipeError, ConnectionResetError):  # it has died, which is heard at the other end of the pipe
+    with suppress(BrokenPipeError, ConnectionResetError):  # `run` notices that it has died
         worker.pipe.send(message)
