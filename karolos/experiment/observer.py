@@ -113,16 +113,8 @@ class Announcer(RunObserver):
         now = time.monotonic()
         if now - self._last >= ADVANCE_SECONDS:
             self._last = now
-            self.listener(
-                RunAdvanced(
-                    self.run,
-                    progress.steps,
-                    progress.updates,
-                    progress.episodes,
-                    progress.seconds,
-                    progress.warming_up,
-                )
-            )
+            counts = progress.steps, progress.updates, progress.episodes
+            self.listener(RunAdvanced(self.run, *counts, progress.seconds, progress.warming_up))
 
     @override
     def tested(self, training: Training, result: TestResult) -> None:

@@ -294,7 +294,7 @@ def test_nothing_is_computed_for_a_runs_folder_that_cannot_be_written(tmp_path):
         Experiment(spec()).run(tmp_path / "runs")
 
 
-def test_a_damaged_database_is_refused_before_anything_runs(tmp_path):
+def test_a_newer_database_is_refused_before_anything_runs(tmp_path):
     with Store(Store.default_url(tmp_path)) as store, store.database.writing() as connection:
         connection.exec_driver_sql("UPDATE karolos_schema SET version = version + 1")
     with pytest.raises(StoreError, match="a newer karolos made this database"):
