@@ -1,4 +1,4 @@
-"""The command line of karolos. Heavy libraries are imported by the command that needs them, when it is called."""
+"""The command line. A command imports heavy libraries when it is called."""
 
 from .main import main
 

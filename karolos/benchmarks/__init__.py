@@ -1,1 +1,1 @@
-"""Measurements beside a peer in the same run: `karolos bench ...`."""
+"""Measurements beside a peer in the same run: `karolos bench`."""

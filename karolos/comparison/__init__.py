@@ -1,4 +1,4 @@
-"""From runs to the numbers that compare experiments. Draws nothing; `karolos.report` does."""
+"""From runs to the numbers that compare experiments. `karolos.report` draws them."""
 
 from .contenders import ComparedRun, Contender, Success, gather
 from .curves import Curve, densities, learning_curve

@@ -1,1 +1,1 @@
-"""Policies judged: test episodes, scores of scripted and random policies, playing, tests under other conditions."""
+"""How good policies are: test episodes, scripted and random policies, playing, tests under other conditions."""

@@ -1,4 +1,4 @@
-"""Policies for use without karolos. `NumpyPolicy` needs numpy only; `export_policy` loads what it needs when called."""
+"""Policies for use without karolos: a file for numpy alone, and ONNX."""
 
 from __future__ import annotations
 

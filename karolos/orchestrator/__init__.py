@@ -1,1 +1,1 @@
-"""Environments over processes and threads: actions in, steps out, in shared memory."""
+"""Environments over processes and threads: actions go out, steps come back through shared memory."""

@@ -1,1 +1,1 @@
-"""Sweeps: searching a spec's settings, trial by trial. `search.Search` is the way in; Optuna's only home is `study`."""
+"""Searches over a spec's settings: trials are ordinary runs. Optuna is used in `study` only."""

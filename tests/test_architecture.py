@@ -1,0 +1,62 @@
+"""What ARCHITECTURE.md says of the code is true."""
+
+from __future__ import annotations
+
+import ast
+import re
+import runpy
+from pathlib import Path
+
+ROOT = Path(__file__).parents[1]
+PAGE = (ROOT / "ARCHITECTURE.md").read_text(encoding="utf-8")
+LAYERS = runpy.run_path(str(ROOT / "docs" / "_scripts" / "layers.py"))
+MOST_ENTRIES = 27
+
+
+def test_the_table_of_layers_is_the_generated_one() -> None:
+    assert LAYERS["replaced"](PAGE) == PAGE, "run: python docs/_scripts/layers.py"
+
+
+def test_every_package_says_in_one_line_what_it_is() -> None:
+    rows = LAYERS["table"]().splitlines()[2:]
+    assert len(rows) > 20
+    assert not [row for row in rows if not re.fullmatch(r"\| `[^`]+` \| \S.*\. \|", row)]
+
+
+def test_the_top_of_the_package_stays_small() -> None:
+    entries = [
+        path.name for path in (ROOT / "karolos").iterdir() if path.suffix == ".py" or (path / "__init__.py").exists()
+    ]
+    assert len([name for name in entries if name != "__init__.py"]) <= MOST_ENTRIES
+
+
+def ways() -> dict[str, list[tuple[str, str]]]:
+    """The ways that the page describes: heading -> (file, name in it) in order."""
+    found = {}
+    for heading, body in re.findall(r"^### (The way of .+?)\n(.*?)(?=^#|\Z)", PAGE, re.M | re.S):
+        found[heading] = re.findall(r"^\d+\. `([\w/]+\.py)` `([\w.]+)`", body, re.M)
+    return found
+
+
+def test_the_described_ways_are_short_and_every_stop_exists() -> None:
+    assert set(ways()) == {"The way of one transition", "The way of one test result"}
+    for heading, stops in ways().items():
+        assert 3 <= len({file for file, _ in stops}) <= 8, heading
+        for file, name in stops:
+            assert name in _definitions(ROOT / file), f"{heading}: {file} has no {name}"
+
+
+def _definitions(path: Path) -> set[str]:
+    """Names of functions, classes and methods (as Class.method) of a module."""
+    names = set()
+    for node in ast.parse(path.read_text(encoding="utf-8")).body:
+        if isinstance(node, ast.FunctionDef | ast.ClassDef):
+            names.add(node.name)
+        if isinstance(node, ast.ClassDef):
+            names |= {f"{node.name}.{item.name}" for item in node.body if isinstance(item, ast.FunctionDef)}
+    return names
+
+
+def test_every_file_that_the_page_names_exists() -> None:
+    for name in re.findall(r"`((?:karolos|cli|docs|specs|tests|examples)/[\w./-]*\w)/?`", PAGE):
+        assert (ROOT / name).exists(), name
