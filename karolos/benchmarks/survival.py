@@ -8,13 +8,11 @@ from __future__ import annotations
 
 import json
 import multiprocessing
-import os
 import random
 import signal
 import subprocess
 import sys
 import tempfile
-import threading
 import time
 from collections.abc import Callable, Iterator, Mapping
 from pathlib import Path
@@ -22,6 +20,7 @@ from typing import Any
 
 from .. import checkpoint
 from ..errors import MachineError, RunError
+from ..experiment.events import Listener, RunEvent
 from ..experiment.experiment import Experiment
 from ..plugins.contracts.case import state_differences
 from ..records import RunFolder
@@ -126,31 +125,23 @@ def _workers_killed(home: Path, seconds: float, say: Callable[[str], object]) ->
     """The success of a run whose workers are killed, beside that of an undisturbed one."""
     spec = reach("orchestrator.processes=2", "orchestrator.failures=1000", "testing.interval=3000")
     undisturbed = _success(spec, home / "undisturbed")
-    over, killed = threading.Event(), [0]
-    draw = random.Random(0)
+    draw, killed, last = random.Random(0), 0, time.monotonic()
 
-    def kill() -> None:
-        while not over.wait(seconds):
-            workers = [child for child in multiprocessing.active_children() if child.name.startswith("worker")]
-            if workers:
-                victim = draw.choice(sorted(workers, key=lambda child: child.pid or 0))
-                os.kill(victim.pid or 0, signal.SIGKILL)
-                killed[0] += 1
+    def kill(_: RunEvent) -> None:  # in the thread that starts workers, because multiprocessing is not thread-safe
+        nonlocal killed, last
+        workers = [child for child in multiprocessing.active_children() if child.name.startswith("worker")]
+        if workers and time.monotonic() - last >= seconds:
+            draw.choice(sorted(workers, key=lambda child: child.pid or 0)).kill()
+            killed, last = killed + 1, time.monotonic()
 
-    thread = threading.Thread(target=kill, daemon=True)
-    thread.start()
-    try:
-        disturbed = _success(spec, home / "killed")
-    finally:
-        over.set()
-        thread.join()
-    say(f"{killed[0]} workers killed")
-    case = f"PandaReach, a worker killed every {seconds:g} s ({killed[0]} of them)"
+    disturbed = _success(spec, home / "killed", kill)
+    say(f"{killed} workers killed")
+    case = f"PandaReach, a worker killed every {seconds:g} s ({killed} of them)"
     return Row("survival", case, disturbed, "success", "undisturbed", undisturbed)
 
 
-def _success(spec: Spec, home: Path) -> float:
-    (run,) = Experiment(spec).run(home).runs
+def _success(spec: Spec, home: Path, listener: Listener | None = None) -> float:
+    (run,) = Experiment(spec).run(home, listener=listener).runs
     if run.state != "finished":
         raise RunError(f"the run is {run.state}: {run.error}", where="survival")
     return RunFolder.open(run.folder).tests()[-1].success_end

@@ -94,7 +94,7 @@ class Local(Orchestrator):
         self._settings = settings
         self._backend: Backend | None
         if settings.processes:
-            self._backend = WorkerPool(build, recipe, self._layout, settings.time_limit)
+            self._backend = WorkerPool(build, recipe, self._layout, settings.time_limit, settings.failures)
         else:
             self._backend = InProcess(build, recipe, self.size)
         # Close when this object is collected, and at exit before the interpreter waits for its child processes.

@@ -30,10 +30,13 @@ class WorkerPool(Backend):
     """Runs environments in worker processes. `layout` holds the ids of each thread's environments, by process.
 
     A worker that ends, or takes longer than `time_limit` seconds for one command, is a failure of all its environments.
-    The next reset of one of them starts another worker.
+    The next reset of one of them starts another worker. A worker that ends while it builds its environments for the
+    first time is replaced at once, up to `failures` times.
     """
 
-    def __init__(self, build: Build, recipe: Any, layout: tuple[tuple[range, ...], ...], time_limit: float) -> None:
+    def __init__(
+        self, build: Build, recipe: Any, layout: tuple[tuple[range, ...], ...], time_limit: float, failures: int
+    ) -> None:
         self._recipe = pack_recipe(build, recipe)
         self._layout = layout
         self._size = sum(len(ids) for channels in layout for ids in channels)
@@ -49,7 +52,7 @@ class WorkerPool(Backend):
         try:
             for number in range(len(layout)):
                 self._workers.append(self._start(number))
-            self._wait_until_ready()
+            self._wait_until_ready(failures)
         except BaseException:  # also an interrupt, so that no worker stays behind
             self.close()
             raise
@@ -70,10 +73,17 @@ class WorkerPool(Backend):
             self._poller.add(channel)
         return worker
 
-    def _wait_until_ready(self) -> None:
+    def _wait_until_ready(self, failures: int) -> None:
+        """Wait until every environment is built. Raises the error of building one, or of a worker that ends again."""
+        losses = [0] * len(self._workers)
         while not all(channel.ready for worker in self._workers for channel in worker.channels):
             for failure in self.collect().failures:
-                raise failure.error
+                number = next((worker.number for worker in self._workers if worker.lost is failure.error), None)
+                if number is None or losses[number] == failures:
+                    raise failure.error
+                losses[number] += 1
+                self._workers[number] = self._start(number)
+        self._any_lost = False
 
     def send(self, command: bytes, environments: Group) -> None:
         if self._any_lost and command == RESET:

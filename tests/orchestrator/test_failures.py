@@ -259,5 +259,5 @@ def test_a_recipe_that_workers_cannot_import_is_refused(monkeypatch):
         Local(Local.Settings(), "", build=lambda recipe: Fake(recipe))  # noqa: PLW0108
     monkeypatch.setattr(fake_environments.Fake, "__module__", "__main__")
     monkeypatch.setattr(start.sys.modules["__main__"], "Fake", Fake, raising=False)
-    with pytest.raises(PluginError, match="defined in the script that runs"):
+    with pytest.raises(PluginError, match="defined in the main script"):
         make(ONE)

@@ -155,6 +155,27 @@ def test_a_replacement_that_does_not_build_is_a_failure_too(tmp_path, monkeypatc
             orchestrator.receive()
 
 
+@pytest.mark.parametrize("kills", [2, 3])
+def test_a_worker_killed_while_it_builds_its_first_environments_is_replaced_within_the_limit(kills, monkeypatch):
+    start, killed = channels.start_worker, []
+
+    def start_and_kill(*arguments):
+        process, connections = start(*arguments)
+        if len(killed) < kills:
+            process.kill()
+            killed.append(process)
+        return process, connections
+
+    monkeypatch.setattr(channels, "start_worker", start_and_kill)
+    if kills == 3:
+        with pytest.raises(WorkerError, match="SIGKILL"):
+            make(ONE, failures=2)
+        return
+    with make(ONE, failures=2) as orchestrator:
+        reset(orchestrator)
+        assert len(killed) == 2
+
+
 def _refuse(*_: object) -> None:
     raise BlockingIOError(11, "Resource temporarily unavailable")
 
