@@ -24,7 +24,7 @@ from ..errors import MachineError
 from ..randomization.distribution import Distribution
 from ..randomization.normal import Normal
 from ..registry import load
-from ..simulation.bullet.body import Body
+from ..simulation.bullet.motors import Motors
 from .side_by_side import Row, beside, take_turns
 
 NAME = "environment"
@@ -104,19 +104,19 @@ class _Case:
         return len(actions) / (thread_time() - start)
 
     def physics(self, seed: int) -> float:
-        """Steps per second of physics alone: the episode's motor targets are recorded, then replayed."""
+        """Steps per second of physics alone: the episode's ramps of the motors are recorded, then replayed."""
         environment, actions = self._plain, self._actions[seed % len(self._actions)]
         environment.reset(seed)
-        with _recorded_targets() as targets:
-            marks = [len(targets)]
+        with _recorded_ramps() as ramps:
+            marks = [len(ramps)]
             for action in actions:
                 environment.step(action)
-                marks.append(len(targets))
+                marks.append(len(ramps))
         environment.reset(seed)
         world, seconds = environment.world, 0.0
         for first, last in pairwise(marks):
-            for body, arguments in targets[first:last]:
-                body.drive(*arguments)
+            for motors, arguments in ramps[first:last]:
+                motors.drive(*arguments)
             start = thread_time()
             world.step()
             seconds += thread_time() - start
@@ -164,20 +164,20 @@ def _joined(robot: str, task: str, control: str, randomization: dict[str, Distri
 
 
 @contextmanager
-def _recorded_targets() -> Iterator[list[tuple[Body, tuple[Any, ...]]]]:
-    """Bodies and the arguments of their `drive`, in the order of the calls."""
-    recorded: list[tuple[Body, tuple[Any, ...]]] = []
-    drive = Body.drive
+def _recorded_ramps() -> Iterator[list[tuple[Motors, tuple[Any, ...]]]]:
+    """Motors and the arguments of their `drive`, in the order of the calls."""
+    recorded: list[tuple[Motors, tuple[Any, ...]]] = []
+    drive = Motors.drive
 
-    def recorder(body: Body, *arguments: Any) -> None:
-        recorded.append((body, arguments))
-        drive(body, *arguments)
+    def recorder(motors: Motors, *arguments: Any) -> None:
+        recorded.append((motors, arguments))
+        drive(motors, *arguments)
 
-    Body.drive = recorder  # type: ignore[assignment]  # restored below
+    Motors.drive = recorder  # type: ignore[assignment]  # restored below
     try:
         yield recorded
     finally:
-        Body.drive = drive  # type: ignore[method-assign]
+        Motors.drive = drive  # type: ignore[method-assign]
 
 
 def measure_panda_gym(*, seconds: float = 10.0) -> list[Row]:

@@ -36,7 +36,7 @@ BETWEEN_KILLS = 2.0
 """Seconds from one killed worker to the next."""
 CASES: dict[str, dict[str, Any]] = {
     "sac, priority, hindsight, PandaPickPlace, 2 processes": {
-        "robot": {"name": "panda", "control": "cartesian", "tool_step": 0.025},
+        "robot": {"name": "panda", "control": "cartesian"},
         "task": {"name": "pick_place", "reward": "sparse"},
         "agent": {"name": "sac", "learning_rate": 1e-3, "discount": 0.95, "layer_norm": True, "policy_delay": 2},
         "buffer": {"name": "priority", "capacity": 1_000_000, "hindsight": {"strategy": "future", "ratio": 0.8}},

@@ -33,17 +33,24 @@ POSTURE_GAIN = 0.1
 PLACE_TOLERANCE = 5e-4
 """Largest error of `place_tool`, in m for the position and in rad for the orientation."""
 PARAMETERS: Mapping[str, RandomizedParameter] = {
-    "joint_damping": RandomizedParameter("N m s/rad", 0.0, 0.0, 20.0, "viscous friction of every joint"),
-    "joint_friction": RandomizedParameter("N m", 0.0, 0.0, 10.0, "dry friction: torque that every motor lacks"),
-    "link_mass": RandomizedParameter("1", 1.0, 0.2, 5.0, "factor on the masses and inertias of all links"),
-    "motor_gain": RandomizedParameter("1", 1.0, 0.1, 4.0, "factor on the stiffness of the position control"),
+    "joint_damping": RandomizedParameter("N m s/rad", 0.0, 0.0, 5.0, "viscous friction that is added to every joint"),
+    "joint_friction": RandomizedParameter(
+        "1", 0.0, 0.0, 0.5, "dry friction: fraction of its largest torque that every motor lacks"
+    ),
+    "link_mass": RandomizedParameter("1", 1.0, 0.5, 2.0, "factor on the masses and inertias of all links"),
+    "motor_gain": RandomizedParameter(
+        "1", 1.0, 0.7, 1.0, "fraction of its speed error that a motor removes per physics step of 1/240 s"
+    ),
     "observation_noise": RandomizedParameter("1", 0.0, 0.0, 0.2, "standard deviation of the noise, in SI units"),
     "action_delay": RandomizedParameter("control steps", 0.0, 0.0, 5.0, "delay of the actions; rounded"),
 }
 
 
 class ArmSettings(Settings):
-    """Settings of every arm. Whatever the steps, motors do not exceed the speeds of the data sheet."""
+    """Settings of every arm. Whatever the steps, motors do not exceed the speeds of the data sheet.
+
+    The default of `tool_step` is a distance that every built-in arm covers in each direction in steady motion.
+    """
 
     control: Literal["joint", "cartesian"] | None = Setting(
         None, description="what the action changes; null: cartesian, or joint where a task turns the gripper (throw)"
@@ -52,7 +59,10 @@ class ArmSettings(Settings):
         0.5, gt=0, le=0.5, description="largest change of a joint per control step in rad; its speed may allow less"
     )
     tool_step: float = Setting(
-        0.05, gt=0, le=0.2, description="largest change of the tool position per control step and axis, m"
+        0.017,
+        gt=0,
+        le=0.2,
+        description="largest change of the tool position per control step and axis, m; joint speeds may allow less",
     )
     yaw: bool = Setting(False, description="whether a cartesian action also turns the gripper about the vertical")
     yaw_step: float = Setting(0.2, gt=0, le=0.5, description="largest turn of the gripper per control step, rad")
@@ -277,7 +287,8 @@ class Arm:
         else:
             changes = [step * value for step, value in zip(self.joint_step, values, strict=False)]
         opening = None if self._fingers is None else 0.5 + 0.5 * values[-1]
-        self._motors.drive(*self._control.targets(self._positions, self._velocities, changes), opening)
+        end = self._control.ramp(self._positions, self._velocities, changes)
+        self._motors.drive(self._velocities, end, opening)
 
     def _yaw(self) -> float:
         """Current yaw of the tool's x axis, in rad."""

@@ -1,4 +1,4 @@
-"""From changes of joint positions to targets of the motors."""
+"""From changes of joint positions to ramps of joint speeds, within the limits of the joints."""
 
 from __future__ import annotations
 
@@ -7,67 +7,71 @@ from collections.abc import Sequence
 from ..simulation.interface import JointLimits
 
 ACCELERATION_TIME = 1 / 24
-"""Seconds in which a motor's speed changes by its largest speed, at least: 52 rad/s2 for a Panda's shoulder (its data
-sheet: 7.5 to 20). Without a bound a cube creeps .9 mm in a 1 s shake instead of .3; at 1/12 experts overshoot."""
+"""Seconds in which a joint changes its speed by its largest speed, unless the robot has an acceleration."""
 BRAKING_TIME = 1 / 12
-"""Seconds before the limit of a joint, at its speed, from which on a motor slows down: a hard stop flings others."""
-TARGET_LAG = 0.01
-"""Largest distance, in rad, between a motor's last target and its joint's position. Without a memory of the last target
-an arm would sink under gravity; without a bound, an arm that is held back would accumulate a distance."""
+"""Time constant, in s, with which a joint approaches the end of its range. A hard stop would push the other joints."""
+REFERENCE_LAG = 0.01
+"""Largest distance, in rad, of the reference from its joint. It bounds what an arm that is held back accumulates."""
+SPEED_SHARE = 0.97
+"""Fraction of a joint's largest speed that is commanded, so that the engine's cap on speeds does not act."""
 
 
 class JointControl:
-    """Position control of an arm's joints within their limits, in rad and rad/s.
+    """Turns changes of joint positions into ramps of joint speeds, one per control step.
+
+    A change d per control step is a speed, d / T, that the joint reaches at the end of the step:
+
+        w = d / T, limited by the largest speed, the acceleration and the range of the joint
+        r = r + (w_before + w) / 2 T, the reference, at most `REFERENCE_LAG` away from the joint before it moves
+        ramp from v to w + c, c = (r - x) / T - (v + w) / 2
+
+    x and v are the joint's position and speed, T is the period. The mean of a ramp times T is the distance that it
+    moves the joint. The correction c removes half of the distance between joint and reference.
+    A joint that follows its ramps moves by exactly d per step in steady motion, without loss at low speeds. A joint with
+    d = 0 stays at its reference under any load that its torque can hold.
 
     Args:
-        period: duration of a control step in s.
+        limits: of the joints.
+        period: duration T of a control step in s.
+        accelerations: largest acceleration of each joint in rad/s2; by default its largest speed in `ACCELERATION_TIME`.
     """
 
-    def __init__(self, limits: JointLimits, period: float) -> None:
+    def __init__(self, limits: JointLimits, period: float, accelerations: Sequence[float] | None = None) -> None:
         self._period = period
-        self._targets: Sequence[float] = ()
-        # lower, upper, largest change of speed per control step, 1 / (largest speed * period^2)
+        self._references: Sequence[float] = ()
+        self._speeds: Sequence[float] = ()
+        accelerations = accelerations or [speed / ACCELERATION_TIME for speed in limits.velocity]
+        # lower, upper, largest speed, largest change of speed per control step, time constant of braking
         self._bounds = tuple(
-            (low, high, speed * period / ACCELERATION_TIME, 1 / (speed * period**2))
-            for low, high, speed in zip(limits.lower, limits.upper, limits.velocity, strict=True)
+            (low, high, SPEED_SHARE * speed, acceleration * period, max(BRAKING_TIME, speed / acceleration))
+            for low, high, speed, acceleration in zip(
+                limits.lower, limits.upper, limits.velocity, accelerations, strict=True
+            )
         )
 
     def reset(self, positions: Sequence[float]) -> None:
-        """Start from these targets."""
-        self._targets = positions
+        """Start from these positions in rad, at rest."""
+        self._references = positions
+        self._speeds = (0.0,) * len(positions)
 
-    def targets(
-        self, positions: Sequence[float], velocities: Sequence[float], changes: Sequence[float]
-    ) -> tuple[list[float], list[float]]:
-        """Target positions and velocities (n,) that change the joints by `changes`.
-
-        Motors pass their targets at speeds that grow with the square of the change: an arm that goes far does not slow
-        down at every control step, one that is nearly there stops. All speeds have the same ratio to their changes, so
-        that the tool keeps its direction; with a ratio for each joint it would leave the line by 2 cm a step. From its
-        current speed a motor accelerates evenly, within `ACCELERATION_TIME`, and it brakes before a joint limit.
-        """
-        targets, speeds = [], []
-        rate = min(
-            1 / self._period,
-            max(abs(change) * bounds[3] for change, bounds in zip(changes, self._bounds, strict=False)),
-        )
-        for position, velocity, change, last, (low, high, acceleration, _) in zip(
-            positions, velocities, changes, self._targets, self._bounds, strict=True
+    def ramp(self, positions: Sequence[float], velocities: Sequence[float], changes: Sequence[float]) -> list[float]:
+        """Speeds (n,) in rad/s at the end of a ramp that starts at `velocities` and changes the joints by `changes`."""
+        period = self._period
+        references, speeds, ends = [], [], []
+        for position, velocity, change, reference, last, (low, high, most, rise, braking) in zip(
+            positions, velocities, changes, self._references, self._speeds, self._bounds, strict=True
         ):
-            low_base, high_base = position - TARGET_LAG, position + TARGET_LAG
-            base = low_base if last < low_base else high_base if last > high_base else last
-            speed = rate * change
-            fastest, slowest = velocity + acceleration, velocity - acceleration
-            if position + BRAKING_TIME * fastest > high:
-                fastest = (high - position) / BRAKING_TIME
-            if position + BRAKING_TIME * slowest < low:
-                slowest = (low - position) / BRAKING_TIME
-            if slowest <= speed <= fastest:
-                target = base + change
-            else:
-                speed = fastest if speed > fastest else slowest
-                target = base + (velocity + speed) / 2 * self._period
-            targets.append(low if target < low else high if target > high else target)
+            speed = change / period
+            fastest, slowest = min(velocity + rise, most), max(velocity - rise, -most)
+            if position + braking * fastest > high:
+                fastest = (high - position) / braking
+            if position + braking * slowest < low:
+                slowest = (low - position) / braking
+            speed = fastest if speed > fastest else slowest if speed < slowest else speed
+            reference = min(max(reference, position - REFERENCE_LAG), position + REFERENCE_LAG)
+            reference += (last + speed) / 2 * period
+            references.append(reference)
             speeds.append(speed)
-        self._targets = targets
-        return targets, speeds
+            ends.append(speed + (reference - position) / period - (velocity + speed) / 2)
+        self._references, self._speeds = references, speeds
+        return ends

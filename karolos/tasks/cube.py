@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 from collections.abc import Mapping, Sequence
-from math import cos, dist, hypot, pi, sin
+from math import cos, hypot, pi, sin
 
 from pydantic import Field as Setting
 
@@ -19,9 +19,6 @@ LOST_DISTANCE = 10.0
 """m from the origin; the physics has diverged when an object is further away or below the floor."""
 GROUND_EDGE = 0.3
 """Edge in m of the square in the middle of the workspace in which cube and goal lie, as in panda-gym."""
-SLOW = 0.4
-"""Fraction of the largest tool step for slow motions. Faster, some joints reach their limits before others, and the
-tool leaves the straight line by centimetres."""
 BRAKING = 0.5
 """Fraction of the remaining distance covered in one control step: an arm at full speed needs two steps to brake."""
 FIELDS = (
@@ -212,18 +209,7 @@ def drift(robot: RobotView) -> float:
     return hypot(robot.tool_velocity[0], robot.tool_velocity[1]) * robot.period
 
 
-def braking(robot: RobotView, target: Vector, *, fastest: float = 1.0) -> Vector:
-    """A point in m on the way to `target`, near enough that the tool slows down before it arrives.
-
-    Args:
-        fastest: largest distance to that point, as a multiple of the largest tool step.
-    """
-    distance = dist(robot.tool_position, target)
-    fraction = min(BRAKING, fastest * robot.tool_step / max(distance, 1e-9))
-    x, y, z = (now + fraction * (goal - now) for now, goal in zip(robot.tool_position, target, strict=True))
+def braking(robot: RobotView, target: Vector) -> Vector:
+    """A point in m on the way to `target`, near enough that the tool slows down before it arrives."""
+    x, y, z = (now + BRAKING * (goal - now) for now, goal in zip(robot.tool_position, target, strict=True))
     return x, y, z
-
-
-def slowly(robot: RobotView, target: Vector) -> Vector:
-    """As `braking`, slowly enough that the tool moves straight: for motions near the cube."""
-    return braking(robot, target, fastest=SLOW)

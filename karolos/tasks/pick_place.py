@@ -14,7 +14,7 @@ from ..core.seeding import Generator
 from ..randomization.randomization import RandomizedParameter
 from ..simulation.geometry import Vector
 from ..simulation.interface import Box, Expert, RobotView, World
-from .cube import CubeSettings, CubeTask, aligned, braking, check_gripper, drift, ground, slowly
+from .cube import CubeSettings, CubeTask, aligned, braking, check_gripper, drift, ground
 from .point_goal import PointGoal, PointGoalSettings, PointGoalTask, sample_position
 
 HEIGHT = 0.2
@@ -198,10 +198,10 @@ class PickExpert(Expert):
         error, above = hypot(tx - x, ty - y), z + ABOVE
         high = tz > z + ABOVE / 2
         if error > ALIGNED or (high and drift(robot) > STILL):
-            target = braking(robot, (x, y, above), fastest=2.0) if high else slowly(robot, (tx, ty, above))
-            return robot.towards(target, self._open)
+            target: Vector = (x, y, above) if high else (tx, ty, above)
+            return robot.towards(braking(robot, target), self._open)
         if tz > grip[2] + 0.006 or drift(robot) > STILL:
-            return robot.towards(slowly(robot, grip), self._open)
+            return robot.towards(braking(robot, grip), self._open)
         self._closing = 1
         return robot.towards(grip, 0.0)
 

@@ -10,7 +10,7 @@ from ..core import Field, FloatArray, Layout
 from ..core.seeding import Generator
 from ..simulation.geometry import Vector
 from ..simulation.interface import Expert, RobotView
-from .cube import LOST_DISTANCE, CubeSettings, CubeTask, aligned, braking, drift, ground, slowly
+from .cube import LOST_DISTANCE, CubeSettings, CubeTask, aligned, braking, drift, ground
 from .point_goal import PointGoalSettings, PointGoalTask, sample_position
 
 ROOM = 0.03
@@ -97,12 +97,12 @@ class PushExpert(Expert):
             if error > ALIGNED or (high and drift(robot) > ALIGNED / 2):
                 above: Vector = (start[0], start[1], HIGH)
                 if high:
-                    return robot.towards(braking(robot, above, fastest=2.0), 0.0)
-                return robot.towards(slowly(robot, above if error < 0.04 else (tx, ty, HIGH)), 0.0)
+                    return robot.towards(braking(robot, above), 0.0)
+                return robot.towards(braking(robot, above if error < 0.04 else (tx, ty, HIGH)), 0.0)
             if tz - low > 0.012:
-                return robot.towards(slowly(robot, start), 0.0)
+                return robot.towards(braking(robot, start), 0.0)
             self._pushing = True
-        ahead = along + min(0.5 * distance, 0.3 * robot.tool_step)  # slowly: a cube that is hit slides on
+        ahead = along + min(0.5 * distance, robot.tool_step)  # slowly: a cube that is hit slides on
         # back onto the line through cube and goal
         return robot.towards((x + ux * ahead, y + uy * ahead, low), 0.0)
 

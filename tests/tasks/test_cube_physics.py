@@ -56,7 +56,7 @@ def shoulder_torque(mass: float) -> tuple[float, float]:
     cube, robot = environment.task.cube, environment.robot
     assert robot.pads_touching(cube.body) == 2
     assert cube.lowest > 0.05, "it is held in the air"
-    torque = robot.body.joints([1])[0][3] * environment.world.substeps  # see Body.drive
+    torque = robot.body.joints([1])[0][3]
     environment.close()
     x, y, _ = cube.position
     return torque, float(np.hypot(x, y))

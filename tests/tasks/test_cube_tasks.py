@@ -68,7 +68,7 @@ def test_a_cube_that_starts_grasped_is_in_the_hand_and_is_lifted_with_it():
     start = environment.reset(0)
     tool = environment.signature.observation.slice("tool_position")
     assert np.linalg.norm(start.achieved_goal[:3] - start.observation[tool]) < 0.01
-    lift = np.array([0, 0, 0.5, -1], np.float32)  # up, gripper closed
+    lift = np.array([0, 0, 1, -1], np.float32)  # up, gripper closed
     for _ in range(12):
         step = environment.step(lift)
     apart = np.linalg.norm(step.achieved_goal[:3] - step.observation[tool])

@@ -131,7 +131,7 @@ def test_the_landing_is_where_free_fall_from_the_release_comes_down_not_where_th
     for _ in range(48):  # what the cube does afterwards moves no landing
         world.step()
         task.read()
-    assert np.linalg.norm(np.array(task.cube.position[:2]) - landing[:2]) > 0.03
+    assert np.linalg.norm(np.array(task.cube.position[:2]) - landing[:2]) > 0.01
     np.testing.assert_array_equal(task.achieved(), landing)
     environment.close()
 

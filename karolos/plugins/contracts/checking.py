@@ -97,6 +97,7 @@ check_distribution = partial(check, "distributions")
 def _of_robot(one: Candidate) -> list[Case]:
     found = [case for control in CONTROLS for case in cases_of(robots.ANY_CONTROL, _under(one, control))]
     found += cases_of(robots.JOINT_CONTROL, _under(one, "joint"))
+    found += cases_of(robots.CARTESIAN_CONTROL, _under(one, "cartesian"))
     return found + (cases_of(robots.GRIPPER, _under(one, "cartesian")) if _has_gripper(one) else [])
 
 

@@ -2,7 +2,8 @@
 
 from __future__ import annotations
 
-from collections.abc import Callable
+from collections.abc import Callable, Iterator
+from dataclasses import replace
 from itertools import product
 from typing import Any
 
@@ -10,6 +11,7 @@ import numpy as np
 
 from ...core import Array, FloatArray
 from ...environments.robot_task import RobotTask
+from ...randomization.randomization import RandomizedParameter
 from ...tasks.reach import Reach
 from .case import Candidate, demand, demand_same
 from .joined import joined, reaching
@@ -112,27 +114,72 @@ def the_tool_can_be_placed_at_a_reset(one: Candidate) -> None:
         demand(distance < 0.001, f"the tool is {1000 * distance:.1f} mm away from the position of place_tool")
 
 
-def each_parameter_changes_the_motion_and_can_be_reset(one: Candidate) -> None:
-    """Each parameter of the arm changes the motion, and its nominal value restores the motion."""
+def the_arm_is_still_at_both_ends_of_each_parameter(one: Candidate) -> None:
+    """At both ends of each parameter of the arm zero actions for 2 s move the tool by less than 2 mm."""
+    with reaching(one) as environment:
+        robot = environment.robot
+        still = np.zeros(environment.signature.action.size)
+        environment.reset(0)  # builds the world, without which no parameter can be set
+        for name, declared, value in _ends_of_the_arm(environment):
+            robot.apply(name, value)
+            start = environment.reset(1).achieved_goal
+            for _ in range(48):
+                step = environment.step(still)
+            robot.apply(name, declared.nominal)
+            moved = float(np.linalg.norm(step.achieved_goal - start))
+            demand(moved < 0.002, f"with {name} = {value:g} zero actions move the tool by {1000 * moved:.1f} mm")
+            fastest = max(map(abs, robot.joint_velocities))
+            demand(fastest < 0.05, f"with {name} = {value:g} a joint moves at {fastest:.2f} rad/s at zero actions")
+
+
+def each_parameter_acts_and_can_be_reset(one: Candidate) -> None:
+    """Each parameter of the arm changes the motion or the torques, and its nominal value restores both."""
     with reaching(one) as environment:
         robot = environment.robot
 
-        def end() -> FloatArray:
+        def end() -> tuple[FloatArray, Array]:
             draws = _generator()
             environment.reset(0)
             for _ in range(10):
                 step = environment.step(draws.uniform(-1, 1, environment.signature.action.size))
-            return step.observation
+            return step.observation, _torques(environment)
 
-        nominal = end()
-        for name, declared in robot.parameters.items():
-            if not name.startswith(("joint_", "link_", "motor_")):
-                continue  # parameters of grip and observation are checked in `pairs`
-            robot.apply(name, declared.high)
-            changed = float(np.abs(end() - nominal).max())
+        observation, torques = end()
+        for name, declared, value in _ends_of_the_arm(environment):
+            if value == declared.nominal or name == "joint_friction":
+                continue
+            robot.apply(name, value)
+            changed, other = end()
             robot.apply(name, declared.nominal)
-            demand(changed > 1e-5, f"{name} changes nothing")
-            demand_same(end(), nominal, f"observations before and after a change of {name}")
+            # motors compensate masses: they change the motion where a motor is short of torque
+            acts = np.abs(changed - observation).max() > 1e-5 or np.abs(other - torques).max() > 1e-2
+            demand(acts, f"{name} = {value:g} changes neither motion nor torques")
+            demand_same(end()[0], observation, f"observations before and after a change of {name}")
+
+
+def dry_friction_takes_its_fraction_of_the_largest_torques(one: Candidate) -> None:
+    """Full actions never take more torque than `joint_friction` leaves to a motor, and take all of it without it."""
+    with reaching(one) as environment:
+        robot = environment.robot
+        most = np.array(robot.limits.effort)
+        shares = []
+        environment.reset(0)  # builds the world
+        for fraction in (0.0, robot.parameters["joint_friction"].high):
+            robot.apply("joint_friction", fraction)
+            draws = _generator()
+            environment.reset(0)
+            taken = np.zeros(len(most))
+            for step in range(150):
+                if step % 15 == 0:  # long enough to be stopped by the floor or the end of a joint
+                    action = np.sign(draws.uniform(-1, 1, environment.signature.action.size))
+                environment.step(action)
+                taken = np.maximum(taken, np.abs(_torques(environment)))
+            demand(
+                (taken <= 1.01 * (1 - fraction) * most).all(),
+                f"with joint_friction = {fraction:g} motors take {taken.round(1)} N m",
+            )
+            shares.append(float((taken / most).max()))
+        demand(shares[0] > 1.02 * shares[1], "joint_friction changes no torque")
 
 
 def every_joint_reaches_its_speed(one: Candidate) -> None:
@@ -151,6 +198,28 @@ def every_joint_reaches_its_speed(one: Candidate) -> None:
             demand(
                 0.9 * speed < fastest < SPEED_TOLERANCE * speed,
                 f"joint {joint} reaches {fastest:.3g} rad/s, its limit is {speed:.3g}",
+            )
+
+
+def a_full_action_moves_the_tool_by_one_tool_step(one: Candidate) -> None:
+    """In steady motion from home a full action moves the tool by `tool_step` within 10 %, and it keeps pointing down."""
+    with reaching(replace(one, settings={**one.settings, "reset_noise": 0.0})) as environment:
+        robot: Any = environment.robot
+        for axis, direction in product(range(3), (-1.0, 1.0)):
+            environment.reset(0)
+            action = np.zeros(environment.signature.action.size)
+            action[axis] = direction
+            places = [robot.tool_position]
+            for _ in range(3):
+                environment.step(action)
+                places.append(robot.tool_position)
+                tilt = np.degrees(np.arccos(min(1.0, -robot.forward(robot.joint_positions).tool.z[2])))
+                demand(tilt < 5, f"the tool tilts by {tilt:.1f} degrees")
+            step = direction * (places[3][axis] - places[1][axis]) / 2  # the arm accelerates in the first step
+            demand(
+                abs(step / robot.tool_step - 1) < 0.1,
+                f"a full action along {'-+'[direction > 0]}{'xyz'[axis]} moves the tool by {1000 * step:.1f} mm, "
+                f"tool_step is {1000 * robot.tool_step:.1f} mm",
             )
 
 
@@ -178,9 +247,14 @@ ANY_CONTROL: tuple[Callable[[Candidate], None], ...] = (
     the_state_of_the_tool_is_that_of_the_physics,
     home_is_in_the_workspace_and_the_tool_points_down,
     the_tool_can_be_placed_at_a_reset,
-    each_parameter_changes_the_motion_and_can_be_reset,
+    the_arm_is_still_at_both_ends_of_each_parameter,
+    each_parameter_acts_and_can_be_reset,
 )
-JOINT_CONTROL: tuple[Callable[[Candidate], None], ...] = (every_joint_reaches_its_speed,)
+JOINT_CONTROL: tuple[Callable[[Candidate], None], ...] = (
+    every_joint_reaches_its_speed,
+    dry_friction_takes_its_fraction_of_the_largest_torques,
+)
+CARTESIAN_CONTROL: tuple[Callable[[Candidate], None], ...] = (a_full_action_moves_the_tool_by_one_tool_step,)
 GRIPPER = (a_gripped_cube_is_held_through_a_shake_alike_in_a_fresh_and_a_used_world,)
 
 
@@ -191,6 +265,20 @@ def _generator() -> np.random.Generator:
 def _body(environment: RobotTask) -> Any:
     """The arm's simulated body, which tasks do not see."""
     return environment.robot.body  # type: ignore[attr-defined]
+
+
+def _torques(environment: RobotTask) -> Array:
+    """Of the arm's motors in N m: (n,)."""
+    states = _body(environment).joints(range(len(environment.robot.limits.effort)))
+    return np.array([state[3] for state in states])
+
+
+def _ends_of_the_arm(environment: RobotTask) -> Iterator[tuple[str, RandomizedParameter, float]]:
+    """Name, declaration and value of the lower and of the upper end of each parameter of the arm's dynamics."""
+    for name, declared in environment.robot.parameters.items():
+        if name.startswith(("joint_", "link_", "motor_")):  # those of grip and observation are checked in `pairs`
+            for value in (declared.low, declared.high):
+                yield name, declared, value
 
 
 def _shaken_cube(environment: Any) -> tuple[Array, float, float]:

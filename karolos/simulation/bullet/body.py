@@ -66,7 +66,7 @@ class Body:
         )
 
     def limit_motor_speed(self, joint: int, velocity: float) -> None:
-        """Limit the speed that the joint's motor asks for (rad/s or m/s). Later `drive` calls keep the limit."""
+        """Limit the speed that the joint's motor asks for (rad/s or m/s). Later calls of `drive_...` keep the limit."""
         self.api.setJointMotorControl2(
             self.index,
             joint,
@@ -77,34 +77,40 @@ class Body:
             physicsClientId=self.client,
         )
 
-    def drive(
-        self,
-        joints: Sequence[int],
-        positions: Sequence[float],
-        forces: Sequence[float],
-        gains: Sequence[float],
-        dampings: Sequence[float] | None = None,
-        velocities: Sequence[float] | None = None,
-    ) -> None:
-        """Aim the motors at positions until the next call.
+    def drive_position(self, joint: int, position: float, force: float, gain: float) -> None:
+        """Aim one motor at a position (rad or m) until the next call.
 
         Args:
-            forces: largest torque or force of each motor in N m or N, divided by the substeps of the world: pybullet
-                turns it into an impulse with the time of the whole control step, not of a substep.
-            gains: fraction of the distance to the target that a motor asks for per substep.
-            dampings: fraction of its speed that a motor gives up per substep, in (0, 1]. The default of 1 is a motor
-                without inertia. A gain of damping**2 / 4 is critically damped.
-            velocities: speed at each target, rad/s or m/s; 0 by default.
+            force: largest torque or force of the motor in N m or N.
+            gain: fraction of the distance to the position that the motor asks for per physics step.
+        """
+        self.api.setJointMotorControl2(
+            self.index,
+            joint,
+            self.api.POSITION_CONTROL,
+            targetPosition=position,
+            force=force,
+            positionGain=gain,
+            velocityGain=1.0,
+            physicsClientId=self.client,
+        )
+
+    def drive_speeds(
+        self, joints: Sequence[int], velocities: Sequence[float], forces: Sequence[float], gains: Sequence[float]
+    ) -> None:
+        """Aim the motors at velocities (rad/s or m/s) until the next call.
+
+        Args:
+            forces: largest torque or force of each motor in N m or N.
+            gains: fraction of the difference from its velocity that a motor removes per physics step, in (0, 1].
         """
         self.api.setJointMotorControlArray(
             self.index,
             joints,
-            self.api.POSITION_CONTROL,
-            targetPositions=positions,
+            self.api.VELOCITY_CONTROL,
+            targetVelocities=velocities,
             forces=forces,
-            positionGains=gains,
-            velocityGains=dampings or [1.0] * len(joints),
-            targetVelocities=velocities or [0.0] * len(joints),
+            velocityGains=gains,
             physicsClientId=self.client,
         )
 
@@ -150,6 +156,11 @@ class Body:
     def set_air_drag(self, drag: float, link: int = -1) -> None:
         """Set PyBullet's damping of a link's velocity, per s. PyBullet's own default is .04."""
         self.api.changeDynamics(self.index, link, linearDamping=drag, angularDamping=drag, physicsClientId=self.client)
+
+    def joint_damping(self, link: int) -> float:
+        """Viscous friction of the joint above the link, in N m s/rad."""
+        damping: float = self.api.getJointInfo(self.index, link, physicsClientId=self.client)[6]
+        return damping
 
     def set_joint_damping(self, damping: float, link: int) -> None:
         """Set the viscous friction of the joint above the link, in N m s/rad."""

@@ -8,20 +8,12 @@ from operator import gt
 from ..interface.engine import Fingers, JointLimits
 from .body import Body
 
-DAMPING = 0.5
-"""Fraction of its speed that a motor gives up per substep. At 1 a motor has no inertia: an arm would change its speed
-at 500 rad/s2, which no arm does, which overruns joints and shakes a cube out of any friction grip."""
-GAIN = DAMPING**2 / 4
-"""Fraction of the distance to its target that a motor asks for per substep; critically damped: 71 % of a small step is
-done in ten substeps."""
 FINGER_GAIN = 0.1
-BELOW_CAP = 0.97
-"""Fraction of a joint's largest speed that its motor asks for. Speeds are capped after contacts are solved, and where a
-cap binds a gripped object slips: creep of a cube in a 1 s shake 8 mm at 1, .4 mm at .97 (Panda)."""
+"""Fraction of the distance to its target that a finger asks for per physics step."""
 
 
 class Motors:
-    """Implements `interface.Motors`.
+    """Implements `interface.Motors`. A motor is a constraint on the speed of its joint, limited in torque.
 
     Args:
         joints: of the arm, from base to wrist, as the body counts them.
@@ -39,20 +31,18 @@ class Motors:
     ) -> None:
         self.pads = pads
         self._body = body
-        self._substeps = substeps
+        self._fractions = [(step + 1) / substeps for step in range(substeps)]
         self._limits = limits
         self._size = len(joints)
-        self._joints = list(joints)
+        self._arm = list(joints)
+        self._joints = [*joints, *pads[:1]]
         self._fingers = fingers
         # A motor that is short of torque can be overrun, when the arm hits the floor, itself or the end of a joint.
         # PyBullet caps all joints of a body at one speed, the fastest one's; `read` brakes the others.
         body.limit_joint_speed(max(limits.velocity))
-        for link, speed in zip(joints, limits.velocity, strict=True):
-            body.limit_motor_speed(link, BELOW_CAP * speed)
         for link in (-1, *joints):
             body.set_air_drag(0.0, link)
         if fingers is not None:
-            self._joints.append(pads[0])  # one motor with the force of both: the gear moves the other finger
             for link in pads:
                 body.limit_motor_speed(link, fingers.gripper.speed)
                 body.set_air_drag(0.0, link)
@@ -60,23 +50,21 @@ class Motors:
             body.couple(*pads)
             self.set_pad_friction(fingers.gripper.pad_friction)
         self._masses = [(link, *body.inertia(link)) for link in (*joints, *pads)]
+        self._dampings = [body.joint_damping(link) for link in joints]
+        self._begin: Sequence[float] = (0.0,) * len(joints)
+        self._end: Sequence[float] = self._begin
         self.set_joint_friction(0.0)
         self.set_gain(1.0)
 
-    def set_joint_friction(self, torque: float) -> None:
-        forces = [effort - min(torque, effort / 2) for effort in self._limits.effort]
-        if self._fingers is not None:
-            forces.append(2 * self._fingers.gripper.force)
-        self._forces = [force / self._substeps for force in forces]  # see Body.drive
+    def set_joint_friction(self, fraction: float) -> None:
+        self._torques = [(1 - fraction) * effort for effort in self._limits.effort]
 
     def set_joint_damping(self, damping: float) -> None:
-        for link in self._joints[: self._size]:
-            self._body.set_joint_damping(damping, link)
+        for link, own in zip(self._arm, self._dampings, strict=True):
+            self._body.set_joint_damping(own + damping, link)
 
     def set_gain(self, factor: float) -> None:
-        grippers = len(self._joints) - self._size
-        self._gains = [GAIN * factor] * self._size + [FINGER_GAIN] * grippers
-        self._dampings = [DAMPING * factor**0.5] * self._size + [1.0] * grippers  # critical for every factor
+        self._gains = [factor] * self._size
 
     def set_mass(self, factor: float) -> None:
         for link, mass, (x, y, z) in self._masses:
@@ -87,17 +75,28 @@ class Motors:
             self._body.set_friction(friction, link)
 
     def write(self, positions: Sequence[float], opening: float) -> None:
+        self._begin = self._end = (0.0,) * self._size
+        self._body.write_joints(self._arm, positions)
         if self._fingers is not None:
             finger = self._fingers.position(opening)
-            positions = [*positions, finger]
-            self._body.write_joints(self.pads[1:], [finger])
-        self._body.write_joints(self._joints, positions)
-        self._body.drive(self._joints, positions, self._forces, self._gains, self._dampings)
+            self._body.write_joints(self.pads, [finger, finger])
+            self._drive_fingers(finger)
 
-    def drive(self, positions: Sequence[float], velocities: Sequence[float], opening: float | None) -> None:
+    def _drive_fingers(self, position: float) -> None:
+        """One motor with the force of both fingers; the gear moves the other finger."""
+        if self._fingers is not None:
+            self._body.drive_position(self.pads[0], position, 2 * self._fingers.gripper.force, FINGER_GAIN)
+
+    def drive(self, begin: Sequence[float], end: Sequence[float], opening: float | None) -> None:
+        self._begin, self._end = begin, end
         if self._fingers is not None and opening is not None:
-            positions, velocities = [*positions, self._fingers.position(opening)], [*velocities, 0.0]
-        self._body.drive(self._joints, positions, self._forces, self._gains, self._dampings, velocities)
+            self._drive_fingers(self._fingers.position(opening))
+
+    def substep(self, step: int) -> None:
+        """Set the target speeds of physics step number `step` of the control step: those at its end."""
+        fraction = self._fractions[step]
+        speeds = [first + fraction * (last - first) for first, last in zip(self._begin, self._end, strict=True)]
+        self._body.drive_speeds(self._arm, speeds, self._torques, self._gains)
 
     def read(self) -> tuple[Sequence[float], Sequence[float], float]:
         positions, velocities, _, _ = zip(*self._body.joints(self._joints), strict=True)
@@ -109,5 +108,5 @@ class Motors:
             velocities = tuple(
                 min(max(speed, -most), most) for speed, most in zip(velocities, self._limits.velocity, strict=True)
             )
-            self._body.write_joints(self._joints[: self._size], positions, velocities)
+            self._body.write_joints(self._arm, positions, velocities)
         return positions, velocities, opening

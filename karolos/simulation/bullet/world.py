@@ -26,6 +26,13 @@ FLOOR_HALF = (5.0, 5.0, 0.5)
 substep, wherever they are: 8 % of an arm's step."""
 FLOOR_COLOUR = (0.62, 0.68, 0.74, 1.0)
 SKY_TOP, SKY_BOTTOM = (168.0, 186.0, 206.0), (232.0, 236.0, 240.0)
+ROUNDS = 201
+"""Largest number of the solver's iterations per physics step."""
+RESIDUAL = 1e-4
+"""Residual at which the solver stops earlier."""
+CONTACT_ERP = 0.5
+"""Fraction of a contact's depth that is corrected per physics step. At PyBullet's .2 an arm presses a cube 8 mm deep
+into the floor."""
 _IMPORTING = Lock()
 
 
@@ -49,13 +56,15 @@ def _pybullet() -> Any:
 
 
 class World:
-    """Implements `interface.World`; a control step is `substeps` physics steps of `timestep` seconds in one call.
+    """Implements `interface.World`; a control step is `substeps` physics steps of `timestep` seconds.
 
-    Measured (PyBullet 3.2.7): ten substeps in one call cost 5 % less than ten calls. The solver stops iterating at a
-    residual of 1e-4 or after 17 iterations. The number is odd because the order of the constraints alternates, and the
-    gear of the fingers has to be solved last. Creep of a gripped cube in a 1 s shake and largest difference of the
-    fingers, worst of three robots: 13 iterations .8 and .5 mm, 16: .4 and 3.4 mm, 17: .6 and .4 mm, 50: .3 and .4 mm
-    for twice the time.
+    Each physics step is a call of its own: with PyBullet's `numSubSteps` torques, contact forces and joint damping are
+    those of the whole control step, and motors keep one target speed through it. Forces here are in N.
+
+    The solver iterates until the residual is small, up to `ROUNDS` times. A free arm needs a few rounds, a grip needs
+    all of them: rounds follow from the state alone, so that an episode repeats bit for bit. With 17 rounds a gripper of
+    20 N closes with 13 N. The number is odd because the order of the constraints alternates, and the gear of the fingers
+    has to be solved last.
 
     The floor is a rigid body: as an articulated one without joints it would cost 5 % more. A rigid cube would save as
     much again, but keeps state from before it was placed, so that episodes would not repeat bit for bit.
@@ -75,10 +84,11 @@ class World:
         if self.client < 0:
             raise MachineError("the physics engine does not start", hint="too many worlds, or no display for a window")
         pybullet.setPhysicsEngineParameter(
-            fixedTimeStep=self.period,
-            numSubSteps=substeps if substeps > 1 else 0,
-            numSolverIterations=17,
-            solverResidualThreshold=1e-4,
+            fixedTimeStep=timestep,
+            numSubSteps=0,
+            numSolverIterations=ROUNDS,
+            solverResidualThreshold=RESIDUAL,
+            contactERP=CONTACT_ERP,
             deterministicOverlappingPairs=1,  # contacts in the same order, fresh or reused: resume depends on it
             physicsClientId=self.client,
         )
@@ -90,6 +100,7 @@ class World:
             )
         self.set_gravity(GRAVITY)
         self._markers: list[Body] = []
+        self._motors: list[Motors] = []
         half, place = (0.9, 0.9, 0.01), (0.3, 0.0, -0.01)
         slab = self._look(pybullet.GEOM_BOX, FLOOR_COLOUR, halfExtents=half, visualFramePosition=place)
         self.floor = self._create(
@@ -100,7 +111,10 @@ class World:
         self.set_floor_friction(FLOOR_FRICTION)
 
     def step(self) -> None:
-        self.api.stepSimulation(physicsClientId=self.client)
+        for substep in range(self.substeps):
+            for motors in self._motors:
+                motors.substep(substep)
+            self.api.stepSimulation(self.client)
 
     def set_gravity(self, gravity: float) -> None:
         self.api.setGravity(0, 0, gravity, physicsClientId=self.client)
@@ -133,7 +147,9 @@ class World:
         links = body.links()
         pads = [links[name] for name in fingers.links] if fingers else []
         own = Body(self.api, self.client, body.index)
-        return Motors(own, self.substeps, limits, [links[name] for name in joints], fingers, pads)
+        motors = Motors(own, self.substeps, limits, [links[name] for name in joints], fingers, pads)
+        self._motors.append(motors)
+        return motors
 
     def box(self, size: Vector, mass: float, colour: Colour) -> Body:
         half = tuple(edge / 2 for edge in size)

@@ -123,19 +123,23 @@ class Body(Protocol):
 
 
 class Motors(Protocol):
-    """The motors of an arm and its gripper, limited in torque and speed, under position control."""
+    """The motors of an arm and its gripper.
+
+    Each motor of the arm follows a target speed with the torque that this takes, up to its largest torque. The gripper
+    closes or opens at its speed, each finger with at most its force.
+    """
 
     pads: Sequence[int]
     """Links of the gripper's pads; empty without a gripper."""
 
-    def set_joint_friction(self, torque: float) -> None:
-        """Set the dry friction of the arm's joints in N m: torque that the motors lack, at most half of theirs."""
+    def set_joint_friction(self, fraction: float) -> None:
+        """Set the dry friction of the arm's joints: the fraction of its largest torque that each motor loses to it."""
 
     def set_joint_damping(self, damping: float) -> None:
-        """Set the viscous friction of the arm's joints in N m s/rad."""
+        """Set the viscous friction of the arm's joints in N m s/rad, in addition to that of the URDF."""
 
     def set_gain(self, factor: float) -> None:
-        """Scale the stiffness of the arm's position control; it stays critically damped."""
+        """Set the fraction of a difference from the target speed that a motor removes per physics step, in (0, 1]."""
 
     def set_mass(self, factor: float) -> None:
         """Scale the masses and inertias of all moving links."""
@@ -144,11 +148,12 @@ class Motors(Protocol):
         """Set the lateral friction coefficient of the pads."""
 
     def write(self, positions: Sequence[float], opening: float) -> None:
-        """Put the joints (n,) in rad and the gripper there at rest, and aim the motors at the same positions."""
+        """Put the joints (n,) in rad and the gripper there at rest; the motors hold the arm still."""
 
-    def drive(self, positions: Sequence[float], velocities: Sequence[float], opening: float | None) -> None:
-        """Aim the arm's motors at positions (n,) in rad, passed at velocities (n,) in rad/s, until the next call.
+    def drive(self, begin: Sequence[float], end: Sequence[float], opening: float | None) -> None:
+        """Set the target speeds of the next control step: from `begin` to `end` (n,) in rad/s, linear in time.
 
+        After k of n physics steps a joint's target speed is begin + k / n (end - begin).
         `opening` of the gripper is in [0, 1]; None leaves the gripper out.
         """
 

@@ -8,8 +8,10 @@ import pytest
 
 from karolos.errors import MachineError
 from karolos.simulation import urdf
+from karolos.simulation.bullet.body import Body
+from karolos.simulation.bullet.motors import Motors
 from karolos.simulation.bullet.world import World
-from karolos.simulation.interface import Camera
+from karolos.simulation.interface import Camera, JointLimits
 
 PENDULUM = """
 <robot name="pendulum"><link name="base"/>
@@ -34,33 +36,68 @@ def test_falling_body_falls_as_it_must(substeps: int) -> None:
     world.close()
 
 
-@pytest.mark.parametrize("substeps", [1, 10])
-@pytest.mark.parametrize(("share", "holds"), [(1.1, True), (0.9, False)])
-def test_motor_holds_what_its_torque_allows_whatever_the_substeps(substeps: int, share: float, holds: bool) -> None:
-    world = World(substeps=substeps)
+def pendulum(world: World, effort: float, speed: float = 2.0) -> tuple[Body, Motors]:
+    """A pendulum held horizontally, far above the floor."""
     body = world.load(urdf.ElementTree.fromstring(PENDULUM), position=(0.0, 0.0, 3.0))
-    body.set_air_drag(0.0, 0)
-    body.limit_motor_speed(0, 2.0)
-    body.write_joints([0], [0.0])
-    body.drive([0], [0.0], [share * WEIGHT / substeps], [0.2])
+    motors = world.motors(body, ["arm"], JointLimits((-3.0,), (3.0,), (speed,), (effort,)), None)
+    motors.write([0.0], 0.0)
+    return body, motors
+
+
+@pytest.mark.parametrize("substeps", [1, 10])
+@pytest.mark.parametrize(("share", "friction", "holds"), [(1.1, 0.0, True), (0.9, 0.0, False), (1.1, 0.2, False)])
+def test_motor_holds_what_its_torque_allows_whatever_the_substeps(
+    substeps: int, share: float, friction: float, holds: bool
+) -> None:
+    world = World(substeps=substeps)
+    body, motors = pendulum(world, share * WEIGHT)
+    motors.set_joint_friction(friction)
     for _ in range(48 * 10 // substeps):
         world.step()
     assert (abs(body.joints([0])[0][0]) < 0.01) is holds
     world.close()
 
 
+@pytest.mark.parametrize("substeps", [1, 10])
+def test_motor_follows_a_ramp_of_speeds(substeps: int) -> None:
+    world = World(substeps=substeps)
+    body, motors = pendulum(world, 50 * WEIGHT)
+    begin, end = 0.0, 1.5
+    motors.drive([begin], [end], None)
+    world.step()
+    position, speed, *_ = body.joints([0])[0]
+    # the speed of a physics step is that at its end, which adds half a physics step's gain
+    assert position == pytest.approx((begin + end) / 2 * world.period + (end - begin) / 2 / 240, rel=1e-3)
+    assert speed == pytest.approx(end, rel=1e-3)
+    world.close()
+
+
 def test_motor_keeps_its_speed_limit() -> None:
     world = World()
     world.set_gravity(0.0)
-    body = world.load(urdf.ElementTree.fromstring(PENDULUM), position=(0.0, 0.0, 3.0))
-    body.limit_motor_speed(0, 2.0)
-    body.drive([0], [3.0], [20.0], [0.5])
-    speeds = []
+    body, motors = pendulum(world, 20.0)
     for _ in range(12):
+        motors.drive([3.0], [3.0], None)
         world.step()
-        speeds.append(body.joints([0])[0][1])
-    assert max(speeds) == pytest.approx(2.0, rel=0.01)
+        assert body.joints([0])[0][1] <= 2.0 * 1.01
     world.close()
+
+
+def test_damping_brakes_a_joint_as_its_law_says_whatever_the_substeps() -> None:
+    ends = []
+    for substeps in (1, 10):
+        world = World(substeps=substeps)
+        world.set_gravity(0.0)
+        body, motors = pendulum(world, 1e-9)
+        motors.set_joint_damping(0.5)
+        body.write_joints([0], [0.0], [1.0])
+        for _ in range(240 // substeps):
+            world.step()
+        ends.append(body.joints([0])[0][1])
+        world.close()
+    assert ends[0] == pytest.approx(ends[1], rel=1e-6)
+    inertia = 0.1 + 2 * 0.5**2  # kg m2 about the hinge
+    assert ends[0] == pytest.approx(np.exp(-0.5 / inertia), rel=0.01)
 
 
 def test_window_without_a_display_is_a_clear_error(monkeypatch: pytest.MonkeyPatch) -> None:
