@@ -27,13 +27,13 @@ class JointControl:
 
     x and v are the joint's position and speed, T is the period. The mean of a ramp times T is the distance that it
     moves the joint. The correction c removes half of the distance between joint and reference.
-    A joint that follows its ramps moves by exactly d per step in steady motion, without loss at low speeds. A joint with
-    d = 0 stays at its reference under any load that its torque can hold.
+    A joint that follows its ramps moves by exactly d per step in steady motion, without loss at low speeds. A joint
+    with d = 0 stays at its reference under any load that its torque can hold.
 
     Args:
         limits: of the joints.
         period: duration T of a control step in s.
-        accelerations: largest acceleration of each joint in rad/s2; by default its largest speed in `ACCELERATION_TIME`.
+        accelerations: largest acceleration of each joint in rad/s2; by default its speed limit / `ACCELERATION_TIME`.
     """
 
     def __init__(self, limits: JointLimits, period: float, accelerations: Sequence[float] | None = None) -> None:
@@ -58,7 +58,7 @@ class JointControl:
         """Speeds (n,) in rad/s at the end of a ramp that starts at `velocities` and changes the joints by `changes`."""
         period = self._period
         references, speeds, ends = [], [], []
-        for position, velocity, change, reference, last, (low, high, most, rise, braking) in zip(
+        for position, velocity, change, before, last, (low, high, most, rise, braking) in zip(
             positions, velocities, changes, self._references, self._speeds, self._bounds, strict=True
         ):
             speed = change / period
@@ -68,8 +68,8 @@ class JointControl:
             if position + braking * slowest < low:
                 slowest = (low - position) / braking
             speed = fastest if speed > fastest else slowest if speed < slowest else speed
-            reference = min(max(reference, position - REFERENCE_LAG), position + REFERENCE_LAG)
-            reference += (last + speed) / 2 * period
+            held = min(max(before, position - REFERENCE_LAG), position + REFERENCE_LAG)
+            reference = held + (last + speed) / 2 * period
             references.append(reference)
             speeds.append(speed)
             ends.append(speed + (reference - position) / period - (velocity + speed) / 2)

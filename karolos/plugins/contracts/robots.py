@@ -202,7 +202,7 @@ def every_joint_reaches_its_speed(one: Candidate) -> None:
 
 
 def a_full_action_moves_the_tool_by_one_tool_step(one: Candidate) -> None:
-    """In steady motion from home a full action moves the tool by `tool_step` within 10 %, and it keeps pointing down."""
+    """In steady motion from home a full action moves the tool by `tool_step` within 10 %, and it points down."""
     with reaching(replace(one, settings={**one.settings, "reset_noise": 0.0})) as environment:
         robot: Any = environment.robot
         for axis, direction in product(range(3), (-1.0, 1.0)):

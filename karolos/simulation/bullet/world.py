@@ -62,9 +62,9 @@ class World:
     those of the whole control step, and motors keep one target speed through it. Forces here are in N.
 
     The solver iterates until the residual is small, up to `ROUNDS` times. A free arm needs a few rounds, a grip needs
-    all of them: rounds follow from the state alone, so that an episode repeats bit for bit. With 17 rounds a gripper of
-    20 N closes with 13 N. The number is odd because the order of the constraints alternates, and the gear of the fingers
-    has to be solved last.
+    all of them. Their number follows from the state alone, so that an episode repeats bit for bit. With 17 rounds a
+    gripper of 20 N closes with 13 N. The number is odd because the order of the constraints alternates, and the gear of
+    the fingers has to be solved last.
 
     The floor is a rigid body: as an articulated one without joints it would cost 5 % more. A rigid cube would save as
     much again, but keeps state from before it was placed, so that episodes would not repeat bit for bit.
