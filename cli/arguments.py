@@ -37,20 +37,17 @@ Database = Annotated[
         "--database",
         envvar="KAROLOS_DATABASE",
         help="SQLAlchemy URL of the results database. Default: karolos.sqlite in the runs folder.",
-        show_default=False,
     ),
 ]
 Overrides = Annotated[
     list[str] | None,
     typer.Argument(
-        metavar="[PATH=VALUE]...",
-        help="Settings that replace the spec's, e.g. agent.learning_rate=1e-4 seeds=[0,1].",
-        show_default=False,
+        metavar="[PATH=VALUE]...", help="Settings that replace the spec's, e.g. agent.learning_rate=1e-4 seeds=[0,1]."
     ),
 ]
-OneRun = Annotated[str, typer.Argument(metavar="RUN", help=RUN_HELP, show_default=False)]
-ManyRuns = Annotated[list[str] | None, typer.Argument(metavar="[RUN]...", help=MANY_HELP, show_default=False)]
-Where = Annotated[str | None, typer.Option(metavar="FILTER", help=FILTER_HELP, show_default=False)]
+OneRun = Annotated[str, typer.Argument(metavar="RUN", help=RUN_HELP)]
+ManyRuns = Annotated[list[str] | None, typer.Argument(metavar="[RUN]...", help=MANY_HELP)]
+Where = Annotated[str | None, typer.Option(metavar="FILTER", help=FILTER_HELP)]
 Json = Annotated[bool, typer.Option("--json", help="Print one JSON object per row.")]
 Quiet = Annotated[bool, typer.Option("--quiet", "-q", help="Show only warnings and failures.")]
 Checkpoint = Annotated[str, typer.Option(help="The checkpoint to use: best or last.")]
@@ -59,7 +56,6 @@ TimeLimit = Annotated[
     typer.Option(
         metavar="DURATION",
         help="Stop after this time with a checkpoint to resume from, e.g. 90s, 30m, 2h. The exit code is then 124.",
-        show_default=False,
     ),
 ]
 
@@ -81,6 +77,13 @@ def open_store(runs: Path, database: str | None) -> Store | None:
     for problem in done.problems:
         warn(problem)
     return store
+
+
+def open_or_make_store(runs: Path, database: str | None) -> Store:
+    """The index; an empty one is created if there are no runs."""
+    from karolos.store import Store
+
+    return open_store(runs, database) or Store(database or Store.default_url(runs))
 
 
 def open_run(selector: str, runs: Path, database: str | None) -> RunFolder:

@@ -17,7 +17,6 @@ def check(
         typer.Argument(
             metavar="SPEC... [PATH=VALUE]...",
             help="YAML specs to check, and settings that replace those of every spec.",
-            show_default=False,
         ),
     ],
     json: Json = False,

@@ -24,9 +24,7 @@ def compare(
     experiments: Annotated[
         list[str],
         typer.Argument(
-            metavar="EXPERIMENT...",
-            help=f"{MANY_HELP} The first is the one that the others are measured against.",
-            show_default=False,
+            metavar="EXPERIMENT...", help=f"{MANY_HELP} The first is the one that the others are measured against."
         ),
     ],
     runs: Runs = Path("runs"),
@@ -38,11 +36,9 @@ def compare(
     ] = "any",
     html: Annotated[
         Path | None,
-        typer.Option(help="Page to write, with every figure. It needs no network.", show_default=False),
+        typer.Option(help="Page to write, with every figure. It needs no network."),
     ] = None,
-    figures: Annotated[
-        Path | None, typer.Option(help="Folder to write the figures into, as SVG, PDF and PNG.", show_default=False)
-    ] = None,
+    figures: Annotated[Path | None, typer.Option(help="Folder to write the figures into, as SVG, PDF and PNG.")] = None,
 ) -> None:
     """Compare experiments: success with its interval, steps and time to 50 and 90 %, cost, settings that differ."""
     from karolos.comparison import compare as compare_contenders

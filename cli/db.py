@@ -15,7 +15,7 @@ from .output import print_rows, say, warn
 app = typer.Typer(name="db", help="Rebuild, check and upgrade the results database.", no_args_is_help=True)
 Jobs = Annotated[
     int | None,
-    typer.Option(min=1, help="Processes that read folders. Default: one per core.", show_default=False),
+    typer.Option(min=1, help="Processes that read folders. Default: one per core."),
 ]
 
 

@@ -17,8 +17,8 @@ _HELP = "A run's id or how it begins, @last, a run folder, or a spec file: what 
 
 
 def diff(
-    a: Annotated[str, typer.Argument(metavar="A", help=_HELP, show_default=False)],
-    b: Annotated[str, typer.Argument(metavar="B", help="As A.", show_default=False)],
+    a: Annotated[str, typer.Argument(metavar="A", help=_HELP)],
+    b: Annotated[str, typer.Argument(metavar="B", help="As A.")],
     runs: Runs = Path("runs"),
     database: Database = None,
     json: Json = False,

@@ -15,7 +15,7 @@ def export(
     run: OneRun,
     out: Annotated[
         Path | None,
-        typer.Option("--out", help="Folder to write. Default: export in the run's folder.", show_default=False),
+        typer.Option("--out", help="Folder to write. Default: export in the run's folder."),
     ] = None,
     checkpoint: Checkpoint = "best",
     onnx: Annotated[bool, typer.Option(help="Write policy.onnx too; needs the package onnx.")] = True,

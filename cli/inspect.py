@@ -19,9 +19,7 @@ if TYPE_CHECKING:
 app = typer.Typer(name="inspect", help="Show a robot or a task: a picture and its numbers.", no_args_is_help=True)
 Picture = Annotated[
     Path | None,
-    typer.Option(
-        "--picture", metavar="FILE", help="Picture to write: FILE.png. Default: ./NAME.png.", show_default=False
-    ),
+    typer.Option("--picture", metavar="FILE", help="Picture to write: FILE.png. Default: ./NAME.png."),
 ]
 Size = Annotated[int, typer.Option(min=16, max=2048, help="Size of the picture in pixels.")]
 

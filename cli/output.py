@@ -14,6 +14,8 @@ from karolos.report.tables import Table, clean
 if TYPE_CHECKING:
     from rich.table import Table as RichTable
 
+    from karolos.records.results import TestCounts
+
 _STATE_STYLES = {
     "finished": "green",
     "running": "cyan",
@@ -39,16 +41,36 @@ def print_line(text: str) -> None:
     print(clean(text), flush=True)
 
 
-def print_rows(rows: Iterable[Mapping[str, Any]], *, json: bool) -> None:
-    """Print one JSON object per row, or a table of the columns that are not empty in all rows."""
-    if json:
+def print_rows(rows: Iterable[Mapping[str, Any]], *, json: bool, line: str = "") -> None:
+    """Print one JSON object per row, or a table of the columns that are not empty in all rows.
+
+    Args:
+        rows: values by column name.
+        json: print JSON objects.
+        line: print each row as a line in this format instead of the table, e.g. "{run} -> {folder}".
+    """
+    if json or line:
         for row in rows:
-            print(json_text.dumps(_finite(row), allow_nan=False, default=str), flush=True)
+            text = json_text.dumps(_finite(row), allow_nan=False, default=str) if json else clean(line.format_map(row))
+            print(text, flush=True)
         return
     listed = list(rows)
     if listed:
         names = [name for name in listed[0] if any(row.get(name) not in (None, "", []) for row in listed)]
         print_table(Table(names, [[_text(row.get(name)) for name in names] for row in listed]))
+
+
+def success_row(test: TestCounts) -> dict[str, Any]:
+    """The success of a test as JSON fields, with Wilson's intervals at 95 %."""
+    from karolos.statistics.intervals import wilson
+
+    return {
+        "episodes": test.episodes,
+        "success_any": test.success_any,
+        "success_any_interval": wilson(test.any, test.episodes),
+        "success_end": test.success_end,
+        "success_end_interval": wilson(test.end, test.episodes),
+    }
 
 
 def print_csv(rows: Sequence[Mapping[str, Any]]) -> None:

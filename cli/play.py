@@ -28,25 +28,13 @@ FRAMES_PER_SECOND = 24
 
 
 def play(
-    run: Annotated[
-        str,
-        typer.Argument(
-            metavar="RUN",
-            help=f"{RUN_HELP} With --expert a SPEC.yaml.",
-            show_default=False,
-        ),
-    ],
+    run: Annotated[str, typer.Argument(metavar="RUN", help=f"{RUN_HELP} With --expert a SPEC.yaml.")],
     expert: Annotated[bool, typer.Option("--expert", help="Play the expert of a spec's task instead.")] = False,
-    record: Annotated[
-        Path | None, typer.Option(help="Film to write: FILE.mp4 or FILE.gif.", show_default=False)
-    ] = None,
+    record: Annotated[Path | None, typer.Option(help="Film to write: FILE.mp4 or FILE.gif.")] = None,
     episodes: Annotated[int, typer.Option(min=1, help="Episodes to play.")] = 5,
     checkpoint: Annotated[
         str | None,
-        typer.Option(
-            help="Checkpoint to play: best or last. Default: best, or last if the run has no test yet.",
-            show_default=False,
-        ),
+        typer.Option(help="Checkpoint to play: best or last. Default: best, or last if the run has no test yet."),
     ] = None,
     width: Annotated[int, typer.Option(min=16, max=4096, help="Width of the film in pixels.")] = 640,
     height: Annotated[int, typer.Option(min=16, max=4096, help="Height of the film in pixels.")] = 480,

@@ -28,7 +28,7 @@ Kind = Annotated[str, typer.Argument(metavar="KIND", help="robot, task, environm
 @app.command("list")
 def list_plugins(
     kind: Annotated[
-        str | None, typer.Argument(metavar="[KIND]", help="Only this kind: robot, task, agent, ...", show_default=False)
+        str | None, typer.Argument(metavar="[KIND]", help="Only this kind: robot, task, agent, ...")
     ] = None,
     json: Json = False,
 ) -> None:
@@ -84,9 +84,7 @@ def new(
         str, typer.Argument(metavar="KIND", help="robot, task, agent, buffer, environment or distribution.")
     ],
     name: Annotated[str, typer.Argument(metavar="NAME", help="Its name in specs, e.g. my_arm.")],
-    out: Annotated[
-        Path | None, typer.Option(metavar="DIR", help="Folder to write. Default: karolos-NAME.", show_default=False)
-    ] = None,
+    out: Annotated[Path | None, typer.Option(metavar="DIR", help="Folder to write. Default: karolos-NAME.")] = None,
 ) -> None:
     """Write a package with a working, tested plugin to start from. Prints its files."""
     from karolos.plugins.starter import write_starter
@@ -101,7 +99,7 @@ def check(
     name: Annotated[str, typer.Argument(metavar="NAME", help="The name that a spec uses.")],
     settings: Annotated[
         list[str] | None,
-        typer.Argument(metavar="[SETTING=VALUE]...", help="Settings other than the defaults.", show_default=False),
+        typer.Argument(metavar="[SETTING=VALUE]...", help="Settings other than the defaults."),
     ] = None,
     json: Json = False,
 ) -> None:

@@ -15,7 +15,7 @@ if TYPE_CHECKING:
 
 
 def run(
-    spec: Annotated[Path, typer.Argument(metavar="SPEC", help="The YAML spec to run.", show_default=False)],
+    spec: Annotated[Path, typer.Argument(metavar="SPEC", help="The YAML spec to run.")],
     overrides: Overrides = None,
     runs: Runs = Path("runs"),
     database: Database = None,

@@ -27,13 +27,11 @@ DASHBOARD = "optuna-dashboard"
 
 
 def sweep(
-    spec: Annotated[Path, typer.Argument(metavar="SPEC", help="A YAML spec with a sweep.", show_default=False)],
+    spec: Annotated[Path, typer.Argument(metavar="SPEC", help="A YAML spec with a sweep.")],
     overrides: Overrides = None,
     runs: Runs = Path("runs"),
     database: Database = None,
-    trials: Annotated[
-        int | None, typer.Option(min=1, help="Trials in total, instead of the spec's number.", show_default=False)
-    ] = None,
+    trials: Annotated[int | None, typer.Option(min=1, help="Trials in total, instead of the spec's number.")] = None,
     jobs: Annotated[int, typer.Option(min=1, help="Trials at the same time. Each seed of each is a process.")] = 1,
     dry_run: Annotated[bool, typer.Option("--dry-run", help="Check the search and print some sampled specs.")] = False,
     time_limit: TimeLimit = None,

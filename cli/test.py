@@ -3,16 +3,12 @@
 from __future__ import annotations
 
 from pathlib import Path
-from typing import TYPE_CHECKING, Annotated, Any
+from typing import Annotated
 
 import typer
 
 from .arguments import Checkpoint, Database, Json, OneRun, Runs, check_checkpoint, open_run
-from .output import print_rows, print_table, warn
-
-if TYPE_CHECKING:
-    from karolos.core import Failure
-    from karolos.records.results import TestResult
+from .output import print_rows, print_table, success_row, warn
 
 
 def transfer(
@@ -23,16 +19,15 @@ def transfer(
             metavar="[PATH=VALUE]...",
             help="Settings to change of the run's robot, task, environment, randomization or orchestrator, e.g. "
             "robot=ur5 task.object_mass=0.3",
-            show_default=False,
         ),
     ] = None,
     episodes: Annotated[
         int | None,
-        typer.Option(min=1, help="Episodes. Default: as in the run's own tests.", show_default=False),
+        typer.Option(min=1, help="Episodes. Default: as in the run's own tests."),
     ] = None,
     seed: Annotated[
         int | None,
-        typer.Option(min=0, help="Root of the episodes' seeds. Default: that of the run's tests.", show_default=False),
+        typer.Option(min=0, help="Root of the episodes' seeds. Default: that of the run's tests."),
     ] = None,
     checkpoint: Checkpoint = "best",
     randomize: Annotated[bool, typer.Option("--randomize", help="Randomize as in training.")] = False,
@@ -48,6 +43,8 @@ def transfer(
     check_checkpoint(checkpoint)
     folder = open_run(run, runs, database)
     from karolos.evaluation.transfer_test import transfer_test
+    from karolos.records.results import TestCounts
+    from karolos.report.tables import table_of_tests, transfers_table
 
     done = transfer_test(
         folder,
@@ -56,32 +53,13 @@ def transfer(
         episodes=episodes,
         seed=seed,
         randomize=randomize,
-        on_failure=_warn_of_failure,
+        on_failure=lambda failure: warn(f"{failure.error}; its episodes are played again"),
     )
     own = folder.tests()
     if json:
-        print_rows([{"run": folder.id, **done.row(), "own": _own(own[-1]) if own else None}], json=True)
+        last = {"steps": own[-1].steps, **success_row(TestCounts.of(own[-1]))} if own else None
+        print_rows([{"run": folder.id, **done.row(), "own": last}], json=True)
         return
-    from karolos.records.results import TestCounts
-    from karolos.report.tables import table_of_tests, transfers_table
-
     print_table(transfers_table([done], title=folder.id))
     if own:
         print_table(table_of_tests([TestCounts.of(own[-1])], own[-1:], title="the run's own last test"))
-
-
-def _own(result: TestResult) -> dict[str, Any]:
-    from karolos.statistics.intervals import wilson
-
-    return {
-        "steps": result.steps,
-        "episodes": result.episodes,
-        "success_any": result.success_any,
-        "success_any_interval": wilson(sum(result.any), result.episodes),
-        "success_end": result.success_end,
-        "success_end_interval": wilson(sum(result.end), result.episodes),
-    }
-
-
-def _warn_of_failure(failure: Failure) -> None:
-    warn(f"{failure.error}; its episodes are played again")

@@ -2,7 +2,7 @@ import json
 import re
 
 from karolos_cli.bench import app
-from karolos_cli.bench.output import COLUMNS
+from karolos_cli.bench import COLUMNS
 from typer.testing import CliRunner
 
 from karolos.errors import UsageError

@@ -5,7 +5,7 @@ from __future__ import annotations
 from pathlib import Path
 
 import pytest
-from karolos_cli.bench.orchestrator import orchestrator
+from karolos_cli.bench import orchestrator
 from support.commands import call
 from typer import Typer
 

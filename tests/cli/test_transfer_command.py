@@ -7,7 +7,7 @@ from pathlib import Path
 
 import pytest
 from karolos_cli.export import export
-from karolos_cli.runs.show import show
+from karolos_cli.runs import show
 from karolos_cli.test import transfer
 from support.commands import call
 from typer import Typer
