@@ -3,9 +3,8 @@
 from __future__ import annotations
 
 import sys
-from collections import deque
-from contextlib import ExitStack
-from types import TracebackType
+from collections import defaultdict, deque
+from contextlib import AbstractContextManager
 from typing import TYPE_CHECKING, TextIO
 
 from rich.console import Console
@@ -17,6 +16,7 @@ from .output import say
 from .sweep import drawn_text
 
 if TYPE_CHECKING:
+    from karolos.records.results import TestResult
     from karolos.sweep.events import SweepEvent
 
 SPEED_WINDOW = 50
@@ -24,72 +24,57 @@ SPEED_WINDOW = 50
 
 
 class Speed:
-    """Steps and updates per second of training over the last few seconds."""
+    """Steps and updates per second of training over the last few seconds, as text."""
 
     def __init__(self) -> None:
         self._points: deque[tuple[float, int, int]] = deque(maxlen=SPEED_WINDOW)
+        self.text = ""
 
-    def add(self, event: RunAdvanced) -> str:
+    def add(self, event: RunAdvanced) -> None:
         self._points.append((event.seconds, event.steps, event.updates))
         (start, steps, updates), (end, more_steps, more_updates) = self._points[0], self._points[-1]
         passed = end - start
-        if passed <= 0:
-            return ""
-        text = f"{(more_steps - steps) / passed:,.0f} steps/s"
-        if event.warming_up:
-            return f"{text}, warm-up"
-        return f"{text}, {(more_updates - updates) / passed:,.0f} updates/s"
+        if passed > 0:
+            learning = "warm-up" if event.warming_up else f"{(more_updates - updates) / passed:,.0f} updates/s"
+            self.text = f"{(more_steps - steps) / passed:,.0f} steps/s, {learning}"
 
 
-class Quiet:
+class Quiet(AbstractContextManager["Quiet"]):
     """Shows only warnings and failures."""
 
     def __init__(self, stream: TextIO | None = None) -> None:
         self._console = Console(file=stream or sys.stderr, stderr=stream is None, highlight=False, markup=False)
+        self._speeds: defaultdict[str, Speed] = defaultdict(Speed)
 
-    def __enter__(self) -> Quiet:
-        return self
-
-    def __exit__(
-        self, kind: type[BaseException] | None, error: BaseException | None, trace: TracebackType | None
-    ) -> None: ...
+    def __exit__(self, *_: object) -> None: ...
 
     def __call__(self, event: RunEvent) -> None:
-        if isinstance(event, RunWarned):
-            self._console.print(f"{event.run} warning: {event.warning}", soft_wrap=True)
-        if isinstance(event, RunEnded) and event.error:
+        if isinstance(event, RunAdvanced):
+            self._speeds[event.run].add(event)
+        elif isinstance(event, RunWarned):
+            self._print(f"{event.run} warning: {event.warning}")
+        elif isinstance(event, RunEnded) and event.error:
             if event.traceback:
-                self._console.print(event.traceback.rstrip(), soft_wrap=True)
-            self._console.print(f"{event.run} failed: {event.error}", soft_wrap=True)
+                self._print(event.traceback.rstrip())
+            self._print(f"{event.run} failed: {event.error}")
+
+    def _print(self, text: str) -> None:
+        self._console.print(text, soft_wrap=True)
 
 
 class Plain(Quiet):
     """Shows one line per start of a run, test and end of a run: for logs and pipes."""
 
-    def __init__(self, stream: TextIO | None = None) -> None:
-        super().__init__(stream)
-        self._speeds: dict[str, tuple[Speed, str]] = {}
-
     def __call__(self, event: RunEvent) -> None:
         super().__call__(event)
         if isinstance(event, RunStarted):
-            self._line(f"{event.run} started: {event.steps:,} steps into {event.folder}")
-        elif isinstance(event, RunAdvanced):
-            speed = self._speeds.get(event.run, (Speed(), ""))[0]
-            self._speeds[event.run] = (speed, speed.add(event))
+            self._print(f"{event.run} started: {event.steps:,} steps into {event.folder}")
         elif isinstance(event, RunTested):
-            result = event.result
-            speed_text = self._speeds.get(event.run, (None, ""))[1]
-            self._line(
-                f"{event.run} at {result.steps:,} steps, {result.seconds:.1f} s: "
-                f"success any {result.success_any:.2f}, end {result.success_end:.2f}"
-                + (f" ({speed_text})" if speed_text else "")
-            )
+            result, speed = event.result, self._speeds[event.run].text
+            line = f"{event.run} at {result.steps:,} steps, {result.seconds:.1f} s: {_success(result)}"
+            self._print(f"{line} ({speed})" if speed else line)
         elif isinstance(event, RunEnded) and not event.error:
-            self._line(f"{event.run} {event.state}")
-
-    def _line(self, text: str) -> None:
-        self._console.print(text, soft_wrap=True)
+            self._print(f"{event.run} {event.state}")
 
 
 class Live(Quiet):
@@ -107,37 +92,33 @@ class Live(Quiet):
             console=self._console,
         )
         self._tasks: dict[str, TaskID] = {}
-        self._speeds: dict[str, Speed] = {}
-        self._stack = ExitStack()
 
     def __enter__(self) -> Live:
-        self._stack.enter_context(self._bars)
+        self._bars.start()
         return self
 
-    def __exit__(
-        self, kind: type[BaseException] | None, error: BaseException | None, trace: TracebackType | None
-    ) -> None:
-        self._stack.close()
+    def __exit__(self, *_: object) -> None:
+        self._bars.stop()
 
     def __call__(self, event: RunEvent) -> None:
         super().__call__(event)
         bars = self._bars
         if isinstance(event, RunStarted):
-            self._speeds[event.run] = Speed()
-            self._tasks[event.run] = bars.add_task(
-                f"seed {event.seed}", total=event.steps, speed="starting", success=""
-            )
+            task = bars.add_task(f"seed {event.seed}", total=event.steps, speed="starting", success="")
+            self._tasks[event.run] = task
             return
         task = self._tasks[event.run]
         if isinstance(event, RunAdvanced):
-            bars.update(task, completed=event.steps, speed=self._speeds[event.run].add(event))
+            bars.update(task, completed=event.steps, speed=self._speeds[event.run].text)
         elif isinstance(event, RunTested):
-            result = event.result
-            text = f"success any {result.success_any:.2f} end {result.success_end:.2f}"
-            bars.update(task, completed=result.steps, success=text)
+            bars.update(task, completed=event.result.steps, success=_success(event.result))
         elif isinstance(event, RunEnded):
             bars.update(task, speed=event.state)
             bars.stop_task(task)
+
+
+def _success(result: TestResult) -> str:
+    return f"success any {result.success_any:.2f}, end {result.success_end:.2f}"
 
 
 def choose_display(*, quiet: bool) -> Quiet:

@@ -13,7 +13,7 @@ from ..files import write_whole
 from .comparison_tables import explanations, parameters_table, scores_table
 from .figures import COLOURS, DASHES, Drawing
 from .markup import Markup, tag
-from .tables import Table, count, duration, rate, success
+from .tables import Columns, Table, count, duration, rate, success
 
 _STYLE = """
 :root{color-scheme:light;--soft:#5c5c5c;--panel:#f6f6f4;--rule:#d9d9d4}
@@ -137,15 +137,10 @@ def _swatch(series: int) -> Markup:
 
 
 def _figures(drawings: Sequence[Drawing]) -> Markup:
-    figures = [
-        tag(
-            "figure",
-            drawing.svg(),
-            tag("figcaption", drawing.caption),
-            class_=None if drawing.series is None else f"series-{drawing.series}",
-        )
-        for drawing in drawings
-    ]
+    figures = []
+    for drawing in drawings:
+        series = None if drawing.series is None else f"series-{drawing.series}"
+        figures.append(tag("figure", drawing.svg(), tag("figcaption", drawing.caption), class_=series))
     return tag("div", *figures, class_="figures")
 
 
@@ -157,36 +152,27 @@ def _contenders_table(table: Table) -> Markup:
 
 
 def _runs_table(comparison: Comparison) -> Markup:
+    columns: Columns[ComparedRun] = {
+        "run": lambda run: run.summary.run,
+        "seed": lambda run: str(run.summary.seed),
+        "state": lambda run: ": ".join(filter(None, (run.summary.state, run.summary.error))),
+        "steps": lambda run: count(run.summary.steps),
+        "time": lambda run: duration(run.summary.seconds),
+        "success any": lambda run: success(run.tests[-1].success_any, run.tests[-1].episodes),
+        "success end": lambda run: success(run.tests[-1].success_end, run.tests[-1].episodes),
+        "updates/s": lambda run: rate(run.updates_per_second),
+        "code": lambda run: run.commit or "-",
+    }
     runs = [(series, run) for series, contender in enumerate(comparison.contenders) for run in contender.runs]
-    labelled = any(run.summary.tags or run.summary.note for _, run in runs)
-    names = ["run", "seed", "state", "steps", "time", "success any", "success end", "updates/s", "code"]
-    names += ["tags", "note"] if labelled else []
+    if any(run.summary.tags or run.summary.note for _, run in runs):
+        columns["tags"] = lambda run: ", ".join(run.summary.tags)
+        columns["note"] = lambda run: run.summary.note or ""
+    table = Table.of((run for _, run in runs), columns)
     rows = [
-        tag(
-            "tr",
-            tag("td", _swatch(series), run.summary.run),
-            *map(_cell, _run_cells(run)[: len(names) - 1]),
-            class_=f"series-{series}",
-        )
-        for series, run in runs
+        tag("tr", tag("td", _swatch(series), name), *map(_cell, cells), class_=f"series-{series}")
+        for (series, _), (name, *cells) in zip(runs, table.rows, strict=True)
     ]
-    return _table([tag("th", name, scope="col") for name in names], rows)
-
-
-def _run_cells(run: ComparedRun) -> list[str]:
-    summary, last = run.summary, run.tests[-1]
-    return [
-        str(summary.seed),
-        summary.state if summary.error is None else f"{summary.state}: {summary.error}",
-        count(summary.steps),
-        duration(summary.seconds),
-        success(last.any / last.episodes, last.episodes),
-        success(last.end / last.episodes, last.episodes),
-        rate(run.updates_per_second),
-        run.commit or "-",
-        ", ".join(summary.tags),
-        summary.note or "",
-    ]
+    return _table([tag("th", name, scope="col") for name in table.columns], rows)
 
 
 def _cell(text: str) -> Markup:

@@ -3,9 +3,9 @@
 from __future__ import annotations
 
 import json
-from collections.abc import Iterable, Iterator, Mapping, Sequence
+from collections.abc import Callable, Iterable, Iterator, Mapping, Sequence
 from dataclasses import dataclass
-from typing import TYPE_CHECKING, Any
+from typing import TYPE_CHECKING, Any, TypeVar
 
 from ..statistics.intervals import wilson
 
@@ -13,6 +13,10 @@ if TYPE_CHECKING:
     from ..records.results import TestCounts, TestResult
     from ..records.run_records import RunSummary
     from ..records.transfer_results import TransferResult
+
+T = TypeVar("T")
+Columns = dict[str, Callable[[T], str]]
+"""Heading of a column -> its cell for an object."""
 
 
 @dataclass(frozen=True)
@@ -28,6 +32,11 @@ class Table:
     columns: Sequence[str]
     rows: Sequence[Sequence[str]]
     title: str = ""
+
+    @classmethod
+    def of(cls, rows: Iterable[T], columns: Columns[T], title: str = "") -> Table:
+        """A table with one row for each of some objects."""
+        return cls(list(columns), [[cell(row) for cell in columns.values()] for row in rows], title)
 
 
 def clean(text: object, allowed: str = "") -> str:
@@ -80,23 +89,19 @@ def setting(value: object) -> str:
 
 def runs_table(runs: Sequence[RunSummary]) -> Table:
     """One row per run. Success is that of the last test; `steps to .95` is when a test first showed that ratio."""
-    columns = ["run", "state", "steps", "time", "success any", "end", "steps to .95", "time to .95"]
-    tagged = any(run.tags for run in runs)
-    rows = [
-        (
-            run.run,
-            run.state,
-            count(run.steps),
-            duration(run.seconds),
-            success(run.success_any, run.episodes),
-            "-" if run.success_end is None else f"{run.success_end:.2f}",
-            count(run.steps_to_95),
-            duration(run.seconds_to_95),
-            *([", ".join(run.tags)] if tagged else []),
-        )
-        for run in runs
-    ]
-    return Table([*columns, *(["tags"] if tagged else [])], rows)
+    columns: Columns[RunSummary] = {
+        "run": lambda run: run.run,
+        "state": lambda run: run.state,
+        "steps": lambda run: count(run.steps),
+        "time": lambda run: duration(run.seconds),
+        "success any": lambda run: success(run.success_any, run.episodes),
+        "end": lambda run: "-" if run.success_end is None else f"{run.success_end:.2f}",
+        "steps to .95": lambda run: count(run.steps_to_95),
+        "time to .95": lambda run: duration(run.seconds_to_95),
+    }
+    if any(run.tags for run in runs):
+        columns["tags"] = lambda run: ", ".join(run.tags)
+    return Table.of(runs, columns)
 
 
 def table_of_tests(tests: Iterable[TestCounts], results: Iterable[TestResult] = (), *, title: str = "") -> Table:
@@ -115,39 +120,32 @@ def table_of_tests(tests: Iterable[TestCounts], results: Iterable[TestResult] = 
         for result in results
         if result.distances
     }
-    columns = ["steps", "time", "success any", "success end", "episodes", "solved at reset"]
-    columns += [f"end within {' / '.join(f'{metres:.2f}' for metres in WITHIN)} m"] if near else []
-    rows = [
-        (
-            count(test.steps),
-            duration(test.seconds),
-            success(test.any / test.episodes, test.episodes),
-            success(test.end / test.episodes, test.episodes),
-            count(test.episodes),
-            count(test.reset),
-            *([near.get(test.steps, "-")] if near else []),
-        )
-        for test in tests
-    ]
-    return Table(columns, rows, title)
+    columns: Columns[TestCounts] = {
+        "steps": lambda test: count(test.steps),
+        "time": lambda test: duration(test.seconds),
+        "success any": lambda test: success(test.success_any, test.episodes),
+        "success end": lambda test: success(test.success_end, test.episodes),
+        "episodes": lambda test: count(test.episodes),
+        "solved at reset": lambda test: count(test.reset),
+    }
+    if near:
+        heading = f"end within {' / '.join(f'{metres:.2f}' for metres in WITHIN)} m"
+        columns[heading] = lambda test: near.get(test.steps, "-")
+    return Table.of(tests, columns, title)
 
 
 def transfers_table(transfers: Iterable[TransferResult], *, title: str = "") -> Table:
     """One row per test under changed settings, with both ways to count success."""
-    columns = ["changed", "checkpoint", "success any", "success end", "episodes", "seed", "when"]
-    rows = [
-        (
-            ", ".join([*transfer.overrides, *(["randomized"] if transfer.randomized else [])]) or "nothing",
-            f"{transfer.checkpoint} ({transfer.result.steps:,} steps)",
-            success(transfer.result.success_any, transfer.result.episodes),
-            success(transfer.result.success_end, transfer.result.episodes),
-            count(transfer.result.episodes),
-            str(transfer.seed),
-            transfer.time[:16].replace("T", " "),
-        )
-        for transfer in transfers
-    ]
-    return Table(columns, rows, title)
+    columns: Columns[TransferResult] = {
+        "changed": lambda one: ", ".join([*one.overrides, *(["randomized"] * one.randomized)]) or "nothing",
+        "checkpoint": lambda one: f"{one.checkpoint} ({one.result.steps:,} steps)",
+        "success any": lambda one: success(one.result.success_any, one.result.episodes),
+        "success end": lambda one: success(one.result.success_end, one.result.episodes),
+        "episodes": lambda one: count(one.result.episodes),
+        "seed": lambda one: str(one.seed),
+        "when": lambda one: one.time[:16].replace("T", " "),
+    }
+    return Table.of(transfers, columns, title)
 
 
 def facts_table(facts: Mapping[str, object], *, title: str = "") -> Table:
@@ -159,5 +157,4 @@ def flatten(spec: Mapping[str, Any]) -> Iterator[tuple[str, str]]:
     """A nested mapping as pairs of key path and value as text: ("agent.learning_rate", "0.001")."""
     from ..records import run_records  # noqa: PLC0415  (yaml, which `karolos --help` can do without)
 
-    for path, value in run_records.flatten(spec):
-        yield path, setting(value)
+    return ((path, setting(value)) for path, value in run_records.flatten(spec))

@@ -1,4 +1,4 @@
-"""Pictures into a film. The only home of imageio."""
+"""Writes pictures as a film. The only module that imports imageio."""
 
 from __future__ import annotations
 
@@ -15,42 +15,34 @@ FORMATS = (".mp4", ".gif")
 
 
 def check_video_path(path: Path) -> None:
-    """Raise a UsageError for a format that cannot be written or a folder that is not there."""
+    """Raise a UsageError for a format that cannot be written or a missing folder."""
     if path.suffix.lower() not in FORMATS:
         raise UsageError(f"cannot record {path.name!r}", hint=f"name a file that ends in {' or '.join(FORMATS)}")
     if not path.parent.is_dir():
         raise UsageError(f"there is no folder {path.parent} to record into")
 
 
-def write_video(path: Path, pictures: Iterable[NDArray[np.uint8]], frames_per_second: float) -> int:
-    """Write (height, width, 3) pictures to an .mp4 or .gif; returns how many.
+def write_video(path: Path, pictures: Iterable[NDArray[np.uint8]], frames_per_second: float) -> None:
+    """Write pictures (height, width, 3) to an .mp4 or .gif, whole or not at all.
 
-    The film is written beside the target and renamed when it is whole.
+    Raises:
+        UsageError: the format cannot be written, or the folder is missing.
+        MachineError: the file cannot be written.
     """
-    import imageio  # noqa: PLC0415  (0.2 s, for those who record)
+    import imageio  # noqa: PLC0415  (takes 0.2 s)
 
     check_video_path(path)
     partial = path.with_name(f".{path.stem}.partial{path.suffix}")
-    options = (
-        {"duration": 1000 / frames_per_second, "loop": 0}
-        if path.suffix.lower() == ".gif"
-        else {
-            "fps": frames_per_second,
-            "codec": "libx264",
-            "quality": 8,
-            "macro_block_size": 2,
-        }
-    )
-    count = 0
+    options: dict[str, Any] = {"fps": frames_per_second, "codec": "libx264", "quality": 8, "macro_block_size": 2}
+    if path.suffix.lower() == ".gif":
+        options = {"duration": 1000 / frames_per_second, "loop": 0}
     try:
         writer: Any
         with imageio.get_writer(partial, **options) as writer:
             for picture in pictures:
                 writer.append_data(picture)
-                count += 1
         partial.replace(path)
     except OSError as error:
         raise MachineError(f"cannot write {path}: {error.strerror or error}") from error
     finally:
         partial.unlink(missing_ok=True)
-    return count

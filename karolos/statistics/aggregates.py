@@ -8,7 +8,7 @@ mean, stratified bootstrap, probability of improvement, performance profiles); t
 from __future__ import annotations
 
 from collections.abc import Callable, Sequence
-from typing import Any, Literal
+from typing import Literal
 
 import numpy as np
 from numpy.typing import ArrayLike, NDArray
@@ -19,6 +19,8 @@ _Floats = NDArray[np.float64]
 Statistic = Callable[[_Floats], _Floats]
 """A number for each row: values (..., n) to (...)."""
 RESAMPLES = 2000
+LEVELS = ((1 - 0.95) / 2, (1 + 0.95) / 2)
+"""Quantiles at the ends of a 95 % interval."""
 FEW_SEEDS = 5
 """Fewest seeds with a bootstrap interval."""
 
@@ -44,17 +46,13 @@ def reliability(seeds: int) -> Literal["none", "approximate", "usual"]:
     return "none" if seeds < FEW_SEEDS else "approximate" if seeds < 10 else "usual"
 
 
-def interval(
-    values: ArrayLike, statistic: Statistic, generator: Generator, *, level: float = 0.95
-) -> tuple[float, float] | None:
-    """Percentile bootstrap interval of a statistic of the seeds' values (n,); None for fewer than 5 seeds."""
-    found = band(np.asarray(values, float)[None], statistic, generator, level=level)
+def interval(values: ArrayLike, statistic: Statistic, generator: Generator) -> tuple[float, float] | None:
+    """95 % percentile bootstrap interval of a statistic of the seeds' values (n,); None for fewer than 5 seeds."""
+    found = band(np.asarray(values, float)[None], statistic, generator)
     return None if found is None else (float(found[0][0]), float(found[1][0]))
 
 
-def band(
-    values: ArrayLike, statistic: Statistic, generator: Generator, *, level: float = 0.95
-) -> tuple[_Floats, _Floats] | None:
+def band(values: ArrayLike, statistic: Statistic, generator: Generator) -> tuple[_Floats, _Floats] | None:
     """The interval at each of several points: values (t, n) to low and high (t,); None for fewer than 5 seeds.
 
     A resample draws whole seeds, the same ones at every point, as a run is drawn as a whole.
@@ -64,27 +62,30 @@ def band(
     if reliability(seeds) == "none":
         return None
     drawn = generator.integers(0, seeds, (RESAMPLES, seeds))
-    found = np.stack([statistic(row[drawn]) for row in table])
-    low, high = np.quantile(found, [(1 - level) / 2, (1 + level) / 2], axis=1)
+    low, high = np.quantile(np.stack([statistic(row[drawn]) for row in table]), LEVELS, axis=1)
     return low, high
 
 
 def improvement(ours: ArrayLike, theirs: ArrayLike) -> float:
     """Probability that a run of ours is better than one of theirs; ties count one half. Values (n,) and (m,)."""
-    one, other = np.asarray(ours, float), np.asarray(theirs, float)
-    return float(_improvement(one[None], other[None])[0])
+    return float(_improvements(np.asarray(ours, float), np.asarray(theirs, float)))
 
 
-def improvement_interval(
-    ours: ArrayLike, theirs: ArrayLike, generator: Generator, *, level: float = 0.95
-) -> tuple[float, float] | None:
-    """Bootstrap interval of `improvement`, seeds of both sides resampled; None for fewer than 5 seeds on a side."""
+def improvement_interval(ours: ArrayLike, theirs: ArrayLike, generator: Generator) -> tuple[float, float] | None:
+    """95 % bootstrap interval of `improvement`, seeds of both sides resampled; None for fewer than 5 on a side."""
     one, other = np.asarray(ours, float), np.asarray(theirs, float)
     if "none" in {reliability(one.size), reliability(other.size)}:
         return None
     drawn = one[generator.integers(0, one.size, (RESAMPLES, one.size))]
     against = other[generator.integers(0, other.size, (RESAMPLES, other.size))]
-    return _percentiles(_improvement(drawn, against), level)
+    low, high = np.quantile(_improvements(drawn, against), LEVELS)
+    return float(low), float(high)
+
+
+def _improvements(ours: _Floats, theirs: _Floats) -> _Floats:
+    """`improvement` over the last axis: (..., n) and (..., m) to (...)."""
+    signs = np.sign(ours[..., :, None] - theirs[..., None, :])
+    return np.asarray((signs.mean(axis=(-2, -1)) + 1) / 2)
 
 
 def profile(values: ArrayLike, thresholds: ArrayLike) -> _Floats:
@@ -93,23 +94,15 @@ def profile(values: ArrayLike, thresholds: ArrayLike) -> _Floats:
 
 
 def first_reaching(ratios: Sequence[float], at: Sequence[float], threshold: float) -> float | None:
-    """Where (steps or seconds) a run's test ratio first is `threshold` or more; None: never (censored)."""
+    """Steps or seconds at which a run's test ratio first is `threshold` or more; None: never (censored)."""
     return next((place for ratio, place in zip(ratios, at, strict=True) if ratio >= threshold), None)
 
 
 def median_reaching(places: Sequence[float | None]) -> float | None:
-    """Median over seeds of where they reached a threshold, those that never did counted last; None: more than half."""
-    ordered = sorted((place for place in places if place is not None), key=float)
+    """Median over seeds of the steps or seconds to a threshold; a seed that never reached it counts as infinite.
+
+    None if the median is infinite.
+    """
+    ordered = sorted(place for place in places if place is not None)
     low, high = (len(places) - 1) // 2, len(places) // 2
     return (ordered[low] + ordered[high]) / 2 if high < len(ordered) else None
-
-
-def _improvement(ours: _Floats, theirs: _Floats) -> _Floats:
-    """(k, n) against (k, m): (k,)."""
-    over = np.sign(ours[:, :, None] - theirs[:, None, :])
-    return np.asarray((over.mean(axis=(1, 2)) + 1) / 2)
-
-
-def _percentiles(found: Any, level: float) -> tuple[float, float]:
-    low, high = np.quantile(found, [(1 - level) / 2, (1 + level) / 2])
-    return float(low), float(high)

@@ -2,8 +2,7 @@ from __future__ import annotations
 
 import json
 
-from karolos_cli.bench import app
-from karolos_cli.bench import COLUMNS
+from karolos_cli.bench import COLUMNS, app
 from typer.testing import CliRunner
 
 from karolos.simulation.bullet.motors import Motors

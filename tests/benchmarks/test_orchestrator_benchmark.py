@@ -1,8 +1,7 @@
 import json
 import re
 
-from karolos_cli.bench import app
-from karolos_cli.bench import COLUMNS
+from karolos_cli.bench import COLUMNS, app
 from typer.testing import CliRunner
 
 from karolos.errors import UsageError

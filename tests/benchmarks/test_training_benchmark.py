@@ -3,8 +3,7 @@ from pathlib import Path
 
 import numpy as np
 import pytest
-from karolos_cli.bench import app
-from karolos_cli.bench import COLUMNS
+from karolos_cli.bench import COLUMNS, app
 from support.states import assert_same_state
 from typer.testing import CliRunner
 
