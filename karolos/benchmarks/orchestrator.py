@@ -21,7 +21,7 @@ from ..orchestrator.auto import PROBE_ROUNDS, Measured, choose, cores, process_c
 from ..orchestrator.local import Local
 from ..registry import load
 from ..report.figures import BoxPlot
-from ..spec.recipe import Part, Recipe
+from ..spec.parts import Part, Recipe
 from .side_by_side import Row, beside, take_turns
 from .waiting import Waiting
 

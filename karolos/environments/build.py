@@ -7,7 +7,7 @@ from typing import Any
 from ..core import Environment
 from ..errors import UsageError
 from ..registry import load
-from ..spec.recipe import Part, Recipe
+from ..spec.parts import Part, Recipe
 
 
 def build_environment(recipe: Recipe) -> Environment:

@@ -188,8 +188,11 @@ def _observed(step: Any) -> Observation:
 def _recipe(chosen: Mapping[str, str], settings: Mapping[str, Any], randomization: Mapping[str, Any]) -> Any:
     """A recipe in which each part has the settings that it declares."""
     from ..registry import load  # noqa: PLC0415
-    from ..spec.parts import OfKind  # noqa: PLC0415
-    from ..spec.recipe import Part, Recipe  # noqa: PLC0415
+    from ..spec.parts import (  # noqa: PLC0415
+        OfKind,
+        Part,
+        Recipe,
+    )
 
     models = {what: load(kind, chosen[what]).Settings for kind, what in _PARTS}
     allowed = sorted({name for model in models.values() for name in model.model_fields} - {"window"})

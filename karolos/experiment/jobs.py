@@ -48,7 +48,7 @@ def run_side_by_side(
             for job in running:
                 job.process.terminate()
         while waiting and len(running) < jobs:
-            running.append(_start(work, waiting.pop(0)))
+            running.append(_Job(*start_process(_in_process, work, waiting.pop(0))))
         for connection in wait([job.connection for job in running], POLL_SECONDS):
             job = next(job for job in running if job.connection is connection)
             if not _receive(job, listener):
@@ -59,14 +59,21 @@ def run_side_by_side(
     return summaries
 
 
-def _start(work: Work, seed: int) -> _Job:
+def start_process(target: Callable[..., None], *arguments: object) -> tuple[Any, Connection]:
+    """Start `target(connection, *arguments)` in a new process; returns the process and the connection's other end."""
     context = multiprocessing.get_context("spawn")
-    receiving, sending = context.Pipe(duplex=False)
-    process = context.Process(target=_in_process, args=(work, seed, sending))
+    ours, theirs = context.Pipe()
+    process = context.Process(target=target, args=(theirs, *arguments))
     with sigint_ignored():  # the child inherits it: Ctrl-C reaches the parent, which decides
         process.start()
-    sending.close()
-    return _Job(process, receiving)
+    theirs.close()
+    return process, ours
+
+
+def exit_cause(process: Any) -> str:
+    """How a process ended, for messages: "was killed by signal 9" or "ended with exit code 1"."""
+    code = process.exitcode
+    return f"was killed by signal {-code}" if code < 0 else f"ended with exit code {code}"
 
 
 @contextmanager
@@ -98,12 +105,10 @@ def _finish(job: _Job, listener: Listener) -> None:
     job.process.join()
     job.connection.close()
     if job.summary is None and job.run is not None:
-        code = job.process.exitcode
-        how = f"was killed by signal {-code}" if code < 0 else f"ended with exit code {code}"
-        listener(RunEnded(job.run, "lost", f"its process {how}"))
+        listener(RunEnded(job.run, "lost", f"its process {exit_cause(job.process)}"))
 
 
-def _in_process(work: Work, seed: int, connection: Connection) -> None:
+def _in_process(connection: Connection, work: Work, seed: int) -> None:
     with stop_on_signals(interrupt=False) as stop:
 
         def send(event: RunEvent) -> None:

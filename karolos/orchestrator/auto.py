@@ -13,10 +13,10 @@ from typing import Any
 import numpy as np
 from pydantic import Field as Setting
 
-from ..core import FloatArray, Orchestrator, Received, random_actions
+from ..core import Orchestrator, random_actions
 from ..environments.build import build_environment
 from .executor import Build
-from .local import EnvironmentIds, Limits, Local
+from .local import Limits, Local
 
 THREADS = 4
 """Threads per process that the probe tries with the best number of processes."""
@@ -30,8 +30,8 @@ _probed: dict[bytes, list[Measured]] = {}
 """Measurements of this process by robot, task and settings, so that a run's tests need no second probe."""
 
 
-class Auto(Orchestrator):
-    """The local orchestrator with the layout that was fastest in a probe of a few seconds.
+class Auto(Local):
+    """A local orchestrator with the layout that was fastest in a probe of a few seconds.
 
     Results do not depend on the layout. A spec with `auto` and a spec with `local` and the same number of environments
     are the same experiment. `describe` returns the measurements and the chosen layout.
@@ -64,38 +64,14 @@ class Auto(Orchestrator):
         if key not in _probed:
             _probed[key] = probe(recipe, settings.environments, settings.seconds, build)
         self.measured = _probed[key]
-        self.chosen = choose(self.measured)
-        self._local = Local(
-            Local.Settings(
-                processes=self.chosen.processes,
-                threads=self.chosen.threads,
-                time_limit=settings.time_limit,
-                failures=settings.failures,
-            ),
-            recipe,
-            size=settings.environments,
-            build=build,
-        )
-        self.signature, self.size = self._local.signature, self._local.size
-
-    def reset(self, environments: EnvironmentIds, seeds: Sequence[int]) -> None:
-        self._local.reset(environments, seeds)
-
-    def step(self, environments: EnvironmentIds, actions: FloatArray, *, updates: int = 0) -> None:
-        self._local.step(environments, actions, updates=updates)
-
-    def receive(self, at_least: int | None = None) -> Received:
-        return self._local.receive(at_least)
-
-    def parameters(self, environments: EnvironmentIds) -> FloatArray:
-        return self._local.parameters(environments)
+        chosen = choose(self.measured)
+        limits = settings.model_dump(include=set(Limits.model_fields))
+        layout = Local.Settings(processes=chosen.processes, threads=chosen.threads, **limits)
+        super().__init__(layout, recipe, size=settings.environments, build=build)
 
     def describe(self) -> dict[str, Any]:
         """The chosen layout, and all measured layouts with their steps per second."""
-        return {**self._local.describe(), "measured": [asdict(one) for one in self.measured]}
-
-    def close(self) -> None:
-        self._local.close()
+        return {**super().describe(), "measured": [asdict(one) for one in self.measured]}
 
 
 @dataclass(frozen=True)

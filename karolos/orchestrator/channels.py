@@ -44,11 +44,9 @@ class Channel:
         """Send a command for a group, or queue it until the channel is ready. Ignores a closed connection."""
         self._pending.append(group)
         self._sent += 1
+        self._backlog.append(message)
         if self.ready:
-            with suppress(OSError):
-                self.connection.send_bytes(message)
-        else:
-            self._backlog.append(message)
+            self.open()
 
     def open(self) -> None:
         """Mark the channel as ready and send the queued commands."""
@@ -91,7 +89,7 @@ class Worker:
 
     @property
     def environments(self) -> Ids:
-        return np.concatenate([np.arange(channel.ids.start, channel.ids.stop) for channel in self.channels])
+        return np.arange(self.channels[0].ids.start, self.channels[-1].ids.stop)
 
     def close_connections(self) -> None:
         """Close the connections, which makes the process exit."""

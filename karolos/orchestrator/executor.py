@@ -87,17 +87,8 @@ class Executor:
         self._write(index, self._environments[index - self._first].step(np.asarray(action)))
 
     def _write(self, index: int, step: Step) -> None:
-        arrays = self._arrays
-        (
-            arrays.observation[index],
-            arrays.achieved_goal[index],
-            arrays.desired_goal[index],
-            arrays.reward[index],
-            arrays.terminated[index],
-            arrays.truncated[index],
-            arrays.success[index],
-            arrays.diverged[index],
-        ) = step
+        for array, value in zip(self._arrays.step, step, strict=True):
+            array[index] = value
 
 
 def _check_shapes(environment: Environment, step: Step) -> None:
@@ -141,9 +132,3 @@ def pack_errors(errors: list[tuple[int, KarolosError]]) -> bytes:
             text = "".join(traceback.format_exception(error))
             portable.append((index, WorkerError(error.what, where=error.where, hint=error.hint, traceback=text)))
     return pickle.dumps(portable)
-
-
-def unpack_errors(message: bytes) -> list[tuple[int, KarolosError]]:
-    """Unpickle the pairs from `pack_errors`."""
-    errors: list[tuple[int, KarolosError]] = pickle.loads(message)
-    return errors

@@ -189,7 +189,6 @@ class Local(Orchestrator):
 
     def _fetch(self, backend: Backend, failures: tuple[Failure, ...]) -> Received:
         """The answers that no `receive` has returned yet."""
-        arrays = backend.arrays
         all_ready = self._ready == self.size
         ids = self._all_ids.copy() if all_ready else np.flatnonzero(self._answered)
         self._answered[:] = False
@@ -198,19 +197,9 @@ class Local(Orchestrator):
         def rows(array: NDArray[Any]) -> NDArray[Any]:
             return array.copy() if all_ready else array[ids]
 
-        terminated, truncated = rows(arrays.terminated), rows(arrays.truncated)
+        step = Step(*map(rows, backend.arrays.step))
         if self._any_failed:
-            self._failed[ids[terminated | truncated]] = 0
-        step = Step(
-            rows(arrays.observation),
-            rows(arrays.achieved_goal),
-            rows(arrays.desired_goal),
-            rows(arrays.reward),
-            terminated,
-            truncated,
-            rows(arrays.success),
-            rows(arrays.diverged),
-        )
+            self._failed[ids[step.terminated | step.truncated]] = 0
         return Received(ids, step, rows(self._updates), failures)
 
     def parameters(self, environments: EnvironmentIds) -> FloatArray:

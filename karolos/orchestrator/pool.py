@@ -13,7 +13,7 @@ from ..core import Failure, Signature
 from ..errors import KarolosError, MachineError, PluginError
 from .backend import Answers, Backend, Group, Ids
 from .channels import Channel, Poller, Worker
-from .executor import RESET, STEP, Build, unpack_errors
+from .executor import RESET, STEP, Build
 from .shared_memory import EnvironmentArrays, SharedBytes
 from .start import pack_recipe
 from .worker import DONE, packed
@@ -39,7 +39,12 @@ class WorkerPool(Backend):
     ) -> None:
         self._recipe = pack_recipe(build, recipe)
         self._layout = layout
-        self._size = sum(len(ids) for channels in layout for ids in channels)
+        sizes = [len(ids) for channels in layout for ids in channels]
+        self._size = sum(sizes)
+        self._places = [(worker, channel) for worker, ranges in enumerate(layout) for channel in range(len(ranges))]
+        """All pairs of worker and channel."""
+        self._place_of = np.repeat(np.arange(len(sizes)), sizes)
+        """The index in `_places` of each environment."""
         self._time_limit = time_limit
         self._check_interval = min(CHECK_INTERVAL, time_limit / 4)
         self._next_check = monotonic() + self._check_interval
@@ -56,9 +61,6 @@ class WorkerPool(Backend):
         except BaseException:  # also an interrupt, so that no worker stays behind
             self.close()
             raise
-        threads = [len(channels) for channels in layout]
-        self._worker_of = np.repeat(np.repeat(np.arange(len(layout)), threads), _lengths(layout))
-        self._channel_of = np.repeat(np.concatenate([np.arange(count) for count in threads]), _lengths(layout))
 
     def _start(self, number: int) -> Worker:
         try:
@@ -102,17 +104,18 @@ class WorkerPool(Backend):
 
     def _plan(self, environments: Ids) -> list[tuple[Channel, Group, dict[bytes, bytes]]]:
         """The channels of these environments, the environments of each, and the message for each command."""
-        workers, channels = self._worker_of[environments], self._channel_of[environments]
+        places = self._place_of[environments]
         plan = []
-        for worker, channel in sorted(set(zip(workers.tolist(), channels.tolist(), strict=True))):
-            ids = environments[(workers == worker) & (channels == channel)]
+        for place in np.unique(places).tolist():
+            worker, channel = self._places[place]
+            ids = environments[places == place]
             messages = {command: packed(command, ids) for command in (RESET, STEP)}
             plan.append((self._workers[worker].channels[channel], Group.of(ids), messages))
         return plan
 
     def _replace(self, environments: Ids) -> None:
         """Replace the lost workers of these environments."""
-        for number in np.unique(self._worker_of[environments]).tolist():
+        for number, _ in sorted({self._places[place] for place in self._place_of[environments]}):
             if self._workers[number].lost:
                 with suppress(MachineError):  # the worker stays lost, and fails again
                     self._workers[number] = self._start(number)
@@ -140,14 +143,14 @@ class WorkerPool(Backend):
         elif message[:1] == DONE:
             answers.done.append(channel.answered())
         else:
-            failed = unpack_errors(message[1:])
+            failed = pickle.loads(message[1:])
             answers.failures.extend(Failure(np.array([index]), error) for index, error in failed)
             answers.done.append(Group.of(np.setdiff1d(channel.answered().ids, [index for index, _ in failed])))
 
     def _connect(self, channel: Channel, message: bytes, answers: Answers) -> None:
         """Handle a channel's first message: the signature of its environments, or why they could not be built."""
         if message[:1] != DONE:
-            self._lose(channel.worker, answers, unpack_errors(message[1:])[0][1])
+            self._lose(channel.worker, answers, pickle.loads(message[1:])[0][1])
             return
         signature: Signature = pickle.loads(message[1:])
         if self._memory is None:
@@ -197,21 +200,10 @@ class WorkerPool(Backend):
             worker.join(deadline)
         self._workers = []
         if self._memory is not None:
-            self.arrays = EnvironmentArrays.private(
-                self.signature, 0
-            )  # drops references that an error's frames may hold
+            self.arrays = EnvironmentArrays.private(self.signature, 0)  # a traceback may refer to the old arrays
             self._memory.close()
 
 
-def _lengths(layout: tuple[tuple[range, ...], ...]) -> list[int]:
-    return [len(ids) for channels in layout for ids in channels]
-
-
 def _widths(signature: Signature) -> tuple[object, ...]:
-    return (
-        signature.observation,
-        signature.action,
-        signature.achieved_goal,
-        signature.desired_goal,
-        signature.parameters,
-    )
+    goals = signature.achieved_goal, signature.desired_goal
+    return (signature.observation, signature.action, *goals, signature.parameters)

@@ -18,7 +18,7 @@ from typing import Any
 import numpy as np
 from numpy.typing import NDArray
 
-from ..core import BoolArray, FloatArray, Signature
+from ..core import FloatArray, Signature, Step
 
 ALIGNMENT = 64
 """Bytes: each array begins at a multiple, so that no two arrays share a cache line."""
@@ -31,57 +31,39 @@ class EnvironmentArrays:
     seed: NDArray[np.uint64]
     action: FloatArray
     parameters: FloatArray
-    observation: FloatArray
-    achieved_goal: FloatArray
-    desired_goal: FloatArray
-    reward: FloatArray
-    terminated: BoolArray
-    truncated: BoolArray
-    success: BoolArray
-    diverged: BoolArray
     commands: NDArray[np.uint64]
     """Number of commands that each environment has completed. A hanging environment completes none."""
+    step: Step
 
     @staticmethod
-    def _columns(signature: Signature, environments: int) -> dict[str, tuple[type[np.generic], tuple[int, ...]]]:
-        def wide(width: int) -> tuple[type[np.generic], tuple[int, ...]]:
-            return np.float32, (environments, width)
-
-        flag = np.bool_, (environments,)
-        return {
-            "seed": (np.uint64, (environments,)),
-            "action": wide(signature.action.size),
-            "parameters": wide(signature.parameters.size),
-            "observation": wide(signature.observation.size),
-            "achieved_goal": wide(signature.achieved_goal.size),
-            "desired_goal": wide(signature.desired_goal.size),
-            "reward": (np.float32, (environments,)),
-            "terminated": flag,
-            "truncated": flag,
-            "success": flag,
-            "diverged": flag,
-            "commands": (np.uint64, (environments,)),
-        }
-
-    @classmethod
-    def size(cls, signature: Signature, environments: int) -> int:
+    def size(signature: Signature, environments: int) -> int:
         """Bytes that the arrays of `environments` environments need."""
-        return sum(_aligned(_bytes(*column)) for column in cls._columns(signature, environments).values())
+        return sum(_aligned(_bytes(*column)) for column in _columns(signature, environments))
 
     @classmethod
     def over(cls, buffer: Any, signature: Signature, environments: int) -> EnvironmentArrays:
         """The arrays in `buffer`, at the same offsets in every process."""
-        arrays: dict[str, Any] = {}
+        arrays: list[Any] = []
         start = 0
-        for name, (kind, shape) in cls._columns(signature, environments).items():
-            arrays[name] = np.ndarray(shape, kind, buffer, start)
+        for kind, shape in _columns(signature, environments):
+            arrays.append(np.ndarray(shape, kind, buffer, start))
             start += _aligned(_bytes(kind, shape))
-        return cls(**arrays)
+        seed, action, parameters, commands, *step = arrays
+        return cls(seed, action, parameters, commands, Step(*step))
 
     @classmethod
     def private(cls, signature: Signature, environments: int) -> EnvironmentArrays:
         """Arrays in the private memory of this process."""
         return cls.over(bytearray(cls.size(signature, environments)), signature, environments)
+
+
+def _columns(signature: Signature, environments: int) -> list[tuple[type[np.generic], tuple[int, ...]]]:
+    """Type and shape of each array: seed, action, parameters and commands, then those of a Step."""
+    count, reward, flag = ((kind, (environments,)) for kind in (np.uint64, np.float32, np.bool_))
+    vectors = (signature.action, signature.parameters, signature.observation)
+    goals = (signature.achieved_goal, signature.desired_goal)
+    action, parameters, *step = ((np.float32, (environments, vector.size)) for vector in (*vectors, *goals))
+    return [count, action, parameters, count, *step, reward, flag, flag, flag, flag]
 
 
 def _bytes(kind: type[np.generic], shape: tuple[int, ...]) -> int:

@@ -18,7 +18,7 @@ from ..evaluation.policies import random_policy
 from ..evaluation.testing import test_seeds
 from ..randomization.randomization import RandomizedParameter
 from ..registry import load
-from ..spec.recipe import Part, Recipe
+from ..spec.parts import Part, Recipe
 
 Facts = dict[str, Any]
 """One row: names of columns and JSON-able values."""

@@ -3,7 +3,7 @@
 from .load import load_spec, spec_of_trial
 from .merge import parse_settings
 from .model import Spec, Testing, Training
-from .recipe import Part, Recipe
+from .parts import Part, Recipe
 from .sweep import Sweep
 from .yaml_text import to_yaml
 

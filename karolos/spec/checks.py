@@ -25,12 +25,10 @@ def environment_problems(tree: Node) -> list[Located]:
         missing = [key for key in ("robot", "task") if tree.get(key) is None and not _misspelt(tree, key)]
         if not missing:
             return []
-        what = f"{ROBOT_TASK} needs a {' and a '.join(missing)}"
+        what = f"{ROBOT_TASK} requires a {' and a '.join(missing)}"
         return [Located(environment.place, "environment", what, f"add {' and '.join(missing)}")]
     problems = [
-        Located(
-            node.place, key, f"goes with environment {ROBOT_TASK}, not with {name!r}", f"remove {key}, or write null"
-        )
+        Located(node.place, key, f"requires environment {ROBOT_TASK}, not {name!r}", f"remove {key}, or write null")
         for key, node in (("robot", robot), ("task", task))
         if node is not None
     ]
@@ -45,10 +43,10 @@ def _without_environment(tree: Node, robot: Node | None, task: Node | None) -> l
     if any(_misspelt(tree, key) for key in ("robot", "task", "environment")):
         return []  # validation reports the misspelt key, which may be the only problem
     if robot is None and task is None:
-        return [Located(tree.at, "", "says nothing to learn in", "give robot and task, or environment")]
+        return [Located(tree.at, "", "has no environment", "give robot and task, or environment")]
     given, key, other = (robot, "robot", "task") if robot is not None else (task, "task", "robot")
     assert given is not None  # one of the two is
-    return [Located(given.place, key, f"stands without a {other}", f"add {other}")]
+    return [Located(given.place, key, f"requires a {other}", f"add {other}")]
 
 
 def pairing_problems(tree: Node) -> list[Located]:

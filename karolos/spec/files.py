@@ -100,12 +100,12 @@ class SpecFiles:
         """The problem and hint if a file cannot be extended; otherwise None."""
         tree = spec_tree(self.root)
         if not found.is_relative_to(tree):
-            return f"{shown(target)} lies outside {shown(os.fspath(tree))}", "extend files of that folder"
+            return f"{shown(target)} is outside {shown(os.fspath(tree))}", "extend files of that folder"
         if found in above:
             chain = " -> ".join(shown(file.name) for file in (*above[above.index(found) :], found))
-            return f"goes in a circle: {chain}", "remove one of them"
+            return f"is a circle: {chain}", "remove one of them"
         if len(above) >= MAX_CHAIN:
-            return f"more than {MAX_CHAIN} files extend one another in a row", None
+            return f"more than {MAX_CHAIN} files in a row extend each other", None
         missing = _unreadable(found)
         return (f"{shown(target)}: {missing}", _similar(found)) if missing else None
 
@@ -136,7 +136,7 @@ def _similar(path: Path) -> str | None:
     except (OSError, ValueError):
         return None
     if folder == path:
-        return f"it holds {shown(', '.join(beside))}" if beside else None
+        return f"it contains {shown(', '.join(beside))}" if beside else None
     near = closest(path.name, beside) or closest(path.stem, beside)
     return f"did you mean {shown(near)}?" if near else None
 

@@ -7,17 +7,14 @@ from collections.abc import Iterable, Mapping
 from pathlib import Path
 from typing import Any
 
-from pydantic import ValidationError
-
 from ..errors import PluginError
 from ..registry import singular
-from .checks import ROBOT_TASK, environment_problems, pairing_problems
+from .checks import ROBOT_TASK
 from .files import SpecFiles
 from .merge import PARTS, RANDOMIZATION, SWEEP, merged, normalised, override_trees, with_shared_settings
 from .model import NAME, Spec
 from .nodes import DEFAULT, Located, Mark, Node, from_plain, leaves, refuse
-from .parts import validate_strictly
-from .problems import located_problems
+from .problems import validate
 from .space import space_problems, trial_spec
 
 
@@ -51,26 +48,16 @@ def _resolve(tree: Node, overrides: Iterable[Node], problems: list[Located], ste
     for override in overrides:
         tree = merged(tree, with_shared_settings(tree, override))
     tree = _with_defaults(_without_nulls(tree), stem)
-    problems = [*problems, *environment_problems(tree), *pairing_problems(tree)]
-    spec: Spec | None = None
     try:
-        spec = validate_strictly(Spec, tree.plain())
-    except ValidationError as error:
-        problems.extend(located_problems(error, tree))
+        spec, spec_problems = validate(tree)
     except PluginError as error:
         raise _at_part(error, tree) from error.__cause__
-    refuse(problems)
-    refuse(_sweep_problems(tree, spec, stem))
-    assert spec is not None  # no problems: it validated
-    spec._origins.update(_origins(spec, tree))
+    refuse([*problems, *spec_problems])
+    assert spec is not None  # it has no problems
+    if spec.sweep is not None:
+        refuse(space_problems(tree, spec.sweep, lambda probe: _with_defaults(probe, stem)))
+    spec._origins.update({".".join(path): _origin(tree, path) for path, _ in leaves(spec.dump())})
     return spec
-
-
-def _sweep_problems(tree: Node, spec: Spec | None, stem: str | None) -> list[Located]:
-    """The problems of a valid spec's sweep."""
-    if spec is None or spec.sweep is None:
-        return []
-    return space_problems(tree, spec.sweep, lambda probe: _with_defaults(probe, stem))
 
 
 def spec_of_trial(base: Spec, drawn: Mapping[str, Any], name: str, seeds: tuple[int, ...], source: str) -> Spec:
@@ -82,23 +69,16 @@ def spec_of_trial(base: Spec, drawn: Mapping[str, Any], name: str, seeds: tuple[
     return _resolve(trial_spec(base, drawn, name, seeds, source), [], [], None)
 
 
-def _without_nulls(tree: Node) -> Node:
-    """The tree without nulls, so that a spec can remove inherited values."""
-    tree = _kept(tree)
-    entries = dict(tree.mapping or {})
-    if RANDOMIZATION in entries:
-        entries[RANDOMIZATION] = _kept(entries[RANDOMIZATION])
-    sweep = entries.get(SWEEP)
-    if sweep is not None and sweep.mapping is not None and "space" in sweep.mapping:
-        entries[SWEEP] = Node({**sweep.mapping, "space": _kept(sweep.mapping["space"])}, sweep.at, sweep.key)
-    return Node(entries, tree.at, tree.key)
-
-
-def _kept(node: Node) -> Node:
-    """A mapping without its nulls; anything else as it is."""
-    if node.mapping is None:
+def _without_nulls(node: Node, path: tuple[str, ...] = ()) -> Node:
+    """The tree without nulls, so that a spec can remove inherited values. Nulls within a part are settings."""
+    if node.mapping is None or path not in ((), (RANDOMIZATION,), (SWEEP,), (SWEEP, "space")):
         return node
-    return Node({key: entry for key, entry in node.mapping.items() if entry.value is not None}, node.at, node.key)
+    entries = {
+        key: _without_nulls(entry, (*path, key))
+        for key, entry in node.mapping.items()
+        if entry.value is not None or path == (SWEEP,)
+    }
+    return Node(entries, node.at, node.key)
 
 
 def _with_defaults(tree: Node, stem: str | None) -> Node:
@@ -125,30 +105,23 @@ def _described(given: dict[str, Node]) -> str:
 
 
 def _at_part(error: PluginError, tree: Node) -> PluginError:
-    """The error of a broken plugin, told at the first place in the spec that names it."""
-    drawn = tree.get(RANDOMIZATION)
-    parts = [(key, kind, tree.get(key)) for key, kind in PARTS.items()]
-    parts += [
-        (f"{RANDOMIZATION}.{key}", "distributions", node) for key, node in ((drawn and drawn.mapping) or {}).items()
-    ]
-    for key, kind, node in parts:
-        name = node.get("name") if node else None
+    """The error of a broken plugin, at the first position in the spec that names it."""
+    kinds = {(key,): kind for key, kind in PARTS.items()}
+    randomization = tree.get(RANDOMIZATION)
+    drawn = (randomization and randomization.mapping) or {}
+    for path, kind in (kinds | {(RANDOMIZATION, key): "distributions" for key in drawn}).items():
+        name = tree.get(*path, "name")
         if name is not None and f"{singular(kind)} {name.value!r} " in f"{error.where} {error.what} ":
-            where = f"{name.at}: {key}.name"
+            where = f"{name.at}: {'.'.join(path)}.name"
             return PluginError(error.what, where=f"{where}: {error.where}" if error.where else where, hint=error.hint)
     return error
-
-
-def _origins(spec: Spec, tree: Node) -> dict[str, str]:
-    """Key path of every resolved value -> where it comes from."""
-    return {".".join(path): _origin(tree, path) for path, _ in leaves(spec.dump())}
 
 
 def _origin(tree: Node, path: tuple[str, ...]) -> str:
     """The place of the value at `path`, or of the scalar that a plugin's settings made it from."""
     node = tree
     for key in path:
-        below = node.child(key)
+        below = node.get(key)
         if below is None:
             return str(DEFAULT if node.mapping is not None else node.at)
         node = below

@@ -98,16 +98,21 @@ def _override(text: str, mark: Mark, problems: list[Located]) -> Node:
     if path[0] == "extends":
         raise BrokenTextError(Located(mark, "extends", "cannot be overridden", "put it into the spec file"))
     try:
-        node, found = read(value, mark.source, mark.rank, lines=False)
+        node, value_problems = read(value, mark.source, mark.rank, lines=False)
     except BrokenTextError as broken:
         raise BrokenTextError(_in_value(broken.problem, key)) from None
-    problems.extend(_in_value(problem, key) for problem in found)
+    problems.extend(_in_value(problem, key) for problem in value_problems)
     if node is None and value.strip():
         raise BrokenTextError(Located(mark, key, "the value is a comment", "put it in quotes: key='\"#...\"'"))
-    node = (node or Node(None, mark)).with_key(mark)
-    for step in reversed(path):
-        node = Node({step: node}, mark, mark)
-    return normalised(node)
+    return nested(path, (node or Node(None, mark)).with_key(mark))
+
+
+def nested(path: Iterable[str], value: Node) -> Node:
+    """The tree for merging that contains the value at its path."""
+    tree = value
+    for step in reversed(list(path)):
+        tree = Node({step: tree}, value.at, value.key)
+    return normalised(tree)
 
 
 def _in_value(problem: Located, key: str) -> Located:
@@ -133,28 +138,18 @@ def with_shared_settings(tree: Node, override: Node) -> Node:
     `buffer.name=priority` therefore retains capacity, hindsight and n_step of a uniform buffer. A file that names
     another plugin replaces the whole part instead.
     """
-    if override.mapping is None or len(override.mapping) != 1:
-        return override
-    ((key, above),) = override.mapping.items()
-    below = tree.get(key)
-    if (
-        key not in PARTS
-        or below is None
-        or below.mapping is None
-        or above.mapping is None
-        or set(above.mapping) != {"name"}
-    ):
-        return override
-    old, new = below.mapping.get("name"), above.mapping["name"]
-    if old is None or old.value == new.value:
-        return override
-    before, after = _types(key, old.value), _types(key, new.value)
-    shared = {
-        name: node
-        for name, node in below.mapping.items()
-        if name in before and name in after and before[name] == after[name]
-    }
-    return Node({key: Node({**shared, **above.mapping}, above.at, above.key)}, override.at, override.key)
+    for key, above in (override.mapping or {}).items():  # one entry
+        below = tree.get(key)
+        if key not in PARTS or below is None or set(above.mapping or ()) != {"name"} or not _changes_name(below, above):
+            continue
+        before, after = _types(key, below["name"].value), _types(key, above["name"].value)
+        shared = {
+            name: node
+            for name, node in (below.mapping or {}).items()
+            if name in before and name in after and before[name] == after[name]
+        }
+        return merged(Node({key: Node(shared, above.at)}, override.at), override)
+    return override
 
 
 def _types(key: str, name: object) -> dict[str, object]:

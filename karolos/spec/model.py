@@ -11,8 +11,18 @@ from pydantic import AfterValidator, PrivateAttr, StringConstraints, model_valid
 from pydantic import Field as Setting
 
 from ..core import Settings
-from .parts import AgentPart, BufferPart, DistributionPart, EnvironmentPart, OrchestratorPart, RobotPart, TaskPart
-from .recipe import Part, Recipe
+from .merge import PARTS
+from .parts import (
+    AgentPart,
+    BufferPart,
+    DistributionPart,
+    EnvironmentPart,
+    OrchestratorPart,
+    Part,
+    Recipe,
+    RobotPart,
+    TaskPart,
+)
 from .sweep import Sweep
 
 NAME = r"^[A-Za-z0-9][A-Za-z0-9._-]{0,63}$"
@@ -51,7 +61,7 @@ class Training(Settings):
     @model_validator(mode="after")
     def _batch_goes_with_async(self) -> Any:
         if self.minimum_batch is not None and self.mode != "async":
-            raise ValueError(f"minimum_batch goes with mode: async, not with {self.mode}")
+            raise ValueError(f"minimum_batch requires mode: async, not {self.mode}")
         return self
 
     @property
@@ -96,10 +106,10 @@ class Testing(Settings):
 
 def _distinct(seeds: tuple[int, ...]) -> tuple[int, ...]:
     if not seeds:
-        raise ValueError("names no seed")
+        raise ValueError("should contain at least one seed")
     twice = [seed for place, seed in enumerate(seeds) if seed in seeds[:place]]
     if twice:
-        raise ValueError(f"names the seed {twice[0]} twice")
+        raise ValueError(f"contains the seed {twice[0]} twice")
     return seeds
 
 
@@ -118,17 +128,19 @@ class Spec(Settings):
     seeds: Annotated[tuple[Seed, ...], AfterValidator(_distinct)] = Setting(
         (0,), description="one run for each; the root of all its random numbers"
     )
-    robot: RobotPart | None = Setting(None, description="the arm; goes with a task")
+    robot: RobotPart | None = Setting(None, description="the arm; requires a task")
     task: TaskPart | None = Setting(None, description="what the robot has to do")
-    environment: EnvironmentPart = Setting(description="what the agent acts in; robot_task where robot and task stand")
+    environment: EnvironmentPart = Setting(
+        description="what the agent acts in. Default: robot_task, for a robot and a task"
+    )
     agent: AgentPart = Setting(description="the learning algorithm")
     buffer: BufferPart = Setting(description="what the agent learns from. Default: uniform")
+    orchestrator: OrchestratorPart = Setting(description="how environments share the machine. Default: local")
     randomization: dict[Annotated[str, StringConstraints(pattern=PARAMETER)], DistributionPart] = Setting(
         {}, description="distributions of robot.* and task.* parameters, drawn at each training reset"
     )
-    orchestrator: OrchestratorPart = Setting(description="how environments share the machine. Default: local")
     demonstrations: Demonstrations | None = Setting(
-        None, description="what an expert shows before training; null: nothing"
+        None, description="episodes of the task's expert, collected before training; null: off"
     )
     training: Training = Setting(default_factory=Training, description="how much is collected and learned")
     testing: Testing = Setting(default_factory=Testing, description="how often and on what the agent is tested")
@@ -156,16 +168,7 @@ class Spec(Settings):
 
     def dump(self) -> dict[str, Any]:
         """The spec with all defaults, as JSON-able data that loads as an equal spec."""
-        return {
-            "name": self.name,
-            "seeds": list(self.seeds),
-            **{key: part.dump() for key, part in self._parts().items()},
-            "randomization": {key: part.dump() for key, part in self.randomization.items()},
-            **self._demonstrated(),
-            "training": self.training.model_dump(mode="json"),
-            "testing": self.testing.model_dump(mode="json"),
-            **({"sweep": self.sweep.dump()} if self.sweep else {}),
-        }
+        return {key: value for key, value in self.model_dump(mode="json").items() if value is not None}
 
     def alone(self) -> Spec:
         """This spec without its sweep."""
@@ -176,13 +179,15 @@ class Spec(Settings):
 
         Excludes name, seeds, sweep, device, threads and settings that a plugin's `Settings.identity()` omits.
         """
+        parts: dict[str, Part | None] = {key: getattr(self, key) for key in PARTS}
         identity = {
-            **{key: part.identity() for key, part in self._parts().items()},
+            **self.dump(),
+            **{key: part.identity() for key, part in parts.items() if part is not None},
             "randomization": {key: part.identity() for key, part in self.randomization.items()},
-            **self._demonstrated(),
             "training": self.training.identity(),
-            "testing": self.testing.model_dump(mode="json"),
         }
+        for key in ("name", "seeds", "sweep"):
+            identity.pop(key, None)
         text = json.dumps(identity, sort_keys=True, separators=(",", ":"))
         return hashlib.sha256(text.encode()).hexdigest()
 
@@ -190,20 +195,6 @@ class Spec(Settings):
         """The recipe of one environment, with or without randomization."""
         drawn = tuple(sorted(self.randomization.items())) if randomize else ()
         return Recipe(self.environment, self.robot, self.task, drawn)
-
-    def _demonstrated(self) -> dict[str, Any]:
-        return {"demonstrations": self.demonstrations.model_dump(mode="json")} if self.demonstrations else {}
-
-    def _parts(self) -> dict[str, Part]:
-        parts = {
-            "robot": self.robot,
-            "task": self.task,
-            "environment": self.environment,
-            "agent": self.agent,
-            "buffer": self.buffer,
-            "orchestrator": self.orchestrator,
-        }
-        return {key: part for key, part in parts.items() if part is not None}
 
     def __eq__(self, other: object) -> bool:
         return self.dump() == other.dump() if isinstance(other, Spec) else NotImplemented

@@ -77,16 +77,23 @@ class Node:
         """The node at a path below this one, or None."""
         node: Node | None = self
         for step in path:
-            node = node.child(step) if node else None
+            value = node.value if node else None
+            entries = dict(enumerate(value)) if isinstance(value, list) else value
+            node = entries.get(step) if isinstance(entries, dict) else None
         return node
 
-    def child(self, step: str | int) -> Node | None:
-        """The entry `step` of a mapping or a list, or None."""
-        if self.mapping is not None:
-            return self.mapping.get(step) if isinstance(step, str) else None
-        if self.items is not None and isinstance(step, int) and 0 <= step < len(self.items):
-            return self.items[step]
-        return None
+    def __getitem__(self, step: str | int) -> Node:
+        """The entry `step` of a mapping or a list. Raises KeyError if it is missing."""
+        node = self.get(step)
+        if node is None:
+            raise KeyError(step)
+        return node
+
+    def walk(self) -> Iterator[Node]:
+        """This node and all nodes below it."""
+        yield self
+        for node in self.mapping.values() if self.mapping is not None else self.items or ():
+            yield from node.walk()
 
 
 @dataclass(frozen=True)
@@ -136,26 +143,26 @@ def from_plain(value: object, mark: Mark) -> Node:
 
 
 def _from_plain(value: object, mark: Mark, path: Path, problems: list[Located]) -> Node:
-    made: Any = None
+    plain: Any = None
     if len(path) > MAX_DEPTH:
         problems.append(Located(mark, dotted(path), f"nested deeper than {MAX_DEPTH} levels"))
     elif value is None or isinstance(value, bool | str):
-        made = value
+        plain = value
     elif isinstance(value, Real):  # numpy's numbers as well
-        made = int(value) if isinstance(value, Integral) else float(value)
+        plain = int(value) if isinstance(value, Integral) else float(value)
     elif isinstance(value, Mapping):
-        made = {}
+        plain = {}
         for key, entry in value.items():
             if isinstance(key, str):
-                made[key] = _from_plain(entry, mark, (*path, key), problems)
+                plain[key] = _from_plain(entry, mark, (*path, key), problems)
             else:
                 problems.append(Located(mark, dotted(path), f"the key {shown(repr(key))} is not a string"))
     elif isinstance(value, list | tuple):
-        made = [_from_plain(entry, mark, (*path, index), problems) for index, entry in enumerate(value)]
+        plain = [_from_plain(entry, mark, (*path, index), problems) for index, entry in enumerate(value)]
     else:
-        what = f"a {type(value).__name__} cannot stand in a spec"
+        what = f"a spec cannot contain a {type(value).__name__}"
         problems.append(Located(mark, dotted(path), what, "use strings, numbers, lists and dictionaries"))
-    return Node(made, mark, mark)
+    return Node(plain, mark, mark)
 
 
 def leaves(value: object, path: tuple[str, ...] = ()) -> Iterator[tuple[tuple[str, ...], object]]:

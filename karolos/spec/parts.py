@@ -1,8 +1,4 @@
-"""The pydantic field type of a part, which the plugin of its `name` validates.
-
-A pydantic union over plugins would import all of them and reject plugins of other packages. Errors have paths in the
-spec, e.g. agent.learning_rate.
-"""
+"""The parts of a spec, the recipe of an environment, and the pydantic field type of a part."""
 
 from __future__ import annotations
 
@@ -15,23 +11,63 @@ from pydantic_core import CoreSchema, InitErrorDetails, PydanticCustomError, cor
 
 from ..errors import UsageError
 from ..registry import load, singular
-from .recipe import Part
+
+
+@dataclass(frozen=True)
+class Part:
+    """One part of a spec: a plugin and its validated settings.
+
+    Unpickling imports the plugin's module, for its Settings class, and no other plugin.
+    """
+
+    kind: str
+    """A kind of `karolos.registry.KINDS`, e.g. "robots"."""
+    name: str
+    settings: Any
+    """An instance of the plugin's `Settings`."""
+
+    def dump(self) -> dict[str, Any]:
+        """Name and all settings as in a spec; JSON-able."""
+        settings: BaseModel = self.settings
+        return {"name": self.name, **settings.model_dump(mode="json")}
+
+    def identity(self) -> dict[str, Any]:
+        """Name and the settings that results depend on: `Settings.identity()` if defined, otherwise all."""
+        identity = getattr(self.settings, "identity", None)
+        return {"name": self.name, **identity()} if callable(identity) else self.dump()
+
+
+@dataclass(frozen=True)
+class Recipe:
+    """How to build one environment."""
+
+    environment: Part
+    robot: Part | None = None
+    task: Part | None = None
+    randomization: tuple[tuple[str, Part], ...] = ()
+    """Parameters to draw at each reset ("task.gravity") with their distributions, sorted by name."""
 
 
 @dataclass(frozen=True)
 class OfKind:
-    """Marks a field that holds a part of this kind."""
+    """Marks a field that holds a part of this kind, which the plugin of its `name` validates.
+
+    A pydantic union over plugins would import all of them and reject plugins of other packages. Errors have paths in
+    the spec, e.g. agent.learning_rate.
+    """
 
     kind: str
 
     def __get_pydantic_core_schema__(self, source: Any, handler: GetCoreSchemaHandler) -> CoreSchema:
-        return core_schema.no_info_plain_validator_function(self.validate)
+        dump = core_schema.plain_serializer_function_ser_schema(Part.dump)
+        return core_schema.no_info_plain_validator_function(self.validate, serialization=dump)
 
     def validate(self, value: object) -> Part:
         """Convert a mapping with `name` and settings. Raises ValidationError at paths below this field."""
         if isinstance(value, Part):
             return value
-        what = _with_article(singular(self.kind))
+        noun = singular(self.kind)
+        what = f"{'an' if noun[0] in 'aeiou' else 'a'} {noun}"
         if not isinstance(value, dict):
             raise PydanticCustomError("part_type", f"should be the name of {what}, or a mapping with `name`")
         if "name" not in value:
@@ -45,10 +81,6 @@ class OfKind:
             raise _at_name("unknown_name", error.what, name, error.hint) from None
         settings = {key: entry for key, entry in value.items() if key != "name"}
         return Part(self.kind, name, validate_strictly(plugin.Settings, settings))
-
-
-def _with_article(noun: str) -> str:
-    return f"{'an' if noun[0] in 'aeiou' else 'a'} {noun}"
 
 
 def _at_name(kind: str, message: str, value: object, hint: str | None = None) -> ValidationError:

@@ -10,9 +10,11 @@ from pydantic import BaseModel, ValidationError
 
 from ..errors import PluginError, UsageError
 from ..registry import alternatives, closest, load
+from .checks import environment_problems, pairing_problems
 from .merge import PARTS, RANDOMIZATION, is_part
 from .model import Spec
 from .nodes import DEFAULT, Located, Mark, Node, Path, dotted, shown
+from .parts import validate_strictly
 
 _WORDS = (
     ("Input should be", "should be"),
@@ -37,7 +39,20 @@ _UNSHOWN = ("value_error", "assertion_error", "unknown_name", "missing_name", "p
 """Errors whose message does not show the value."""
 
 
-def located_problems(error: ValidationError, tree: Node) -> list[Located]:
+def validate(tree: Node) -> tuple[Spec | None, list[Located]]:
+    """The spec in a tree of nodes, None if it is invalid, and its problems.
+
+    Raises:
+        PluginError: a plugin of the spec is broken.
+    """
+    problems = [*environment_problems(tree), *pairing_problems(tree)]
+    try:
+        return validate_strictly(Spec, tree.plain()), problems
+    except ValidationError as error:
+        return None, [*problems, *_located_problems(error, tree)]
+
+
+def _located_problems(error: ValidationError, tree: Node) -> list[Located]:
     """One problem for each mistake, at its key or value."""
     found: dict[Path, list[dict[str, Any]]] = {}
     forked: set[Path] = set()
@@ -71,7 +86,7 @@ def _untagged(tree: Node, location: Iterable[str | int], kind: str) -> tuple[Pat
     node: Node | None = tree
     tagged = False
     for place, step in enumerate(steps):
-        below = node.child(step) if node else None
+        below = node.get(step) if node else None
         last = place == len(steps) - 1
         if below is not None:
             node, path = below, (*path, step)

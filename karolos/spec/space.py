@@ -9,15 +9,11 @@ from collections.abc import Callable, Iterator, Mapping, Set
 from itertools import islice
 from typing import Any
 
-from pydantic import ValidationError
-
 from ..registry import alternatives
-from .checks import environment_problems, pairing_problems
-from .merge import RANDOMIZATION, SWEEP, merged, normalised, segments
+from .merge import RANDOMIZATION, SWEEP, merged, nested, segments
 from .model import Spec
 from .nodes import Located, Mark, Node, from_plain
-from .parts import validate_strictly
-from .problems import located_problems
+from .problems import validate
 from .sweep import Sweep, SweepParameter
 
 SEARCHABLE = ("robot", "task", "environment", "agent", "buffer", RANDOMIZATION, "demonstrations", "training")
@@ -56,7 +52,7 @@ def trial_spec(base: Spec, drawn: Mapping[str, Any], name: str, seeds: tuple[int
     tree = from_plain({**base.alone().dump(), "name": name, "seeds": list(seeds)}, mark)
     for key in application_order(drawn):
         value = from_plain(base.sweep.space[key].value(drawn[key]), mark)
-        tree = merged(tree, _nested(key, value))
+        tree = merged(tree, nested(segments(key), value))
     return tree
 
 
@@ -68,42 +64,28 @@ def space_problems(tree: Node, sweep: Sweep, complete: Callable[[Node], Node]) -
         sweep: of the tree.
         complete: adds default parts, after names have changed.
     """
-    space = tree.get(SWEEP, "space")
-    assert space is not None  # the sweep was validated
+    space = tree[SWEEP]["space"]
     problems = [*_wrong_keys(space), *_wrong_conditions(space, sweep)]
     if problems:
         return problems
     entries = {key: node for key, node in (tree.mapping or {}).items() if key != SWEEP}
     base = Node(entries, tree.at, tree.key)
-    found: dict[Located, None] = {}
+    wrong_values: dict[Located, None] = {}
     refused: set[tuple[str, Any]] = set()
     for key in sorted(sweep.space, key=lambda one: len(_depends(sweep, one))):
-        node = space.get(key)
-        assert node is not None  # the sweep was made from this tree
         for value, probe in _probes(base, space, sweep, key, refused):
-            wrong = [probe] if isinstance(probe, Located) else _wrong_values(complete(probe))
-            found.update(dict.fromkeys(_at_parameter(node, key, problem) for problem in wrong))
+            wrong = [probe] if isinstance(probe, Located) else validate(complete(probe))[1]
+            wrong_values.update(dict.fromkeys(_at_parameter(space[key], key, problem) for problem in wrong))
             if wrong:
                 refused.add((key, value))  # so that dependent parameters report no further problems
-    return list(found)
+    return list(wrong_values)
 
 
 def _at_parameter(node: Node, key: str, problem: Located) -> Located:
     """The problem, moved to the parameter if its position is elsewhere."""
-    marks = set(_marks(node))
-    if problem.mark in marks:
+    if any(problem.mark in (below.at, below.key) for below in node.walk()):
         return problem
     return Located(node.place, f"sweep.space.{key}", f"{problem.path}: {problem.what}", problem.hint)
-
-
-def _marks(node: Node) -> Iterator[Mark]:
-    yield node.at
-    if node.key is not None:
-        yield node.key
-    for below in (node.mapping or {}).values():
-        yield from _marks(below)
-    for below in node.items or []:
-        yield from _marks(below)
 
 
 def _wrong_keys(space: Node) -> Iterator[Located]:
@@ -123,8 +105,7 @@ def _wrong_conditions(space: Node, sweep: Sweep) -> Iterator[Located]:
     order = sweep.order()
     for key, parameter in sweep.space.items():
         for on, condition in parameter.when.items():
-            node = space.get(key, "when", on)
-            assert node is not None  # the sweep was made from this tree
+            node = space[key]["when"][on]
             path = f"sweep.space.{key}.when.{on}"
             other = sweep.space.get(on)
             if other is None or other.choice is None:
@@ -137,9 +118,8 @@ def _wrong_conditions(space: Node, sweep: Sweep) -> Iterator[Located]:
                 what = f"{on} is never {unknown!r}"
                 yield Located(node.at, path, what, alternatives(unknown, other.labels))
         if key not in order:
-            place = space.get(key, "when")
-            assert place is not None  # a parameter in a circle has a condition
-            yield Located(place.place, f"sweep.space.{key}.when", "goes in a circle", "remove one of the conditions")
+            place = space[key]["when"].place
+            yield Located(place, f"sweep.space.{key}.when", "is a circle of conditions", "remove one of them")
 
 
 def _probes(
@@ -158,24 +138,22 @@ def _probes(
         tree = base
         above = [name for name in application_order(drawn) if name in drawn]
         for name in above:
-            tree = merged(tree, _nested(name, _written(space, name, sweep.space[name], drawn[name])))
+            tree = merged(tree, nested(segments(name), _written(space, name, sweep.space[name], drawn[name])))
         home = tree.get(*segments(key)[:-1])
         if home is not None and home.mapping is None:
             off = next((name for name in reversed(above) if key.startswith(f"{name}.")), None)
             if off is not None:
-                node = space.get(key)
-                assert node is not None  # the sweep was made from this tree
-                what = f"{off} holds no such setting where it is {drawn[off]!r}"
-                yield None, Located(node.place, f"sweep.space.{key}", what, f"add when: {{{off}: ...}}")
+                what = f"{off} has no such setting when it is {drawn[off]!r}"
+                yield None, Located(space[key].place, f"sweep.space.{key}", what, f"add when: {{{off}: ...}}")
                 continue
         values = parameter.labels if parameter.choice is not None else parameter.bounds
         for value in values:
-            yield value, merged(tree, _nested(key, _written(space, key, parameter, value)))
+            yield value, merged(tree, nested(segments(key), _written(space, key, parameter, value)))
 
 
 def _depends(sweep: Sweep, key: str) -> list[str]:
     """The choices that determine whether a parameter is active, or the plugin or mapping that contains it."""
-    found: dict[str, None] = {}
+    choices: dict[str, None] = {}
     waiting = [key]
     while waiting:
         one = waiting.pop()
@@ -184,38 +162,18 @@ def _depends(sweep: Sweep, key: str) -> list[str]:
             for name, other in sweep.space.items()
             if other.choice is not None and name != one and one.startswith(f"{name.removesuffix('.name')}.")
         ]
-        more = [name for name in (*around, *sweep.space[one].when) if name != key and name not in found]
-        found.update(dict.fromkeys(more))
+        more = [name for name in (*around, *sweep.space[one].when) if name != key and name not in choices]
+        choices.update(dict.fromkeys(more))
         waiting.extend(more)
-    return list(found)
+    return list(choices)
 
 
 def _written(space: Node, key: str, parameter: SweepParameter, value: Any) -> Node:
     """The node of this value in the search space, with its source position."""
-    node = space.get(key)
-    assert node is not None  # the sweep was made from this tree
-    kind = "choice" if parameter.choice is not None else "float" if parameter.float is not None else "int"
-    if kind == "choice":
-        place: str | int = value if isinstance(parameter.choice, dict) else parameter.labels.index(value)
+    if parameter.choice is None:
+        node = space[key]["int" if parameter.float is None else "float"][parameter.bounds.index(value)]
+    elif isinstance(parameter.choice, dict):
+        node = space[key]["choice"][value]
     else:
-        place = parameter.bounds.index(value)
-    found = node.get(kind, place)
-    assert found is not None
-    return found.with_key(node.key)
-
-
-def _nested(key: str, value: Node) -> Node:
-    """The value at its path, as a tree for merging."""
-    tree = value
-    for step in reversed(segments(key)):
-        tree = Node({step: tree}, value.at, value.key)
-    return normalised(tree)
-
-
-def _wrong_values(tree: Node) -> list[Located]:
-    problems = [*environment_problems(tree), *pairing_problems(tree)]
-    try:
-        validate_strictly(Spec, tree.plain())
-    except ValidationError as error:
-        problems.extend(located_problems(error, tree))
-    return problems
+        node = space[key]["choice"][parameter.labels.index(value)]
+    return node.with_key(space[key].key)

@@ -7,7 +7,7 @@ import math
 from collections.abc import Iterator, Mapping
 from typing import Annotated, Any, Literal, TypeAlias
 
-from pydantic import AfterValidator, model_validator
+from pydantic import AfterValidator, SerializerFunctionWrapHandler, model_serializer, model_validator
 from pydantic import Field as Setting
 
 from ..core import Settings
@@ -44,12 +44,12 @@ class SweepParameter(Settings):
     float: tuple[Number, Number] | None = Setting(None, description="lowest and highest value")
     int: tuple[Whole, Whole] | None = Setting(None, description="lowest and highest whole number")
     choice: list[Any] | dict[str, Any] | None = Setting(
-        None, description="values to choose among; as a mapping, each under a name of its own"
+        None, description="values to choose from; a mapping gives each value a name"
     )
-    log: bool = Setting(False, description="whether orders of magnitude are equally likely")
-    points: Whole | None = Setting(None, ge=2, description="how many values of a range a grid takes")
+    log: bool = Setting(False, description="whether to sample the logarithm uniformly")
+    points: Whole | None = Setting(None, ge=2, description="number of values of a range in a grid")
     when: dict[str, Any] = Setting(
-        {}, description="searched only in trials in which these choices take this value, or one of these values"
+        {}, description="search only in trials in which these choices have this value, or one of these values"
     )
 
     @model_validator(mode="after")
@@ -61,13 +61,13 @@ class SweepParameter(Settings):
             if len(self.labels) < 2:
                 raise ValueError("a choice needs at least two values")
             if len(set(self.labels)) < len(self.labels):
-                raise ValueError("names a value of its choice twice")
+                raise ValueError("contains a choice twice")
             if self.log or self.points:
-                raise ValueError("log and points say nothing to a choice")
+                raise ValueError("log and points are settings of a range, not of a choice")
             return self
         low, high = self.bounds
         if low >= high:
-            raise ValueError(f"the lowest value {low:g} does not lie below the highest {high:g}")
+            raise ValueError(f"the lowest value {low:g} is not below the highest {high:g}")
         if self.log and low <= 0:
             raise ValueError(f"log needs values above 0, and the lowest is {low:g}")
         return self
@@ -117,15 +117,16 @@ class SweepParameter(Settings):
             return {one}
         return {label(value) for value in condition}
 
-    def dump(self) -> dict[str, Any]:
-        """The data of the spec. Nulls within a choice are values and remain."""
-        return {key: value for key, value in self.model_dump(mode="json").items() if value is not None}
+    @model_serializer(mode="wrap")
+    def _without_nulls(self, serialize: SerializerFunctionWrapHandler) -> dict[str, Any]:
+        """Dump the range or the choice that is set. Nulls within a choice are values and remain."""
+        return {key: value for key, value in serialize(self).items() if value is not None}
 
 
 class Pruner(Settings):
     """Stops trials that are worse than others at the same step."""
 
-    name: Literal["median"] = Setting("median", description="stop a trial whose best test so far lies below the median")
+    name: Literal["median"] = Setting("median", description="stop a trial whose best test so far is below the median")
     warmup: float = Setting(
         0.3, ge=0.3, lt=1, description="share of training.steps before which no trial is stopped; 0.3 at least"
     )
@@ -145,7 +146,7 @@ class FinalSettings(Settings):
 
 def _distinct_seeds(seeds: tuple[int, ...]) -> tuple[int, ...]:
     if not seeds or len(set(seeds)) < len(seeds):
-        raise ValueError("should name at least one seed, none twice")
+        raise ValueError("should contain at least one seed, and none twice")
     return seeds
 
 
@@ -155,16 +156,16 @@ def _objectives(value: str | tuple[str, ...]) -> str | tuple[str, ...]:
         if name not in OBJECTIVES:
             raise ValueError(f"there is no objective {name!r}; there are {', '.join(OBJECTIVES)}")
     if not names or len(set(names)) < len(names):
-        raise ValueError("should name at least one objective, none twice")
+        raise ValueError("should contain at least one objective, and none twice")
     return value
 
 
 class Sweep(Settings):
     """A search for good settings. Each trial is the spec with other values, run on the sweep's seeds."""
 
-    space: dict[str, SweepParameter] = Setting(min_length=1, description="setting to search -> where")
+    space: dict[str, SweepParameter] = Setting(min_length=1, description="setting to search -> its range or choice")
     trials: int | None = Setting(
-        None, ge=1, description=f"how many trials. Default: {DEFAULT_TRIALS}, or the whole of a grid"
+        None, ge=1, description=f"number of trials. Default: {DEFAULT_TRIALS}, or all combinations of a grid"
     )
     seeds: Annotated[tuple[Annotated[int, Setting(ge=0)], ...], AfterValidator(_distinct_seeds)] = Setting(
         (0, 1), description="seeds of every trial"
@@ -223,8 +224,3 @@ class Sweep(Settings):
             yield from self._combinations(later, {**drawn, key: value})
         if not values:
             yield from self._combinations(later, drawn)
-
-    def dump(self) -> dict[str, Any]:
-        """The data of the spec with all defaults."""
-        plain = self.model_dump(mode="json")
-        return {**plain, "space": {key: one.dump() for key, one in self.space.items()}}

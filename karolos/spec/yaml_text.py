@@ -175,17 +175,17 @@ class _Reader:
                 self._tell(entry, f"the key {written} is not a string", "put it in quotes if it is meant as a name")
             elif key.value in entries:
                 first = entries[key.value].place
-                self._tell(entry, f"the key {shown(key.value)!r} stands twice; first at {first}", "remove one of them")
+                self._tell(entry, f"duplicate key {shown(key.value)!r}, first at {first}", "remove one of them")
             else:
                 entries[key.value] = value.with_key(mark)
         return Node(entries, self._mark(event))
 
     def _alias(self, event: Any) -> Node:
         if event.anchor not in self._anchors:
-            self._break(event, f"no anchor &{shown(event.anchor)} stands before this alias")
+            self._break(event, f"no anchor &{shown(event.anchor)} before this alias")
         found = self._anchors[event.anchor]
         if found is None:
-            self._break(event, f"the alias *{shown(event.anchor)} lies inside its own anchor")
+            self._break(event, f"the alias *{shown(event.anchor)} is inside its own anchor")
         node, count = found
         self._add(event, count)
         return node

@@ -11,19 +11,18 @@ from collections.abc import Sequence
 from dataclasses import dataclass
 from itertools import count, islice
 
-from ..experiment.events import RunWarned
 from ..experiment.signals import StopRequest
 from ..records.sweep_records import SweepFinal, Trial, merit
 from ..spec import Spec, spec_of_trial
 from ..spec.sweep import FinalSettings
 from .events import FinalBegan, SweepListener
-from .objectives import directions, measure
-from .pool import Job, RunPool
+from .objectives import directions
+from .pool import Feed, Job, RunPool
 from .study import Study
 
 
 def choose(
-    base: Spec, settings: FinalSettings, study: Study, pool: RunPool, tell: SweepListener, stop: StopRequest
+    base: Spec, settings: FinalSettings, study: Study, pool: RunPool, listener: SweepListener, stop: StopRequest
 ) -> SweepFinal | None:
     """Run the best trials on new seeds, choose the best of them, and run it on further seeds.
 
@@ -35,14 +34,14 @@ def choose(
     seeds = tuple(islice(unused, settings.seeds))
     report_seeds = tuple(islice(unused, settings.report_seeds))
     best = study.ranked()[: settings.top]
-    tell(FinalBegan(tuple(trial.number for trial in best), seeds, "choose"))
-    fresh = _values(base, best, seeds, pool, tell, stop)
+    listener(FinalBegan(tuple(trial.number for trial in best), seeds, "choose"))
+    fresh = _values(base, best, seeds, pool, stop)
     if stop.requested or not fresh:
         return None
     signs = directions(sweep.objectives)
     chosen = min((trial for trial in best if trial.number in fresh), key=lambda one: merit(fresh[one.number], signs))
-    tell(FinalBegan((chosen.number,), report_seeds, "report"))
-    reported = _values(base, [chosen], report_seeds, pool, tell, stop)
+    listener(FinalBegan((chosen.number,), report_seeds, "report"))
+    reported = _values(base, [chosen], report_seeds, pool, stop)
     if stop.requested:
         return None
     assert chosen.values is not None  # it is complete
@@ -50,35 +49,21 @@ def choose(
 
 
 def _values(
-    base: Spec, trials: Sequence[Trial], seeds: tuple[int, ...], pool: RunPool, tell: SweepListener, stop: StopRequest
+    base: Spec, trials: Sequence[Trial], seeds: tuple[int, ...], pool: RunPool, stop: StopRequest
 ) -> dict[int, tuple[float, ...]]:
     """The trials' objectives on these seeds, without trials that failed on a seed."""
     jobs = {trial.number: Job(spec_of_trial(base, trial.drawn, trial.name, seeds, trial.name)) for trial in trials}
-    pool.run(_Jobs(list(jobs.values()), tell), stop)
+    pool.run(_Jobs(list(jobs.values())), stop)
     assert base.sweep is not None  # see `choose`
-    values = {
-        number: tuple(measure(name, job.results(), job.spec.training.steps) for name in base.sweep.objectives)
-        for number, job in jobs.items()
-        if job.finished
-    }
+    values = {number: job.measure(base.sweep) for number, job in jobs.items() if job.finished}
     return {number: value for number, value in values.items() if all(map(math.isfinite, value))}
 
 
 @dataclass
-class _Jobs:
+class _Jobs(Feed):
     """A list of jobs that all run to the end."""
 
     waiting: list[Job]
-    tell: SweepListener
 
     def next(self) -> Job | None:
         return self.waiting.pop(0) if self.waiting else None
-
-    def tested(self, job: Job) -> str | None:  # noqa: ARG002  (no job is pruned)
-        return None
-
-    def ended(self, job: Job) -> None:
-        pass  # `_values` reads the results
-
-    def warned(self, event: RunWarned) -> None:
-        self.tell(event)

@@ -157,5 +157,5 @@ class SweepFolder:
 def _fingerprint(spec: Spec) -> str:
     """A hash of the settings that two calls of the same sweep have in common."""
     assert spec.sweep is not None  # only such a spec has a folder
-    search = {key: value for key, value in spec.sweep.dump().items() if key not in _FREE}
+    search = {key: value for key, value in spec.sweep.model_dump(mode="json").items() if key not in _FREE}
     return hashlib.sha256(json.dumps([spec.hash(), search], sort_keys=True).encode()).hexdigest()

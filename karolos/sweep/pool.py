@@ -1,28 +1,36 @@
-"""A pool of worker processes that run the jobs of a sweep, so that each process imports libraries once."""
+"""A pool of worker processes that run the jobs of a sweep, so that each process imports libraries once.
+
+A worker holds a lock file while it runs, so that a sweep whose parent was killed is not started again beside orphans.
+When the parent has ended, the worker writes a checkpoint and exits.
+"""
 
 from __future__ import annotations
 
-import multiprocessing
+import signal
+from abc import ABC, abstractmethod
 from collections import deque
+from collections.abc import Callable
 from contextlib import suppress
-from dataclasses import dataclass, field
+from dataclasses import dataclass, field, replace
 from multiprocessing.connection import Connection, wait
 from pathlib import Path
-from types import TracebackType
-from typing import Any, Protocol
+from typing import Any
 
-from ..errors import MachineError
-from ..experiment.events import RunStarted, RunTested, RunWarned
+from ..errors import KarolosError, MachineError
+from ..experiment.events import RunEvent, RunStarted, RunTested, RunWarned
 from ..experiment.experiment import SeedRunner
-from ..experiment.jobs import POLL_SECONDS, sigint_ignored
+from ..experiment.jobs import POLL_SECONDS, exit_cause, start_process
 from ..experiment.resume import find_run
-from ..experiment.signals import StopRequest
+from ..experiment.signals import StopRequest, stop_on_signals
+from ..files import FileLock
 from ..records import RunFolder
 from ..records.results import TestResult
 from ..records.run_records import RunSummary
-from ..spec import Spec
-from .worker import Begin, Halt, Ready, Refused, work
+from ..spec import Spec, Sweep
+from ..training.assembly import check_parts
+from .objectives import measure
 
+_LOCK_SECONDS = 10.0
 MAX_DEATHS = 2
 """Processes that may die during a run until it fails. The second process resumes the run from its checkpoint."""
 
@@ -53,6 +61,10 @@ class Job:
         """Seed -> its tests in order; seeds in the spec's order."""
         return {seed: [test for _, test in sorted(self.tests.get(seed, {}).items())] for seed in self.spec.seeds}
 
+    def measure(self, sweep: Sweep) -> tuple[float, ...]:
+        """The sweep's objectives of the finished runs."""
+        return tuple(measure(name, self.results(), self.spec.training.steps) for name in sweep.objectives)
+
     def record(self, summary: RunSummary) -> None:
         """Record the end of a run."""
         self.summaries[summary.seed] = summary
@@ -64,20 +76,46 @@ class Job:
         self.tests.setdefault(seed, {}).update({test.steps: test for test in tests})
 
 
-class Feed(Protocol):
+class Feed(ABC):
     """The source of a pool's jobs and the receiver of their results."""
 
+    @abstractmethod
     def next(self) -> Job | None:
         """The next job to start; None if there is none at the moment."""
 
-    def tested(self, job: Job) -> str | None:
+    def tested(self, job: Job) -> str | None:  # noqa: ARG002
         """Called after each test of a run. Returns a reason to stop the job's runs, or None."""
+        return None
 
-    def ended(self, job: Job) -> None:
+    def ended(self, job: Job) -> None:  # noqa: B027  (optional)
         """Called when no run of the job is active."""
 
-    def warned(self, event: RunWarned) -> None:
-        """Called for a warning of a run."""
+
+@dataclass(frozen=True)
+class Begin:
+    """To the worker: execute this run."""
+
+    seed: int
+    spec: dict[str, Any]
+
+
+@dataclass(frozen=True)
+class Halt:
+    """To the worker: stop the run with a checkpoint."""
+
+    word: str
+
+
+@dataclass(frozen=True)
+class Ready:
+    """From the worker: it holds its lock and is idle."""
+
+
+@dataclass(frozen=True)
+class Refused:
+    """From the worker: the run could not be started."""
+
+    error: str
 
 
 @dataclass
@@ -97,21 +135,21 @@ class RunPool:
         size: largest number of processes.
         locks: folder of their lock files.
         runner: runs one seed; the worker sets its spec.
+        listener: called with the warnings of runs.
     """
 
-    def __init__(self, size: int, locks: Path, runner: SeedRunner) -> None:
+    def __init__(self, size: int, locks: Path, runner: SeedRunner, listener: Callable[[RunWarned], None]) -> None:
         self._size = size
         self._locks = locks
         self._runner = runner
+        self._listener = listener
         self._workers: list[_Worker] = []
         self._waiting: deque[tuple[Job, int]] = deque()
 
     def __enter__(self) -> RunPool:
         return self
 
-    def __exit__(
-        self, kind: type[BaseException] | None, error: BaseException | None, trace: TracebackType | None
-    ) -> None:
+    def __exit__(self, *_: object) -> None:
         for worker in self._workers:
             worker.pipe.close()  # which makes it exit
         for worker in self._workers:
@@ -161,13 +199,7 @@ class RunPool:
         used = {worker.lock for worker in self._workers}
         locks = (self._locks / f"{number}.lock" for number in range(self._size))
         lock = next(lock for lock in locks if lock not in used)
-        context = multiprocessing.get_context("spawn")
-        ours, theirs = context.Pipe()
-        process = context.Process(target=work, args=(theirs, lock, self._runner))
-        with sigint_ignored():  # inherited by the child, because the parent handles Ctrl-C
-            process.start()
-        theirs.close()
-        worker = _Worker(process, ours, lock)
+        worker = _Worker(*start_process(work, lock, self._runner), lock)
         self._workers.append(worker)
         return worker
 
@@ -187,7 +219,7 @@ class RunPool:
         elif isinstance(message, RunTested):
             job.tests.setdefault(seed, {})[message.result.steps] = message.result
         elif isinstance(message, RunWarned):
-            feed.warned(message)
+            self._listener(message)
         elif isinstance(message, RunSummary):
             job.record(message)
             worker.job = None
@@ -220,8 +252,7 @@ class RunPool:
         worker.process.join()
         worker.pipe.close()
         self._workers.remove(worker)
-        code, job = worker.process.exitcode, worker.job
-        how = f"was killed by signal {-code}" if code < 0 else f"ended with exit code {code}"
+        how, job = exit_cause(worker.process), worker.job
         if not worker.ready:
             raise MachineError(f"a worker process {how} before it was ready", hint="see its output above")
         if job is None or job.halted:
@@ -237,3 +268,42 @@ class RunPool:
 def _send(worker: _Worker, message: Begin | Halt) -> None:
     with suppress(BrokenPipeError, ConnectionResetError):  # `run` notices that it has died
         worker.pipe.send(message)
+
+
+def work(pipe: Connection, lock: Path, runner: SeedRunner) -> None:
+    """Execute runs until the parent closes the pipe or ends."""
+    life = FileLock(lock)
+    if not life.acquire(_LOCK_SECONDS):
+        raise SystemExit(f"{lock} is held by another process")
+    with stop_on_signals(interrupt=False) as stop:
+
+        def send(event: RunEvent) -> None:
+            try:
+                pipe.send(event)
+                while pipe.poll():
+                    message = pipe.recv()
+                    if isinstance(message, Halt):
+                        stop.program_reason = message.word
+            except (BrokenPipeError, ConnectionResetError, EOFError):  # the parent has ended: stop as after SIGTERM
+                stop.signal = signal.SIGTERM
+
+        try:
+            pipe.send(Ready())
+            while stop.signal is None:
+                message = pipe.recv()
+                if isinstance(message, Begin):  # otherwise a Halt for a run that has ended
+                    stop.program_reason = None
+                    pipe.send(_outcome(replace(runner, resolved=message.spec), message.seed, send, stop))
+        except (BrokenPipeError, ConnectionResetError, EOFError):
+            pass
+    life.release()
+
+
+def _outcome(
+    runner: SeedRunner, seed: int, tell: Callable[[RunEvent], None], stop: StopRequest
+) -> RunSummary | Refused:
+    try:
+        check_parts(Spec.from_dict(runner.resolved))
+        return runner(seed, tell, stop)
+    except KarolosError as error:
+        return Refused(str(error))

@@ -18,7 +18,7 @@ from ..spec.sweep import DEFAULT_TRIALS
 from ..store import Store
 from ..training.assembly import check_parts
 from . import choosing
-from .events import SweepEvent, SweepListener, SweepOutcome
+from .events import SweepListener, SweepOutcome
 from .folder import SweepFolder
 from .pool import RunPool
 from .study import Study
@@ -42,10 +42,10 @@ class Search:
     """
 
     def __init__(self, spec: Spec | Mapping[str, Any], *, text: str | None = None, trials: int | None = None) -> None:
-        found = spec if isinstance(spec, Spec) else Spec.from_dict(dict(spec))
-        sweep = _sweep_of(found)
+        base = spec if isinstance(spec, Spec) else Spec.from_dict(dict(spec))
+        sweep = _sweep_of(base)
         self.sweep = sweep if trials is None else sweep.model_copy(update={"trials": trials})
-        self.spec = found.model_copy(update={"sweep": self.sweep})
+        self.spec = base.model_copy(update={"sweep": self.sweep})
         self._text = text
 
     @property
@@ -68,7 +68,7 @@ class Search:
         database: str | None = None,
         jobs: int = 1,
         time_limit: float | None = None,
-        listener: SweepListener | None = None,
+        listener: SweepListener = lambda _: None,
     ) -> SweepOutcome:
         """Run the missing trials, choose the best one, and write the results.
 
@@ -95,7 +95,6 @@ class Search:
         check_parts(self.spec)
         RunFolder.check_writable(root)
         runner = SeedRunner({}, root, url, self._text, "resume")
-        tell = listener or _ignore
         base = pinned(self.spec, root)
         size = jobs * len(self.sweep.seeds)
         folder = SweepFolder(self.folder(root), self.spec, self.asked)
@@ -103,15 +102,15 @@ class Search:
             Store(url) as store,
             folder,
             stop_on_signals(time_limit=time_limit) as stop,
-            RunPool(size, folder.workers, runner) as pool,
+            RunPool(size, folder.workers, runner, listener) as pool,
         ):
             study = Study(folder.journal, self.sweep, self.spec.name, self.spec.training.steps)
-            writer = TrialWriter(folder, study, store, tell)
+            writer = TrialWriter(folder, study, store, listener)
             writer.write()
-            pool.run(Trials(base, self.sweep, study, jobs, self.asked, tell, stop, writer), stop)
+            pool.run(Trials(base, self.sweep, study, jobs, self.asked, listener, stop, writer), stop)
             final = None
             if self.sweep.final is not None and not stop.requested and study.ranked():
-                final = choosing.choose(base, self.sweep.final, study, pool, tell, stop)
+                final = choosing.choose(base, self.sweep.final, study, pool, listener, stop)
             return self._conclude(writer, final, stop)
 
     def _conclude(self, writer: TrialWriter, final: SweepFinal | None, stop: StopRequest) -> SweepOutcome:
@@ -128,10 +127,9 @@ class Search:
                 study.trials(), self.sweep.objectives[0], self.sweep.space, study.importances(), folder.figures
             )
         folder.write_final(final)
-        writer.write()
         return SweepOutcome(
             sweep=self.sweep,
-            trials=study.trials(),
+            trials=writer.write(),
             asked=self.asked,
             best=best,
             front=study.front(),
@@ -184,7 +182,3 @@ def _comment(sweep: Sweep, best: Trial, final: SweepFinal | None) -> Iterator[st
 
 def _listed(seeds: tuple[int, ...]) -> str:
     return ", ".join(map(str, seeds))
-
-
-def _ignore(event: SweepEvent) -> None:
-    pass

@@ -65,11 +65,17 @@ class OpenTrial:
             self._trial.report(value, step)
         return self._trial.should_prune()
 
-    def describe(self, runs: Sequence[str], error: str | None) -> None:
-        """Record the ids of its runs, and its error."""
+    def end(self, runs: Sequence[str] = (), values: Sequence[float] | None = None, error: str | None = None) -> None:
+        """End the trial: complete with its objectives, failed with an error, or pruned without both.
+
+        Args:
+            runs: ids of its runs.
+        """
         self._trial.set_user_attr(_RUNS, list(runs))
         if error is not None:
             self._trial.set_user_attr(_ERROR, error)
+        state = TrialState.FAIL if error is not None else TrialState.PRUNED if values is None else None
+        self._trial.study.tell(self.number, None if values is None else list(values), state)
 
 
 class Study:
@@ -113,31 +119,21 @@ class Study:
 
     def unfinished(self) -> list[OpenTrial]:
         """Trials to resume after an interruption. No other process runs them, because this one has the lock."""
-        found = []
+        trials = []
         for one in self._all():
             if one.state == TrialState.RUNNING:
                 self._study.sampler = self._sampler(one.number)
-                found.append(_drawn(optuna.Trial(self._study, one._trial_id), self._sweep))
-        return found
+                trials.append(_drawn(optuna.Trial(self._study, one._trial_id), self._sweep))
+        return trials
 
     def ask(self) -> OpenTrial:
         """Sample one more trial; for a grid the next unused combination."""
         trials = self._all()
         waiting = any(one.state == TrialState.WAITING for one in trials)
         if self._grid and not waiting:
-            place = len(trials)
-            self._study.enqueue_trial(self._grid[place])
+            self._study.enqueue_trial(self._grid[len(trials)])
         self._study.sampler = self._sampler(len(trials) - waiting)
         return _drawn(self._study.ask(), self._sweep)
-
-    def complete(self, trial: OpenTrial, values: Sequence[float]) -> None:
-        self._study.tell(trial.number, list(values))
-
-    def prune(self, trial: OpenTrial) -> None:
-        self._study.tell(trial.number, state=TrialState.PRUNED)
-
-    def fail(self, trial: OpenTrial) -> None:
-        self._study.tell(trial.number, state=TrialState.FAIL)
 
     def ranked(self) -> list[Trial]:
         """The complete trials, best first, by the objectives in order; ties by number."""
@@ -160,12 +156,12 @@ class Study:
         sign = -1 if self._directions[0] == "maximize" else 1
         with warnings.catch_warnings():
             warnings.simplefilter("ignore")  # PED-ANOVA warns about targets
-            found = optuna.importance.get_param_importances(
+            importances = optuna.importance.get_param_importances(
                 self._study,
                 evaluator=optuna.importance.PedAnovaImportanceEvaluator(),
                 target=lambda one: sign * one.values[0],  # with a target, PED-ANOVA minimises
             )
-        return {key: float(value) for key, value in found.items() if math.isfinite(value)}
+        return {key: float(value) for key, value in importances.items() if math.isfinite(value)}
 
     def _all(self) -> list[FrozenTrial]:
         return self._study.get_trials(deepcopy=False)

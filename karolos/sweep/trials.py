@@ -3,18 +3,19 @@
 from __future__ import annotations
 
 import math
+from collections.abc import Sequence
 from dataclasses import dataclass, field
 
 from ..errors import SpecError, StoreError
 from ..experiment.events import RunWarned
 from ..experiment.signals import StopRequest
-from ..records.sweep_records import read_sweep
+from ..records.sweep_records import Trial, read_sweep
 from ..spec import Spec, Sweep, spec_of_trial
 from ..store import Store
 from .events import SweepListener, TrialBegan, TrialEnded
 from .folder import SweepFolder
-from .objectives import measure, nominal_steps, so_far
-from .pool import Job
+from .objectives import nominal_steps, so_far
+from .pool import Feed, Job
 from .study import OpenTrial, Study
 
 PRUNED = "pruned"
@@ -27,66 +28,64 @@ class TrialWriter:
     folder: SweepFolder
     study: Study
     store: Store
-    tell: SweepListener
+    listener: SweepListener
 
-    def write(self) -> None:
-        """Write the current trials."""
-        self.folder.write_trials(self.study.trials())
-        self.index()
-
-    def index(self) -> None:
-        """Update the store. A store that fails causes a warning and does not end the sweep."""
-        found, _ = read_sweep(self.folder.path)
+    def write(self) -> tuple[Trial, ...]:
+        """Write the current trials, and return them. A store that fails causes a warning and does not end the sweep."""
+        trials = self.study.trials()
+        self.folder.write_trials(trials)
+        record, _ = read_sweep(self.folder.path)
         try:
-            self.store.sweeps.add([found])
+            self.store.sweeps.add([record])
         except StoreError as error:
-            self.tell(RunWarned(found.sweep, f"{error} (the sweep continues; its folder is complete)"))
+            self.listener(RunWarned(record.sweep, f"{error} (the sweep continues; its folder is complete)"))
+        return trials
 
 
 @dataclass
-class Trials:
-    """The feed of a sweep's trials."""
+class Trials(Feed):
+    """The feed of a sweep's trials.
+
+    Args:
+        jobs: largest number of concurrent trials.
+        asked: number of trials that the sweep should have.
+    """
 
     base: Spec
     sweep: Sweep
     study: Study
     jobs: int
     asked: int
-    tell: SweepListener
+    listener: SweepListener
     stop: StopRequest
     writer: TrialWriter
     _open: dict[Job, OpenTrial] = field(default_factory=dict)
     _reported: dict[Job, int] = field(default_factory=dict)
-    _left: list[OpenTrial] | None = None
+    """Number of tests that the pruner has seen."""
+
+    def __post_init__(self) -> None:
+        self._unfinished = self.study.unfinished()
 
     def next(self) -> Job | None:
-        if self._left is None:
-            self._left = self.study.unfinished()
         while len(self._open) < self.jobs:
-            if self._left:
-                trial = self._left.pop(0)
+            if self._unfinished:
+                trial = self._unfinished.pop(0)
             elif len(self.study.trials()) < self.asked:
                 trial = self.study.ask()
             else:
                 return None
-            job = self._begin(trial)
-            if job is not None:
-                return job
+            record = self.writer.write()[trial.number]
+            self.listener(TrialBegan(record))
+            try:
+                spec = spec_of_trial(self.base, trial.drawn, record.name, self.sweep.seeds, record.name)
+            except SpecError as error:
+                self._end(trial, error=str(error).replace("\n", "; "))
+                continue
+            job = Job(spec)
+            self._open[job] = trial
+            self._reported[job] = 0
+            return job
         return None
-
-    def _begin(self, trial: OpenTrial) -> Job | None:
-        record = self.study.trial(trial.number)
-        self.writer.write()
-        self.tell(TrialBegan(record))
-        try:
-            spec = spec_of_trial(self.base, trial.drawn, record.name, self.sweep.seeds, record.name)
-        except SpecError as error:
-            self._fail(trial, (), str(error).replace("\n", "; "))
-            return None
-        job = Job(spec)
-        self._open[job] = trial
-        self._reported[job] = 0
-        return job
 
     def tested(self, job: Job) -> str | None:
         """Report the mean at each test that every seed has completed; PRUNED when the pruner stops the trial."""
@@ -106,35 +105,26 @@ class Trials:
 
     def ended(self, job: Job) -> None:
         trial = self._open.pop(job)
-        runs = tuple(job.summaries[seed].run for seed in job.spec.seeds if seed in job.summaries)
+        runs = [job.summaries[seed].run for seed in job.spec.seeds if seed in job.summaries]
         if job.finished:
-            values = [measure(name, job.results(), job.spec.training.steps) for name in self.sweep.objectives]
-            if all(math.isfinite(value) for value in values):
-                trial.describe(runs, None)
-                self.study.complete(trial, values)
-                self._ended(trial)
-            else:
-                self._fail(trial, runs, f"{' and '.join(self.sweep.objectives)} came to {values}")
-        elif job.error is not None:
-            self._fail(trial, runs, job.error)
-        elif job.halted == PRUNED:
-            trial.describe(runs, None)
-            self.study.prune(trial)
-            self._ended(trial)
+            values = job.measure(self.sweep)
+            finite = all(math.isfinite(value) for value in values)
+            error = None if finite else f"{' and '.join(self.sweep.objectives)} came to {list(values)}"
+            self._end(trial, runs, values if finite else None, error)
+        elif job.error is not None or job.halted == PRUNED:
+            self._end(trial, runs, error=job.error)
         elif not self.stop.requested:
-            self._fail(trial, runs, "a run was stopped from outside")
+            self._end(trial, runs, error="a run was stopped from outside")
         # otherwise the trial stays open and the next call of the sweep resumes it
 
-    def warned(self, event: RunWarned) -> None:
-        self.tell(event)
-
-    def _fail(self, trial: OpenTrial, runs: tuple[str, ...], error: str) -> None:
-        trial.describe(runs, error)
-        self.study.fail(trial)
-        self._ended(trial)
-
-    def _ended(self, trial: OpenTrial) -> None:
-        trials = self.study.trials()
-        self.writer.write()
+    def _end(
+        self,
+        trial: OpenTrial,
+        runs: Sequence[str] = (),
+        values: Sequence[float] | None = None,
+        error: str | None = None,
+    ) -> None:
+        trial.end(runs, values, error)
+        trials = self.writer.write()
         done = sum(one.state != "running" for one in trials)
-        self.tell(TrialEnded(trials[trial.number], done, self.asked))
+        self.listener(TrialEnded(trials[trial.number], done, self.asked))

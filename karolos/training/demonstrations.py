@@ -14,7 +14,7 @@ from ..environments.robot_task import RobotTask
 from ..errors import RunError, UsageError
 from ..simulation.interface import Expert
 from ..spec.model import Demonstrations as DemonstrationSettings
-from ..spec.recipe import Recipe
+from ..spec.parts import Recipe
 
 
 @dataclass(frozen=True)

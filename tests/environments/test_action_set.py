@@ -21,7 +21,7 @@ from karolos.errors import UsageError
 from karolos.evaluation.policies import load_expert
 from karolos.orchestrator.local import Local
 from karolos.spec import Spec
-from karolos.spec.recipe import Recipe
+from karolos.spec.parts import Recipe
 
 CARTESIAN = Layout((Field("tool_position_change", 3), Field("gripper_opening", 1)))
 X_UP, Y_DOWN, OPEN, CLOSE, NOTHING = 0, 3, 6, 7, 8

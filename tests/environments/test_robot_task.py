@@ -11,7 +11,7 @@ from karolos.randomization.distribution import Distribution
 from karolos.randomization.normal import Normal
 from karolos.randomization.uniform import Uniform
 from karolos.robots.panda import Panda
-from karolos.spec.recipe import Part, Recipe
+from karolos.spec.parts import Part, Recipe
 from karolos.tasks.reach import Reach
 
 

@@ -99,6 +99,10 @@ def test_a_discrete_action_arrives_as_an_index(layout):
         assert orchestrator.receive().step.observation[:, 1].tolist() == [1, 1]
 
 
+def all_arrays(arrays: EnvironmentArrays) -> list[np.ndarray]:
+    return [arrays.seed, arrays.action, arrays.parameters, arrays.commands, *arrays.step]
+
+
 widths = st.integers(0, 5)
 
 
@@ -117,12 +121,11 @@ def test_the_arrays_do_not_overlap(n, observation, goal, action, parameters):
     )
     buffer = bytearray(EnvironmentArrays.size(signature, n))
     ours, theirs = EnvironmentArrays.over(buffer, signature, n), EnvironmentArrays.over(buffer, signature, n)
-    arrays = vars(ours)
-    for number, array in enumerate(arrays.values()):
+    for number, array in enumerate(all_arrays(ours)):
         assert len(array) == n
         assert array.__array_interface__["data"][0] % array.itemsize == 0
         array[...] = number % 2 if array.dtype == bool else number
-    for number, array in enumerate(vars(theirs).values()):
+    for number, array in enumerate(all_arrays(theirs)):
         assert (array == (number % 2 if array.dtype == bool else number)).all()
     assert len(buffer) % ALIGNMENT == 0
 

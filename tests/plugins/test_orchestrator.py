@@ -9,7 +9,7 @@ from karolos.errors import RunError, WorkerError
 from karolos.orchestrator import start
 from karolos.orchestrator.local import Local
 from karolos.registry import load
-from karolos.spec.recipe import Part, Recipe
+from karolos.spec.parts import Part, Recipe
 
 SIZE = 6
 TOY = Toy.Settings(dimensions=3, max_steps=5, reward="dense", threshold=0.3)
@@ -115,7 +115,7 @@ def test_a_second_command_to_a_busy_environment_is_refused(orchestrator):
         orchestrator.reset([3, 4], [0, 0])
     with pytest.raises(ValueError, match="environment 2 has a pending command"):
         orchestrator.step([2], np.zeros((1, 3), np.float32))
-    with pytest.raises(ValueError, match="under way"):
+    with pytest.raises(ValueError, match="has a pending command"):
         orchestrator.parameters([2])
     assert orchestrator.receive().environment.tolist() == [2, 4], "a refused command has no effect"
 
@@ -133,7 +133,7 @@ def test_commands_of_a_wrong_shape_are_refused(orchestrator):
         orchestrator.step([0], np.zeros(3, np.float32))
     with pytest.raises(ValueError, match="2 environments need 2 seeds, not 1"):
         orchestrator.reset([0, 1], [0])
-    with pytest.raises(ValueError, match="a seed lies in"):
+    with pytest.raises(ValueError, match="seeds must be in"):
         orchestrator.reset([0], [-1])
     assert orchestrator.receive().environment.size == 0
 

@@ -79,8 +79,8 @@ CASES = {
         "s.yaml:3:39: agent.learning_rate: should be a finite number",
     ),
     "negative seed": (GOOD + "seeds: [0, -1]\n", "s.yaml:4:12: seeds[1]: should be greater than or equal to 0, not -1"),
-    "no seeds": (GOOD + "seeds: []\n", "s.yaml:4:8: seeds: names no seed"),
-    "seed named twice": (GOOD + "seeds: [1, 2, 1]\n", "s.yaml:4:8: seeds: names the seed 1 twice"),
+    "no seeds": (GOOD + "seeds: []\n", "s.yaml:4:8: seeds: should contain at least one seed"),
+    "seed named twice": (GOOD + "seeds: [1, 2, 1]\n", "s.yaml:4:8: seeds: contains the seed 1 twice"),
     "one seed, not a list": (GOOD + "seeds: 1\n", "s.yaml:4:8: seeds: should be a list, not 1"),
     "list too long": (
         "robot: arm\ntask: {name: reach, box: [1, 2, 3, 4]}\nagent: learner\n",
@@ -99,13 +99,13 @@ CASES = {
     "no agent": ("robot: arm\ntask: reach\n", "s.yaml:1:1: agent: is missing; name a learning algorithm"),
     "nothing to learn in": (
         "agent: learner\n",
-        "s.yaml:1:1: says nothing to learn in; give robot and task, or environment",
+        "s.yaml:1:1: has no environment; give robot and task, or environment",
     ),
-    "robot without a task": ("robot: arm\nagent: learner\n", "s.yaml:1:1: robot: stands without a task; add task"),
-    "task without a robot": ("agent: learner\ntask: reach\n", "s.yaml:2:1: task: stands without a robot; add robot"),
+    "robot without a task": ("robot: arm\nagent: learner\n", "s.yaml:1:1: robot: requires a task; add task"),
+    "task without a robot": ("agent: learner\ntask: reach\n", "s.yaml:2:1: task: requires a robot; add robot"),
     "robot_task without its parts": (
         "environment: robot_task\nagent: learner\n",
-        "s.yaml:1:1: environment: robot_task needs a robot and a task; add robot and task",
+        "s.yaml:1:1: environment: robot_task requires a robot and a task; add robot and task",
     ),
     "randomization that names no owner": (
         GOOD + "randomization: {gravity: {name: normal, mean: 1, std: 1}}\n",
@@ -127,7 +127,7 @@ CASES = {
         GOOD + "buffer: rollout\n",
         "s.yaml:4:1: buffer: agent 'learner' learns from replay, buffer 'rollout' forgets all but the latest actions",
     ),
-    "duplicate key": (GOOD + "robot: other_arm\n", "s.yaml:4:1: the key 'robot' stands twice; first at"),
+    "duplicate key": (GOOD + "robot: other_arm\n", "s.yaml:4:1: duplicate key 'robot', first at"),
     "tag": (GOOD + "name: !!python/name:os.system x\n", "s.yaml:4:7: the tag "),
     "broken YAML": (GOOD + "seeds: [0\n", "s.yaml:5:1: not valid YAML: expected ',' or ']'"),
     "empty file": ("", "s.yaml:1:1: the file is empty; give at least robot, task and agent"),
@@ -168,7 +168,7 @@ def test_another_environment_takes_no_robot_task_or_randomization(tmp_path):
     text = GOOD + "environment: point\nrandomization: {task.gravity: {name: normal, mean: 1, std: 1}}\n"
     found = problems_of(write(tmp_path, "s.yaml", text))
     assert [line.split(": ")[1] for line in found] == ["robot", "task", "randomization"]
-    assert "goes with environment robot_task, not with 'point'" in found[0]
+    assert "requires environment robot_task, not 'point'" in found[0]
 
 
 def test_missing_file_is_told_with_a_similar_name(tmp_path):
@@ -179,7 +179,7 @@ def test_missing_file_is_told_with_a_similar_name(tmp_path):
 
 def test_folder_is_no_spec(tmp_path):
     write(tmp_path, "specs/reach.yaml", GOOD)
-    assert problems_of(tmp_path / "specs") == ["specs: is a folder, not a spec file; it holds reach.yaml"]
+    assert problems_of(tmp_path / "specs") == ["specs: is a folder, not a spec file; it contains reach.yaml"]
 
 
 def test_pipe_is_not_waited_for(tmp_path):
@@ -240,10 +240,10 @@ def test_broken_distribution_is_not_taken_for_the_buffer_of_that_name(tmp_path, 
     ("spec", "expected"),
     [
         ({"robot": "arm", "task": "reach", "agent": "learnr"}, "dict: agent.name: no agent is called 'learnr'"),
-        ({"robot": "arm", "task": "reach", "agent": object()}, "dict: agent: a object cannot stand in a spec"),
+        ({"robot": "arm", "task": "reach", "agent": object()}, "dict: agent: a spec cannot contain a object"),
         ({"robot": "arm", "task": "reach", "agent": "learner", 3: 4}, "dict: the key 3 is not a string"),
         ({"extends": "x.yaml"}, "dict: extends: a dictionary has no file to extend from"),
-        ({}, "dict: says nothing to learn in"),
+        ({}, "dict: has no environment"),
     ],
 )
 def test_mistakes_in_a_dictionary_are_told(spec, expected):

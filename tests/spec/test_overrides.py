@@ -66,7 +66,7 @@ def test_empty_value_leaves_out(path):
         ("seeds=[0, *x]", "override seeds=[0, *x]: column 11: no anchor &x"),
         (
             "training={steps: 1, steps: 2}",
-            "override training={steps: 1, steps: 2}: column 21: the key 'steps' stands twice",
+            "override training={steps: 1, steps: 2}: column 21: duplicate key 'steps', first at",
         ),
         ("training.steps", "override training.steps: has no =; write path.to.key=value"),
         ("=3", "override =3: '' is not a path of keys"),

@@ -57,7 +57,7 @@ def test_a_sweep_is_no_part_of_the_experiment(path):
         ("sweep.space.testing.interval={int: [5, 9]}", ["tested alike"]),
         ("sweep.space.training.steps={int: [5, 9]}", ["same budget"]),
         ("sweep.space.seeds={int: [5, 9]}", ["sweep.seeds"]),
-        ("sweep.space.buffer.hindsight.ratio={float: [0.5, 0.9]}", ["buffer.hindsight holds no such setting", "when"]),
+        ("sweep.space.buffer.hindsight.ratio={float: [0.5, 0.9]}", ["buffer.hindsight has no such setting", "when"]),
         (
             "sweep.space.buffer.hindsight.ratio={float: [0.5, 0.9], when: {buffer.hindsight: yes}}",
             ["never 'yes'", "off, on"],

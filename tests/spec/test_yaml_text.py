@@ -77,7 +77,7 @@ def test_aliases_repeat_the_value():
 @pytest.mark.parametrize(
     ("text", "place", "what"),
     [
-        ("a: 1\nb: 2\na: 3\n", "f:3:1", "'a' stands twice; first at f:1:1"),
+        ("a: 1\nb: 2\na: 3\n", "f:3:1", "duplicate key 'a', first at f:1:1"),
         ("a: !!python/object:os.system x\n", "f:1:4", "tag"),
         ("a: !!str 5\n", "f:1:4", "tag"),
         ("a: !custom [1]\n", "f:1:4", "tag"),

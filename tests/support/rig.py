@@ -8,7 +8,7 @@ from karolos.core import Step
 from karolos.environments.build import build_environment
 from karolos.environments.robot_task import RobotTask
 from karolos.registry import load
-from karolos.spec.recipe import Part, Recipe
+from karolos.spec.parts import Part, Recipe
 
 
 def part(kind: str, name: str, **settings: Any) -> Part:

@@ -159,7 +159,7 @@ def test_the_store_hears_of_trials_as_they_begin_and_end_and_one_that_fails_ends
     assert [trial.state for trial in outcome.trials] == ["complete", "complete"]
     found, problems = read_sweep(outcome.folder)
     assert (found.trials, problems) == (outcome.trials, ())
-    assert (found.sweep, "the disk is full (the sweep goes on; its folder is complete)") in warnings
+    assert (found.sweep, "the disk is full (the sweep continues; its folder is complete)") in warnings
 
 
 def test_another_search_of_the_same_name_is_refused(killed):

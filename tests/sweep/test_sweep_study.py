@@ -27,7 +27,7 @@ def finish(one: Study, count: int) -> None:
     """So many more trials, of which a low learning rate is the best."""
     for _ in range(count):
         trial = one.ask()
-        one.complete(trial, [-math.log10(trial.drawn["agent.learning_rate"])])
+        trial.end(values=[-math.log10(trial.drawn["agent.learning_rate"])])
 
 
 @pytest.mark.parametrize("sampler", ["tpe", "random", "gp"])
@@ -49,7 +49,7 @@ def test_trials_left_open_are_taken_up_with_what_they_had_drawn(tmp_path):
     again = study(tmp_path)
     (open_trial,) = again.unfinished()
     assert (open_trial.number, open_trial.drawn) == (1, left.drawn)
-    again.complete(open_trial, [0.5])
+    open_trial.end(values=[0.5])
     assert [trial.state for trial in again.trials()] == ["complete", "complete"]
     assert not again.unfinished()
 
@@ -80,9 +80,9 @@ def test_a_grid_goes_through_its_combinations_in_order(tmp_path):
     space = {"agent.discount": {"choice": [0.8, 0.9]}, "buffer.n_step": {"int": [1, 2]}}
     one = study(tmp_path, space, sampler="grid")
     for _ in range(3):
-        one.complete(one.ask(), [0.0])
+        one.ask().end(values=[0.0])
     again = study(tmp_path, space, sampler="grid")
-    again.complete(again.ask(), [0.0])
+    again.ask().end(values=[0.0])
     drawn = [(trial.drawn["agent.discount"], trial.drawn["buffer.n_step"]) for trial in again.trials()]
     assert drawn == [("0.8", 1), ("0.8", 2), ("0.9", 1), ("0.9", 2)]
 
@@ -91,11 +91,11 @@ def test_the_pruner_gives_up_a_trial_below_the_median_after_the_warm_up_only(tmp
     one = study(tmp_path, LEARNING_RATE, pruner={"warmup": 0.5, "startup": 1})
     good = one.ask()
     assert not any(good_step for good_step in (one_step(good, 50), one_step(good, 100), one_step(good, 150)))
-    one.complete(good, [1.0])
+    good.end(values=[1.0])
     bad = one.ask()
     assert not bad.is_hopeless(0.0, 50)
     assert bad.is_hopeless(0.0, 100)
-    one.prune(bad)
+    bad.end()
     assert [trial.state for trial in one.trials()] == ["complete", "pruned"]
     assert [trial.number for trial in one.ranked()] == [0]
 
@@ -107,7 +107,7 @@ def one_step(trial, step: int) -> bool:
 def test_several_objectives_give_a_front_and_an_order_by_the_first(tmp_path):
     one = study(tmp_path, LEARNING_RATE, objective=["success_end", "steps_to_95"])
     for values in ([0.5, 100.0], [0.9, 400.0], [0.4, 150.0]):
-        one.complete(one.ask(), values)
+        one.ask().end(values=values)
     assert [trial.number for trial in one.front()] == [0, 1]
     assert [trial.number for trial in one.ranked()] == [1, 0, 2]
 

@@ -9,7 +9,7 @@ from support.rig import expert_episode, part
 from karolos.environments.build import build_environment
 from karolos.environments.robot_task import RobotTask
 from karolos.errors import KarolosError, UsageError
-from karolos.spec.recipe import Recipe
+from karolos.spec.parts import Recipe
 from karolos.tasks.throw import Throw
 
 ROBOTS = ["panda", "ur5", "iiwa"]

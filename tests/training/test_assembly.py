@@ -52,7 +52,7 @@ REFUSED = {
     ),
     "a minimum for lockstep": (
         "agent: sac\ntraining: {minimum_batch: 2}\n",
-        "3:11: training: minimum_batch goes with mode: async, not with lockstep",
+        "3:11: training: minimum_batch requires mode: async, not lockstep",
     ),
     "a minimum of nobody": (
         "agent: sac\ntraining: {mode: async, minimum_batch: 0}\n",
