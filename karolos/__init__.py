@@ -1,8 +1,7 @@
 """Karolos: declarative reinforcement-learning experiments on robot-task environments."""
 
-import sys
+from .environments.gymnasium_hook import register_with_gymnasium
 
 __version__ = "0.1.0"
 
-if "gymnasium" in sys.modules:  # whoever uses gymnasium finds the environments there; nobody else pays for it
-    from .environments import gymnasium_export  # noqa: F401
+register_with_gymnasium()

@@ -32,6 +32,8 @@ class Environment(ABC):
 
     signature: Signature
     """Shapes, names and the goal rule. It depends on the environment's settings alone and does not change."""
+    rate: float = 24
+    """Control steps per second of real time, at which films and windows show it."""
 
     @abstractmethod
     def reset(self, seed: int) -> Step:

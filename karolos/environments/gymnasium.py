@@ -2,19 +2,21 @@
 
 from __future__ import annotations
 
+from functools import partial
 from typing import Any
 
 import numpy as np
 from pydantic import Field as Setting
 from pydantic import JsonValue, model_validator
 
-from ..core import Array, Discrete, Environment, Field, FloatArray, Layout, Signature, Step
+from ..core import Array, Discrete, Environment, Field, Layout, Signature, Step
 from ..core import Settings as BaseSettings
 from ..errors import KarolosError, MachineError, UsageError
 from .action_set import action_index
+from .gymnasium_goals import GOALS, GymnasiumGoals
 
 ID = "environment.id"
-GOALS = ("achieved_goal", "desired_goal")
+NO_GOAL = np.zeros(0, np.float32)
 
 
 class Gymnasium(Environment):
@@ -22,14 +24,18 @@ class Gymnasium(Environment):
 
     Observation: flat as by `gymnasium.spaces.flatten`, one field for each key of a Dict.
     Action: a bounded Box is rescaled from [-1, 1], a Discrete set gives one label for each of its numbers.
-    Goals: none. A buffer relabels with a pure rule, and `compute_reward` is a method of an environment.
+    Goals: with `goals: true` those of a goal environment, for hindsight: a Dict of observations with `achieved_goal`
+    and `desired_goal`, and a method `compute_reward(achieved (n, a), desired (n, d), info)` that gives rewards (n,).
+    The info is an empty dict. A few steps with random actions check it against the rewards of the environment.
     Reward and termination: the environment's.
-    What counts as success: the episode ends with a return of at least `success_return`; without it, of at least the
-    `reward_threshold` the id is registered with; without either, `info["is_success"]`. Returns are judged at the end
-    only: where rewards are negative, every episode begins above any threshold.
+    What counts as success, with goals: a reward of at least `success_reward`. Without goals: the episode ends with a
+    return of at least `success_return`; without it, of at least the `reward_threshold` the id is registered with;
+    without either, `info["is_success"]`. Returns are judged at the end only: where rewards are negative, every episode
+    begins above any threshold.
 
     Raises:
-        UsageError: unknown id, or spaces that karolos cannot use; names the setting.
+        UsageError: unknown id, spaces that karolos cannot use, or a `compute_reward` that disagrees with the rewards;
+            names the setting.
         MachineError: a library that the environment needs is missing.
     """
 
@@ -44,6 +50,17 @@ class Gymnasium(Environment):
             None,
             description="smallest and largest reward of a step, where known: it bounds the learned values",
         )
+        goals: bool = Setting(False, description="keep the goals of a goal environment, for hindsight")
+        success_reward: float | None = Setting(
+            None,
+            description="with goals: reward of a step from which the goal is reached; null: the reward where the "
+            "achieved goal equals the desired one. Needed for dense rewards",
+        )
+        goal_terminates: bool | None = Setting(
+            None,
+            description="with goals: whether reaching the goal ends the episode; null: as the environment's "
+            "compute_terminated says, false without one",
+        )
         flatten_goals: bool = Setting(False, description="take the goals of a goal environment as observations")
         window: bool = Setting(False, description="show the environment in a window; needs a display")
 
@@ -51,6 +68,11 @@ class Gymnasium(Environment):
         def _ordered(self) -> Gymnasium.Settings:
             if self.reward_range and self.reward_range[0] > self.reward_range[1]:
                 raise ValueError(f"reward_range must go from the smallest to the largest, not {self.reward_range}")
+            if self.goals and (self.flatten_goals or self.success_return is not None):
+                other = "flatten_goals" if self.flatten_goals else "success_return"
+                raise ValueError(f"goals and {other} exclude each other")
+            if not self.goals and not (self.success_reward is None and self.goal_terminates is None):
+                raise ValueError("success_reward and goal_terminates need goals: true")
             return self
 
         def identity(self) -> dict[str, Any]:
@@ -59,7 +81,7 @@ class Gymnasium(Environment):
 
     def __init__(self, settings: Gymnasium.Settings) -> None:
         self.settings = settings
-        env = self._make(settings)
+        env = make_environment(settings)
         try:
             self._space: Any = env.observation_space
             observation = _observation(self._space, settings)
@@ -68,16 +90,25 @@ class Gymnasium(Environment):
                 raise UsageError(
                     f"{settings.id} is registered without a largest number of steps", where="environment.max_steps"
                 )
+            goals: dict[str, Any] = {}
+            self._rule: GymnasiumGoals | None = None
+            if settings.goals:
+                make = partial(make_environment, settings)
+                self._rule = GymnasiumGoals(make, env, settings.id, settings.success_reward, settings.goal_terminates)
+                goals = {name: Layout((Field(name, int(np.prod(self._space[name].shape))),)) for name in GOALS}
             self.signature = Signature(
                 observation=observation,
                 action=_action(env.action_space),
                 max_steps=steps,
                 reward_range=settings.reward_range or (-np.inf, np.inf),
+                goal_rule=self._rule,
+                **goals,
             )
         except BaseException:
             env.close()
             raise
         self._env = env
+        self.rate = float(env.metadata.get("render_fps") or self.rate)
         self._actions: Any = env.action_space
         registered = getattr(env.spec, "reward_threshold", None)
         self._success_return = registered if settings.success_return is None else settings.success_return
@@ -85,42 +116,14 @@ class Gymnasium(Environment):
         self._return = 0.0
         self._last: Step | None = None
 
-    @staticmethod
-    def _make(settings: Gymnasium.Settings) -> Any:
-        import gymnasium  # noqa: PLC0415  (its import takes .2 s, and settings are read without it)
-
-        def make(**kwargs: Any) -> Any:
-            # without the TimeLimit wrapper: steps are counted here, so `max_steps` can exceed the registered limit
-            return gymnasium.make(
-                settings.id, max_episode_steps=-1, disable_env_checker=True, **settings.kwargs, **kwargs
-            )
-
-        try:
-            env = make()
-            modes = env.metadata.get("render_modes") or ()
-            mode = "human" if settings.window else "rgb_array"
-            if "render_mode" not in settings.kwargs and mode in modes:
-                env.close()
-                env = make(render_mode=mode)
-        except KarolosError:
-            raise
-        except (gymnasium.error.DependencyNotInstalled, ImportError) as error:
-            raise MachineError(f"{settings.id} needs a missing library: {_line(error)}", where=ID) from error
-        except gymnasium.error.Error as error:
-            raise UsageError(
-                _line(error), where=ID, hint="`python -m pip list` shows what could register it"
-            ) from error
-        except TypeError as error:
-            raise UsageError(
-                f"{settings.id} does not take these arguments: {_line(error)}", where="environment.kwargs"
-            ) from error
-        return env
-
     def reset(self, seed: int) -> Step:
         observation, info = self._env.reset(seed=seed)
         self._steps = 0
         self._return = 0.0
-        self._last = self._step(self._flat(observation), 0.0, False, False, info)
+        self._last = self._step(observation, 0.0, False, False, info)
+        if self._rule is not None:
+            success = self._rule.success(self._last.achieved_goal, self._last.desired_goal)
+            self._last = self._last._replace(success=bool(success))
         return self._last
 
     def step(self, action: Array) -> Step:
@@ -130,29 +133,37 @@ class Gymnasium(Environment):
             raise RuntimeError(f"{self.settings.id}: the episode is over; reset the environment first")
         observation, reward, terminated, truncated, info = self._env.step(converted)
         self._steps += 1
-        flat, reward = self._flat(observation), float(reward)
-        if not (np.isfinite(reward) and np.isfinite(flat).all()):
+        reward = float(reward)
+        out_of_time = bool(truncated) or self._steps >= self.signature.max_steps
+        self._return += reward
+        step = self._step(observation, reward, bool(terminated), out_of_time and not terminated, info)
+        if not (np.isfinite(reward) and all(np.isfinite(values).all() for values in step[:3])):
             self._steps = self.signature.max_steps
             return self._last._replace(terminated=False, truncated=True, success=False, diverged=True)
-        self._return += reward
-        out_of_time = bool(truncated) or self._steps >= self.signature.max_steps
-        self._last = self._step(flat, reward, bool(terminated), out_of_time and not terminated, info)
+        if self._rule is not None:
+            self._rule.check_end(step)
+        self._last = step
         if self._last.terminated or self._last.truncated:
             self._steps = self.signature.max_steps
         return self._last
 
-    def _step(self, flat: FloatArray, reward: float, terminated: bool, truncated: bool, info: Any) -> Step:
-        if self._success_return is None:
+    def _step(self, observation: Any, reward: float, terminated: bool, truncated: bool, info: Any) -> Step:
+        from gymnasium.spaces import flatten  # noqa: PLC0415
+
+        achieved = desired = NO_GOAL
+        if self._rule is not None:
+            achieved, desired = (np.array(observation[name], np.float32).ravel() for name in GOALS)
+            success = bool(np.float32(reward) >= self._rule.success_reward)
+        elif self._success_return is None:
             success = bool(info.get("is_success", False))
         else:
             success = (terminated or truncated) and self._return >= self._success_return
-        no_goal = np.zeros(0, np.float32)
-        return Step(flat, no_goal, no_goal, reward, terminated, truncated, success)
-
-    def _flat(self, observation: Any) -> FloatArray:
-        from gymnasium.spaces import flatten  # noqa: PLC0415
-
-        return np.array(flatten(self._space, observation), np.float32)
+        if self._rule is not None:
+            parts: Any = [flatten(space, observation[key]) for key, space in self._space.items() if key not in GOALS]
+            flat = np.concatenate(parts, dtype=np.float32)
+        else:
+            flat = np.array(flatten(self._space, observation), np.float32)
+        return Step(flat, achieved, desired, reward, terminated, truncated, success)
 
     def _converted(self, action: Array) -> Any:
         """The action in the environment's own space."""
@@ -177,7 +188,38 @@ class Gymnasium(Environment):
         return np.asarray(Image.fromarray(picture).resize((width, height), Image.Resampling.BILINEAR))
 
     def close(self) -> None:
+        self._steps = self.signature.max_steps  # no episode is running
+        if self._rule is not None:
+            self._rule.detach()
         self._env.close()
+
+
+def make_environment(settings: Gymnasium.Settings) -> Any:
+    """What `gymnasium.make` makes, without its limit of steps. Raises UsageError or MachineError."""
+    import gymnasium  # noqa: PLC0415  (its import takes .2 s, and settings are read without it)
+
+    def make(**kwargs: Any) -> Any:
+        # without the TimeLimit wrapper: steps are counted here, so `max_steps` can exceed the registered limit
+        return gymnasium.make(settings.id, max_episode_steps=-1, disable_env_checker=True, **settings.kwargs, **kwargs)
+
+    try:
+        env = make()
+        modes = env.metadata.get("render_modes") or ()
+        mode = "human" if settings.window else "rgb_array"
+        if "render_mode" not in settings.kwargs and mode in modes:
+            env.close()
+            env = make(render_mode=mode)
+    except KarolosError:
+        raise
+    except (gymnasium.error.DependencyNotInstalled, ImportError) as error:
+        raise MachineError(f"{settings.id} needs a missing library: {_line(error)}", where=ID) from error
+    except gymnasium.error.Error as error:
+        raise UsageError(_line(error), where=ID, hint="`python -m pip list` shows what could register it") from error
+    except TypeError as error:
+        raise UsageError(
+            f"{settings.id} does not take these arguments: {_line(error)}", where="environment.kwargs"
+        ) from error
+    return env
 
 
 def _registered_steps(name: str) -> int | None:
@@ -190,17 +232,24 @@ def _registered_steps(name: str) -> int | None:
 def _observation(space: Any, settings: Gymnasium.Settings) -> Layout:
     from gymnasium import spaces  # noqa: PLC0415
 
-    if isinstance(space, spaces.Dict) and set(GOALS) <= set(space.spaces) and not settings.flatten_goals:
+    has_goals = isinstance(space, spaces.Dict) and set(GOALS) <= set(space.spaces)
+    if has_goals and not (settings.flatten_goals or settings.goals):
         raise UsageError(
-            f"{settings.id} has goals, and gymnasium's rule for them cannot be shared with a buffer",
-            where=ID,
-            hint="flatten_goals: true takes them as observations; `robot` and `task` have hindsight",
+            f"{settings.id} has goals, and nothing says what to do with them",
+            where="environment.goals",
+            hint="goals: true keeps them for hindsight; flatten_goals: true takes them as observations",
+        )
+    if settings.goals and not has_goals:
+        raise UsageError(
+            f"{settings.id} has no goals: a goal environment observes a Dict with {' and '.join(GOALS)}",
+            where="environment.goals",
         )
     if not space.is_np_flattenable:
         raise UsageError(f"its observations, {_line(space)}, cannot be laid out flat", where=ID)
     if isinstance(space, spaces.Dict):
-        parts = tuple(Field(str(key), int(spaces.flatdim(part))) for key, part in space.spaces.items())
-        return Layout(parts)
+        left_out = GOALS if settings.goals else ()
+        sizes = {str(key): int(spaces.flatdim(part)) for key, part in space.spaces.items() if key not in left_out}
+        return Layout(tuple(Field(name, size) for name, size in sizes.items()))
     return Layout((Field("observation", int(spaces.flatdim(space))),))
 
 

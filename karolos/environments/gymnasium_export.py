@@ -3,17 +3,20 @@
     gymnasium.make("karolos/UR5PickPlace-v1", control="cartesian", reward="sparse")
 
 The ids are `karolos/<Robot><Task>-v1`, with the names of the classes of all installed plugins. Importing this module
-registers them; plugins and pybullet are imported when an environment is made. Gymnasium imports a module that an id
-names: `gymnasium.make("karolos.environments.gymnasium_export:karolos/PandaReach-v1")` needs no import of karolos.
+registers them, and so does importing karolos and gymnasium in any order; plugins and pybullet are imported when an
+environment is made. `gymnasium.make("karolos:karolos/PandaReach-v1")` needs no import of karolos.
 """
 
 from __future__ import annotations
 
+import copy
 import os
 import sys
 import time
-from collections.abc import Mapping
-from typing import TYPE_CHECKING, Any
+from collections.abc import Callable, Iterable, Mapping
+from dataclasses import dataclass, replace
+from functools import partial
+from typing import TYPE_CHECKING, Any, Self
 
 import gymnasium
 import numpy as np
@@ -26,7 +29,6 @@ if TYPE_CHECKING:
     from ..core import Environment
 
 NAMESPACE = "karolos"
-FRAMES_PER_SECOND = 24
 OBSERVED = ("observation", "achieved_goal", "desired_goal")
 _ACRONYMS = {"iiwa": "IIWA"}
 _PARTS = (("robots", "robot"), ("tasks", "task"), ("environments", "environment"))
@@ -39,37 +41,64 @@ def _render_modes() -> list[str]:
     return ["human", "rgb_array"] if sys.platform != "linux" or os.environ.get("DISPLAY") else ["rgb_array"]
 
 
+@dataclass(frozen=True)
+class EpisodeState:
+    """An episode up to its current step. The seed and the actions determine it; can be pickled."""
+
+    seed: int
+    actions: tuple[NDArray[np.float32], ...]
+    generator: Mapping[str, Any]
+    """State of the generator that draws the seeds of later episodes."""
+
+
 class GoalEnv(gymnasium.Env[Observation, NDArray[np.float32]]):
     """An environment of karolos with goals, with gymnasium's interface for goal environments.
 
     Observation: a dict of `observation` (o,), `achieved_goal` (a,) and `desired_goal` (d,), float32. Action: (n,) in
     [-1, 1], or the index of a discrete one. The environment itself truncates an episode. `reset(seed=s)` begins
-    karolos' episode of the seed s.
+    karolos' episode of the seed s. `reset` opens a closed environment again; `step` and `render` raise
+    ClosedEnvironmentError.
+
+    `copy.deepcopy`, `save_state` and `restore_state` play the episode's actions again from its seed, which gives the
+    same state bit for bit and takes as long as these steps took.
 
     Args:
         environment: closed with this one.
         render_mode: None, "rgb_array", or "human" (a window in real time; the environment must support it).
         width: of a picture in pixels.
         height: of a picture in pixels.
+        build: builds the environment again, for `copy.deepcopy`; without it `environment` itself is copied.
 
     Raises:
         UsageError: the environment has no goals.
     """
 
-    metadata = {"render_modes": _render_modes(), "render_fps": FRAMES_PER_SECOND}  # noqa: RUF012  (gymnasium reads it from the class)
+    metadata = {"render_modes": _render_modes(), "render_fps": 24}  # noqa: RUF012  (gymnasium reads it from the class)
+    _spec: gymnasium.envs.registration.EnvSpec | None = None
 
     def __init__(
-        self, environment: Environment, *, render_mode: str | None = None, width: int = 640, height: int = 480
+        self,
+        environment: Environment,
+        *,
+        render_mode: str | None = None,
+        width: int = 640,
+        height: int = 480,
+        build: Callable[[], Environment] | None = None,
     ) -> None:
         signature = environment.signature
         if signature.goal_rule is None:
             raise UsageError("the environment has no goals", where="environment")
         self.render_mode = render_mode
         self._size = (width, height)
+        self.metadata = {**type(self).metadata, "render_fps": environment.rate}
         self._environment = environment
+        self._build = build
         self._rule = signature.goal_rule
         self._parameters = signature.parameters.names
         self._drawn = 0.0
+        self._closed = False
+        self._seed: int | None = None
+        self._actions: list[NDArray[np.float32]] = []
         self.action_space = _action_space(signature.action)
         self.observation_space = gymnasium.spaces.Dict(  # type: ignore[assignment]  # a Dict of Boxes is what it gives
             {
@@ -78,15 +107,31 @@ class GoalEnv(gymnasium.Env[Observation, NDArray[np.float32]]):
             }
         )
 
+    @property
+    def spec(self) -> gymnasium.envs.registration.EnvSpec | None:
+        """What `gymnasium.make` sets, with the environment's own number of steps."""
+        return self._spec
+
+    @spec.setter
+    def spec(self, value: gymnasium.envs.registration.EnvSpec | None) -> None:
+        steps = self._environment.signature.max_steps
+        self._spec = None if value is None else replace(value, max_episode_steps=steps)
+
     def reset(
         self, *, seed: int | None = None, options: dict[str, Any] | None = None
     ) -> tuple[Observation, dict[str, Any]]:
-        """Begin the episode of this seed; without a seed, the next episode in the sequence of the last seed."""
+        """Begin the episode of this seed; without a seed, the next episode in the sequence of the last seed.
+
+        There are no options: they are ignored with a warning.
+        """
         if options:
-            raise UsageError(f"reset has no options, not {', '.join(map(repr, options))}")
+            gymnasium.logger.warn(
+                f"reset of {type(self).__name__} ignores options={options}: settings are arguments of gymnasium.make"
+            )
         super().reset(seed=seed)
         episode = int(self.np_random.integers(2**63 - 1)) if seed is None else int(seed)
         step = self._environment.reset(episode)
+        self._closed, self._seed, self._actions = False, episode, []
         info = self._info(step) | {"seed": episode}
         if self._parameters:
             values = self._environment.parameters().tolist()
@@ -94,11 +139,20 @@ class GoalEnv(gymnasium.Env[Observation, NDArray[np.float32]]):
         return _observed(step), info
 
     def step(self, action: NDArray[np.float32]) -> tuple[Observation, float, bool, bool, dict[str, Any]]:
-        """One control step. Raises ValueError for a wrong shape or NaN, RuntimeError when the episode is over."""
-        step = self._environment.step(np.asarray(action, np.float32))
+        """One control step.
+
+        Raises:
+            ValueError: a wrong shape, or NaN.
+            RuntimeError: the episode is over.
+            ClosedEnvironmentError: the environment is closed.
+        """
+        self._demand_open("step")
+        taken = np.array(action, np.float32)
+        step = self._environment.step(taken)
+        self._actions.append(taken)
         if self.render_mode == "human":  # in real time
-            now = time.monotonic()
-            time.sleep(max(0.0, min(self._drawn + 1 / FRAMES_PER_SECOND - now, 1 / FRAMES_PER_SECOND)))
+            now, period = time.monotonic(), 1 / self._environment.rate
+            time.sleep(max(0.0, min(self._drawn + period - now, period)))
             self._drawn = time.monotonic()
         return _observed(step), float(step.reward), bool(step.terminated), bool(step.truncated), self._info(step)
 
@@ -125,12 +179,50 @@ class GoalEnv(gymnasium.Env[Observation, NDArray[np.float32]]):
             return np.zeros(shape, np.bool_)
         return np.array([bool(one.get("truncated", False)) for one in np.ravel(info)], np.bool_).reshape(shape)
 
+    def save_state(self) -> EpisodeState:
+        """The running episode up to its current step, for `restore_state`. Raises RuntimeError without an episode."""
+        if self._seed is None:
+            raise RuntimeError("there is no episode to save; reset the environment first")
+        return EpisodeState(self._seed, tuple(self._actions), copy.deepcopy(self.np_random.bit_generator.state))
+
+    def restore_state(self, state: EpisodeState) -> None:
+        """Go to a saved step, of this environment or of another one with the same settings."""
+        self.np_random.bit_generator.state = state.generator
+        self._play(state.seed, state.actions)
+
+    def _play(self, seed: int, actions: Iterable[NDArray[np.float32]]) -> None:
+        self._environment.reset(seed)
+        self._closed, self._seed, self._actions = False, seed, list(actions)
+        for action in self._actions:
+            self._environment.step(action)
+
+    def __deepcopy__(self, memo: dict[int, Any]) -> Self:
+        """An environment of its own at the same step of the same episode. A copy has no window."""
+        copied = type(self).__new__(type(self))
+        memo[id(self)] = copied
+        for name, value in vars(self).items():
+            if name not in ("_environment", "_build", "_rule"):
+                setattr(copied, name, copy.deepcopy(value, memo))
+        copied._build, copied._rule = self._build, self._rule
+        copied._environment = self._build() if self._build else copy.deepcopy(self._environment, memo)
+        if self.render_mode == "human":
+            copied.render_mode = None
+        if self._seed is not None and not self._closed:
+            copied._play(self._seed, self._actions)
+        return copied
+
     def render(self) -> NDArray[np.uint8] | None:
         """A picture (height, width, 3); None for a window."""
+        self._demand_open("render")
         return self._environment.render(*self._size) if self.render_mode == "rgb_array" else None
 
     def close(self) -> None:
         self._environment.close()
+        self._closed = True
+
+    def _demand_open(self, call: str) -> None:
+        if self._closed:
+            raise gymnasium.error.ClosedEnvironmentError(f"{call} after close; reset opens the environment again")
 
 
 class RobotTaskEnv(GoalEnv):
@@ -169,7 +261,9 @@ class RobotTaskEnv(GoalEnv):
         chosen = {"robot": robot, "task": task, "environment": "robot_task"}
         window = {"window": True} if render_mode == "human" else {}
         environment = build_environment(_recipe(chosen, {**settings, **window}, randomization or {}))
-        super().__init__(environment, render_mode=render_mode, width=width, height=height)
+        plain = _recipe(chosen, settings, randomization or {})  # a copy has no window
+        build = partial(build_environment, plain)
+        super().__init__(environment, render_mode=render_mode, width=width, height=height, build=build)
 
 
 def _action_space(action: Any) -> Any:

@@ -64,6 +64,7 @@ class RobotTask(Environment):
         self.settings = settings
         self.robot = robot
         self.task = task
+        self.rate = round(1 / TIMESTEP) / settings.substeps
         self.divergences = 0
         """Number of episodes truncated because the physics diverged."""
         robot.prepare(gripper=task.uses_gripper, period=settings.substeps * TIMESTEP, points_down=task.points_down)
@@ -131,7 +132,7 @@ class RobotTask(Environment):
 
         Raises:
             ValueError: an action of a wrong shape, with NaN, or not in the action set.
-            RuntimeError: the episode is over.
+            RuntimeError: the episode is over, or the environment closed.
         """
         self.robot.act(self._checked(action))
         self.world.step()
@@ -201,6 +202,7 @@ class RobotTask(Environment):
         return self.world.render(width, height, self.task.camera)
 
     def close(self) -> None:
+        self._steps = self.signature.max_steps  # no episode is running
         if self._world is not None:
             self._world.close()
             self._world = None

@@ -2,14 +2,21 @@
 
 from __future__ import annotations
 
+import pickle
 from typing import Any
 
 import numpy as np
 import pytest
 
-from karolos.core import Discrete
+from karolos.buffers.uniform import Uniform
+from karolos.core import Discrete, Transitions
+from karolos.core.seeding import SeedTree
 from karolos.environments.gymnasium import Gymnasium
-from karolos.errors import KarolosError
+from karolos.errors import KarolosError, PluginError
+from karolos.plugins.contracts import check_environment
+
+POINT = "support.goal_environments:Point-v0"
+ENDING = "support.goal_environments:Ending-v0"
 
 
 def make(**settings: Any) -> Gymnasium:
@@ -72,11 +79,13 @@ def test_success_is_a_return_at_the_end(threshold: float, success: bool) -> None
         ({"id": "nowhere:Foo-v1"}, "environment.id"),
         ({"id": "a b"}, "environment.id"),
         ({"id": "CartPole-v1", "kwargs": {"foo": 1}}, "environment.kwargs"),
-        ({"id": "karolos.environments.gymnasium_export:karolos/PandaReach-v1"}, "environment.id"),
-        (
-            {"id": "karolos.environments.gymnasium_export:karolos/PandaReach-v1", "flatten_goals": True},
-            "environment.max_steps",
-        ),
+        ({"id": "karolos:karolos/PandaReach-v1"}, "environment.goals"),
+        ({"id": "CartPole-v1", "goals": True}, "environment.goals"),
+        ({"id": "support.goal_environments:Endless-v0", "flatten_goals": True}, "environment.max_steps"),
+        ({"id": POINT, "goals": True, "kwargs": {"fault": "reward"}}, "environment.goals"),
+        ({"id": POINT, "goals": True, "kwargs": {"fault": "one goal"}}, "environment.goals"),
+        ({"id": POINT, "goals": True, "kwargs": {"dense": True}}, "environment.success_reward"),
+        ({"id": POINT, "goals": True, "success_reward": -2}, "environment.success_reward"),
     ],
 )
 def test_what_cannot_work_is_one_clear_line_about_a_setting(settings: dict[str, Any], where: str) -> None:
@@ -87,8 +96,100 @@ def test_what_cannot_work_is_one_clear_line_about_a_setting(settings: dict[str, 
 
 
 def test_goals_may_be_taken_as_observations() -> None:
-    name = "karolos.environments.gymnasium_export:karolos/PandaReach-v1"
-    environment = make(id=name, flatten_goals=True, max_steps=50)
+    environment = make(id="karolos:karolos/PandaReach-v1", flatten_goals=True)
+    assert environment.signature.max_steps == 50
     assert set(environment.signature.observation.names) == {"achieved_goal", "desired_goal", "observation"}
     assert environment.reset(0).observation.shape == (environment.signature.observation.size,)
     environment.close()
+
+
+GOAL_ENVIRONMENTS = [
+    {"id": POINT},
+    {"id": POINT, "kwargs": {"dense": True}, "success_reward": -0.15},
+    {"id": POINT, "kwargs": {"ends": True}, "goal_terminates": True},
+    {"id": ENDING},
+    {"id": "karolos:karolos/PandaReach-v1"},
+]
+
+
+@pytest.mark.parametrize("settings", GOAL_ENVIRONMENTS, ids=str)
+def test_hindsight_relabels_the_goals_of_anybodys_environment(settings: dict[str, Any]) -> None:
+    environment = make(**settings, goals=True)
+    signature = environment.signature
+    buffer = Uniform(
+        Uniform.Settings.model_validate({"capacity": 500, "hindsight": {"ratio": 1.0, "min_displacement": 0}}),
+        signature,
+        SeedTree(1),
+        environments=1,
+        discount=0.9,
+    )
+    reached: dict[bytes, tuple[Any, bool]] = {}
+    generator = np.random.default_rng(0)
+    for seed in range(5):
+        step = environment.reset(seed)
+        while not (step.terminated or step.truncated):
+            action = generator.uniform(-1, 1, signature.action.size).astype(np.float32)
+            before, step = step, environment.step(action)
+            reached[step.observation.tobytes()] = (step.achieved_goal, step.success)
+            columns = {
+                "environment": np.array([0]),
+                **{name: getattr(before, name)[None] for name in ("observation", "achieved_goal", "desired_goal")},
+                "action": action[None],
+                "next_observation": step.observation[None],
+                "next_achieved_goal": step.achieved_goal[None],
+                **{name: np.array([getattr(step, name)]) for name in ("reward", "terminated", "truncated")},
+            }
+            buffer.add(Transitions(**{name: columns[name] for name in Transitions._fields if name in columns}))
+    batch = buffer.sample(256)
+    unwrapped = environment._env.unwrapped
+    for index in range(256):
+        goal, reward = batch.desired_goal[index], batch.reward[index]
+        achieved = reached[batch.next_observation[index].tobytes()][0]
+        assert reward == pytest.approx(unwrapped.compute_reward(achieved, goal, {}), abs=1e-6)
+        near = np.linalg.norm(achieved - goal) < 0.15
+        ends = settings["id"] == ENDING or settings.get("goal_terminates", False)
+        assert batch.terminated[index] == (ends and near)
+    assert batch.reward.max() == 0.0
+    environment.close()
+
+
+@pytest.mark.parametrize("settings", GOAL_ENVIRONMENTS, ids=str)
+def test_anybodys_goal_environment_keeps_the_promises_of_an_environment(settings: dict[str, Any]) -> None:
+    if "karolos" not in settings["id"]:  # may begin at its goal
+        settings = {**settings, "kwargs": {**settings.get("kwargs", {}), "apart": True}}
+    check_environment("gymnasium", **settings, goals=True)
+
+
+def test_a_goal_rule_goes_to_other_processes_without_its_environment() -> None:
+    environment = make(id=POINT, goals=True)
+    rule = pickle.loads(pickle.dumps(environment.signature.goal_rule))
+    achieved = np.zeros((2, 3, 2), np.float32)
+    desired = achieved + np.array([0.1, 0.0, 0.2], np.float32)[:, None]
+    np.testing.assert_array_equal(rule.reward(achieved, desired), [[0, 0, -1]] * 2)
+    np.testing.assert_array_equal(rule.success(achieved, desired), [[True, True, False]] * 2)
+    assert not rule.terminated(achieved, desired).any()
+
+
+@pytest.mark.parametrize(("ends", "said"), [(True, None), (False, True)])
+def test_whether_a_goal_ends_an_episode_is_said_or_refused(ends: bool, said: bool | None) -> None:
+    environment = make(id=POINT, goals=True, kwargs={"ends": ends}, goal_terminates=said)
+
+    def go_to_the_goal() -> None:
+        step = environment.reset(0)
+        while True:
+            way = np.clip((step.desired_goal - step.achieved_goal) / 0.2, -1, 1)
+            step = environment.step(way.astype(np.float32))
+
+    with pytest.raises(PluginError, match="reaches its goal") as caught:
+        go_to_the_goal()
+    assert caught.value.where == "environment.goal_terminates"
+
+
+def test_settings_that_exclude_each_other_are_refused() -> None:
+    for settings in (
+        {"goals": True, "flatten_goals": True},
+        {"goals": True, "success_return": 1},
+        {"success_reward": 1},
+    ):
+        with pytest.raises(ValueError, match="goals"):
+            Gymnasium.Settings(id=POINT, **settings)
