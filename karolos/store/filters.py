@@ -19,7 +19,7 @@ import re
 from collections.abc import Callable, Iterator, Mapping
 from dataclasses import dataclass
 from operator import ge, gt, le, lt
-from typing import Any, NoReturn, Protocol
+from typing import Any, NoReturn
 
 from ..errors import UsageError
 
@@ -37,20 +37,20 @@ _TOKEN = re.compile(
 _NUMBER = re.compile(r"[+-]?(?:\d[\d_]*\.?\d*|\.\d+)(?:[eE][+-]?\d+)?")
 
 
+Condition = Callable[[Mapping[str, Any]], bool]
+"""Whether a run with these values by key matches; missing keys are null."""
+
+
 @dataclass(frozen=True)
 class Filter:
-    """A parsed filter."""
+    """A parsed filter: its condition, and the comparisons in it."""
 
-    text: str
-    root: Node
+    matches: Condition
+    comparisons: tuple[FilterComparison, ...]
 
     @property
     def keys(self) -> frozenset[str]:
-        return frozenset(comparison.key for comparison in self.root.comparisons())
-
-    def matches(self, values: Mapping[str, Any]) -> bool:
-        """Whether a run with these values by key matches; missing keys are null."""
-        return self.root.matches(values)
+        return frozenset(comparison.key for comparison in self.comparisons)
 
     def refuse_unknown(self, known: Callable[[str], bool], closest: Callable[[str], str | None]) -> None:
         """Raise a UsageError at the first unknown key.
@@ -59,7 +59,7 @@ class Filter:
             known: whether a key is known.
             closest: the known key that is most like a key, if any.
         """
-        for comparison in self.root.comparisons():
+        for comparison in self.comparisons:
             if not known(comparison.key):
                 like = closest(comparison.key)
                 hint = f"did you mean {like}?" if like else "`karolos runs show RUN` shows the keys"
@@ -74,15 +74,7 @@ def parse(text: str) -> Filter:
     """
     if len(text) > LONGEST:
         raise UsageError(f"the filter has {len(text):,} characters", hint=f"up to {LONGEST:,} are read")
-    return Filter(text, _Parser(text).read())
-
-
-class Node(Protocol):
-    """A condition on the values of a run."""
-
-    def matches(self, values: Mapping[str, Any]) -> bool: ...
-
-    def comparisons(self) -> Iterator[FilterComparison]: ...
+    return _Parser(text).read()
 
 
 @dataclass(frozen=True)
@@ -117,9 +109,6 @@ class FilterComparison:
             return self._any(actual, Literal.equals)
         return self._any(actual, self._contains if self.operator == "~" else self._ordered)
 
-    def comparisons(self) -> Iterator[FilterComparison]:
-        yield self
-
     def _any(self, actual: Any, holds: Callable[[Literal, Any], bool]) -> bool:
         if isinstance(actual, list | tuple) and self.key == "tags":
             return any(holds(literal, tag) for literal in self.literals for tag in actual)
@@ -140,34 +129,6 @@ class FilterComparison:
         if actual is None or isinstance(actual, bool) or not isinstance(literal.value, int | float):
             return False
         return order(actual, literal.value)
-
-
-@dataclass(frozen=True)
-class Junction:
-    """Conditions joined by `and` (combine is `all`) or `or` (`any`)."""
-
-    combine: Callable[[Iterator[bool]], bool]
-    parts: tuple[Node, ...]
-
-    def matches(self, values: Mapping[str, Any]) -> bool:
-        return self.combine(part.matches(values) for part in self.parts)
-
-    def comparisons(self) -> Iterator[FilterComparison]:
-        for part in self.parts:
-            yield from part.comparisons()
-
-
-@dataclass(frozen=True)
-class Not:
-    """The negation of a condition."""
-
-    part: Node
-
-    def matches(self, values: Mapping[str, Any]) -> bool:
-        return not self.part.matches(values)
-
-    def comparisons(self) -> Iterator[FilterComparison]:
-        return self.part.comparisons()
 
 
 @dataclass(frozen=True)
@@ -195,12 +156,13 @@ class _Parser:
         self._tokens = [*_tokens(text), _Token("end", "", len(text.rstrip()) + 1)]
         self._position = 0
         self._depth = 0
+        self._comparisons: list[FilterComparison] = []
 
-    def read(self) -> Node:
-        node = self._or()
+    def read(self) -> Filter:
+        condition = self._or()
         if self._next.kind != "end":
             _refuse(f"{self._next.shown} does not belong here", self._next.column, "go on with and, or; or end")
-        return node
+        return Filter(condition, tuple(self._comparisons))
 
     @property
     def _next(self) -> _Token:
@@ -217,45 +179,47 @@ class _Parser:
         self._position += found
         return found
 
-    def _or(self) -> Node:
+    def _or(self) -> Condition:
         parts = [self._and()]
         while self._accept("or"):
             parts.append(self._and())
-        return parts[0] if len(parts) == 1 else Junction(any, tuple(parts))
+        return parts[0] if len(parts) == 1 else lambda values: any(part(values) for part in parts)
 
-    def _and(self) -> Node:
+    def _and(self) -> Condition:
         parts = [self._one()]
         while self._accept("and"):
             parts.append(self._one())
-        return parts[0] if len(parts) == 1 else Junction(all, tuple(parts))
+        return parts[0] if len(parts) == 1 else lambda values: all(part(values) for part in parts)
 
-    def _one(self) -> Node:
+    def _one(self) -> Condition:
         self._depth += 1
         if self._depth > DEEPEST:
             _refuse("too many levels", self._next.column, f"up to {DEEPEST} nested parentheses and nots are read")
         if self._accept("not"):
-            node: Node = Not(self._one())
+            condition = _negated(self._one())
         elif self._accept("("):
-            node = self._or()
+            condition = self._or()
             self._expect(")")
         else:
-            node = self._comparison()
+            condition = self._comparison()
         self._depth -= 1
-        return node
+        return condition
 
-    def _comparison(self) -> Node:
+    def _comparison(self) -> Condition:
         key = self._take()
         if key.kind not in {"word", "text"} or (key.kind == "word" and key.text.lower() in {"and", "or", "in"}):
             _refuse(f"{key.shown} is not a key", key.column, "e.g. task=reach, or agent.learning_rate<1e-3")
+        not_in = self._next.text.lower() == "not" and self._tokens[self._position + 1].text.lower() == "in"
+        self._position += not_in
         if self._accept("in"):
-            return FilterComparison(key.plain, "in", self._list(), key.column)
-        if self._next.text.lower() == "not" and self._tokens[self._position + 1].text.lower() == "in":
-            self._position += 2
-            return Not(FilterComparison(key.plain, "in", self._list(), key.column))
-        operator = self._take()
-        if operator.kind != "sign" or operator.text not in _OPERATORS:
-            _refuse(f"{operator.shown} is not a comparison", operator.column, f"there are {' '.join(_OPERATORS)}")
-        return FilterComparison(key.plain, operator.text, (self._literal(),), key.column)
+            comparison = FilterComparison(key.plain, "in", self._list(), key.column)
+        else:
+            operator = self._take()
+            if operator.kind != "sign" or operator.text not in _OPERATORS:
+                _refuse(f"{operator.shown} is not a comparison", operator.column, f"there are {' '.join(_OPERATORS)}")
+            comparison = FilterComparison(key.plain, operator.text, (self._literal(),), key.column)
+        self._comparisons.append(comparison)
+        return _negated(comparison.matches) if not_in else comparison.matches
 
     def _list(self) -> tuple[Literal, ...]:
         end = "]" if self._accept("[") else ")"
@@ -279,6 +243,10 @@ class _Parser:
     def _expect(self, sign: str) -> None:
         if not self._accept(sign):
             _refuse(f"a {sign} is missing", self._next.column, f"before {self._next.shown}")
+
+
+def _negated(condition: Condition) -> Condition:
+    return lambda values: not condition(values)
 
 
 def _tokens(text: str) -> Iterator[_Token]:
