@@ -8,6 +8,7 @@ from dataclasses import dataclass
 from typing import Any
 
 from ..files import parse_object
+from .decode import from_json
 
 WITHIN = (0.05, 0.1, 0.25)
 """Distances in m: reports say which fraction of test episodes ended nearer to their goal."""
@@ -102,18 +103,8 @@ def _numbers(values: Sequence[float]) -> list[float | str]:
 
 def decode_test(row: Mapping[str, Any]) -> TestResult | None:
     """The test in a JSON object, or None if it is not a test."""
-    try:
-        result = TestResult(
-            steps=int(row["steps"]),
-            seconds=float(row["seconds"]),
-            any=tuple(map(bool, row["any"])),
-            end=tuple(map(bool, row["end"])),
-            reset=tuple(map(bool, row["reset"])),
-            returns=tuple(map(float, row["returns"])),
-            lengths=tuple(map(int, row["lengths"])),
-            distances=tuple(map(float, row["distances"])) if "distances" in row else None,
-        )
-    except (KeyError, TypeError, ValueError):
+    result = from_json(TestResult, row)
+    if result is None:
         return None
     lists = [result.any, result.end, result.reset, result.returns, result.lengths]
     if result.distances is not None:

@@ -10,6 +10,7 @@ from pathlib import Path
 from typing import Any
 
 from ..errors import UsageError
+from .decode import from_json
 from .labels import Labels
 from .results import TestCounts
 
@@ -70,17 +71,7 @@ class RunState:
     @classmethod
     def from_row(cls, row: Mapping[str, Any]) -> RunState:
         """The state in a JSON object; `created` at step 0 if it is not a state."""
-        try:
-            return cls(
-                state=str(row.get("state", "created")),
-                steps=int(row.get("steps", 0)),
-                seconds=float(row.get("seconds", 0.0)),
-                attempt=int(row.get("attempt", 1)),
-                error=None if row.get("error") is None else str(row["error"]),
-                updated=str(row.get("updated", "")),
-            )
-        except (TypeError, ValueError):
-            return cls("created")
+        return from_json(cls, {"state": "created", **row}) or cls("created")
 
 
 @dataclass(frozen=True)

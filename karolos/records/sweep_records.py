@@ -5,12 +5,13 @@ from __future__ import annotations
 import math
 import os
 from collections.abc import Mapping, Sequence
-from dataclasses import asdict, dataclass, replace
+from dataclasses import dataclass, replace
 from pathlib import Path
-from typing import Any, Literal, get_args
+from typing import Any, Literal
 
 from ..errors import MachineError, RunError
 from ..files import FileLock, parse_object, read_lines
+from .decode import from_json
 from .run_records import ID
 
 FOLDER = "sweeps"
@@ -20,6 +21,12 @@ FORMAT = 1
 """Version of the folder's layout, in sweep.json."""
 LOCK = "lock"
 """The file that the process of a running sweep holds locked."""
+_DESCRIBED = (
+    *("name", "experiment", "created", "asked", "wants_final"),
+    *("objectives", "directions", "parameters", "seeds"),
+)
+"""Fields of SweepRecord in sweep.json, beside its id."""
+_FIELD_OF = {"id": "sweep"} | {name: name for name in _DESCRIBED}
 SweepTrialState = Literal["running", "complete", "pruned", "failed"]
 
 
@@ -43,19 +50,7 @@ class Trial:
 
     def row(self) -> dict[str, Any]:
         """As JSON values."""
-        return asdict(self) | {"values": self.values and list(self.values), "runs": list(self.runs)}
-
-    @classmethod
-    def from_row(cls, row: Mapping[str, Any]) -> Trial | None:
-        """The trial in a JSON object, or None if it is not one."""
-        try:
-            values = None if row["values"] is None else tuple(map(float, row["values"]))
-            error = None if row["error"] is None else str(row["error"])
-            runs = tuple(map(str, row["runs"]))
-            trial = cls(int(row["number"]), str(row["name"]), row["state"], dict(row["drawn"]), values, runs, error)
-        except (KeyError, TypeError, ValueError):
-            return None
-        return trial if trial.state in get_args(SweepTrialState) else None
+        return _with_lists(self)
 
 
 @dataclass(frozen=True)
@@ -75,33 +70,12 @@ class SweepFinal:
 
     def row(self) -> dict[str, Any]:
         """As JSON values; `gap` is tuned minus reported, one per objective."""
-        gap = None
-        if self.reported is not None:
-            gap = [tuned - reported for tuned, reported in zip(self.tuned, self.reported, strict=True)]
+        gap = self.reported and [tuned - reported for tuned, reported in zip(self.tuned, self.reported, strict=True)]
         return {
-            "chosen": self.chosen,
-            "seeds": list(self.seeds),
-            "report_seeds": list(self.report_seeds),
-            "tuned": list(self.tuned),
+            **_with_lists(self),
             "fresh": {str(number): list(values) for number, values in self.fresh.items()},
-            "reported": None if self.reported is None else list(self.reported),
             "gap": gap,
         }
-
-    @classmethod
-    def from_row(cls, row: Mapping[str, Any]) -> SweepFinal | None:
-        """The final evaluation in a JSON object, or None if it is not one."""
-        try:
-            return cls(
-                int(row["chosen"]),
-                tuple(map(int, row["seeds"])),
-                tuple(map(int, row["report_seeds"])),
-                tuple(map(float, row["tuned"])),
-                {int(number): tuple(map(float, values)) for number, values in row["fresh"].items()},
-                None if row["reported"] is None else tuple(map(float, row["reported"])),
-            )
-        except (AttributeError, KeyError, TypeError, ValueError):
-            return None
 
 
 @dataclass(frozen=True)
@@ -158,43 +132,25 @@ class SweepRecord:
 
     def description(self) -> dict[str, Any]:
         """The content of sweep.json."""
-        names = ("name", "experiment", "created", "asked", "wants_final")
-        lists = ("objectives", "directions", "parameters", "seeds")
-        texts = {name: getattr(self, name) for name in names} | {name: list(getattr(self, name)) for name in lists}
-        return {"format": FORMAT, "id": self.sweep, **texts}
-
-    @classmethod
-    def from_description(cls, row: Mapping[str, Any], folder: Path) -> SweepRecord | None:
-        """The sweep without its trials from the content of sweep.json; None if it is not one."""
-        try:
-            record = cls(
-                sweep=str(row["id"]),
-                name=str(row["name"]),
-                experiment=str(row["experiment"]),
-                objectives=tuple(map(str, row["objectives"])),
-                directions=tuple(map(str, row["directions"])),
-                parameters=tuple(map(str, row["parameters"])),
-                seeds=tuple(map(int, row["seeds"])),
-                asked=int(row["asked"]),
-                wants_final=bool(row["wants_final"]),
-                created=str(row["created"]),
-                folder=str(folder),
-            )
-        except (KeyError, TypeError, ValueError):
-            return None
-        return record if len(record.directions) == len(record.objectives) > 0 else None
+        values = _with_lists(self)
+        return {"format": FORMAT, "id": self.sweep} | {name: values[name] for name in _DESCRIBED}
 
     def row(self) -> dict[str, Any]:
         """As JSON values."""
         return {
             "sweep": self.sweep,
             "state": self.state(),
-            **{key: value for key, value in self.description().items() if key not in {"id", "format"}},
+            **{name: value for name, value in self.description().items() if name in _DESCRIBED},
             "folder": self.folder,
             "best": self.best.number if self.best else None,
             "final": self.final.row() if self.final else None,
             "trials": [trial.row() for trial in self.trials],
         }
+
+
+def _with_lists(record: Trial | SweepFinal | SweepRecord) -> dict[str, Any]:
+    """The fields, with lists instead of tuples."""
+    return {name: list(value) if isinstance(value, tuple) else value for name, value in vars(record).items()}
 
 
 def merit(values: Sequence[float], directions: Sequence[str]) -> tuple[float, ...]:
@@ -236,13 +192,12 @@ def read_sweep(folder: Path) -> tuple[SweepRecord, tuple[str, ...]]:
     described = read_sweep_description(folder)
     lines = read_lines(folder / TRIALS)
     problems = list(lines.problems)
-    trials = {trial.number: trial for row in lines.rows if (trial := _valid(Trial.from_row(row), described))}
+    trials = {trial.number: trial for row in lines.rows if (trial := _valid(from_json(Trial, row), described))}
     if len(trials) < len(lines.rows):
         problems.append(f"{TRIALS}: {len(lines.rows) - len(trials)} lines are not trials or repeat one; left out")
     final = None
     if (folder / FINAL).exists():
-        row = parse_object((folder / FINAL).read_bytes())
-        final = None if row is None else SweepFinal.from_row(row)
+        final = from_json(SweepFinal, parse_object((folder / FINAL).read_bytes()) or {})
         if final is None:
             problems.append(f"{FINAL} is damaged; left out")
     record = replace(described, trials=tuple(trials[number] for number in sorted(trials)), final=final)
@@ -266,8 +221,10 @@ def read_sweep_description(folder: Path) -> SweepRecord:
         raise RunError(f"this is not a sweep's folder ({error.strerror})", where=str(folder)) from error
     if row is not None and isinstance(row.get("format"), int) and row["format"] > FORMAT:
         raise RunError("a newer karolos made this sweep's folder", where=str(folder), hint="update karolos")
-    record = None if row is None else SweepRecord.from_description(row, folder.resolve())
-    if record is None or not ID.fullmatch(record.sweep):
+    values: dict[str, Any] = {"folder": str(folder.resolve())}
+    values |= {_FIELD_OF[key]: value for key, value in (row or {}).items() if key in _FIELD_OF}
+    record = from_json(SweepRecord, values)
+    if record is None or not ID.fullmatch(record.sweep) or not len(record.directions) == len(record.objectives) > 0:
         raise RunError(
             f"{DESCRIPTION} is damaged",
             where=str(folder),

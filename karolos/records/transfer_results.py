@@ -13,6 +13,7 @@ from ..errors import MachineError
 from ..files import FileLock, append_lines, read_lines
 from ..statistics.intervals import wilson
 from . import RunFolder
+from .decode import from_json
 from .results import TestResult, decode_test, encode_test
 
 FILE = "transfers.jsonl"
@@ -103,20 +104,6 @@ def _encode(transfer: TransferResult) -> dict[str, Any]:
 
 def _decode(row: Mapping[str, Any]) -> TransferResult | None:
     """The result in a JSON object, or None if it is not one."""
-    try:
-        result = decode_test(row["test"])
-        if result is None:
-            return None
-        return TransferResult(
-            time=str(row["time"]),
-            checkpoint=str(row["checkpoint"]),
-            sha256=str(row["sha256"]),
-            overrides=tuple(map(str, row["overrides"])),
-            randomized=bool(row["randomized"]),
-            seed=int(row["seed"]),
-            wall_seconds=float(row["wall_seconds"]),
-            result=result,
-            versions={str(name): str(version) for name, version in dict(row["versions"]).items()},
-        )
-    except (KeyError, TypeError, ValueError):
-        return None
+    test = row.get("test")
+    valid = isinstance(test, dict) and decode_test(test) is not None
+    return from_json(TransferResult, {**row, "result": test}) if valid else None

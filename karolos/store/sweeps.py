@@ -9,8 +9,9 @@ from typing import Any
 
 from sqlalchemy import delete, select
 
-from ..errors import UsageError
-from ..records.sweep_records import SweepFinal, SweepRecord, Trial
+from ..errors import StoreError, UsageError
+from ..records.decode import from_json
+from ..records.sweep_records import SweepRecord
 from .database import Database
 from .rows import as_stored, folder_path, put
 from .tables import SWEEPS, TRIALS
@@ -49,9 +50,9 @@ class Sweeps:
             rows = connection.execute(query).all()
             if name is not None:
                 trials = trials.where(TRIALS.c.sweep.in_([row.sweep for row in rows]))
-            grouped: dict[str, list[Trial]] = defaultdict(list)
+            grouped: dict[str, list[Any]] = defaultdict(list)
             for row in connection.execute(trials):
-                grouped[row.sweep].append(_trial(row))
+                grouped[row.sweep].append(row)
         return tuple(_record(row, grouped[row.sweep], self._database.home) for row in rows)
 
     def find(self, name: str) -> SweepRecord:
@@ -76,22 +77,9 @@ def _row(record: SweepRecord, home: Path | None) -> dict[str, Any]:
     return description | {"sweep": description.pop("id"), "folder": as_stored(record.folder, home), "final": final}
 
 
-def _record(row: Any, trials: Sequence[Trial], home: Path | None) -> SweepRecord:
-    values = dict(row._mapping)
-    for name in ("objectives", "directions", "parameters", "seeds"):
-        values[name] = tuple(values[name])
-    values["folder"] = folder_path(row.folder, home)
-    values["final"] = SweepFinal.from_row(row.final) if row.final else None
-    return SweepRecord(**values, trials=tuple(trials))
-
-
-def _trial(row: Any) -> Trial:
-    return Trial(
-        number=row.number,
-        name=row.name,
-        state=row.state,
-        drawn=row.drawn,
-        values=None if row.values is None else tuple(row.values),
-        runs=tuple(row.runs),
-        error=row.error,
-    )
+def _record(row: Any, trials: Sequence[Any], home: Path | None) -> SweepRecord:
+    values = {**row._mapping, "folder": folder_path(row.folder, home), "trials": [trial._mapping for trial in trials]}
+    record = from_json(SweepRecord, values)
+    if record is None:
+        raise StoreError(f"the row of the sweep {row.sweep} is damaged", hint="`karolos db reindex` enters it again")
+    return record
