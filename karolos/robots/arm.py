@@ -39,7 +39,7 @@ PARAMETERS: Mapping[str, RandomizedParameter] = {
     ),
     "link_mass": RandomizedParameter("1", 1.0, 0.5, 2.0, "factor on the masses and inertias of all links"),
     "motor_gain": RandomizedParameter(
-        "1", 1.0, 0.7, 1.0, "fraction of its speed error that a motor removes per physics step of 1/240 s"
+        "1", 1.0, 0.8, 1.0, "fraction of its speed error that a motor removes per physics step of 1/240 s"
     ),
     "observation_noise": RandomizedParameter("1", 0.0, 0.0, 0.2, "standard deviation of the noise, in SI units"),
     "action_delay": RandomizedParameter("control steps", 0.0, 0.0, 5.0, "delay of the actions; rounded"),
@@ -323,7 +323,7 @@ class Arm:
         return values
 
     def pads_touching(self, body: Body) -> int:
-        return sum(self.world.touching(self.body, body, link) for link in self._motors.pads)
+        return sum(bool(self.world.contacts(self.body, body, link)) for link in self._motors.pads)
 
     def towards(self, position: Vector, opening: float) -> FloatArray:
         values: list[float]

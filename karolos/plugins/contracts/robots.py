@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 from collections.abc import Callable, Iterator
+from contextlib import AbstractContextManager
 from dataclasses import replace
 from itertools import product
 from typing import Any
@@ -12,6 +13,7 @@ import numpy as np
 from ...core import Array, FloatArray
 from ...environments.robot_task import RobotTask
 from ...randomization.randomization import RandomizedParameter
+from ...simulation.interface import Body
 from ...tasks.reach import Reach
 from .case import Candidate, demand, demand_same
 from .joined import joined, reaching
@@ -223,6 +225,23 @@ def a_full_action_moves_the_tool_by_one_tool_step(one: Candidate) -> None:
             )
 
 
+def a_pressed_cube_stays_on_the_floor(one: Candidate) -> None:
+    """An arm that presses a cube of 4 cm from above for 2 s brings no corner of it 5 mm into the floor."""
+    with reaching(one) as environment:
+        robot = environment.robot
+        environment.reset(0)
+        cube = environment.world.box((0.04, 0.04, 0.04), 0.1, (0.9, 0.4, 0.1, 1.0))
+        x, y, _ = robot.workspace.centre
+        cube.place((x, y, 0.02))
+        deepest = 0.0
+        for step in range(78):
+            environment.step(robot.towards((x, y, 0.12 if step < 30 else 0.0), 0.0))
+            (_, _, height), (i, j, k, w) = cube.pose()
+            upright = abs(2 * (i * k - w * j)) + abs(2 * (j * k + w * i)) + abs(1 - 2 * (i * i + j * j))
+            deepest = max(deepest, 0.02 * upright - height)
+        demand(deepest < 0.005, f"a pressed cube is {1000 * deepest:.1f} mm deep in the floor")
+
+
 class Grasping(Reach):
     """Reach with a gripper that opens and closes."""
 
@@ -231,13 +250,35 @@ class Grasping(Reach):
 
 def a_gripped_cube_is_held_through_a_shake_alike_in_a_fresh_and_a_used_world(one: Candidate) -> None:
     """A cube of 4 cm and .1 kg is held through a shake of 1 s, bit for bit alike in a fresh and a used world."""
-    grasping = Candidate("tasks", "grasping", Grasping)
-    with joined(one, grasping, max_steps=1000) as used, joined(one, grasping, max_steps=1000) as fresh:
-        poses, creep, apart = _shaken_cube(used)
-        demand(creep < 0.002, f"the cube creeps {1000 * creep:.1f} mm in the gripper")
-        demand(apart < 0.001, f"the positions of the fingers differ by {1000 * apart:.1f} mm")
-        demand_same(_shaken_cube(used)[0], poses, "the cube's poses in a world that was used before")
-        demand_same(_shaken_cube(fresh)[0], poses, "the cube's poses in a fresh world")
+    with _grasping(one) as used, _grasping(one) as fresh:
+        poses = _held_through_a_shake(used, 0.1)
+        demand_same(_held_through_a_shake(used, 0.1), poses, "the cube's poses in a world that was used before")
+        demand_same(_held_through_a_shake(fresh, 0.1), poses, "the cube's poses in a fresh world")
+
+
+def a_heavy_cube_is_held_through_a_shake(one: Candidate) -> None:
+    """A cube of 4 cm and .3 kg is held through a shake of 1 s."""
+    with _grasping(one) as environment:
+        _held_through_a_shake(environment, 0.3)
+
+
+def each_pad_presses_with_the_force_of_the_gripper(one: Candidate) -> None:
+    """Each pad presses a gripped cube with the declared force within 5 %."""
+    with _grasping(one) as environment:
+        cube = _lifted_cube(environment, 0.1)
+        robot: Any = environment.robot
+        forces = []
+        for _ in range(12):
+            environment.step(np.array([0.0, 0.0, 0.0, -1.0]))
+            forces.append(
+                [
+                    sum(contact.force for contact in environment.world.contacts(robot.body, cube, pad))
+                    for pad in robot._motors.pads
+                ]
+            )
+        declared, measured = robot.gripper.force, np.mean(forces, 0)
+        near = np.abs(measured / declared - 1) < 0.05
+        demand(near.all(), f"the pads press with {measured.round(1)} N, the gripper declares {declared:g} N")
 
 
 ANY_CONTROL: tuple[Callable[[Candidate], None], ...] = (
@@ -254,8 +295,15 @@ JOINT_CONTROL: tuple[Callable[[Candidate], None], ...] = (
     every_joint_reaches_its_speed,
     dry_friction_takes_its_fraction_of_the_largest_torques,
 )
-CARTESIAN_CONTROL: tuple[Callable[[Candidate], None], ...] = (a_full_action_moves_the_tool_by_one_tool_step,)
-GRIPPER = (a_gripped_cube_is_held_through_a_shake_alike_in_a_fresh_and_a_used_world,)
+CARTESIAN_CONTROL: tuple[Callable[[Candidate], None], ...] = (
+    a_full_action_moves_the_tool_by_one_tool_step,
+    a_pressed_cube_stays_on_the_floor,
+)
+GRIPPER = (
+    a_gripped_cube_is_held_through_a_shake_alike_in_a_fresh_and_a_used_world,
+    a_heavy_cube_is_held_through_a_shake,
+    each_pad_presses_with_the_force_of_the_gripper,
+)
 
 
 def _generator() -> np.random.Generator:
@@ -281,41 +329,47 @@ def _ends_of_the_arm(environment: RobotTask) -> Iterator[tuple[str, RandomizedPa
                 yield name, declared, value
 
 
-def _shaken_cube(environment: Any) -> tuple[Array, float, float]:
-    """Grip the cube, lift it and shake it.
+def _grasping(one: Candidate) -> AbstractContextManager[RobotTask]:
+    return joined(one, Candidate("tasks", "grasping", Grasping), max_steps=1000)
 
-    Returns its poses (steps, 7) and, for the shake, its displacement in the gripper and the largest difference of the
-    fingers' positions, in m.
-    """
+
+def _lifted_cube(environment: RobotTask, mass: float, poses: list[Array] | None = None) -> Body:
+    """Grip a cube of 4 cm and this mass in kg and lift it. Its poses (7,) after each step are added to `poses`."""
     environment.reset(0)
     robot: Any = environment.robot
     if not hasattr(environment, "cube"):
-        environment.cube = environment.world.box((0.04, 0.04, 0.04), 0.1, (0.9, 0.4, 0.1, 1.0))
-    cube = environment.cube
+        environment.cube = environment.world.box((0.04, 0.04, 0.04), mass, (0.9, 0.4, 0.1, 1.0))  # type: ignore[attr-defined]
+    cube: Body = environment.cube  # type: ignore[attr-defined]
     x, y, _ = robot.workspace.centre
     cube.place((x, y, 0.02))
-    poses: list[tuple[float, ...]] = []
-
-    def step(action: Array) -> None:
-        environment.step(action)
-        position, turn = cube.pose()
-        poses.append((*position, *turn))
-
     top = min(0.3, robot.workspace.high[2])
-    for height, opening, count in ((0.02, 1.0, 30), (0.02, 0.0, 14), (top, 0.0, 20)):
+    for height, opening, count in ((0.02, 1.0, 40), (0.02, 0.0, 20), (top, 0.0, 30)):
         for _ in range(count):
-            step(robot.towards((x, y, height), opening))
+            environment.step(robot.towards((x, y, height), opening))
+            if poses is not None:
+                poses.append(np.concatenate(cube.pose()))
     demand(robot.pads_touching(cube) == 2, "the cube slips out while it is lifted")
+    return cube
+
+
+def _held_through_a_shake(environment: RobotTask, mass: float) -> Array:
+    """Grip a cube of this mass in kg, lift and shake it. Returns its poses (steps, 7)."""
+    poses: list[Array] = []
+    cube = _lifted_cube(environment, mass, poses)
+    robot: Any = environment.robot
 
     def position_in_gripper() -> Array:
-        tool = robot._configuration.tool
-        found: Array = np.array([tool.x, tool.y, tool.z]) @ np.subtract(cube.pose()[0], tool.position)
-        return found
+        tool = robot.forward(robot.joint_positions).tool
+        position: Array = np.array([tool.x, tool.y, tool.z]) @ np.subtract(cube.pose()[0], tool.position)
+        return position
 
     start, apart = position_in_gripper(), 0.0
-    fingers = robot._motors.pads
     for shake in range(24):
-        step(np.array([0.0, 1.0 if shake % 2 else -1.0, 1.0 if shake % 4 < 2 else -1.0, -1.0]))
-        first, second = robot.body.joints(fingers)
+        environment.step(np.array([0.0, 1.0 if shake % 2 else -1.0, 1.0 if shake % 4 < 2 else -1.0, -1.0]))
+        poses.append(np.concatenate(cube.pose()))
+        first, second = robot.body.joints(robot._motors.pads)
         apart = max(apart, abs(first[0] - second[0]))
-    return np.array(poses), float(np.linalg.norm(position_in_gripper() - start)), apart
+    creep = float(np.linalg.norm(position_in_gripper() - start))
+    demand(creep < 0.002, f"a cube of {mass:g} kg creeps {1000 * creep:.1f} mm in the gripper")
+    demand(apart < 0.001, f"the positions of the fingers differ by {1000 * apart:.1f} mm")
+    return np.array(poses)

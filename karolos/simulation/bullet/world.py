@@ -16,7 +16,7 @@ import numpy as np
 from ...core import Array
 from ...errors import MachineError, PluginError
 from ..geometry import Vector
-from ..interface.engine import FLOOR_FRICTION, GRAVITY, Camera, Colour, Fingers, JointLimits
+from ..interface.engine import FLOOR_FRICTION, GRAVITY, Camera, Colour, Contact, Fingers, JointLimits
 from ..interface.engine import Body as AnyBody
 from .body import Body
 from .motors import Motors
@@ -28,8 +28,9 @@ FLOOR_COLOUR = (0.62, 0.68, 0.74, 1.0)
 SKY_TOP, SKY_BOTTOM = (168.0, 186.0, 206.0), (232.0, 236.0, 240.0)
 ROUNDS = 201
 """Largest number of the solver's iterations per physics step."""
-RESIDUAL = 1e-4
-"""Residual at which the solver stops earlier."""
+RESIDUAL = 1e-3
+"""Residual at which the solver stops earlier. At 1e-4 a step with a gripped cube takes 1.4 times as long, at 3e-3 a
+gripper of 20 N closes with 16."""
 CONTACT_ERP = 0.5
 """Fraction of a contact's depth that is corrected per physics step. At PyBullet's .2 an arm presses a cube 8 mm deep
 into the floor."""
@@ -172,9 +173,9 @@ class World:
     def update_contacts(self) -> None:
         self.api.performCollisionDetection(physicsClientId=self.client)
 
-    def touching(self, first: AnyBody, second: AnyBody, link: int) -> bool:
-        contacts = self.api.getContactPoints(first.index, second.index, linkIndexA=link, physicsClientId=self.client)
-        return bool(contacts)
+    def contacts(self, first: AnyBody, second: AnyBody, link: int) -> list[Contact]:
+        points = self.api.getContactPoints(first.index, second.index, linkIndexA=link, physicsClientId=self.client)
+        return [Contact(point[7], point[9]) for point in points or ()]
 
     def render(self, width: int, height: int, camera: Camera) -> Array:
         solid = self._picture(width, height, camera)

@@ -88,6 +88,15 @@ class LinkState(NamedTuple):
     centre: Vector
 
 
+class Contact(NamedTuple):
+    """A point at which two bodies touch."""
+
+    normal: Vector
+    """Unit vector from the second body to the first."""
+    force: float
+    """Normal force in N, of the last physics step."""
+
+
 class Body(Protocol):
     """One body of a world. Links have an index, which is that of the joint above them; -1 is the base."""
 
@@ -200,8 +209,8 @@ class World(Protocol):
     def update_contacts(self) -> None:
         """Detect contacts without a step. Contacts that no longer exist are forgotten, with their impulses."""
 
-    def touching(self, first: Body, second: Body, link: int) -> bool:
-        """Whether `link` of the first body is in contact with the second."""
+    def contacts(self, first: Body, second: Body, link: int) -> Sequence[Contact]:
+        """The contact points between `link` of the first body and any link of the second."""
 
     def render(self, width: int, height: int, camera: Camera) -> Array:
         """A picture (height, width, 3) uint8."""

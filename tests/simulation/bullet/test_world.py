@@ -114,10 +114,12 @@ def test_resting_contact_and_friction() -> None:
     for _ in range(24):
         world.step()
     assert box.pose()[0] == pytest.approx((0.4, 0.0, 0.02), abs=2e-3)
-    assert world.touching(box, world.floor, -1)
+    contacts = world.contacts(box, world.floor, -1)
+    assert sum(contact.force for contact in contacts) == pytest.approx(0.1 * 9.81, rel=0.01)
+    assert all(contact.normal == pytest.approx((0, 0, 1)) for contact in contacts)
     box.place((0.4, 0.0, 0.5))
     world.step()
-    assert not world.touching(box, world.floor, -1)
+    assert not world.contacts(box, world.floor, -1)
     world.close()
 
 

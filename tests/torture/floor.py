@@ -1,0 +1,137 @@
+"""How deep policies that press, squeeze and strike bring the cube into the floor, and how fast it leaves the tool.
+
+    python tests/torture/floor.py --episodes 100
+
+plays each policy with each pair of a robot and a task. A cube may be 5 mm deep, and while it falls also the distance
+that it falls in one physics step: contacts are found at the end of a step. It exits with 1 when a cube was deeper or
+the physics diverged. The excess is what the cube's speed has over 1.1 times the tool's largest speed in the last four
+control steps; a cube that is pinched between finger and floor slips away faster than the finger.
+"""
+
+from __future__ import annotations
+
+import argparse
+import sys
+from collections.abc import Callable
+from typing import Any, NamedTuple
+
+import numpy as np
+
+from karolos.core import Array
+from karolos.environments.robot_task import TIMESTEP, RobotTask
+from karolos.registry import load, names
+
+DEEPEST = 0.005
+Policy = Callable[[RobotTask, int, np.random.Generator], Array]
+
+
+class Trial(NamedTuple):
+    """Of one pair and policy: largest depth and excess of speed, in m and m/s; episodes that diverged."""
+
+    depth: float
+    excess: float
+    divergences: int
+
+
+def press(environment: RobotTask, step: int, _: np.random.Generator) -> Array:
+    """Over the cube, then down with the closed gripper."""
+    x, y, _ = cube_of(environment).position
+    return environment.robot.towards((x, y, 0.0 if step > 14 else 0.12), 0.0)
+
+
+def sweep(environment: RobotTask, _: int, draws: np.random.Generator) -> Array:
+    """Low over the floor, at random around the cube."""
+    x, y, _ = cube_of(environment).position
+    dx, dy = draws.normal(0, 0.05, 2)
+    action = environment.robot.towards((x + dx, y + dy, 0.0), 0.0)
+    return np.clip(action + 0.5 * draws.uniform(-1, 1, action.size), -1, 1)
+
+
+def squeeze(environment: RobotTask, step: int, draws: np.random.Generator) -> Array:
+    """Grip the cube, then full random actions with the gripper closed."""
+    x, y, z = cube_of(environment).position
+    action = environment.robot.towards((x, y, z if step > 8 else 0.15), 1.0 if step < 22 else 0.0)
+    if step > 28:
+        gripper = action[-1]
+        action = draws.choice([-1.0, 1.0], action.size)
+        action[-1] = gripper
+    return action
+
+
+def bang_bang(environment: RobotTask, _: int, draws: np.random.Generator) -> Array:
+    """Full actions in random directions."""
+    return draws.choice([-1.0, 1.0], environment.signature.action.size)
+
+
+def random(environment: RobotTask, _: int, draws: np.random.Generator) -> Array:
+    """Uniform actions."""
+    return draws.uniform(-1, 1, environment.signature.action.size)
+
+
+POLICIES: dict[str, Policy] = {
+    "press": press,
+    "sweep": sweep,
+    "squeeze": squeeze,
+    "bang-bang": bang_bang,
+    "random": random,
+}
+
+
+def cube_of(environment: RobotTask) -> Any:
+    return environment.task.cube  # type: ignore[attr-defined]
+
+
+def trial(environment: RobotTask, policy: Policy, episodes: int) -> Trial:
+    """Play the policy; the first episodes have the seeds 0, 1, ..."""
+    depth = excess = 0.0
+    before = environment.divergences
+    for seed in range(episodes):
+        draws = np.random.default_rng(seed)
+        step = environment.reset(seed)
+        speeds = [0.0] * 4
+        count = 0
+        while not (step.terminated or step.truncated):
+            falling = max(0.0, -cube_of(environment).velocity[2]) if hasattr(environment.task, "cube") else 0.0
+            step = environment.step(policy(environment, count, draws))
+            count += 1
+            if not hasattr(environment.task, "cube") or step.diverged:
+                continue
+            cube = cube_of(environment)
+            depth = max(depth, -cube.lowest - (falling + 9.81 * environment.robot.period) * TIMESTEP * (falling > 0.2))
+            speeds = [*speeds[1:], float(np.linalg.norm(environment.robot.tool_velocity))]
+            if falling < 0.2:
+                excess = max(excess, float(np.linalg.norm(cube.velocity)) - 1.1 * max(speeds))
+    return Trial(depth, excess, environment.divergences - before)
+
+
+def main() -> int:
+    parser = argparse.ArgumentParser(description=__doc__)
+    parser.add_argument("--episodes", type=int, default=100)
+    parser.add_argument("--robots", nargs="*", default=names("robots"))
+    arguments = parser.parse_args()
+    failed = False
+    for robot in arguments.robots:
+        for task in names("tasks"):
+            robot_class, task_class = load("robots", robot), load("tasks", task)
+            environment = RobotTask(
+                RobotTask.Settings(), robot=robot_class(robot_class.Settings()), task=task_class(task_class.Settings())
+            )
+            for name, policy in POLICIES.items():
+                if task == "reach" and name in {"press", "sweep", "squeeze"}:
+                    continue  # it has no cube
+                if name == "squeeze" and not task_class.uses_gripper:
+                    continue
+                found = trial(environment, policy, arguments.episodes)
+                bad = found.depth > DEEPEST or found.divergences > 0
+                failed |= bad
+                print(
+                    f"{robot:6} {task:10} {name:10} depth {1000 * found.depth:4.1f} mm, excess {found.excess:.2f} m/s, "
+                    f"diverged {found.divergences}{'  FAILED' if bad else ''}",
+                    flush=True,
+                )
+            environment.close()
+    return int(failed)
+
+
+if __name__ == "__main__":
+    sys.exit(main())
