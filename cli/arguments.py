@@ -50,7 +50,16 @@ ManyRuns = Annotated[list[str] | None, typer.Argument(metavar="[RUN]...", help=M
 Where = Annotated[str | None, typer.Option(metavar="FILTER", help=FILTER_HELP)]
 Json = Annotated[bool, typer.Option("--json", help="Print one JSON object per row.")]
 Quiet = Annotated[bool, typer.Option("--quiet", "-q", help="Show only warnings and failures.")]
-Checkpoint = Annotated[str, typer.Option(help="The checkpoint to use: best or last.")]
+
+
+def check_checkpoint(name: str | None) -> str | None:
+    """Raise a UsageError for a checkpoint that no run writes."""
+    if name not in (None, "best", "last"):
+        raise UsageError(f"there is no checkpoint {name!r}", hint="a run has best and last")
+    return name
+
+
+Checkpoint = Annotated[str, typer.Option(help="The checkpoint to use: best or last.", callback=check_checkpoint)]
 TimeLimit = Annotated[
     str | None,
     typer.Option(
@@ -102,19 +111,13 @@ def open_run(selector: str, runs: Path, database: str | None) -> RunFolder:
     return RunFolder.open(summary.folder)
 
 
-def check_checkpoint(name: str) -> None:
-    """Raise a UsageError for a checkpoint that no run writes."""
-    if name not in ("best", "last"):
-        raise UsageError(f"there is no checkpoint {name!r}", hint="a run has best and last")
-
-
 def find_run(selector: str, runs: Path, database: str | None) -> tuple[Store, RunSummary]:
     """The open index, and the one run in it that a selector means.
 
     Raises:
         UsageError: the selector means no run or several.
     """
-    store = _existing_store(selector, runs, database)
+    store = existing_store(selector, runs, database)
     if is_spec(selector):
         from karolos.store.selectors import only
 
@@ -132,7 +135,7 @@ def select_runs(
     """
     if not selectors and where is None:
         raise UsageError("which runs?", hint="name RUN, or give --where FILTER")
-    store = _existing_store(selectors[0] if selectors else str(where), runs, database)
+    store = existing_store(selectors[0] if selectors else str(where), runs, database)
     selected = {run.run: run for selector in selectors for run in select(store, selector)}
     if where is not None:
         matching = {run.run: run for run in store.runs(where=where)}
@@ -162,7 +165,8 @@ def is_spec(selector: str) -> bool:
     return selector.endswith(_SPECS) and os.path.isfile(selector)
 
 
-def _existing_store(selector: str, runs: Path, database: str | None) -> Store:
+def existing_store(selector: str, runs: Path, database: str | None) -> Store:
+    """The index. Raises UsageError if there are no runs that the selector could mean."""
     store = open_store(runs, database)
     if store is None:
         raise UsageError(

@@ -38,7 +38,7 @@ def check(
         found: list[dict[str, Any]] = []
         try:
             spec = load_spec(path, overrides)
-            from karolos.training.assembly import check_parts
+            from karolos.training.assembly import check_parts  # not for an invalid spec: it takes half a second
 
             check_parts(spec)
         except SpecError as error:
@@ -49,8 +49,12 @@ def check(
             found = [_row(path, error.where, "", error.what, error.hint)]
         if json:
             print_rows(found or [_row(path, str(path), "", None, None)], json=True)
-        else:
-            _print(path, found)
+            continue
+        if not found:
+            print_line(f"{path}: ok")
+        for row in found:
+            line = ": ".join(part for part in (row["where"], row["key"], row["problem"]) if part)
+            print_line(f"{line}; {row['hint']}" if row["hint"] else line)
     raise typer.Exit(worst)
 
 
@@ -61,11 +65,3 @@ def _is_override(argument: str) -> bool:
 
 def _row(path: Path, where: str | None, key: str, what: str | None, hint: str | None) -> dict[str, Any]:
     return {"spec": str(path), "ok": what is None, "where": where, "key": key, "problem": what, "hint": hint}
-
-
-def _print(path: Path, found: list[dict[str, Any]]) -> None:
-    if not found:
-        print_line(f"{path}: ok")
-    for row in found:
-        line = ": ".join(part for part in (row["where"], row["key"], row["problem"]) if part)
-        print_line(f"{line}; {row['hint']}" if row["hint"] else line)

@@ -10,7 +10,7 @@ import typer
 
 from karolos.errors import UsageError
 
-from .arguments import MANY_HELP, Database, Json, Runs, open_store, select
+from .arguments import MANY_HELP, Database, Json, Runs, existing_store, select
 from .output import print_rows, print_table, say, warn
 
 if TYPE_CHECKING:
@@ -34,10 +34,7 @@ def compare(
         Literal["any", "end"],
         typer.Option(help="Count success at any step of an episode or at its end, for curves and thresholds."),
     ] = "any",
-    html: Annotated[
-        Path | None,
-        typer.Option(help="Page to write, with every figure. It needs no network."),
-    ] = None,
+    html: Annotated[Path | None, typer.Option(help="Page to write, with every figure. It needs no network.")] = None,
     figures: Annotated[Path | None, typer.Option(help="Folder to write the figures into, as SVG, PDF and PNG.")] = None,
 ) -> None:
     """Compare experiments: success with its interval, steps and time to 50 and 90 %, cost, settings that differ."""
@@ -45,10 +42,7 @@ def compare(
     from karolos.comparison import gather
 
     _check_targets(html, figures)
-    store = open_store(runs, database)
-    if store is None:
-        raise UsageError(f"there are no runs in {runs} yet", hint="`karolos run SPEC` makes one")
-    with store:
+    with existing_store(experiments[0], runs, database) as store:
         selected = [select(store, selector) for selector in experiments]
         labels = _labels(experiments, selected)
         contenders = [gather(store, found, label) for found, label in zip(selected, labels, strict=True)]
@@ -95,11 +89,11 @@ def _labels(selectors: Sequence[str], selected: Sequence[Sequence[RunSummary]]) 
         if same is not selector:
             raise UsageError(f"{same!r} and {selector!r} mean the same runs", hint="name each once")
     names = Counter(found[0].name for found in selected)
-    return [found[0].name if names[found[0].name] == 1 else _distinct_label(found) for found in selected]
-
-
-def _distinct_label(found: Sequence[RunSummary]) -> str:
-    return found[0].run if len(found) == 1 else f"{found[0].name} {found[0].experiment[:8]}"
+    labels = []
+    for run, *others in selected:
+        distinct = f"{run.name} {run.experiment[:8]}" if others else run.run
+        labels.append(run.name if names[run.name] == 1 else distinct)
+    return labels
 
 
 def _print_comparison(comparison: Comparison) -> None:

@@ -7,15 +7,14 @@ from typing import Annotated
 
 import typer
 
-from .arguments import Checkpoint, Database, Json, OneRun, Runs, check_checkpoint, open_run
+from .arguments import Checkpoint, Database, Json, OneRun, Runs, open_run
 from .output import print_rows
 
 
 def export(
     run: OneRun,
     out: Annotated[
-        Path | None,
-        typer.Option("--out", help="Folder to write. Default: export in the run's folder."),
+        Path | None, typer.Option("--out", help="Folder to write. Default: export in the run's folder.")
     ] = None,
     checkpoint: Checkpoint = "best",
     onnx: Annotated[bool, typer.Option(help="Write policy.onnx too; needs the package onnx.")] = True,
@@ -28,7 +27,6 @@ def export(
     The files include the normalisation of inputs. The inputs are observation and desired_goal. The output is an action
     in [-1, 1], or the index of a discrete action. policy.json says what each number means.
     """
-    check_checkpoint(checkpoint)
     folder = open_run(run, runs, database)
     from karolos.export import export_policy
 

@@ -66,9 +66,8 @@ def task(
 def _target(picture: Path | None, name: str) -> Path:
     target = picture or Path(f"{name}.png")
     if target.suffix.lower() not in (".png", ".jpg", ".jpeg"):
-        raise UsageError(
-            f"{target.name} has no file extension of a picture", hint="name a file that ends in .png or .jpg"
-        )
+        hint = "name a file that ends in .png or .jpg"
+        raise UsageError(f"{target.name} has no file extension of a picture", hint=hint)
     if not target.parent.is_dir():
         raise UsageError(f"there is no folder {target.parent} to write a picture into")
     return target
@@ -83,10 +82,8 @@ def _show(kind: str, found: Inspection, target: Path, *, json: bool) -> None:
     except OSError as error:
         raise MachineError(f"cannot write {target}: {error.strerror or error}") from error
     if json:
-        print_rows(
-            [{"kind": kind, "name": found.name, "about": found.about, **found.tables, "picture": str(target)}],
-            json=True,
-        )
+        row = {"kind": kind, "name": found.name, "about": found.about, **found.tables, "picture": str(target)}
+        print_rows([row], json=True)
         return
     for line in (f"{kind} {found.name}", "", *found.about.splitlines(), *([""] if found.about else [])):
         print_line(line)

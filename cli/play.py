@@ -17,9 +17,6 @@ from .arguments import RUN_HELP, Database, Runs, check_checkpoint, open_run
 from .output import say
 
 if TYPE_CHECKING:
-    import numpy as np
-    from numpy.typing import NDArray
-
     from karolos.evaluation.playing import Moment
     from karolos.records import RunFolder
 
@@ -34,7 +31,10 @@ def play(
     episodes: Annotated[int, typer.Option(min=1, help="Episodes to play.")] = 5,
     checkpoint: Annotated[
         str | None,
-        typer.Option(help="Checkpoint to play: best or last. Default: best, or last if the run has no test yet."),
+        typer.Option(
+            help="Checkpoint to play: best or last. Default: best, or last if the run has no test yet.",
+            callback=check_checkpoint,
+        ),
     ] = None,
     width: Annotated[int, typer.Option(min=16, max=4096, help="Width of the film in pixels.")] = 640,
     height: Annotated[int, typer.Option(min=16, max=4096, help="Height of the film in pixels.")] = 480,
@@ -46,8 +46,6 @@ def play(
     Opens a window if there is a display. Without a display, or with --record, writes a film. Default: play.mp4 in the
     run's folder, or NAME.mp4 in the current folder for the spec NAME.
     """
-    if checkpoint is not None:
-        check_checkpoint(checkpoint)
     if width % 2 or height % 2:
         raise UsageError(f"a film of {width} x {height} pixels cannot be encoded", hint="use even numbers")
     window = record is None and _has_display()
@@ -75,7 +73,8 @@ def play(
             for _ in moments:
                 time.sleep(1 / FRAMES_PER_SECOND)
             return
-        write_video(target, _pictures(moments, width, height), FRAMES_PER_SECOND)
+        pictures = (moment.environment.render(width, height) for moment in moments)
+        write_video(target, pictures, FRAMES_PER_SECOND)
     finally:
         environment.close()
     print(target)
@@ -90,11 +89,6 @@ def _best_or_last(folder: RunFolder) -> str:
         return "best"
     say(f"{folder.id} was never tested and has no checkpoint best: playing last")
     return "last"
-
-
-def _pictures(moments: Iterator[Moment], width: int, height: int) -> Iterator[NDArray[np.uint8]]:
-    for moment in moments:
-        yield moment.environment.render(width, height)
 
 
 def _report_episodes(moments: Iterator[Moment]) -> Iterator[Moment]:

@@ -9,7 +9,7 @@ from typing import TYPE_CHECKING, Annotated, Any
 import typer
 
 from karolos.errors import KarolosError, PluginError
-from karolos.report.tables import Table, setting
+from karolos.report.tables import Columns, Table, setting
 
 from .arguments import Json
 from .output import print_line, print_rows, print_table, say
@@ -35,20 +35,13 @@ def list_plugins(
     """List the installed plugins and their distributions. No plugin is imported."""
     from karolos.registry import KINDS, entries, singular
 
-    found = [entry for each in ([_kind(kind)] if kind else KINDS) for entry in entries(each)]
-    print_rows(
-        [
-            {
-                "kind": singular(entry.kind),
-                "name": entry.name,
-                "distribution": entry.distribution,
-                "version": entry.version,
-                "target": entry.target,
-            }
-            for entry in found
-        ],
-        json=json,
-    )
+    fields = ("name", "distribution", "version", "target")
+    rows = [
+        {"kind": singular(entry.kind), **{field: getattr(entry, field) for field in fields}}
+        for each in ([_kind(kind)] if kind else KINDS)
+        for entry in entries(each)
+    ]
+    print_rows(rows, json=json)
 
 
 @app.command()
@@ -75,7 +68,13 @@ def show(
     if not settings:
         print("no settings")
         return
-    print_table(Table(("setting", "type", "default", "description"), [_cells(row) for row in settings]))
+    columns: Columns[dict[str, Any]] = {
+        "setting": lambda row: row["setting"],
+        "type": lambda row: row["type"],
+        "default": lambda row: "required" if row["required"] else setting(row["default"]),
+        "description": lambda row: row["description"],
+    }
+    print_table(Table.of(settings, columns))
 
 
 @app.command()
@@ -98,8 +97,7 @@ def check(
     kind: Kind,
     name: Annotated[str, typer.Argument(metavar="NAME", help="The name that a spec uses.")],
     settings: Annotated[
-        list[str] | None,
-        typer.Argument(metavar="[SETTING=VALUE]...", help="Settings other than the defaults."),
+        list[str] | None, typer.Argument(metavar="[SETTING=VALUE]...", help="Settings other than the defaults.")
     ] = None,
     json: Json = False,
 ) -> None:
@@ -116,9 +114,8 @@ def check(
         problem = _problem(case)
         broken += problem is not None
         if json:
-            print_rows(
-                [{"promise": str(case), "text": case.text, "kept": problem is None, "problem": problem}], json=True
-            )
+            row = {"promise": str(case), "text": case.text, "kept": problem is None, "problem": problem}
+            print_rows([row], json=True)
         else:
             print_line(f"{'ok    ' if problem is None else 'BROKEN'} {case}")
             for line in () if problem is None else (case.text, problem):
@@ -151,35 +148,25 @@ def _kind(text: str) -> str:
 
 def _settings(model: type[BaseModel], prefix: str = "") -> list[dict[str, Any]]:
     """One row per setting. The settings of a nested model follow with dotted names."""
+    from pydantic_core import to_jsonable_python
+
     from karolos.spec.problems import models_in
 
     schemas = model.model_json_schema()["properties"] if model.model_fields else {}
     found = []
     for name, field in model.model_fields.items():
-        found.append(
-            {
-                "setting": f"{prefix}{name}",
-                "type": _type_text(schemas.get(name, {})),
-                "required": field.is_required(),
-                "default": None if field.is_required() else _plain(field.get_default(call_default_factory=True)),
-                "description": field.description or "",
-            }
-        )
+        required = field.is_required()
+        row = {
+            "setting": f"{prefix}{name}",
+            "type": _type_text(schemas.get(name, {})),
+            "required": required,
+            "default": None if required else to_jsonable_python(field.get_default(call_default_factory=True)),
+            "description": field.description or "",
+        }
+        found.append(row)
         for nested in models_in(field.annotation):
             found.extend(_settings(nested, f"{prefix}{name}."))
     return found
-
-
-def _plain(value: object) -> object:
-    """A default as a spec writes it."""
-    from pydantic_core import to_jsonable_python
-
-    return to_jsonable_python(value)
-
-
-def _cells(row: dict[str, Any]) -> list[str]:
-    default = "required" if row["required"] else setting(row["default"])
-    return [row["setting"], row["type"], default, row["description"]]
 
 
 _LIMITS = {"minimum": ">=", "exclusiveMinimum": ">", "maximum": "<=", "exclusiveMaximum": "<"}

@@ -36,9 +36,8 @@ def show(
     origins = found.origins
     values = {".".join(path): value for path, value in leaves(found.dump())}
     if json:
-        print_rows(
-            [{"path": path, "value": value, "origin": origins[path]} for path, value in values.items()], json=True
-        )
+        rows = [{"path": path, "value": value, "origin": origins[path]} for path, value in values.items()]
+        print_rows(rows, json=True)
         return
     lines = {path: f"{path} = {setting(value)}" for path, value in values.items()}
     width = min(max(map(len, lines.values())), 60)

@@ -79,9 +79,8 @@ def report(outcome: SweepOutcome, *, quiet: bool, json: bool) -> None:
 
 def drawn_text(trial: Trial) -> str:
     """The settings of a trial in one line."""
-    return ", ".join(
-        f"{key}={value:.4g}" if isinstance(value, float) else f"{key}={value}" for key, value in trial.drawn.items()
-    )
+    texts = {key: f"{value:.4g}" if isinstance(value, float) else value for key, value in trial.drawn.items()}
+    return ", ".join(f"{key}={text}" for key, text in texts.items())
 
 
 def trial_row(
@@ -110,16 +109,15 @@ def report_best(best: Trial | None, final: SweepFinal | None, objectives: Sequen
         say("no trial is complete yet")
         return
     say(f"best: trial {best.number}, {drawn_text(best)}")
-    for place, name in enumerate(objectives if final is not None else ()):
-        assert final is not None
-        line = (
-            f"{name}: {final.tuned[place]:.4g} on the seeds it was tuned on, "
-            f"{final.fresh[final.chosen][place]:.4g} on {len(final.seeds)} fresh seeds that it was chosen by"
-        )
-        if final.reported is not None:
-            gap = final.tuned[place] - final.reported[place]
-            line += f", {final.reported[place]:.4g} on {len(final.report_seeds)} used for nothing else: gap {gap:+.4g}"
-        say(line)
+    if final is not None:
+        for place, name in enumerate(objectives):
+            tuned, fresh = final.tuned[place], final.fresh[final.chosen][place]
+            line = f"{name}: {tuned:.4g} on the seeds it was tuned on, {fresh:.4g} on {len(final.seeds)} fresh seeds "
+            line += "that it was chosen by"
+            if final.reported is not None:
+                unused = final.reported[place]
+                line += f", {unused:.4g} on {len(final.report_seeds)} used for nothing else: gap {tuned - unused:+.4g}"
+            say(line)
     if (folder / "best.yaml").is_file():
         say(f"`karolos run {folder / 'best.yaml'}` runs it; figures in {folder}")
 
@@ -146,17 +144,14 @@ def _print_samples(search: Search, *, json: bool) -> None:
     """Print what trials may look like: the changed settings, and whether the spec with them is valid."""
     from karolos.sweep.search import samples
 
-    print_rows(
-        [
-            {
-                "trial": place,
-                **{key: drawn.get(key) for key in search.sweep.space},
-                "problem": str(made) if isinstance(made, SpecError) else None,
-                **({"spec": made.dump()} if json and not isinstance(made, SpecError) else {}),
-            }
-            for place, (drawn, made) in enumerate(samples(search.spec, min(search.asked, SAMPLES)))
-        ],
-        json=json,
-    )
+    rows = []
+    for place, (drawn, made) in enumerate(samples(search.spec, min(search.asked, SAMPLES))):
+        row = {"trial": place, **{key: drawn.get(key) for key in search.sweep.space}}
+        if isinstance(made, SpecError):
+            row["problem"] = str(made)
+        else:
+            row |= {"problem": None} | ({"spec": made.dump()} if json else {})
+        rows.append(row)
+    print_rows(rows, json=json)
     each = f"{len(search.sweep.seeds)} seeds of {search.spec.training.steps:,} steps each"
     say(f"{search.asked} trials, {each}; nothing was run")

@@ -22,9 +22,8 @@ app = typer.Typer(name="sweeps", help="List sweeps, and show the trials of one."
 @app.command("list")
 def list_sweeps(runs: Runs = Path("runs"), database: Database = None, json: Json = False) -> None:
     """List sweeps, the newest first: progress, and the best trial by the first objective."""
-    store = open_store(runs, database)
     found: tuple[SweepRecord, ...] = ()
-    if store is not None:
+    if store := open_store(runs, database):
         with store:
             found = store.sweeps.all()
     if not found:

@@ -7,7 +7,7 @@ from typing import Annotated
 
 import typer
 
-from .arguments import Checkpoint, Database, Json, OneRun, Runs, check_checkpoint, open_run
+from .arguments import Checkpoint, Database, Json, OneRun, Runs, open_run
 from .output import print_rows, print_table, success_row, warn
 
 
@@ -21,13 +21,9 @@ def transfer(
             "robot=ur5 task.object_mass=0.3",
         ),
     ] = None,
-    episodes: Annotated[
-        int | None,
-        typer.Option(min=1, help="Episodes. Default: as in the run's own tests."),
-    ] = None,
+    episodes: Annotated[int | None, typer.Option(min=1, help="Episodes. Default: as in the run's own tests.")] = None,
     seed: Annotated[
-        int | None,
-        typer.Option(min=0, help="Root of the episodes' seeds. Default: that of the run's tests."),
+        int | None, typer.Option(min=0, help="Root of the episodes' seeds. Default: that of the run's tests.")
     ] = None,
     checkpoint: Checkpoint = "best",
     randomize: Annotated[bool, typer.Option("--randomize", help="Randomize as in training.")] = False,
@@ -40,7 +36,6 @@ def transfer(
     The result is printed beside the run's own last test. It is also written to the run's folder (transfers.jsonl),
     and `karolos runs show` shows it.
     """
-    check_checkpoint(checkpoint)
     folder = open_run(run, runs, database)
     from karolos.evaluation.transfer_test import transfer_test
     from karolos.records.results import TestCounts

@@ -23,7 +23,8 @@ def cautions(contenders: Sequence[Contender]) -> tuple[str, ...]:
         ("interval", "tests at different intervals, which steps to a ratio depend on (testing.interval)"),
     ):
         found += _different(contenders, what, partial(_testing, key))
-    found += _versions(contenders)
+    for name in sorted({name for contender in contenders for run in contender.runs for name in run.versions}):
+        found += _different(contenders, f"different versions of {name}", partial(_version, name))
     found += _different(contenders, "made from different code (git commit, + with changes)", lambda run: run.commit)
     return tuple(found)
 
@@ -35,15 +36,6 @@ def _unfinished(contenders: Sequence[Contender]) -> list[str]:
         if open_:
             named = ", ".join(f"{run.run} {run.state} at {run.steps:,} steps" for run in open_)
             found.append(f"{contender.label}: {len(open_)} of {len(contender.runs)} runs are not finished: {named}")
-    return found
-
-
-def _versions(contenders: Sequence[Contender]) -> list[str]:
-    """One line for each package with different versions, karolos and plugins included."""
-    names = sorted({name for contender in contenders for run in contender.runs for name in run.versions})
-    found: list[str] = []
-    for name in names:
-        found += _different(contenders, f"different versions of {name}", partial(_version, name))
     return found
 
 

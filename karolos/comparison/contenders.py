@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import os
 from collections.abc import Mapping, Sequence
+from contextlib import suppress
 from dataclasses import dataclass
 from pathlib import Path
 from typing import Any, Literal
@@ -23,7 +24,7 @@ LISTED = 5
 
 @dataclass(frozen=True)
 class ComparedRun:
-    """One run: its row, its tests, and what it was made with, as far as its folder is still there."""
+    """One run with its tests. Settings, versions and commit come from its folder, if that still exists."""
 
     summary: RunSummary
     tests: tuple[TestCounts, ...]
@@ -52,9 +53,9 @@ class Contender:
     """An experiment with its runs that have a test, one per seed, in the order of the seeds.
 
     Args:
-        label: how tables and figures call it.
+        label: its name in tables and figures.
         runs: at least one.
-        problems: what a reader has to know of the choice of runs, one line each.
+        problems: warnings about the choice of runs, one line each.
     """
 
     label: str
@@ -67,15 +68,15 @@ class Contender:
 
     @property
     def spec(self) -> Mapping[str, Any]:
-        """Resolved spec of its first run: the others differ in what does not count as a change, if at all."""
+        """Resolved spec of its first run. The others have the same experiment hash."""
         return self.runs[0].spec
 
 
 def gather(store: Store, runs: Sequence[RunSummary], label: str) -> Contender:
-    """A contender from runs of one experiment; of several with the same seed, the newest that is finished.
+    """A contender from runs of one experiment. Of several runs with the same seed, it has the newest finished one.
 
     Raises:
-        UsageError: they belong to several experiments, or none of them has been tested yet.
+        UsageError: the runs belong to several experiments, or no run has a test yet.
     """
     experiments = sorted({run.experiment for run in runs})
     if len(experiments) > 1:
@@ -91,8 +92,8 @@ def gather(store: Store, runs: Sequence[RunSummary], label: str) -> Contender:
     problems = []
     if len(chosen) < len(runs):
         problems.append(
-            f"{label}: {len(runs) - len(chosen)} of {len(runs)} runs repeat a seed; of each the newest finished run "
-            "is taken, or the newest where none is"
+            f"{label}: {len(runs) - len(chosen)} of {len(runs)} runs repeat a seed; of each seed the newest "
+            "finished run is used, or the newest if none is finished"
         )
     tests = store.tests_of([run.run for run in chosen.values()])
     loaded = [_load(store, chosen[seed], tests[chosen[seed].run]) for seed in sorted(chosen)]
@@ -101,12 +102,18 @@ def gather(store: Store, runs: Sequence[RunSummary], label: str) -> Contender:
         raise UsageError(f"{label} has no test yet", hint="`karolos runs list` shows how far its runs are")
     untested = [run.summary.run for run in loaded if not run.tests]
     if untested:
-        problems.append(f"{label}: left out for want of a test: {', '.join(untested)}")
+        problems.append(f"{label}: left out, because they have no test: {', '.join(untested)}")
     return Contender(label, tested, tuple(problems))
 
 
 def _load(store: Store, run: RunSummary, tests: tuple[TestCounts, ...]) -> ComparedRun:
-    about, spec, rate = _from_folder(Path(run.folder))
+    about: Mapping[str, Any] = {}
+    spec: Mapping[str, Any] = {}
+    rate = None
+    if os.path.isdir(run.folder):
+        with suppress(RunError):  # a damaged folder; the index has everything that a comparison needs
+            folder = RunFolder.open(run.folder)
+            about, spec, rate = folder.description(), folder.spec(), _updates_per_second(folder.checkpoints)
     git = about.get("git") or {}
     return ComparedRun(
         summary=run,
@@ -116,17 +123,6 @@ def _load(store: Store, run: RunSummary, tests: tuple[TestCounts, ...]) -> Compa
         commit=f"{git['commit'][:8]}{'+' if git.get('dirty') else ''}" if git.get("commit") else None,
         updates_per_second=rate,
     )
-
-
-def _from_folder(path: Path) -> tuple[Mapping[str, Any], Mapping[str, Any], float | None]:
-    """What run.json and resolved.json say, and updates per second; all empty where the folder is gone or damaged."""
-    if not os.path.isdir(path):
-        return {}, {}, None
-    try:
-        folder = RunFolder.open(path)
-    except RunError:  # the index has what a comparison cannot do without
-        return {}, {}, None
-    return folder.description(), folder.spec(), _updates_per_second(folder.checkpoints)
 
 
 def _updates_per_second(checkpoints: Path) -> float | None:

@@ -1,4 +1,4 @@
-"""Learning curves of several seeds: brought to common points, summed up, and as densities."""
+"""Learning curves of several seeds: interpolated at common points, their statistics, and their densities."""
 
 from __future__ import annotations
 
@@ -17,14 +17,14 @@ from .contenders import ComparedRun, Success
 
 Axis = Literal["steps", "seconds"]
 POINTS = 101
-"""Most points of a curve over seeds whose tests lie at different places."""
+"""Most points of a curve over seeds that were tested at different steps."""
 
 _Floats = NDArray[np.float64]
 
 
 @dataclass(frozen=True)
 class Curve:
-    """Success over training, of all seeds together.
+    """A statistic of the success of all seeds over training.
 
     Args:
         at: (t,) environment steps or seconds, ascending.
@@ -40,16 +40,16 @@ class Curve:
 
 
 def places(run: ComparedRun, axis: Axis) -> _Floats:
-    """Where a run's tests lie: (t,)."""
+    """Steps or seconds of a run's tests: (t,)."""
     return np.array([getattr(test, axis) for test in run.tests], float)
 
 
 def along(runs: Sequence[ComparedRun], axis: Axis, success: Success) -> tuple[_Floats, _Floats]:
     """Success ratios of all seeds at common points: (t,) and (t, n).
 
-    The points lie where every seed is known: from where all have been tested to where the first unfinished run ends. A
-    finished run keeps its last value. Between a seed's tests its value is interpolated linearly; where all seeds were
-    tested at the same places, those are the points and nothing is interpolated.
+    The points begin at the first test of the seed that was tested last, and end at the earliest end of an unfinished
+    run. A finished run keeps its last value. Values between a seed's tests are interpolated linearly. If all seeds were
+    tested at the same steps, the points are these steps, and nothing is interpolated.
     """
     own = [places(run, axis) for run in runs]
     ratios = [run.ratios(success) for run in runs]
@@ -80,6 +80,6 @@ def learning_curve(
 
 
 def densities(runs: Sequence[ComparedRun], success: Success) -> tuple[_Floats, tuple[statistics.Density, ...]]:
-    """Density over the seeds at each common test point: environment steps (t,) and as many densities."""
+    """Density over the seeds at each common test point: environment steps (t,) and t densities."""
     at, values = along(runs, "steps", success)
     return at, tuple(statistics.kde(row) for row in values)

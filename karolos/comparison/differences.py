@@ -10,7 +10,7 @@ from ..records.run_records import flatten
 
 
 class Missing(Enum):
-    """Stands for a value where a mapping has no such key, which is not the same as null."""
+    """The value of a key that a mapping lacks, which differs from null."""
 
     MISSING = "-"
 
@@ -19,7 +19,7 @@ MISSING: Final = Missing.MISSING
 
 
 def differences(mappings: Sequence[Mapping[str, Any]]) -> dict[str, tuple[Any, ...]]:
-    """Key path -> each mapping's value, where they are not all equal; keys of the same part stand together.
+    """Key path -> each mapping's value, for values that are not all equal; keys are grouped by their first part.
 
     Args:
         mappings: nested, e.g. resolved specs. A list is one value.

@@ -22,15 +22,15 @@ from .curves import places
 from .differences import MISSING, differences
 
 IntervalKind = Literal["wilson", "range", "approximate", "bootstrap"]
-"""What low and high are: Wilson's interval of one run; smallest and largest of 2 - 4 seeds; a bootstrap interval over
-5 - 9 seeds, whose coverage falls short; or one over 10 seeds and more. At 95 %, but for the range."""
+"""Kind of an interval: Wilson's of one run; smallest to largest of 2 - 4 seeds; bootstrap over 5 - 9 seeds, which
+covers too little; bootstrap over 10 or more seeds. All but the range are at 95 %."""
 RATIOS = (0.5, 0.9)
-"""Success ratios whose first test is looked for."""
+"""Success ratios for which steps and time of the first test that reaches them are reported."""
 
 
 @dataclass(frozen=True)
 class Estimate:
-    """A number over the seeds, and what `kind` says of its low and high."""
+    """A statistic over the seeds with an interval of some `kind`."""
 
     value: float
     low: float
@@ -42,7 +42,7 @@ class Estimate:
 class Improvement:
     """Probability that a run is better than one of the first contender (ties one half), and its bootstrap interval.
 
-    low and high are None where a side has fewer than 5 seeds; `approximate` where one has fewer than 10.
+    low and high are None if one of the two has fewer than 5 seeds. `approximate`: one has fewer than 10.
     """
 
     probability: float
@@ -53,11 +53,11 @@ class Improvement:
 
 @dataclass(frozen=True)
 class Reaching:
-    """When a test first showed a success ratio: medians over the seeds, None where half of them or more never did."""
+    """When a test first reached a success ratio: medians over the seeds, None if half of them or more never did."""
 
     ratio: float
     reached: int
-    """Seeds that got there."""
+    """Number of seeds that reached it."""
     seeds: int
     steps: float | None
     seconds: float | None
@@ -65,7 +65,7 @@ class Reaching:
 
 @dataclass(frozen=True)
 class Scores:
-    """One contender's numbers. `iqm`, `reaching`, `improvement` and `density` go by the comparison's success."""
+    """One contender's numbers. `iqm`, `reaching`, `improvement` and `density` use the comparison's `success`."""
 
     any: Estimate
     end: Estimate
@@ -83,21 +83,20 @@ class Scores:
 
 @dataclass(frozen=True)
 class Comparison:
-    """Contenders with their scores in the same order, what differs in their specs, and what to beware of."""
+    """Contenders with their scores in the same order, the settings that differ, and warnings."""
 
     success: Success
     contenders: tuple[Contender, ...]
     scores: tuple[Scores, ...]
     parameters: Mapping[str, tuple[Any, ...]]
-    """Key path -> the value in each contender's spec, MISSING where it has no such key; only those that differ."""
+    """Key path -> the value in each contender's spec, MISSING if the key is missing; only settings that differ."""
     warnings: tuple[str, ...]
 
     def rows(self) -> list[dict[str, Any]]:
         """One JSON object per contender."""
-        return [self._row(place) for place in range(len(self.contenders))]
+        return list(map(self._row, range(len(self.contenders)), self.contenders, self.scores))
 
-    def _row(self, place: int) -> dict[str, Any]:
-        contender, scores = self.contenders[place], self.scores[place]
+    def _row(self, place: int, contender: Contender, scores: Scores) -> dict[str, Any]:
         runs, density = contender.runs, scores.density
         reached = {
             f"{unit}_to_{one.ratio * 100:g}": {"median": getattr(one, unit), "reached": one.reached, "of": one.seeds}
@@ -129,7 +128,7 @@ class Comparison:
 
 
 def compare(contenders: Sequence[Contender], success: Success = "any") -> Comparison:
-    """The numbers of contenders, the first of which is what the others are measured against."""
+    """The numbers of all contenders. Improvements are relative to the first."""
     tree = SeedTree(0).child("compare")
     scores = tuple(
         _scores(contender, contenders[0] if place else None, success, tree.child(place))
@@ -159,7 +158,7 @@ def _scores(contender: Contender, first: Contender | None, success: Success, tre
 def _estimate(
     runs: Sequence[ComparedRun], success: Success, statistic: aggregates.Statistic, tree: SeedTree
 ) -> Estimate:
-    """A statistic of the last tests with the interval that fits the number of seeds."""
+    """A statistic of the last tests, with the kind of interval that the number of seeds allows."""
     values = [run.last(success) for run in runs]
     middle = float(statistic(np.array(values)))
     if len(runs) == 1:

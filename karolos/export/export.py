@@ -9,7 +9,6 @@ golden.npz   inputs and the agent's own actions for them, to check a port agains
 from __future__ import annotations
 
 import json
-from collections.abc import Mapping
 from dataclasses import dataclass
 from pathlib import Path
 from typing import Any
@@ -17,7 +16,7 @@ from typing import Any
 import numpy as np
 
 from .. import __version__
-from ..core import Discrete, Layout, Signature
+from ..core import Discrete, Layout
 from ..core.deployed import Deployed
 from ..core.seeding import SeedTree
 from ..errors import RunError
@@ -122,7 +121,7 @@ def golden_samples(saved: SavedAgent, policy: Deployed) -> dict[str, Any]:
 
 def description(folder: RunFolder, saved: SavedAgent, policy: Deployed) -> dict[str, Any]:
     """What policy.json holds."""
-    spec = saved.spec.dump()
+    spec, signature, action = saved.spec.dump(), saved.signature, saved.signature.action
     return {
         "format": FORMAT,
         "run": folder.id,
@@ -132,17 +131,10 @@ def description(folder: RunFolder, saved: SavedAgent, policy: Deployed) -> dict[
         "karolos": __version__,
         "agent": spec["agent"]["name"],
         "output": policy.output,
-        **_layouts(saved.signature),
-        "trained_in": {key: spec[key] for key in ("robot", "task", "environment") if key in spec},
-    }
-
-
-def _layouts(signature: Signature) -> Mapping[str, Any]:
-    action = signature.action
-    return {
         "observation": _fields(signature.observation),
         "desired_goal": _fields(signature.desired_goal),
         "action": {"labels": list(action.labels)} if isinstance(action, Discrete) else _fields(action),
+        "trained_in": {key: spec[key] for key in ("robot", "task", "environment") if key in spec},
     }
 
 

@@ -1,4 +1,4 @@
-"""The reader of an exported policy.npz. Needs numpy and nothing else: copy this file to where the policy is used."""
+"""Reads and runs an exported policy.npz. It needs only numpy, so this file can be copied to where it is used."""
 
 from __future__ import annotations
 
@@ -12,13 +12,13 @@ FORMAT = 1
 
 
 class NumpyPolicy:
-    """A policy that acts as the agent it was exported from does without exploration.
+    """An exported policy. Its actions are those of the agent without exploration.
 
     Args:
         path: of policy.npz.
 
     Raises:
-        ValueError: it is of another format.
+        ValueError: the file has another format.
     """
 
     def __init__(self, path: str | PathLike[str]) -> None:
@@ -30,12 +30,11 @@ class NumpyPolicy:
             self.scale: NDArray[np.float32] = file["scale"]
             self.clip = float(file["clip"])
             self.epsilon = float(file["layer_norm"])
-            """Added to the variance in layer normalisation; nan: hidden layers are not normalised."""
+            """Added to the variance in layer normalisation; nan if hidden layers are not normalised."""
             self.output = str(file["output"])
             """tanh, clip or argmax."""
-            count = int(file["layers"])
             self.layers: list[tuple[NDArray[np.float32], NDArray[np.float32]]] = [
-                (file[f"weight{place}"], file[f"bias{place}"]) for place in range(count)
+                (file[f"weight{place}"], file[f"bias{place}"]) for place in range(int(file["layers"]))
             ]
             """Weight (out, in) and bias (out,) of each layer."""
 
@@ -46,7 +45,7 @@ class NumpyPolicy:
             (a,) or (n, a), float32 in [-1, 1]; for a discrete set the index, () or (n,), int64.
 
         Raises:
-            ValueError: observation and goal together have another size than the policy takes.
+            ValueError: the number of inputs is not the one that the policy takes.
         """
         parts = [np.asarray(observation, np.float32), np.asarray(desired_goal, np.float32)]
         x: NDArray[np.float32] = np.concatenate([part for part in parts if part.shape[-1]], axis=-1)

@@ -1,4 +1,4 @@
-"""A policy as an ONNX model: the graph written down by hand, which for such networks is a dozen nodes."""
+"""A policy as an ONNX model, built node by node. The only module that imports onnx."""
 
 from __future__ import annotations
 
@@ -14,13 +14,13 @@ from ..errors import MachineError
 from ..files import writing
 
 OPSET = 17
-"""The first with LayerNormalization: runtimes from 2022 on."""
+"""The first version with LayerNormalization; runtimes since 2022 support it."""
 IR_VERSION = 8
-"""Of the same time (ONNX 1.12)."""
+"""The version of the file format of the same release (ONNX 1.12)."""
 
 
 def check_onnx() -> None:
-    """Raise a MachineError where the package onnx is missing."""
+    """Raise a MachineError if the package onnx is missing."""
     try:
         import onnx  # noqa: F401, PLC0415  (optional)
     except ImportError as error:
@@ -30,15 +30,16 @@ def check_onnx() -> None:
 
 
 def write_onnx(path: Path, policy: Deployed, sizes: tuple[int, int], facts: Mapping[str, str]) -> None:
-    """Write and check the model: inputs `observation` (n, o) and, where there are goals, `desired_goal` (n, g).
+    """Check the model and write it.
 
-    Its output `action` is float32 (n, a) in [-1, 1], or for a discrete set the index, int64 (n,).
+    Inputs: `observation` (n, o), and `desired_goal` (n, g) if there are goals. Output: `action`, float32 (n, a) in
+    [-1, 1], or for a discrete set the index, int64 (n,).
 
     Args:
         path: to write to.
-        policy: what to write.
-        sizes: o and g.
-        facts: texts to put into the model's metadata.
+        policy: the policy.
+        sizes: o and g; g is 0 without goals.
+        facts: texts for the model's metadata.
 
     Raises:
         MachineError: the file cannot be written.
@@ -53,7 +54,7 @@ def write_onnx(path: Path, policy: Deployed, sizes: tuple[int, int], facts: Mapp
 
 
 def run_onnx(path: Path, inputs: Mapping[str, FloatArray]) -> FloatArray:
-    """What the model gives out, computed by ONNX's own reference; `inputs` may hold more than it takes."""
+    """The actions of the model, computed by ONNX's reference implementation; surplus `inputs` are ignored."""
     from onnx.reference import ReferenceEvaluator  # noqa: PLC0415  (optional)
 
     model = ReferenceEvaluator(str(path))

@@ -154,13 +154,11 @@ def density_figures(comparison: Comparison) -> list[Drawing]:
         colours = LinearSegmentedColormap.from_list("shades", ["#ffffff", COLOURS[series % len(COLOURS)]])
         mesh = axes.pcolormesh(_columns(at), borders, shades, cmap=colours, vmin=0, vmax=1, linewidth=0)
         mesh.set_rasterized(True)  # thousands of rectangles show seams in many viewers
-        for key, width, text in (
-            ("low", 0.8, "5 % of the mass is below"),
-            ("high", 0.8, "95 % of the mass is below"),
-            ("mean", 2.0, "mean of the density"),
-        ):
+        lines = {"low": "5 % of the mass is below", "high": "95 % of the mass is below", "mean": "mean of the density"}
+        for key, text in lines.items():
+            classes, width = ("main", 2.0) if key == "mean" else ("edge", 0.8)
             [line] = axes.plot(at, [getattr(one, key) for one in each], color=style(series)["color"], linewidth=width)
-            drawing.part(line, "main" if key == "mean" else "edge", text)
+            drawing.part(line, classes, text)
         _ratio_axis(drawing, "y", _success_label(comparison))
         drawings.append(drawing)
     return drawings

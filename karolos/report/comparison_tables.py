@@ -7,7 +7,7 @@ from typing import Any
 
 from ..comparison import MISSING, Comparison, Estimate, Improvement, Scores
 from ..comparison.sides import SideDifference
-from .tables import Table, duration, rate, setting
+from .tables import Table, count, duration, setting
 
 
 def scores_table(comparison: Comparison) -> Table:
@@ -28,9 +28,9 @@ def scores_table(comparison: Comparison) -> Table:
     if any(one.density for one in scores):
         rows.append(("density over seeds", *map(_density, scores)))
     rows += [
-        ("steps of a run", *(rate(one.steps) for one in scores)),
+        ("steps of a run", *(count(one.steps) for one in scores)),
         ("time of a run", *(duration(one.seconds) for one in scores)),
-        ("updates per second", *(rate(one.updates_per_second) for one in scores)),
+        ("updates per second", *(count(one.updates_per_second) for one in scores)),
     ]
     return Table(["", *(contender.label for contender in contenders)], rows)
 
@@ -93,7 +93,7 @@ def _value(value: Any) -> str:
 
 def _reached(scores: Scores, place: int, unit: str) -> str:
     found = scores.reaching[place]
-    median = rate(found.steps) if unit == "steps" else duration(found.seconds)
+    median = count(found.steps) if unit == "steps" else duration(found.seconds)
     return f"{median} ({found.reached} of {found.seeds})"
 
 

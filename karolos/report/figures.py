@@ -119,11 +119,6 @@ class Drawing:
         artist.set_gid(gid)
         self.parts[gid] = (classes, clean(tooltip))
 
-    def artists(self, classes: str) -> list[Any]:
-        """The artists that have exactly these class names."""
-        gids = {gid for gid, (found, _) in self.parts.items() if found == classes}
-        return [artist for artist in self.axes.get_children() if artist.get_gid() in gids]
-
     def legend(self, labels: Sequence[str]) -> None:
         """Name the contenders below the axes."""
         from matplotlib.lines import Line2D  # noqa: PLC0415

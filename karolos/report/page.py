@@ -13,7 +13,7 @@ from ..files import write_whole
 from .comparison_tables import explanations, parameters_table, scores_table
 from .figures import COLOURS, DASHES, Drawing
 from .markup import Markup, tag
-from .tables import Columns, Table, count, duration, rate, success
+from .tables import Columns, Table, count, duration, success
 
 _STYLE = """
 :root{color-scheme:light;--soft:#5c5c5c;--panel:#f6f6f4;--rule:#d9d9d4}
@@ -160,7 +160,7 @@ def _runs_table(comparison: Comparison) -> Markup:
         "time": lambda run: duration(run.summary.seconds),
         "success any": lambda run: success(run.tests[-1].success_any, run.tests[-1].episodes),
         "success end": lambda run: success(run.tests[-1].success_end, run.tests[-1].episodes),
-        "updates/s": lambda run: rate(run.updates_per_second),
+        "updates/s": lambda run: count(run.updates_per_second),
         "code": lambda run: run.commit or "-",
     }
     runs = [(series, run) for series, contender in enumerate(comparison.contenders) for run in contender.runs]

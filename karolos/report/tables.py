@@ -64,14 +64,9 @@ def duration(seconds: float | None) -> str:
     return f"{whole // 3600} h {whole % 3600 // 60:02} min"
 
 
-def count(number: int | None) -> str:
-    """A whole number in groups of three digits; - for None."""
-    return "-" if number is None else f"{number:,}"
-
-
-def rate(per_second: float | None) -> str:
-    """A rate without decimals, in groups of three digits; - for None."""
-    return "-" if per_second is None else f"{per_second:,.0f}"
+def count(number: float | None) -> str:
+    """A number without decimals, in groups of three digits; - for None."""
+    return "-" if number is None else f"{number:,.0f}"
 
 
 def success(ratio: float | None, episodes: int | None) -> str:

@@ -12,16 +12,16 @@ import numpy as np
 from numpy.typing import ArrayLike, NDArray
 
 GRID_POINTS = 101
-"""Points of a density over [0, 1]; odd, as Simpson's rule asks."""
+"""Points of a density over [0, 1]; Simpson's rule needs an odd number."""
 SMALLEST_BANDWIDTH = 0.02
-"""Two grid steps: narrower kernels the grid could not show, and equal values would have no width at all."""
+"""Two grid steps. The grid cannot show narrower kernels, and equal values would give a width of 0."""
 
 _Floats = NDArray[np.float64]
 
 
 @dataclass(frozen=True)
 class Density:
-    """A density of success ratios over [0, 1], one value per seed behind it.
+    """A density over [0, 1] of the success ratios of several seeds.
 
     Args:
         grid: (101,) points from 0 to 1.
@@ -30,8 +30,8 @@ class Density:
         mode: where the density is largest (the first of equals).
         modes: every local maximum, in ascending order.
         mean: of the density.
-        low: 5 % of the mass lie below.
-        high: 95 % of the mass lie below.
+        low: 5 % of the mass is below.
+        high: 95 % of the mass is below.
     """
 
     grid: _Floats
@@ -60,11 +60,11 @@ def bandwidth(values: ArrayLike) -> float:
 def kde(values: ArrayLike) -> Density:
     """Density of success ratios (n,), each in [0, 1], by Gaussian kernels reflected at 0 and 1.
 
-    Reflection keeps the mass inside: five seeds at 1.0 peak at 1, where a plain kernel would lose half of it.
+    Reflection keeps the mass inside [0, 1]. A plain kernel would lose half of the mass of five seeds at 1.0.
     Source of the reflection: Schuster 1985, Comm. Stat. Theory Methods 14, 1123.
 
     Raises:
-        ValueError: no values, or values outside [0, 1].
+        ValueError: there are no values, or one is outside [0, 1].
     """
     ratios = np.asarray(values, np.float64).ravel()
     if ratios.size == 0 or not ((ratios >= 0) & (ratios <= 1)).all():
@@ -98,14 +98,17 @@ def integral(heights: ArrayLike) -> float:
 
 
 def _local_maxima(heights: _Floats) -> NDArray[np.intp]:
-    """Points higher than their left and not lower than their right neighbour; the ends count, rounding does not."""
+    """Points higher than their left and not lower than their right neighbour, the ends included.
+
+    Maxima below 1e-6 of the highest come from rounding and are left out.
+    """
     padded = np.concatenate([[-np.inf], heights, [-np.inf]])
     peaks = (heights > padded[:-2]) & (heights >= padded[2:]) & (heights > 1e-6 * heights.max())
     return np.flatnonzero(peaks)
 
 
-def _quantile(grid: _Floats, density: _Floats, share: float) -> float:
-    """Where `share` of the mass lies below, from the density integrated by trapezoids."""
+def _quantile(grid: _Floats, density: _Floats, level: float) -> float:
+    """The point below which a fraction `level` of the mass is; the density is integrated by trapezoids."""
     pieces = (density[1:] + density[:-1]) / 2
     below = np.concatenate([[0.0], np.cumsum(pieces)])
-    return float(np.interp(share, below / below[-1], grid))
+    return float(np.interp(level, below / below[-1], grid))

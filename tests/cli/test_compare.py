@@ -118,7 +118,7 @@ def test_run_without_a_test_is_left_out_and_named(runs: Path) -> None:
     index(runs)
     [row] = rows("compare", "reach", "--runs", runs)
     assert row["n"] == 1
-    assert row["warnings"] == [f"reach: left out for want of a test: {untested}"]
+    assert row["warnings"] == [f"reach: left out, because they have no test: {untested}"]
 
 
 def test_experiment_whose_folders_are_gone_is_compared_from_the_index(runs: Path) -> None:

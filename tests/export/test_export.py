@@ -137,5 +137,5 @@ def test_a_policy_that_would_act_otherwise_or_is_no_number_is_refused(
 def test_layers_that_do_not_fit_are_refused() -> None:
     layer = Layer(np.zeros((2, 3), np.float32), np.zeros(2, np.float32))
     inputs = np.zeros(4, np.float32)
-    with pytest.raises(ValueError, match="do not go through layers"):
+    with pytest.raises(ValueError, match="do not fit layers"):
         Deployed(inputs, inputs, 5.0, (layer,), "tanh")
