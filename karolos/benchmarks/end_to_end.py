@@ -14,12 +14,12 @@ import time
 from dataclasses import asdict, dataclass
 from importlib import import_module
 from importlib.resources import as_file, files
-from importlib.util import find_spec
 from typing import Any
 
-from ..errors import MachineError, RunError
+from ..errors import RunError
 from ..spec import Spec, load_spec
 from . import agent_peers
+from .side_by_side import require_modules
 
 PEER = "stable-baselines3 and panda-gym"
 SUCCESS = 0.95
@@ -50,13 +50,9 @@ def reach(*overrides: str) -> Spec:
 
 
 def require_peer() -> None:
-    """Raise a MachineError where the peer is not installed."""
-    missing = [name for name in ("stable_baselines3", "panda_gym") if find_spec(name) is None]
-    if missing:
-        raise MachineError(
-            f"{', '.join(missing)} not installed, so there is no peer to train",
-            hint="pip install stable-baselines3, and panda-gym with --no-deps, in an environment of its own",
-        )
+    """Raise a MachineError unless the peer is installed."""
+    hint = "pip install stable-baselines3, and panda-gym with --no-deps, in an environment of its own"
+    require_modules(hint, "stable_baselines3", "panda_gym")
 
 
 def first_success(seed: int, *, peer: bool = False) -> Found:
@@ -102,11 +98,7 @@ def _peer(seed: int, started: float) -> Found | None:
     library = import_module("stable_baselines3")
     callbacks = import_module("stable_baselines3.common.callbacks")
     environment, tests = gymnasium.make("PandaReach-v3"), gymnasium.make("PandaReach-v3")
-    settings = {
-        **agent_peers.RECIPES["panda_reach_sac"].settings,
-        "replay_buffer_class": library.HerReplayBuffer,
-        "replay_buffer_kwargs": {"n_sampled_goal": 4, "goal_selection_strategy": "future"},
-    }
+    settings = agent_peers.RECIPES["panda_reach_sac"]["settings"] | agent_peers.hindsight()
     model = library.SAC("MultiInputPolicy", environment, seed=seed, device="cpu", **settings)
     startup, training_started, tested = time.time() - started, time.perf_counter(), 0.0
     found: list[Found] = []
@@ -117,7 +109,7 @@ def _peer(seed: int, started: float) -> Found | None:
         if steps % INTERVAL:
             return True
         before = time.perf_counter()
-        success = sum(_reaches(model, tests, 1000 + episode) for episode in range(EPISODES))
+        success = sum(agent_peers.play(model, tests, 1000 + episode)[1] for episode in range(EPISODES))
         if success >= SUCCESS * EPISODES:
             seconds = before - training_started - tested
             found.append(Found(steps, seconds, startup + seconds))
@@ -126,16 +118,6 @@ def _peer(seed: int, started: float) -> Found | None:
 
     model.learn(PEER_STEPS, callback=callbacks.ConvertCallback(step))
     return found[0] if found else None
-
-
-def _reaches(model: Any, environment: Any, seed: int) -> bool:
-    """Whether the deterministic policy reaches the goal at some step of the episode."""
-    observation, _ = environment.reset(seed=seed)
-    while True:
-        action, _ = model.predict(observation, deterministic=True)
-        observation, _, terminated, truncated, info = environment.step(action)
-        if info["is_success"] or terminated or truncated:
-            return bool(info["is_success"])
 
 
 if __name__ == "__main__":

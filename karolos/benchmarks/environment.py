@@ -10,7 +10,6 @@ from __future__ import annotations
 from collections.abc import Iterator, Sequence
 from contextlib import contextmanager
 from functools import partial
-from importlib.util import find_spec
 from itertools import pairwise
 from statistics import median
 from time import thread_time
@@ -20,12 +19,11 @@ import numpy as np
 
 from ..core import Array
 from ..environments.robot_task import RobotTask
-from ..errors import MachineError
 from ..randomization.distribution import Distribution
 from ..randomization.normal import Normal
 from ..registry import load
 from ..simulation.bullet.motors import Motors
-from .side_by_side import Row, beside, take_turns
+from .side_by_side import Row, beside, require_modules, take_turns
 
 NAME = "environment"
 PHYSICS, PANDA_GYM = "bare physics loop", "panda-gym"
@@ -186,10 +184,7 @@ def measure_panda_gym(*, seconds: float = 10.0) -> list[Row]:
     Raises:
         MachineError: panda-gym is not installed.
     """
-    if find_spec("panda_gym") is None:
-        raise MachineError(
-            "panda-gym is not installed, so there is no peer to measure", hint="pip install --no-deps panda-gym"
-        )
+    require_modules("pip install --no-deps panda-gym", "panda_gym")
     import gymnasium  # noqa: PLC0415
     import panda_gym  # type: ignore[import-not-found]  # noqa: F401, PLC0415  (registers its environments)
 

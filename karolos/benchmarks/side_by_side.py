@@ -8,9 +8,12 @@ from __future__ import annotations
 
 from collections.abc import Callable, Hashable, Mapping, Sequence
 from dataclasses import asdict, dataclass, field
+from importlib.util import find_spec
 from statistics import median
 from time import perf_counter
 from typing import Any, TypeVar
+
+from ..errors import MachineError
 
 K = TypeVar("K", bound=Hashable)
 T = TypeVar("T")
@@ -80,3 +83,10 @@ def beside(
     """The row of a contestant and a peer that were measured in the same turns."""
     ratios = tuple(value / other for value, other in zip(values, peer_values, strict=True))
     return Row(benchmark, case, median(values), unit, peer, median(peer_values), ratios)
+
+
+def require_modules(hint: str, *modules: str) -> None:
+    """Raise a MachineError with this hint unless the peer's modules are installed."""
+    missing = [name for name in modules if find_spec(name) is None]
+    if missing:
+        raise MachineError(f"{', '.join(missing)} not installed, so there is no peer to measure", hint=hint)

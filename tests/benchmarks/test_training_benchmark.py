@@ -7,7 +7,7 @@ from karolos_cli.bench import COLUMNS, app
 from support.states import assert_same_state
 from typer.testing import CliRunner
 
-from karolos.benchmarks import end_to_end
+from karolos.benchmarks import end_to_end, side_by_side
 from karolos.benchmarks.training import WithoutOverlap
 from karolos.core.seeding import SeedTree
 from karolos.errors import MachineError
@@ -33,7 +33,7 @@ def test_what_is_run_to_success_is_the_shipped_spec():
 
 
 def test_a_missing_peer_is_told_before_anything_is_measured(monkeypatch):
-    monkeypatch.setattr(end_to_end, "find_spec", lambda _: None)
+    monkeypatch.setattr(side_by_side, "find_spec", lambda _: None)
     result = CliRunner().invoke(app, ["training", "--peers"])
     assert isinstance(result.exception, MachineError)
     assert "stable_baselines3, panda_gym not installed" in str(result.exception)
