@@ -16,7 +16,7 @@ from typing import Any
 import numpy as np
 
 from ..buffers.storage import row_layout
-from ..core import Signature, Transitions
+from ..core import Discrete, Signature, Transitions
 from ..core.seeding import SeedTree
 from ..environments.build import build_environment
 from ..registry import load
@@ -41,11 +41,12 @@ def measure(*, transitions: int = 1_000_000, seconds: float = 10.0) -> Iterator[
     environment = build_environment(Spec.from_dict(dict(SPEC)).recipe(randomize=False))
     signature = environment.signature
     environment.close()
-    source, buffers = _Source(signature), {}
+    hindsight = {"strategy": "future", "ratio": 0.8}
+    source, buffers = NoiseEpisode(signature, ENVIRONMENTS), {}
     size = f"{transitions:,} transitions"
     for name in ("uniform", "priority"):
         before = _resident()
-        buffers[name] = _filled(name, signature, source, transitions)
+        buffers[name] = filled_buffer(name, signature, source, transitions, hindsight=hindsight)
         if before is not None:
             yield Row(NAME, f"{name}, memory of {size}", ((_resident() or 0) - before) / 1e9, "GB")
     layout = row_layout(signature).size * 4 * transitions / 1e9
@@ -58,7 +59,7 @@ def measure(*, transitions: int = 1_000_000, seconds: float = 10.0) -> Iterator[
         yield Row(NAME, f"{name}, adding {ADDED:,} transitions of {ENVIRONMENTS} environments", adding, "ms")
 
 
-def _milliseconds(buffer: Any, source: _Source, turn: int) -> tuple[float, float]:
+def _milliseconds(buffer: Any, source: NoiseEpisode, turn: int) -> tuple[float, float]:
     """Milliseconds to add ADDED transitions, and the median of those to sample a batch after each step.
 
     Sampling includes the update of priorities: new transitions enter the sum tree at the next sampling.
@@ -77,49 +78,54 @@ def _milliseconds(buffer: Any, source: _Source, turn: int) -> tuple[float, float
     return 1e3 * adding, 1e3 * median(sampling)
 
 
-class _Source:
-    """Repeats one episode of noise in each environment, with the rewards and ends of the goal rule."""
+class NoiseEpisode:
+    """Repeats one episode of noise in each environment. The goal rule, if any, gives the rewards and ends."""
 
-    def __init__(self, signature: Signature) -> None:
+    def __init__(self, signature: Signature, environments: int) -> None:
         generator = np.random.Generator(np.random.PCG64(0))
-        rule = signature.goal_rule
-        assert rule is not None, "pick_place has goals"
-        self._episode = []
-        self._step = 0
+        rule, actions = signature.goal_rule, signature.action
+        self.environments = environments
+        self._steps = []
+        self._count = 0
 
         def noise(columns: int) -> Any:
-            return generator.standard_normal((ENVIRONMENTS, columns), np.float32)
+            return generator.standard_normal((environments, columns), np.float32)
 
         observation, achieved = noise(signature.observation.size), noise(signature.achieved_goal.size)
         desired = noise(signature.desired_goal.size)
         for step in range(signature.max_steps):
             next_observation, reached = noise(signature.observation.size), noise(signature.achieved_goal.size)
-            self._episode.append(
+            if isinstance(actions, Discrete):
+                action: Any = generator.integers(len(actions.labels), size=(environments, 1))
+            else:
+                action = generator.uniform(-1, 1, (environments, actions.size))
+            self._steps.append(
                 Transitions(
-                    environment=np.arange(ENVIRONMENTS),
+                    environment=np.arange(environments),
                     observation=observation,
                     achieved_goal=achieved,
                     desired_goal=desired,
-                    action=noise(signature.action.size),
-                    reward=rule.reward(reached, desired),
+                    action=action.astype(np.float32),
+                    reward=rule.reward(reached, desired) if rule else -generator.random(environments, np.float32),
                     next_observation=next_observation,
                     next_achieved_goal=reached,
-                    terminated=rule.terminated(reached, desired),
-                    truncated=np.full(ENVIRONMENTS, step == signature.max_steps - 1),
+                    terminated=rule.terminated(reached, desired) if rule else np.zeros(environments, np.bool_),
+                    truncated=np.full(environments, step == signature.max_steps - 1),
                 )
             )
             observation, achieved = next_observation, reached
 
     def next(self) -> Transitions:
-        self._step += 1
-        return self._episode[(self._step - 1) % len(self._episode)]
+        self._count += 1
+        return self._steps[(self._count - 1) % len(self._steps)]
 
 
-def _filled(name: str, signature: Signature, source: _Source, transitions: int) -> Any:
+def filled_buffer(name: str, signature: Signature, source: NoiseEpisode, transitions: int, **settings: Any) -> Any:
+    """A full buffer that has been sampled once."""
     kind: Any = load("buffers", name)
-    settings = kind.Settings(capacity=transitions, hindsight={"strategy": "future", "ratio": 0.8})
-    buffer = kind(settings, signature, SeedTree(0), environments=ENVIRONMENTS, discount=0.95)
-    for _ in range(transitions // ENVIRONMENTS):
+    chosen, environments = kind.Settings(capacity=transitions, **settings), source.environments
+    buffer = kind(chosen, signature, SeedTree(0), environments=environments, discount=0.95)
+    for _ in range(transitions // environments):
         buffer.add(source.next())
     buffer.sample(BATCH)
     return buffer

@@ -130,14 +130,15 @@ def _add_steps(report: Report, recipe: Recipe, robot: str, task: str, amounts: A
             mode(orchestrator, 0.0)  # a world's first reset loads it
             wall, cpu = perf_counter(), process_time()
             found = mode(orchestrator, amounts.seconds)
-            if count and mode is lockstep:
+            if count and mode is steps_per_second:
                 costs[count].append((process_time() - cpu) / (perf_counter() - wall) / found)
         return found
 
+    modes = {"lockstep": steps_per_second, "asynchronous": asynchronous}
     contestants: dict[tuple[int, str], Callable[[int], float]] = {}
     for count in (0, *counts):
-        for mode in (lockstep, asynchronous):
-            contestants[count, mode.__name__] = partial(rate, count, mode)
+        for name, mode in modes.items():
+            contestants[count, name] = partial(rate, count, mode)
         contestants[count, "gymnasium"] = partial(_peer_steps, robot, task, count, amounts)
     rates = take_turns(contestants, turns=max(amounts.repeats // 2, 1))
     for (count, mode_name), found in rates.items():
@@ -157,11 +158,6 @@ def _add_steps(report: Report, recipe: Recipe, robot: str, task: str, amounts: A
         f"{best.steps_per_second:,.0f} steps/s, and {per_second[1]:,.0f} with one process."
     )
     report.advice.append("Threads do not speed PyBullet up: it holds Python's interpreter lock while it steps.")
-
-
-def lockstep(orchestrator: Orchestrator, seconds: float) -> float:
-    """Steps per second when each round waits for all environments."""
-    return steps_per_second(orchestrator, seconds)
 
 
 def asynchronous(orchestrator: Orchestrator, seconds: float) -> float:

@@ -21,10 +21,11 @@ import gymnasium
 import numpy as np
 
 from ..agents.device import synchronise, use_threads
-from ..core import Discrete, Field, Layout, Signature, Transitions
+from ..core import Discrete, Field, Layout, Signature
 from ..core.seeding import SeedTree
 from ..errors import MachineError
 from ..registry import load, names
+from .buffers import NoiseEpisode, filled_buffer
 from .side_by_side import Row, beside, take_turns
 
 NAME = "updates"
@@ -126,7 +127,7 @@ def _ours(name: str, device: str) -> Iterator[tuple[str, Update]]:
     """An agent in each of its precisions, with sampling and without."""
     plugin: Any = load("agents", name)
     signature = _signature(discrete=name == "dqn")
-    buffer = _filled_buffer(signature)
+    buffer = filled_buffer("uniform", signature, NoiseEpisode(signature, STORED // (20 * EPISODE)), STORED)
     has_precision = "precision" in plugin.Settings.model_fields
     for precision in PRECISIONS if has_precision else ("float32",):
         settings = {"hidden": HIDDEN, "discount": 0.99} | ({"precision": precision} if has_precision else {})
@@ -148,38 +149,6 @@ def _ours(name: str, device: str) -> Iterator[tuple[str, Update]]:
 def _signature(*, discrete: bool) -> Signature:
     action = Discrete(tuple(map(str, range(ACTIONS)))) if discrete else Layout((Field("action", ACTIONS),))
     return Signature(Layout((Field("observation", OBSERVED),)), action, EPISODE, reward_range=(-1.0, 0.0))
-
-
-def _filled_buffer(signature: Signature) -> Any:
-    """A uniform buffer full of noise, from 50 environments."""
-    plugin: Any = load("buffers", "uniform")
-    environments = STORED // (20 * EPISODE)
-    buffer = plugin(plugin.Settings(capacity=STORED), signature, SeedTree(0), environments=environments, discount=0.99)
-    generator = np.random.Generator(np.random.PCG64(0))
-    no_goal = np.zeros((environments, 0), np.float32)
-    observation = generator.standard_normal((environments, OBSERVED), np.float32)
-    for step in range(STORED // environments):
-        next_observation = generator.standard_normal((environments, OBSERVED), np.float32)
-        if isinstance(signature.action, Discrete):
-            action = generator.integers(ACTIONS, size=(environments, 1)).astype(np.float32)
-        else:
-            action = generator.uniform(-1, 1, (environments, ACTIONS)).astype(np.float32)
-        buffer.add(
-            Transitions(
-                environment=np.arange(environments),
-                observation=observation,
-                achieved_goal=no_goal,
-                desired_goal=no_goal,
-                action=action,
-                reward=-generator.random(environments, np.float32),
-                next_observation=next_observation,
-                next_achieved_goal=no_goal,
-                terminated=np.zeros(environments, np.bool_),
-                truncated=np.full(environments, step % EPISODE == EPISODE - 1),
-            )
-        )
-        observation = next_observation
-    return buffer
 
 
 def _peers(agents: Sequence[str], device: str) -> Iterator[tuple[tuple[str, str], Update]]:

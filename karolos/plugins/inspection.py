@@ -146,16 +146,10 @@ def _fields(layout: Layout | Discrete) -> list[Facts]:
 
 
 def _parameters(declared: Mapping[str, RandomizedParameter]) -> list[Facts]:
+    columns = ("nominal", "low", "high", "unit")
     return [
-        {
-            "parameter": name,
-            "nominal": parameter.nominal,
-            "low": parameter.low,
-            "high": parameter.high,
-            "unit": parameter.unit,
-            "what": parameter.description,
-        }
-        for name, parameter in declared.items()
+        {"parameter": name, **{key: getattr(one, key) for key in columns}, "what": one.description}
+        for name, one in declared.items()
     ]
 
 

@@ -11,7 +11,7 @@ import numpy as np
 from ...core import Agent, Batch, Discrete, Field, FloatArray, Layout, Rollout, Signature
 from ...core.seeding import SeedTree
 from ...errors import UsageError
-from .case import Candidate, demand, demand_same, state_differences
+from .case import Candidate, demand, demand_same, demand_same_state, demand_shape, state_differences
 
 CONTINUOUS = Signature(
     observation=Layout((Field("x", 4),)),
@@ -32,9 +32,7 @@ def actions_have_their_shape_and_range(one: Candidate) -> None:
         data = _batch(signature, 0, rows)
         for explore in (False, True):
             actions = agent.act(data.observation, data.desired_goal, explore=explore)
-            wanted = (rows, signature.action.size)
-            demand(actions.shape == wanted, f"the actions have the shape {actions.shape} instead of {wanted}")
-            demand(actions.dtype == np.float32, f"the actions are {actions.dtype} instead of float32")
+            demand_shape(actions, (rows, signature.action.size), "the array of actions", np.float32)
             if isinstance(signature.action, Discrete):
                 allowed, indices = set(range(len(signature.action.labels))), set(actions.ravel().tolist())
                 demand(indices <= allowed, f"the actions {sorted(indices)} are not among {sorted(allowed)}")
@@ -51,8 +49,7 @@ def without_exploration_acting_is_deterministic_and_draws_nothing(one: Candidate
     before = agent.state()
     first, second = (agent.act(data.observation, data.desired_goal, explore=False) for _ in range(2))
     demand_same(first, second, "actions for the same observations")
-    changed = state_differences(before, agent.state())
-    demand(not changed, f"acting without exploration changes the agent's state at {changed}")
+    demand_same_state(before, agent.state(), "acting changes the agent's state", "draw only when exploring")
 
 
 def metrics_are_scalars_and_priorities_one_per_transition(one: Candidate) -> None:
@@ -66,12 +63,8 @@ def metrics_are_scalars_and_priorities_one_per_transition(one: Candidate) -> Non
         demand(hasattr(value, "numel") and value.numel() == 1, f"the metric {name} is not a tensor with one number")
         demand(not value.requires_grad, f"the metric {name} requires a gradient: detach it")
     if priorities is not None:
-        found = np.asarray(priorities)
-        demand(
-            found.shape == (SIZE,),
-            f"the priorities have the shape {found.shape} instead of ({SIZE},)",
-        )
-        demand((found >= 0).all(), "a priority is negative")
+        demand_shape(np.asarray(priorities), (SIZE,), "the array of priorities")
+        demand((np.asarray(priorities) >= 0).all(), "a priority is negative")
 
 
 def the_same_seed_learns_the_same_and_another_does_not(one: Candidate) -> None:
@@ -82,8 +75,7 @@ def the_same_seed_learns_the_same_and_another_does_not(one: Candidate) -> None:
         for number in range(3):
             agent.learn(_experience(agent, signature, number))
         states.append(agent.state())
-    differing = state_differences(states[0], states[1])
-    demand(not differing, f"the same seed and batches lead to different states at {differing}: use the given seeds")
+    demand_same_state(states[0], states[1], "the same seed and batches lead to different states", "use the given seeds")
     demand(state_differences(states[0], states[2]), "another seed leads to the same state")
 
 
@@ -95,8 +87,7 @@ def learning_goes_on_bit_for_bit_from_a_saved_state(one: Candidate) -> None:
             agent.learn(_experience(agent, signature, number))
         if number == 1:
             second.load_state(first.state())
-    differing = state_differences(whole.state(), second.state())
-    demand(not differing, f"learning after load_state differs at {differing}: the state lacks something")
+    demand_same_state(whole.state(), second.state(), "learning after load_state differs", "the state is incomplete")
 
 
 def a_saved_state_does_not_change_with_the_agent(one: Candidate) -> None:
@@ -106,8 +97,7 @@ def a_saved_state_does_not_change_with_the_agent(one: Candidate) -> None:
     saved = agent.state()
     copy = deepcopy(saved)
     agent.learn(_experience(agent, signature, 1))
-    changed = state_differences(copy, saved)
-    demand(not changed, f"learning changes a state that was saved before, at {changed}: return copies")
+    demand_same_state(copy, saved, "learning changes a state that was saved before", "return copies")
     demand(state_differences(saved, agent.state()), "an update does not change the state")
 
 

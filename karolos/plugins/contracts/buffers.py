@@ -10,10 +10,11 @@ from ...core import Batch, Buffer, FloatArray, Rollout, Transitions
 from ...core.seeding import SeedTree
 from ...errors import KarolosError
 from .agents import CONTINUOUS as SIGNATURE
-from .case import Candidate, demand, demand_refusal, demand_same
+from .case import Candidate, demand, demand_refusal, demand_same, demand_same_fields, demand_shape
 
 ENVIRONMENTS = 3
 CALLS = 20
+ROLLOUT = CALLS * ENVIRONMENTS
 
 
 def a_batch_has_the_shapes_of_the_signature(one: Candidate) -> None:
@@ -27,13 +28,10 @@ def a_batch_has_the_shapes_of_the_signature(one: Candidate) -> None:
         if array is None:
             demand(field not in shapes, f"a batch lacks {field}")
             continue
-        demand(array.shape == shapes[field], f"{field} has the shape {array.shape} instead of {shapes[field]}")
-        wanted = np.int64 if field == "slot" else np.float32
-        demand(array.dtype == wanted, f"{field} is {array.dtype} instead of {np.dtype(wanted)}")
+        demand_shape(array, shapes[field], field, np.int64 if field == "slot" else np.float32)
     demand((batch.weight > 0).all(), "a weight is not positive")
-    demand(
-        ((batch.discount > 0) & (batch.discount <= 0.9)).all(), "a discount is not in (0, .9], where the agent's is .9"
-    )
+    allowed = (batch.discount > 0) & (batch.discount <= 0.9)
+    demand(allowed.all(), "a discount is not in (0, .9], where the agent's is .9")
     demand(set(batch.terminated) <= {0.0, 1.0}, "a value of terminated is neither 0 nor 1")
 
 
@@ -61,9 +59,8 @@ def sampling_goes_on_bit_for_bit_from_a_saved_state(one: Candidate) -> None:
     for buffer in (first, second):
         _feed(buffer, first=CALLS, calls=5)
     demand(len(first) == len(second), f"len() after load_state is {len(second)} instead of {len(first)}")
-    ours, theirs = _copied(first.sample(15)), _copied(second.sample(15))
-    for field, left, right in zip(Batch._fields, ours, theirs, strict=True):
-        demand_same(left, right, f"{field} of a batch after load_state")
+    batch = Batch(*map(np.array, first.sample(15)))  # a copy, because a buffer may return views
+    demand_same_fields(batch, second.sample(15), "a batch after load_state")
 
 
 def the_same_seed_samples_the_same_and_another_does_not(one: Candidate) -> None:
@@ -83,22 +80,15 @@ def a_rollout_has_the_shapes_of_the_signature_and_is_given_once(one: Candidate) 
     _feed(buffer, calls=CALLS - 1)
     demand(len(buffer) == 0, "len() is not 0 before the rollout is complete")
     _feed(buffer, first=CALLS - 1, calls=1)
-    demand(
-        len(buffer) == CALLS * ENVIRONMENTS,
-        f"len() of a complete rollout is {len(buffer)} instead of {CALLS * ENVIRONMENTS}",
-    )
+    demand(len(buffer) == ROLLOUT, f"len() of a complete rollout is {len(buffer)} instead of {ROLLOUT}")
     rollout = buffer.sample(len(buffer))
     size = CALLS, ENVIRONMENTS
-    columns = {"observation": 4, "next_observation": 4, "desired_goal": 2, "action": 2}
+    columns = {"observation": (4,), "next_observation": (4,), "desired_goal": (2,), "action": (2,)}
     for field in Rollout._fields:
-        wanted = (*size, columns[field]) if field in columns else size
-        found = getattr(rollout, field).shape
-        demand(found == wanted, f"{field} has the shape {found} instead of {wanted}")
-    demand_same(
-        rollout.reward.ravel(), np.arange(CALLS * ENVIRONMENTS), "rewards in the order in which they were added"
-    )
+        demand_shape(getattr(rollout, field), (*size, *columns.get(field, ())), field)
+    demand_same(rollout.reward.ravel(), np.arange(ROLLOUT), "rewards in the order in which they were added")
     demand(len(buffer) == 0, "len() is not 0 after the rollout was returned")
-    demand_refusal(lambda: buffer.sample(CALLS * ENVIRONMENTS), KarolosError, "a rollout is returned twice")
+    demand_refusal(lambda: buffer.sample(ROLLOUT), KarolosError, "a rollout is returned twice")
 
 
 def a_rollout_goes_on_bit_for_bit_from_a_saved_state(one: Candidate) -> None:
@@ -109,9 +99,7 @@ def a_rollout_goes_on_bit_for_bit_from_a_saved_state(one: Candidate) -> None:
     second.load_state(first.state())
     for buffer in (first, second):
         _feed(buffer, first=CALLS // 2, calls=CALLS - CALLS // 2)
-    ours, theirs = (buffer.sample(len(buffer)) for buffer in (first, second))
-    for field, left, right in zip(Rollout._fields, ours, theirs, strict=True):
-        demand_same(left, right, f"{field} of a rollout after load_state")
+    demand_same_fields(first.sample(len(first)), second.sample(len(second)), "a rollout after load_state")
 
 
 REPLAY = (
@@ -154,7 +142,3 @@ def _feed(buffer: Buffer[Any], *, first: int = 0, calls: int = CALLS) -> None:
                 truncated=np.full(ENVIRONMENTS, call % 10 == 9),
             )
         )
-
-
-def _copied(batch: Batch) -> Batch:
-    return Batch(*(np.array(field) for field in batch))

@@ -95,6 +95,24 @@ def demand_same(first: object, second: object, what: str) -> None:
         raise AssertionError(f"{what} differ: {np.atleast_1d(one)[place]} and {np.atleast_1d(other)[place]} at {place}")
 
 
+def demand_shape(found: Any, shape: tuple[int, ...], what: str, dtype: type[np.generic] | None = None) -> None:
+    """Raise AssertionError unless an array has this shape and, if given, this dtype."""
+    demand(found.shape == shape, f"{what} has the shape {found.shape} instead of {shape}")
+    demand(dtype in (None, found.dtype), f"{what} is {found.dtype} instead of {np.dtype(dtype)}")
+
+
+def demand_same_fields(first: Any, second: Any, what: str) -> None:
+    """Raise AssertionError unless the fields of two named tuples are equal bit for bit."""
+    for name, one, other in zip(first._fields, first, second, strict=True):
+        demand_same(one, other, f"{name} of {what}")
+
+
+def demand_same_state(first: object, second: object, what: str, hint: str) -> None:
+    """Raise AssertionError with the paths at which two nested states differ."""
+    paths = state_differences(first, second)
+    demand(not paths, f"{what} at {paths}: {hint}")
+
+
 def demand_refusal(call: Callable[[], object], error: type[Exception], otherwise: str) -> None:
     """Raise AssertionError with the message `otherwise` unless the call raises this error."""
     try:

@@ -2,13 +2,12 @@
 
 from __future__ import annotations
 
-from collections.abc import Iterator
-from contextlib import contextmanager
+from contextlib import closing
 
 import numpy as np
 
-from ...core import Environment, Step, random_actions
-from .case import Candidate, demand, demand_refusal, demand_same
+from ...core import Environment, FloatArray, Step, random_actions
+from .case import Candidate, demand, demand_refusal, demand_same, demand_same_fields, demand_shape
 from .joined import build
 
 STARTS = 300
@@ -17,25 +16,22 @@ STARTS = 300
 
 def the_same_seed_gives_the_same_trajectory_in_a_fresh_and_in_a_used_environment(*who: Candidate) -> None:
     """A seed and the actions determine an episode bit for bit, whatever the environment did before."""
-    with _made(who) as environment, _made(who) as fresh:
+    with closing(build(*who)) as environment, closing(build(*who)) as fresh:
         first = _played(environment, 3)
         _played(environment, 4)
         environment.reset(5)  # an episode that is left unfinished
         environment.step(_actions(environment, 0, 1)[0])
         for what, used in (("in a used environment", environment), ("in a fresh environment", fresh)):
             again = _played(used, 3)
-            demand(
-                len(again) == len(first),
-                f"an episode of the same seed has {len(again) - 1} instead of {len(first) - 1} steps {what}",
-            )
-            for place, (one, other) in enumerate(zip(first, again, strict=True)):
-                for field, left, right in zip(Step._fields, one, other, strict=True):
-                    demand_same(left, right, f"{field} of step {place} {what}")
+            counts = f"{len(again) - 1} instead of {len(first) - 1}"
+            demand(len(again) == len(first), f"an episode of the same seed has {counts} steps {what}")
+            for number, (one, other) in enumerate(zip(first, again, strict=True)):
+                demand_same_fields(one, other, f"step {number} {what}")
 
 
 def different_seeds_give_different_episodes(*who: Candidate) -> None:
     """Different seeds give different first observations or goals."""
-    with _made(who) as environment:
+    with closing(build(*who)) as environment:
         starts = [environment.reset(seed) for seed in range(4)]
         different = {(step.observation.tobytes(), step.desired_goal.tobytes()) for step in starts}
         demand(len(different) == 4, f"4 seeds give {len(different)} different starts")
@@ -43,31 +39,24 @@ def different_seeds_give_different_episodes(*who: Candidate) -> None:
 
 def steps_are_as_the_signature_says(*who: Candidate) -> None:
     """Observations and goals have the signature's shapes in float32, rewards are in its range, and a reset gives 0."""
-    with _made(who) as environment:
+    with closing(build(*who)) as environment:
         signature = environment.signature
         steps = _played(environment, 7)
         low, high = signature.reward_range
         for step in steps:
             for field in ("observation", "achieved_goal", "desired_goal"):
-                array, wanted = getattr(step, field), (getattr(signature, field).size,)
-                demand(array.shape == wanted, f"{field} has the shape {array.shape} instead of {wanted}")
-                demand(array.dtype == np.float32, f"{field} is {array.dtype} instead of float32")
+                demand_shape(getattr(step, field), (getattr(signature, field).size,), field, np.float32)
             demand(low <= step.reward <= high, f"the reward {step.reward} is outside {signature.reward_range}")
         demand(steps[0].reward == 0, f"a reset gives the reward {steps[0].reward} instead of 0")
         demand(not steps[0].terminated and not steps[0].truncated, "a reset ends its episode")
-        demand(
-            len(steps) - 1 <= signature.max_steps,
-            f"an episode has {len(steps) - 1} steps, more than max_steps {signature.max_steps}",
-        )
-        demand(
-            environment.parameters().shape == (signature.parameters.size,),
-            "parameters() does not have the size of its layout",
-        )
+        count, most = len(steps) - 1, signature.max_steps
+        demand(count <= most, f"an episode has {count} steps, more than max_steps {most}")
+        demand_shape(environment.parameters(), (signature.parameters.size,), "the result of parameters()")
 
 
 def an_episode_ends_once_and_no_step_follows(*who: Candidate) -> None:
     """An episode is terminated or truncated, never both, and a step after its end raises RuntimeError."""
-    with _made(who) as environment:
+    with closing(build(*who)) as environment:
         steps = _played(environment, 8)
         ends = [bool(step.terminated or step.truncated) for step in steps]
         demand(ends[-1], f"the episode has not ended after {len(steps) - 1} steps")
@@ -78,18 +67,17 @@ def an_episode_ends_once_and_no_step_follows(*who: Candidate) -> None:
 
 def a_step_stays_as_it_was_returned(*who: Candidate) -> None:
     """Later steps and resets do not change the arrays of an earlier step."""
-    with _made(who) as environment:
+    with closing(build(*who)) as environment:
         step = environment.reset(1)
-        copies = [np.copy(value) for value in step]
+        copies = Step(*map(np.copy, step))
         environment.step(_actions(environment, 1, 1)[0])
         environment.reset(2)
-        for field, before, after in zip(Step._fields, copies, step, strict=True):
-            demand_same(before, after, f"{field} of a step before and after the next step")
+        demand_same_fields(copies, step, "a step before and after the next step")
 
 
 def the_goal_rule_gives_the_rewards_and_ends_of_the_steps(*who: Candidate) -> None:
     """The goal rule, if there is one, gives the reward, success and termination of every step."""
-    with _made(who) as environment:
+    with closing(build(*who)) as environment:
         rule = environment.signature.goal_rule
         if rule is None:
             return
@@ -104,14 +92,14 @@ def the_goal_rule_gives_the_rewards_and_ends_of_the_steps(*who: Candidate) -> No
 
 def the_goal_is_never_reached_at_the_start(*who: Candidate) -> None:
     """The goal is not reached at the start of an episode."""
-    with _made(who) as environment:
+    with closing(build(*who)) as environment:
         solved = [seed for seed in range(STARTS) if environment.reset(seed).success]
         demand(not solved, f"{len(solved)} of {STARTS} seeds begin at their goal, e.g. {solved[:1]}")
 
 
 def closing_twice_is_safe(*who: Candidate) -> None:
     """`close` may be called twice."""
-    with _made(who) as environment:
+    with closing(build(*who)) as environment:
         environment.reset(0)
         environment.close()
 
@@ -128,19 +116,7 @@ PROMISES = (
 )
 
 
-@contextmanager
-def _made(who: tuple[Candidate, ...]) -> Iterator[Environment]:
-    """The environment, or the one that a robot and a task make."""
-    environment = build(*who)
-    try:
-        yield environment
-    finally:
-        environment.close()
-
-
-def _actions(
-    environment: Environment, seed: int, count: int | None = None
-) -> np.ndarray[tuple[int, ...], np.dtype[np.float32]]:
+def _actions(environment: Environment, seed: int, count: int | None = None) -> FloatArray:
     generator = np.random.default_rng(seed)
     return random_actions(environment.signature, count or environment.signature.max_steps, generator)
 
