@@ -67,7 +67,7 @@ def sweep(
 
 def report(outcome: SweepOutcome, *, quiet: bool, json: bool) -> None:
     """Print the trials on stdout, and the best of them on stderr."""
-    objectives = outcome.objectives
+    objectives = outcome.sweep.objectives
     if json or not quiet:
         rows = (trial_row(trial, objectives, outcome.sweep.space, outcome.final) for trial in outcome.trials)
         print_rows(rows, json=json)

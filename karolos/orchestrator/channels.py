@@ -29,7 +29,8 @@ class Channel:
         self.connection = connection
         self.ids = ids
         self.ready = False
-        self._pending: deque[Group] = deque()
+        self.pending: deque[Group] = deque()
+        """The groups of the commands without an answer, oldest first."""
         self._backlog: list[bytes] = []
         self._sent = 0
         self._progress = (-1, -1)
@@ -38,11 +39,11 @@ class Channel:
     @property
     def busy(self) -> bool:
         """Whether an answer is missing: to a command, or the first one after building."""
-        return bool(self._pending) or not self.ready
+        return bool(self.pending) or not self.ready
 
     def send(self, message: bytes, group: Group) -> None:
         """Send a command for a group, or queue it until the channel is ready. Ignores a closed connection."""
-        self._pending.append(group)
+        self.pending.append(group)
         self._sent += 1
         self._backlog.append(message)
         if self.ready:
@@ -62,10 +63,6 @@ class Channel:
             return self.connection.recv_bytes()
         except (EOFError, OSError):
             return None
-
-    def answered(self) -> Group:
-        """The group of the oldest pending command, which the last message answers."""
-        return self._pending.popleft()
 
     def stalled_seconds(self, arrays: EnvironmentArrays | None, now: float) -> float:
         """Seconds without a completed command; 0 for an idle channel."""

@@ -141,11 +141,11 @@ class WorkerPool(Backend):
         elif not channel.ready:
             self._connect(channel, message, answers)
         elif message[:1] == DONE:
-            answers.done.append(channel.answered())
+            answers.done.append(channel.pending.popleft())
         else:
             failed = pickle.loads(message[1:])
             answers.failures.extend(Failure(np.array([index]), error) for index, error in failed)
-            answers.done.append(Group.of(np.setdiff1d(channel.answered().ids, [index for index, _ in failed])))
+            answers.done.append(Group.of(np.setdiff1d(channel.pending.popleft().ids, [index for index, _ in failed])))
 
     def _connect(self, channel: Channel, message: bytes, answers: Answers) -> None:
         """Handle a channel's first message: the signature of its environments, or why they could not be built."""

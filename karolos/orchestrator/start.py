@@ -76,8 +76,14 @@ def start_worker(number: int, recipe: bytes, ids: Sequence[range], size: int) ->
 
     Raises OSError or EOFError if the machine cannot start a process.
     """
-    context = _context()
-    context.set_forkserver_preload(_preload(recipe))
+    context: ForkServerContext | SpawnContext = (
+        multiprocessing.get_context("forkserver")
+        if START_METHOD == "forkserver"
+        else multiprocessing.get_context("spawn")
+    )
+    # Only karolos modules that the recipe needs: others may start threads, which do not survive a fork.
+    needed = sorted(name for name in _modules(recipe) if name.startswith("karolos."))
+    context.set_forkserver_preload([work.__module__, *needed])
     pairs = [context.Pipe() for _ in ids]
     theirs = [end for _, end in pairs]
     process = context.Process(
@@ -96,17 +102,6 @@ def start_worker(number: int, recipe: bytes, ids: Sequence[range], size: int) ->
         for end in theirs:
             end.close()  # so that the connection ends when the worker does
     return process, [end for end, _ in pairs]
-
-
-def _context() -> ForkServerContext | SpawnContext:
-    if START_METHOD == "forkserver":
-        return multiprocessing.get_context("forkserver")
-    return multiprocessing.get_context("spawn")
-
-
-def _preload(recipe: bytes) -> list[str]:
-    """Karolos modules that the recipe needs. Other modules may start threads, which do not survive a fork."""
-    return [work.__module__, *sorted(name for name in _modules(recipe) if name.startswith("karolos."))]
 
 
 @contextmanager

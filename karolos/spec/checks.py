@@ -14,39 +14,32 @@ ROBOT_TASK = "robot_task"
 
 
 def environment_problems(tree: Node) -> list[Located]:
-    """Robot and task need each other, and the environment robot_task."""
-    robot, task, environment = tree.get("robot"), tree.get("task"), tree.get("environment")
+    """Robot and task require each other, and the environment robot_task."""
+    given = {key: node for key in ("robot", "task") if (node := tree.get(key)) is not None}
+    missing = [key for key in ("robot", "task") if key not in given]
+    environment = tree.get("environment")
     if environment is None:
-        return _without_environment(tree, robot, task)
+        if any(_misspelt(tree, key) for key in ("robot", "task", "environment")):
+            return []  # validation reports the misspelt key, which may be the only problem
+        if not given:
+            return [Located(tree.at, "", "has no environment", "give robot and task, or environment")]
+        return [
+            Located(node.place, key, f"requires a {missing[0]}", f"add {missing[0]}") for key, node in given.items()
+        ]
     name = _name(environment)
     if name is None:
         return []
     if name == ROBOT_TASK:
-        missing = [key for key in ("robot", "task") if tree.get(key) is None and not _misspelt(tree, key)]
-        if not missing:
-            return []
-        what = f"{ROBOT_TASK} requires a {' and a '.join(missing)}"
-        return [Located(environment.place, "environment", what, f"add {' and '.join(missing)}")]
-    problems = [
-        Located(node.place, key, f"requires environment {ROBOT_TASK}, not {name!r}", f"remove {key}, or write null")
-        for key, node in (("robot", robot), ("task", task))
-        if node is not None
-    ]
+        missing = [key for key in missing if not _misspelt(tree, key)]
+        what, hint = f"{ROBOT_TASK} requires a {' and a '.join(missing)}", f"add {' and '.join(missing)}"
+        return [Located(environment.place, "environment", what, hint)] if missing else []
+    what = f"requires environment {ROBOT_TASK}, not {name!r}"
+    problems = [Located(node.place, key, what, f"remove {key}, or write null") for key, node in given.items()]
     drawn = tree.get("randomization")
     if drawn is not None and drawn.mapping:
         what = f"environment {name!r} has no robot or task to randomize"
         problems.append(Located(drawn.place, "randomization", what, "remove it, or write null"))
     return problems
-
-
-def _without_environment(tree: Node, robot: Node | None, task: Node | None) -> list[Located]:
-    if any(_misspelt(tree, key) for key in ("robot", "task", "environment")):
-        return []  # validation reports the misspelt key, which may be the only problem
-    if robot is None and task is None:
-        return [Located(tree.at, "", "has no environment", "give robot and task, or environment")]
-    given, key, other = (robot, "robot", "task") if robot is not None else (task, "task", "robot")
-    assert given is not None  # one of the two is
-    return [Located(given.place, key, f"requires a {other}", f"add {other}")]
 
 
 def pairing_problems(tree: Node) -> list[Located]:

@@ -85,29 +85,29 @@ class SpecFiles:
 
     def _base(self, target: Node, path: Path, name: str, above: tuple[Path, ...]) -> Node | None:
         """The tree of a file that `path` extends; None after recording a problem."""
-        found = (path.parent / target.value.replace("\0", "?")).resolve()
-        wrong = self._unfit(target.value, found, above)
+        file = (path.parent / target.value.replace("\0", "?")).resolve()
+        wrong = self._extends_problem(target.value, file, above)
         if wrong:
             self.broken.append(Located(target.at, "extends", *wrong))
             return None
         try:
-            return self._load(found, os.path.normpath(os.path.join(os.path.dirname(name), target.value)), above)
+            return self._load(file, os.path.normpath(os.path.join(os.path.dirname(name), target.value)), above)
         except BrokenTextError as broken:
             self.broken.append(broken.problem)
             return None
 
-    def _unfit(self, target: str, found: Path, above: tuple[Path, ...]) -> tuple[str, str | None] | None:
+    def _extends_problem(self, target: str, file: Path, above: tuple[Path, ...]) -> tuple[str, str | None] | None:
         """The problem and hint if a file cannot be extended; otherwise None."""
         tree = spec_tree(self.root)
-        if not found.is_relative_to(tree):
+        if not file.is_relative_to(tree):
             return f"{shown(target)} is outside {shown(os.fspath(tree))}", "extend files of that folder"
-        if found in above:
-            chain = " -> ".join(shown(file.name) for file in (*above[above.index(found) :], found))
+        if file in above:
+            chain = " -> ".join(shown(one.name) for one in (*above[above.index(file) :], file))
             return f"is a circle: {chain}", "remove one of them"
         if len(above) >= MAX_CHAIN:
             return f"more than {MAX_CHAIN} files in a row extend each other", None
-        missing = _unreadable(found)
-        return (f"{shown(target)}: {missing}", _similar(found)) if missing else None
+        missing = _unreadable(file)
+        return (f"{shown(target)}: {missing}", _similar(file)) if missing else None
 
 
 def spec_tree(root: Path) -> Path:

@@ -34,6 +34,7 @@ _WORDS = (
     (" a valid ", " a "),
     (" a integer", " an integer"),
 )
+AGENT_HINT = "name a learning algorithm, e.g. `agent: sac`"
 _LENGTH = ("too_short", "too_long")
 _UNSHOWN = ("value_error", "assertion_error", "unknown_name", "missing_name", "part_type", *_LENGTH)
 """Errors whose message does not show the value."""
@@ -54,21 +55,23 @@ def validate(tree: Node) -> tuple[Spec | None, list[Located]]:
 
 def _located_problems(error: ValidationError, tree: Node) -> list[Located]:
     """One problem for each mistake, at its key or value."""
-    found: dict[Path, list[dict[str, Any]]] = {}
-    forked: set[Path] = set()
+    errors: dict[Path, list[dict[str, Any]]] = {}
+    union_paths: set[Path] = set()
     for entry in error.errors(include_url=False):
         path, tagged = _untagged(tree, entry["loc"], entry["type"])
-        found.setdefault(path, []).append(dict(entry))
+        errors.setdefault(path, []).append(dict(entry))
         if tagged:
-            forked.add(path)
-    for path in list(found):
-        deeper = any(other != path and other[: len(path)] == path for other in found)
-        if deeper and (path in forked or found[path][0]["type"] in _LENGTH):
-            del found[path]  # a less specific error of a union's member; the length of a list without its invalid items
-    unknown = [path for path, entries in found.items() if entries[0]["type"] == "extra_forbidden"]
+            union_paths.add(path)
+    for path in list(errors):
+        deeper = any(other != path and other[: len(path)] == path for other in errors)
+        if deeper and (path in union_paths or errors[path][0]["type"] in _LENGTH):
+            del errors[
+                path
+            ]  # a less specific error of a union's member; the length of a list without its invalid items
+    unknown = [path for path, entries in errors.items() if entries[0]["type"] == "extra_forbidden"]
     return [
         _problem(tree, path, entries)
-        for path, entries in found.items()
+        for path, entries in errors.items()
         if entries[0]["type"] != "missing" or not _reported_elsewhere(path, unknown)
     ]
 
@@ -107,7 +110,7 @@ def _problem(tree: Node, path: Path, entries: list[dict[str, Any]]) -> Located:
         hint = alternatives(str(path[-1]), allowed) if allowed else None
         return Located(place, text, "no such key", hint)
     if kind == "missing":
-        return Located(place, text, "is missing", _missing_hint(path))
+        return Located(place, text, "is missing", AGENT_HINT if path == ("agent",) else None)
     messages = list(dict.fromkeys(_reworded(entry["msg"]) for entry in entries))
     whats = [messages[0], *(message.removeprefix("should be ") for message in messages[1:])]
     what = " or ".join(whats)
@@ -130,12 +133,6 @@ def _place(tree: Node, path: Path, kind: str, *, at_key: bool) -> Mark:
         whole = at_key or kind == "extra_forbidden"
     mark = node.place if whole else node.at
     return tree.at if mark == DEFAULT else mark
-
-
-def _missing_hint(path: Path) -> str | None:
-    if path == ("agent",):
-        return "name a learning algorithm, e.g. `agent: sac`"
-    return None
 
 
 def _pattern_hint(path: Path) -> str:
@@ -196,7 +193,7 @@ def _keys(models: list[type[BaseModel]], path: Path) -> list[str]:
     for step in path:
         if isinstance(step, str):
             fields = [model.model_fields[step] for model in models if step in model.model_fields]
-            models = [found for field in fields for found in models_in(field.annotation)]
+            models = [model for field in fields for model in models_in(field.annotation)]
     return list(dict.fromkeys(name for model in models for name in model.model_fields))
 
 

@@ -26,7 +26,7 @@ def spec_schema() -> tuple[Schema, list[PluginError]]:
     broken: list[PluginError] = []
     properties: Schema = {
         "extends": {
-            "description": "spec files to lay this one over, relative to it; later ones win",
+            "description": "spec files to merge this one into, relative to it; later ones have priority",
             "anyOf": [{"type": "string"}, {"type": "array", "items": {"type": "string"}}],
         },
         "name": {"type": "string", "pattern": NAME},
@@ -62,7 +62,7 @@ def spec_schema() -> tuple[Schema, list[PluginError]]:
 
 def _part(kind: str, definitions: Schema, broken: list[PluginError]) -> Schema:
     """A name, or a mapping with the settings of the named plugin."""
-    found, cases = [], []
+    installed, cases = [], []
     for name in names(kind):
         try:
             settings = load(kind, name).Settings
@@ -76,13 +76,13 @@ def _part(kind: str, definitions: Schema, broken: list[PluginError]) -> Schema:
             continue
         entry["properties"] = {"name": {"const": name}, **entry.get("properties", {})}
         definitions[f"{kind}.{name}"] = entry
-        found.append(name)
+        installed.append(name)
         named = {"properties": {"name": {"const": name}}, "required": ["name"]}
         cases.append({"if": {"type": "object", **named}, "then": {"$ref": f"#/$defs/{kind}.{name}"}})
-    mapping: Schema = {"type": "object", "properties": {"name": {"enum": found}}}
+    mapping: Schema = {"type": "object", "properties": {"name": {"enum": installed}}}
     if cases:
         mapping["allOf"] = cases
-    return {"anyOf": [{"enum": found}, mapping]}
+    return {"anyOf": [{"enum": installed}, mapping]}
 
 
 def _settings(model: type[BaseModel], name: str, definitions: Schema) -> Schema:
@@ -98,7 +98,5 @@ def _settings(model: type[BaseModel], name: str, definitions: Schema) -> Schema:
 def _or_null(schema: Schema) -> Schema:
     """The schema with null, which removes a key, also one of an extended file."""
     description = schema.pop("description", None)
-    either = (
-        {"anyOf": [*schema["anyOf"], {"type": "null"}]} if "anyOf" in schema else {"anyOf": [schema, {"type": "null"}]}
-    )
+    either = {"anyOf": [*schema.get("anyOf", [schema]), {"type": "null"}]}
     return {"description": description, **either} if description else either

@@ -53,7 +53,7 @@ class SweepParameter(Settings):
     )
 
     @model_validator(mode="after")
-    def _sound(self) -> SweepParameter:
+    def _one_range_or_choice(self) -> SweepParameter:
         given = [name for name in ("float", "int", "choice") if getattr(self, name) is not None]
         if len(given) != 1:
             raise ValueError(f"takes one of float, int and choice, not {' and '.join(given) or 'none'}")
@@ -181,13 +181,13 @@ class Sweep(Settings):
     final: FinalSettings | None = Setting(None, description="choose and report the best trial on new seeds; null: off")
 
     @model_validator(mode="after")
-    def _fitting(self) -> Sweep:
+    def _consistent(self) -> Sweep:
         if self.pruner is not None and len(self.objectives) > 1:
             raise ValueError("the pruner compares one objective, and there are several; remove it")
         if self.sampler == "grid":
-            loose = [key for key, one in self.space.items() if one.float is not None and one.points is None]
-            if loose:
-                raise ValueError(f"a grid needs `points` for {loose[0]}, or a choice")
+            without_points = [key for key, one in self.space.items() if one.float is not None and one.points is None]
+            if without_points:
+                raise ValueError(f"a grid needs `points` for {without_points[0]}, or a choice")
         return self
 
     @property
@@ -196,14 +196,14 @@ class Sweep(Settings):
 
     def order(self) -> list[str]:
         """The parameters, each after those in its `when`; without parameters in a circle."""
-        found: dict[str, None] = {}
+        ordered: dict[str, None] = {}
         while more := [
             key
             for key, one in self.space.items()
-            if key not in found and all(on in found or on not in self.space for on in one.when)
+            if key not in ordered and all(on in ordered or on not in self.space for on in one.when)
         ]:
-            found.update(dict.fromkeys(more))
-        return list(found)
+            ordered.update(dict.fromkeys(more))
+        return list(ordered)
 
     def is_active(self, key: str, drawn: Mapping[str, Any]) -> bool:
         """Whether a parameter is searched in a trial with these drawn values."""

@@ -119,25 +119,25 @@ class _Reader:
         for event in events:
             if isinstance(event, yaml.DocumentStartEvent):
                 if seen:
-                    self._break(event, "a second document", "a spec is one document; remove `---`")
+                    self._fail(event, "a second document", "a spec is one document; remove `---`")
                 seen = True
             elif isinstance(event, yaml.NodeEvent):
                 root = self._node(event, events, 0)
-                if _nothing(event):
+                if _is_empty(event):
                     root = None
         return root
 
     def _node(self, event: Any, events: Iterator[Any], depth: int) -> Node:
-        begun = self._count
+        count_before = self._count
         self._add(event, 1)
         if depth > MAX_DEPTH:
-            self._break(event, f"nested deeper than {MAX_DEPTH} levels")
+            self._fail(event, f"nested deeper than {MAX_DEPTH} levels")
         if isinstance(event, yaml.AliasEvent):
             return self._alias(event)
         if event.anchor:
             self._anchors[event.anchor] = None
         if event.tag and event.tag != "!":  # a lone ! means that the scalar is a string
-            self._tell(event, f"the tag {shown(event.tag)} is not allowed", "write the plain value")
+            self._report(event, f"the tag {shown(event.tag)} is not allowed", "write the plain value")
         if isinstance(event, yaml.ScalarEvent):
             node = self._scalar(event)
         elif isinstance(event, yaml.SequenceStartEvent):
@@ -145,7 +145,7 @@ class _Reader:
         else:
             node = self._mapping(event, events, depth)
         if event.anchor:
-            self._anchors[event.anchor] = (node, self._count - begun)
+            self._anchors[event.anchor] = (node, self._count - count_before)
         return node
 
     def _scalar(self, event: Any) -> Node:
@@ -155,7 +155,7 @@ class _Reader:
         try:
             return Node(scalar(event.value), mark)
         except ValueError as error:
-            self._tell(event, str(error))
+            self._report(event, str(error))
             return Node(0, mark)
 
     def _list(self, event: Any, events: Iterator[Any], depth: int) -> Node:
@@ -172,40 +172,40 @@ class _Reader:
             mark = self._mark(entry)
             if not isinstance(key.value, str):
                 written = shown(repr(key.plain()))
-                self._tell(entry, f"the key {written} is not a string", "put it in quotes if it is meant as a name")
+                self._report(entry, f"the key {written} is not a string", "put it in quotes if it is meant as a name")
             elif key.value in entries:
                 first = entries[key.value].place
-                self._tell(entry, f"duplicate key {shown(key.value)!r}, first at {first}", "remove one of them")
+                self._report(entry, f"duplicate key {shown(key.value)!r}, first at {first}", "remove one of them")
             else:
                 entries[key.value] = value.with_key(mark)
         return Node(entries, self._mark(event))
 
     def _alias(self, event: Any) -> Node:
         if event.anchor not in self._anchors:
-            self._break(event, f"no anchor &{shown(event.anchor)} before this alias")
-        found = self._anchors[event.anchor]
-        if found is None:
-            self._break(event, f"the alias *{shown(event.anchor)} is inside its own anchor")
-        node, count = found
+            self._fail(event, f"no anchor &{shown(event.anchor)} before this alias")
+        anchored = self._anchors[event.anchor]
+        if anchored is None:
+            self._fail(event, f"the alias *{shown(event.anchor)} is inside its own anchor")
+        node, count = anchored
         self._add(event, count)
         return node
 
     def _add(self, event: Any, count: int) -> None:
         self._count += count
         if self._count > MAX_NODES:
-            self._break(event, f"more than {MAX_NODES} values, aliases expanded", "write a spec without them")
+            self._fail(event, f"more than {MAX_NODES} values, aliases expanded", "write a spec without them")
 
     def _mark(self, event: Any) -> Mark:
         return self.place(event.start_mark) if self.lines else Mark(self.source, rank=self.rank)
 
-    def _tell(self, event: Any, what: str, hint: str | None = None) -> None:
+    def _report(self, event: Any, what: str, hint: str | None = None) -> None:
         self.problems.append(Located(self.place(event.start_mark), "", what, hint))
 
-    def _break(self, event: Any, what: str, hint: str | None = None) -> NoReturn:
+    def _fail(self, event: Any, what: str, hint: str | None = None) -> NoReturn:
         raise BrokenTextError(Located(self.place(event.start_mark), "", what, hint))
 
 
-def _nothing(event: Any) -> bool:
+def _is_empty(event: Any) -> bool:
     """Whether the event is the null of an empty document."""
     return type(event) is yaml.ScalarEvent and not (event.value or event.style or event.tag or event.anchor)
 

@@ -29,10 +29,6 @@ class SweepOutcome:
     stop_code: int = 0
 
     @property
-    def objectives(self) -> tuple[str, ...]:
-        return self.sweep.objectives
-
-    @property
     def exit_code(self) -> int:
         """0: at least one trial is complete; 1: no trial is; 128 + signal or 124: stopped before the end."""
         done = sum(trial.state != "running" for trial in self.trials)

@@ -19,7 +19,6 @@ import time
 from collections.abc import Iterable
 from datetime import UTC, datetime
 from pathlib import Path
-from types import TracebackType
 
 from ..errors import RunError, UsageError
 from ..files import FileLock, append_lines, write_json, write_whole, writing
@@ -83,9 +82,7 @@ class SweepFolder:
             raise
         return self
 
-    def __exit__(
-        self, kind: type[BaseException] | None, error: BaseException | None, trace: TracebackType | None
-    ) -> None:
+    def __exit__(self, *_: object) -> None:
         self._lock.release()
 
     def write_trials(self, trials: Iterable[Trial]) -> None:
@@ -108,7 +105,10 @@ class SweepFolder:
             write_json(path, final.row())
 
     def _claim(self) -> None:
-        """Write the spec, and raise if the folder belongs to a sweep with other settings."""
+        """Write the spec, and the description with the id and time of the first call.
+
+        Raises UsageError if the folder belongs to a sweep with other settings.
+        """
         path = self.path / "sweep.yaml"
         if path.exists() and _fingerprint(load_spec(path)) != _fingerprint(self._spec):
             raise UsageError(
@@ -117,10 +117,6 @@ class SweepFolder:
                 hint="give this one another name (name=...), or remove that folder",
             )
         write_whole(path, to_yaml(self._spec.dump()))
-        write_json(self.path / DESCRIPTION, self._described().description())
-
-    def _described(self) -> SweepRecord:
-        """The content of sweep.json; id and time are those of the first call."""
         sweep = self._spec.sweep
         assert sweep is not None  # only such a spec has a folder
         now = datetime.now(UTC)
@@ -128,7 +124,7 @@ class SweepFolder:
         if (self.path / DESCRIPTION).exists():
             known = read_sweep_description(self.path)
             identity, created = known.sweep, known.created
-        return SweepRecord(
+        record = SweepRecord(
             sweep=identity,
             name=self._spec.name,
             experiment=self._spec.hash(),
@@ -141,6 +137,7 @@ class SweepFolder:
             created=created,
             folder=str(self.path),
         )
+        write_json(self.path / DESCRIPTION, record.description())
 
     def _await_orphans(self) -> None:
         deadline = time.monotonic() + ORPHAN_SECONDS

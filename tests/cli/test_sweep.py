@@ -103,7 +103,7 @@ def test_rows_and_words_tell_what_was_chosen_and_how_far_to_trust_it(home, capsy
     )
     final = SweepFinal(0, (2,), (3, 4), (0.9,), {0: (0.8,)}, (0.75,))
     outcome = SweepOutcome(search, trials, 2, trials[0], trials[:1], final, home)
-    display = SweepDisplay(outcome.objectives, quiet=False)
+    display = SweepDisplay(outcome.sweep.objectives, quiet=False)
     for place, trial in enumerate(trials):
         display(TrialBegan(trial))
         display(TrialEnded(trial, place + 1, 2))
