@@ -10,6 +10,7 @@ order, mappings as plain dictionaries, tensors on the CPU. Torch is imported whe
 from __future__ import annotations
 
 import hashlib
+import io
 import os
 import pickle
 from collections.abc import Mapping
@@ -111,6 +112,23 @@ def read_state(path: Path, facts: Any, arrays: ArrayFiles) -> State:
         ) from error
     if not isinstance(state, dict):
         raise damaged(path, "it does not hold a state")
+    return state
+
+
+def pack_state(state: State) -> bytes:
+    """A state as bytes, for another process. Raises TypeError as `encode`."""
+    import torch  # noqa: PLC0415
+
+    file = io.BytesIO()
+    torch.save(encode(state), file)
+    return file.getvalue()
+
+
+def unpack_state(data: bytes) -> State:
+    """The inverse of `pack_state`."""
+    import torch  # noqa: PLC0415
+
+    state: State = decode(torch.load(io.BytesIO(data), map_location="cpu", weights_only=True))
     return state
 
 

@@ -30,6 +30,7 @@ def play_episodes(
     steps: int = 0,
     seconds: float = 0.0,
     on_failure: Callable[[Failure], object] | None = None,
+    on_round: Callable[[int], object] | None = None,
 ) -> TestResult:
     """Play one episode per seed with the deterministic policy. No episode runs afterwards.
 
@@ -43,6 +44,8 @@ def play_episodes(
         steps: environment steps of training so far, for the result.
         seconds: of training so far, for the result.
         on_failure: is called with each failure of an environment, whose episode is then played again.
+        on_round: is called with the number of completed episodes before each step of the environments. An error that
+            it raises abandons the test; the orchestrator can play another one afterwards.
 
     Raises:
         ValueError: `seeds` is empty.
@@ -58,6 +61,7 @@ def play_episodes(
     distances = np.full(count, np.nan)
     rule = orchestrator.signature.goal_rule
     latest = empty_steps(orchestrator)
+    completed = 0
     playing = np.arange(size)
     """The episode of each environment; an environment whose episode is `count` or more has finished."""
 
@@ -81,6 +85,8 @@ def play_episodes(
 
     begin(np.flatnonzero(playing < count))
     while (environments := np.flatnonzero(playing < count)).size:
+        if on_round:
+            on_round(completed)
         actions = agent.act(latest.observation[environments], latest.desired_goal[environments], explore=False)
         orchestrator.step(environments, actions)
         received = orchestrator.receive()
@@ -95,6 +101,7 @@ def play_episodes(
         if distance is not None:
             distances[episodes] = distance
         over = received.environment[step.terminated | step.truncated]
+        completed += over.size
         playing[over] += size
         begin(np.sort(np.concatenate((over[playing[over] < count], failed(received)))))
     return TestResult(

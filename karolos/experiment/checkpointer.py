@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 from collections.abc import Mapping
-from dataclasses import dataclass, field
+from dataclasses import dataclass, field, fields
 from typing import Any
 
 from typing_extensions import override
@@ -11,6 +11,7 @@ from typing_extensions import override
 from .. import checkpoint
 from ..core import State
 from ..errors import MachineError
+from ..evaluation.evaluation_process import DueTest
 from ..records import RunFolder
 from ..records.results import TestResult
 from ..training.training import Training
@@ -29,59 +30,81 @@ class Checkpointer(RunObserver):
         warnings: of the run.
         experiment: hash of the run's spec.
         seed: the run's.
+        pending: tests without a recorded result, which the caller changes.
     """
 
     folder: RunFolder
     warnings: RunWarnings
     experiment: str
     seed: int
+    pending: list[DueTest]
+    """Tests without a result; `last` contains them."""
     _best: tuple[float, float] = field(default=(-1.0, -1.0), init=False)
     """`success_end` and `success_any` of the best test."""
-    _saved_at: int = field(default=-1, init=False)
-    """Environment steps at the last checkpoint `last`."""
+    _saved_at: tuple[int, int] = field(default=(-1, 0), init=False)
+    """Environment steps and pending tests at the last checkpoint `last`."""
 
     @override
-    def tested(self, training: Training, result: TestResult) -> None:
+    def tested(self, training: Training, test: DueTest, result: TestResult) -> None:
+        self._choose(test, result)
+        if test.steps == training.steps:
+            self.save(training)
+
+    @override
+    def trained(self, training: Training) -> None:
+        self.save(training)
+
+    def _choose(self, test: DueTest, result: TestResult) -> None:
+        """Write the tested agent as `best` if no earlier test is better."""
         success = result.success_end, result.success_any
         if success >= self._best:  # of equal tests the later one, whose agent has learned longer
             self._best = success
             meta = {"success_any": result.success_any, "success_end": result.success_end}
-            self._write("best", {"agent": training.agent.state()}, training, meta)
-        self._write_last(training)
+            self._write("best", {"agent": test.agent}, test, meta)
 
-    @override
-    def trained(self, training: Training) -> None:
-        self._write_last(training)
-
-    def restore(self, training: Training, parts: Mapping[str, State]) -> None:
-        """Continue from the parts of a checkpoint `last`."""
+    def restore(self, training: Training, parts: Mapping[str, State]) -> list[DueTest]:
+        """Continue from the parts of a checkpoint `last`; returns the tests that are still to be played."""
         training.agent.load_state(parts["agent"])
         training.buffer.load_state(parts["buffer"])
         training.load_state(parts["training"])
-        self._best = parts["run"]["best_end"], parts["run"]["best_any"]
+        run = parts["run"]
+        self._best = run["best_end"], run["best_any"]
+        results = {result.steps: result for result in self.folder.tests()}
+        left = []
+        for row in run["tests"]:
+            test = DueTest(row["steps"], row["updates"], row["seconds"], row["agent"], tuple(row["seeds"]))
+            if test.steps in results:  # it was recorded after the checkpoint
+                self._choose(test, results[test.steps])
+            else:
+                left.append(test)
+        return left
 
-    def _write_last(self, training: Training) -> None:
-        """Write everything that the run needs to resume bit for bit. The checkpoint before becomes `previous`."""
-        if self._saved_at == training.steps:
+    def save(self, training: Training) -> None:
+        """Write `last`: what the run needs to resume bit for bit. The checkpoint before becomes `previous`."""
+        if self._saved_at == (training.steps, len(self.pending)):
             return
-        self._saved_at = training.steps
+        self._saved_at = training.steps, len(self.pending)
         parts = {
             "agent": training.agent.state(),
             "buffer": training.buffer.state(),
             "training": training.state(),
-            "run": {"best_end": self._best[0], "best_any": self._best[1]},
+            "run": {
+                "best_end": self._best[0],
+                "best_any": self._best[1],
+                "tests": [{one.name: getattr(test, one.name) for one in fields(test)} for test in self.pending],
+            },
         }
         with self.warnings.tolerated(MachineError, "the checkpoint before is kept"):
             checkpoint.rename(self.folder.checkpoints, LAST, PREVIOUS)
         self._write(LAST, parts, training, {"episodes_bytes": self.folder.episodes_bytes()})
 
-    def _write(self, name: str, parts: Mapping[str, State], training: Training, more: Mapping[str, Any]) -> None:
+    def _write(self, name: str, parts: Mapping[str, State], at: Training | DueTest, more: Mapping[str, Any]) -> None:
         meta = {
             "experiment": self.experiment,
             "seed": self.seed,
-            "steps": training.steps,
-            "updates": training.updates,
-            "seconds": training.seconds,
+            "steps": at.steps,
+            "updates": at.updates,
+            "seconds": at.seconds,
             **more,
         }
         with self.warnings.tolerated(MachineError, f"the checkpoint {name!r} was not written; the one before is kept"):

@@ -8,6 +8,7 @@ from pathlib import Path
 from typing import Any, Literal
 
 from ..errors import RunError, UsageError
+from ..orchestrator.auto import cores
 from ..records import RunFolder
 from ..records.run_records import RunSummary
 from ..spec import Spec
@@ -108,7 +109,7 @@ class Experiment:
         Store(url).close()  # an unusable database is an error before anything is computed
         listener = listener or (lambda _: None)
         spec = pinned(self.spec.alone(), folder)
-        work = SeedRunner(spec.dump(), folder, url, text, existing)
+        work = SeedRunner(spec.dump(), folder, url, text, existing, beside=has_spare_core(min(jobs, len(spec.seeds))))
         with stop_on_signals(time_limit=time_limit) as stop:
             if jobs == 1 or len(self.spec.seeds) == 1:
                 summaries = []
@@ -144,7 +145,8 @@ def resume_run(
     spec = Spec.from_dict(folder.spec())
     check_parts(spec)
     with stop_on_signals(time_limit=time_limit) as stop, Store(url) as store, folder:
-        summary = _resume(folder, spec, store, listener or (lambda _: None), stop)
+        listener = listener or (lambda _: None)
+        summary = _resume(folder, spec, store, listener, stop, beside=has_spare_core(1))
     return Outcome((summary,), 1, stop.exit_code)
 
 
@@ -160,6 +162,8 @@ class SeedRunner:
     url: str
     text: str | None
     existing: Existing = "ignore"
+    beside: bool = False
+    """Whether tests may be played beside training, in a second process."""
 
     def __call__(self, seed: int, listener: Listener, stop: StopRequest) -> RunSummary:
         spec = Spec.from_dict(self.resolved)
@@ -169,16 +173,24 @@ class SeedRunner:
                 return found.summary()
             if found is not None and self.existing == "resume":
                 with Store(self.url) as store, found:
-                    return _resume(found, spec, store, listener, stop)
+                    return _resume(found, spec, store, listener, stop, beside=self.beside)
         with Store(self.url) as store, RunFolder.create(self.runs, spec.name, seed) as folder:
             folder.describe(spec.dump(), experiment=spec.hash(), text=self.text)
             store.add_run(folder.summary(), spec.dump(), folder.versions())
-            return Run(spec, seed, folder, store, listener, stop).execute()
+            return Run(spec, seed, folder, store, listener, stop, beside=self.beside).execute()
 
 
-def _resume(folder: RunFolder, spec: Spec, store: Store, listener: Listener, stop: StopRequest) -> RunSummary:
+def has_spare_core(jobs: int) -> bool:
+    """Whether each of so many runs at the same time has a second core for its tests."""
+    return cores() >= 2 * jobs
+
+
+def _resume(
+    folder: RunFolder, spec: Spec, store: Store, listener: Listener, stop: StopRequest, *, beside: bool
+) -> RunSummary:
     folder.lock()
     snapshot = newest_snapshot(folder)
     folder.next_attempt()
     store.add_run(folder.summary(), spec.dump(), folder.versions())
-    return Run(spec, folder.description()["seed"], folder, store, listener, stop, snapshot).execute()
+    seed = folder.description()["seed"]
+    return Run(spec, seed, folder, store, listener, stop, snapshot, beside).execute()

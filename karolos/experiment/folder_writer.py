@@ -9,6 +9,7 @@ from typing import Any
 from typing_extensions import override
 
 from ..errors import StoreError
+from ..evaluation.evaluation_process import DueTest
 from ..records import RunFolder
 from ..records.results import TestResult
 from ..store import Store
@@ -56,7 +57,7 @@ class FolderWriter(RunObserver):
             self.folder.add_episodes(_episode_row(episode, names) for episode in episodes)
 
     @override
-    def tested(self, training: Training, result: TestResult) -> None:
+    def tested(self, training: Training, test: DueTest, result: TestResult) -> None:
         self.folder.add_test(result)
         with self.warnings.tolerated(StoreError, "the test is in the run folder, but not in the database"):
             self.store.add_test(self.folder.id, result)

@@ -11,6 +11,7 @@ from typing_extensions import override
 
 from ..core import Failure
 from ..errors import KarolosError
+from ..evaluation.evaluation_process import DueTest
 from ..records import RunFolder
 from ..records.results import TestResult
 from ..training.episodes import Episode
@@ -65,8 +66,8 @@ class RunObserver:
             metrics: means of what the agent reported since the last report; finite.
         """
 
-    def tested(self, training: Training, result: TestResult) -> None:
-        """A test of the agent is over."""
+    def tested(self, training: Training, test: DueTest, result: TestResult) -> None:
+        """A test is over. Training may have gone on since it was due."""
 
     def trained(self, training: Training) -> None:
         """Training is complete, or stops on request."""
@@ -117,7 +118,7 @@ class Announcer(RunObserver):
             self.listener(RunAdvanced(self.run, *counts, progress.seconds, progress.warming_up))
 
     @override
-    def tested(self, training: Training, result: TestResult) -> None:
+    def tested(self, training: Training, test: DueTest, result: TestResult) -> None:
         self.listener(RunTested(self.run, result))
 
     @override

@@ -9,12 +9,13 @@ import traceback
 from contextlib import ExitStack
 from dataclasses import dataclass, field
 
-from ..core import Agent, Buffer, Orchestrator
+from ..core import Agent, Buffer
 from ..core.schedules import Every
 from ..core.seeding import SeedTree
 from ..errors import KarolosError, WorkerError
-from ..evaluation.testing import play_episodes, test_seeds
+from ..evaluation.evaluation_process import DueTest
 from ..records import RunFolder
+from ..records.results import TestResult
 from ..records.run_records import RunSummary
 from ..spec import Spec
 from ..store import Store
@@ -26,6 +27,7 @@ from .checkpointer import Checkpointer
 from .events import Listener, RunStarted
 from .folder_writer import FolderWriter
 from .observer import Announcer, Ending, RunObserver, RunWarnings
+from .pending_tests import PendingTests
 from .resume import Snapshot
 from .signals import StopRequest
 from .start_from import apply, find
@@ -46,6 +48,7 @@ class Run:
         listener: is told what happens.
         stop: is checked after each round.
         snapshot: where an unfinished run resumes; None: the run starts.
+        beside: whether a second process may play tests while this one trains.
     """
 
     spec: Spec
@@ -55,6 +58,8 @@ class Run:
     listener: Listener
     stop: StopRequest
     snapshot: Snapshot | None = None
+    beside: bool = False
+    _pending: list[DueTest] = field(default_factory=list, init=False)
     _warnings: RunWarnings = field(init=False)
     _checkpointer: Checkpointer = field(init=False)
     _observers: tuple[RunObserver, ...] = field(init=False)
@@ -63,7 +68,7 @@ class Run:
         folder, snapshot = self.folder, self.snapshot
         exact = self.spec.training.at_least is None
         self._warnings = RunWarnings(folder, self.listener)
-        self._checkpointer = Checkpointer(folder, self._warnings, self.spec.hash(), self.seed)
+        self._checkpointer = Checkpointer(folder, self._warnings, self.spec.hash(), self.seed, self._pending)
         self._observers = (
             FolderWriter(folder, self.store, self._warnings, snapshot, exact),
             TensorBoardWriter(folder.tensorboard, self._warnings, snapshot),
@@ -113,9 +118,19 @@ class Run:
             training = Training(
                 environments, agent, buffer, spec.training, seeds, spec.training.at_least, pretraining_updates
             )
+            tests = PendingTests(
+                spec,
+                test_environments,
+                self._pending,
+                self._warnings,
+                self.stop,
+                self._announce,
+                beside=self.beside,
+            )
+            stack.callback(tests.close)
             if self.snapshot is not None:
                 self._resume(training, self.snapshot)
-            finished = self._train_and_test(training, test_environments)
+            finished = self._train_and_test(training, tests)
         if finished:
             return Ending("finished", training.steps, training.seconds)
         return Ending("stopped", training.steps, training.seconds, self.stop.reason)
@@ -146,42 +161,39 @@ class Run:
         for warning in snapshot.warnings:
             self._warnings.add(warning, "the run resumes from the checkpoint before")
         if snapshot.parts:
-            self._checkpointer.restore(training, snapshot.parts)
+            self._pending += self._checkpointer.restore(training, snapshot.parts)
         else:
             self._warnings.add("the run has no checkpoint", "it begins again")
 
-    def _train_and_test(self, training: Training, test_environments: Orchestrator) -> bool:
-        """Train and test until the steps are taken or a stop is requested. Returns whether the steps are taken."""
-        interval = self.spec.testing.interval
+    def _train_and_test(self, training: Training, tests: PendingTests) -> bool:
+        """Train and test until all is done or a stop is requested. Returns whether all is done."""
+        interval, total = self.spec.testing.interval, self.spec.training.steps
         test_due, report_due = Every(interval), Every(max(interval // REPORTS_PER_TEST, 1))
         for due in (test_due, report_due):
             due(training.steps)
-        reported_at, tested_at = -1, training.steps
+        reported_at = -1
         episodes: list[Episode] = []
-        finished = True
         for progress in training.rounds():
             episodes += progress.finished
             for failure in progress.failures:
                 self._warnings.add_failure(failure)
             for observer in self._observers:
                 observer.progressed(progress)
-            testing = test_due(progress.steps)
+            testing = test_due(progress.steps) or progress.steps >= total
             if report_due(progress.steps) or testing:
                 self._report(training, episodes)
                 episodes, reported_at = [], training.steps
-            if testing:
-                self._test(training, test_environments)
-                tested_at = training.steps
-            if self.stop.requested and training.steps < self.spec.training.steps:
-                finished = False
+            self._test(training, tests, due=testing)
+            if self.stop.requested:
                 break
         if reported_at < training.steps:
             self._report(training, episodes)
-        if finished and tested_at < training.steps:
-            self._test(training, test_environments)
+        if training.steps >= total:
+            for test, result in tests.play_remaining():
+                self._tested(training, test, result)
         for observer in self._observers:
             observer.trained(training)
-        return finished
+        return training.steps >= total and not tests.pending
 
     def _report(self, training: Training, episodes: list[Episode]) -> None:
         """Report the episodes and the agent's metrics since the last report. Raises RunError if one is not finite."""
@@ -189,15 +201,19 @@ class Run:
         for observer in self._observers:
             observer.reported(training, episodes, metrics)
 
-    def _test(self, training: Training, environments: Orchestrator) -> None:
-        settings = self.spec.testing
-        result = play_episodes(
-            environments,
-            training.agent,
-            test_seeds(settings.seed, settings.episodes),
-            steps=training.steps,
-            seconds=training.seconds,
-            on_failure=self._warnings.add_failure,
-        )
+    def _test(self, training: Training, tests: PendingTests, *, due: bool) -> None:
+        """Add a test if one is due, and record the tests that are over."""
+        if due:
+            tests.add(training)
+        tests.advance()
+        for test, result in tests.finished():
+            self._tested(training, test, result)
+        if due and tests.pending:
+            self._checkpointer.save(training)
+
+    def _tested(self, training: Training, test: DueTest, result: TestResult) -> None:
         for observer in self._observers:
-            observer.tested(training, result)
+            observer.tested(training, test, result)
+
+    def _announce(self, activity: str, done: int, total: int) -> None:
+        pass

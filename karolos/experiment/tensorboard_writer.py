@@ -13,6 +13,7 @@ import numpy as np
 from typing_extensions import override
 
 from ..errors import MachineError
+from ..evaluation.evaluation_process import DueTest
 from ..files import writing
 from ..records.results import TestResult
 from ..training.episodes import Episode
@@ -99,7 +100,7 @@ class TensorBoardWriter(RunObserver):
         self._add(groups | {"train": _episode_means(episodes)}, training.steps)
 
     @override
-    def tested(self, training: Training, result: TestResult) -> None:
+    def tested(self, training: Training, test: DueTest, result: TestResult) -> None:
         means = {
             "success_any": result.success_any,
             "success_end": result.success_end,

@@ -92,7 +92,7 @@ def start_worker(number: int, recipe: bytes, ids: Sequence[range], size: int) ->
         name=f"worker {number}",
     )
     try:
-        with _fresh_start():
+        with fresh_start():
             process.start()
     except BaseException:
         for end, _ in pairs:
@@ -105,7 +105,7 @@ def start_worker(number: int, recipe: bytes, ids: Sequence[range], size: int) ->
 
 
 @contextmanager
-def _fresh_start() -> Iterator[None]:
+def fresh_start() -> Iterator[None]:
     """Hide the main module from the new process, and set its libraries to one thread."""
     with _starting:
         main = sys.modules["__main__"]

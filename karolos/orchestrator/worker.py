@@ -40,7 +40,7 @@ Channel = tuple[Connection, range]
 
 def work(number: int, recipe: bytes, channels: Sequence[Channel], size: int) -> None:
     """Run worker process `number`. `recipe` is a pickled pair (build, recipe); `size` counts all environments."""
-    _isolate()
+    isolate()
     where = f"worker {number}"
     others = [Thread(target=_serve, args=(where, recipe, channel, size)) for channel in channels[1:]]
     for thread in others:
@@ -50,9 +50,14 @@ def work(number: int, recipe: bytes, channels: Sequence[Channel], size: int) -> 
         thread.join()
 
 
-def _isolate() -> None:
+def isolate() -> None:
     """Ignore signals, which the parent handles, and redirect standard output to standard error."""
-    for name in ("SIGINT", "SIGTERM", "SIGUSR1"):  # terminals and job schedulers send these to the process group
+    for name in (
+        "SIGINT",
+        "SIGTERM",
+        "SIGHUP",
+        "SIGUSR1",
+    ):  # terminals and job schedulers send these to the process group
         if hasattr(signal, name):
             signal.signal(getattr(signal, name), signal.SIG_IGN)
     with suppress(OSError):  # there may be no standard error

@@ -8,7 +8,7 @@ from pathlib import Path
 from typing import Any
 
 import pytest
-from support.states import assert_same_state
+from support.states import assert_same_runs
 
 from karolos import checkpoint
 from karolos.errors import RunError
@@ -44,19 +44,6 @@ CASES = {
 }
 
 
-def same_runs(one: RunFolder, other: RunFolder) -> None:
-    assert_same_state(checkpoint.load(one.checkpoints, "last")[0], checkpoint.load(other.checkpoints, "last")[0])
-    for first, second in zip(one.tests(), other.tests(), strict=True):
-        assert (first.steps, first.any, first.end, first.returns) == (
-            second.steps,
-            second.any,
-            second.end,
-            second.returns,
-        )
-    assert (one.path / "episodes.jsonl").read_text() == (other.path / "episodes.jsonl").read_text()
-    assert one.state().state == other.state().state == "finished"
-
-
 def stopping_at(steps: int):
     """A listener that asks to stop after the test at `steps`."""
 
@@ -82,7 +69,7 @@ def test_stopped_and_resumed_run_equals_one_without_a_break_bit_for_bit(case: st
     again = Experiment(spec).run(tmp_path / "broken", existing="resume")
     assert [run.run for run in again.runs] == [run.run for run in broken.runs]
     assert again.runs[0].attempt == 2
-    same_runs(whole, only(again))
+    assert_same_runs(whole, only(again))
     with Store(Store.default_url(tmp_path / "broken")) as store:
         assert [test.steps for test in store.tests(again.runs[0].run)] == [100, 200, 240]
 
@@ -117,14 +104,14 @@ def test_damaged_checkpoint_is_named_and_the_one_before_is_used(broken: RunFolde
     path.write_bytes(data)
     warnings = [event.warning for event in go_on(broken) if isinstance(event, RunWarned)]
     assert any("agent.pt" in warning and "checkpoint before" in warning for warning in warnings)
-    same_runs(whole, broken)
+    assert_same_runs(whole, broken)
 
 
 def test_run_without_a_checkpoint_begins_anew_in_its_folder(broken: RunFolder, tmp_path: Path) -> None:
     whole = only(Experiment(BASE | CASES["sac, priority, hindsight"]).run(tmp_path / "whole"))
     shutil.rmtree(broken.checkpoints)
     go_on(broken)
-    same_runs(whole, broken)
+    assert_same_runs(whole, broken)
 
 
 def test_no_sound_checkpoint_is_an_error_and_nothing_is_lost(broken: RunFolder) -> None:
