@@ -20,7 +20,7 @@ from .. import checkpoint
 from ..core import Failure, Orchestrator, State
 from ..core.seeding import SeedTree
 from ..errors import WorkerError
-from ..orchestrator.executor import FAILURES, as_karolos_error, pack_errors, unpack_errors
+from ..orchestrator.executor import FAILURES
 from ..orchestrator.local import Local
 from ..orchestrator.start import fresh_start
 from ..orchestrator.worker import isolate
@@ -102,8 +102,7 @@ class EvaluationProcess:
             timeout: seconds to wait for the first message.
 
         Raises:
-            WorkerError: the process has ended or hangs.
-            KarolosError: an environment failed too often.
+            WorkerError: the process has ended, has failed or hangs.
         """
         try:
             while self._connection.poll(timeout):
@@ -111,9 +110,8 @@ class EvaluationProcess:
                 message = self._connection.recv()
                 if message == READY:
                     self.ready = True
-                elif isinstance(message, bytes):
-                    self.test = None
-                    raise unpack_errors(message)[0][1]
+                elif isinstance(message, str):
+                    raise WorkerError(message)
                 else:
                     if isinstance(message, TestResult):
                         self.test = None
@@ -176,7 +174,7 @@ def _serve(connection: Connection, resolved: dict[str, Any], layout: dict[str, A
         except (EOFError, ConnectionError):
             raise
         except FAILURES as error:
-            connection.send(pack_errors([(0, as_karolos_error(error, "test process"))]))
+            connection.send(f"the test process failed: {type(error).__name__}: {error}")
 
 
 def _play_tests(connection: Connection, spec: Spec, orchestrator: Orchestrator) -> None:

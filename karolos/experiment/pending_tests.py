@@ -9,7 +9,7 @@ from typing import Protocol
 
 from ..core import Agent, Failure, Orchestrator
 from ..core.seeding import SeedTree
-from ..errors import KarolosError
+from ..errors import WorkerError
 from ..evaluation.evaluation_process import DueTest, EvaluationProcess
 from ..evaluation.testing import play_episodes, test_seeds
 from ..records.results import TestResult
@@ -179,7 +179,7 @@ class PendingTests:
                         self._results[test] = message
                 elif test is not None and self._here is None:
                     self._announce("testing", message, len(test.seeds))
-        except KarolosError as error:
+        except WorkerError as error:
             self._warnings.add(str(error), "its test is played again")
             self.close()
             self._losses += 1
