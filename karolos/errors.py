@@ -1,7 +1,7 @@
 """Errors that a person can act on: each says what is wrong, where, and what to do.
 
 The command line prints them without a traceback and ends with the error's exit code.
-Whatever is not a KarolosError is a fault of karolos or of a plugin and keeps its traceback.
+Any other exception is a bug in karolos or in a plugin and keeps its traceback.
 """
 
 from __future__ import annotations
@@ -15,7 +15,7 @@ class KarolosError(Exception):
 
     Args:
         what: what is wrong, in one line.
-        where: file:line:column, key path, run or plugin concerned.
+        where: the file:line:column, key path, run or plugin.
         hint: what is allowed, or what to do.
     """
 
@@ -32,7 +32,7 @@ class KarolosError(Exception):
         return f"{line}; {self.hint}" if self.hint else line
 
     def __reduce__(self) -> tuple[object, ...]:
-        """Keep keyword arguments when an error crosses a process boundary."""
+        """Pickle all attributes: an error may cross a process boundary."""
         return _rebuild, (type(self), self.__dict__.copy())
 
 
@@ -44,14 +44,14 @@ def _rebuild(kind: type[KarolosError], attributes: dict[str, object]) -> Karolos
 
 
 class UsageError(KarolosError):
-    """A command, selector or argument that cannot be meant."""
+    """An invalid command, selector or argument."""
 
     exit_code = 2
 
 
 @dataclass(frozen=True)
 class Problem:
-    """One mistake in a spec; `where` is file:line:column, or the override that brought it in."""
+    """One mistake in a spec; `where` is its file:line:column, or its override."""
 
     where: str
     path: str
@@ -64,7 +64,7 @@ class Problem:
 
 
 class SpecError(KarolosError):
-    """A spec that is not valid. Carries every problem found, one line each."""
+    """An invalid spec, with every problem found, one line each."""
 
     exit_code = 2
 
@@ -74,19 +74,19 @@ class SpecError(KarolosError):
 
 
 class PluginError(KarolosError):
-    """A plugin that is missing a file, does not import, clashes with another or breaks its interface."""
+    """A plugin that lacks a file, does not import, has the name of another or breaks its interface."""
 
     exit_code = 3
 
 
 class MachineError(KarolosError):
-    """The machine cannot do what is asked: no display, a full disk, a folder that cannot be written."""
+    """A limit of the machine: the display is missing, the disk is full, a folder cannot be written."""
 
     exit_code = 3
 
 
 class StoreError(KarolosError):
-    """The results database cannot be opened, is newer than this karolos, or is no karolos database."""
+    """The results database cannot be opened, has another schema, or belongs to another program."""
 
     exit_code = 4
 

@@ -1,6 +1,6 @@
-"""Files that are whole or not there, lines that are appended for good, and locks that die with their process.
+"""Files that are written completely or not at all, files of JSON lines, and locks that end with their process.
 
-Whatever the operating system refuses while writing becomes a MachineError that says what to do.
+An error of the operating system during writing becomes a MachineError that says what to do.
 """
 
 from __future__ import annotations
@@ -25,10 +25,12 @@ else:
 _FULL = frozenset({errno.ENOSPC, errno.EDQUOT, errno.EFBIG})
 _FORBIDDEN = frozenset({errno.EACCES, errno.EPERM, errno.EROFS})
 _POLL_SECONDS = 0.02
+LOCK_SECONDS = 20.0
+"""How long `locked` waits for a process that writes labels or a line, which takes milliseconds."""
 
 
 class Lines(NamedTuple):
-    """What a file of JSON lines holds; `problems` names each line that could not be read, one text per line."""
+    """The objects of a file of JSON lines, and one text per line that cannot be read."""
 
     rows: tuple[dict[str, Any], ...]
     problems: tuple[str, ...]
@@ -54,19 +56,15 @@ def _explained(error: OSError, path: Path) -> MachineError:
 
 
 def below(root: Path, name: str) -> Path:
-    """`root / name`, which must lie below `root` once links are followed.
-
-    Raises:
-        UsageError: it does not.
-    """
+    """`root / name`. Raises UsageError if it is not below `root` after links are followed."""
     path = root / name
-    if path.resolve() == root.resolve() or not path.resolve().is_relative_to(root.resolve()):
+    if root.resolve() not in path.resolve().parents:
         raise UsageError(f"{name!r} leads out of {root}", hint="give a plain name")
     return path
 
 
 def sync_folder(folder: Path) -> None:
-    """Make the names in a folder survive a power cut. Windows has no such call and does it by itself."""
+    """Write the names in a folder to the disk. Windows does it without a call."""
     if sys.platform != "win32":
         descriptor = os.open(folder, os.O_RDONLY)
         try:
@@ -79,7 +77,7 @@ def write_whole(path: Path, text: str) -> None:
     """Write a file so that a reader sees the old or the new content and never a part of it.
 
     Raises:
-        MachineError: the disk is full or the folder cannot be written; the old content is kept.
+        MachineError: the disk is full or the folder cannot be written; the old content stays.
     """
     beside = path.with_name(f".{path.name}.{os.getpid()}.tmp")
     with writing(path):
@@ -90,22 +88,22 @@ def write_whole(path: Path, text: str) -> None:
                 os.fsync(file.fileno())
             os.replace(beside, path)
         finally:
-            beside.unlink(missing_ok=True)  # gone already unless something went wrong
+            beside.unlink(missing_ok=True)  # exists only after an error
         sync_folder(path.parent)
 
 
 def write_json(path: Path, value: Mapping[str, Any]) -> None:
-    """Write a JSON object as `write_whole` does, for people to read."""
+    """Write an indented JSON object as `write_whole` does."""
     write_whole(path, json.dumps(value, indent=2, allow_nan=False) + "\n")
 
 
 def append_lines(path: Path, rows: Iterable[Mapping[str, Any]]) -> None:
     """Append JSON objects, one a line, and wait until they are on the disk.
 
-    A torn line that a killed process left at the end is cut off first, so that it never joins a new one.
+    An incomplete last line, which a killed process left, is removed first.
 
     Raises:
-        MachineError: the disk is full or the file cannot be written; the lines before are kept as they are.
+        MachineError: the disk is full or the file cannot be written; the lines before stay as they are.
     """
     lines = "".join(json.dumps(row, separators=(",", ":"), allow_nan=False) + "\n" for row in rows).encode()
     with writing(path):
@@ -113,39 +111,33 @@ def append_lines(path: Path, rows: Iterable[Mapping[str, Any]]) -> None:
         try:
             end = _cut_torn_line(descriptor)
             try:
-                _write_all(descriptor, lines)
+                while lines:
+                    lines = lines[os.write(descriptor, lines) :]
                 os.fsync(descriptor)
             except OSError:
-                with contextlib.suppress(OSError):  # the first error is the one to tell
+                with contextlib.suppress(OSError):  # the first error is reported
                     os.ftruncate(descriptor, end)
                 raise
         finally:
             os.close(descriptor)
 
 
-def _write_all(descriptor: int, data: bytes) -> None:
-    while data:
-        data = data[os.write(descriptor, data) :]
-
-
 def _cut_torn_line(descriptor: int) -> int:
-    """Leave the file ending in a whole line; returns its size."""
-    size = end = os.fstat(descriptor).st_size
+    """Remove an incomplete last line; returns the size of the rest."""
+    size = start = os.fstat(descriptor).st_size
     tail = b""
-    while end and b"\n" not in tail:
-        start = max(end - 65536, 0)
+    while start and b"\n" not in tail:
+        end, start = start, max(start - 65536, 0)
         os.lseek(descriptor, start, os.SEEK_SET)
         tail = os.read(descriptor, end - start) + tail
-        end = start
-    torn = len(tail) - (tail.rfind(b"\n") + 1)
-    if torn:
-        size -= torn
-        os.ftruncate(descriptor, size)
-    return size
+    whole = start + tail.rfind(b"\n") + 1
+    if whole < size:
+        os.ftruncate(descriptor, whole)
+    return whole
 
 
 def read_lines(path: Path) -> Lines:
-    """The JSON objects of a file of lines. A line that is torn or no object is left out and named; no file is empty."""
+    """The JSON objects of a file of lines; a missing file is empty. Invalid lines are left out and become problems."""
     try:
         data = path.read_bytes()
     except FileNotFoundError:
@@ -175,8 +167,16 @@ def parse_object(data: bytes) -> dict[str, Any] | None:
     return value if isinstance(value, dict) else None
 
 
+def read_object(path: Path) -> dict[str, Any] | None:
+    """The JSON object in a file; None if the file cannot be read or holds something else."""
+    try:
+        return parse_object(path.read_bytes())
+    except OSError:
+        return None
+
+
 class FileLock:
-    """An exclusive lock on a file. The operating system frees it when its process ends, however it ends."""
+    """An exclusive lock on a file. The operating system releases it when the process ends, also after a kill."""
 
     def __init__(self, path: Path) -> None:
         self.path = path
@@ -184,14 +184,14 @@ class FileLock:
 
     @property
     def held(self) -> bool:
-        """Whether this very object holds the lock."""
+        """Whether this object holds the lock."""
         return self._descriptor is not None
 
     def acquire(self, seconds: float = 0.0) -> bool:
-        """Try for `seconds` to get the lock; says whether it was got.
+        """Try for `seconds` to lock; returns whether it succeeded.
 
         Raises:
-            MachineError: the file cannot be made or its file system has no locks.
+            MachineError: the file cannot be created or its file system has no locks.
         """
         if self.held:
             return True
@@ -211,13 +211,13 @@ class FileLock:
         return True
 
     def release(self) -> None:
-        """Give the lock back. Safe to call twice."""
+        """Unlock. Safe to call twice."""
         if self._descriptor is not None:
             os.close(self._descriptor)
             self._descriptor = None
 
     def is_locked(self) -> bool:
-        """Whether any process holds the lock. Takes a shared lock for an instant, so that readers do not disturb."""
+        """Whether any process holds the lock. It takes a shared lock: readers do not exclude each other."""
         if self.held:
             return True
         try:
@@ -227,9 +227,25 @@ class FileLock:
         try:
             return not _try_lock(descriptor, exclusive=False)
         except OSError:
-            return False  # a file system without locks has none to hold
+            return False  # the file system has no locks
         finally:
             os.close(descriptor)
+
+
+@contextlib.contextmanager
+def locked(path: Path) -> Iterator[None]:
+    """Hold the lock of a file that processes lock for milliseconds.
+
+    Raises:
+        MachineError: another process keeps it locked for LOCK_SECONDS, or the file cannot be created.
+    """
+    lock = FileLock(path)
+    if not lock.acquire(LOCK_SECONDS):
+        raise MachineError(f"another process keeps {path.name} locked", where=str(path.parent), hint="try again")
+    try:
+        yield
+    finally:
+        lock.release()
 
 
 def _try_lock(descriptor: int, *, exclusive: bool) -> bool:

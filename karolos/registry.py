@@ -1,7 +1,7 @@
-"""Names to classes over entry points; names are listed without importing a plugin.
+"""The installed plugins: listed by name without importing any, and imported one at a time.
 
-A plugin is a class behind an entry point of the group `karolos.<kind>`. Built-ins come by the same road as a third
-party's. A plugin owns its settings as a nested pydantic model called `Settings`.
+A plugin is a class behind an entry point of the group `karolos.<kind>`, whether it is karolos's own or a third
+party's. Its settings are a nested pydantic model called `Settings`.
 """
 
 from __future__ import annotations
@@ -26,46 +26,46 @@ NEEDED = {
     "distributions": ("draw",),
     "orchestrators": ("reset", "step", "receive", "close"),
 }
-"""What a class of each kind must have to be one, whether or not it inherits from karolos's interface."""
+"""Attributes that a class of each kind must have, whether or not it inherits from karolos's interface."""
 
 
 @dataclass(frozen=True)
-class Entry:
-    """A plugin as its distribution declares it; nothing of it has been imported."""
+class PluginEntry:
+    """A plugin as its distribution declares it, without importing it."""
 
     kind: str
     name: str
     target: str
-    """Where the class lies: "module:Class"."""
+    """The class, as "module:Class"."""
     distribution: str
     version: str
 
 
 def singular(kind: str) -> str:
-    """The kind as it is called in a spec and in messages, e.g. "robot" for "robots"."""
+    """The name of a kind in specs and messages: "robot" for "robots"."""
     return kind.removesuffix("s")
 
 
 def closest(name: str, allowed: Iterable[str]) -> str | None:
-    """The allowed name that `name` was most likely meant to be, if one is near enough."""
+    """The allowed name that is most like `name`, if one is similar enough."""
     lowered = {candidate.lower(): candidate for candidate in allowed}
     found = get_close_matches(name.lower(), lowered, n=1, cutoff=0.6)
     return lowered[found[0]] if found else None
 
 
 def alternatives(name: str, allowed: Iterable[str], *, what: str = "allowed") -> str:
-    """A hint for a name that is not allowed: the closest match, and what is."""
+    """A hint for a name that is not allowed: the closest match, and the allowed names."""
     listed = list(allowed)
     match = closest(name, listed)
     listing = f"{what}: {', '.join(listed) or 'none'}"
     return f"did you mean {match!r}? {listing}" if match else listing
 
 
-def entries(kind: str) -> tuple[Entry, ...]:
-    """The installed plugins of a kind, by name; a name that two distributions claim stands twice.
+def entries(kind: str) -> tuple[PluginEntry, ...]:
+    """The installed plugins of a kind, by name; a name that two distributions claim is listed twice.
 
     Raises:
-        UsageError: no such kind.
+        UsageError: the kind is unknown.
     """
     if kind not in KINDS:
         raise UsageError(f"no kind of plugin is called {kind!r}", hint=alternatives(kind, KINDS))
@@ -73,23 +73,23 @@ def entries(kind: str) -> tuple[Entry, ...]:
 
 
 def names(kind: str) -> list[str]:
-    """The names of a kind's installed plugins, sorted, without importing any."""
+    """The names of a kind's installed plugins, sorted."""
     return sorted({entry.name for entry in entries(kind)})
 
 
 def load(kind: str, name: str) -> Any:
-    """The class behind a name. Imports that plugin and no other.
+    """Import a plugin's class.
 
     Raises:
-        UsageError: no such kind or no such name; says what there is, and the closest match.
+        UsageError: the kind or the name is unknown; lists the known ones and the closest match.
         PluginError: two distributions claim the name, the plugin does not import, it has no usable `Settings`, or it
             lacks a part of its kind's interface.
     """
     return _load(find(kind, name))
 
 
-def find(kind: str, name: str) -> Entry:
-    """The one plugin of that kind and name, not imported. Raises as `load` does."""
+def find(kind: str, name: str) -> PluginEntry:
+    """The plugin of that kind and name, without importing it. Raises as `load` does."""
     found = [entry for entry in entries(kind) if entry.name == name]
     if not found:
         raise UsageError(
@@ -102,22 +102,18 @@ def find(kind: str, name: str) -> Entry:
 
 
 @cache
-def _installed() -> tuple[Entry, ...]:
-    """Scanning the installed distributions takes some 20 ms: once per process."""
+def _installed() -> tuple[PluginEntry, ...]:
+    """All plugins. Scanning the installed distributions takes 20 ms, so it is done once per process."""
     found = {
-        Entry(kind, point.name, point.value, point.dist.name if point.dist else "?", _version(point))
+        PluginEntry(kind, point.name, point.value, *((dist.name, dist.version) if (dist := point.dist) else ("?", "?")))
         for kind in KINDS
         for point in importlib.metadata.entry_points(group=f"karolos.{kind}")
     }
     return tuple(sorted(found, key=lambda entry: (KINDS.index(entry.kind), entry.name, entry.distribution)))
 
 
-def _version(point: importlib.metadata.EntryPoint) -> str:
-    return point.dist.version if point.dist else "?"
-
-
 @cache
-def _load(entry: Entry) -> Any:
+def _load(entry: PluginEntry) -> Any:
     point = importlib.metadata.EntryPoint(entry.name, entry.target, f"karolos.{entry.kind}")
     where = f"{singular(entry.kind)} {entry.name!r} of {entry.distribution} {entry.version}"
     try:

@@ -188,21 +188,19 @@ class _Members:
         """The member as tarfile's data filter leaves it; None for a folder, which is made with its files."""
         if member.isdir():
             return None
-        if not member.isreg():
-            _refuse(self._source, f"{member.name!r} is a link or device", "run folders hold plain files only")
-        self._check(member.name, member.size)
+        self._check(member.name, member.size, plain=member.isreg())
         return tarfile.data_filter(member, place)
 
     def check_zip(self, item: zipfile.ZipInfo) -> None:
-        kind = (item.external_attr >> 16) & 0o170000
-        if kind not in {0, 0o100000}:
-            _refuse(self._source, f"{item.filename!r} is a link or device", "run folders hold plain files only")
         if item.flag_bits & 1:
             _refuse(self._source, f"{item.filename!r} is encrypted", "pack it again without a password")
-        self._check(item.filename, item.file_size)
+        kind = (item.external_attr >> 16) & 0o170000
+        self._check(item.filename, item.file_size, plain=kind in {0, 0o100000})
 
-    def _check(self, name: str, size: int) -> None:
+    def _check(self, name: str, size: int, *, plain: bool) -> None:
         source, parts = self._source, name.split("/")
+        if not plain:
+            _refuse(source, f"{name!r} is a link or device", "run folders hold plain files only")
         invalid = any(
             not _PART.fullmatch(part) or part in {".", ".."} or _RESERVED.fullmatch(part) for part in parts
         ) or parts[0].endswith((" ", "."))

@@ -7,18 +7,15 @@ again, so that of two processes that write at once neither change is lost.
 from __future__ import annotations
 
 import os
-from collections.abc import Callable, Iterable, Mapping
+from collections.abc import Callable, Iterable
 from dataclasses import dataclass
 from pathlib import Path
-from typing import Any
 
-from ..errors import MachineError, RunError, UsageError
-from ..files import FileLock, parse_object, write_json
+from ..errors import RunError, UsageError
+from ..files import locked, read_object, write_json
 
 LONGEST_TAG, LONGEST_NOTE = 200, 100_000
 """Characters."""
-LOCK_SECONDS = 20.0
-"""How long a process waits for another that writes labels, which takes milliseconds."""
 _FILE = "labels.json"
 
 
@@ -32,7 +29,7 @@ class Labels:
 
 def read(folder: Path) -> Labels:
     """The labels of a run folder; empty if there are none or the file is damaged."""
-    row = _row(folder) or {}
+    row = read_object(folder / _FILE) or {}
     tags, note = row.get("tags"), row.get("note")
     texts = {tag for tag in tags if isinstance(tag, str) and _is_tag(tag)} if isinstance(tags, list) else set()
     return Labels(tuple(sorted(texts)), note if isinstance(note, str) and _is_note(note) else None)
@@ -40,7 +37,7 @@ def read(folder: Path) -> Labels:
 
 def is_damaged(folder: Path) -> bool:
     """Whether the file of labels exists and cannot be read."""
-    return os.path.exists(folder / _FILE) and _row(folder) is None
+    return os.path.exists(folder / _FILE) and read_object(folder / _FILE) is None
 
 
 def add_tags(folder: Path, tags: Iterable[str]) -> None:
@@ -79,23 +76,11 @@ def set_note(folder: Path, note: str) -> None:
 
 def _change(folder: Path, change: Callable[[Labels], Labels]) -> None:
     """Replace the labels, one process after the other."""
-    lock = FileLock(folder / "labels.lock")
-    if not lock.acquire(LOCK_SECONDS):
-        raise MachineError("another process keeps the labels locked", where=str(folder), hint="try again")
-    try:
+    with locked(folder / "labels.lock"):
         if is_damaged(folder):
             raise RunError(f"{_FILE} is damaged", where=str(folder), hint="repair it, or move it away")
         labels = change(read(folder))
         write_json(folder / _FILE, {"tags": list(labels.tags), "note": labels.note})
-    finally:
-        lock.release()
-
-
-def _row(folder: Path) -> Mapping[str, Any] | None:
-    try:
-        return parse_object((folder / _FILE).read_bytes())
-    except OSError:
-        return None
 
 
 def _is_tag(text: str) -> bool:

@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import os
 from collections.abc import Iterable, Iterator, Mapping
+from dataclasses import replace
 from datetime import UTC, datetime
 from fnmatch import fnmatchcase
 from pathlib import Path
@@ -11,7 +12,7 @@ from types import TracebackType
 from typing import Any
 
 from ..errors import MachineError, RunError, UsageError
-from ..files import FileLock, append_lines, parse_object, read_lines, write_json, write_whole, writing
+from ..files import FileLock, append_lines, parse_object, read_lines, read_object, write_json, write_whole, writing
 from . import labels, provenance
 from .labels import Labels
 from .results import TestCounts, TestResult, count_test, decode_test, encode_test
@@ -72,7 +73,7 @@ class RunFolder:
         """Make the runs folder if it does not exist, and write into it.
 
         Raises:
-            MachineError: that fails.
+            MachineError: the folder cannot be written.
         """
         root = Path(runs)
         with writing(root):
@@ -145,7 +146,7 @@ class RunFolder:
 
     def spec(self) -> dict[str, Any]:
         """The resolved spec; empty if its file is missing or damaged (`record().problems` says so)."""
-        return _read_object(self.path / "resolved.json") or {}
+        return read_object(self.path / "resolved.json") or {}
 
     def set_state(
         self, state: str, *, steps: int | None = None, seconds: float | None = None, error: str | None = None
@@ -166,9 +167,9 @@ class RunFolder:
     def next_attempt(self) -> int:
         """Count one more process that continues this run; returns its number, from 1."""
         before = self._stored_state()
-        attempt = before.attempt + 1
-        self._write_state(RunState("created", before.steps, before.seconds, attempt, None, timestamp()))
-        return attempt
+        state = replace(before, state="created", attempt=before.attempt + 1, error=None, updated=timestamp())
+        self._write_state(state)
+        return state.attempt
 
     def labels(self) -> Labels:
         """Tags and note."""
@@ -204,10 +205,9 @@ class RunFolder:
 
     def cut_episodes(self, size: int) -> None:
         """Remove the training episodes after this many bytes: a resumed run plays them again."""
-        path = self.path / "episodes.jsonl"
-        if path.exists() and path.stat().st_size > size:
-            with writing(path):
-                os.truncate(path, size)
+        if self.episodes_bytes() > size:
+            with writing(self.path / "episodes.jsonl"):
+                os.truncate(self.path / "episodes.jsonl", size)
 
     def state(self) -> RunState:
         """The state now, `lost` included."""
@@ -220,33 +220,31 @@ class RunFolder:
 
     def summary(self) -> RunSummary:
         """The run in one row, as the store keeps it."""
-        return summarise(
-            self.path.resolve(), self._run, self.state(), self.spec(), self._count_tests()[0], self.labels()
-        )
+        return self.record().summary
 
     def record(self) -> RunRecord:
         """The content of the folder, and what is damaged or missing in it."""
-        tests, problems = self._count_tests()
-        spec, state = _read_object(self.path / "resolved.json"), _read_object(self.path / "state.json")
+        spec, state = read_object(self.path / "resolved.json"), read_object(self.path / "state.json")
+        now = self._current(RunState.from_row(state or {}))
+        tests, problems = self._count_tests()  # after the state: a finished run has all its tests
         for name, row in (("resolved.json", spec), ("state.json", state)):
             if row is None:
                 problems += (f"{name}: missing or damaged",)
         if labels.is_damaged(self.path):
             problems += ("labels.json: damaged; tags and note cannot be read",)
         problems += read_lines(self.path / "events.jsonl").problems
-        now = self._current(RunState.from_row(state or {}))
         summary = summarise(self.path.resolve(), self._run, now, spec or {}, tests, self.labels())
         return RunRecord(summary, spec or {}, tests, problems, self.versions())
 
     def _current(self, stored: RunState) -> RunState:
         """The state now, given what state.json held just before."""
         if stored.unfinished and not self.is_locked():
-            stored = self._stored_state()  # the run may have ended between the first read and the look at the lock
-            return stored.as_lost() if stored.unfinished else stored
+            stored = self._stored_state()  # the run may have ended after the first read
+            return replace(stored, state="lost") if stored.unfinished else stored
         return stored
 
     def _stored_state(self) -> RunState:
-        return RunState.from_row(_read_object(self.path / "state.json") or {})
+        return RunState.from_row(read_object(self.path / "state.json") or {})
 
     def _write_state(self, state: RunState) -> None:
         write_json(self.path / "state.json", state.to_row())
@@ -326,11 +324,3 @@ def _read_description(path: Path) -> dict[str, Any]:
     if run["format"] > FORMAT:
         raise RunError("a newer karolos made this run folder", where=str(path), hint="update karolos")
     return run
-
-
-def _read_object(path: Path) -> dict[str, Any] | None:
-    """The JSON object in a file; None if there is none."""
-    try:
-        return parse_object(path.read_bytes())
-    except OSError:
-        return None

@@ -4,7 +4,7 @@ from __future__ import annotations
 
 import re
 from collections.abc import Iterator, Mapping, Sequence
-from dataclasses import asdict, dataclass, replace
+from dataclasses import asdict, dataclass
 from datetime import UTC, datetime
 from pathlib import Path
 from typing import Any
@@ -59,9 +59,6 @@ class RunState:
     def unfinished(self) -> bool:
         """Whether a process should be working on it: if none does, the run is lost."""
         return self.state in UNFINISHED
-
-    def as_lost(self) -> RunState:
-        return replace(self, state="lost")
 
     def to_row(self) -> dict[str, Any]:
         if self.state not in STORED_STATES:
@@ -157,10 +154,7 @@ def summarise(
         seconds_to_95=solved.seconds if solved else None,
         name=str(run["name"]),
         episodes=last.episodes if last else None,
-        environment=part_name(spec, "environment"),
-        robot=part_name(spec, "robot"),
-        task=part_name(spec, "task"),
-        agent=part_name(spec, "agent"),
+        **{kind: part_name(spec, kind) for kind in ("environment", "robot", "task", "agent")},
         attempt=state.attempt,
         error=state.error,
         created=str(run["created"]),

@@ -9,16 +9,13 @@ from collections.abc import Mapping
 from dataclasses import dataclass
 from typing import Any
 
-from ..errors import MachineError
-from ..files import FileLock, append_lines, read_lines
+from ..files import append_lines, locked, read_lines
 from ..statistics.intervals import wilson
 from . import RunFolder
 from .decode import from_json
 from .results import TestResult, decode_test, encode_test
 
 FILE = "transfers.jsonl"
-LOCK_SECONDS = 20.0
-"""How long a process waits for another that appends a line, which takes milliseconds."""
 
 
 @dataclass(frozen=True)
@@ -68,13 +65,8 @@ def add(folder: RunFolder, transfer: TransferResult) -> None:
     Raises:
         MachineError: the folder cannot be written, or another process keeps the file locked.
     """
-    lock = FileLock(folder.path / "transfers.lock")
-    if not lock.acquire(LOCK_SECONDS):
-        raise MachineError(f"another process keeps {FILE} locked", where=str(folder.path), hint="try again")
-    try:
+    with locked(folder.path / "transfers.lock"):
         append_lines(folder.path / FILE, [_encode(transfer)])
-    finally:
-        lock.release()
 
 
 def read(folder: RunFolder) -> tuple[tuple[TransferResult, ...], tuple[str, ...]]:

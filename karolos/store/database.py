@@ -181,10 +181,15 @@ def explained(url: URL) -> Iterator[None]:
         raise kind(what, where=_without_secrets(url), hint=hint) from error
 
 
+def _sqlite_kind(error: Any) -> int | None:
+    """The kind of an error of SQLite: the low byte of its code."""
+    code: int | None = getattr(error, "sqlite_errorcode", None)
+    return None if code is None else code & 0xFF
+
+
 def _reason(error: Any) -> tuple[str, str]:
-    code = getattr(error, "sqlite_errorcode", None)
-    if code is not None and code & 0xFF in _SQLITE_ERRORS:  # the low byte is the kind, the rest says more
-        return _SQLITE_ERRORS[code & 0xFF]
+    if (kind := _sqlite_kind(error)) in _SQLITE_ERRORS:
+        return _SQLITE_ERRORS[kind]
     if getattr(error, "sqlstate", None) == "55P03":
         return _LOCKED
     lines = str(error).strip().splitlines() or [type(error).__name__]
@@ -192,8 +197,7 @@ def _reason(error: Any) -> tuple[str, str]:
 
 
 def _is_read_only(error: Any) -> bool:
-    code = getattr(error, "sqlite_errorcode", None)
-    return (code is not None and code & 0xFF == sqlite3.SQLITE_READONLY) or getattr(error, "sqlstate", None) == "25006"
+    return _sqlite_kind(error) == sqlite3.SQLITE_READONLY or getattr(error, "sqlstate", None) == "25006"
 
 
 def _parse_url(text: str) -> URL:

@@ -86,18 +86,6 @@ def _computed(connection: Connection, experiment: str) -> tuple[SuccessSummary, 
         rows: Sequence[Any] = list(group)
         for counting in ("any", "end"):
             density = kde([getattr(row, f"successes_{counting}") / row.episodes for row in rows])
-            found.append(
-                SuccessSummary(
-                    experiment,
-                    steps,
-                    counting,
-                    len(rows),
-                    bandwidth=density.bandwidth,
-                    mode=density.mode,
-                    modes=density.modes,
-                    mean=density.mean,
-                    low=density.low,
-                    high=density.high,
-                )
-            )
+            facts = {name: getattr(density, name) for name in ("bandwidth", "mode", "modes", "mean", "low", "high")}
+            found.append(SuccessSummary(experiment, steps, counting, len(rows), **facts))
     return tuple(found)

@@ -11,7 +11,8 @@ from typing import Any
 
 import pytest
 import torch
-from support.checkpoint_samples import META, PARTS, same
+from support.checkpoint_samples import META, PARTS
+from support.states import same
 
 from karolos import checkpoint
 from karolos.checkpoint import load, save

@@ -9,7 +9,8 @@ import torch
 from hypothesis import given
 from hypothesis import strategies as st
 from hypothesis.extra import numpy as arrays
-from support.checkpoint_samples import META, same
+from support.checkpoint_samples import META
+from support.states import same
 
 from karolos.checkpoint import load, save
 from karolos.checkpoint.state_file import decode, encode

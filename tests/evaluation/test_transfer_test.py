@@ -157,7 +157,7 @@ def test_many_that_add_at_once_lose_nothing(toy: RunFolder) -> None:
 
 def test_a_lock_held_by_another_process_is_an_error(toy: RunFolder, monkeypatch: pytest.MonkeyPatch) -> None:
     first = transfer_test(toy)
-    monkeypatch.setattr(transfer_results, "LOCK_SECONDS", 0.0)
+    monkeypatch.setattr("karolos.files.LOCK_SECONDS", 0.0)
     lock = FileLock(toy.path / "transfers.lock")
     assert lock.acquire()
     with pytest.raises(MachineError, match="locked"):

@@ -2,6 +2,11 @@
 
 from __future__ import annotations
 
+from typing import Any
+
+import numpy as np
+import torch
+
 from karolos import checkpoint
 from karolos.plugins.contracts.case import state_differences
 from karolos.records import RunFolder
@@ -24,3 +29,22 @@ def assert_same_runs(one: RunFolder, other: RunFolder) -> None:
         )
     assert (one.path / "episodes.jsonl").read_text() == (other.path / "episodes.jsonl").read_text()
     assert one.state().state == other.state().state == "finished"
+
+
+def raw(tensor: torch.Tensor) -> torch.Tensor:
+    """The bytes of a tensor."""
+    return tensor.reshape(-1).view(torch.uint8)
+
+
+def same(ours: Any, theirs: Any) -> bool:
+    """Equal bit for bit, types included."""
+    if isinstance(ours, torch.Tensor):
+        return ours.dtype == theirs.dtype and torch.equal(raw(ours), raw(theirs))
+    if isinstance(ours, np.ndarray | np.generic):
+        layout = (type(ours), ours.dtype, ours.shape) == (type(theirs), theirs.dtype, theirs.shape)
+        return layout and ours.tobytes() == theirs.tobytes()
+    if isinstance(ours, dict):
+        return list(ours) == list(theirs) and all(same(ours[key], theirs[key]) for key in ours)
+    if isinstance(ours, list | tuple):
+        return type(ours) is type(theirs) and len(ours) == len(theirs) and all(map(same, ours, theirs))
+    return type(ours) is type(theirs) and repr(ours) == repr(theirs)
