@@ -117,7 +117,7 @@ class RobotTask(Environment):
         self.robot.reset(generator)
         self.task.reset(generator)
         if self._action_set is not None:
-            self._action_set.reset(self.robot.opening)
+            self._action_set.reset(self.robot.opening_command)
         self._steps = 0
         observation = self._observation()
         if observation is None:

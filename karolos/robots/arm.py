@@ -41,8 +41,10 @@ PARAMETERS: Mapping[str, RandomizedParameter] = {
     "motor_gain": RandomizedParameter(
         "1", 1.0, 0.8, 1.0, "fraction of its speed error that a motor removes per physics step of 1/240 s"
     ),
-    "observation_noise": RandomizedParameter("1", 0.0, 0.0, 0.2, "standard deviation of the noise, in SI units"),
-    "action_delay": RandomizedParameter("control steps", 0.0, 0.0, 5.0, "delay of the actions; rounded"),
+    "observation_noise": RandomizedParameter(
+        "1", 0.0, 0.0, 0.2, "standard deviation of the noise on what is observed of arm and object, in SI units"
+    ),
+    "action_delay": RandomizedParameter("control steps", 0.0, 0.0, 2.0, "delay of the actions; rounded"),
 }
 
 
@@ -129,7 +131,9 @@ class Arm:
         self._positions: Sequence[float] = model.home
         self._velocities: Sequence[float] = (0.0,) * len(model.home)
         self._delayed: deque[list[float]] = deque()
+        self.opening_command = 0.0
         self.tool_position: Vector = self.home
+        self.observed_tool_position: Vector = self.home
         self.tool_velocity: Vector = (0.0, 0.0, 0.0)
         self.opening = 0.0
         self.prepare(gripper=False, period=1 / 24)
@@ -228,18 +232,20 @@ class Arm:
     def reset(self, generator: Generator) -> None:
         home, noise = self.model.home, self.reset_noise
         self._generator = generator
-        rest = [0.0] * self.action.size
-        if self._fingers is not None:
-            rest[-1] = 1.0  # the gripper is open after a reset
-        self._delayed = deque(rest for _ in range(round(self._values["action_delay"])))
         offsets = generator.uniform(-noise, noise, len(home)).tolist()
-        self._place([position + offset for position, offset in zip(home, offsets, strict=True)], 1.0)
+        self._place([position + offset for position, offset in zip(home, offsets, strict=True)], 1.0, 1.0)
 
-    def _place(self, positions: Sequence[float], opening: float) -> None:
-        """Put the joints there at rest, within their limits, and aim the motors at the same positions."""
+    def _place(self, positions: Sequence[float], opening: float, command: float) -> None:
+        """Put the joints there at rest, within their limits, and the gripper at `opening`, told to go to `command`."""
         positions = self._clipped(positions)
         self._control.reset(positions)
         self._motors.write(positions, opening)
+        self.opening_command = command
+        # until the first delayed action takes effect the arm rests and the gripper keeps its command
+        rest = [0.0] * self.action.size
+        if self._fingers is not None:
+            rest[-1] = 2 * command - 1
+        self._delayed = deque(rest for _ in range(round(self._values["action_delay"])))
         self.read()
 
     def _clipped(self, positions: Sequence[float]) -> list[float]:
@@ -247,7 +253,7 @@ class Arm:
         limits = zip(positions, self.limits.lower, self.limits.upper, strict=True)
         return [min(max(position, low), high) for position, low, high in limits]
 
-    def place_tool(self, position: Vector, opening: float) -> None:
+    def place_tool(self, position: Vector, opening: float, *, closing: bool = False) -> None:
         joints: list[float] = list(self.model.home)
         for _ in range(100):
             configuration = self.chain.forward(joints)
@@ -263,7 +269,7 @@ class Arm:
                 where=type(self).__name__,
                 hint=f"its workspace is {self.workspace.low} to {self.workspace.high}",
             )
-        self._place(joints, opening)
+        self._place(joints, opening, 0.0 if closing else opening)
 
     def _posture(self, joints: Sequence[float]) -> list[float]:
         """Changes of the joints (n,) in rad that inverse kinematics prefers: back towards the home pose."""
@@ -287,6 +293,7 @@ class Arm:
         else:
             changes = [step * value for step, value in zip(self.joint_step, values, strict=False)]
         opening = None if self._fingers is None else 0.5 + 0.5 * values[-1]
+        self.opening_command = opening or 0.0
         end = self._control.ramp(self._positions, self._velocities, changes)
         self._motors.drive(self._velocities, end, opening)
 
@@ -317,10 +324,16 @@ class Arm:
         if not self._cartesian:
             values += self._positions
             values += self._velocities
-        if self._values["observation_noise"]:
-            noise = self._generator.normal(0.0, self._values["observation_noise"], len(values)).tolist()
-            values = [value + error for value, error in zip(values, noise, strict=True)]
+        values = self.with_noise(values)
+        self.observed_tool_position = values[0], values[1], values[2]
         return values
+
+    def with_noise(self, values: Sequence[float]) -> list[float]:
+        deviation = self._values["observation_noise"]
+        if not deviation:
+            return list(values)
+        noise = self._generator.normal(0.0, deviation, len(values)).tolist()
+        return [value + error for value, error in zip(values, noise, strict=True)]
 
     def pads_touching(self, body: Body) -> int:
         return sum(bool(self.world.contacts(self.body, body, link)) for link in self._motors.pads)

@@ -72,7 +72,7 @@ class Cube:
         # contacts of the previous episode's grip would warm-start the solver: the same episode would differ
         self.body.place((0.0, 0.0, LOST_DISTANCE))
         self._world.update_contacts()
-        robot.place_tool(position, 2 * self.half / robot.gripper.width)
+        robot.place_tool(position, 2 * self.half / robot.gripper.width, closing=True)
         self.place(position, aligned(robot))
 
     def read(self) -> None:
@@ -100,10 +100,13 @@ class Cube:
         upright = abs(2 * (x * z - w * y)) + abs(2 * (y * z + w * x)) + abs(1 - 2 * (x * x + y * y))
         return self.position[2] - self.half * upright
 
-    def observe(self, tool: Vector) -> list[float]:
-        """The numbers of `FIELDS`; `tool` is the tool position in m."""
-        offset = [own - other for own, other in zip(self.position, tool, strict=True)]
-        return [*self.position, *self.columns, *self.velocity, *self.angular_velocity, *offset]
+    def observe(self, robot: RobotView) -> list[float]:
+        """The numbers of `FIELDS`, with the robot's observation noise.
+
+        The offset from the tool is that of the observed positions: it tells nothing that they do not tell.
+        """
+        values = robot.with_noise([*self.position, *self.columns, *self.velocity, *self.angular_velocity])
+        return values + [own - tool for own, tool in zip(values, robot.observed_tool_position, strict=False)]
 
     @property
     def lost(self) -> bool:
@@ -137,7 +140,9 @@ class CubeTask(Task):
         mass, friction = self.settings.object_mass, self.settings.object_friction
         return {
             **super().parameters,
-            "object_mass": RandomizedParameter("kg", mass, 0.001, 5.0, "of the cube; its inertia is proportional"),
+            "object_mass": RandomizedParameter(
+                "kg", mass, min(mass, 0.01), max(mass, 2.0), "of the cube; its inertia is proportional"
+            ),
             "object_friction": RandomizedParameter("1", friction, 0.0, 5.0, "lateral friction coefficient"),
         }
 
@@ -153,7 +158,7 @@ class CubeTask(Task):
         self.cube.read()
 
     def observe(self) -> list[float]:
-        return self.cube.observe(self._robot.tool_position)
+        return self.cube.observe(self._robot)
 
     def lost(self) -> bool:
         return self.cube.lost

@@ -6,7 +6,10 @@ import numpy as np
 import pytest
 from support.rig import expert_episode, made, part
 
+from karolos.environments.robot_task import RobotTask
 from karolos.errors import KarolosError
+from karolos.registry import load
+from karolos.tasks.pick_place import PickPlace
 
 CUBE_TASKS = ["pick_place", "push"]
 
@@ -86,3 +89,51 @@ def test_a_cube_wider_than_the_gripper_is_refused():
 def test_settings_out_of_range_are_refused(bad):
     with pytest.raises(ValueError, match=r"greater|less"):
         part("tasks", "pick_place", **bad)
+
+
+@pytest.mark.parametrize("robot", ["panda", "ur5", "iiwa"])
+def test_a_gripper_that_holds_keeps_its_grip_until_the_first_delayed_action(robot: str) -> None:
+    draws = {"robot.action_delay": part("distributions", "choice", values=(5.0,))}
+    environment = made("pick_place", robot, draws=draws, start_grasped=1.0)
+    lift = np.array([0, 0, 1, -1], np.float32)
+    for seed in range(5):
+        environment.reset(seed)
+        for _ in range(20):
+            environment.step(lift)
+        assert environment.task.cube.lowest > 0.1
+    environment.close()
+
+
+@pytest.mark.parametrize("robot", ["panda", "ur5", "iiwa"])
+def test_the_discrete_action_nothing_keeps_the_grip(robot: str) -> None:
+    environment = RobotTask(
+        RobotTask.Settings(actions="discrete"),
+        robot=load("robots", robot)(load("robots", robot).Settings()),
+        task=PickPlace(PickPlace.Settings(start_grasped=1.0)),
+    )
+    labels = environment.signature.action.labels
+    for seed in range(3):
+        environment.reset(seed)
+        for label in ["nothing"] * 8 + ["tool_position_change z +"] * 8 + ["nothing"] * 8:
+            environment.step(np.array(labels.index(label)))
+        assert environment.task.cube.lowest > 0.08
+    environment.close()
+
+
+@pytest.mark.parametrize("task", ["pick_place", "push", "throw"])
+def test_observation_noise_is_on_the_object_too_and_nothing_gives_the_tool_away(task: str) -> None:
+    noise = 0.05
+    draws = {"robot.observation_noise": part("distributions", "choice", values=(noise,))}
+    control = "joint" if task == "throw" else "cartesian"
+    environment = made(task, control=control, draws=draws)
+    field = environment.signature.observation.slice
+    errors = []
+    for seed in range(40):
+        step = environment.reset(seed)
+        seen = step.observation
+        errors.append(seen[field("object_position")] - environment.task.cube.position)
+        tool = seen[field("object_position")] - seen[field("object_from_tool")]
+        np.testing.assert_allclose(tool, seen[field("tool_position")], atol=1e-6)
+        assert np.abs(tool - environment.robot.tool_position).max() > 1e-4
+    assert np.std(errors) == pytest.approx(noise, rel=0.25)
+    environment.close()

@@ -69,12 +69,28 @@ def every_parameter_changes_the_episodes_of_its_own_environment_alone(robot: Can
             demand(_trace(plain, 3) == nominal, f"{name} also changes another environment")
 
 
+def the_expert_reaches_the_goal_at_both_ends_of_each_parameter(robot: Candidate, task: Candidate) -> None:
+    """At both ends of each parameter the expert still succeeds in at least three of four episodes."""
+    with joined(robot, task) as plain:
+        declared = _declared(plain)
+    for name, (usual, *ends) in declared.items():
+        for value in ends:
+            if value == usual:
+                continue
+            with joined(robot, task, drawn={name: value}) as environment:
+                found = score(environment, expert_policy(environment), episodes=4, seed=1).success_end
+            demand(found >= 0.75, f"with {name} = {value:g} the expert succeeds in only {found:.0%} of 4 episodes")
+
+
 PROMISES = (
     the_expert_solves_the_pair_and_random_actions_do_not,
     drawing_the_nominal_values_changes_nothing,
     extreme_values_of_every_parameter_can_be_drawn,
 )
-IN_REACH = (every_parameter_changes_the_episodes_of_its_own_environment_alone,)
+IN_REACH = (
+    every_parameter_changes_the_episodes_of_its_own_environment_alone,
+    the_expert_reaches_the_goal_at_both_ends_of_each_parameter,
+)
 
 
 def _declared(environment: RobotTask) -> dict[str, tuple[float, float, float]]:

@@ -84,11 +84,28 @@ class RobotView(Protocol):
     def opening(self) -> float:
         """Opening of the gripper: 0 closed, 1 open. 0 without a gripper or when the task does not use it."""
 
+    @property
+    def opening_command(self) -> float:
+        """Opening that the gripper was told to take: 0 closed, 1 open. 0 without a gripper."""
+
+    @property
+    def observed_tool_position(self) -> Vector:
+        """The tool position in m as the last `observe` gave it, with noise."""
+
+    def with_noise(self, values: Sequence[float]) -> list[float]:
+        """The values with the observation noise of the episode, for what a task observes of its objects."""
+
     def pads_touching(self, body: Body) -> int:
         """Number of pads (0, 1, 2) in contact with the body."""
 
-    def place_tool(self, position: Vector, opening: float) -> None:
-        """During a reset: put the tool there at rest, pointing down. Raises PluginError for an unreachable position."""
+    def place_tool(self, position: Vector, opening: float, *, closing: bool = False) -> None:
+        """During a reset: put the tool there at rest, pointing down, the gripper at `opening`.
+
+        Args:
+            closing: whether the gripper closes until an action says otherwise, to hold what is between its pads.
+
+        Raises PluginError for an unreachable position.
+        """
 
     def towards(self, position: Vector, opening: float) -> FloatArray:
         """The action (action.size,) that moves the tool towards `position` and the gripper to `opening`."""

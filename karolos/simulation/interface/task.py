@@ -104,6 +104,6 @@ class Task(ABC):
 
 
 WORLD_PARAMETERS: Mapping[str, RandomizedParameter] = {
-    "gravity": RandomizedParameter("m/s2", GRAVITY, -30.0, 0.0, "along z"),
+    "gravity": RandomizedParameter("m/s2", GRAVITY, -20.0, 0.0, "along z"),
     "floor_friction": RandomizedParameter("1", FLOOR_FRICTION, 0.0, 5.0, "lateral friction coefficient of the floor"),
 }
