@@ -8,9 +8,9 @@ from contextlib import AbstractContextManager
 from typing import TYPE_CHECKING, TextIO
 
 from rich.console import Console
-from rich.progress import BarColumn, MofNCompleteColumn, Progress, TaskID, TextColumn, TimeRemainingColumn
+from rich.progress import BarColumn, MofNCompleteColumn, Progress, TaskID, TextColumn
 
-from karolos.experiment.events import RunAdvanced, RunEnded, RunEvent, RunStarted, RunTested, RunWarned
+from karolos.experiment.events import RunAdvanced, RunBusy, RunEnded, RunEvent, RunStarted, RunTested, RunWarned
 
 from .output import say
 from .sweep import drawn_text
@@ -78,7 +78,7 @@ class Plain(Quiet):
 
 
 class Live(Quiet):
-    """Shows a bar per run: steps, speeds, last success ratio, time left."""
+    """Shows a bar per run: steps, speeds, activity, last success ratio, time left with tests."""
 
     def __init__(self, stream: TextIO | None = None) -> None:
         super().__init__(stream)
@@ -87,8 +87,9 @@ class Live(Quiet):
             BarColumn(bar_width=24),
             MofNCompleteColumn(),
             TextColumn("{task.fields[speed]}", style="cyan"),
+            TextColumn("{task.fields[activity]}", style="yellow"),
             TextColumn("{task.fields[success]}", style="green"),
-            TimeRemainingColumn(),
+            TextColumn("{task.fields[left]}"),
             console=self._console,
         )
         self._tasks: dict[str, TaskID] = {}
@@ -104,7 +105,9 @@ class Live(Quiet):
         super().__call__(event)
         bars = self._bars
         if isinstance(event, RunStarted):
-            task = bars.add_task(f"seed {event.seed}", total=event.steps, speed="starting", success="")
+            task = bars.add_task(
+                f"seed {event.seed}", total=event.steps, speed="starting", activity="", success="", left=""
+            )
             self._tasks[event.run] = task
             return
         task = self._tasks[event.run]
@@ -113,12 +116,19 @@ class Live(Quiet):
         elif isinstance(event, RunTested):
             bars.update(task, completed=event.result.steps, success=_success(event.result))
         elif isinstance(event, RunEnded):
-            bars.update(task, speed=event.state)
+            bars.update(task, speed=event.state, activity="", left="")
             bars.stop_task(task)
 
 
 def _success(result: TestResult) -> str:
     return f"success any {result.success_any:.2f}, end {result.success_end:.2f}"
+
+
+def activity_text(event: RunBusy) -> str:
+    """What a run does beside training, and how far it is; empty when it is done."""
+    if event.done == event.total:
+        return ""
+    return event.activity if event.total == 1 else f"{event.activity} {event.done}/{event.total}"
 
 
 def choose_display(*, quiet: bool) -> Quiet:

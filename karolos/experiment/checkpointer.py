@@ -15,7 +15,7 @@ from ..evaluation.evaluation_process import DueTest
 from ..records import RunFolder
 from ..records.results import TestResult
 from ..training.training import Training
-from .observer import RunObserver, RunWarnings
+from .observer import Announce, RunObserver, RunWarnings
 from .resume import LAST, PREVIOUS
 
 
@@ -31,6 +31,7 @@ class Checkpointer(RunObserver):
         experiment: hash of the run's spec.
         seed: the run's.
         pending: tests without a recorded result, which the caller changes.
+        announce: is told when a checkpoint `last` is written.
     """
 
     folder: RunFolder
@@ -39,6 +40,9 @@ class Checkpointer(RunObserver):
     seed: int
     pending: list[DueTest]
     """Tests without a result; `last` contains them."""
+    announce: Announce
+    demonstrated: bool = field(default=True, init=False)
+    """Whether the buffer holds the demonstrations of the spec, if it has any."""
     _best: tuple[float, float] = field(default=(-1.0, -1.0), init=False)
     """`success_end` and `success_any` of the best test."""
     _saved_at: tuple[int, int] = field(default=(-1, 0), init=False)
@@ -68,6 +72,7 @@ class Checkpointer(RunObserver):
         training.buffer.load_state(parts["buffer"])
         training.load_state(parts["training"])
         run = parts["run"]
+        self.demonstrated = run["demonstrated"]
         self._best = run["best_end"], run["best_any"]
         results = {result.steps: result for result in self.folder.tests()}
         left = []
@@ -84,6 +89,7 @@ class Checkpointer(RunObserver):
         if self._saved_at == (training.steps, len(self.pending)):
             return
         self._saved_at = training.steps, len(self.pending)
+        self.announce("checkpoint", 0, 1)
         parts = {
             "agent": training.agent.state(),
             "buffer": training.buffer.state(),
@@ -91,12 +97,14 @@ class Checkpointer(RunObserver):
             "run": {
                 "best_end": self._best[0],
                 "best_any": self._best[1],
+                "demonstrated": self.demonstrated,
                 "tests": [{one.name: getattr(test, one.name) for one in fields(test)} for test in self.pending],
             },
         }
         with self.warnings.tolerated(MachineError, "the checkpoint before is kept"):
             checkpoint.rename(self.folder.checkpoints, LAST, PREVIOUS)
         self._write(LAST, parts, training, {"episodes_bytes": self.folder.episodes_bytes()})
+        self.announce("checkpoint", 1, 1)
 
     def _write(self, name: str, parts: Mapping[str, State], at: Training | DueTest, more: Mapping[str, Any]) -> None:
         meta = {

@@ -29,6 +29,20 @@ class RunAdvanced:
     episodes: int
     seconds: float
     warming_up: bool
+    seconds_left: float | None = None
+    """Estimated wall-clock seconds to the end of training and tests; None if it is unknown."""
+
+
+@dataclass(frozen=True)
+class RunBusy:
+    """The run does something else than training; sent at most ten times a second, and when it is done."""
+
+    run: str
+    activity: str
+    """testing, collecting demonstrations or checkpoint."""
+    done: int
+    total: int
+    """Episodes, or 1 for a checkpoint."""
 
 
 @dataclass(frozen=True)
@@ -57,5 +71,5 @@ class RunEnded:
     traceback: str | None = None
 
 
-RunEvent = RunStarted | RunAdvanced | RunTested | RunWarned | RunEnded
+RunEvent = RunStarted | RunAdvanced | RunBusy | RunTested | RunWarned | RunEnded
 Listener = Callable[[RunEvent], None]

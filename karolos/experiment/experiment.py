@@ -79,8 +79,8 @@ class Experiment:
     ) -> Outcome:
         """Run every seed and index the results.
 
-        The failure of a run is written down, and the other seeds run. SIGINT, SIGTERM, SIGUSR1 and the time limit stop
-        the run after the current round, with a checkpoint and the state `stopped`.
+        The failure of a run is written down, and the other seeds run. SIGINT, SIGTERM, SIGHUP, SIGUSR1 and the time
+        limit stop the run after the current round, also during a test, with a checkpoint and the state `stopped`.
 
         Args:
             runs: folder of the run folders and, without `database`, of karolos.sqlite.

@@ -3,7 +3,8 @@
 from __future__ import annotations
 
 import time
-from collections.abc import Iterator, Mapping, Sequence
+from collections import deque
+from collections.abc import Callable, Iterator, Mapping, Sequence
 from contextlib import contextmanager
 from dataclasses import dataclass, field
 
@@ -16,10 +17,15 @@ from ..records import RunFolder
 from ..records.results import TestResult
 from ..training.episodes import Episode
 from ..training.training import Progress, Training
-from .events import Listener, RunAdvanced, RunEnded, RunTested, RunWarned
+from .events import Listener, RunAdvanced, RunBusy, RunEnded, RunTested, RunWarned
 
 ADVANCE_SECONDS = 0.1
-"""Minimal time between two RunAdvanced events."""
+"""Minimal time between two RunAdvanced or two RunBusy events."""
+SPEED_WINDOW = 100
+"""RunAdvanced events from which the time left is estimated: about ten seconds."""
+
+Announce = Callable[[str, int, int], None]
+"""Is called with an activity, and how much of it is done, of how much."""
 
 
 @dataclass(frozen=True)
@@ -106,8 +112,23 @@ class Announcer(RunObserver):
     """Tells the listener. It is the last observer, so that an event comes after everything it announces is written."""
 
     run: str
+    steps: int
+    """Environment steps of the run."""
     listener: Listener
     _last: float = field(default=0.0, init=False)
+    _busy: float = field(default=0.0, init=False)
+    """Time of the last RunBusy event."""
+    _points: deque[tuple[float, int]] = field(default_factory=lambda: deque(maxlen=SPEED_WINDOW), init=False)
+    """Seconds and steps of training at the latest events."""
+    seconds_left: Callable[[float, int], float] = field(default=lambda seconds, _: seconds, init=False)
+    """Seconds to the end of training and tests, given the seconds and steps of training left."""
+
+    def announce(self, activity: str, done: int, total: int) -> None:
+        """Tell how far a test or another activity is."""
+        now = time.monotonic()
+        if done in (0, total) or now - self._busy >= ADVANCE_SECONDS:
+            self._busy = now
+            self.listener(RunBusy(self.run, activity, done, total))
 
     @override
     def progressed(self, progress: Progress) -> None:
@@ -115,7 +136,18 @@ class Announcer(RunObserver):
         if now - self._last >= ADVANCE_SECONDS:
             self._last = now
             counts = progress.steps, progress.updates, progress.episodes
-            self.listener(RunAdvanced(self.run, *counts, progress.seconds, progress.warming_up))
+            left = self._estimate_seconds_left(progress)
+            self.listener(RunAdvanced(self.run, *counts, progress.seconds, progress.warming_up, left))
+
+    def _estimate_seconds_left(self, progress: Progress) -> float | None:
+        if progress.warming_up:  # the rounds that learn take longer
+            return None
+        self._points.append((progress.seconds, progress.steps))
+        (start, steps), (end, more_steps) = self._points[0], self._points[-1]
+        if more_steps == steps:
+            return None
+        left = self.steps - progress.steps
+        return self.seconds_left((end - start) / (more_steps - steps) * left, left)
 
     @override
     def tested(self, training: Training, test: DueTest, result: TestResult) -> None:

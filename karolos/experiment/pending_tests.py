@@ -5,7 +5,6 @@ from __future__ import annotations
 import math
 import time
 from collections.abc import Iterator
-from typing import Protocol
 
 from ..core import Agent, Failure, Orchestrator
 from ..core.seeding import SeedTree
@@ -16,7 +15,7 @@ from ..records.results import TestResult
 from ..spec import Spec
 from ..training.assembly import make_agent
 from ..training.training import Training
-from .observer import RunWarnings
+from .observer import Announce, RunWarnings
 from .signals import StopRequest
 
 PATIENCE = 1.0
@@ -28,10 +27,6 @@ MAX_PENDING = 16
 MAX_LOSSES = 3
 """Test processes that may be lost until tests are played in the run's own process only."""
 POLL_SECONDS = 0.1
-
-
-class Announce(Protocol):
-    def __call__(self, activity: str, done: int, total: int) -> None: ...
 
 
 class _AbandonedError(Exception):
@@ -81,6 +76,10 @@ class PendingTests:
         """Seconds of testing in this process."""
         self._played = 0
         """Episodes that were completed in this time."""
+        self._seconds = 0.0
+        """Of the latest test that is over."""
+        self._sent = 0.0
+        """When the second process got its test."""
 
     def add(self, training: Training) -> None:
         """Add a test of the agent as it is, and play it here unless a second process plays tests."""
@@ -112,6 +111,17 @@ class PendingTests:
             elif self._process is not None:
                 self._receive(self._process, POLL_SECONDS)
             yield from self.finished()
+
+    def seconds_left(self, training: float, steps: int) -> float:
+        """Estimated seconds to the end of training and tests.
+
+        Args:
+            training: seconds of training left.
+            steps: environment steps left.
+        """
+        waiting = len(self.pending) - len(self._results)
+        tests = self._seconds * (waiting + math.ceil(steps / self._spec.testing.interval))
+        return training + (tests if self._process is None else max(tests - training, 0.0) / 2)
 
     def close(self) -> None:
         if self._process is not None:
@@ -150,6 +160,8 @@ class PendingTests:
                 on_round=on_round,
             )
             completed = count
+            self._seconds = time.perf_counter() - started
+            self._announce("testing", count, count)
         except _AbandonedError:
             pass
         finally:
@@ -177,6 +189,8 @@ class PendingTests:
                 elif isinstance(message, TestResult):
                     if test is not None:
                         self._results[test] = message
+                        self._seconds = time.perf_counter() - self._sent
+                        self._announce("testing", len(test.seeds), len(test.seeds))
                 elif test is not None and self._here is None:
                     self._announce("testing", message, len(test.seeds))
         except WorkerError as error:
@@ -187,3 +201,4 @@ class PendingTests:
             return
         if process.ready and process.test is None and (test := self._next()) is not None:
             process.play(test)
+            self._sent = time.perf_counter()

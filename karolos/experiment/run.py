@@ -9,7 +9,7 @@ import traceback
 from contextlib import ExitStack
 from dataclasses import dataclass, field
 
-from ..core import Agent, Buffer
+from ..core import Agent
 from ..core.schedules import Every
 from ..core.seeding import SeedTree
 from ..errors import KarolosError, WorkerError
@@ -18,6 +18,7 @@ from ..records import RunFolder
 from ..records.results import TestResult
 from ..records.run_records import RunSummary
 from ..spec import Spec
+from ..spec.model import Demonstrations as DemonstrationSettings
 from ..store import Store
 from ..training.assembly import make_agent, make_buffer, make_orchestrator
 from ..training.demonstrations import collect_demonstrations
@@ -29,7 +30,7 @@ from .folder_writer import FolderWriter
 from .observer import Announcer, Ending, RunObserver, RunWarnings
 from .pending_tests import PendingTests
 from .resume import Snapshot
-from .signals import StopRequest
+from .signals import StopRequest, StopRequestedError
 from .start_from import apply, find
 from .tensorboard_writer import TensorBoardWriter
 
@@ -61,6 +62,7 @@ class Run:
     beside: bool = False
     _pending: list[DueTest] = field(default_factory=list, init=False)
     _warnings: RunWarnings = field(init=False)
+    _announcer: Announcer = field(init=False)
     _checkpointer: Checkpointer = field(init=False)
     _observers: tuple[RunObserver, ...] = field(init=False)
 
@@ -68,12 +70,15 @@ class Run:
         folder, snapshot = self.folder, self.snapshot
         exact = self.spec.training.at_least is None
         self._warnings = RunWarnings(folder, self.listener)
-        self._checkpointer = Checkpointer(folder, self._warnings, self.spec.hash(), self.seed, self._pending)
+        self._announcer = Announcer(folder.id, self.spec.training.steps, self.listener)
+        self._checkpointer = Checkpointer(
+            folder, self._warnings, self.spec.hash(), self.seed, self._pending, self._announcer.announce
+        )
         self._observers = (
             FolderWriter(folder, self.store, self._warnings, snapshot, exact),
             TensorBoardWriter(folder.tensorboard, self._warnings, snapshot),
             self._checkpointer,
-            Announcer(folder.id, self.listener),
+            self._announcer,
         )
 
     def execute(self) -> RunSummary:
@@ -111,9 +116,6 @@ class Run:
             signature, size = environments.signature, environments.size
             agent = make_agent(spec, signature, seeds)
             buffer = make_buffer(spec, signature, seeds, environments=size, discount=agent.discount)
-            if self.snapshot is None or not self.snapshot.parts:
-                self._start_from(agent)
-                self._demonstrate(buffer, seeds)
             pretraining_updates = spec.demonstrations.updates if spec.demonstrations else 0
             training = Training(
                 environments, agent, buffer, spec.training, seeds, spec.training.at_least, pretraining_updates
@@ -124,16 +126,31 @@ class Run:
                 self._pending,
                 self._warnings,
                 self.stop,
-                self._announce,
+                self._announcer.announce,
                 beside=self.beside,
             )
             stack.callback(tests.close)
-            if self.snapshot is not None:
-                self._resume(training, self.snapshot)
-            finished = self._train_and_test(training, tests)
+            self._announcer.seconds_left = tests.seconds_left
+            finished = self._prepare(training) and self._train_and_test(training, tests)
         if finished:
             return Ending("finished", training.steps, training.seconds)
         return Ending("stopped", training.steps, training.seconds, self.stop.reason)
+
+    def _prepare(self, training: Training) -> bool:
+        """Start or resume, and collect demonstrations that are missing. Returns False if a stop is requested."""
+        if self.snapshot is not None:
+            self._resume(training, self.snapshot)
+        if self.snapshot is None or not self.snapshot.parts:
+            self._start_from(training.agent)
+            self._checkpointer.demonstrated = self.spec.demonstrations is None
+        try:
+            if self.spec.demonstrations is not None and not self._checkpointer.demonstrated:
+                self._demonstrate(training, self.spec.demonstrations)
+                self._checkpointer.demonstrated = True
+        except StopRequestedError:
+            self._checkpointer.save(training)
+            return False
+        return True
 
     def _start_from(self, agent: Agent) -> None:
         """Take over what another run's agent has learned, if the spec says so."""
@@ -142,13 +159,17 @@ class Run:
             apply(start, agent)
             self.folder.event("started_from", **start.record())
 
-    def _demonstrate(self, buffer: Buffer, seeds: SeedTree) -> None:
-        """Add the expert's episodes to the buffer, if the spec has demonstrations."""
-        settings = self.spec.demonstrations
-        if settings is None:
-            return
-        demonstrations = collect_demonstrations(self.spec.recipe(randomize=True), settings, seeds)
-        buffer.add_demonstrations(demonstrations.episodes, settings.share)
+    def _demonstrate(self, training: Training, settings: DemonstrationSettings) -> None:
+        """Add the expert's episodes to the buffer. Raises StopRequestedError."""
+
+        def on_step(episodes: int) -> None:
+            self.stop.check()
+            self._announcer.announce("collecting demonstrations", episodes, settings.episodes)
+
+        recipe = self.spec.recipe(randomize=True)
+        demonstrations = collect_demonstrations(recipe, settings, training.seeds, on_step)
+        self._announcer.announce("collecting demonstrations", settings.episodes, settings.episodes)
+        training.buffer.add_demonstrations(demonstrations.episodes, settings.share)
         self.folder.event(
             "demonstrated",
             episodes=len(demonstrations.episodes),
@@ -214,6 +235,3 @@ class Run:
     def _tested(self, training: Training, test: DueTest, result: TestResult) -> None:
         for observer in self._observers:
             observer.tested(training, test, result)
-
-    def _announce(self, activity: str, done: int, total: int) -> None:
-        pass

@@ -1,4 +1,4 @@
-"""Stop requests: SIGINT, SIGTERM, SIGUSR1, a time limit or the program. A second SIGINT stops at once."""
+"""Stop requests: SIGINT, SIGTERM, SIGHUP, SIGUSR1, a time limit or the program. A second SIGINT stops at once."""
 
 from __future__ import annotations
 
@@ -14,9 +14,13 @@ TIME_LIMIT_EXIT = 124
 """Exit code of an experiment that its time limit stopped; the same as that of timeout(1)."""
 
 
+class StopRequestedError(Exception):
+    """Breaks off what is going on, because a stop is requested."""
+
+
 @dataclass
 class StopRequest:
-    """Whether a stop is requested. Training checks it after each round."""
+    """Whether a stop is requested. Training checks it after each round, tests and demonstrations at each step."""
 
     signal: int | None = None
     """The signal that requested it."""
@@ -42,9 +46,14 @@ class StopRequest:
             return self.program_reason
         return "time limit" if self.time_is_up else None
 
+    def check(self) -> None:
+        """Raise a StopRequestedError if a stop is requested."""
+        if self.requested:
+            raise StopRequestedError
+
     @property
     def exit_code(self) -> int:
-        """130 after SIGINT, 143 after SIGTERM (128 + signal, as in a shell); 124 after the time limit; else 0."""
+        """128 + signal as in a shell, e.g. 130 after SIGINT and 143 after SIGTERM; 124 after the time limit; else 0."""
         if self.signal is not None:
             return 128 + self.signal
         return TIME_LIMIT_EXIT if self.time_is_up else 0
@@ -52,9 +61,9 @@ class StopRequest:
 
 @contextmanager
 def stop_on_signals(*, interrupt: bool = True, time_limit: float | None = None) -> Iterator[StopRequest]:
-    """Turn SIGINT, SIGTERM and SIGUSR1 into a stop request while the block runs.
+    """Turn SIGINT, SIGTERM, SIGHUP and SIGUSR1 into a stop request while the block runs.
 
-    Outside the main thread signals keep their handlers.
+    Outside the main thread signals keep their handlers. An ignored SIGHUP stays ignored, for nohup.
 
     Args:
         interrupt: whether to handle SIGINT. A process whose parent handles it leaves it ignored.
@@ -74,7 +83,9 @@ def stop_on_signals(*, interrupt: bool = True, time_limit: float | None = None) 
     handled = [signal.SIGTERM]
     if interrupt:
         handled.append(signal.SIGINT)
-    if hasattr(signal, "SIGUSR1"):  # batch systems send it some time before they kill; Windows does not have it
+    if hasattr(signal, "SIGHUP") and signal.getsignal(signal.SIGHUP) != signal.SIG_IGN:  # Windows does not have it
+        handled.append(signal.SIGHUP)
+    if hasattr(signal, "SIGUSR1"):  # batch systems send it some time before they kill
         handled.append(signal.SIGUSR1)
     before = {number: signal.signal(number, handle) for number in handled}
     try:

@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import time
+from collections.abc import Callable
 from dataclasses import dataclass
 
 import numpy as np
@@ -33,7 +34,12 @@ class Demonstrations:
         return sum(len(episode.reward) for episode in self.episodes)
 
 
-def collect_demonstrations(recipe: Recipe, settings: DemonstrationSettings, seeds: SeedTree) -> Demonstrations:
+def collect_demonstrations(
+    recipe: Recipe,
+    settings: DemonstrationSettings,
+    seeds: SeedTree,
+    on_step: Callable[[int], object] = lambda _: None,
+) -> Demonstrations:
     """Play the expert's episodes in a separate environment.
 
     The expert sees the effect of its noisy actions before it acts again. An episode whose simulation diverged is
@@ -43,6 +49,7 @@ def collect_demonstrations(recipe: Recipe, settings: DemonstrationSettings, seed
         recipe: of the environment, randomization included.
         settings: number of episodes and size of the noise.
         seeds: the run's.
+        on_step: is called with the number of collected episodes before each step; an error that it raises ends this.
 
     Raises:
         UsageError: the environment has no expert.
@@ -56,7 +63,13 @@ def collect_demonstrations(recipe: Recipe, settings: DemonstrationSettings, seed
     try:
         for index in range(2 * settings.episodes):
             node = tree.child(index)
-            steps, actions = _play(environment, settings, node.child("episode").integer(), node.generator())
+            steps, actions = _play(
+                environment,
+                settings,
+                node.child("episode").integer(),
+                node.generator(),
+                lambda: on_step(len(episodes)),
+            )
             if steps[-1].diverged:
                 continue
             episodes.append(_transitions(steps, actions))
@@ -85,13 +98,18 @@ def demonstrating_expert(environment: Environment) -> Expert:
 
 
 def _play(
-    environment: Environment, settings: DemonstrationSettings, seed: int, generator: Generator
+    environment: Environment,
+    settings: DemonstrationSettings,
+    seed: int,
+    generator: Generator,
+    on_step: Callable[[], object],
 ) -> tuple[list[Step], list[FloatArray]]:
     """One episode: its n + 1 steps, the reset's first, and its n actions."""
     steps, actions = [environment.reset(seed)], []
     expert = demonstrating_expert(environment)
     expert.reset()
     while not (steps[-1].terminated or steps[-1].truncated):
+        on_step()
         intended = np.asarray(expert.act(), np.float32)
         noisy = intended + settings.noise * generator.standard_normal(intended.shape, np.float32)
         uniform = generator.uniform(-1, 1, intended.shape)

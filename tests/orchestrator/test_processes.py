@@ -177,7 +177,7 @@ while True:
     assert not [path for path in left if path.name.startswith(("psm_", "pym-", "karolos"))]
 
 
-@pytest.mark.parametrize("name", ["SIGINT", "SIGTERM", "SIGUSR1"])
+@pytest.mark.parametrize("name", ["SIGINT", "SIGTERM", "SIGHUP", "SIGUSR1"])
 def test_a_signal_to_the_whole_group_is_the_parents_to_decide(tmp_path, name):
     """Ctrl-C and job schedulers signal every process; the parent finishes its step and may go on."""
     body = f"""

@@ -1,0 +1,82 @@
+"""A run that is asked to stop ends soon wherever it is, with a checkpoint; the resumed run equals an unbroken one."""
+
+from __future__ import annotations
+
+import signal
+from pathlib import Path
+from typing import Any
+
+import pytest
+from support.states import assert_same_runs
+
+from karolos import checkpoint
+from karolos.experiment.events import RunBusy, RunStarted, RunWarned
+from karolos.experiment.experiment import Experiment
+from karolos.experiment.signals import stop_on_signals
+from karolos.records import RunFolder
+
+REACH: dict[str, Any] = {
+    "name": "reach",
+    "robot": {"name": "panda", "control": "cartesian"},
+    "task": {"name": "reach", "reward": "sparse", "max_steps": 10},
+    "agent": {"name": "sac", "hidden": [8], "precision": "float32"},
+    "buffer": {"name": "uniform", "capacity": 1000, "hindsight": {}},
+    "orchestrator": {"processes": 0, "environments": 2},
+    "training": {"steps": 60, "batch_size": 8, "replay_ratio": 1, "warmup_episodes": 0},
+    "testing": {"interval": 60, "episodes": 2},
+    "demonstrations": {"episodes": 3, "updates": 2},
+}
+
+
+def run(runs: Path, **options: Any) -> RunFolder:
+    (summary,) = Experiment(REACH).run(runs, **options).runs
+    return RunFolder.open(summary.folder)
+
+
+def test_stop_during_demonstrations_leaves_a_checkpoint_and_they_are_collected_again(tmp_path: Path) -> None:
+    def stop(event: object) -> None:
+        if isinstance(event, RunBusy) and event.activity == "collecting demonstrations":
+            signal.raise_signal(signal.SIGTERM)
+
+    folder = run(tmp_path / "stopped", listener=stop)
+    assert folder.state().state == "stopped"
+    assert "demonstrated" not in [event["event"] for event in folder.events()]
+    assert checkpoint.read_meta(folder.checkpoints, "last")["steps"] == 0
+    events: list[object] = []
+    resumed = run(tmp_path / "stopped", existing="resume", listener=events.append)
+    assert not any(isinstance(event, RunWarned) for event in events)
+    assert_same_runs(run(tmp_path / "whole"), resumed)
+
+
+def test_listener_hears_what_a_run_does_besides_training(tmp_path: Path) -> None:
+    events: list[object] = []
+    run(tmp_path, listener=events.append)
+    busy = [event for event in events if isinstance(event, RunBusy)]
+    first, last = {}, {}
+    for event in busy:
+        first.setdefault(event.activity, (event.done, event.total))
+        last[event.activity] = event.done, event.total
+    assert first == {"collecting demonstrations": (0, 3), "testing": (0, 2), "checkpoint": (0, 1)}
+    assert last == {"collecting demonstrations": (3, 3), "testing": (2, 2), "checkpoint": (1, 1)}
+
+
+@pytest.mark.skipif(not hasattr(signal, "SIGHUP"), reason="this system has no SIGHUP")
+def test_sighup_stops_like_sigterm(tmp_path: Path) -> None:
+    def hang_up(event: object) -> None:
+        if isinstance(event, RunStarted):
+            signal.raise_signal(signal.SIGHUP)
+
+    outcome = Experiment(REACH).run(tmp_path, listener=hang_up)
+    assert outcome.exit_code == 129
+    assert outcome.runs[0].state == "stopped"
+
+
+@pytest.mark.skipif(not hasattr(signal, "SIGHUP"), reason="this system has no SIGHUP")
+def test_sighup_that_nohup_ignores_stays_ignored() -> None:
+    before = signal.signal(signal.SIGHUP, signal.SIG_IGN)
+    try:
+        with stop_on_signals() as stop:
+            signal.raise_signal(signal.SIGHUP)
+        assert not stop.requested
+    finally:
+        signal.signal(signal.SIGHUP, before)
