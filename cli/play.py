@@ -17,18 +17,23 @@ from .arguments import RUN_HELP, Database, Runs, check_checkpoint, open_run
 from .output import say
 
 if TYPE_CHECKING:
+    import numpy as np
+    from numpy.typing import NDArray
+
     from karolos.evaluation.playing import Moment
     from karolos.records import RunFolder
 
-FRAMES_PER_SECOND = 24
-"""The control rate of robot tasks: a film shows real time."""
+OUTCOME_SECONDS = 0.7
+"""A film shows the outcome of an episode for this long."""
 
 
 def play(
     run: Annotated[str, typer.Argument(metavar="RUN", help=f"{RUN_HELP} With --expert a SPEC.yaml.")],
     expert: Annotated[bool, typer.Option("--expert", help="Play the expert of a spec's task instead.")] = False,
     record: Annotated[Path | None, typer.Option(help="Film to write: FILE.mp4 or FILE.gif.")] = None,
-    episodes: Annotated[int, typer.Option(min=1, help="Episodes to play.")] = 5,
+    episodes: Annotated[
+        int | None, typer.Option(min=1, help="Episodes to play. Default: 1 for a film, 5 in a window.")
+    ] = None,
     checkpoint: Annotated[
         str | None,
         typer.Option(
@@ -67,14 +72,15 @@ def play(
         environment, policy = load_expert(spec, window=window)
     else:
         spec, environment, policy = load_player(folder, checkpoint or _best_or_last(folder), window=window)
-    moments = _report_episodes(play_episodes(environment, policy, episodes=episodes, seed=spec.testing.seed))
+    count = episodes or (5 if window else 1)
+    moments = _report_episodes(play_episodes(environment, policy, episodes=count, seed=spec.testing.seed))
     try:
         if window:
             for _ in moments:
-                time.sleep(1 / FRAMES_PER_SECOND)
+                time.sleep(1 / environment.rate)
             return
-        pictures = (moment.environment.render(width, height) for moment in moments)
-        write_video(target, pictures, FRAMES_PER_SECOND)
+        moments = _with_bar(moments, count)
+        write_video(target, _pictures(moments, width, height), environment.rate)
     finally:
         environment.close()
     print(target)
@@ -89,6 +95,36 @@ def _best_or_last(folder: RunFolder) -> str:
         return "best"
     say(f"{folder.id} was never tested and has no checkpoint best: playing last")
     return "last"
+
+
+def _pictures(moments: Iterator[Moment], width: int, height: int) -> Iterator[NDArray[np.uint8]]:
+    """A picture of each moment that says whether the goal is reached; the last of an episode stands for a while."""
+    from karolos.report.video import with_caption
+
+    for moment in moments:
+        picture = moment.environment.render(width, height)
+        outcome = "success" if moment.success else "no success" if moment.over else ""
+        text = f"episode {moment.episode + 1}   step {moment.step}   {outcome}"
+        picture = with_caption(picture, text, success=moment.success, over=moment.over)
+        for _ in range(1 + moment.over * round(OUTCOME_SECONDS * moment.environment.rate)):
+            yield picture
+
+
+def _with_bar(moments: Iterator[Moment], episodes: int) -> Iterator[Moment]:
+    """Pass moments on, with a bar on stderr if it is a terminal."""
+    if not sys.stderr.isatty():
+        yield from moments
+        return
+    from rich.console import Console
+    from rich.progress import BarColumn, Progress, TextColumn, TimeRemainingColumn
+
+    columns = (TextColumn("recording episode {task.fields[episode]}"), BarColumn(), TimeRemainingColumn())
+    with Progress(*columns, console=Console(stderr=True), transient=True) as bar:
+        task = bar.add_task("", total=episodes, episode=f"1/{episodes}")
+        for moment in moments:
+            yield moment
+            part = 1.0 if moment.over else moment.step / moment.environment.signature.max_steps
+            bar.update(task, completed=moment.episode + part, episode=f"{moment.episode + 1}/{episodes}")
 
 
 def _report_episodes(moments: Iterator[Moment]) -> Iterator[Moment]:

@@ -97,7 +97,12 @@ class RobotTask(Environment):
     def world(self) -> World:
         """The physics world, built at the first access."""
         if self._world is None:
-            self._world = World(substeps=self.settings.substeps, timestep=TIMESTEP, window=self.settings.window)
+            self._world = World(
+                substeps=self.settings.substeps,
+                timestep=TIMESTEP,
+                window=self.settings.window,
+                camera=self.task.camera,
+            )
             self.robot.build(self._world)
             self.task.build(self._world)
         return self._world

@@ -10,6 +10,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from ..core import Discrete, Layout
+from ..core.seeding import SeedTree
 from ..environments.build import build_environment
 from ..environments.robot_task import RobotTask
 from ..errors import PluginError
@@ -18,6 +19,8 @@ from ..evaluation.policies import random_policy
 from ..evaluation.testing import test_seeds
 from ..randomization.randomization import RandomizedParameter
 from ..registry import load
+from ..simulation.bullet.world import World
+from ..simulation.interface import Camera
 from ..spec.parts import Part, Recipe
 
 Facts = dict[str, Any]
@@ -165,13 +168,21 @@ def _settings(plugin: Any) -> list[Facts]:
 
 
 def _picture(robot: str, task: str | None, size: tuple[int, int] | None) -> NDArray[np.uint8] | None:
-    """A picture of the first test episode's start. A robot alone is shown with reach, which needs no gripper."""
+    """A picture of the first test episode's start, or of the robot alone at home."""
     if size is None:
         return None
-    environment = pair(robot, task or "reach")
+    width, height = size
+    if task is None:
+        alone, world = _prepared(load("robots", robot), None), World()
+        try:
+            alone.build(world)
+            alone.reset(SeedTree(0).generator())
+            return halved(world.render(2 * width, 2 * height, Camera()))
+        finally:
+            world.close()
+    environment = pair(robot, task)
     try:
         environment.reset(test_seeds(0, 1)[0])
-        width, height = size
         return halved(environment.render(2 * width, 2 * height))
     finally:
         environment.close()

@@ -12,6 +12,7 @@ from numpy.typing import NDArray
 from ..errors import MachineError, UsageError
 
 FORMATS = (".mp4", ".gif")
+TEXT, SUCCESS, FAILURE = "#20262c", "#22a559", "#c8452f"
 
 
 def check_video_path(path: Path) -> None:
@@ -20,6 +21,21 @@ def check_video_path(path: Path) -> None:
         raise UsageError(f"cannot record {path.name!r}", hint=f"name a file that ends in {' or '.join(FORMATS)}")
     if not path.parent.is_dir():
         raise UsageError(f"there is no folder {path.parent} to record into")
+
+
+def with_caption(picture: NDArray[np.uint8], text: str, *, success: bool, over: bool) -> NDArray[np.uint8]:
+    """The picture (height, width, 3) with text and a frame: green at the goal, red where an episode ends elsewhere."""
+    from PIL import Image, ImageDraw, ImageFont  # noqa: PLC0415
+
+    image = Image.fromarray(picture)
+    draw = ImageDraw.Draw(image)
+    height, width = picture.shape[:2]
+    size = max(8, height // 26)
+    draw.text((size, size), text, fill=TEXT, font=ImageFont.load_default(size))
+    if success or over:
+        edge = max(1, height // 80)
+        draw.rectangle((0, 0, width - 1, height - 1), outline=SUCCESS if success else FAILURE, width=edge)
+    return np.asarray(image)
 
 
 def write_video(path: Path, pictures: Iterable[NDArray[np.uint8]], frames_per_second: float) -> None:

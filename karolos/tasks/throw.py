@@ -100,7 +100,7 @@ class Throw(CubeTask):
     settings: Throw.Settings
     uses_gripper = True
     points_down = False
-    camera = Camera(target=(0.75, 0.0, 0.42), distance=3.4, yaw=22.0, pitch=-22.0)
+    camera = Camera(target=(0.8, 0.0, 0.4), distance=4.0, yaw=22.0, pitch=-22.0)
     achieved_goal = Layout((Field("landing_point", 2, "m"), Field("landed", 1)))
     desired_goal = Layout((Field("target", 2, "m"),))
 
@@ -136,7 +136,6 @@ class Throw(CubeTask):
 
     def build(self, world: World) -> None:
         super().build(world)
-        world.show_floor((0.0, -0.9), (self.furthest + 0.3, 0.9))
         self._marker = world.marker(self.settings.threshold, GOAL_COLOUR)
 
     def apply(self, world: World, name: str, value: float) -> None:

@@ -26,6 +26,17 @@ def test_robot_is_shown_with_a_picture(name: str, tmp_path: Path) -> None:
     assert Image.open(target).size == (32, 24)
 
 
+def test_robot_is_shown_without_a_goal(tmp_path: Path) -> None:
+    def green(kind: str, name: str) -> int:
+        target = tmp_path / f"{name}.png"
+        assert call(app, kind, name, "--picture", str(target), "--width", "160", "--height", "120")[0] == 0
+        red, green, blue = np.asarray(Image.open(target), int).transpose(2, 0, 1)
+        return int(((green > red + 30) & (green > blue + 30)).sum())
+
+    assert green("task", "reach") > 20
+    assert green("robot", "panda") == 0
+
+
 @pytest.mark.parametrize("name", names("tasks"))
 def test_task_is_shown_with_a_picture(name: str, tmp_path: Path) -> None:
     target = tmp_path / "task.png"

@@ -1,15 +1,19 @@
 from __future__ import annotations
 
+import io
 import shutil
+import sys
 from pathlib import Path
 
 import imageio.v3 as imageio
+import numpy as np
 import pytest
 from karolos_cli.play import play
 from support.commands import call
 from typer import Typer
 
 from karolos.experiment.experiment import Experiment
+from karolos.report.video import with_caption
 
 app = Typer()
 app.command()(play)
@@ -34,6 +38,35 @@ def test_the_expert_of_a_spec_is_filmed_and_its_episodes_are_told(spec: Path, tm
     pictures = imageio.imread(film)
     assert pictures.shape[1:3] == (48, 64)
     assert len(pictures) >= 7, "the arm moves"
+
+
+class Terminal(io.StringIO):
+    def isatty(self) -> bool:
+        return True
+
+
+def test_a_film_has_one_episode_by_default_and_a_bar(
+    spec: Path, tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    screen = Terminal()
+    monkeypatch.setattr(sys, "stderr", screen)
+    monkeypatch.setenv("TERM", "xterm")
+    play(str(spec), expert=True, record=tmp_path / "film.mp4", width=64, height=48)
+    assert "recording episode 1/1" in screen.getvalue()
+    assert "episode 1: " in screen.getvalue()
+    assert "episode 2" not in screen.getvalue()
+    film = imageio.immeta(tmp_path / "film.mp4")
+    assert film["fps"] == 24
+    assert film["duration"] == pytest.approx((7 + 17) / 24, abs=0.1), "the outcome stands for .7 s"
+
+
+def test_pictures_of_a_film_say_how_an_episode_goes() -> None:
+    plain = np.full((240, 320, 3), 200, np.uint8)
+    running = with_caption(plain, "episode 1", success=False, over=False)
+    assert (running[:40] != plain[:40]).any()
+    assert (running[60:] == plain[60:]).all()
+    for success, strongest in ((True, 1), (False, 0)):
+        assert with_caption(plain, "", success=success, over=True)[0, 0].argmax() == strongest
 
 
 @pytest.mark.parametrize(

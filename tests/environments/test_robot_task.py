@@ -7,10 +7,13 @@ from support.rig import part
 from karolos.environments.build import build_environment
 from karolos.environments.robot_task import RobotTask
 from karolos.errors import UsageError
+from karolos.plugins.inspection import pair
 from karolos.randomization.distribution import Distribution
 from karolos.randomization.normal import Normal
 from karolos.randomization.uniform import Uniform
+from karolos.registry import names
 from karolos.robots.panda import Panda
+from karolos.simulation.bullet.picture import view_of
 from karolos.spec.parts import Part, Recipe
 from karolos.tasks.reach import Reach
 
@@ -142,3 +145,18 @@ def test_recipe_without_a_robot_or_with_one_too_many_is_refused() -> None:
         build_environment(Recipe(part("environments", "robot_task"), task=part("tasks", "reach")))
     with pytest.raises(UsageError, match="takes no robot"):
         build_environment(Recipe(part("environments", "toy"), part("robots", "panda")))
+
+
+@pytest.mark.parametrize("task", names("tasks"))
+@pytest.mark.parametrize("robot", names("robots"))
+def test_camera_shows_every_goal_and_the_robot(robot: str, task: str) -> None:
+    made = pair(robot, task)
+    view = view_of(made.world.api, 640, 480, made.task.camera)
+    places = [(0.0, 0.0, 0.0), made.robot.home]
+    for seed in range(30):
+        goal = made.reset(seed).desired_goal.tolist()
+        places.append((*goal, *[0.0] * (3 - len(goal))))
+    right, up, ahead = view.axes @ (np.array(places, np.float32) - view.origin).T
+    assert np.abs(right / ahead / view.edge * 480 / 640).max() < 0.9
+    assert np.abs(up / ahead / view.edge).max() < 0.9
+    made.close()

@@ -63,6 +63,6 @@ def test_marker_stands_at_the_goal() -> None:
     made = environment()
     made.reset(0)
     without = made.render(80, 60).astype(int)
-    made.world._markers[0].place((0.0, 0.0, -50.0))
+    made.world._markers[0][0].place((0.0, 0.0, -50.0))
     assert np.abs(made.render(80, 60) - without).max() > 20
     made.close()

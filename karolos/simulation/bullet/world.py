@@ -11,8 +11,6 @@ from typing import Any
 from xml.etree import ElementTree
 from xml.etree.ElementTree import Element
 
-import numpy as np
-
 from ...core import Array
 from ...errors import MachineError, PluginError
 from ..geometry import Vector
@@ -20,12 +18,13 @@ from ..interface.engine import FLOOR_FRICTION, GRAVITY, Camera, Colour, Contact,
 from ..interface.engine import Body as AnyBody
 from .body import Body
 from .motors import Motors
+from .picture import FLOOR_COLOUR, GRID_COLOUR, GRIDS, SKY_COLOUR, Marker, draw
 
 FLOOR_HALF = (5.0, 5.0, 0.5)
 """Half the edges of the slab that is the floor, in m. An endless plane would be checked against every link at every
 substep, wherever they are: 8 % of an arm's step."""
-FLOOR_COLOUR = (0.62, 0.68, 0.74, 1.0)
-SKY_TOP, SKY_BOTTOM = (168.0, 186.0, 206.0), (232.0, 236.0, 240.0)
+HIDDEN = (0.0, 0.0, -100.0)
+"""A place that no camera sees."""
 ROUNDS = 201
 """Largest number of the solver's iterations per physics step."""
 RESIDUAL = 1e-3
@@ -70,10 +69,14 @@ class World:
     The floor is a rigid body: as an articulated one without joints it would cost 5 % more. A rigid cube would save as
     much again, but keeps state from before it was placed, so that episodes would not repeat bit for bit.
 
+    A window shows the floor of the pictures, from `camera`.
+
     Raises MachineError when a window is requested and there is no display.
     """
 
-    def __init__(self, *, substeps: int = 10, timestep: float = 1 / 240, window: bool = False) -> None:
+    def __init__(
+        self, *, substeps: int = 10, timestep: float = 1 / 240, window: bool = False, camera: Camera | None = None
+    ) -> None:
         if window and sys.platform == "linux" and not os.environ.get("DISPLAY"):  # pybullet would end the process
             raise MachineError("no display to show a window on", hint="set DISPLAY, or run without a window")
         pybullet = _pybullet()
@@ -94,19 +97,21 @@ class World:
             physicsClientId=self.client,
         )
         if window:
-            look = Camera()
-            pybullet.configureDebugVisualizer(pybullet.COV_ENABLE_GUI, 0, physicsClientId=self.client)
+            camera = camera or Camera()
+            sky = [level / 255 for level in SKY_COLOUR]
+            pybullet.configureDebugVisualizer(
+                pybullet.COV_ENABLE_GUI, 0, rgbBackground=sky, physicsClientId=self.client
+            )
             pybullet.resetDebugVisualizerCamera(
-                look.distance, look.yaw, look.pitch, look.target, physicsClientId=self.client
+                camera.distance, camera.yaw, camera.pitch, camera.target, physicsClientId=self.client
             )
         self.set_gravity(GRAVITY)
-        self._markers: list[Body] = []
+        self._markers: list[tuple[Body, float, Colour]] = []
         self._motors: list[Motors] = []
-        half, place = (0.9, 0.9, 0.01), (0.3, 0.0, -0.01)
-        slab = self._look(pybullet.GEOM_BOX, FLOOR_COLOUR, halfExtents=half, visualFramePosition=place)
+        self._window = window
         self.floor = self._create(
             self._shape(pybullet.GEOM_BOX, halfExtents=FLOOR_HALF, collisionFramePosition=(0, 0, -FLOOR_HALF[2])),
-            slab,
+            self._floor_look(),
             0.0,
         )
         self.set_floor_friction(FLOOR_FRICTION)
@@ -160,15 +165,11 @@ class World:
         return body
 
     def marker(self, radius: float, colour: Colour) -> Body:
-        marker = self._create(-1, self._look(self.api.GEOM_SPHERE, colour, radius=radius), 0.0)
-        self._markers.append(marker)
+        # pictures draw markers themselves
+        look = self._look(self.api.GEOM_SPHERE, colour, radius=radius) if self._window else -1
+        marker = self._create(-1, look, 0.0)
+        self._markers.append((marker, radius, colour))
         return marker
-
-    def show_floor(self, low: tuple[float, float], high: tuple[float, float]) -> None:
-        half = ((high[0] - low[0]) / 2, (high[1] - low[1]) / 2, 0.01)
-        look = self._look(self.api.GEOM_BOX, FLOOR_COLOUR, halfExtents=half)
-        # 1 mm below the slab that is always drawn: overlapping surfaces would flicker
-        self._create(-1, look, 0.0).place((low[0] + half[0], low[1] + half[1], -half[2] - 0.001))
 
     def update_contacts(self) -> None:
         self.api.performCollisionDetection(physicsClientId=self.client)
@@ -178,45 +179,24 @@ class World:
         return [Contact(point[7], point[9]) for point in points or ()]
 
     def render(self, width: int, height: int, camera: Camera) -> Array:
-        solid = self._picture(width, height, camera)
-        if not self._markers:
-            return solid
-        # the renderer has no opacity: mix with a picture without the markers
-        places = [marker.pose()[0] for marker in self._markers]
-        for marker in self._markers:
-            marker.place((0.0, 0.0, -100.0))
-        without = self._picture(width, height, camera)
-        for marker, position in zip(self._markers, places, strict=True):
-            marker.place(position)
-        mixed: Array = (0.6 * solid + 0.4 * without).astype(np.uint8)
-        return mixed
+        markers = [Marker(body.pose()[0], radius, colour) for body, radius, colour in self._markers]
+        return draw(self.api, self.client, width, height, camera, markers)
 
-    def _picture(self, width: int, height: int, camera: Camera) -> Array:
-        """A picture by PyBullet's software renderer, which needs no display and has no antialiasing."""
-        view = self.api.computeViewMatrixFromYawPitchRoll(
-            camera.target, camera.distance, camera.yaw, camera.pitch, 0.0, 2, physicsClientId=self.client
-        )
-        projection = self.api.computeProjectionMatrixFOV(camera.field_of_view, width / height, 0.1, 10.0)
-        image = self.api.getCameraImage(
-            width,
-            height,
-            view,
-            projection,
-            lightDirection=(1.5, -1.4, 3.0),
-            lightDistance=3.5,
-            lightColor=(1.0, 0.99, 0.97),
-            lightAmbientCoeff=0.6,
-            lightDiffuseCoeff=0.42,
-            lightSpecularCoeff=0.05,
-            shadow=1,
-            renderer=self.api.ER_TINY_RENDERER,
-            physicsClientId=self.client,
-        )
-        pixels: Array = np.asarray(image[2], np.uint8).reshape(height, width, 4)[..., :3].copy()
-        background = np.asarray(image[4]).reshape(height, width) < 0
-        sky = np.linspace(SKY_TOP, SKY_BOTTOM, height).astype(np.uint8)
-        pixels[background] = np.broadcast_to(sky[:, None], pixels.shape)[background]
-        return pixels
+    def _floor_look(self) -> int:
+        """The visual shape of the floor. A window shows the floor of the pictures, which draw theirs without it."""
+        if not self._window:  # a body without visual shape is drawn as it collides
+            return self._look(self.api.GEOM_BOX, (0, 0, 0, 1), halfExtents=(1e-3,) * 3, visualFramePosition=HIDDEN)
+        spacing, _, _ = GRIDS[-1]
+        for line in range(-10, 11):
+            for start, end in (((line, -10), (line, 10)), ((-10, line), (10, line))):
+                self.api.addUserDebugLine(
+                    *((spacing * x, spacing * y, 0.001) for x, y in (start, end)),
+                    lineColorRGB=[level / 255 for level in GRID_COLOUR],
+                    physicsClientId=self.client,
+                )
+        red, green, blue = (level / 255 for level in FLOOR_COLOUR)
+        place = (0, 0, -FLOOR_HALF[2])
+        return self._look(self.api.GEOM_BOX, (red, green, blue, 1.0), halfExtents=FLOOR_HALF, visualFramePosition=place)
 
     def close(self) -> None:
         if self.client >= 0:

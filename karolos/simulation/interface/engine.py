@@ -25,8 +25,8 @@ Colour = tuple[float, float, float, float]
 class Camera:
     """Where a picture is taken from: `distance` m away from `target`, at angles in degrees."""
 
-    target: Vector = (0.27, 0.0, 0.34)
-    distance: float = 1.75
+    target: Vector = (0.33, 0.0, 0.35)
+    distance: float = 2.0
     yaw: float = 42.0
     pitch: float = -20.0
     field_of_view: float = 33.0
@@ -202,9 +202,6 @@ class World(Protocol):
 
     def marker(self, radius: float, colour: Colour) -> Body:
         """Add a translucent sphere that collides with nothing."""
-
-    def show_floor(self, low: tuple[float, float], high: tuple[float, float]) -> None:
-        """Draw the floor from `low` to `high` (x, y in m) too. The floor itself extends 5 m to each side."""
 
     def update_contacts(self) -> None:
         """Detect contacts without a step. Contacts that no longer exist are forgotten, with their impulses."""

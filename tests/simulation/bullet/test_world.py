@@ -138,6 +138,40 @@ def test_picture_shows_markers_and_leaves_them_where_they_are() -> None:
     world.close()
 
 
+def test_shadow_tells_how_high_a_body_is() -> None:
+    world = World()
+    camera = Camera()
+    empty = world.render(160, 120, camera)
+    box = world.box((0.06, 0.06, 0.06), 0.1, (1.0, 0.0, 0.0, 1.0))
+    rows = []
+    for height in (0.03, 0.3):
+        box.place((0.3, 0.0, height))
+        picture = world.render(160, 120, camera).astype(int)
+        red = picture[..., 0] > picture[..., 1] + 60
+        shadow = (picture.sum(-1) < empty.astype(int).sum(-1) - 60) & ~red
+        rows.append((np.nonzero(red)[0].mean(), np.nonzero(shadow)[0].mean()))
+    (low, low_shadow), (high, high_shadow) = rows
+    assert high < low - 10
+    assert abs(high_shadow - low_shadow) < 4, "it stays on the floor below"
+    world.close()
+
+
+def test_a_body_hides_the_marker_behind_it() -> None:
+    world = World()
+    camera = Camera(target=(0.3, 0.0, 0.3), distance=1.0, yaw=90.0, pitch=0.0)
+    world.box((0.2, 0.2, 0.2), 0.0, (1.0, 0.0, 0.0, 1.0)).place((0.3, 0.0, 0.3))
+    marker = world.marker(0.05, (0.0, 1.0, 0.0, 1.0))
+
+    def middle(x: float) -> list[int]:
+        marker.place((x, 0.0, 0.3))
+        return world.render(64, 48, camera)[24, 32].tolist()
+
+    (red, green, _), (hidden_red, hidden_green, _) = middle(0.7), middle(-0.3)
+    assert green > red
+    assert hidden_red > hidden_green
+    world.close()
+
+
 def test_robots_and_tasks_are_described_without_pybullet_and_torch() -> None:
     code = (
         "import sys\n"
