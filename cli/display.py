@@ -10,12 +10,22 @@ from typing import TYPE_CHECKING, TextIO
 from rich.console import Console
 from rich.progress import BarColumn, MofNCompleteColumn, Progress, TaskID, TextColumn
 
-from karolos.experiment.events import RunAdvanced, RunBusy, RunEnded, RunEvent, RunStarted, RunTested, RunWarned
+from karolos.experiment.events import (
+    RunAdvanced,
+    RunBusy,
+    RunEnded,
+    RunEvent,
+    RunFinalTested,
+    RunStarted,
+    RunTested,
+    RunWarned,
+)
 
 from .output import say
 from .sweep import drawn_text
 
 if TYPE_CHECKING:
+    from karolos.records.final_test import FinalTest
     from karolos.records.results import TestResult
     from karolos.sweep.events import SweepEvent
 
@@ -73,6 +83,8 @@ class Plain(Quiet):
             result, speed = event.result, self._speeds[event.run].text
             line = f"{event.run} at {result.steps:,} steps, {result.seconds:.1f} s: {_success(result)}"
             self._print(f"{line} ({speed})" if speed else line)
+        elif isinstance(event, RunFinalTested):
+            self._print(f"{event.run} final test: {_final(event.final)}")
         elif isinstance(event, RunEnded) and not event.error:
             self._print(f"{event.run} {event.state}")
 
@@ -115,6 +127,8 @@ class Live(Quiet):
             bars.update(task, completed=event.steps, speed=self._speeds[event.run].text)
         elif isinstance(event, RunTested):
             bars.update(task, completed=event.result.steps, success=_success(event.result))
+        elif isinstance(event, RunFinalTested):
+            bars.update(task, success=_final(event.final))
         elif isinstance(event, RunEnded):
             bars.update(task, speed=event.state, activity="", left="")
             bars.stop_task(task)
@@ -129,6 +143,11 @@ def activity_text(event: RunBusy) -> str:
     if event.done == event.total:
         return ""
     return event.activity if event.total == 1 else f"{event.activity} {event.done}/{event.total}"
+
+
+def _final(final: FinalTest[TestResult]) -> str:
+    text = _success(final.last)
+    return text if final.best is None else f"{text}, best end {final.best.success_end:.2f}"
 
 
 def choose_display(*, quiet: bool) -> Quiet:

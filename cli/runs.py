@@ -30,6 +30,7 @@ from .output import print_csv, print_rows, print_table, say, success_row, warn
 
 if TYPE_CHECKING:
     from karolos.records import RunFolder
+    from karolos.records.final_test import FinalTest
     from karolos.records.results import TestCounts, TestResult
     from karolos.records.run_records import RunSummary
     from karolos.records.transfer_results import TransferResult
@@ -261,6 +262,7 @@ class _View:
     checkpoints: Sequence[Mapping[str, Any]] = ()
     results: Sequence[TestResult] = ()
     """The tests episode by episode, as far as the folder has them."""
+    final: FinalTest[TestResult] | None = None
     transfers: Sequence[TransferResult] = ()
     """Tests under changed settings (`karolos test`)."""
     about: Mapping[str, Any] = field(default_factory=dict)
@@ -271,21 +273,30 @@ class _View:
 
         known = [result for result in self.results if result.distances]
         near = {one.steps: {"within_m": {f"{far:g}": one.within(far) for far in WITHIN}} for one in known}
-        tests = [
-            {"steps": test.steps, "seconds": test.seconds}
-            | success_row(test)
-            | {"solved_at_reset": test.reset, **near.get(test.steps, {})}
-            for test in self.tests
-        ]
+        tests = [_test_row(test) | near.get(test.steps, {}) for test in self.tests]
         return {
             **self.summary.row(),
             "tests": tests,
+            "final_test": None if self.final is None else _final_row(self.final),
             "transfers": [transfer.row() for transfer in self.transfers],
             "checkpoints": list(self.checkpoints),
             "problems": list(self.problems),
             "spec": self.spec,
             **self.about,
         }
+
+
+def _test_row(test: TestCounts) -> dict[str, Any]:
+    return {"steps": test.steps, "seconds": test.seconds, **success_row(test), "solved_at_reset": test.reset}
+
+
+def _final_row(final: FinalTest[TestResult]) -> dict[str, Any]:
+    from karolos.records.results import TestCounts
+
+    policies = {"last": final.last, "best": final.best}
+    return {"seed": final.seed} | {
+        name: None if result is None else _test_row(TestCounts.of(result)) for name, result in policies.items()
+    }
 
 
 def _from_folder(summary: RunSummary) -> _View:
@@ -304,6 +315,7 @@ def _from_folder(summary: RunSummary) -> _View:
         checkpoints=checkpoints,
         results=folder.tests(),
         transfers=transfers,
+        final=folder.final(),
         about={key: description.get(key) for key in ("versions", "machine", "command", "git")},
     )
 
@@ -328,7 +340,8 @@ def _checkpoints(folder: RunFolder) -> tuple[list[dict[str, Any]], list[str]]:
 
 
 def _print_view(view: _View) -> None:
-    from karolos.report.tables import duration, facts_table, flatten, table_of_tests, transfers_table
+    from karolos.records.results import TestCounts
+    from karolos.report.tables import duration, facts_table, flatten, run_state, table_of_tests, transfers_table
 
     run, about = view.summary, view.about
     git = about.get("git") or {}
@@ -337,7 +350,7 @@ def _print_view(view: _View) -> None:
     checkpoints = ", ".join(f"{point['name']} ({point.get('steps', 0):,} steps)" for point in view.checkpoints)
     facts = {
         "run": run.run,
-        "state": run.state if run.error is None else f"{run.state}: {run.error}",
+        "state": run_state(run) if run.error is None else f"{run.state}: {run.error}",
         "experiment": run.experiment,
         "steps": f"{run.steps:,}, {duration(run.seconds)} of collecting and learning",
         "to .95": solved,
@@ -356,6 +369,10 @@ def _print_view(view: _View) -> None:
         print_table(table_of_tests(view.tests, view.results, title="tests"))
     else:
         print("\nno tests yet")
+    if view.final is not None:
+        policies = [result for result in (view.final.last, view.final.best) if result is not None]
+        title = f"final test of last{' and of best' if view.final.best else ''}, from seed {view.final.seed}"
+        print_table(table_of_tests(map(TestCounts.of, policies), policies, title=title))
     if view.transfers:
         print_table(transfers_table(view.transfers, title="tests under changed settings"))
     print_table(facts_table(dict(flatten(view.spec)), title="spec"))

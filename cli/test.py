@@ -8,7 +8,7 @@ from typing import Annotated
 import typer
 
 from .arguments import Checkpoint, Database, Json, OneRun, Runs, open_run
-from .output import print_rows, print_table, success_row, warn
+from .output import print_rows, print_table, say, warn
 
 
 def transfer(
@@ -21,9 +21,9 @@ def transfer(
             "robot=ur5 task.object_mass=0.3",
         ),
     ] = None,
-    episodes: Annotated[int | None, typer.Option(min=1, help="Episodes. Default: as in the run's own tests.")] = None,
+    episodes: Annotated[int | None, typer.Option(min=1, help="Episodes. Default: as in the run's final test.")] = None,
     seed: Annotated[
-        int | None, typer.Option(min=0, help="Root of the episodes' seeds. Default: that of the run's tests.")
+        int | None, typer.Option(min=0, help="Root of the episodes' seeds. Default: that of the run's final test.")
     ] = None,
     checkpoint: Checkpoint = "best",
     randomize: Annotated[bool, typer.Option("--randomize", help="Randomize as in training.")] = False,
@@ -33,13 +33,13 @@ def transfer(
 ) -> None:
     """Test a run's saved policy under changed settings: another robot, other physics, randomization.
 
-    The result is printed beside the run's own last test. It is also written to the run's folder (transfers.jsonl),
-    and `karolos runs show` shows it.
+    The same policy's success on the same episodes without the changes is printed beside it. By default these are the
+    episodes of the run's final test, on which no policy was chosen. The result is also written to the run's folder
+    (transfers.jsonl), and `karolos runs show` shows it.
     """
     folder = open_run(run, runs, database)
     from karolos.evaluation.transfer_test import transfer_test
-    from karolos.records.results import TestCounts
-    from karolos.report.tables import table_of_tests, transfers_table
+    from karolos.report.tables import transfers_table
 
     done = transfer_test(
         folder,
@@ -50,11 +50,9 @@ def transfer(
         randomize=randomize,
         on_failure=lambda failure: warn(f"{failure.error}; its episodes are played again"),
     )
-    own = folder.tests()
     if json:
-        last = {"steps": own[-1].steps, **success_row(TestCounts.of(own[-1]))} if own else None
-        print_rows([{"run": folder.id, **done.row(), "own": last}], json=True)
+        print_rows([{"run": folder.id, **done.row()}], json=True)
         return
     print_table(transfers_table([done], title=folder.id))
-    if own:
-        print_table(table_of_tests([TestCounts.of(own[-1])], own[-1:], title="the run's own last test"))
+    unused = "" if seed is not None else ", on which no policy was chosen"
+    say(f"{done.result.episodes} episodes from seed {done.seed}{unused}")

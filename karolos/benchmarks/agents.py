@@ -27,6 +27,7 @@ QUICK = (
     "training.steps=400",
     "testing.interval=400",
     "testing.episodes=2",
+    "testing.final_episodes=0",
     "orchestrator.processes=0",
     "agent.hidden=[16, 16]",
 )

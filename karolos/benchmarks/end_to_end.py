@@ -45,7 +45,7 @@ class Found:
 def reach(*overrides: str) -> Spec:
     """The spec specs/panda_reach.yaml, which is not part of the installed package."""
     with as_file(files(__package__) / "specs") as folder:
-        own = (f"testing.interval={INTERVAL}", f"testing.episodes={EPISODES}")
+        own = (f"testing.interval={INTERVAL}", f"testing.episodes={EPISODES}", "testing.final_episodes=0")
         return load_spec(folder / "panda_reach_sac.yaml", (*own, *overrides))
 
 

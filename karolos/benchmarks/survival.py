@@ -80,7 +80,7 @@ def _killed(case: str, parts: Mapping[str, Any], steps: int, home: Path, say: Ca
     """Differences between the killed and resumed run and the undisturbed one."""
     home.mkdir(parents=True)
     training = {**parts.get("training", {}), "steps": steps}
-    testing = {"interval": max(steps // TESTS, 1), "episodes": 20}
+    testing = {"interval": max(steps // TESTS, 1), "episodes": 20, "final_episodes": 0}
     spec = home / "survival.yaml"
     spec.write_text(json.dumps({"name": "survival", **parts, "training": training, "testing": testing}), "utf-8")
     undisturbed = _run(home / "undisturbed", spec)

@@ -17,7 +17,10 @@ def cautions(contenders: Sequence[Contender]) -> tuple[str, ...]:
     counts = [len(contender.runs) for contender in contenders]
     if len(set(counts)) > 1:
         found.append(f"unequal numbers of seeds: {_each(contenders, counts)}")
-    found += _different(contenders, "tests of different numbers of episodes", lambda run: run.tests[-1].episodes)
+    found += _different(contenders, "tests of different numbers of episodes", lambda run: run.episodes)
+    found += _different(
+        contenders, "figures of different tests", lambda run: "final test" if run.summary.final else "last test"
+    )
     for key, what in (
         ("seed", "tests on different episodes (testing.seed)"),
         ("interval", "tests at different intervals, which steps to a ratio depend on (testing.interval)"),

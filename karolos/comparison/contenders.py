@@ -39,9 +39,15 @@ class ComparedRun:
         """Success ratio of each test."""
         return tuple(getattr(test, success) / test.episodes for test in self.tests)
 
-    def last(self, success: Success) -> float:
-        """Success ratio of the last test."""
-        return self.ratios(success)[-1]
+    def reported(self, success: Success) -> float:
+        """Success ratio of the final test's policy `last`; without a final test, of the last test."""
+        ratio = self.summary.success_any if success == "any" else self.summary.success_end
+        return ratio if self.summary.final and ratio is not None else self.ratios(success)[-1]
+
+    @property
+    def episodes(self) -> int:
+        """Episodes of the test that `reported` is of."""
+        return (self.summary.episodes if self.summary.final else None) or self.tests[-1].episodes
 
     @property
     def finished(self) -> bool:

@@ -1,6 +1,6 @@
 """The numbers of a comparison. The seed is the unit: a run gives one number, an experiment one per seed.
 
-A run's success is that of its last test.
+A run's success is that of its final test, whose episodes nothing was chosen on; without one, of its last test.
 """
 
 from __future__ import annotations
@@ -71,6 +71,8 @@ class Scores:
     end: Estimate
     iqm: Estimate
     reaching: tuple[Reaching, ...]
+    best_end: Estimate | None
+    """Success at the end of the policies `best` in the final test; None if a run has none."""
     improvement: Improvement | None
     """None for the first contender."""
     density: statistics.Density | None
@@ -111,8 +113,10 @@ class Comparison:
             "seeds": [run.summary.seed for run in runs],
             "runs": [run.summary.run for run in runs],
             "success": self.success,
-            "success_any": asdict(scores.any) | {"seeds": [run.last("any") for run in runs]},
-            "success_end": asdict(scores.end) | {"seeds": [run.last("end") for run in runs]},
+            "success_any": asdict(scores.any) | {"seeds": [run.reported("any") for run in runs]},
+            "success_end": asdict(scores.end) | {"seeds": [run.reported("end") for run in runs]},
+            "best_end": scores.best_end and asdict(scores.best_end),
+            "final": all(run.summary.final for run in runs),
             "iqm": asdict(scores.iqm),
             "density": density and {key: getattr(density, key) for key in ("modes", "mean", "low", "high")},
             **reached,
@@ -140,12 +144,14 @@ def compare(contenders: Sequence[Contender], success: Success = "any") -> Compar
 
 def _scores(contender: Contender, first: Contender | None, success: Success, tree: SeedTree) -> Scores:
     runs = contender.runs
-    values = [run.last(success) for run in runs]
+    values = [run.reported(success) for run in runs]
+    best = [run.summary.best_end for run in runs if run.summary.best_end is not None]
     rates = [run.updates_per_second for run in runs if run.updates_per_second is not None]
     return Scores(
-        any=_estimate(runs, "any", aggregates.mean, tree.child("any")),
-        end=_estimate(runs, "end", aggregates.mean, tree.child("end")),
-        iqm=_estimate(runs, success, aggregates.iqm, tree.child("iqm")),
+        any=_estimate([run.reported("any") for run in runs], runs, aggregates.mean, tree.child("any")),
+        end=_estimate([run.reported("end") for run in runs], runs, aggregates.mean, tree.child("end")),
+        iqm=_estimate(values, runs, aggregates.iqm, tree.child("iqm")),
+        best_end=_estimate(best, runs, aggregates.mean, tree.child("best")) if len(best) == len(runs) else None,
         reaching=tuple(_reaching(runs, success, ratio) for ratio in RATIOS),
         improvement=None if first is None else _improvement(runs, first.runs, success, tree.child("improvement")),
         density=statistics.kde(values) if len(values) > 1 else None,
@@ -156,14 +162,13 @@ def _scores(contender: Contender, first: Contender | None, success: Success, tre
 
 
 def _estimate(
-    runs: Sequence[ComparedRun], success: Success, statistic: aggregates.Statistic, tree: SeedTree
+    values: Sequence[float], runs: Sequence[ComparedRun], statistic: aggregates.Statistic, tree: SeedTree
 ) -> Estimate:
-    """A statistic of the last tests, with the kind of interval that the number of seeds allows."""
-    values = [run.last(success) for run in runs]
+    """A statistic of one value per run, with the kind of interval that the number of seeds allows."""
     middle = float(statistic(np.array(values)))
     if len(runs) == 1:
-        test = runs[0].tests[-1]
-        return Estimate(middle, *wilson(getattr(test, success), test.episodes), "wilson")
+        episodes = runs[0].episodes
+        return Estimate(middle, *wilson(round(values[0] * episodes), episodes), "wilson")
     found = aggregates.interval(values, statistic, tree.generator())
     if found is None:
         return Estimate(middle, min(values), max(values), "range")
@@ -188,7 +193,7 @@ def _reaching(runs: Sequence[ComparedRun], success: Success, ratio: float) -> Re
 def _improvement(
     ours: Sequence[ComparedRun], theirs: Sequence[ComparedRun], success: Success, tree: SeedTree
 ) -> Improvement:
-    one, other = [run.last(success) for run in ours], [run.last(success) for run in theirs]
+    one, other = [run.reported(success) for run in ours], [run.reported(success) for run in theirs]
     low, high = aggregates.improvement_interval(one, other, tree.generator()) or (None, None)
     approximate = low is not None and "approximate" in {aggregates.reliability(len(side)) for side in (one, other)}
     return Improvement(aggregates.improvement(one, other), low, high, approximate)

@@ -9,6 +9,7 @@ from ..core import Failure
 from ..core.signature import SAME_LAYOUTS, layout_differences
 from ..errors import UsageError
 from ..records import RunFolder, provenance, transfer_results
+from ..records.results import TestCounts, TestResult
 from ..records.run_records import timestamp
 from ..records.transfer_results import TransferResult
 from ..spec import Spec
@@ -32,12 +33,15 @@ def transfer_test(
 ) -> TransferResult:
     """Play test episodes of a run's policy under its spec with overrides, and write the result into the run's folder.
 
+    The same policy's success on the same episodes under the unchanged spec stands beside it. It comes from the final
+    test if that played these episodes; otherwise they are played, too.
+
     Args:
         folder: the run's.
         overrides: `path.to.key=value`, each below one of CHANGEABLE.
         checkpoint: `best` or `last`.
-        episodes: number of episodes; by default that of the run's own tests.
-        seed: root of the episodes' seeds; by default that of the run's own tests, for the same episodes.
+        episodes: number of episodes; by default that of the final test, or of the run's tests without a final test.
+        seed: root of the episodes' seeds; by default that of the final test, on whose episodes nothing was chosen.
         randomize: whether to draw the spec's `randomization` at each reset.
         on_failure: is called with each failure of an environment, whose episode is then played again.
 
@@ -56,19 +60,27 @@ def transfer_test(
     _check_randomization(spec, overrides, randomize=randomize)
     with located(spec):
         _check_layouts(spec, saved, overrides, randomize=randomize)
-    seed = spec.testing.seed if seed is None else seed
-    count = spec.testing.episodes if episodes is None else episodes
+    seed = spec.testing.final_seed if seed is None else seed
+    count = (spec.testing.final_count or spec.testing.episodes) if episodes is None else episodes
     use_threads(spec.training.threads or 1)  # as in training: sums in another order could change an episode
+
+    def play(spec: Spec, *, randomize: bool) -> TestResult:
+        with make_orchestrator(spec, randomize=randomize) as orchestrator:
+            return play_episodes(
+                orchestrator,
+                saved.agent,
+                test_seeds(seed, count),
+                steps=saved.steps,
+                seconds=saved.seconds,
+                on_failure=on_failure,
+            )
+
     started = time.perf_counter()
-    with make_orchestrator(spec, randomize=randomize) as orchestrator:
-        result = play_episodes(
-            orchestrator,
-            saved.agent,
-            test_seeds(seed, count),
-            steps=saved.steps,
-            seconds=saved.seconds,
-            on_failure=on_failure,
-        )
+    result = play(spec, randomize=randomize)
+    wall_seconds = time.perf_counter() - started
+    own = result
+    if overrides or randomize:
+        own = _from_final_test(folder, saved, seed, count) or play(saved.spec, randomize=False)
     transfer = TransferResult(
         time=timestamp(),
         checkpoint=checkpoint,
@@ -76,12 +88,23 @@ def transfer_test(
         overrides=tuple(overrides),
         randomized=randomize,
         seed=seed,
-        wall_seconds=time.perf_counter() - started,
+        wall_seconds=wall_seconds,
         result=result,
+        own=TestCounts.of(own),
         versions=provenance.versions(),
     )
     transfer_results.add(folder, transfer)
     return transfer
+
+
+def _from_final_test(folder: RunFolder, saved: SavedAgent, seed: int, count: int) -> TestResult | None:
+    """The result of this policy on these episodes in the run's final test; None if it did not play them."""
+    final = folder.final()
+    if final is None or final.seed != seed:
+        return None
+    policies = {final.last_sha256: final.last, final.best_sha256: final.best}
+    own = policies.get(saved.sha256)
+    return own.first(count) if own is not None and own.episodes >= count else None
 
 
 def _check_keys(overrides: Sequence[str]) -> None:

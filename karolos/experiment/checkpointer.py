@@ -18,6 +18,8 @@ from ..training.training import Training
 from .observer import Announce, RunObserver, RunWarnings
 from .resume import LAST, PREVIOUS
 
+BEST = "best"
+
 
 @dataclass
 class Checkpointer(RunObserver):
@@ -63,8 +65,8 @@ class Checkpointer(RunObserver):
         success = result.success_end, result.success_any
         if success >= self._best:  # of equal tests the later one, whose agent has learned longer
             self._best = success
-            meta = {"success_any": result.success_any, "success_end": result.success_end}
-            self._write("best", {"agent": test.agent}, test, meta)
+            meta = {"chosen_by": {"success_any": result.success_any, "success_end": result.success_end}}
+            self._write(BEST, {"agent": test.agent}, test, meta)
 
     def restore(self, training: Training, parts: Mapping[str, State]) -> list[DueTest]:
         """Continue from the parts of a checkpoint `last`; returns the tests that are still to be played."""

@@ -5,6 +5,7 @@ from __future__ import annotations
 from collections.abc import Callable
 from dataclasses import dataclass
 
+from ..records.final_test import FinalTest
 from ..records.results import TestResult
 
 
@@ -54,6 +55,14 @@ class RunTested:
 
 
 @dataclass(frozen=True)
+class RunFinalTested:
+    """The final test is over and written into the run folder."""
+
+    run: str
+    final: FinalTest[TestResult]
+
+
+@dataclass(frozen=True)
 class RunWarned:
     """A problem that the run survives."""
 
@@ -71,5 +80,5 @@ class RunEnded:
     traceback: str | None = None
 
 
-RunEvent = RunStarted | RunAdvanced | RunBusy | RunTested | RunWarned | RunEnded
+RunEvent = RunStarted | RunAdvanced | RunBusy | RunTested | RunFinalTested | RunWarned | RunEnded
 Listener = Callable[[RunEvent], None]

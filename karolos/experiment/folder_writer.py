@@ -11,6 +11,7 @@ from typing_extensions import override
 from ..errors import StoreError
 from ..evaluation.evaluation_process import DueTest
 from ..records import RunFolder
+from ..records.final_test import FinalTest
 from ..records.results import TestResult
 from ..store import Store
 from ..training.episodes import Episode
@@ -61,7 +62,18 @@ class FolderWriter(RunObserver):
         self.folder.add_test(result)
         with self.warnings.tolerated(StoreError, "the test is in the run folder, but not in the database"):
             self.store.add_test(self.folder.id, result)
-        self._set_state("running", training.steps, training.seconds)
+        self._set_state("running", training.steps, training.seconds, training.updates)
+
+    @override
+    def final_tested(self, final: FinalTest[TestResult]) -> None:
+        self.folder.write_final(final)
+        self.folder.event(
+            "final_test",
+            seed=final.seed,
+            episodes=final.last.episodes,
+            last=final.last.success_end,
+            best=final.best.success_end if final.best else None,
+        )
 
     @override
     def ended(self, ending: Ending) -> None:
@@ -69,14 +81,19 @@ class FolderWriter(RunObserver):
             self._set_state(ending.state, error=ending.error.splitlines()[0])
             self.folder.event(ending.state, error=ending.error, traceback=ending.traceback)
             return
-        self._set_state(ending.state, ending.steps, ending.seconds)
+        self._set_state(ending.state, ending.steps, ending.seconds, ending.updates)
         details = {"steps": ending.steps, "reason": ending.reason}
         self.folder.event(ending.state, **{key: value for key, value in details.items() if value is not None})
 
     def _set_state(
-        self, state: str, steps: int | None = None, seconds: float | None = None, error: str | None = None
+        self,
+        state: str,
+        steps: int | None = None,
+        seconds: float | None = None,
+        updates: int | None = None,
+        error: str | None = None,
     ) -> None:
-        self.folder.set_state(state, steps=steps, seconds=seconds, error=error)
+        self.folder.set_state(state, steps=steps, seconds=seconds, updates=updates, error=error)
         with self.warnings.tolerated(StoreError, "the run continues; its folder is complete"):
             self.store.update_run(self.folder.summary())
 

@@ -14,10 +14,11 @@ from ..core import Failure
 from ..errors import KarolosError
 from ..evaluation.evaluation_process import DueTest
 from ..records import RunFolder
+from ..records.final_test import FinalTest
 from ..records.results import TestResult
 from ..training.episodes import Episode
 from ..training.training import Progress, Training
-from .events import Listener, RunAdvanced, RunBusy, RunEnded, RunTested, RunWarned
+from .events import Listener, RunAdvanced, RunBusy, RunEnded, RunFinalTested, RunTested, RunWarned
 
 ADVANCE_SECONDS = 0.1
 """Minimal time between two RunAdvanced or two RunBusy events."""
@@ -38,6 +39,8 @@ class Ending:
     """Environment steps of training; None if training broke off."""
     seconds: float | None = None
     """Wall-clock seconds of collecting and learning; None if training broke off."""
+    updates: int | None = None
+    """Gradient updates; None if training broke off."""
     reason: str | None = None
     """Why it stopped."""
     error: str | None = None
@@ -50,7 +53,8 @@ class RunObserver:
     """Observes one run. `Run` calls the methods of all its observers in the order of its list.
 
     The calls are `started`; then `progressed` after each round, `reported` several times between two tests and
-    `tested` after each test; then `trained`; then `ended`. A run that breaks off skips to `ended`. An observer
+    `tested` after each test; then `trained`; then `final_tested`, if training is complete and the spec has a
+    final test; then `ended`. A run that breaks off skips to `ended`. An observer
     overrides the methods it needs.
 
     An error that an observer raises fails the run. An observer that the run can do without tolerates its own errors
@@ -77,6 +81,9 @@ class RunObserver:
 
     def trained(self, training: Training) -> None:
         """Training is complete, or stops on request."""
+
+    def final_tested(self, final: FinalTest[TestResult]) -> None:
+        """The final test is over."""
 
     def ended(self, ending: Ending) -> None:
         """The run is over. Environments are closed."""
@@ -152,6 +159,10 @@ class Announcer(RunObserver):
     @override
     def tested(self, training: Training, test: DueTest, result: TestResult) -> None:
         self.listener(RunTested(self.run, result))
+
+    @override
+    def final_tested(self, final: FinalTest[TestResult]) -> None:
+        self.listener(RunFinalTested(self.run, final))
 
     @override
     def ended(self, ending: Ending) -> None:

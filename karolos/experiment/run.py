@@ -9,12 +9,16 @@ import traceback
 from contextlib import ExitStack
 from dataclasses import dataclass, field
 
+from .. import checkpoint
+from ..checkpoint import CheckpointError
 from ..core import Agent
 from ..core.schedules import Every
 from ..core.seeding import SeedTree
 from ..errors import KarolosError, WorkerError
 from ..evaluation.evaluation_process import DueTest
+from ..evaluation.testing import test_seeds
 from ..records import RunFolder
+from ..records.final_test import FinalTest
 from ..records.results import TestResult
 from ..records.run_records import RunSummary
 from ..spec import Spec
@@ -24,12 +28,12 @@ from ..training.assembly import make_agent, make_buffer, make_orchestrator
 from ..training.demonstrations import collect_demonstrations
 from ..training.episodes import Episode
 from ..training.training import Training
-from .checkpointer import Checkpointer
+from .checkpointer import BEST, Checkpointer
 from .events import Listener, RunStarted
 from .folder_writer import FolderWriter
 from .observer import Announcer, Ending, RunObserver, RunWarnings
 from .pending_tests import PendingTests
-from .resume import Snapshot
+from .resume import LAST, Snapshot
 from .signals import StopRequest, StopRequestedError
 from .start_from import apply, find
 from .tensorboard_writer import TensorBoardWriter
@@ -132,9 +136,9 @@ class Run:
             stack.callback(tests.close)
             self._announcer.seconds_left = tests.seconds_left
             finished = self._prepare(training) and self._train_and_test(training, tests)
-        if finished:
-            return Ending("finished", training.steps, training.seconds)
-        return Ending("stopped", training.steps, training.seconds, self.stop.reason)
+            finished = finished and self._final_test(training, tests)
+        amounts = training.steps, training.seconds, training.updates
+        return Ending("finished", *amounts) if finished else Ending("stopped", *amounts, self.stop.reason)
 
     def _prepare(self, training: Training) -> bool:
         """Start or resume, and collect demonstrations that are missing. Returns False if a stop is requested."""
@@ -235,3 +239,26 @@ class Run:
     def _tested(self, training: Training, test: DueTest, result: TestResult) -> None:
         for observer in self._observers:
             observer.tested(training, test, result)
+
+    def _final_test(self, training: Training, tests: PendingTests) -> bool:
+        """Play the final test, if the spec has one. Returns False if a stop is requested before it is complete."""
+        settings, folder = self.spec.testing, self.folder.checkpoints
+        if not settings.final_count:
+            return True
+        seeds = test_seeds(settings.final_seed, settings.final_count)
+        last = DueTest(training.steps, training.updates, training.seconds, training.agent.state(), seeds)
+        best, last_sha256, best_sha256 = None, "", None
+        with self._warnings.tolerated(CheckpointError, "the final test of this checkpoint is missing"):
+            last_sha256 = checkpoint.digest(folder, LAST, "agent")
+            parts, meta = checkpoint.load(folder, BEST, only={"agent"})
+            best_sha256 = checkpoint.digest(folder, BEST, "agent")
+            amounts = int(meta["steps"]), int(meta["updates"]), float(meta["seconds"])
+            best = last if amounts[0] == training.steps else DueTest(*amounts, parts["agent"], seeds)
+        tests.pending += [last] if best in (None, last) else [last, best]
+        results = dict(tests.play_remaining())
+        if tests.pending:
+            return False
+        final = FinalTest(settings.final_seed, results[last], results[best] if best else None, last_sha256, best_sha256)
+        for observer in self._observers:
+            observer.final_tested(final)
+        return True

@@ -49,6 +49,19 @@ class TestResult:
         """Fraction of episodes in which the goal held at the last step."""
         return sum(self.end) / self.episodes
 
+    def first(self, count: int) -> TestResult:
+        """The result of the first `count` episodes."""
+        return TestResult(
+            self.steps,
+            self.seconds,
+            self.any[:count],
+            self.end[:count],
+            self.reset[:count],
+            self.returns[:count],
+            self.lengths[:count],
+            None if self.distances is None else self.distances[:count],
+        )
+
     def within(self, metres: float) -> float | None:
         """Fraction of episodes that ended nearer than this to their goal; None if the distances are unknown."""
         return None if self.distances is None else sum(far < metres for far in self.distances) / self.episodes

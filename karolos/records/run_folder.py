@@ -13,7 +13,8 @@ from typing import Any
 
 from ..errors import MachineError, RunError, UsageError
 from ..files import FileLock, append_lines, parse_object, read_lines, read_object, write_json, write_whole, writing
-from . import labels, provenance
+from . import final_test, labels, provenance
+from .final_test import FinalTest
 from .labels import Labels
 from .results import TestCounts, TestResult, count_test, decode_test, encode_test
 from .run_records import FORMAT, RunRecord, RunState, RunSummary, check_name, is_description, summarise, timestamp
@@ -149,20 +150,28 @@ class RunFolder:
         return read_object(self.path / "resolved.json") or {}
 
     def set_state(
-        self, state: str, *, steps: int | None = None, seconds: float | None = None, error: str | None = None
+        self,
+        state: str,
+        *,
+        steps: int | None = None,
+        seconds: float | None = None,
+        updates: int | None = None,
+        error: str | None = None,
     ) -> None:
-        """Replace the state; steps and seconds keep their values if None.
+        """Replace the state; steps, seconds and updates keep their values if None.
 
         Args:
             state: created, running, finished, failed or stopped.
             steps: environment steps of training so far.
             seconds: wall-clock seconds of collecting and learning so far.
+            updates: gradient updates so far.
             error: why it failed, in one line.
         """
         before = self._stored_state()
         steps = before.steps if steps is None else int(steps)
         seconds = before.seconds if seconds is None else float(seconds)
-        self._write_state(RunState(state, steps, seconds, before.attempt, error, timestamp()))
+        updates = before.updates if updates is None else int(updates)
+        self._write_state(RunState(state, steps, seconds, before.attempt, error, timestamp(), updates))
 
     def next_attempt(self) -> int:
         """Count one more process that continues this run; returns its number, from 1."""
@@ -193,6 +202,14 @@ class RunFolder:
         `record().problems` names lines that cannot be read.
         """
         return self._read_tests()[0]
+
+    def write_final(self, final: FinalTest[TestResult]) -> None:
+        """Write the final test, whole or not at all."""
+        final_test.write(self.path, final)
+
+    def final(self) -> FinalTest[TestResult] | None:
+        """The final test; None before it, or if its file is damaged (`record().problems` says so)."""
+        return final_test.read(self.path)
 
     def add_episodes(self, episodes: Iterable[Mapping[str, Any]]) -> None:
         """Append the records of training episodes, JSON values each."""
@@ -232,8 +249,11 @@ class RunFolder:
                 problems += (f"{name}: missing or damaged",)
         if labels.is_damaged(self.path):
             problems += ("labels.json: damaged; tags and note cannot be read",)
+        final = final_test.read_counts(self.path)
+        if final_test.is_damaged(self.path):
+            problems += (f"{final_test.FILE}: damaged; left out",)
         problems += read_lines(self.path / "events.jsonl").problems
-        summary = summarise(self.path.resolve(), self._run, now, spec or {}, tests, self.labels())
+        summary = summarise(self.path.resolve(), self._run, now, spec or {}, tests, final=final, labels=self.labels())
         return RunRecord(summary, spec or {}, tests, problems, self.versions())
 
     def _current(self, stored: RunState) -> RunState:

@@ -11,6 +11,7 @@ from typing import Any
 
 from ..errors import UsageError
 from .decode import from_json
+from .final_test import FinalTest
 from .labels import Labels
 from .results import TestCounts
 
@@ -42,6 +43,7 @@ class RunState:
         attempt: number of processes that have worked on it, from 1.
         error: why it failed, in one line.
         updated: when this was written (ISO 8601, UTC).
+        updates: gradient updates; None if unknown.
     """
 
     state: str
@@ -50,6 +52,7 @@ class RunState:
     attempt: int = 1
     error: str | None = None
     updated: str = ""
+    updates: int | None = None
 
     def __post_init__(self) -> None:
         if self.state not in STATES:
@@ -75,7 +78,8 @@ class RunState:
 class RunSummary:
     """One run in one row. The first ten fields are what scripts rely on, in this order.
 
-    Success is of the last test (None before the first); *_to_95 are of the first test with `any` success >= .95.
+    Success is of the final test's policy `last`; before it, of the last test (None before the first). *_to_95 are of
+    the first test with `any` success >= .95.
     """
 
     run: str
@@ -90,7 +94,7 @@ class RunSummary:
     seconds_to_95: float | None
     name: str
     episodes: int | None
-    """Episodes of the last test: success_any * episodes is a whole number."""
+    """Episodes of the test whose success this is: success_any * episodes is a whole number."""
     environment: str | None
     robot: str | None
     task: str | None
@@ -103,6 +107,14 @@ class RunSummary:
     tags: tuple[str, ...] = ()
     """In alphabetical order."""
     note: str | None = None
+    updates: int | None = None
+    """Gradient updates; None if unknown."""
+    final: bool = False
+    """Whether success is that of the final test."""
+    best_steps: int | None = None
+    """Environment steps of the policy `best`, and its success in the final test; None before it."""
+    best_any: float | None = None
+    best_end: float | None = None
 
     def row(self) -> dict[str, Any]:
         """The fields as JSON values, in order."""
@@ -136,10 +148,13 @@ def summarise(
     state: RunState,
     spec: Mapping[str, Any],
     tests: Sequence[TestCounts],
+    *,
+    final: FinalTest[TestCounts] | None,
     labels: Labels,
 ) -> RunSummary:
     """The row of a run from the content of its folder; `tests` in the order of their steps."""
-    last = tests[-1] if tests else None
+    last = final.last if final else tests[-1] if tests else None
+    best = final.best if final else None
     solved = next((test for test in tests if test.success_any >= THRESHOLD), None)
     return RunSummary(
         run=str(run["id"]),
@@ -162,6 +177,11 @@ def summarise(
         folder=str(folder),
         tags=labels.tags,
         note=labels.note,
+        updates=state.updates,
+        final=final is not None,
+        best_steps=best.steps if best else None,
+        best_any=best.success_any if best else None,
+        best_end=best.success_end if best else None,
     )
 
 

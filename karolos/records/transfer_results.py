@@ -6,14 +6,14 @@ Any process may append at any time, also while the run goes on; the file has its
 from __future__ import annotations
 
 from collections.abc import Mapping
-from dataclasses import dataclass
+from dataclasses import asdict, dataclass
 from typing import Any
 
 from ..files import append_lines, locked, read_lines
 from ..statistics.intervals import wilson
 from . import RunFolder
 from .decode import from_json
-from .results import TestResult, decode_test, encode_test
+from .results import TestCounts, TestResult, decode_test, encode_test
 
 FILE = "transfers.jsonl"
 
@@ -38,25 +38,32 @@ class TransferResult:
     result: TestResult
     """Episode by episode; `steps` and `seconds` are those of training before the checkpoint."""
     versions: Mapping[str, str]
+    own: TestCounts
+    """The same policy on the same episodes under the unchanged spec."""
 
     def row(self) -> dict[str, Any]:
         """The fields as JSON values, in the order that scripts rely on; intervals are Wilson's at 95 %."""
-        result = self.result
-        any_, end = sum(result.any), sum(result.end)
         return {
             "time": self.time,
             "checkpoint": self.checkpoint,
-            "steps": result.steps,
+            "steps": self.result.steps,
             "overrides": list(self.overrides),
             "randomized": self.randomized,
             "seed": self.seed,
-            "episodes": result.episodes,
-            "success_any": result.success_any,
-            "success_any_interval": wilson(any_, result.episodes),
-            "success_end": result.success_end,
-            "success_end_interval": wilson(end, result.episodes),
+            **_successes(TestCounts.of(self.result)),
+            "own": _successes(self.own),
             "wall_seconds": self.wall_seconds,
         }
+
+
+def _successes(counts: TestCounts) -> dict[str, Any]:
+    return {
+        "episodes": counts.episodes,
+        "success_any": counts.success_any,
+        "success_any_interval": wilson(counts.any, counts.episodes),
+        "success_end": counts.success_end,
+        "success_end_interval": wilson(counts.end, counts.episodes),
+    }
 
 
 def add(folder: RunFolder, transfer: TransferResult) -> None:
@@ -90,6 +97,7 @@ def _encode(transfer: TransferResult) -> dict[str, Any]:
         "episodes": transfer.result.episodes,
         "wall_seconds": transfer.wall_seconds,
         "test": encode_test(transfer.result),
+        "own": asdict(transfer.own),
         "versions": dict(transfer.versions),
     }
 

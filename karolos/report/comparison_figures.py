@@ -74,16 +74,16 @@ def learning(comparison: Comparison, axis: Axis) -> Drawing:
 
 @look()
 def final(comparison: Comparison) -> Drawing:
-    """The last test of every seed as a dot; below them mean and interval as a cross."""
+    """The reported success of every seed as a dot; below them mean and interval as a cross."""
     drawing = Drawing(
         "final_success",
-        "Success at the last test",
+        "Success at the end of training",
         "A dot is a seed. Below: mean and its interval (95 %; smallest to largest for 2 to 4 seeds).",
     )
     axes, count = drawing.axes, len(comparison.contenders)
     for series, (contender, scores) in enumerate(zip(comparison.contenders, comparison.scores, strict=True)):
         estimate = scores.any if comparison.success == "any" else scores.end
-        values = np.array([run.last(comparison.success) for run in contender.runs])
+        values = np.array([run.reported(comparison.success) for run in contender.runs])
         row, colour = count - series, style(series)["color"]
         for place, (x, y) in enumerate(zip(values, row + _offsets(values), strict=True)):
             [dot] = axes.plot(x, y, "o", color=colour, alpha=0.75, markersize=4.5, markeredgewidth=0, clip_on=False)
@@ -104,14 +104,14 @@ def final(comparison: Comparison) -> Drawing:
 
 @look()
 def profiles(comparison: Comparison) -> Drawing:
-    """Performance profile: the fraction of seeds whose last test shows at least the success on the axis."""
+    """Performance profile: the fraction of seeds with at least the success on the axis."""
     drawing = Drawing(
         "performance_profiles",
         "Performance profiles",
-        "Fraction of seeds whose last test shows at least that success. A curve above another is better.",
+        "Fraction of seeds with at least that success at the end of training. A curve above another is better.",
     )
     for series, contender in enumerate(comparison.contenders):
-        values = [run.last(comparison.success) for run in contender.runs]
+        values = [run.reported(comparison.success) for run in contender.runs]
         thresholds = np.unique([0.0, *values, 1.0])
         # The fraction at t holds from the threshold before t up to t.
         [line] = drawing.axes.step(

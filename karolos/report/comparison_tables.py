@@ -20,6 +20,8 @@ def scores_table(comparison: Comparison) -> Table:
         ("success end", *(estimate(one.end) for one in scores)),
         (f"inter-quartile mean, {comparison.success}", *(estimate(one.iqm) for one in scores)),
     ]
+    if any(one.best_end for one in scores):
+        rows.append(("best, end", *("-" if one.best_end is None else estimate(one.best_end) for one in scores)))
     if len(contenders) > 1:
         rows.append((f"better than {contenders[0].label}", *(improvement(one.improvement) for one in scores)))
     for place, reaching in enumerate(scores[0].reaching):
@@ -50,7 +52,10 @@ def explanations(comparison: Comparison) -> list[str]:
     """What the signs in the scores mean, as far as they occur."""
     scores = comparison.scores
     kinds = {one.any.kind for one in scores}
-    lines = ["success is that of the last test; the unit is the seed"]
+    final = [run.summary.final for contender in comparison.contenders for run in contender.runs]
+    lines = [f"success is that of {_reported_test(final)}; the unit is the seed"]
+    if any(one.best_end for one in scores):
+        lines.append("best: the policy of the best test, in the final test, whose episodes it was not chosen on")
     if "bootstrap" in kinds:
         lines.append("[low, high]: 95 % bootstrap interval over 10 seeds or more")
     if "approximate" in kinds:
@@ -68,6 +73,12 @@ def explanations(comparison: Comparison) -> list[str]:
     if any(one.density for one in scores):
         lines.append("density over seeds: its modes, and the range of 5 to 95 % of its mass")
     return lines
+
+
+def _reported_test(final: Sequence[bool]) -> str:
+    if all(final):
+        return "the last policy in the final test, on episodes that nothing was chosen on"
+    return "the final test, or of the last test where a run has no final test" if any(final) else "the last test"
 
 
 def estimate(found: Estimate) -> str:

@@ -158,8 +158,9 @@ def _runs_table(comparison: Comparison) -> Markup:
         "state": lambda run: ": ".join(filter(None, (run.summary.state, run.summary.error))),
         "steps": lambda run: count(run.summary.steps),
         "time": lambda run: duration(run.summary.seconds),
-        "success any": lambda run: success(run.tests[-1].success_any, run.tests[-1].episodes),
-        "success end": lambda run: success(run.tests[-1].success_end, run.tests[-1].episodes),
+        "success any": lambda run: success(run.reported("any"), run.episodes),
+        "success end": lambda run: success(run.reported("end"), run.episodes),
+        "best, end": lambda run: success(run.summary.best_end, run.episodes),
         "updates/s": lambda run: count(run.updates_per_second),
         "code": lambda run: run.commit or "-",
     }

@@ -83,20 +83,30 @@ def setting(value: object) -> str:
 
 
 def runs_table(runs: Sequence[RunSummary]) -> Table:
-    """One row per run. Success is that of the last test; `steps to .95` is when a test first showed that ratio."""
+    """One row per run. Success is that of the final test, or of the last test before it.
+
+    `best` is the success at the end of the policy `best` in the final test. `steps to .95` is when a test first showed
+    that ratio.
+    """
     columns: Columns[RunSummary] = {
         "run": lambda run: run.run,
-        "state": lambda run: run.state,
+        "state": run_state,
         "steps": lambda run: count(run.steps),
         "time": lambda run: duration(run.seconds),
         "success any": lambda run: success(run.success_any, run.episodes),
         "end": lambda run: "-" if run.success_end is None else f"{run.success_end:.2f}",
+        "best": lambda run: "-" if run.best_end is None else f"{run.best_end:.2f}",
         "steps to .95": lambda run: count(run.steps_to_95),
         "time to .95": lambda run: duration(run.seconds_to_95),
     }
     if any(run.tags for run in runs):
         columns["tags"] = lambda run: ", ".join(run.tags)
     return Table.of(runs, columns)
+
+
+def run_state(run: RunSummary) -> str:
+    """The state, and whether a run that has ended made no gradient update."""
+    return f"{run.state}, no update" if run.updates == 0 and run.state in ("finished", "stopped") else run.state
 
 
 def table_of_tests(tests: Iterable[TestCounts], results: Iterable[TestResult] = (), *, title: str = "") -> Table:
@@ -130,12 +140,14 @@ def table_of_tests(tests: Iterable[TestCounts], results: Iterable[TestResult] = 
 
 
 def transfers_table(transfers: Iterable[TransferResult], *, title: str = "") -> Table:
-    """One row per test under changed settings, with both ways to count success."""
+    """One row per test under changed settings. Unchanged: this policy and these episodes in its own environment."""
     columns: Columns[TransferResult] = {
         "changed": lambda one: ", ".join([*one.overrides, *(["randomized"] * one.randomized)]) or "nothing",
         "checkpoint": lambda one: f"{one.checkpoint} ({one.result.steps:,} steps)",
         "success any": lambda one: success(one.result.success_any, one.result.episodes),
         "success end": lambda one: success(one.result.success_end, one.result.episodes),
+        "unchanged any": lambda one: f"{one.own.success_any:.2f}",
+        "unchanged end": lambda one: success(one.own.success_end, one.own.episodes),
         "episodes": lambda one: count(one.result.episodes),
         "seed": lambda one: str(one.seed),
         "when": lambda one: one.time[:16].replace("T", " "),

@@ -94,6 +94,10 @@ class Demonstrations(Settings):
     )
 
 
+FINAL_SEED_OFFSET = 1_000_000
+"""Distance of the final test's root of seeds from `testing.seed`."""
+
+
 class Testing(Settings):
     """Tests of the agent without exploration."""
 
@@ -102,6 +106,26 @@ class Testing(Settings):
     seed: int = Setting(
         default=0, ge=0, description="root of the test episodes' seeds; the same episodes for every run"
     )
+    final_episodes: int | None = Setting(
+        default=None,
+        ge=0,
+        description="episodes of the final test of `last` and of `best`, which are not those of the tests; null: as "
+        "many as in a test; 0: no final test",
+    )
+
+    @property
+    def final_count(self) -> int:
+        """Number of episodes of the final test."""
+        return self.episodes if self.final_episodes is None else self.final_episodes
+
+    @property
+    def final_seed(self) -> int:
+        """Root of the seeds of the final test, on whose episodes nothing is chosen."""
+        return self.seed + FINAL_SEED_OFFSET
+
+    def identity(self) -> dict[str, Any]:
+        """The settings that results depend on."""
+        return self.model_dump(mode="json") | {"final_episodes": self.final_count}
 
 
 def _distinct(seeds: tuple[int, ...]) -> tuple[int, ...]:
@@ -185,6 +209,7 @@ class Spec(Settings):
             **{key: part.identity() for key, part in parts.items() if part is not None},
             "randomization": {key: part.identity() for key, part in self.randomization.items()},
             "training": self.training.identity(),
+            "testing": self.testing.identity(),
         }
         for key in ("name", "seeds", "sweep"):
             identity.pop(key, None)

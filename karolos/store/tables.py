@@ -10,7 +10,7 @@ from typing import Any
 from sqlalchemy import JSON, BigInteger, Boolean, Column, Float, ForeignKey, Integer, MetaData, String, Table, Text
 from sqlalchemy.types import TypeEngine
 
-SCHEMA = 3
+SCHEMA = 4
 """Version of these tables, stored in `karolos_schema`. Raise it with every change of the tables.
 
 A database of another version is refused: the run folders are the truth, and `karolos db reindex` builds a new one.
@@ -87,6 +87,11 @@ RUNS = Table(
     _column("updated", String(32)),
     _column("folder", Text()),
     Column("note", Text()),
+    Column("updates", BigInteger()),
+    _column("final", Boolean()),
+    Column("best_steps", BigInteger()),
+    Column("best_any", Float(53)),
+    Column("best_end", Float(53)),
     Column("spec", ForeignKey("specs.digest"), nullable=False, index=True),
     Column("software", String(64), index=True),  # null: not known
 )

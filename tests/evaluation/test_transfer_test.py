@@ -15,6 +15,7 @@ from karolos.evaluation.transfer_test import transfer_test
 from karolos.experiment.experiment import Experiment
 from karolos.files import FileLock
 from karolos.records import RunFolder, transfer_results
+from karolos.records.results import TestCounts
 from karolos.records.transfer_results import TransferResult
 
 TOY: dict[str, Any] = {
@@ -50,11 +51,27 @@ def reach(tmp_path_factory: pytest.TempPathFactory) -> RunFolder:
     return run_of(REACH, tmp_path_factory.mktemp("runs"))
 
 
-def test_with_nothing_changed_it_repeats_the_runs_own_last_test(toy: RunFolder) -> None:
-    own = toy.tests()[-1]
-    transfer = transfer_test(toy, checkpoint="last")
-    assert transfer.result == replace(own, seconds=transfer.result.seconds)
-    assert (transfer.seed, transfer.randomized, transfer.overrides) == (5, False, ())
+def test_by_default_it_plays_the_episodes_of_the_final_test_which_nothing_was_chosen_on(toy: RunFolder) -> None:
+    final = toy.final()
+    assert final is not None
+    for name, own in (("last", final.last), ("best", final.best)):
+        transfer = transfer_test(toy, checkpoint=name)
+        assert own is not None
+        assert transfer.result == replace(own, seconds=transfer.result.seconds)
+        assert (transfer.seed, transfer.randomized, transfer.overrides) == (1_000_005, False, ())
+    again = transfer_test(toy, checkpoint="last", seed=5)
+    assert again.result == replace(toy.tests()[-1], seconds=again.result.seconds)
+
+
+@pytest.mark.parametrize(("seed", "episodes"), [(None, None), (None, 3), (None, 6), (8, 4)])
+def test_the_same_policy_on_the_same_episodes_stands_beside_it(
+    toy: RunFolder, seed: int | None, episodes: int | None
+) -> None:
+    for name in ("best", "last"):
+        changed = transfer_test(toy, ["environment.threshold=0.9"], checkpoint=name, seed=seed, episodes=episodes)
+        unchanged = transfer_test(toy, checkpoint=name, seed=seed, episodes=episodes)
+        assert replace(changed.own, seconds=0.0) == replace(TestCounts.of(unchanged.result), seconds=0.0)
+        assert changed.own.episodes == changed.result.episodes == (episodes or 4)
 
 
 def test_results_are_appended_and_come_back_as_they_were(toy: RunFolder) -> None:

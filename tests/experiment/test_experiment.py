@@ -78,7 +78,7 @@ def test_the_run_folder_holds_all_that_is_needed_to_tell_what_was_run(finished):
     assert (folder.path / "spec.yaml").read_text() == "# mine\n"
     assert Experiment(folder.spec()).spec.hash() == outcome.runs[0].experiment
     assert folder.description()["versions"].keys() >= {"python", "karolos", "torch", "numpy"}
-    assert [event["event"] for event in folder.events()] == ["started", "layout", "finished"]
+    assert [event["event"] for event in folder.events()] == ["started", "layout", "final_test", "finished"]
     assert checkpoint.names(folder.checkpoints) == ("best", "last", "previous")
     assert not folder.is_locked()
 

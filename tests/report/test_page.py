@@ -23,7 +23,7 @@ def text_of(compared: Comparison) -> str:
 def test_page_has_a_figure_for_each_question() -> None:
     text = text_of(comparison())
     assert text.count("<figure") == text.count("</svg><figcaption>") == 6
-    for title in ("over environment steps", "over wall-clock time", "at the last test", "Performance profiles"):
+    for title in ("over environment steps", "over wall-clock time", "at the end of training", "Performance profiles"):
         assert f"{title}</text>" in text
 
 

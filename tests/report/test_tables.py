@@ -60,7 +60,7 @@ def test_run_is_shown_with_the_interval_of_its_success() -> None:
 
 def test_run_without_a_test_is_shown() -> None:
     empty = dict.fromkeys(("success_any", "success_end", "steps_to_95", "seconds_to_95", "episodes"), None)
-    assert shown(runs_table([replace(RUN, **empty)])).count(" - ") == 4
+    assert shown(runs_table([replace(RUN, **empty)])).count(" - ") == 5
 
 
 def test_test_is_shown_with_both_ways_to_count() -> None:
