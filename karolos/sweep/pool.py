@@ -152,6 +152,8 @@ class RunPool:
     def __exit__(self, *_: object) -> None:
         for worker in self._workers:
             worker.pipe.close()  # which makes it exit
+            if not worker.ready:  # it imports libraries for seconds, and has nothing to lose
+                worker.process.terminate()
         for worker in self._workers:
             worker.process.join()
 

@@ -123,6 +123,7 @@ class Search:
             seeds = self.spec.seeds if final is None else final.report_seeds
             spec = spec_of_trial(self.spec, best.drawn, f"{self.spec.name}-best", seeds, best.name)
             folder.write_best(spec, _comment(self.sweep, best, final))
+        if best is not None and not stop.requested:  # the figures take seconds, and a resumed sweep draws them
             write_search_figures(
                 study.trials(), self.sweep.objectives[0], self.sweep.space, study.importances(), folder.figures
             )
