@@ -94,6 +94,42 @@ class ArmModel:
     """Pairs of links that collide; all other pairs of the arm's links do not."""
 
 
+def _check_model(model: ArmModel, home: Vector) -> None:
+    """Refuse a model that does not fit its URDF. `home`: position of the tool at home in m.
+
+    Raises PluginError for a home outside the workspace, for fingers that the URDF lacks, and for sliding joints that
+    nothing moves.
+    """
+    where = str(model.urdf)
+    if not model.workspace.contains(home):
+        place, low, high = (
+            " ".join(f"{x:.3f}" for x in corner) for corner in (home, model.workspace.low, model.workspace.high)
+        )
+        raise PluginError(
+            f"at home the tool is at {place}, outside the workspace from {low} to {high}",
+            where=where,
+            hint="change `home`, `tool` or `workspace`",
+        )
+    slides = {joint.name: joint.child for joint in urdf.joints(model.urdf) if not joint.revolute}
+    used = dict(zip(model.fingers.joints, model.fingers.links, strict=True)) if model.fingers else {}
+    for joint, link in used.items():
+        if joint not in slides:
+            raise PluginError(
+                f"no finger joint is called {joint!r}", where=where, hint=f"prismatic joints: {', '.join(slides)}"
+            )
+        if slides[joint] != link:
+            raise PluginError(
+                f"finger joint {joint!r} does not move a link {link!r}", where=where, hint=f"it moves {slides[joint]!r}"
+            )
+    unused = sorted(set(slides) - set(used))
+    if unused:
+        raise PluginError(
+            f"nothing moves the prismatic joints {', '.join(unused)}",
+            where=where,
+            hint="name them in `fingers`, or make them fixed",
+        )
+
+
 class Arm:
     """Implements `karolos.simulation.interface.Robot` for a serial arm; a subclass sets `model` and `Settings`.
 
@@ -124,6 +160,7 @@ class Arm:
         pose = self._configuration.tool
         self.home = pose.position
         self.home_yaw = atan2(pose.x[1], pose.x[0])
+        _check_model(model, self.home)
         self.workspace = model.workspace
         self.reset_noise = settings.reset_noise
         self._fingers = model.fingers

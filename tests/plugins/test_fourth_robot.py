@@ -4,6 +4,7 @@ from __future__ import annotations
 
 from dataclasses import replace
 from pathlib import Path
+from typing import Any
 
 import numpy as np
 import pytest
@@ -15,6 +16,7 @@ from karolos.evaluation.policies import expert_policy
 from karolos.plugins.contracts import Candidate, candidate, cases, robots
 from karolos.plugins.contracts.joined import CONTROLS, goes_with, join, joined
 from karolos.registry import load, names
+from karolos.simulation.interface import Box
 
 ENOUGH = {"pick_place": 0.9, "push": 0.9, "reach": 1.0}
 """Share of episodes that the expert solves at the least; any other task has to be solved once."""
@@ -65,3 +67,25 @@ def test_a_robot_without_gripper_is_refused_where_one_is_needed_and_solves_the_r
             continue
         with joined(bare, candidate("tasks", task)) as made:
             assert score(made, expert_policy(made), episodes=5, seed=0).success_end >= 0.8, task
+
+
+@pytest.mark.parametrize(
+    ("changes", "message"),
+    [
+        ({"workspace": Box((0.3, 0.28, 0.02), (0.6, 0.52, 0.3))}, r"at home the tool is at .* outside the workspace"),
+        ({"fingers": {"joints": ("slide1", "slide3")}}, "no finger joint is called 'slide3'"),
+        ({"fingers": {"links": ("pad1", "pad1")}}, "'slide2' does not move a link 'pad1'; it moves 'pad2'"),
+        ({"fingers": None}, "nothing moves the prismatic joints slide1, slide2"),
+    ],
+)
+def test_a_model_that_does_not_fit_its_urdf_is_refused_in_one_line(
+    small: Candidate, monkeypatch: pytest.MonkeyPatch, changes: dict[str, Any], message: str
+) -> None:
+    model = small.plugin.model
+    fingers = changes.get("fingers", {})
+    changes = {**changes, "fingers": replace(model.fingers, **fingers) if fingers is not None else None}
+    monkeypatch.setattr(small.plugin, "model", replace(model, **changes))
+    for use in (lambda: small.plugin(small.settled()), lambda: cases(small)):
+        with pytest.raises(PluginError, match=message) as caught:
+            use()
+        assert "\n" not in str(caught.value)
