@@ -66,6 +66,9 @@ class ArmSettings(Settings):
         le=0.2,
         description="largest change of the tool position per control step and axis, m; joint speeds may allow less",
     )
+    acceleration: Literal["sheet"] | None = Setting(
+        None, description="sheet: the largest accelerations that the maker publishes; null: a larger bound"
+    )
     yaw: bool = Setting(False, description="whether a cartesian action also turns the gripper about the vertical")
     yaw_step: float = Setting(0.2, gt=0, le=0.5, description="largest turn of the gripper per control step, rad")
     reset_noise: float = Setting(
@@ -90,6 +93,8 @@ class ArmModel:
     tool_rpy: Vector
     """Tool frame in the frame of the last link, rad; its z axis is the direction of approach."""
     fingers: Fingers | None = None
+    accelerations: tuple[float, ...] | None = None
+    """Largest acceleration of each joint in rad/s2 as its maker publishes it; None where no maker does."""
     self_collisions: tuple[tuple[str, str], ...] = ()
     """Pairs of links that collide; all other pairs of the arm's links do not."""
 
@@ -155,6 +160,13 @@ class Arm:
         self.limits = JointLimits(
             *(tuple(getattr(joint, key) for joint in self._joints) for key in ("lower", "upper", "velocity", "effort"))
         )
+        self._accelerations = model.accelerations if settings.acceleration == "sheet" else None
+        if settings.acceleration == "sheet" and model.accelerations is None:
+            raise UsageError(
+                f"the maker of {type(self).__name__} publishes no accelerations",
+                where="robot.acceleration",
+                hint="leave it out; joints then change their speed by its limit in 1/24 s at the most",
+            )
         self.chain = Chain(self._joints, (np.array(model.tool), urdf.rotation_matrix(*model.tool_rpy)))
         self._configuration = self.chain.forward(model.home)
         pose = self._configuration.tool
@@ -249,7 +261,7 @@ class Arm:
         # a welded finger has no link
         pairs = [(links[a], links[b]) for a, b in self.model.self_collisions if a in links and b in links]
         self.body.collide_only(pairs)
-        self._control = JointControl(self.limits, world.period)
+        self._control = JointControl(self.limits, world.period, self._accelerations)
         arm = [joint.child for joint in self._joints]
         self._motors = motors = world.motors(self.body, arm, self.limits, self._fingers)
         self._apply: dict[str, Callable[[float], None]] = {

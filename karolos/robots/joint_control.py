@@ -23,7 +23,7 @@ class JointControl:
 
         w = d / T, limited by the largest speed, the acceleration and the range of the joint
         r = r + (w_before + w) / 2 T, the reference, at most `REFERENCE_LAG` away from the joint before it moves
-        ramp from v to w + c, c = (r - x) / T - (v + w) / 2
+        ramp from v to w + c, c = (r - x) / T - (v + w) / 2, within the acceleration
 
     x and v are the joint's position and speed, T is the period. The mean of a ramp times T is the distance that it
     moves the joint. The correction c removes half of the distance between joint and reference.
@@ -72,6 +72,7 @@ class JointControl:
             reference = held + (last + speed) / 2 * period
             references.append(reference)
             speeds.append(speed)
-            ends.append(speed + (reference - position) / period - (velocity + speed) / 2)
+            end = speed + (reference - position) / period - (velocity + speed) / 2
+            ends.append(min(max(end, velocity - rise), velocity + rise))
         self._references, self._speeds = references, speeds
         return ends

@@ -31,10 +31,14 @@ class Panda(Arm):
             open_at_zero=False,
             gripper=Gripper(width=0.08, force=20.0, speed=0.05, pad_friction=1.0),
         ),
-        # the hand against the base and the upper arm: what the joint limits leave possible
-        self_collisions=tuple(
-            (distal, proximal)
-            for distal in ("link5", "link6", "link7", "finger1", "finger2")
-            for proximal in ("link0", "link1", "link2")
+        accelerations=(15.0, 7.5, 10.0, 12.5, 15.0, 20.0, 20.0),  # interface documentation, joint limits
+        # what the joint limits leave possible
+        self_collisions=(
+            ("link7", "link5"),
+            *(
+                (distal, proximal)
+                for distal in ("link5", "link6", "link7", "finger1", "finger2")
+                for proximal in ("link0", "link1", "link2")
+            ),
         ),
     )

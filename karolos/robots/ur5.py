@@ -30,5 +30,6 @@ class UR5(Arm):
             (distal, proximal)
             for distal in ("wrist_1", "wrist_2", "wrist_3", "finger1", "finger2")
             for proximal in ("base", "shoulder", "upper_arm")
-        ),
+        )
+        + tuple((distal, "forearm") for distal in ("base", "shoulder", "wrist_3", "finger1", "finger2")),
     )

@@ -242,6 +242,32 @@ def a_pressed_cube_stays_on_the_floor(one: Candidate) -> None:
         demand(deepest < 0.005, f"a pressed cube is {1000 * deepest:.1f} mm deep in the floor")
 
 
+def accelerations_are_those_of_the_data_sheet(one: Candidate) -> None:
+    """With `acceleration: sheet` no joint changes its speed by more than the data sheet's acceleration and a tenth."""
+    if getattr(one.plugin, "model", None) is None or one.plugin.model.accelerations is None:
+        return
+    with reaching(replace(one, settings={**one.settings, "acceleration": "sheet"})) as environment:
+        robot = environment.robot
+        largest = np.array(one.plugin.model.accelerations)
+        draws = _generator()
+        measured = np.zeros(len(largest))
+        for seed in range(6):
+            environment.reset(seed)
+            before = np.zeros(len(largest))
+            for step in range(8):  # before the arm meets the floor
+                if step % 4 == 0:
+                    action = np.sign(draws.uniform(-1, 1, environment.signature.action.size))
+                environment.step(action)
+                speeds = np.array(robot.joint_velocities)
+                measured = np.maximum(measured, np.abs(speeds - before) / robot.period)
+                before = speeds
+        worst = int(np.argmax(measured / largest))
+        demand(
+            (measured < 1.1 * largest).all(),
+            f"joint {worst} accelerates with {measured[worst]:.1f} rad/s2, its sheet says {largest[worst]:.1f}",
+        )
+
+
 class Grasping(Reach):
     """Reach with a gripper that opens and closes."""
 
@@ -294,6 +320,7 @@ ANY_CONTROL: tuple[Callable[[Candidate], None], ...] = (
 JOINT_CONTROL: tuple[Callable[[Candidate], None], ...] = (
     every_joint_reaches_its_speed,
     dry_friction_takes_its_fraction_of_the_largest_torques,
+    accelerations_are_those_of_the_data_sheet,
 )
 CARTESIAN_CONTROL: tuple[Callable[[Candidate], None], ...] = (
     a_full_action_moves_the_tool_by_one_tool_step,
