@@ -38,7 +38,11 @@ REACH: dict[str, Any] = {
 
 
 def run_of(spec: dict[str, Any], runs: Path) -> RunFolder:
-    return RunFolder.open(Experiment(spec).run(runs).runs[0].folder)
+    outcome = Experiment(spec).run(runs)
+    folder = RunFolder.open(outcome.runs[0].folder)
+    assert outcome.exit_code == 0, outcome
+    assert (folder.checkpoints / "best").is_dir(), folder.events()  # warnings say why it was not written
+    return folder
 
 
 @pytest.fixture
