@@ -122,6 +122,8 @@ class Live(Quiet):
             )
             self._tasks[event.run] = task
             return
+        if event.run not in self._tasks:  # its process died before the run began
+            return
         task = self._tasks[event.run]
         if isinstance(event, RunAdvanced):
             bars.update(task, completed=event.steps, speed=self._speeds[event.run].text)

@@ -88,7 +88,8 @@ def report(outcome: Outcome, runs: Path, *, quiet: bool, json: bool) -> NoReturn
         from karolos.report.tables import runs_table
 
         print_table(runs_table(outcome.runs))
-        last = outcome.runs[-1]
-        plays = ", `karolos play @last` shows it" if last.success_any is not None else ""
-        say(f"results in {runs}; `karolos runs show {last.run}` shows more{plays}")
+        begun = [run for run in outcome.runs if Path(run.folder).name == run.run]
+        if begun:
+            plays = ", `karolos play @last` shows it" if begun[-1].success_any is not None else ""
+            say(f"results in {runs}; `karolos runs show {begun[-1].run}` shows more{plays}")
     raise typer.Exit(outcome.exit_code)

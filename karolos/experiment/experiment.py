@@ -3,21 +3,23 @@
 from __future__ import annotations
 
 from collections.abc import Mapping
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from pathlib import Path
 from typing import Any, Literal
 
 from ..errors import RunError, UsageError
 from ..orchestrator.auto import cores
 from ..records import RunFolder
-from ..records.run_records import RunSummary
+from ..records.labels import Labels
+from ..records.run_records import RunState, RunSummary, summarise, timestamp
 from ..spec import Spec
 from ..store import Store
 from ..training.assembly import check_parts
 from .events import Listener
-from .jobs import run_side_by_side
+from .jobs import exit_if_imported_by_child, run_side_by_side
 from .resume import find_run, newest_snapshot
 from .run import Run
+from .run_index import RunIndex
 from .signals import StopRequest, stop_on_signals
 from .start_from import pinned
 
@@ -26,7 +28,10 @@ Existing = Literal["ignore", "skip", "resume"]
 
 @dataclass(frozen=True)
 class Outcome:
-    """The runs of an experiment, in the order of the seeds. Runs that never started are missing."""
+    """The runs of an experiment, in the order of the seeds. Seeds that never started after a stop are missing.
+
+    A run whose process died is `lost`. If it had not begun, it has no folder.
+    """
 
     runs: tuple[RunSummary, ...]
     requested: int
@@ -36,14 +41,13 @@ class Outcome:
 
     @property
     def exit_code(self) -> int:
-        """0 if all runs finished, 1 if a run failed; after a stop 128 + signal, or 124 for the time limit."""
-        if all(run.state == "finished" for run in self.runs):
-            return 0 if len(self.runs) == self.requested else self.stop_code
-        return self.stop_code or 1
+        """0 if every seed has a finished run, else 1; after a stop 128 + signal, or 124 for the time limit."""
+        finished = sum(run.state == "finished" for run in self.runs)
+        return 0 if finished == self.requested else self.stop_code or 1
 
     def check(self) -> None:
-        """Raise a RunError that names the failed runs, if there are any."""
-        failed = [run for run in self.runs if run.state == "failed"]
+        """Raise a RunError that names the failed and lost runs, if there are any."""
+        failed = [run for run in self.runs if run.state in ("failed", "lost")]
         if failed:
             raise RunError(
                 f"{len(failed)} of {len(self.runs)} runs failed: "
@@ -100,6 +104,7 @@ class Experiment:
             MachineError: the runs folder cannot be written.
             StoreError: the database cannot be used.
         """
+        exit_if_imported_by_child()
         if jobs < 1:
             raise UsageError(f"jobs is {jobs}", hint="run at least one seed at a time")
         folder = Path(runs)
@@ -117,7 +122,7 @@ class Experiment:
                     if not stop.requested:
                         summaries.append(work(seed, listener, stop))
             else:
-                summaries = run_side_by_side(work, self.spec.seeds, jobs, listener, stop)
+                summaries = run_side_by_side(work, work.lost, self.spec.seeds, jobs, listener, stop)
         order = {seed: index for index, seed in enumerate(self.spec.seeds)}
         outcome = Outcome(tuple(sorted(summaries, key=lambda run: order[run.seed])), len(order), stop.exit_code)
         if check:
@@ -144,9 +149,10 @@ def resume_run(
         return Outcome((folder.summary(),), 1)
     spec = Spec.from_dict(folder.spec())
     check_parts(spec)
-    with stop_on_signals(time_limit=time_limit) as stop, Store(url) as store, folder:
+    Store(url).close()  # an unusable database is an error before anything is computed
+    with stop_on_signals(time_limit=time_limit) as stop, folder:
         listener = listener or (lambda _: None)
-        summary = _resume(folder, spec, store, listener, stop, beside=has_spare_core(1))
+        summary = _resume(folder, spec, url, listener, stop, beside=has_spare_core(1))
     return Outcome((summary,), 1, stop.exit_code)
 
 
@@ -172,12 +178,21 @@ class SeedRunner:
             if found is not None and found.state().state == "finished":
                 return found.summary()
             if found is not None and self.existing == "resume":
-                with Store(self.url) as store, found:
-                    return _resume(found, spec, store, listener, stop, beside=self.beside)
-        with Store(self.url) as store, RunFolder.create(self.runs, spec.name, seed) as folder:
+                with found:
+                    return _resume(found, spec, self.url, listener, stop, beside=self.beside)
+        with RunFolder.create(self.runs, spec.name, seed) as folder, RunIndex(self.url, folder) as index:
             folder.describe(spec.dump(), experiment=spec.hash(), text=self.text)
-            store.add_run(folder.summary(), spec.dump(), folder.versions())
-            return Run(spec, seed, folder, store, listener, stop, beside=self.beside).execute()
+            return Run(spec, seed, folder, index, listener, stop, beside=self.beside).execute()
+
+    def lost(self, seed: int, folder: str | None, cause: str) -> RunSummary:
+        """The row of a seed whose process died; `folder` is None if its run had not begun."""
+        if folder is not None:
+            summary = RunFolder.open(folder).summary()
+            return summary if summary.state == "finished" else replace(summary, error=cause)
+        spec, now = Spec.from_dict(self.resolved), timestamp()
+        run = {"id": f"{spec.name}-s{seed}", "experiment": spec.hash(), "seed": seed, "name": spec.name, "created": now}
+        state = RunState("lost", error=cause)
+        return summarise(Path(), run, state, self.resolved, (), final=None, labels=Labels())
 
 
 def has_spare_core(jobs: int) -> bool:
@@ -186,11 +201,11 @@ def has_spare_core(jobs: int) -> bool:
 
 
 def _resume(
-    folder: RunFolder, spec: Spec, store: Store, listener: Listener, stop: StopRequest, *, beside: bool
+    folder: RunFolder, spec: Spec, url: str, listener: Listener, stop: StopRequest, *, beside: bool
 ) -> RunSummary:
     folder.lock()
     snapshot = newest_snapshot(folder)
     folder.next_attempt()
-    store.add_run(folder.summary(), spec.dump(), folder.versions())
     seed = folder.description()["seed"]
-    return Run(spec, seed, folder, store, listener, stop, snapshot, beside).execute()
+    with RunIndex(url, folder) as index:
+        return Run(spec, seed, folder, index, listener, stop, snapshot, beside).execute()

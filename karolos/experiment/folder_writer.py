@@ -13,11 +13,11 @@ from ..evaluation.evaluation_process import DueTest
 from ..records import RunFolder
 from ..records.final_test import FinalTest
 from ..records.results import TestResult
-from ..store import Store
 from ..training.episodes import Episode
 from ..training.training import Training
 from .observer import Ending, RunObserver, RunWarnings
 from .resume import Snapshot
+from .run_index import RunIndex
 
 
 @dataclass
@@ -26,7 +26,7 @@ class FolderWriter(RunObserver):
 
     Args:
         folder: the run's own, created and locked.
-        store: the index; an error of the store is a warning only.
+        index: its entry in the database; an error of the database is a warning only.
         warnings: of the run.
         snapshot: where the run resumes; None if it starts.
         exact: whether the run resumes bit for bit.
@@ -36,7 +36,7 @@ class FolderWriter(RunObserver):
     """
 
     folder: RunFolder
-    store: Store
+    index: RunIndex
     warnings: RunWarnings
     snapshot: Snapshot | None
     exact: bool
@@ -60,9 +60,9 @@ class FolderWriter(RunObserver):
     @override
     def tested(self, training: Training, test: DueTest, result: TestResult) -> None:
         self.folder.add_test(result)
+        self.folder.set_state("running", steps=training.steps, seconds=training.seconds, updates=training.updates)
         with self.warnings.tolerated(StoreError, "the test is in the run folder, but not in the database"):
-            self.store.add_test(self.folder.id, result)
-        self._set_state("running", training.steps, training.seconds, training.updates)
+            self.index.update(result)
 
     @override
     def final_tested(self, final: FinalTest[TestResult]) -> None:
@@ -95,7 +95,7 @@ class FolderWriter(RunObserver):
     ) -> None:
         self.folder.set_state(state, steps=steps, seconds=seconds, updates=updates, error=error)
         with self.warnings.tolerated(StoreError, "the run continues; its folder is complete"):
-            self.store.update_run(self.folder.summary())
+            self.index.update()
 
 
 def _episode_row(episode: Episode, parameters: Sequence[str]) -> dict[str, Any]:

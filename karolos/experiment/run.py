@@ -23,7 +23,6 @@ from ..records.results import TestResult
 from ..records.run_records import RunSummary
 from ..spec import Spec
 from ..spec.model import Demonstrations as DemonstrationSettings
-from ..store import Store
 from ..training.assembly import make_agent, make_buffer, make_orchestrator
 from ..training.demonstrations import collect_demonstrations
 from ..training.episodes import Episode
@@ -34,6 +33,7 @@ from .folder_writer import FolderWriter
 from .observer import Announcer, Ending, RunObserver, RunWarnings
 from .pending_tests import PendingTests
 from .resume import LAST, Snapshot
+from .run_index import RunIndex
 from .signals import StopRequest, StopRequestedError
 from .start_from import apply, find
 from .tensorboard_writer import TensorBoardWriter
@@ -49,7 +49,7 @@ class Run:
         spec: what to run.
         seed: root of the run's random numbers.
         folder: the run's own, created and locked.
-        store: the index to update.
+        index: its entry in the results database.
         listener: is told what happens.
         stop: is checked after each round.
         snapshot: where an unfinished run resumes; None: the run starts.
@@ -59,7 +59,7 @@ class Run:
     spec: Spec
     seed: int
     folder: RunFolder
-    store: Store
+    index: RunIndex
     listener: Listener
     stop: StopRequest
     snapshot: Snapshot | None = None
@@ -79,7 +79,7 @@ class Run:
             folder, self._warnings, self.spec.hash(), self.seed, self._pending, self._announcer.announce
         )
         self._observers = (
-            FolderWriter(folder, self.store, self._warnings, snapshot, exact),
+            FolderWriter(folder, self.index, self._warnings, snapshot, exact),
             TensorBoardWriter(folder.tensorboard, self._warnings, snapshot),
             self._checkpointer,
             self._announcer,

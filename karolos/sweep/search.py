@@ -9,6 +9,7 @@ from typing import Any
 
 from ..errors import SpecError, UsageError
 from ..experiment.experiment import SeedRunner
+from ..experiment.jobs import exit_if_imported_by_child
 from ..experiment.signals import StopRequest, stop_on_signals
 from ..experiment.start_from import pinned
 from ..records import RunFolder
@@ -88,6 +89,7 @@ class Search:
             MachineError: the runs folder cannot be written, or processes cannot be started.
             StoreError: the database cannot be used.
         """
+        exit_if_imported_by_child()
         if jobs < 1:
             raise UsageError(f"jobs is {jobs}", hint="use at least 1")
         root = Path(runs)

@@ -275,7 +275,7 @@ def test_a_database_that_fails_in_the_middle_costs_a_warning_not_the_run(tmp_pat
     outcome = Experiment(spec()).run(tmp_path)
     assert outcome.runs[0].state == "finished"
     (folder,) = folders(outcome)
-    assert [event["event"] for event in folder.events()].count("warning") == 3
+    assert [event["event"] for event in folder.events()].count("warning") == 2
     assert len(folder.tests()) == 3
 
 

@@ -1,0 +1,120 @@
+"""Seeds without a finished run, and a database that cannot be reached while an experiment goes on."""
+
+from __future__ import annotations
+
+import os
+import signal
+import subprocess
+import sys
+from pathlib import Path
+from typing import Any
+
+import pytest
+
+from karolos.errors import RunError
+from karolos.experiment.events import RunAdvanced, RunEnded, RunStarted, RunWarned
+from karolos.experiment.experiment import Experiment
+from karolos.records import RunFolder
+from karolos.store import Store, check
+
+TOY: dict[str, Any] = {
+    "name": "toy",
+    "environment": "toy",
+    "agent": {"name": "sac", "hidden": [8]},
+    "buffer": {"name": "uniform", "capacity": 1000},
+    "orchestrator": {"processes": 0, "environments": 2},
+    "training": {"steps": 80, "batch_size": 8, "replay_ratio": 4, "warmup_episodes": 2},
+    "testing": {"interval": 40, "episodes": 2},
+}
+SCRIPT = """
+from karolos.experiment.experiment import Experiment
+outcome = Experiment({spec!r}).run({runs!r}, jobs=2, check=False, listener=lambda event: print(event))
+print("EXIT", outcome.exit_code, [(run.run, run.state, run.error) for run in outcome.runs])
+"""
+
+
+def test_a_killed_process_of_a_seed_is_a_lost_run_and_an_error(tmp_path: Path) -> None:
+    spec = TOY | {"seeds": [0, 1], "training": TOY["training"] | {"steps": 100_000}}
+    spec |= {"testing": {"interval": 100_000, "episodes": 2}}
+    killed, ended = [], []
+
+    def listen(event: object) -> None:
+        if isinstance(event, RunAdvanced) and event.run not in killed:
+            killed.append(event.run)
+            lock = (tmp_path / event.run / "lock").stat().st_ino
+            os.kill(_holder(lock), signal.SIGKILL)
+        if isinstance(event, RunEnded):
+            ended.append(event)
+
+    outcome = Experiment(spec).run(tmp_path, jobs=2, listener=listen, check=False)
+    assert [(run.seed, run.state) for run in outcome.runs] == [(0, "lost"), (1, "lost")]
+    assert all(run.error == "its process was killed by signal 9" for run in outcome.runs)
+    assert outcome.exit_code == 1
+    assert {(event.state, event.error) for event in ended} == {("lost", "its process was killed by signal 9")}
+    with pytest.raises(RunError, match="its process was killed by signal 9"):
+        outcome.check()
+
+
+def _holder(inode: int) -> int:
+    """The process that holds the lock of this file."""
+    for line in Path("/proc/locks").read_text().splitlines():
+        _, _, _, _, pid, file, *_ = line.split()
+        if int(file.rpartition(":")[2]) == inode:
+            return int(pid)
+    raise AssertionError("nobody holds the lock")
+
+
+def test_a_script_without_a_guard_is_named_and_its_seeds_are_lost(tmp_path: Path) -> None:
+    script = tmp_path / "script.py"
+    script.write_text(SCRIPT.format(spec=TOY | {"seeds": [0, 1]}, runs=str(tmp_path / "runs")))
+    done = subprocess.run([sys.executable, script], capture_output=True, text=True, timeout=120, check=False)
+    assert done.stdout.count("EXIT 1 ") == 1, done.stderr
+    assert done.stdout.count("'lost'") >= 2
+    assert 'no `if __name__ == "__main__":`' in done.stdout
+    assert "Traceback" not in done.stderr
+    assert not list((tmp_path / "runs").glob("toy-*"))
+
+
+def test_a_database_that_cannot_be_reached_between_seeds_costs_a_warning(tmp_path: Path) -> None:
+    file, aside = tmp_path / "karolos.sqlite", tmp_path / "aside"
+    warnings, started = [], []
+
+    def listen(event: object) -> None:
+        if isinstance(event, RunStarted):
+            started.append(event.run)
+        if isinstance(event, RunEnded) and len(started) == 1:
+            file.rename(aside)
+            file.mkdir()
+        if isinstance(event, RunWarned):
+            warnings.append(event)
+        if isinstance(event, RunEnded) and len(started) == 2:
+            file.rmdir()
+            aside.rename(file)
+
+    outcome = Experiment(TOY | {"seeds": [0, 1, 2]}).run(tmp_path, listener=listen)
+    assert outcome.exit_code == 0
+    assert {event.run for event in warnings} == {started[1]}
+    assert "the run continues; its folder is complete" in warnings[0].warning
+    with Store(Store.default_url(tmp_path)) as store:
+        assert {run.run for run in store.runs()} == {started[0], started[2]}
+        assert [found.run for found in check(store, tmp_path)] == [started[1]]
+    assert RunFolder.open(tmp_path / started[1]).record().problems == ()
+
+
+def test_a_run_is_entered_whole_as_soon_as_the_database_is_back(tmp_path: Path) -> None:
+    file, aside = tmp_path / "karolos.sqlite", tmp_path / "aside"
+    calls = []
+
+    def listen(event: object) -> None:
+        if isinstance(event, RunStarted):
+            file.rename(aside)
+            file.mkdir()
+        if isinstance(event, RunAdvanced) and not calls:
+            calls.append(event)
+            file.rmdir()
+            aside.rename(file)
+
+    outcome = Experiment(TOY).run(tmp_path, listener=listen)
+    with Store(Store.default_url(tmp_path)) as store:
+        assert store.runs() == outcome.runs
+        assert list(check(store, tmp_path)) == []
