@@ -2,13 +2,12 @@
 
 from __future__ import annotations
 
-import traceback
 from pathlib import Path
 from typing import TYPE_CHECKING, Annotated, Any
 
 import typer
 
-from karolos.errors import KarolosError, PluginError
+from karolos.errors import PluginError
 from karolos.report.tables import Columns, Table, setting
 
 from .arguments import Json
@@ -17,7 +16,6 @@ from .output import print_line, print_rows, print_table, say
 if TYPE_CHECKING:
     from pydantic import BaseModel
 
-    from karolos.plugins.contracts import Case
 
 app = typer.Typer(
     name="plugins", help="List, show and check robots, tasks, agents and others; start a new one.", no_args_is_help=True
@@ -105,38 +103,30 @@ def check(
 
     A robot is checked with every installed task, and a task with every installed robot. This takes a minute.
     """
-    from karolos.plugins.contracts import candidate, cases
+    from karolos.plugins.contracts import candidate, cases, results
     from karolos.spec import parse_settings
 
     found = cases(candidate(_kind(kind), name, **parse_settings(settings or ())))
-    broken = 0
-    for case in found:
-        problem = _problem(case)
+    checked, broken = 0, 0
+    problems: dict[str, str] = {}
+    for case, problem in results(found):
+        checked += 1
         broken += problem is not None
         if json:
             row = {"promise": str(case), "text": case.text, "kept": problem is None, "problem": problem}
             print_rows([row], json=True)
+        elif problem is None:
+            print_line(f"ok     {case}")
         else:
-            print_line(f"{'ok    ' if problem is None else 'BROKEN'} {case}")
-            for line in () if problem is None else (case.text, problem):
+            print_line(f"BROKEN {case}")
+            first = problems.setdefault(problem, str(case))
+            for line in (case.text, problem if first == str(case) else f"the same problem as of {first}"):
                 print_line(f"       {line}")
-    say(f"{len(found) - broken} of {len(found)} promises are kept")
+    say(f"{checked - broken} of {len(found)} promises are kept")
+    if checked < len(found):
+        say(f"{len(found) - checked} were not checked: they need the broken one")
     if broken:
         raise typer.Exit(PluginError.exit_code)
-
-
-def _problem(case: Case) -> str | None:
-    """What is wrong, in one line; None if the promise is kept."""
-    try:
-        case()
-    except AssertionError as error:
-        return str(error)
-    except KarolosError as error:
-        return " ".join(str(error).splitlines())
-    except Exception as error:  # a plugin may raise anything; the traceback shows its author where
-        traceback.print_exception(error)
-        return f"{type(error).__name__}: {' '.join(str(error).splitlines())}"
-    return None
 
 
 def _kind(text: str) -> str:

@@ -19,6 +19,7 @@ from .checking import (
     check_environment,
     check_robot,
     check_task,
+    results,
 )
 
 __all__ = [
@@ -34,4 +35,5 @@ __all__ = [
     "check_environment",
     "check_robot",
     "check_task",
+    "results",
 ]

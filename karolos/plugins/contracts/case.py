@@ -61,6 +61,8 @@ class Case:
 
     promise: Callable[..., None]
     candidates: tuple[Candidate, ...]
+    basic: bool = False
+    """Whether no other promise can be kept without this one."""
 
     def __call__(self) -> None:
         self.promise(*self.candidates)

@@ -2,14 +2,17 @@
 
 from __future__ import annotations
 
+import traceback
+from collections.abc import Iterable, Iterator
 from functools import partial
 from typing import Any
 
-from ...errors import UsageError
+from ...errors import KarolosError, UsageError
 from ...registry import alternatives, names, singular
+from ...robots.arm import Arm
 from . import agents, buffers, distributions, environments, pairs, robots, tasks
 from .case import Candidate, Case, candidate, cases_of
-from .joined import CONTROLS, goes_with
+from .joined import controls, goes_with, refusal, under
 
 KINDS = ("robots", "tasks", "agents", "buffers", "environments", "distributions")
 """Kinds with contracts. Orchestrators are tested in karolos alone."""
@@ -32,7 +35,8 @@ def cases(one: Candidate, *, alone: bool = False) -> list[Case]:
         return _of_robot(one) + ([] if alone else [case for task in _all("tasks") for case in of_pair(one, task)])
     if one.kind == "tasks":
         usual = candidate("robots", USUAL_ROBOT)
-        found = cases_of(tasks.PROMISES, usual, one)
+        found = [Case(environments.an_episode_begins_and_takes_a_step, (usual, one), basic=True)]
+        found += cases_of(tasks.PROMISES, usual, one)
         return found + ([] if alone else [case for robot in _all("robots") for case in of_pair(robot, one)])
     one.settled()
     if one.kind == "agents":
@@ -43,22 +47,50 @@ def cases(one: Candidate, *, alone: bool = False) -> list[Case]:
     if one.kind == "distributions":
         return cases_of(distributions.PROMISES, one)
     if one.kind == "environments" and one.name != "robot_task":
-        return cases_of(environments.PROMISES, one)
+        begins = Case(environments.an_episode_begins_and_takes_a_step, (one,), basic=True)
+        return [begins, *cases_of(environments.PROMISES, one)]
     hint = "check a robot or a task" if one.kind == "environments" else alternatives(one.kind, KINDS)
     raise UsageError(f"there are no contracts for {singular(one.kind)} {one.name}", hint=hint)
 
 
 def of_pair(robot: Candidate, task: Candidate) -> list[Case]:
-    """Promises of a robot with a task: as an environment under each control mode that fits, and as a pair."""
+    """Promises of a robot with a task: as an environment under each control mode that fits, and as a pair.
+
+    A task that refuses the robot has to give a reason; nothing else is checked then.
+    """
     if task.plugin.uses_gripper and not _has_gripper(robot):
         return []
-    modes = [control for control in CONTROLS if goes_with(task, control)]
-    found = [case for mode in modes for case in cases_of(environments.PROMISES, _under(robot, mode), task)]
-    return (
-        found
-        + cases_of(pairs.PROMISES, robot, task)
-        + (cases_of(pairs.IN_REACH, robot, task) if task.name == "reach" else [])
-    )
+    if refusal(robot, task) is not None:
+        return cases_of((pairs.the_task_refuses_the_robot,), robot, task)
+    modes = [mode for mode in controls(robot) if goes_with(task, mode.settings.get("control"))]
+    found = [case for mode in modes for case in cases_of(environments.PROMISES, mode, task)]
+    found += cases_of(pairs.PROMISES, robot, task)
+    if task.name == "reach":
+        found += cases_of(pairs.IN_REACH, robot, task)
+        found += cases_of(pairs.ARM_IN_REACH, robot, task) if issubclass(robot.plugin, Arm) else []
+    return found
+
+
+def results(found: Iterable[Case]) -> Iterator[tuple[Case, str | None]]:
+    """Each case with what is wrong, in one line; None if the promise is kept. Ends after a broken basic promise."""
+    for case in found:
+        problem = _problem(case)
+        yield case, problem
+        if case.basic and problem is not None:
+            return
+
+
+def _problem(case: Case) -> str | None:
+    try:
+        case()
+    except AssertionError as error:
+        return str(error)
+    except KarolosError as error:
+        return " ".join(str(error).splitlines())
+    except Exception as error:  # a plugin may raise anything; the traceback shows its author where
+        traceback.print_exception(error)
+        return f"{type(error).__name__}: {' '.join(str(error).splitlines())}"
+    return None
 
 
 def check(kind: str, name: str, **settings: Any) -> None:
@@ -70,18 +102,16 @@ def check(kind: str, name: str, **settings: Any) -> None:
         settings: those that differ from the defaults.
 
     Raises:
-        AssertionError: promises are broken; one line for each.
+        AssertionError: promises are broken; one line for each different problem.
         UsageError: the plugin is unknown, or its kind has no contracts.
         PluginError: the plugin does not import, or lacks a part of its kind's interface.
     """
-    broken = []
-    for case in cases(candidate(kind, name, **settings)):
-        try:
-            case()
-        except AssertionError as error:
-            broken.append(f"{case}: {error}")
+    broken: dict[str, str] = {}
+    for case, problem in results(cases(candidate(kind, name, **settings))):
+        if problem is not None and problem not in broken.values():
+            broken[str(case)] = problem
     if broken:
-        raise AssertionError("\n".join(broken))
+        raise AssertionError("\n".join(f"{case}: {problem}" for case, problem in broken.items()))
 
 
 check_robot = partial(check, "robots")
@@ -95,14 +125,15 @@ check_distribution = partial(check, "distributions")
 
 
 def _of_robot(one: Candidate) -> list[Case]:
-    found = [case for control in CONTROLS for case in cases_of(robots.ANY_CONTROL, _under(one, control))]
-    found += cases_of(robots.JOINT_CONTROL, _under(one, "joint"))
-    found += cases_of(robots.CARTESIAN_CONTROL, _under(one, "cartesian"))
-    return found + (cases_of(robots.GRIPPER, _under(one, "cartesian")) if _has_gripper(one) else [])
-
-
-def _under(robot: Candidate, control: str) -> Candidate:
-    return Candidate(robot.kind, robot.name, robot.plugin, {**robot.settings, "control": control})
+    modes = controls(one)
+    found = [Case(robots.an_episode_begins_and_takes_a_step, (mode,), basic=True) for mode in modes]
+    found += [case for mode in modes for case in cases_of(robots.ANY_ROBOT, mode)]
+    if not issubclass(one.plugin, Arm):
+        return found
+    found += [case for mode in modes for case in cases_of(robots.ARM, mode)]
+    found += cases_of(robots.JOINT_CONTROL, under(one, "joint"))
+    found += cases_of(robots.CARTESIAN_CONTROL, under(one, "cartesian"))
+    return found + (cases_of(robots.GRIPPER, under(one, "cartesian")) if _has_gripper(one) else [])
 
 
 def _has_gripper(robot: Candidate) -> bool:

@@ -14,6 +14,13 @@ STARTS = 300
 """Seeds whose goal must not be reached at the start."""
 
 
+def an_episode_begins_and_takes_a_step(*who: Candidate) -> None:
+    """The environment can be built, begins an episode and takes a step."""
+    with closing(build(*who)) as environment:
+        environment.reset(0)
+        environment.step(_actions(environment, 0, 1)[0])
+
+
 def the_same_seed_gives_the_same_trajectory_in_a_fresh_and_in_a_used_environment(*who: Candidate) -> None:
     """A seed and the actions determine an episode bit for bit, whatever the environment did before."""
     with closing(build(*who)) as environment, closing(build(*who)) as fresh:

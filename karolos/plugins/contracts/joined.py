@@ -8,6 +8,7 @@ from typing import Any
 
 from ...core import Environment
 from ...environments.robot_task import RobotTask
+from ...errors import PluginError, UsageError
 from ...randomization.choice import Choice
 from .case import Candidate, candidate
 
@@ -41,6 +42,17 @@ def join(robot: Candidate, task: Candidate, *, drawn: Mapping[str, float] | None
     )
 
 
+def refusal(robot: Candidate, task: Candidate) -> str | None:
+    """Why the task refuses the robot; None if they work together. Nothing is simulated."""
+    robot.plugin(robot.settled())  # what these raise is no refusal
+    task.plugin(task.settled())
+    try:
+        join(robot, task).close()
+    except (PluginError, UsageError) as error:
+        return str(error)
+    return None
+
+
 @contextmanager
 def joined(robot: Candidate, task: Candidate, **how: Any) -> Iterator[RobotTask]:
     """`join` as a context, which closes the environment."""
@@ -56,6 +68,18 @@ def reaching(robot: Candidate, *, steps: int = 100_000) -> Iterator[RobotTask]:
     """A robot with the task reach, in episodes without a practical limit."""
     with joined(robot, candidate("tasks", "reach"), max_steps=steps) as environment:
         yield environment
+
+
+def controls(robot: Candidate) -> list[Candidate]:
+    """The robot under each control mode; the robot itself if it has no setting `control`."""
+    if "control" not in robot.plugin.Settings.model_fields:
+        return [robot]
+    return [under(robot, control) for control in CONTROLS]
+
+
+def under(robot: Candidate, control: str) -> Candidate:
+    """The robot under a control mode."""
+    return Candidate(robot.kind, robot.name, robot.plugin, {**robot.settings, "control": control})
 
 
 def goes_with(task: Candidate, control: str | None) -> bool:

@@ -8,9 +8,14 @@ from ...environments.robot_task import RobotTask
 from ...evaluation.playing import score
 from ...evaluation.policies import expert_policy, random_policy
 from .case import Candidate, demand, demand_same
-from .joined import joined
+from .joined import joined, refusal
 
 EPISODES = 10
+
+
+def the_task_refuses_the_robot(robot: Candidate, task: Candidate) -> None:
+    """The task says why it cannot be done with the robot, e.g. too slow to throw, before anything is simulated."""
+    demand(refusal(robot, task), "the task refuses the robot without a reason")
 
 
 def the_expert_solves_the_pair_and_random_actions_do_not(robot: Candidate, task: Candidate) -> None:
@@ -87,10 +92,9 @@ PROMISES = (
     drawing_the_nominal_values_changes_nothing,
     extreme_values_of_every_parameter_can_be_drawn,
 )
-IN_REACH = (
-    every_parameter_changes_the_episodes_of_its_own_environment_alone,
-    the_expert_reaches_the_goal_at_both_ends_of_each_parameter,
-)
+IN_REACH = (the_expert_reaches_the_goal_at_both_ends_of_each_parameter,)
+ARM_IN_REACH = (every_parameter_changes_the_episodes_of_its_own_environment_alone,)
+"""Gravity need not move a robot that is no arm."""
 
 
 def _declared(environment: RobotTask) -> dict[str, tuple[float, float, float]]:

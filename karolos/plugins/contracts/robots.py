@@ -22,6 +22,13 @@ SPEED_TOLERANCE = 1.05
 """Largest measured speed of a joint by its limit; the solver exceeds the limit slightly."""
 
 
+def an_episode_begins_and_takes_a_step(one: Candidate) -> None:
+    """The robot can be built, begins an episode of reach and takes a step."""
+    with reaching(one) as environment:
+        environment.reset(0)
+        environment.step(np.zeros(environment.signature.action.size))
+
+
 def no_joint_exceeds_its_speed_under_full_actions(one: Candidate) -> None:
     """Full actions in changing directions bring no joint above its speed or out of its range."""
     with reaching(one) as environment:
@@ -307,16 +314,20 @@ def each_pad_presses_with_the_force_of_the_gripper(one: Candidate) -> None:
         demand(near.all(), f"the pads press with {measured.round(1)} N, the gripper declares {declared:g} N")
 
 
-ANY_CONTROL: tuple[Callable[[Candidate], None], ...] = (
-    no_joint_exceeds_its_speed_under_full_actions,
+ANY_ROBOT: tuple[Callable[[Candidate], None], ...] = (
     the_tool_reaches_every_corner_of_the_workspace,
     an_arm_at_rest_stays_where_it_is,
-    the_state_of_the_tool_is_that_of_the_physics,
     home_is_in_the_workspace_and_the_tool_points_down,
     the_tool_can_be_placed_at_a_reset,
     the_arm_is_still_at_both_ends_of_each_parameter,
+)
+"""Promises that need the public protocol `Robot` alone."""
+ARM: tuple[Callable[[Candidate], None], ...] = (
+    no_joint_exceeds_its_speed_under_full_actions,
+    the_state_of_the_tool_is_that_of_the_physics,
     each_parameter_acts_and_can_be_reset,
 )
+"""Promises of every `robots.arm.Arm` under each control mode. They look at its motors and its body."""
 JOINT_CONTROL: tuple[Callable[[Candidate], None], ...] = (
     every_joint_reaches_its_speed,
     dry_friction_takes_its_fraction_of_the_largest_torques,

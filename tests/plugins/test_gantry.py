@@ -1,0 +1,74 @@
+"""Contracts need the public protocol alone: a robot that is no arm is checked for all that applies to it."""
+
+from __future__ import annotations
+
+from typing import Any
+
+import pytest
+from karolos_cli.plugins import app
+from support.gantry import Gantry
+from typer.testing import CliRunner
+
+import karolos.plugins.contracts
+from karolos.plugins.contracts import Candidate, candidate, cases, pairs, results, robots
+from karolos.plugins.contracts.checking import of_pair
+from karolos.registry import names
+
+GANTRY = Candidate("robots", "gantry", Gantry)
+
+
+def test_a_gantry_keeps_the_promises_that_apply_to_it() -> None:
+    found = cases(GANTRY, alone=True) + of_pair(GANTRY, candidate("tasks", "reach"))
+    assert {case.promise for case in found} >= {*robots.ANY_ROBOT, *pairs.PROMISES}
+    assert [problem for _, problem in results(found) if problem] == []
+
+
+def test_a_task_that_refuses_a_robot_with_a_reason_breaks_no_promise() -> None:
+    refused = [task for task in names("tasks") if not candidate("tasks", task).plugin.uses_gripper]
+    assert "reach" in refused
+    (refusal,) = of_pair(GANTRY, Candidate("tasks", "picky", Picky))
+    assert refusal.promise is pairs.the_task_refuses_the_robot
+    refusal()
+
+
+class Picky(candidate("tasks", "reach").plugin):  # type: ignore[misc]  # a class that is known at run time
+    """Needs a robot that turns joints."""
+
+    def fit(self, robot: Any) -> None:
+        raise karolos.errors.UsageError("no joint turns", where="robot")
+
+
+def test_no_installed_task_refuses_an_installed_robot() -> None:
+    for robot in names("robots"):
+        for task in names("tasks"):
+            found = of_pair(candidate("robots", robot), candidate("tasks", task))
+            assert pairs.the_task_refuses_the_robot not in {case.promise for case in found}
+
+
+@pytest.mark.parametrize("method", ["build", "act"])
+def test_a_check_stops_after_a_broken_basic(monkeypatch: pytest.MonkeyPatch, method: str) -> None:
+    def fail(self: Any, *_: Any) -> None:
+        raise ZeroDivisionError("of my own")
+
+    broken = Candidate("robots", "mine", type("Mine", (Gantry,), {method: fail}))
+    monkeypatch.setattr(karolos.plugins.contracts, "candidate", lambda *_, **__: broken)
+    ended = CliRunner().invoke(app, ["check", "robot", "mine"])
+    assert ended.exit_code == 3
+    assert ended.stdout.count("BROKEN") == ended.stdout.count("of my own") == 1
+    assert "were not checked" in ended.stderr
+
+
+def test_a_problem_is_told_once(monkeypatch: pytest.MonkeyPatch) -> None:
+    def fail(self: Any, *_: Any) -> None:
+        raise ZeroDivisionError("of my own")
+
+    methods = {"towards": fail, "place_tool": fail, "reset": lambda self, _: self.tool.place(self.home)}
+    broken = Candidate("robots", "mine", type("Mine", (Gantry,), methods))
+    found = [(str(case), problem) for case, problem in results(cases(broken, alone=True)) if problem]
+    assert len(found) > 1
+    monkeypatch.setattr(karolos.plugins.contracts, "candidate", lambda *_, **__: broken)
+    monkeypatch.setattr(karolos.plugins.contracts, "cases", lambda one: cases(one, alone=True))
+    ended = CliRunner().invoke(app, ["check", "robot", "mine"])
+    assert ended.stdout.count("BROKEN") == len(found)
+    assert ended.stdout.count("of my own") == 1
+    assert "the same problem as of mine-" in ended.stdout
