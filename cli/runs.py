@@ -353,6 +353,7 @@ def _print_view(view: _View) -> None:
         "state": run_state(run) if run.error is None else f"{run.state}: {run.error}",
         "experiment": run.experiment,
         "steps": f"{run.steps:,}, {duration(run.seconds)} of collecting and learning",
+        "total": duration(run.total_seconds),
         "to .95": solved,
         "created": run.created,
         "updated": run.updated,

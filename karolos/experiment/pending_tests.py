@@ -71,6 +71,8 @@ class PendingTests:
         """The test that this process is playing."""
         self._process: EvaluationProcess | None = None
         self._losses = 0
+        self._steps = 0
+        """Environment steps of training at the latest test; all of them when training is over."""
         self._agent: Agent | None = None
         self._spent = 0.0
         """Seconds of testing in this process."""
@@ -83,7 +85,7 @@ class PendingTests:
 
     def add(self, training: Training) -> None:
         """Add a test of the agent as it is, and play it here unless a second process plays tests."""
-        state = training.agent.state()
+        self._steps, state = training.steps, training.agent.state()
         self.pending.append(DueTest(training.steps, training.updates, training.seconds, state, self._seeds))
         while not self._stop.requested and (test := self._next()) is not None:
             if self._process is not None and len(self.pending) - len(self._results) <= MAX_PENDING:
@@ -104,6 +106,7 @@ class PendingTests:
 
     def play_remaining(self) -> Iterator[tuple[DueTest, TestResult]]:
         """Play all pending tests, or as many as possible until a stop is requested."""
+        self._steps = self._spec.training.steps
         while self.pending and not self._stop.requested:
             test = self._next()
             if test is not None:
@@ -170,15 +173,20 @@ class PendingTests:
             self._played += completed
 
     def _start_process(self, test: DueTest, seconds: float, episodes: int) -> bool:
-        """Start the second process if it is worthwhile, given the time and the completed episodes of this test."""
+        """Start the second process if it is worthwhile, given the time and the completed episodes of this test.
+
+        Returns whether this process shall go on training and leave the test to the second one.
+        """
         spent, played = self._spent + seconds, self._played + episodes
         if not self._beside or self._process is not None or spent < PATIENCE:
             return False
-        settings, steps = self._spec.testing, self._spec.training.steps - test.steps
-        if steps <= 0 or spent / max(played, 1) * math.ceil(steps / settings.interval) * settings.episodes < WORTHWHILE:
+        settings, steps = self._spec.testing, self._spec.training.steps - self._steps
+        waiting = sum(len(one.seeds) for one in self.pending if one is not test and one not in self._results)
+        left = waiting + math.ceil(steps / settings.interval) * settings.episodes
+        if spent / max(played, 1) * left < WORTHWHILE:
             return False
         self._process = EvaluationProcess(self._spec, self._environments.describe())
-        return True
+        return steps > 0
 
     def _receive(self, process: EvaluationProcess, timeout: float) -> None:
         test = process.test

@@ -8,6 +8,7 @@ from dataclasses import replace
 from datetime import UTC, datetime
 from fnmatch import fnmatchcase
 from pathlib import Path
+from time import monotonic
 from types import TracebackType
 from typing import Any
 
@@ -38,6 +39,10 @@ class RunFolder:
         self.tensorboard = path / "tensorboard"
         self._lock = FileLock(path / "lock")
         self._run: dict[str, Any] = {}
+        self._locked_at: float | None = None
+        """When this process locked the run (monotonic, s)."""
+        self._earlier_seconds = 0.0
+        """Of the processes before."""
 
     @classmethod
     def create(cls, runs: str | Path, name: str, seed: int) -> RunFolder:
@@ -100,6 +105,7 @@ class RunFolder:
         """
         if not self._lock.acquire(LOCK_SECONDS):
             raise RunError("another process is running it", where=self.id, hint="wait for it, or stop it first")
+        self._locked_at, self._earlier_seconds = monotonic(), self._stored_state().total_seconds
 
     def release(self) -> None:
         """Unlock the run. Safe to call twice."""
@@ -171,7 +177,11 @@ class RunFolder:
         steps = before.steps if steps is None else int(steps)
         seconds = before.seconds if seconds is None else float(seconds)
         updates = before.updates if updates is None else int(updates)
-        self._write_state(RunState(state, steps, seconds, before.attempt, error, timestamp(), updates))
+        self._write_state(
+            replace(
+                before, state=state, steps=steps, seconds=seconds, error=error, updated=timestamp(), updates=updates
+            )
+        )
 
     def next_attempt(self) -> int:
         """Count one more process that continues this run; returns its number, from 1."""
@@ -267,6 +277,8 @@ class RunFolder:
         return RunState.from_row(read_object(self.path / "state.json") or {})
 
     def _write_state(self, state: RunState) -> None:
+        if self._locked_at is not None:
+            state = replace(state, total_seconds=self._earlier_seconds + monotonic() - self._locked_at)
         write_json(self.path / "state.json", state.to_row())
 
     def _read_tests(self) -> tuple[tuple[TestResult, ...], tuple[str, ...]]:

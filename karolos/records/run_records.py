@@ -44,6 +44,7 @@ class RunState:
         error: why it failed, in one line.
         updated: when this was written (ISO 8601, UTC).
         updates: gradient updates; None if unknown.
+        total_seconds: wall-clock seconds of all processes that have worked on it, from start to end.
     """
 
     state: str
@@ -53,6 +54,7 @@ class RunState:
     error: str | None = None
     updated: str = ""
     updates: int | None = None
+    total_seconds: float = 0.0
 
     def __post_init__(self) -> None:
         if self.state not in STATES:
@@ -115,6 +117,8 @@ class RunSummary:
     """Environment steps of the policy `best`, and its success in the final test; None before it."""
     best_any: float | None = None
     best_end: float | None = None
+    total_seconds: float = 0.0
+    """Wall-clock seconds from start to end, of all attempts: `seconds`, tests, checkpoints and everything else."""
 
     def row(self) -> dict[str, Any]:
         """The fields as JSON values, in order."""
@@ -182,6 +186,7 @@ def summarise(
         best_steps=best.steps if best else None,
         best_any=best.success_any if best else None,
         best_end=best.success_end if best else None,
+        total_seconds=state.total_seconds,
     )
 
 

@@ -85,14 +85,15 @@ def setting(value: object) -> str:
 def runs_table(runs: Sequence[RunSummary]) -> Table:
     """One row per run. Success is that of the final test, or of the last test before it.
 
-    `best` is the success at the end of the policy `best` in the final test. `steps to .95` is when a test first showed
-    that ratio.
+    `best` is the success at the end of the policy `best` in the final test. `time` is that of collecting and learning,
+    `total` that from start to end. `steps to .95` is when a test first showed that ratio.
     """
     columns: Columns[RunSummary] = {
         "run": lambda run: run.run,
         "state": run_state,
         "steps": lambda run: count(run.steps),
         "time": lambda run: duration(run.seconds),
+        "total": lambda run: duration(run.total_seconds),
         "success any": lambda run: success(run.success_any, run.episodes),
         "end": lambda run: "-" if run.success_end is None else f"{run.success_end:.2f}",
         "best": lambda run: "-" if run.best_end is None else f"{run.best_end:.2f}",

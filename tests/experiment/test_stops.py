@@ -42,9 +42,11 @@ def test_stop_during_demonstrations_leaves_a_checkpoint_and_they_are_collected_a
     assert folder.state().state == "stopped"
     assert "demonstrated" not in [event["event"] for event in folder.events()]
     assert checkpoint.read_meta(folder.checkpoints, "last")["steps"] == 0
+    before = folder.summary().total_seconds
     events: list[object] = []
     resumed = run(tmp_path / "stopped", existing="resume", listener=events.append)
     assert not any(isinstance(event, RunWarned) for event in events)
+    assert resumed.summary().total_seconds > before + resumed.summary().seconds > before
     assert_same_runs(run(tmp_path / "whole"), resumed)
 
 
