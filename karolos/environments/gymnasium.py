@@ -40,7 +40,11 @@ class Gymnasium(Environment):
     """
 
     class Settings(BaseSettings):
-        id: str = Setting(min_length=1, description='as for gymnasium.make, e.g. "CartPole-v1" or "module:Name-v0"')
+        id: str = Setting(
+            min_length=1,
+            pattern=r"^([^:]+:)?[^:]+$",
+            description='as for gymnasium.make, e.g. "CartPole-v1" or "module:Name-v0"',
+        )
         kwargs: dict[str, JsonValue] = Setting({}, description="further arguments of gymnasium.make")
         max_steps: int | None = Setting(None, ge=1, description="steps per episode; null: as the id is registered")
         success_return: float | None = Setting(
@@ -215,9 +219,10 @@ def make_environment(settings: Gymnasium.Settings) -> Any:
         raise MachineError(f"{settings.id} needs a missing library: {_line(error)}", where=ID) from error
     except gymnasium.error.Error as error:
         raise UsageError(_line(error), where=ID, hint="`python -m pip list` shows what could register it") from error
-    except TypeError as error:
+    except Exception as error:  # the constructor is anybody's
         raise UsageError(
-            f"{settings.id} does not take these arguments: {_line(error)}", where="environment.kwargs"
+            f"{settings.id} cannot be made: {type(error).__name__}: {_line(error)}",
+            where="environment.kwargs" if settings.kwargs else ID,
         ) from error
     return env
 

@@ -80,6 +80,7 @@ def test_success_is_a_return_at_the_end(threshold: float, success: bool) -> None
         ({"id": "a b"}, "environment.id"),
         ({"id": "CartPole-v1", "kwargs": {"foo": 1}}, "environment.kwargs"),
         ({"id": "karolos:karolos/PandaReach-v1"}, "environment.goals"),
+        ({"id": "FrozenLake-v1", "kwargs": {"map_name": "9x9"}}, "environment.kwargs"),
         ({"id": "CartPole-v1", "goals": True}, "environment.goals"),
         ({"id": "support.goal_environments:Endless-v0", "flatten_goals": True}, "environment.max_steps"),
         ({"id": POINT, "goals": True, "kwargs": {"fault": "reward"}}, "environment.goals"),
@@ -183,6 +184,12 @@ def test_whether_a_goal_ends_an_episode_is_said_or_refused(ends: bool, said: boo
     with pytest.raises(PluginError, match="reaches its goal") as caught:
         go_to_the_goal()
     assert caught.value.where == "environment.goal_terminates"
+
+
+@pytest.mark.parametrize("name", ["a:b:X", ":X", "x:", ""])
+def test_an_id_has_at_most_one_module(name: str) -> None:
+    with pytest.raises(ValueError, match="id"):
+        Gymnasium.Settings(id=name)
 
 
 def test_settings_that_exclude_each_other_are_refused() -> None:
