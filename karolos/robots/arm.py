@@ -11,7 +11,7 @@ from collections.abc import Callable, Mapping, Sequence
 from dataclasses import dataclass
 from functools import cached_property
 from math import atan2, cos, dist, hypot, sin
-from operator import truediv
+from operator import mul, truediv
 from pathlib import Path
 from typing import ClassVar, Literal
 
@@ -30,6 +30,8 @@ from .joint_control import JointControl
 
 POSTURE_GAIN = 0.1
 """Fraction of the way back to the home pose, per control step, that inverse kinematics takes in the null space."""
+INNER_FACE = 0.9
+"""Smallest cosine between the normal of a contact and the axis along which the pads face each other."""
 PLACE_TOLERANCE = 5e-4
 """Largest error of `place_tool`, in m for the position and in rad for the orientation."""
 PARAMETERS: Mapping[str, RandomizedParameter] = {
@@ -386,6 +388,28 @@ class Arm:
 
     def pads_touching(self, body: Body) -> int:
         return sum(bool(self.world.contacts(self.body, body, link)) for link in self._motors.pads)
+
+    def pads_gripping(self, body: Body) -> int:
+        axes = (self._configuration.tool.x, self._configuration.tool.y)
+        axis, sides = self._pad_sides
+        count = 0
+        for link, side in zip(self._motors.pads, sides, strict=True):
+            # the normal points from the body to the pad: outwards where the inner face touches
+            normals = (contact.normal for contact in self.world.contacts(self.body, body, link))
+            count += any(side * sum(map(mul, normal, axes[axis])) > INNER_FACE for normal in normals)
+        return count
+
+    @cached_property
+    def _pad_sides(self) -> tuple[int, tuple[float, ...]]:
+        """Axis of the tool along which the pads face each other, 0 for x or 1 for y, and the side of each pad."""
+        tool = self._configuration.tool
+        offsets = [
+            np.subtract(self.body.link(link, moved=True).centre, tool.position) @ np.transpose([tool.x, tool.y])
+            for link in self._motors.pads
+        ]
+        axis = int(np.abs(offsets[0] - offsets[1]).argmax())
+        sides = np.sign(np.array(offsets)[:, axis] - np.mean(offsets, 0)[axis])
+        return axis, tuple(sides.tolist())
 
     def towards(self, position: Vector, opening: float) -> FloatArray:
         values: list[float]

@@ -27,10 +27,10 @@ class StagedPick(PointGoal):
     """Reward in [-1, 0] for reaching, grasping, lifting and transporting an object: the mean of four stages, minus 1.
 
     A function of the state alone, so that an arm loses by leaving what it gains by approaching. `achieved` (..., 7) is
-    the position of the object (3) and of the tool (3) in m, and the fraction of pads in contact; `desired` (..., 3).
+    the position of the object (3) and of the tool (3) in m, and the fraction of pads that grip; `desired` (..., 3).
 
     * reach: 1 - tanh(5 d), d from tool to object in m
-    * grasp: fraction of pads in contact
+    * grasp: fraction of pads whose inner faces touch the object
     * lift: fraction of the goal's height above the floor; 1 for a goal on the floor
     * transport: 1 - tanh(5 d), d from object to goal
     The reward is 0 where the goal is reached.
@@ -74,7 +74,7 @@ class PickPlace(PointGoalTask, CubeTask):
     object_angular_velocity (3, rad/s), object_from_tool (3, m).
     Action: the robot's, with the gripper.
     Goals: achieved, the cube's position (3, m), with the dense reward also the tool's (3, m) and the fraction of pads
-    in contact; desired, the goal position (3, m).
+    whose inner faces touch it; desired, the goal position (3, m).
     Reward: sparse -1 until the goal is reached, then 0; dense in [-1, 0], see `StagedPick`.
     What counts as success: the centre of the cube lies within `threshold` of the goal.
     Termination: never; the episode is truncated after `max_steps`.
@@ -94,7 +94,7 @@ class PickPlace(PointGoalTask, CubeTask):
         super().__init__(settings)
         self._start_grasped = settings.start_grasped
         if settings.reward == "dense":
-            self.achieved_goal += Layout((Field("tool_position", 3, "m"), Field("pads_touching", 1)))
+            self.achieved_goal += Layout((Field("tool_position", 3, "m"), Field("pads_gripping", 1)))
 
     def fit(self, robot: RobotView) -> None:
         settings, self._robot = self.settings, robot
@@ -130,7 +130,7 @@ class PickPlace(PointGoalTask, CubeTask):
         position = self.cube.position
         if self.settings.reward == "sparse":
             return np.array(position, np.float32)
-        pads = self._robot.pads_touching(self.cube.body) / 2
+        pads = self._robot.pads_gripping(self.cube.body) / 2
         return np.array((*position, *self._robot.tool_position, pads), np.float32)
 
     def expert(self) -> Expert:

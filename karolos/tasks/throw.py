@@ -5,9 +5,9 @@ The task, the ballistics of the cube, the planner of throws and the expert that 
 
 from __future__ import annotations
 
-from collections.abc import Callable
+from collections.abc import Callable, Mapping
 from itertools import product
-from math import atan2, cos, degrees, hypot, pi, radians, sin
+from math import atan2, cos, degrees, hypot, pi, radians, sin, sqrt
 from typing import Literal, NamedTuple
 
 import numpy as np
@@ -16,12 +16,17 @@ from pydantic import Field as Setting
 from ..core import Array, BoolArray, Field, FloatArray, GoalRule, Layout
 from ..core.seeding import Generator
 from ..errors import UsageError
+from ..randomization.randomization import RandomizedParameter
 from ..simulation.geometry import Vector
 from ..simulation.interface import Box, Camera, Expert, RobotView, World
 from ..simulation.interface.engine import GRAVITY
-from .cube import CubeSettings, CubeTask, check_gripper
+from .cube import FIELDS, CubeSettings, CubeTask, check_gripper
 from .point_goal import GOAL_COLOUR, sample_position
 
+LONGEST_FLIGHT = 3.0
+"""Seconds that a flight is followed at the most; no robot throws higher than for 2."""
+FLIGHT_STEPS = 100
+"""Steps in which the floor is looked for along a whole flight."""
 START_RANGE = 0.05
 """m along each axis around the home position within which the tool starts."""
 FLOOR_CONTACT = 0.002
@@ -75,14 +80,18 @@ class Throw(CubeTask):
     nearer than `share` of the furthest throw.
 
     Observation: object_position (3, m), object_rotation (6, two columns of its matrix), object_velocity (3, m/s),
-    object_angular_velocity (3, rad/s), object_from_tool (3, m).
+    object_angular_velocity (3, rad/s), object_from_tool (3, m), landing_if_released (2, m) and time_of_flight (1, s):
+    where and when the centre of the cube would come down if it left the hand now, in free fall without spin.
     Action: the robot's joint changes and the gripper.
     Goals: achieved, the cube's position on the floor (2, m), after the landing that of its first contact, and a status
     (0 in hand or air, 1 landed after a release, -1 on the floor without one); desired, the target (2, m).
     Reward: at landing; sparse 1 within the threshold, else 0; dense in [0, 1], see `Landing`.
     What counts as success: the cube's first contact with the floor after its release lies within `threshold` of the
     target. Flying over the target or carrying the cube there does not count.
-    Termination: when the cube touches the floor, thrown or put down; truncated after `max_steps`.
+    Termination: when the cube touches the floor, thrown or put down; truncated after `max_steps`. With probability
+    `end_at_release` already when the cube leaves the hand, at the landing that free flight computes; as a parameter of
+    domain randomization in training alone. The computed landing is that of an undisturbed flight: a hand that touches
+    the cube again moves the true one by up to a decimetre.
 
     Reach and furthest throw follow from the speed limits of the joints, see `ThrowPlanner`. Horizontal distances from
     the robot's axis: panda .95 and 2.14 m, ur5 1.06 and 2.39 m, iiwa 1.08 and 1.73 m. Such throws turn the gripper, so
@@ -93,11 +102,15 @@ class Throw(CubeTask):
     class Settings(CubeSettings):
         reward: Literal["sparse", "dense"] = Setting("sparse", description="at landing: 1 or 0, or by the distance")
         threshold: float = Setting(0.1, gt=0, le=0.5, description="distance at which the target is hit, m")
-        share: float = Setting(0.8, gt=0, le=1, description="largest distance of a target / furthest throw")
+        share: float = Setting(0.85, gt=0, le=1, description="largest distance of a target / furthest throw")
         sector: float = Setting(30.0, gt=0, le=60, description="of targets, to either side of straight ahead, degrees")
         max_steps: int = Setting(75, ge=1, le=100_000, description="control steps per episode")
+        end_at_release: float = Setting(
+            0.0, ge=0, le=1, description="probability that an episode ends at the release, its landing computed"
+        )
 
     settings: Throw.Settings
+    observation = Layout((*FIELDS, Field("landing_if_released", 2, "m"), Field("time_of_flight", 1, "s")))
     uses_gripper = True
     points_down = False
     camera = Camera(target=(0.8, 0.0, 0.4), distance=4.0, yaw=22.0, pitch=-22.0)
@@ -109,6 +122,14 @@ class Throw(CubeTask):
         self.goal = np.zeros(2, np.float32)
         self.goal_rule = Landing(settings.threshold, dense=settings.reward == "dense")
         self._gravity = GRAVITY
+        self._end_at_release = settings.end_at_release
+
+    @property
+    def parameters(self) -> Mapping[str, RandomizedParameter]:
+        probability = RandomizedParameter(
+            "1", self.settings.end_at_release, 0.0, 1.0, "probability that an episode ends at the release"
+        )
+        return {**super().parameters, "end_at_release": probability}
 
     @property
     def max_steps(self) -> int:
@@ -139,6 +160,9 @@ class Throw(CubeTask):
         self._marker = world.marker(self.settings.threshold, GOAL_COLOUR)
 
     def apply(self, world: World, name: str, value: float) -> None:
+        if name == "end_at_release":
+            self._end_at_release = value
+            return
         if name == "gravity":
             self._gravity = value
         super().apply(world, name, value)
@@ -152,6 +176,7 @@ class Throw(CubeTask):
         target = sample_position(generator, self._targets, "the target", self._is_target)
         self.goal = target[:2].copy()
         self._marker.place((float(target[0]), float(target[1]), 0.0))
+        self._ends_at_release = generator.uniform() < self._end_at_release
 
     def _is_target(self, position: FloatArray) -> bool:
         x, y, _ = position.tolist()
@@ -173,6 +198,16 @@ class Throw(CubeTask):
             self._landing = cube.position[:2]
             self._status = -1.0 if held else 1.0
         self._flight = None if held else self._current_flight()
+        if self._ends_at_release and self._flight is not None and not self._status:
+            seconds = flight_time(cube.position[2], cube.velocity[2], self._gravity)
+            self._landing = self._flight.landing(seconds, steps=FLIGHT_STEPS)
+            self._status = float(self._landing is not None)
+
+    def observe(self) -> list[float]:
+        values = super().observe()
+        (x, y, z), (vx, vy, vz) = values[:3], values[9:12]
+        seconds = flight_time(z - self.cube.half, vz, self._gravity)
+        return [*values, x + vx * seconds, y + vy * seconds, seconds]
 
     def _current_flight(self) -> Flight:
         cube = self.cube
@@ -186,6 +221,18 @@ class Throw(CubeTask):
 
     def expert(self) -> Expert:
         return ThrowExpert(self._robot, self)
+
+
+def flight_time(height: float, rise: float, gravity: float) -> float:
+    """Seconds until free fall from `height` m at `rise` m/s upwards comes to height 0, at most `LONGEST_FLIGHT`.
+
+    The larger root of height + rise t + gravity t^2 / 2 = 0, gravity in m/s2 along z; 0 for a height below 0.
+    """
+    if height <= 0:
+        return 0.0
+    if gravity > -1e-6:
+        return min(height / -rise, LONGEST_FLIGHT) if rise < 0 else LONGEST_FLIGHT
+    return min((rise + sqrt(rise * rise - 2 * gravity * height)) / -gravity, LONGEST_FLIGHT)
 
 
 class Flight(NamedTuple):

@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import numpy as np
+import pytest
 from hypothesis import given
 from hypothesis import strategies as st
 from hypothesis.extra.numpy import arrays
@@ -100,3 +101,23 @@ def test_rewards_of_an_episode_follow_from_the_goals_alone_so_that_hindsight_can
     relabelled = rule.reward(achieved, np.broadcast_to(achieved[-1, :3], desired.shape))
     assert relabelled[-1] == 0
     assert relabelled[0] < -0.25
+
+
+@pytest.mark.parametrize("robot", ["panda", "ur5", "iiwa"])
+def test_only_pads_that_face_each_other_around_the_cube_grip_it(robot: str):
+    environment = made("pick_place", robot, reward="dense", start_grasped=1.0)
+    held = environment.reset(0)
+    close = np.array([0, 0, 0, -1], np.float32)
+    for _ in range(6):
+        held = environment.step(close)
+    assert held.achieved_goal[6] == 1
+    environment.close()
+    environment = made("pick_place", robot, reward="dense")
+    environment.reset(1)
+    view = environment.robot
+    for step in range(45):  # the closed gripper comes down on top of the cube
+        x, y, z = environment.task.cube.position
+        pressed = environment.step(view.towards((x, y, 0.15 if step < 20 else z), 0.0))
+    assert view.pads_touching(environment.task.cube.body) > 0
+    assert pressed.achieved_goal[6] == 0
+    environment.close()

@@ -98,6 +98,9 @@ class RobotView(Protocol):
     def pads_touching(self, body: Body) -> int:
         """Number of pads (0, 1, 2) in contact with the body."""
 
+    def pads_gripping(self, body: Body) -> int:
+        """Number of pads (0, 1, 2) whose inner faces, which face each other, touch the body."""
+
     def place_tool(self, position: Vector, opening: float, *, closing: bool = False) -> None:
         """During a reset: put the tool there at rest, pointing down, the gripper at `opening`.
 
