@@ -21,7 +21,7 @@ Jobs = Annotated[
 
 @app.command()
 def reindex(runs: Runs = Path("runs"), database: Database = None, jobs: Jobs = None) -> None:
-    """Rebuild the database from the run folders."""
+    """Rebuild the database from the run folders. Exit code 1 if files are damaged; the other runs are entered."""
     from karolos.store import Store
     from karolos.store import reindex as rebuild
 
@@ -32,6 +32,8 @@ def reindex(runs: Runs = Path("runs"), database: Database = None, jobs: Jobs = N
     say(f"{done.runs} runs entered, {done.forgotten} forgotten")
     if done.sweeps or done.forgotten_sweeps:
         say(f"{done.sweeps} sweeps entered, {done.forgotten_sweeps} forgotten")
+    if done.problems:
+        raise typer.Exit(1)
 
 
 @app.command()

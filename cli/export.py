@@ -8,7 +8,7 @@ from typing import Annotated
 import typer
 
 from .arguments import Checkpoint, Database, Json, OneRun, Runs, open_run
-from .output import print_rows
+from .output import print_rows, warn
 
 
 def export(
@@ -17,7 +17,10 @@ def export(
         Path | None, typer.Option("--out", help="Folder to write. Default: export in the run's folder.")
     ] = None,
     checkpoint: Checkpoint = "best",
-    onnx: Annotated[bool, typer.Option(help="Write policy.onnx too; needs the package onnx.")] = True,
+    onnx: Annotated[
+        bool | None,
+        typer.Option("--onnx/--no-onnx", help="Write policy.onnx too. Default: if the package onnx is installed."),
+    ] = None,
     runs: Runs = Path("runs"),
     database: Database = None,
     json: Json = False,
@@ -35,3 +38,5 @@ def export(
     files = [path.name for path in done.files]
     row |= {"files": files if json else " ".join(files), "error": done.error}
     print_rows([row], json=json)
+    if onnx is None and "policy.onnx" not in files:
+        warn("policy.onnx was not written, because the package onnx is missing; pip install 'karolos[onnx]' adds it")

@@ -12,7 +12,7 @@ from typing import Any
 from ..core import State
 from ..files import below, sync_folder, writing
 from .array_files import ArrayFiles
-from .manifest import PART, CheckpointError, read_manifest, write_manifest
+from .manifest import PART, CheckpointError, damaged, read_manifest, write_manifest
 from .state_file import encode, read_state, write_state
 
 _PREVIOUS = re.compile(r"\.(.*)\.previous")
@@ -117,6 +117,8 @@ def names(folder: Path) -> tuple[str, ...]:
 
 def _load(path: Path, only: Collection[str] | None) -> tuple[dict[str, State], dict[str, Any]]:
     manifest = read_manifest(path)
+    if lacking := set(only or ()) - set(manifest["files"]):
+        raise damaged(path, f"it lacks {', '.join(sorted(lacking))}")
     arrays = ArrayFiles(path.parent / _ARRAYS)
     parts = {
         part: read_state(path / f"{part}.pt", facts, arrays)

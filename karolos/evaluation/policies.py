@@ -71,9 +71,18 @@ def load_agent(folder: RunFolder, name: str = "best") -> SavedAgent:
     parts, meta = checkpoint.load(folder.checkpoints, name, only={"agent"})
     signature = signature_of(spec)
     agent: Agent = load("agents", spec.agent.name)(spec.agent.settings, signature, SeedTree(0), "cpu")
-    agent.load_state(parts["agent"])
+    try:
+        agent.load_state(parts["agent"])
+        steps, seconds = int(meta["steps"]), float(meta["seconds"])
+    except (AttributeError, IndexError, KeyError, OverflowError, RuntimeError, TypeError, ValueError) as error:
+        reason = (str(error).splitlines() or [""])[0]
+        raise RunError(
+            f"the checkpoint {name!r} does not hold this agent ({type(error).__name__}: {reason})",
+            where=folder.id,
+            hint="use another checkpoint of the run, or train again",
+        ) from error
     sha256 = checkpoint.digest(folder.checkpoints, name, "agent")
-    return SavedAgent(spec, signature, agent, name, sha256, int(meta["steps"]), float(meta["seconds"]))
+    return SavedAgent(spec, signature, agent, name, sha256, steps, seconds)
 
 
 def signature_of(spec: Spec, *, randomize: bool = False) -> Signature:

@@ -8,6 +8,7 @@ golden.npz   inputs and the agent's own actions for them, to check a port agains
 
 from __future__ import annotations
 
+import importlib.util
 import json
 from dataclasses import dataclass
 from pathlib import Path
@@ -45,21 +46,23 @@ class Exported:
     """The largest difference between the agent's actions and those of the files, over GOLDEN_ROWS random inputs."""
 
 
-def export_policy(folder: RunFolder, out: Path, *, checkpoint: str = "best", onnx: bool = True) -> Exported:
+def export_policy(folder: RunFolder, out: Path, *, checkpoint: str = "best", onnx: bool | None = None) -> Exported:
     """Write a run's policy for use without karolos; files of an earlier export there are replaced.
 
     Args:
         folder: the run's.
         out: folder to write to, made if it is not there.
         checkpoint: `best` or `last`.
-        onnx: write policy.onnx too.
+        onnx: whether to write policy.onnx too; None: if the package onnx is installed.
 
     Raises:
         UsageError: this kind of agent cannot be exported.
         RunError: the run has no such checkpoint, it is damaged, or what was written does not act as the agent does.
         MachineError: the package onnx is missing, or the folder cannot be written.
     """
-    if onnx:
+    if onnx is None:
+        onnx = importlib.util.find_spec("onnx") is not None
+    elif onnx:
         check_onnx()
     saved = load_agent(folder, checkpoint)
     policy = saved.agent.deployed()

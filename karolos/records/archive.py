@@ -2,9 +2,11 @@
 
 from __future__ import annotations
 
+import lzma
 import os
 import re
 import shutil
+import struct
 import tarfile
 import tempfile
 import zipfile
@@ -19,6 +21,7 @@ from ..errors import RunError, UsageError
 from ..files import sync_folder, writing
 from . import RunFolder
 from .run_records import ID
+from .storable import run_fault
 
 SUFFIXES = (".tar.gz", ".tgz", ".zip")
 MOST_FILES = 1_000_000
@@ -29,6 +32,11 @@ _LEFT_OUT = re.compile(r"(?:.*\.)?lock|\..*\.tmp")
 """Files of processes, which do not belong to the run."""
 _PART = re.compile(r"[^\x00-\x1f\x7f/\\:*?\"<>|]{1,255}")
 """A name that every file system can hold."""
+_DAMAGE = (
+    *(tarfile.TarError, zipfile.BadZipFile, BadGzipFile, zlib.error, lzma.LZMAError, struct.error),
+    *(EOFError, OSError, OverflowError, RuntimeError, ValueError),
+)
+"""What tarfile, zipfile and the decompressors raise for damaged data."""
 _RESERVED = re.compile(r"(?i)(?:con|prn|aux|nul|com\d|lpt\d)(?:\..*)?")
 
 
@@ -128,13 +136,26 @@ def import_runs(
         for name in names:
             if (runs / name).exists() or (known is not None and known(name)):
                 _refuse(source, f"the run {name} exists already", "`karolos runs rm` removes it")
-        for name in names:
-            with writing(runs / name):
-                os.rename(place / name, runs / name)
-        sync_folder(runs)
+        _move(names, place, runs)
     finally:
         shutil.rmtree(place, ignore_errors=True)
     return tuple(Imported(RunFolder.open(runs / name), found) for name, found in zip(names, problems, strict=True))
+
+
+def _move(names: Sequence[str], place: Path, runs: Path) -> None:
+    """Move the folders into the runs folder: all, or none after an error."""
+    moved: list[str] = []
+    try:
+        for name in names:
+            with writing(runs / name):
+                os.rename(place / name, runs / name)
+            moved.append(name)
+        with writing(runs):
+            sync_folder(runs)
+    except BaseException:
+        for name in moved:
+            os.rename(runs / name, place / name)
+        raise
 
 
 def _examine(path: Path, source: Path) -> tuple[str, ...]:
@@ -145,7 +166,10 @@ def _examine(path: Path, source: Path) -> tuple[str, ...]:
         _refuse(source, f"{path.name}: {error.what}", "export it again")
     if folder.id != path.name:
         _refuse(source, f"the folder {path.name} says that it is the run {folder.id}", "name it by its run")
-    return folder.record().problems
+    record = folder.record()
+    if fault := run_fault(record):
+        _refuse(source, f"{path.name}: {fault}", "its files were damaged or edited: export it again")
+    return record.problems
 
 
 def _unpack(source: Path, place: Path, most_bytes: int) -> list[str]:
@@ -166,8 +190,11 @@ def _unpack(source: Path, place: Path, most_bytes: int) -> list[str]:
             else:
                 with tarfile.open(fileobj=file, mode="r:gz") as tar:
                     tar.extractall(place, filter=members.filter_tar)
-        except (tarfile.TarError, zipfile.BadZipFile, BadGzipFile, zlib.error, EOFError, NotImplementedError) as error:
-            _refuse(source, f"the archive cannot be read ({error})", "was it copied completely? Export it again")
+        except _DAMAGE as error:
+            if isinstance(error, OSError) and error.errno is not None and not isinstance(error, BadGzipFile):
+                raise  # of the disk; errors of decompression have no number
+            reason = str(error).splitlines()[0] if str(error) else type(error).__name__
+            _refuse(source, f"the archive cannot be read ({reason})", "was it copied completely? Export it again")
     return list(members.folders)
 
 

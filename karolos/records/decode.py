@@ -15,7 +15,7 @@ def from_json(kind: type[_T], row: Mapping[str, Any]) -> _T | None:
     """The dataclass in a JSON object; None if a value is invalid or a field without default is missing."""
     try:
         value: _T = _decode(kind, row)
-    except (AttributeError, KeyError, TypeError, ValueError):
+    except (AttributeError, KeyError, OverflowError, TypeError, ValueError):
         return None
     return value
 

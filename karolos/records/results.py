@@ -122,7 +122,13 @@ def decode_test(row: Mapping[str, Any]) -> TestResult | None:
     lists = [result.any, result.end, result.reset, result.returns, result.lengths]
     if result.distances is not None:
         lists.append(result.distances)
-    return result if result.any and len({len(values) for values in lists}) == 1 else None
+    whole = result.any and len({len(values) for values in lists}) == 1
+    return result if whole and _is_time(result.steps, result.seconds) else None
+
+
+def _is_time(steps: int, seconds: float) -> bool:
+    """Whether a test can have been played after these steps and seconds."""
+    return 0 <= steps < 1 << 63 and 0.0 <= seconds < math.inf
 
 
 def count_test(line: bytes) -> TestCounts | None:
@@ -137,7 +143,9 @@ def count_test(line: bytes) -> TestCounts | None:
     if row is None or list(row) != ["steps", "seconds", "any", "end", "reset"]:
         return None
     steps, seconds, *flags = row.values()
-    if type(steps) is not int or type(seconds) is not float or not all(isinstance(text, str) for text in flags):
+    if type(steps) is not int or type(seconds) is not float or not _is_time(steps, seconds):
+        return None
+    if not all(isinstance(text, str) for text in flags):
         return None
     episodes = len(flags[0]) // 2 + 1
     separators = "," * (episodes - 1)

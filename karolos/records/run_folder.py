@@ -251,8 +251,9 @@ class RunFolder:
 
     def record(self) -> RunRecord:
         """The content of the folder, and what is damaged or missing in it."""
-        spec, state = read_object(self.path / "resolved.json"), read_object(self.path / "state.json")
-        now = self._current(RunState.from_row(state or {}))
+        spec = read_object(self.path / "resolved.json")
+        state = RunState.from_row(read_object(self.path / "state.json"))
+        now = self._current(state or RunState("created"))
         tests, problems = self._count_tests()  # after the state: a finished run has all its tests
         for name, row in (("resolved.json", spec), ("state.json", state)):
             if row is None:
@@ -274,7 +275,7 @@ class RunFolder:
         return stored
 
     def _stored_state(self) -> RunState:
-        return RunState.from_row(read_object(self.path / "state.json") or {})
+        return RunState.from_row(read_object(self.path / "state.json")) or RunState("created")
 
     def _write_state(self, state: RunState) -> None:
         if self._locked_at is not None:

@@ -71,9 +71,9 @@ class RunState:
         return asdict(self)
 
     @classmethod
-    def from_row(cls, row: Mapping[str, Any]) -> RunState:
-        """The state in a JSON object; `created` at step 0 if it is not a state."""
-        return from_json(cls, {"state": "created", **row}) or cls("created")
+    def from_row(cls, row: Mapping[str, Any] | None) -> RunState | None:
+        """The state in a JSON object; None if it is not a state."""
+        return None if row is None else from_json(cls, {"state": "created", **row})
 
 
 @dataclass(frozen=True)
@@ -210,4 +210,16 @@ def is_description(run: Mapping[str, Any]) -> bool:
     """Whether an object has the fields of run.json."""
     texts = all(isinstance(run.get(key), str) for key in ("name", "experiment", "created"))
     numbers = all(type(run.get(key)) is int for key in ("seed", "format"))
-    return texts and numbers and isinstance(run.get("id"), str) and ID.fullmatch(run["id"]) is not None
+    named = isinstance(run.get("id"), str) and ID.fullmatch(run["id"]) is not None
+    return texts and numbers and named and _is_provenance(run)
+
+
+def _is_provenance(run: Mapping[str, Any]) -> bool:
+    """Whether the fields of run.json that may be missing have their types."""
+    versions, command, git = (run.get(key) for key in ("versions", "command", "git"))
+    if not (versions is None or isinstance(versions, dict)) or not (git is None or isinstance(git, dict)):
+        return False
+    texts = [*(versions or {}).values(), *([git.get("commit")] if git else [])]
+    if command is not None:
+        texts += command if isinstance(command, list) else [None]
+    return all(isinstance(text, str) for text in texts)

@@ -8,6 +8,7 @@ from pathlib import Path
 
 from ..errors import RunError
 from ..records import RunFolder, paths
+from ..records.storable import run_fault, sweep_fault
 from ..records.sweep_records import SweepRecord, read_sweep, sweep_paths
 from .writing import RunEntry
 
@@ -18,7 +19,7 @@ _FOLDERS_PER_TASK = 25
 
 @dataclass(frozen=True)
 class FoundFolder:
-    """A run folder; `entry` is None if it is damaged or skipped because it is locked."""
+    """A run folder; `entry` is None if it is damaged, cannot be stored or is locked."""
 
     name: str
     run: str | None
@@ -54,6 +55,8 @@ def _read(path: Path, locked: bool) -> FoundFolder:
         return FoundFolder(path.name, folder.id, None, ())
     record = folder.record()
     problems = tuple(f"{path.name}: {problem}" for problem in record.problems)
+    if fault := run_fault(record):
+        return FoundFolder(path.name, folder.id, None, (*problems, f"{path.name}: {fault}; the run is left out"))
     return FoundFolder(path.name, folder.id, RunEntry.of(record), problems)
 
 
@@ -68,7 +71,9 @@ def read_sweeps(root: Path) -> tuple[tuple[SweepRecord, ...], tuple[str, ...]]:
             problems.append(str(error))
             continue
         problems += damaged
-        if record.sweep in found:
+        if fault := sweep_fault(record):
+            problems.append(f"{path.name}: {fault}; the sweep is left out")
+        elif record.sweep in found:
             other = Path(found[record.sweep].folder).name
             problems.append(f"{path.name}: says that it is the sweep {record.sweep}, as {other} does; left out")
         else:

@@ -30,7 +30,7 @@ def test_reindex_rebuilds_what_was_removed_and_names_what_is_damaged(runs: Path)
     with (runs / first / "tests.jsonl").open("a") as file:
         file.write('{"steps":')
     (runs / second / "run.json").write_text("{")
-    told = call(app, "reindex", "--jobs", 1).stderr
+    told = call(app, "reindex", "--jobs", 1, exit_code=1).stderr
     assert f"warning: {first}: tests.jsonl:2: the last line is torn; left out" in told
     assert "run.json is damaged" in told
     assert "1 runs entered, 0 forgotten" in told

@@ -2,18 +2,22 @@
 
 from __future__ import annotations
 
+from pathlib import Path
 from typing import Any
 
 import numpy as np
 import pytest
 
+from karolos import checkpoint
 from karolos.core import Array
+from karolos.core.seeding import SeedTree
 from karolos.environments.toy import Toy
 from karolos.errors import MachineError, RunError, UsageError
 from karolos.evaluation.playing import play
-from karolos.evaluation.policies import expert_policy, load_expert, load_player, random_policy
+from karolos.evaluation.policies import expert_policy, load_agent, load_expert, load_player, random_policy, signature_of
 from karolos.experiment.experiment import Experiment
 from karolos.records import RunFolder
+from karolos.registry import load
 from karolos.spec import Spec
 
 TOY: dict[str, Any] = {
@@ -88,3 +92,20 @@ def test_a_saved_policy_plays_without_exploration_and_the_same_each_time(folder:
 def test_a_missing_checkpoint_is_refused(folder: RunFolder) -> None:
     with pytest.raises(RunError, match="never"):
         load_player(folder, "never")
+
+
+@pytest.mark.parametrize("lost", ["part", "key", "steps"])
+def test_a_checkpoint_that_lacks_something_is_refused_in_one_line(tmp_path: Path, lost: str) -> None:
+    spec = {"name": "t", "environment": "toy", "agent": {"name": "sac", "hidden": [8]}}
+    folder = RunFolder.create(tmp_path, "t", 0)
+    resolved = Spec.from_dict(spec)
+    folder.describe(resolved.dump(), experiment="x")
+    agent = load("agents", "sac")(resolved.agent.settings, signature_of(resolved), SeedTree(0), "cpu")
+    state = agent.state()
+    if lost == "key":
+        state.pop(next(iter(state)))
+    meta = {"seconds": 1.0} if lost == "steps" else {"steps": 1, "seconds": 1.0}
+    checkpoint.save(folder.checkpoints, "best", {"other" if lost == "part" else "agent": state}, meta)
+    with pytest.raises(RunError, match="checkpoint") as caught:
+        load_agent(folder)
+    assert "\n" not in str(caught.value)

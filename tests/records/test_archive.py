@@ -1,5 +1,6 @@
 from __future__ import annotations
 
+import errno
 import io
 import json
 import os
@@ -10,7 +11,7 @@ from pathlib import Path
 import pytest
 from support.run_samples import new_run, result
 
-from karolos.errors import RunError, UsageError
+from karolos.errors import MachineError, RunError, UsageError
 from karolos.records import RunFolder, labels
 from karolos.records.archive import export_runs, import_runs
 
@@ -190,3 +191,40 @@ def test_folder_that_is_no_run_is_refused(tmp_path: Path, files: dict[str, bytes
         import_runs(pack(tmp_path / "x.zip", files), tmp_path / "runs")
     assert told in str(caught.value)
     assert list((tmp_path / "runs").iterdir()) == []
+
+
+@pytest.mark.parametrize("method", [zipfile.ZIP_DEFLATED, zipfile.ZIP_BZIP2, zipfile.ZIP_LZMA])
+def test_zip_with_damaged_data_is_refused_in_one_line(run: RunFolder, tmp_path: Path, method: int) -> None:
+    source = tmp_path / "x.zip"
+    with zipfile.ZipFile(source, "w", method) as archive:
+        archive.writestr("a-s0-1/run.json", bytes(range(256)) * 40)
+        entry = archive.infolist()[0]
+    data = bytearray(source.read_bytes())
+    for place in range(60, 60 + min(entry.compress_size - 25, 60)):
+        data[place] ^= 0x5A
+    source.write_bytes(data)
+    with pytest.raises(UsageError, match="the archive cannot be read"):
+        import_runs(source, tmp_path / "other")
+    assert list((tmp_path / "other").iterdir()) == []
+
+
+def test_an_error_between_two_runs_takes_back_the_first(
+    run: RunFolder, tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    export_runs([run], tmp_path / "x.zip")
+    (second,) = import_runs(tmp_path / "x.zip", tmp_path / "second")
+    path = second.folder.path.rename(tmp_path / "second" / "reach-s3-z")
+    description = json.loads((path / "run.json").read_text())
+    (path / "run.json").write_text(json.dumps({**description, "id": path.name}))
+    export_runs([RunFolder.open(path), run], tmp_path / "y.zip")
+    rename, into = os.rename, tmp_path / "other"
+
+    def fail(source: Path, target: Path) -> None:
+        if target == into / run.id:
+            raise OSError(errno.ENOSPC, "full")
+        rename(source, target)
+
+    monkeypatch.setattr(os, "rename", fail)
+    with pytest.raises(MachineError, match="disk is full"):
+        import_runs(tmp_path / "y.zip", into)
+    assert list(into.iterdir()) == []
