@@ -141,18 +141,6 @@ def test_yaw_turns_the_gripper_and_is_seen() -> None:
     made.close()
 
 
-def test_task_with_a_gripper_refuses_a_robot_without() -> None:
-    class Bare(Panda):
-        model = Panda.model.__class__(**{**Panda.model.__dict__, "fingers": None})
-
-    with pytest.raises(PluginError, match="no gripper"):
-        RobotTask(
-            RobotTask.Settings.model_validate({}),
-            robot=Bare(Bare.Settings.model_validate({})),
-            task=Grasping(Grasping.Settings.model_validate({})),
-        )
-
-
 def test_tool_that_cannot_be_placed_is_a_clear_error() -> None:
     made = environment()
     made.reset(0)
