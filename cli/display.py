@@ -5,6 +5,7 @@ from __future__ import annotations
 import sys
 from collections import defaultdict, deque
 from contextlib import AbstractContextManager
+from datetime import timedelta
 from typing import TYPE_CHECKING, TextIO
 
 from rich.console import Console
@@ -126,9 +127,14 @@ class Live(Quiet):
             return
         task = self._tasks[event.run]
         if isinstance(event, RunAdvanced):
-            bars.update(task, completed=event.steps, speed=self._speeds[event.run].text)
+            left = "" if event.seconds_left is None else f"{timedelta(seconds=round(event.seconds_left))} left"
+            bars.update(task, completed=event.steps, speed=self._speeds[event.run].text, left=left)
+        elif isinstance(event, RunBusy):
+            bars.update(task, activity=_activity(event))
         elif isinstance(event, RunTested):
-            bars.update(task, completed=event.result.steps, success=_success(event.result))
+            if event.result.steps > bars.tasks[task].completed:  # training may have gone on since the test was due
+                bars.update(task, completed=event.result.steps)
+            bars.update(task, success=_success(event.result))
         elif isinstance(event, RunFinalTested):
             bars.update(task, success=_final(event.final))
         elif isinstance(event, RunEnded):
@@ -140,7 +146,7 @@ def _success(result: TestResult) -> str:
     return f"success any {result.success_any:.2f}, end {result.success_end:.2f}"
 
 
-def activity_text(event: RunBusy) -> str:
+def _activity(event: RunBusy) -> str:
     """What a run does beside training, and how far it is; empty when it is done."""
     if event.done == event.total:
         return ""

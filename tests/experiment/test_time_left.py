@@ -1,0 +1,23 @@
+"""The estimate of the time left: training, and the tests that it does not cover."""
+
+from __future__ import annotations
+
+import itertools
+
+import pytest
+
+from karolos.experiment import observer
+from karolos.experiment.events import RunAdvanced
+from karolos.experiment.observer import Announcer
+from karolos.training.training import Progress
+
+
+def test_estimate_follows_the_speed_of_training_and_adds_the_tests(monkeypatch: pytest.MonkeyPatch) -> None:
+    clock = itertools.count(1)
+    monkeypatch.setattr(observer.time, "monotonic", lambda: float(next(clock)))
+    events: list[RunAdvanced] = []
+    announcer = Announcer("run", 1000, events.append)
+    announcer.seconds_left = lambda training, steps: training + steps / 10
+    for steps, seconds, warming_up in ((50, 0.1, True), (100, 1.0, False), (200, 3.0, False)):
+        announcer.progressed(Progress(steps, 0, 0, seconds, warming_up))
+    assert [event.seconds_left for event in events] == [None, None, pytest.approx(800 * 0.02 + 80)]
