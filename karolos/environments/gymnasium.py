@@ -7,7 +7,7 @@ from typing import Any
 
 import numpy as np
 from pydantic import Field as Setting
-from pydantic import JsonValue, model_validator
+from pydantic import JsonValue, field_validator, model_validator
 
 from ..core import Array, Discrete, Environment, Field, Layout, Signature, Step
 from ..core import Settings as BaseSettings
@@ -40,11 +40,7 @@ class Gymnasium(Environment):
     """
 
     class Settings(BaseSettings):
-        id: str = Setting(
-            min_length=1,
-            pattern=r"^([^:]+:)?[^:]+$",
-            description='as for gymnasium.make, e.g. "CartPole-v1" or "module:Name-v0"',
-        )
+        id: str = Setting(min_length=1, description='as for gymnasium.make, e.g. "CartPole-v1" or "module:Name-v0"')
         kwargs: dict[str, JsonValue] = Setting({}, description="further arguments of gymnasium.make")
         max_steps: int | None = Setting(None, ge=1, description="steps per episode; null: as the id is registered")
         success_return: float | None = Setting(
@@ -67,6 +63,13 @@ class Gymnasium(Environment):
         )
         flatten_goals: bool = Setting(False, description="take the goals of a goal environment as observations")
         window: bool = Setting(False, description="show the environment in a window; needs a display")
+
+        @field_validator("id")
+        @classmethod
+        def _well_formed(cls, name: str) -> str:
+            if not all(name.split(":")) or name.count(":") > 1:
+                raise ValueError(f'{name!r} must be "Name-v0" or "module:Name-v0"')
+            return name
 
         @model_validator(mode="after")
         def _ordered(self) -> Gymnasium.Settings:
