@@ -14,6 +14,7 @@ from ..core.seeding import SeedTree
 from .actor_critic import ActorCritic, ActorCriticSettings, imitation_loss
 from .critics import ValueCritic
 from .noise import ScaledNoiseSettings
+from .optimisation import learning_rates
 from .tensors import REPORT_EVERY, TensorBatch, is_observed, saturation, tensor_batch
 
 
@@ -50,16 +51,17 @@ class DDPG(ActorCritic):
     @torch.inference_mode()
     def learn(self, batch: Batch) -> Mapping[str, Any]:
         """One update: targets, critic step, and when it is their turn policy step and target networks."""
-        report = self._updates // self.policy_delay % REPORT_EVERY == 0
-        data = tensor_batch(batch, self.normaliser, self.device, observe=is_observed(self._updates))
+        update = self._updates
+        report = update // self.policy_delay % REPORT_EVERY == 0
+        data = tensor_batch(batch, self.normaliser, self.device, observe=is_observed(update))
         self._updates += 1
         metrics = self.critic_step(data, self.targets(data), report=report)
         if self._updates % self.policy_delay == 0:
-            metrics |= self._policy_step(data, report=report)
+            metrics |= self._policy_step(data, update, report=report)
             self.target.follow(self.critic, self.settings.tau)
             self.target_policy.follow(self.policy, self.settings.tau)
         if report:
-            metrics["learning_rate"] = torch.tensor(self.optimisers["critic"].learning_rate)
+            metrics |= learning_rates(self.optimisers)
         return metrics
 
     def targets(self, batch: TensorBatch) -> Tensor:
@@ -73,7 +75,7 @@ class DDPG(ActorCritic):
         """a' = pi'(s'), of the target policy: (n, a)."""
         return torch.tanh(self.target_policy(next_input))
 
-    def _policy_step(self, batch: TensorBatch, *, report: bool) -> dict[str, Any]:
+    def _policy_step(self, batch: TensorBatch, update: int, *, report: bool) -> dict[str, Any]:
         """One gradient step of the policy; the first critic alone judges its actions."""
         settings = self.settings
         output, tapes = self.policy.forward(batch.input)
@@ -95,7 +97,8 @@ class DDPG(ActorCritic):
             metrics["imitation_loss"], gradient = imitation_loss(action, demonstrated > value, batch)
             action_gradient.add_(gradient, alpha=settings.imitation)
         self.policy.backward(policy_gradient(action, action_gradient), tapes)
-        return metrics | self.optimisers["policy"].step(self.policy.gradient, "policy_gradient_norm", report=report)
+        optimiser = self.optimisers["policy"]
+        return metrics | optimiser.step(self.policy.gradient, "policy_gradient_norm", update=update, report=report)
 
     def state(self) -> State:
         return {**super().state(), "updates": self._updates}

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+from collections.abc import Mapping
 from typing import Any
 
 import torch
@@ -14,13 +15,15 @@ from ..core.schedules import Linear
 
 
 class OptimiserSettings(AgentSettings):
-    """Settings of every agent that makes one step of Adam per update."""
+    """Settings of every agent that optimises with Adam."""
 
     learning_rate: float = Setting(1e-3, gt=0, description="of all networks (Adam)")
     learning_rate_end: float | None = Setting(
         None, ge=0, description="learning rate after learning_rate_updates, reached linearly; null: constant"
     )
-    learning_rate_updates: int | None = Setting(None, ge=1, description="updates until learning_rate_end is reached")
+    learning_rate_updates: int | None = Setting(
+        None, ge=1, description="updates of the agent until learning_rate_end is reached, whatever its policy_delay"
+    )
     gradient_norm: float | None = Setting(None, gt=0, description="longer gradients are clipped to this; null: never")
 
     @model_validator(mode="after")
@@ -31,7 +34,7 @@ class OptimiserSettings(AgentSettings):
 
     @property
     def rate(self) -> Linear:
-        """The learning rate by the number of steps of an optimiser."""
+        """The learning rate by the number of the agent's updates."""
         if self.learning_rate_end is None:
             return Linear(self.learning_rate, self.learning_rate, 0)
         return Linear(self.learning_rate, self.learning_rate_end, self.learning_rate_updates or 0)
@@ -42,7 +45,7 @@ class Adam:
 
     Args:
         vector: the parameters, changed in place.
-        learning_rate: a constant, or a schedule by the steps made.
+        learning_rate: a constant, or a schedule by the agent's updates.
         epsilon: added to the root of the second moment.
         norm: longer gradients are clipped to this length; None: never.
     """
@@ -63,14 +66,20 @@ class Adam:
             "exp_avg_sq": torch.zeros_like(vector),
         }
 
-    def step(self, gradient: Tensor, name: str = "", *, report: bool = False) -> dict[str, Tensor]:
-        """Make a step against a gradient of the vector's shape, which may be changed in place.
+    def step(
+        self, gradient: Tensor, name: str = "", *, update: int | None = None, report: bool = False
+    ) -> dict[str, Tensor]:
+        """Make a step.
 
-        Returns the gradient's length before clipping under `name` if `report`, else nothing: measuring it takes a third
-        of the step.
+        Args:
+            gradient: of the vector's shape; it may be changed in place.
+            name: of the gradient's length in the result.
+            update: updates that the agent has made before this one, for the schedule of the learning rate; None: the
+                steps made, where every update makes one.
+            report: return the gradient's length before clipping. Measuring it takes a third of the step.
         """
         if self._schedule is not None:
-            self.learning_rate = self._schedule(self.steps)
+            self.learning_rate = self._schedule(self.steps if update is None else update)
         self.steps += 1
         metrics = {}
         if report or self.norm is not None:
@@ -106,3 +115,8 @@ class Adam:
         for name, value in self._state.items():
             value.copy_(torch.as_tensor(state[name]))
         self.steps = int(self._state["step"])
+
+
+def learning_rates(optimisers: Mapping[str, Adam]) -> dict[str, Tensor]:
+    """The learning rate of each optimiser's latest step, as metrics."""
+    return {f"{name}_learning_rate": torch.tensor(optimiser.learning_rate) for name, optimiser in optimisers.items()}

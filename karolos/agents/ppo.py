@@ -21,7 +21,7 @@ from ..core.seeding import SeedTree
 from ..errors import UsageError
 from .networks import MLP, Shape, deployed
 from .normaliser import Normaliser
-from .optimisation import Adam, OptimiserSettings
+from .optimisation import Adam, OptimiserSettings, learning_rates
 from .tensors import network_input, saturation, to_array
 
 CLIP = 10.0
@@ -217,7 +217,7 @@ class PPO(Agent[Rollout]):
         metrics = {
             "explained_variance": torch.where(total > 0, 1 - unexplained / total, torch.zeros_like(total)),
             "value_mean": transitions.value.mean(),
-            "learning_rate": torch.tensor(self._optimisers["policy"].learning_rate),
+            **learning_rates(self._optimisers),
         }
         if isinstance(self.distribution, Gaussian):
             metrics["action_saturation"] = saturation(transitions.action)
@@ -301,7 +301,9 @@ def value_loss(value: Tensor, target: Tensor, old_value: Tensor, clip: float | N
     gradient = value - target
     error = gradient.square()
     if clip is not None:
-        near = old_value + (value - old_value).clamp(-clip, clip)
+        change = value - old_value
+        # Within the range V_c is V itself: old_value + change often differs from it in the last digit.
+        near = torch.where(change.abs() <= clip, value, old_value + change.clamp(-clip, clip))
         clipped = (near - target).square()
         gradient = gradient * (error >= clipped)
         error = torch.maximum(error, clipped)

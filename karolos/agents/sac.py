@@ -17,7 +17,7 @@ from .actor_critic import ActorCritic, ActorCriticSettings, imitation_loss
 from .backprop import Tape
 from .critics import QuantileCritic, Quantiles, ValueCritic
 from .noise import NoiseSettings
-from .optimisation import Adam
+from .optimisation import Adam, learning_rates
 from .squashed_gaussian import Sample, log_probability, output_gradient, sample
 from .tensors import REPORT_EVERY, TensorBatch, is_observed, saturation, tensor_batch
 
@@ -82,15 +82,15 @@ class SAC(ActorCritic):
             own = actions.rows(count)
             temperature, log_probabilities = self.log_temperature.exp(), log_probability(own)
             tapes = [tape.rows(count, count) for tape in tapes]
-            metrics |= self._policy_step(data, own, tapes, temperature, log_probabilities, report=report)
+            metrics |= self._policy_step(data, own, tapes, temperature, log_probabilities, update, report=report)
             entropy = -log_probabilities.mean()
-            self._temperature_step(entropy)
+            self._temperature_step(entropy, update)
             if report:
                 metrics |= {"entropy": entropy, "temperature": temperature.squeeze(0)}
         self.target.follow(self.critic, self.settings.tau)
 
         if report:
-            metrics["learning_rate"] = torch.tensor(self.optimisers["critic"].learning_rate)
+            metrics |= learning_rates(self.optimisers)
         return metrics
 
     def sample(self, inputs: Tensor) -> tuple[Sample, list[Tape]]:
@@ -122,6 +122,7 @@ class SAC(ActorCritic):
         tapes: list[Tape],
         temperature: Tensor,
         log_probabilities: Tensor,
+        update: int,
         *,
         report: bool,
     ) -> dict[str, Any]:
@@ -133,6 +134,7 @@ class SAC(ActorCritic):
             tapes: of the policy network's pass that gave them.
             temperature: (1,).
             log_probabilities: log pi(own | s), (n,).
+            update: updates made before this one.
             report: whether metrics are wanted.
         """
         settings, kind = self.settings, self.critic_kind
@@ -157,15 +159,17 @@ class SAC(ActorCritic):
             metrics["imitation_loss"], mode_gradient = imitation_loss(mode, demonstrated > current, batch)
             gradient[:, : self.actions] += settings.imitation * mode_gradient * (1 - mode.square())
         self.policy.backward(gradient, tapes)
-        metrics |= self.optimisers["policy"].step(self.policy.gradient, "policy_gradient_norm", report=report)
+        metrics |= self.optimisers["policy"].step(
+            self.policy.gradient, "policy_gradient_norm", update=update, report=report
+        )
         if report:
             metrics["policy_loss"] = policy_loss(value, log_probabilities, temperature, batch.weight)
             metrics["action_saturation"] = saturation(own.action)
         return metrics
 
-    def _temperature_step(self, entropy: Tensor) -> None:
+    def _temperature_step(self, entropy: Tensor, update: int) -> None:
         """One gradient step of the log temperature, which rises while the entropy is below its target."""
-        self.optimisers["temperature"].step(temperature_gradient(entropy, self._target_entropy))
+        self.optimisers["temperature"].step(temperature_gradient(entropy, self._target_entropy), update=update)
         if self.settings.temperature_min:
             self.log_temperature.clamp_(min=math.log(self.settings.temperature_min))
 

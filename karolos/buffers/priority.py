@@ -29,6 +29,9 @@ class Priority(Replay):
     P(i) = p_i / sum p with p = (|error| + epsilon)^alpha. A new transition has the largest p so far. The importance
     weight of transition i is (N P(i))^-beta, divided by the largest weight of the batch; beta rises from `beta` to 1
     over `beta_updates` batches. A batch is stratified: one transition from each of n equal parts of the total priority.
+    With a share of demonstrations, P and N are those among the demonstrations, or among the other transitions: weights
+    correct the sampling by priority, and demonstrations keep their share of the loss. The share is exact on average
+    when beta is 1. With P and N of the whole buffer, weights would undo the share of a few demonstrations among many.
     `Batch.slot` identifies a transition, not a slot: the priority of an overwritten transition is ignored.
     """
 
@@ -87,18 +90,18 @@ class Priority(Replay):
         """
         self._require_transitions()
         self._insert_pending()
-        slots, probabilities = self._draw(size)
-        weights = (probabilities * len(self)) ** -self.beta
+        slots, relative = self._draw(size)
+        weights = relative**-self.beta
         self._batches += 1
         return self._batch(slots, (weights / weights.max()).astype(np.float32), self.storage.identifiers(slots))
 
     def _draw(self, size: int) -> tuple[Slots, Numbers]:
-        """Slots drawn by their priorities, and the probability of each: (n,) both."""
+        """Slots drawn by their priorities, and each one's priority relative to the mean, N P(i): (n,) both."""
         tree, demonstrated = self._tree, self._demonstration_rows(size)
         total, strata = tree.total, np.arange(size) + self._generator.random(size)
         if demonstrated is None:
             slots = tree.find(strata * (total / size))
-            return slots, tree[slots] / total
+            return slots, tree[slots] * (len(self) / total)
         # The first rows are drawn from the environments' transitions, the others from demonstrations, which have the
         # last slots.
         others, first_slot = size - demonstrated, self.storage.environments * self.storage.ring_size
@@ -106,9 +109,8 @@ class Priority(Replay):
         masses = strata * (mass / max(others, 1))
         masses[others:] = mass + (strata[others:] - others) * ((total - mass) / max(demonstrated, 1))
         slots = tree.find(masses)
-        scale = np.where(
-            slots < first_slot, others / (size * max(mass, 1e-300)), demonstrated / (size * (total - mass))
-        )
+        stored = self.storage.demonstrations
+        scale = np.where(slots < first_slot, (len(self) - stored) / max(mass, 1e-300), stored / (total - mass))
         return slots, tree[slots] * scale
 
     def update_priorities(self, slot: NDArray[np.int64], priorities: Any) -> None:

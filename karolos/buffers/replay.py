@@ -79,14 +79,12 @@ class Replay(Buffer):
         self.storage.cut(environments)
 
     def _demonstration_rows(self, size: int) -> int | None:
-        """Number of demonstrated transitions in a batch; None without a fixed share.
+        """Number of demonstrated transitions in a batch; None without a fixed share or without demonstrations.
 
-        All rows while only demonstrations are stored, 0 without demonstrations.
+        All rows while only demonstrations are stored.
         """
-        if self._share is None:
+        if self._share is None or not self.storage.demonstrations:
             return None
-        if not self.storage.demonstrations:
-            return 0
         return size if self.storage.demonstrations == len(self.storage) else round(self._share * size)
 
     def _require_transitions(self) -> None:

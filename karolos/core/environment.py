@@ -24,7 +24,7 @@ class Environment(ABC):
     rule's, `terminated` includes the rule's, and hindsight needs a reward that is the rule's.
 
     Errors. An environment may raise any exception. The orchestrator then reports the episode as lost and builds the
-    environment again. For a simulation that diverges, return a Step with `diverged` and `truncated` instead.
+    environment again. When the simulation diverges, return a Step with `diverged`, `truncated` and reward 0.
 
     Processes. An environment is built, stepped and closed by one thread, often of a worker process. Its module should
     not import torch.

@@ -23,8 +23,8 @@ class Step(NamedTuple):
     success: Any
     """Whether the goal is reached in this state."""
     diverged: Any = False
-    """Whether the simulation diverged (NaN, an object far away). The step is then truncated and repeats the last valid
-    values. Training counts the step and does not add it to the buffer."""
+    """Whether the simulation diverged (NaN, an object far away). The step is then truncated, has the reward 0,
+    and repeats the other values of the last valid step. Training counts it and does not add it to the buffer."""
 
 
 class Transitions(NamedTuple):

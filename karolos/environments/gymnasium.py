@@ -146,7 +146,7 @@ class Gymnasium(Environment):
         step = self._step(observation, reward, bool(terminated), out_of_time and not terminated, info)
         if not (np.isfinite(reward) and all(np.isfinite(values).all() for values in step[:3])):
             self._steps = self.signature.max_steps
-            return self._last._replace(terminated=False, truncated=True, success=False, diverged=True)
+            return self._last._replace(reward=0.0, terminated=False, truncated=True, success=False, diverged=True)
         if self._rule is not None:
             self._rule.check_end(step)
         self._last = step

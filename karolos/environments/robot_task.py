@@ -184,7 +184,7 @@ class RobotTask(Environment):
         self.close()
         if self._last is None:
             raise RuntimeError(f"{self._name}: the physics diverged before the first step")
-        return self._last._replace(terminated=False, truncated=True, success=False, diverged=True)
+        return self._last._replace(reward=0.0, terminated=False, truncated=True, success=False, diverged=True)
 
     def expert(self) -> Expert:
         """The task's scripted policy. Raises UsageError for a task without one, or discrete actions."""

@@ -2,12 +2,19 @@
 
 from __future__ import annotations
 
+from typing import Any
+
 import pytest
 import torch
 from pydantic import ValidationError
+from support.parts import batch, signature
 
+from karolos.agents.ddpg import DDPG
 from karolos.agents.optimisation import Adam, OptimiserSettings
+from karolos.agents.sac import SAC
+from karolos.agents.td3 import TD3
 from karolos.core.schedules import Linear
+from karolos.core.seeding import SeedTree
 
 
 def test_the_learning_rate_falls_with_the_steps_and_stays() -> None:
@@ -33,6 +40,30 @@ def test_longer_gradients_are_cut_and_shorter_ones_left() -> None:
     assert torch.linalg.vector_norm(long).item() == pytest.approx(1)
     assert optimiser.step(short, "norm", report=True)["norm"].item() == pytest.approx(0.2)
     torch.testing.assert_close(short, torch.full((4,), 0.1))
+
+
+@pytest.mark.parametrize("kind", [SAC, TD3, DDPG])
+@pytest.mark.parametrize("delay", [1, 2, 3])
+def test_every_rate_reaches_its_end_with_the_updates_of_the_agent(kind: Any, delay: int) -> None:
+    settings = {"learning_rate": 1e-2, "learning_rate_end": 1e-3, "learning_rate_updates": 12, "hidden": (8,)}
+    if kind is not DDPG:
+        settings["policy_delay"] = delay
+    agent = kind(kind.Settings.model_validate(settings), signature(), SeedTree(0))
+    rates = {name: [] for name in agent.optimisers}
+    for update in range(18):
+        if update == 9:  # a resumed agent goes on with the schedule
+            state = agent.state()
+            agent = kind(kind.Settings.model_validate(settings), signature(), SeedTree(0))
+            agent.load_state(state)
+        before = {name: optimiser.steps for name, optimiser in agent.optimisers.items()}
+        agent.learn(batch(8, signature(), update))
+        for name, optimiser in agent.optimisers.items():
+            if optimiser.steps > before[name]:
+                assert optimiser.learning_rate == pytest.approx(1e-2 - 9e-3 * min(update / 12, 1))
+                rates[name].append(optimiser.learning_rate)
+    for name, found in rates.items():
+        assert len(found) == (18 if name == "critic" or kind is DDPG else 18 // delay)
+        assert found[-1] == 1e-3
 
 
 def test_a_schedule_goes_on_where_it_stopped() -> None:

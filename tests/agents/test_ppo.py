@@ -12,7 +12,7 @@ import torch
 from pydantic import ValidationError
 from support.parts import signature
 
-from karolos.agents.ppo import PPO, Categorical, Gaussian, advantages
+from karolos.agents.ppo import PPO, Categorical, Gaussian, advantages, value_loss
 from karolos.core import Discrete, Rollout, Signature
 from karolos.core.seeding import SeedTree
 from karolos.errors import UsageError
@@ -261,3 +261,16 @@ def test_too_many_minibatches_for_a_rollout_are_refused_and_named() -> None:
 def test_settings_without_sense_are_refused(bad: dict[str, Any]) -> None:
     with pytest.raises(ValidationError):
         made(**bad)
+
+
+def test_a_value_within_the_clip_range_keeps_its_gradient() -> None:
+    generator = torch.Generator().manual_seed(0)
+    value, target, change = (torch.randn(10_000, generator=generator) for _ in range(3))
+    old = value + change.clamp(-0.19, 0.19)
+    loss, gradient = value_loss(value, target, old, 0.2)
+    unclipped_loss, unclipped = value_loss(value, target, old, None)
+    assert torch.equal(gradient, unclipped)
+    assert torch.equal(loss, unclipped_loss)
+    beyond = old + torch.sign(target - old) * 0.3  # moved towards the target by more than the clip
+    moved = (target - old).abs() > 0.6
+    assert not value_loss(beyond, target, old, 0.2)[1][moved].any()

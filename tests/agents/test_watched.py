@@ -22,9 +22,9 @@ from karolos.agents.tensors import REPORT_EVERY
 from karolos.core import Discrete, Rollout, Signature
 from karolos.core.seeding import SeedTree
 
-CRITICS = {"critic_loss", "value_mean", "value_max", "target_mean", "critic_gradient_norm", "learning_rate"}
-POLICY = {"policy_loss", "policy_gradient_norm", "action_saturation"}
-ENTROPY = {"entropy", "temperature"}
+CRITICS = {"critic_loss", "value_mean", "value_max", "target_mean", "critic_gradient_norm", "critic_learning_rate"}
+POLICY = {"policy_loss", "policy_gradient_norm", "policy_learning_rate", "action_saturation"}
+ENTROPY = {"entropy", "temperature", "temperature_learning_rate"}
 PPOS = {
     "policy_loss",
     "value_loss",
@@ -35,8 +35,10 @@ PPOS = {
     "value_gradient_norm",
     "explained_variance",
     "value_mean",
-    "learning_rate",
+    "policy_learning_rate",
+    "value_learning_rate",
 }
+CONTINUOUS = {"action_saturation", "std", "std_learning_rate"}
 REPLAYING = [
     (SAC, {}, CRITICS | POLICY | ENTROPY),
     (SAC, {"critic": {}}, CRITICS | POLICY | ENTROPY),
@@ -95,7 +97,9 @@ def rollout(of: Signature, columns: int) -> Rollout:
 
 
 @pytest.mark.parametrize(
-    ("of", "series"), [(signature(), PPOS | {"action_saturation", "std"}), (DISCRETE, PPOS)], ids=["arm", "discrete"]
+    ("of", "series"),
+    [(signature(), PPOS | CONTINUOUS), (DISCRETE, PPOS)],
+    ids=["arm", "discrete"],
 )
 def test_ppo_says_of_each_rollout_what_its_authors_would_look_at(of: Signature, series: set[str]) -> None:
     agent = PPO(PPO.Settings(hidden=(8,), epochs=2, minibatches=2), of, SeedTree(0))
@@ -109,4 +113,4 @@ def test_ppo_says_of_each_rollout_what_its_authors_would_look_at(of: Signature, 
 def test_the_page_on_tensorboard_lists_what_agents_say_and_nothing_else() -> None:
     page = (Path(__file__).parents[2] / "docs" / "tensorboard.md").read_text()
     listed = set(re.findall(r"^\| `agent/(\w+)`", page, re.MULTILINE))
-    assert listed == set.union(PPOS, {"action_saturation", "std"}, *(series for _, _, series in REPLAYING))
+    assert listed == set.union(PPOS, CONTINUOUS, *(series for _, _, series in REPLAYING))

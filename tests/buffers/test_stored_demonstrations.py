@@ -133,7 +133,7 @@ def test_a_share_of_each_batch_is_demonstrated(buffer: Any) -> None:
     assert sampled(made) == {(episode, step) for episode in (100, 101) for step in range(STEPS)} | world.stored(12)
 
 
-def test_a_share_is_sampled_by_priority_within_and_weighed_by_its_odds() -> None:
+def test_a_share_is_sampled_by_priority_and_weights_correct_the_bias_within_each_part() -> None:
     made = make(Priority, alpha=1.0, beta=1.0)
     made.add_demonstrations(episodes(2), 0.5)
     filled(made, 10)
@@ -141,14 +141,38 @@ def test_a_share_is_sampled_by_priority_within_and_weighed_by_its_odds() -> None
     errors = np.where(batch.observation[:, 2] == 0, 4.0, 1.0).astype(np.float32)
     made.update_priorities(batch.slot, errors)
     batch = made.sample(4000)
-    shown, first = batch.demonstrated > 0, batch.observation[:, 2] == 0
-    assert shown.mean() == 0.5
-    for stratum in (shown, ~shown):  # first steps: 4 of 4 + 1 + 1 + 1 + 1
-        assert first[stratum].mean() == pytest.approx(0.5, abs=0.02)
-    # what is drawn 4 times as often counts a quarter, and the 10 demonstrations half of what the 20 others do
-    assert batch.weight[~shown & ~first].min() == batch.weight.max() == 1
-    assert batch.weight[~shown & first] == pytest.approx(0.25, rel=1e-4)
-    assert batch.weight[shown & ~first] == pytest.approx(0.5, rel=1e-4)
+    demonstrated, first = batch.demonstrated > 0, batch.observation[:, 2] == 0
+    assert demonstrated.mean() == 0.5
+    for part in (demonstrated, ~demonstrated):  # first steps: 4 of 4 + 1 + 1 + 1 + 1
+        assert first[part].mean() == pytest.approx(0.5, abs=0.02)
+        np.testing.assert_allclose(batch.weight[part & ~first], 1, rtol=1e-4)
+        np.testing.assert_allclose(batch.weight[part & first], 0.25, rtol=1e-4)
+
+
+@pytest.mark.parametrize("beta", [0.4, 1.0])
+def test_importance_weights_leave_demonstrations_their_share_of_the_loss(beta: float) -> None:
+    made = make(Priority, capacity=2000, alpha=0.6, beta=beta, beta_updates=10**9)
+    made.add_demonstrations(episodes(2), 0.25)  # 10 demonstrated transitions beside 2,000
+    filled(made, 1000)
+    generator = np.random.default_rng(0)
+    for _ in range(50):
+        batch = made.sample(256)
+        made.update_priorities(batch.slot, generator.gamma(2, size=256) + batch.demonstrated * 2)
+    batches = (made.sample(256) for _ in range(50))
+    shares = [batch.weight @ batch.demonstrated / batch.weight.sum() for batch in batches]
+    assert np.mean(shares) == pytest.approx(0.25, abs=0.03)
+
+
+@pytest.mark.parametrize("share", [None, 0.25])
+@pytest.mark.parametrize("buffer", BUFFERS)
+def test_an_empty_list_of_demonstrations_changes_nothing(buffer: Any, share: float | None) -> None:
+    plain, empty = make(buffer), make(buffer)
+    empty.add_demonstrations([], share)
+    for made in (plain, empty):
+        filled(made, 10)
+    for _ in range(3):
+        for one, other in zip(plain.sample(16), empty.sample(16), strict=True):
+            np.testing.assert_array_equal(one, other)
 
 
 @pytest.mark.parametrize("buffer", BUFFERS)

@@ -65,6 +65,19 @@ def test_own_limit_of_steps_truncates() -> None:
     assert steps[-1].truncated
 
 
+def test_a_step_that_diverges_has_no_reward_and_repeats_the_state_before(monkeypatch: pytest.MonkeyPatch) -> None:
+    environment = make(id="Pendulum-v1")
+    environment.reset(0)
+    before = environment.step(np.zeros(1, np.float32))
+    broken = (np.full(3, np.nan), -1.0, False, False, {})
+    monkeypatch.setattr(environment._env, "step", lambda action: broken)
+    after = environment.step(np.zeros(1, np.float32))
+    assert after.diverged
+    assert after.truncated
+    assert before.reward < 0 == after.reward
+    np.testing.assert_array_equal(after.observation, before.observation)
+
+
 @pytest.mark.parametrize(("threshold", "success"), [(5.0, True), (500.0, False)])
 def test_success_is_a_return_at_the_end(threshold: float, success: bool) -> None:
     steps = play(make(id="CartPole-v1", success_return=threshold), 1, [1])

@@ -95,7 +95,7 @@ def test_a_cube_that_is_lost_ends_the_episode_as_truncated_and_diverged(task: st
     environment: RobotTask = made(task)
     start = environment.reset(1)
     still = np.zeros(environment.signature.action.size)
-    environment.step(still)
+    assert environment.step(still).reward == -1
     cube = environment.task.cube
     if np.isnan(place[0]):
         cube.body.pose = lambda: (place, (0.0, 0.0, 0.0, 1.0))  # what pybullet gives after it has blown up
@@ -104,6 +104,7 @@ def test_a_cube_that_is_lost_ends_the_episode_as_truncated_and_diverged(task: st
     step = environment.step(still)
     assert step.truncated
     assert step.diverged
+    assert step.reward == 0, "the reward of the step before is not counted twice"
     assert not step.terminated
     assert not step.success
     assert all(np.isfinite(part).all() for part in step)
