@@ -54,6 +54,10 @@ def list_runs(
     ] = None,
     limit: Annotated[int | None, typer.Option(min=1, help="Only this number of runs, the newest.")] = None,
     trash: Annotated[bool, typer.Option("--trash", help="List the runs in the trash instead.")] = False,
+    columns: Annotated[
+        str | None,
+        typer.Option(metavar="NAME,...", help="Only these columns: run, success_end, agent.learning_rate, ..."),
+    ] = None,
 ) -> None:
     """List runs, the newest first."""
     if trash:
@@ -68,10 +72,15 @@ def list_runs(
         return
     with store:
         found = store.runs(state=state, where=where, limit=limit)
+        rows = _columns(store, found, columns) if columns is not None else [run.row() for run in found]
     if json:
-        print_rows([run.row() for run in found], json=True)
+        print_rows(rows, json=True)
     elif csv:
-        print_csv([run.row() for run in found])
+        print_csv(rows)
+    elif found and columns is not None:
+        from karolos.report.tables import Table, setting
+
+        print_table(Table(list(rows[0]), [[setting(value) for value in row.values()] for row in rows]))
     elif found:
         from karolos.report.tables import runs_table
 
@@ -80,6 +89,15 @@ def list_runs(
         say("no runs match the filter")
     else:
         say("no runs" + (f" are {state}" if state else " yet"))
+
+
+def _columns(store: Store, found: Sequence[RunSummary], columns: str) -> list[dict[str, Any]]:
+    from karolos.store.query import column_values
+
+    names = [name.strip() for name in columns.split(",") if name.strip()]
+    if not names:
+        raise UsageError("--columns names no column", hint="e.g. --columns run,success_end,agent.learning_rate")
+    return column_values(store, found, names)
 
 
 def _list_trash(runs: Path, *, json: bool) -> None:

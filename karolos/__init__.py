@@ -1,7 +1,33 @@
 """Karolos: declarative reinforcement-learning experiments on robot-task environments."""
 
+from __future__ import annotations
+
+from importlib import import_module
+from typing import TYPE_CHECKING, Any
+
 from .environments.gymnasium_hook import register_with_gymnasium
 
+if TYPE_CHECKING:
+    from .evaluation.policies import load_run as load
+    from .experiment import Experiment
+    from .store.query import runs
+
 __version__ = "0.1.0"
+__all__ = ["Experiment", "load", "runs"]
+
+_LAZY = {
+    "Experiment": ("experiment", "Experiment"),
+    "load": ("evaluation.policies", "load_run"),
+    "runs": ("store.query", "runs"),
+}
+"""Importing karolos takes milliseconds; these import torch or sqlalchemy at their first use."""
+
+
+def __getattr__(name: str) -> Any:
+    if name not in _LAZY:
+        raise AttributeError(f"module {__name__!r} has no attribute {name!r}")
+    module, attribute = _LAZY[name]
+    return getattr(import_module(f"{__name__}.{module}"), attribute)
+
 
 register_with_gymnasium()

@@ -2,11 +2,14 @@
 
 from __future__ import annotations
 
+import os
 from collections.abc import Callable
 from dataclasses import dataclass, replace
+from pathlib import Path
+from typing import Any
 
 import numpy as np
-from numpy.typing import NDArray
+from numpy.typing import ArrayLike, NDArray
 
 from .. import checkpoint
 from ..core import Agent, Environment, Signature, Step, random_actions
@@ -17,6 +20,7 @@ from ..errors import MachineError, RunError, UsageError
 from ..records import RunFolder
 from ..registry import load
 from ..spec import Spec
+from ..store import Store
 
 
 @dataclass(frozen=True)
@@ -44,6 +48,37 @@ class SavedAgent:
     """Environment steps of its training."""
     seconds: float
     """Wall-clock seconds of collecting and learning of its training."""
+
+    def act(self, observation: ArrayLike, goal: ArrayLike | None = None) -> NDArray[Any]:
+        """The action for an observation and its desired goal, without exploration.
+
+        Args:
+            observation: (o,), or (n, o) for n actions.
+            goal: (g,) or (n, g); may be left out if the environment has no goal.
+
+        Returns:
+            (a,) or (n, a), float32 in [-1, 1]; or the indices of discrete actions.
+
+        Raises:
+            UsageError: a shape does not fit the environment of the run.
+        """
+        sizes = {"observation": self.signature.observation.size, "goal": self.signature.desired_goal.size}
+        given = {
+            "observation": np.asarray(observation, np.float32),
+            "goal": np.asarray(() if goal is None else goal, np.float32),
+        }
+        ahead = given["observation"].shape[:-1]
+        if goal is None and sizes["goal"] == 0:
+            given["goal"] = np.zeros((*ahead, 0), np.float32)
+        for name, array in given.items():
+            if len(ahead) > 1 or array.shape != (*ahead, sizes[name]):
+                expected = f"({sizes[name]},) or (n, {sizes[name]})"
+                raise UsageError(f"the {name} has the shape {array.shape}", where="act", hint=f"it must be {expected}")
+        rows = [array.reshape(-1, sizes[name]) for name, array in given.items()]
+        if not ahead:
+            rows = [array.reshape(1, -1) for array in given.values()]
+        actions = np.asarray(self.agent.act(rows[0], rows[1], explore=False))
+        return actions if ahead else actions[0]
 
     def policy(self) -> Policy:
         """Acts without exploration."""
@@ -83,6 +118,30 @@ def load_agent(folder: RunFolder, name: str = "best") -> SavedAgent:
         ) from error
     sha256 = checkpoint.digest(folder.checkpoints, name, "agent")
     return SavedAgent(spec, signature, agent, name, sha256, steps, seconds)
+
+
+def load_run(
+    run: str | Path, checkpoint: str = "best", *, runs: str | Path = "runs", database: str | None = None
+) -> SavedAgent:
+    """`karolos.load`: the policy of a run.
+
+    Args:
+        run: the path of a run folder; or what the command line takes: @last, an id, an experiment's name.
+        checkpoint: `best` or `last`.
+        runs: the runs folder.
+        database: URL of the database; by default the one in the runs folder.
+
+    Raises:
+        UsageError: `run` means no run, or several.
+        RunError: the checkpoint is missing or damaged.
+    """
+    if os.path.isfile(Path(run) / "run.json"):  # Path.is_file raises for a name that is too long
+        return load_agent(RunFolder.open(run), checkpoint)
+    url = database or Store.default_url(runs)
+    if not Store.exists(url):
+        raise UsageError("there are no runs yet", where=str(runs), hint="`karolos run SPEC` makes one")
+    with Store(url) as store:
+        return load_agent(RunFolder.open(store.find(str(run)).folder), checkpoint)
 
 
 def signature_of(spec: Spec, *, randomize: bool = False) -> Signature:

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import sys
 from collections.abc import Callable
 from dataclasses import dataclass
 
@@ -82,3 +83,18 @@ class RunEnded:
 
 RunEvent = RunStarted | RunAdvanced | RunBusy | RunTested | RunFinalTested | RunWarned | RunEnded
 Listener = Callable[[RunEvent], None]
+
+
+def print_progress(event: RunEvent) -> None:
+    """A listener that prints a line on stderr for each start, test, warning and end."""
+    line = None
+    if isinstance(event, RunStarted):
+        line = f"{event.steps:,} steps, {event.folder}"
+    elif isinstance(event, RunTested):
+        line = f"{event.result.steps:,} steps: success at the end {event.result.success_end:.2f}"
+    elif isinstance(event, RunWarned):
+        line = f"warning: {event.warning}"
+    elif isinstance(event, RunEnded):
+        line = event.state if event.error is None else f"{event.state}: {event.error}"
+    if line is not None:
+        print(f"{event.run}: {line}", file=sys.stderr)

@@ -15,7 +15,7 @@ from ..records.run_records import RunState, RunSummary, summarise, timestamp
 from ..spec import Spec
 from ..store import Store
 from ..training.assembly import check_parts
-from .events import Listener
+from .events import Listener, print_progress
 from .jobs import exit_if_imported_by_child, run_side_by_side
 from .resume import find_run, newest_snapshot
 from .run import Run
@@ -45,6 +45,17 @@ class Outcome:
         finished = sum(run.state == "finished" for run in self.runs)
         return 0 if finished == self.requested else self.stop_code or 1
 
+    def __str__(self) -> str:
+        """A table with one line per run."""
+        rows = [("run", "state", "steps", "success end", "seconds")]
+        for run in self.runs:
+            end = "-" if run.success_end is None else f"{run.success_end:.2f}"
+            rows.append((run.run, run.state, f"{run.steps:,}", end, f"{run.seconds:.1f}"))
+        widths = [max(map(len, cells)) for cells in zip(*rows, strict=True)]
+        return "\n".join(
+            "  ".join(cell.ljust(width) for cell, width in zip(row, widths, strict=True)).rstrip() for row in rows
+        )
+
     def check(self) -> None:
         """Raise a RunError that names the failed and lost runs, if there are any."""
         failed = [run for run in self.runs if run.state in ("failed", "lost")]
@@ -69,7 +80,7 @@ class Experiment:
     def __init__(self, spec: Spec | Mapping[str, Any]) -> None:
         self.spec = spec if isinstance(spec, Spec) else Spec.from_dict(dict(spec))
 
-    def run(
+    def run(  # noqa: PLR0913  (options by keyword)
         self,
         runs: str | Path = "runs",
         *,
@@ -78,6 +89,7 @@ class Experiment:
         existing: Existing = "ignore",
         time_limit: float | None = None,
         listener: Listener | None = None,
+        progress: bool = False,
         text: str | None = None,
         check: bool = True,
     ) -> Outcome:
@@ -95,6 +107,7 @@ class Experiment:
                 bit for bit in lockstep.
             time_limit: seconds after which to stop.
             listener: is called with every RunEvent.
+            progress: without `listener`: whether to print a line on stderr for each start, test, warning and end.
             text: the spec as its author wrote it, to be saved beside the resolved one.
             check: whether to raise an error once all runs have ended, if one failed.
 
@@ -112,7 +125,7 @@ class Experiment:
         check_parts(self.spec)
         RunFolder.check_writable(folder)
         Store(url).close()  # an unusable database is an error before anything is computed
-        listener = listener or (lambda _: None)
+        listener = listener or (print_progress if progress else lambda _: None)
         spec = pinned(self.spec.alone(), folder)
         work = SeedRunner(spec.dump(), folder, url, text, existing, beside=has_spare_core(min(jobs, len(spec.seeds))))
         with stop_on_signals(time_limit=time_limit) as stop:

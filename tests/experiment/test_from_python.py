@@ -1,0 +1,90 @@
+"""Runs and policies from Python: `karolos.runs`, `karolos.load`, the printed outcome, and columns of `runs list`."""
+
+from __future__ import annotations
+
+import json
+import subprocess
+import sys
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+import pytest
+from karolos_cli import runs as runs_command
+from support.commands import call
+
+import karolos
+from karolos.errors import UsageError
+
+TOY: dict[str, Any] = {
+    "name": "toy",
+    "environment": "toy",
+    "agent": {"name": "sac", "hidden": [8]},
+    "orchestrator": {"processes": 0, "environments": 2},
+    "training": {"steps": 40, "batch_size": 8, "replay_ratio": 2, "warmup_episodes": 2},
+    "testing": {"interval": 20, "episodes": 4},
+}
+
+
+@pytest.fixture(scope="module")
+def folder(tmp_path_factory: pytest.TempPathFactory) -> Path:
+    path = tmp_path_factory.mktemp("runs")
+    karolos.Experiment(TOY).run(path)
+    return path
+
+
+def test_importing_karolos_imports_nothing_heavy() -> None:
+    code = "import sys, karolos; print([m for m in ('torch', 'numpy', 'sqlalchemy', 'pydantic') if m in sys.modules])"
+    assert subprocess.run([sys.executable, "-c", code], capture_output=True, text=True, check=True).stdout == "[]\n"
+
+
+def test_records_and_rows(folder: Path, monkeypatch: pytest.MonkeyPatch) -> None:
+    monkeypatch.setitem(sys.modules, "pandas", None)
+    records = karolos.runs("agent=sac and agent.learning_rate<1", runs=folder)
+    assert [run.state for run in records] == ["finished"]
+    (row,) = records.rows()
+    assert (row["run"], row["training.steps"], row["agent"]) == (records[0].run, 40, "sac")
+    assert [test["steps"] for test in records.tests()] == [20, 40]
+    assert len(karolos.runs("agent=td3", runs=folder)) == 0
+    assert len(karolos.runs(runs=folder / "missing")) == 0
+
+
+def test_rows_are_a_data_frame_where_pandas_is_installed(folder: Path) -> None:
+    pandas = pytest.importorskip("pandas")
+    assert isinstance(karolos.runs(runs=folder).rows(), pandas.DataFrame)
+
+
+def test_a_loaded_policy_acts_on_one_and_on_many(folder: Path) -> None:
+    for run in ("@last", karolos.runs(runs=folder)[0].folder):
+        policy = karolos.load(run, runs=folder)
+        sizes = policy.signature.observation.size, policy.signature.desired_goal.size
+        one = policy.act([0.1] * sizes[0], [0.2] * sizes[1])
+        many = policy.act(np.full((3, sizes[0]), 0.1), np.full((3, sizes[1]), 0.2))
+        assert one.shape == (policy.signature.action.size,)
+        np.testing.assert_allclose(many, [one] * 3, atol=1e-6)
+    with pytest.raises(UsageError, match="the goal has the shape"):
+        policy.act([0.1] * sizes[0])
+    with pytest.raises(UsageError, match="the observation has the shape"):
+        policy.act([0.1] * (sizes[0] + 1), [0.2] * sizes[1])
+    with pytest.raises(UsageError, match="means no run"):
+        karolos.load("x" * 300, runs=folder)
+
+
+def test_an_outcome_prints_as_a_table_and_progress_as_lines(tmp_path: Path, capsys: pytest.CaptureFixture[str]) -> None:
+    outcome = karolos.Experiment(TOY).run(tmp_path, progress=True)
+    told = capsys.readouterr().err
+    assert "20 steps: success at the end" in told
+    assert told.endswith(": finished\n")
+    head, line = str(outcome).splitlines()
+    assert head.split() == ["run", "state", "steps", "success", "end", "seconds"]
+    assert line.split()[:3] == [outcome.runs[0].run, "finished", "40"]
+
+
+def test_columns_of_runs_list(folder: Path) -> None:
+    where = ("--runs", str(folder))
+    code, out, _ = call(runs_command.app, "list", "--columns", "run,agent.learning_rate", "--json", *where)
+    assert code == 0
+    assert list(json.loads(out)) == ["run", "agent.learning_rate"]
+    assert "agent.hidden" in call(runs_command.app, "list", "--columns", "seed,agent.hidden", *where)[1]
+    code, _, told = call(runs_command.app, "list", "--columns", "agent.hiden", *where)
+    assert (code, "did you mean 'agent.hidden'?" in told) == (2, True)
