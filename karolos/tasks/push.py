@@ -57,7 +57,7 @@ class Push(PointGoalTask, CubeTask):
         return PushExpert(self._robot, self)
 
 
-HIGH = 0.08
+HIGH = 0.065
 """m above the floor at which the gripper crosses the cube."""
 ALIGNED = 0.015
 """m off its place behind the cube at which the gripper may go down."""
