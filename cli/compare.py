@@ -30,10 +30,10 @@ def compare(
     runs: Runs = Path("runs"),
     database: Database = None,
     json: Json = False,
-    success: Annotated[
+    metric: Annotated[
         Literal["any", "end"],
         typer.Option(help="Count success at any step of an episode or at its end, for curves and thresholds."),
-    ] = "any",
+    ] = "end",
     html: Annotated[Path | None, typer.Option(help="Page to write, with every figure. It needs no network.")] = None,
     figures: Annotated[Path | None, typer.Option(help="Folder to write the figures into, as SVG, PDF and PNG.")] = None,
 ) -> None:
@@ -46,7 +46,7 @@ def compare(
         selected = [select(store, selector) for selector in experiments]
         labels = _labels(experiments, selected)
         contenders = [gather(store, found, label) for found, label in zip(selected, labels, strict=True)]
-    comparison = compare_contenders(contenders, success)
+    comparison = compare_contenders(contenders, metric)
     for warning in comparison.warnings:
         warn(warning)
     if json:

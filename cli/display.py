@@ -143,7 +143,7 @@ class Live(Quiet):
 
 
 def _success(result: TestResult) -> str:
-    return f"success any {result.success_any:.2f}, end {result.success_end:.2f}"
+    return f"success end {result.success_end:.2f}, any {result.success_any:.2f}"
 
 
 def _activity(event: RunBusy) -> str:

@@ -372,7 +372,7 @@ def _print_view(view: _View) -> None:
         "experiment": run.experiment,
         "steps": f"{run.steps:,}, {duration(run.seconds)} of collecting and learning",
         "total": duration(run.total_seconds),
-        "to .95": solved,
+        "to .95, end": solved,
         "created": run.created,
         "updated": run.updated,
         "folder": run.folder,

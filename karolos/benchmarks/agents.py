@@ -40,7 +40,7 @@ class TableEntry:
 
     Args:
         spec: name of a file in `specs`.
-        unit: figure of the last test: mean "return", or the share of episodes with "success" at some step.
+        unit: figure of the last test: mean "return", or the share of episodes with "success" at their end.
         target: the least mean over the seeds, or the largest where `fails`.
         overrides: applied to the spec.
         fails: whether the entry shows that this setting does not learn.
@@ -182,7 +182,7 @@ def _value(spec: Spec, seed: int, unit: str, folder: Path, listener: Listener | 
     if found is None:
         raise RunError(f"{spec.name} with seed {seed} was stopped", hint="the same command continues the table")
     last = found.tests()[-1]
-    return fmean(last.returns) if unit == "return" else last.success_any
+    return fmean(last.returns) if unit == "return" else last.success_end
 
 
 def _finished(spec: Spec, seed: int, folder: Path) -> RunFolder | None:

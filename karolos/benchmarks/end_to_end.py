@@ -23,6 +23,7 @@ from .side_by_side import require_modules
 
 PEER = "stable-baselines3 and panda-gym"
 SUCCESS = 0.95
+"""At the end of the test episodes."""
 PEER_STEPS = 30_000
 """Steps after which the peer has failed."""
 INTERVAL = 500
@@ -80,7 +81,7 @@ def _karolos(seed: int, started: float) -> Found | None:
     def tell(event: RunEvent) -> None:
         if isinstance(event, RunAdvanced) and not startup:
             startup.append(time.time() - started - event.seconds)
-        elif isinstance(event, RunTested) and event.result.success_any >= SUCCESS and not found:
+        elif isinstance(event, RunTested) and event.result.success_end >= SUCCESS and not found:
             result = event.result
             found.append(Found(result.steps, result.seconds, startup[0] + result.seconds))
             signal.raise_signal(signal.SIGTERM)

@@ -3,8 +3,8 @@
 The first: a Panda learns to reach with one update per round. One worker process has as many environments as make a
 round's steps cost as much as its update. It trains in lockstep, in lockstep without overlap (the loop waits for the
 environments before it learns), and asynchronously. A turn is one episode of every environment.
-The second: seconds until a test finds .95 success on the same task, beside stable-baselines3's SAC with hindsight on
-panda-gym. Each trains in a process of its own.
+The second: seconds until a test finds .95 success (`end`) on the same task, beside stable-baselines3's SAC with
+hindsight on panda-gym. Each trains in a process of its own.
 """
 
 from __future__ import annotations
@@ -168,16 +168,16 @@ def _training(spec: Spec, environments: Orchestrator, at_least: int | None) -> T
 
 
 def _until_success(seeds: Sequence[int], *, peers: bool, say: Callable[[str], object]) -> Iterator[Row]:
-    """Seconds to the first test with .95 success; medians over the seeds."""
+    """Seconds to the first test with .95 success at the end of its episodes; medians over the seeds."""
 
     def run(who: str, turn: int) -> Found:
         found = first_success(seeds[turn], peer=who == PEER)
-        say(f"{who}: .95 success after {found.steps} steps, {found.training:.1f} s of training, {found.whole:.1f} s")
+        say(f"{who}: .95 success (end): {found.steps} steps, {found.training:.1f} s of training, {found.whole:.1f} s")
         return found
 
     runs = take_turns({who: partial(run, who) for who in ("karolos", *([PEER] if peers else []))}, turns=len(seeds))
     for what, column in (("training", "training"), ("start, imports and training", "whole")):
-        case = f"panda reach until .95 success, {what}"
+        case = f"panda reach until .95 success at the end, {what}"
         seconds = {who: [getattr(found, column) for found in founds] for who, founds in runs.items()}
         if peers:
             yield beside(NAME, case, seconds["karolos"], "s", PEER, seconds[PEER])

@@ -25,7 +25,7 @@ IntervalKind = Literal["wilson", "range", "approximate", "bootstrap"]
 """Kind of an interval: Wilson's of one run; smallest to largest of 2 - 4 seeds; bootstrap over 5 - 9 seeds, which
 covers too little; bootstrap over 10 or more seeds. All but the range are at 95 %."""
 RATIOS = (0.5, 0.9)
-"""Success ratios for which steps and time of the first test that reaches them are reported."""
+"""Success ratios (`end` by default) for which steps and time of the first test that reaches them are reported."""
 
 
 @dataclass(frozen=True)
@@ -131,7 +131,7 @@ class Comparison:
         }
 
 
-def compare(contenders: Sequence[Contender], success: Success = "any") -> Comparison:
+def compare(contenders: Sequence[Contender], success: Success = "end") -> Comparison:
     """The numbers of all contenders. Improvements are relative to the first."""
     tree = SeedTree(0).child("compare")
     scores = tuple(

@@ -24,7 +24,7 @@ STORED_STATES = ("created", "running", "finished", "failed", "stopped")
 UNFINISHED = ("created", "running")
 STATES = (*STORED_STATES, "lost")
 THRESHOLD = 0.95
-"""Lowest `any` success at which a run counts as solved in steps_to_95 and seconds_to_95."""
+"""Lowest success at which a run counts as solved in steps_to_95 (`end`) and steps_to_95_any."""
 
 
 def timestamp(time: datetime | None = None) -> str:
@@ -81,7 +81,7 @@ class RunSummary:
     """One run in one row. The first ten fields are what scripts rely on, in this order.
 
     Success is of the final test's policy `last`; before it, of the last test (None before the first). *_to_95 are of
-    the first test with `any` success >= .95.
+    the first test with `end` success >= .95, *_to_95_any of the first with `any` success >= .95.
     """
 
     run: str
@@ -117,6 +117,8 @@ class RunSummary:
     """Environment steps of the policy `best`, and its success in the final test; None before it."""
     best_any: float | None = None
     best_end: float | None = None
+    steps_to_95_any: int | None = None
+    seconds_to_95_any: float | None = None
     total_seconds: float = 0.0
     """Wall-clock seconds from start to end, of all attempts: `seconds`, tests, checkpoints and everything else."""
 
@@ -159,7 +161,8 @@ def summarise(
     """The row of a run from the content of its folder; `tests` in the order of their steps."""
     last = final.last if final else tests[-1] if tests else None
     best = final.best if final else None
-    solved = next((test for test in tests if test.success_any >= THRESHOLD), None)
+    solved = next((test for test in tests if test.success_end >= THRESHOLD), None)
+    solved_any = next((test for test in tests if test.success_any >= THRESHOLD), None)
     return RunSummary(
         run=str(run["id"]),
         experiment=str(run.get("experiment", "")),
@@ -186,6 +189,8 @@ def summarise(
         best_steps=best.steps if best else None,
         best_any=best.success_any if best else None,
         best_end=best.success_end if best else None,
+        steps_to_95_any=solved_any.steps if solved_any else None,
+        seconds_to_95_any=solved_any.seconds if solved_any else None,
         total_seconds=state.total_seconds,
     )
 

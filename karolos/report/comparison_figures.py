@@ -194,7 +194,7 @@ def _columns(at: _Floats) -> _Floats:
 
 
 def _success_label(comparison: Comparison) -> str:
-    return "success ratio" if comparison.success == "any" else "success ratio at the end"
+    return "success ratio at any step" if comparison.success == "any" else "success ratio at the end of the episode"
 
 
 def _run_text(contender: Contender, place: int) -> str:

@@ -16,8 +16,8 @@ def scores_table(comparison: Comparison) -> Table:
     rows = [
         ("experiment", *(contender.experiment[:12] for contender in contenders)),
         ("seeds", *(str(len(contender.runs)) for contender in contenders)),
-        ("success any", *(estimate(one.any) for one in scores)),
         ("success end", *(estimate(one.end) for one in scores)),
+        ("success any", *(estimate(one.any) for one in scores)),
         (f"inter-quartile mean, {comparison.success}", *(estimate(one.iqm) for one in scores)),
     ]
     if any(one.best_end for one in scores):
@@ -26,7 +26,12 @@ def scores_table(comparison: Comparison) -> Table:
         rows.append((f"better than {contenders[0].label}", *(improvement(one.improvement) for one in scores)))
     for place, reaching in enumerate(scores[0].reaching):
         for unit, name in (("steps", "steps"), ("seconds", "time")):
-            rows.append((f"{name} to {reaching.ratio * 100:g} %", *(_reached(one, place, unit) for one in scores)))
+            rows.append(
+                (
+                    f"{name} to {reaching.ratio * 100:g} %, {comparison.success}",
+                    *(_reached(one, place, unit) for one in scores),
+                )
+            )
     if any(one.density for one in scores):
         rows.append(("density over seeds", *map(_density, scores)))
     rows += [

@@ -86,7 +86,8 @@ def runs_table(runs: Sequence[RunSummary]) -> Table:
     """One row per run. Success is that of the final test, or of the last test before it.
 
     `best` is the success at the end of the policy `best` in the final test. `time` is that of collecting and learning,
-    `total` that from start to end. `steps to .95` is when a test first showed that ratio.
+    `total` that from start to end. `steps to .95 end` is when a test first showed that ratio
+    at the end of its episodes.
     """
     columns: Columns[RunSummary] = {
         "run": lambda run: run.run,
@@ -94,11 +95,11 @@ def runs_table(runs: Sequence[RunSummary]) -> Table:
         "steps": lambda run: count(run.steps),
         "time": lambda run: duration(run.seconds),
         "total": lambda run: duration(run.total_seconds),
-        "success any": lambda run: success(run.success_any, run.episodes),
-        "end": lambda run: "-" if run.success_end is None else f"{run.success_end:.2f}",
-        "best": lambda run: "-" if run.best_end is None else f"{run.best_end:.2f}",
-        "steps to .95": lambda run: count(run.steps_to_95),
-        "time to .95": lambda run: duration(run.seconds_to_95),
+        "success end": lambda run: success(run.success_end, run.episodes),
+        "any": lambda run: "-" if run.success_any is None else f"{run.success_any:.2f}",
+        "best end": lambda run: "-" if run.best_end is None else f"{run.best_end:.2f}",
+        "steps to .95 end": lambda run: count(run.steps_to_95),
+        "time to .95 end": lambda run: duration(run.seconds_to_95),
     }
     if any(run.tags for run in runs):
         columns["tags"] = lambda run: ", ".join(run.tags)
@@ -129,8 +130,8 @@ def table_of_tests(tests: Iterable[TestCounts], results: Iterable[TestResult] = 
     columns: Columns[TestCounts] = {
         "steps": lambda test: count(test.steps),
         "time": lambda test: duration(test.seconds),
-        "success any": lambda test: success(test.success_any, test.episodes),
         "success end": lambda test: success(test.success_end, test.episodes),
+        "success any": lambda test: success(test.success_any, test.episodes),
         "episodes": lambda test: count(test.episodes),
         "solved at reset": lambda test: count(test.reset),
     }
@@ -145,10 +146,10 @@ def transfers_table(transfers: Iterable[TransferResult], *, title: str = "") -> 
     columns: Columns[TransferResult] = {
         "changed": lambda one: ", ".join([*one.overrides, *(["randomized"] * one.randomized)]) or "nothing",
         "checkpoint": lambda one: f"{one.checkpoint} ({one.result.steps:,} steps)",
-        "success any": lambda one: success(one.result.success_any, one.result.episodes),
         "success end": lambda one: success(one.result.success_end, one.result.episodes),
-        "unchanged any": lambda one: f"{one.own.success_any:.2f}",
+        "success any": lambda one: success(one.result.success_any, one.result.episodes),
         "unchanged end": lambda one: success(one.own.success_end, one.own.episodes),
+        "unchanged any": lambda one: f"{one.own.success_any:.2f}",
         "episodes": lambda one: count(one.result.episodes),
         "seed": lambda one: str(one.seed),
         "when": lambda one: one.time[:16].replace("T", " "),

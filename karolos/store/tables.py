@@ -10,7 +10,7 @@ from typing import Any
 from sqlalchemy import JSON, BigInteger, Boolean, Column, Float, ForeignKey, Integer, MetaData, String, Table, Text
 from sqlalchemy.types import TypeEngine
 
-SCHEMA = 5
+SCHEMA = 6
 """Version of these tables, stored in `karolos_schema`. Raise it with every change of the tables.
 
 A database of another version is refused: the run folders are the truth, and `karolos db reindex` builds a new one.
@@ -92,6 +92,8 @@ RUNS = Table(
     Column("best_steps", BigInteger()),
     Column("best_any", Float(53)),
     Column("best_end", Float(53)),
+    Column("steps_to_95_any", BigInteger()),
+    Column("seconds_to_95_any", Float(53)),
     _column("total_seconds", Float(53)),
     Column("spec", ForeignKey("specs.digest"), nullable=False, index=True),
     Column("software", String(64), index=True),  # null: not known

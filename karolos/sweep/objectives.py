@@ -32,7 +32,7 @@ def measure(objective: str, tests: Tests, steps: int) -> float:
 def _of_run(objective: str, tests: Sequence[TestResult], steps: int) -> float:
     if objective.startswith("steps_to_"):
         threshold = int(objective.removeprefix("steps_to_")) / 100
-        reached = first_reaching([test.success_any for test in tests], [test.steps for test in tests], threshold)
+        reached = first_reaching([test.success_end for test in tests], [test.steps for test in tests], threshold)
         return CENSORED * steps if reached is None else reached
     if objective.startswith("mean_"):
         return float(np.mean([_of_test(objective.removeprefix("mean_"), test) for test in tests]))
@@ -50,7 +50,7 @@ def so_far(objective: str, tests: Tests, count: int) -> float:
     """
     begun = {seed: results[:count] for seed, results in tests.items()}
     if objective.startswith("steps_to_"):
-        return 1 - measure("success_any", begun, 0)
+        return 1 - measure("success_end", begun, 0)
     return measure(objective, begun, 0)
 
 

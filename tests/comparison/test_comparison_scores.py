@@ -36,33 +36,34 @@ def test_five_seeds_and_more_have_a_bootstrap_interval(seeds: int, kind: str) ->
 
 
 def test_inter_quartile_mean_leaves_out_a_quarter_at_each_end() -> None:
-    [scores] = compare([contender("a", FIVE)]).scores
+    [scores] = compare([contender("a", FIVE)], "any").scores
     assert scores.iqm.value == pytest.approx((0.85 + 0.90 + 0.95) / 3)
     assert scores.any.value == pytest.approx((0.85 + 0.90 + 0.95 + 1.0) / 5)
 
 
 def test_steps_and_time_to_a_ratio_are_medians_with_those_that_never_got_there_counted_last() -> None:
-    [scores] = compare([contender("a", FIVE)]).scores
+    [scores] = compare([contender("a", FIVE)], "any").scores
     half, most = scores.reaching
     assert (half.ratio, half.reached, half.seeds, half.steps, half.seconds) == (0.5, 4, 5, 3000, 30)
     assert (most.ratio, most.reached, most.seeds, most.steps, most.seconds) == (0.9, 3, 5, 3000, 30)
 
 
 def test_ratio_that_half_of_the_seeds_never_reach_has_no_median() -> None:
-    [scores] = compare([contender("a", [[90], [90], [0], [0]])]).scores
+    [scores] = compare([contender("a", [[90], [90], [0], [0]])], "any").scores
     assert [(one.reached, one.steps, one.seconds) for one in scores.reaching] == [(2, None, None)] * 2
 
 
 def test_improvement_counts_pairs_and_halves_ties() -> None:
-    first, second = compare([contender("a", [[50], [60]]), contender("b", [[60], [70]])]).scores
+    first, second = compare([contender("a", [[50], [60]]), contender("b", [[60], [70]])], "any").scores
     assert first.improvement is None
     assert second.improvement is not None
     assert second.improvement.probability == (1 + 0.5 + 1 + 1) / 4
     assert second.improvement.low is None  # two seeds
 
 
-def test_success_at_the_end_can_be_what_counts() -> None:
-    comparison = compare([contender("a", [[100], [80]]), contender("b", [[100], [90]])], "end")
+def test_success_at_the_end_is_what_counts() -> None:
+    comparison = compare([contender("a", [[100], [80]]), contender("b", [[100], [90]])])
+    assert comparison.success == "end"
     assert comparison.scores[0].iqm.value == pytest.approx(0.45)
     assert comparison.scores[0].reaching[0].reached == 1
     assert comparison.scores[1].improvement is not None
@@ -70,7 +71,7 @@ def test_success_at_the_end_can_be_what_counts() -> None:
 
 
 def test_two_modes_of_the_seeds_are_told() -> None:
-    [scores] = compare([contender("a", [[0]] * 5 + [[100]] * 5)]).scores
+    [scores] = compare([contender("a", [[0]] * 5 + [[100]] * 5)], "any").scores
     assert scores.density is not None
     assert scores.density.modes == (0.0, 1.0)
 
@@ -85,7 +86,7 @@ def test_only_parameters_that_differ_are_listed() -> None:
 
 def test_rows_are_json_and_the_same_each_time() -> None:
     def text() -> list[str]:
-        rows = compare([contender("a", FIVE), contender("b", FIVE[::-1])]).rows()
+        rows = compare([contender("a", FIVE), contender("b", FIVE[::-1])], "any").rows()
         return [json.dumps(row, allow_nan=False) for row in rows]
 
     assert text() == text()

@@ -4,6 +4,7 @@ import json
 import os
 import subprocess
 import sys
+from dataclasses import replace
 from datetime import UTC, datetime
 from pathlib import Path
 from typing import Any
@@ -260,6 +261,15 @@ def test_summary_counts_success_of_the_last_test_and_the_first_at_95(tmp_path: P
     assert list(row.values())[1:10] == ["abc", 3, "finished", 410, 4.5, 0.5, 0.5, 200, 2.0]
     assert (row["environment"], row["robot"], row["agent"], row["episodes"]) == ("toy", None, "sac", 20)
     json.dumps(row, allow_nan=False)
+
+
+def test_to_95_counts_success_at_the_end_and_says_when_any_is_meant(tmp_path: Path) -> None:
+    run = new_run(tmp_path)
+    for steps, end in ((100, 4), (200, 10), (300, 19)):
+        run.add_test(replace(result(steps, 20), end=tuple(k < end for k in range(20))))
+    found = run.summary()
+    assert (found.steps_to_95, found.seconds_to_95) == (300, 3.0)
+    assert (found.steps_to_95_any, found.seconds_to_95_any) == (100, 1.0)
 
 
 @pytest.mark.parametrize(

@@ -19,7 +19,7 @@ NAMES = ["success_over_steps", "success_over_seconds", "final_success", "perform
 
 
 def comparison() -> Comparison:
-    return compare([contender("$x_1 <b>&$", CURVES), contender("two", CURVES[:1])])
+    return compare([contender("$x_1 <b>&$", CURVES), contender("two", CURVES[:1])], "any")
 
 
 def artists(drawing: Drawing, classes: str) -> list[Any]:
@@ -29,7 +29,7 @@ def artists(drawing: Drawing, classes: str) -> list[Any]:
 
 
 def test_every_seed_and_every_mean_is_drawn() -> None:
-    compared = compare([contender("a", CURVES), contender("b", CURVES[:2])])
+    compared = compare([contender("a", CURVES), contender("b", CURVES[:2])], "any")
     for drawing in (figures.learning(compared, "steps"), figures.learning(compared, "seconds")):
         for series, seeds in ((0, 5), (1, 2)):
             assert len(artists(drawing, f"seed series-{series}")) == seeds
@@ -38,15 +38,15 @@ def test_every_seed_and_every_mean_is_drawn() -> None:
 
 
 def test_one_statistic_for_all_contenders_of_a_figure() -> None:
-    assert "inter-quartile" in figures.learning(compare([contender("a", CURVES)]), "steps").caption
-    mixed = figures.learning(compare([contender("a", CURVES), contender("b", CURVES[:2])]), "steps")
+    assert "inter-quartile" in figures.learning(compare([contender("a", CURVES)], "any"), "steps").caption
+    mixed = figures.learning(compare([contender("a", CURVES), contender("b", CURVES[:2])], "any"), "steps")
     assert "inter-quartile" not in mixed.caption
     [mean] = artists(mixed, "main series-0")
     assert mean.get_ydata().tolist() == pytest.approx([0.02, 0.34, 0.74])
 
 
 def test_density_has_a_column_for_each_test_and_one_scale_for_all() -> None:
-    compared = compare([contender("a", CURVES), contender("b", [[100] * 3] * 5), contender("c", [[5, 5, 5]])])
+    compared = compare([contender("a", CURVES), contender("b", [[100] * 3] * 5), contender("c", [[5, 5, 5]])], "any")
     drawings = list(figures.density_figures(compared))
     assert [(drawing.title, drawing.series) for drawing in drawings] == [("a", 0), ("b", 1)]  # one seed has no density
     meshes = [child for drawing in drawings for child in drawing.axes.get_children() if isinstance(child, QuadMesh)]
@@ -58,7 +58,7 @@ def test_density_has_a_column_for_each_test_and_one_scale_for_all() -> None:
 
 
 def test_profile_is_a_step_function_down_from_all_seeds() -> None:
-    drawing = figures.profiles(compare([contender("a", [[20], [50], [100], [100]])]))
+    drawing = figures.profiles(compare([contender("a", [[20], [50], [100], [100]])], "any"))
     [line] = artists(drawing, "main series-0")
     assert line.get_drawstyle() == "steps-pre"
     assert line.get_xdata().tolist() == [0, 0.2, 0.5, 1]
@@ -66,7 +66,7 @@ def test_profile_is_a_step_function_down_from_all_seeds() -> None:
 
 
 def test_final_success_shows_each_seed_by_its_run() -> None:
-    drawing = figures.final(compare([contender("a", CURVES)]))
+    drawing = figures.final(compare([contender("a", CURVES)], "any"))
     dots = artists(drawing, "dot series-0")
     assert [dot.get_xdata()[0] for dot in dots] == [0.9, 1.0, 0.95, 0.0, 0.85]
     assert drawing.parts[dots[3].get_gid()][1] == "a, seed 3: a-s3 (finished)"
@@ -74,7 +74,7 @@ def test_final_success_shows_each_seed_by_its_run() -> None:
 
 def test_single_test_at_step_zero_can_be_drawn() -> None:
     runs = (run(0, [50], interval=0), run(1, [60], interval=0))
-    for drawing in figures.comparison_figures(compare([Contender("a", runs)])):
+    for drawing in figures.comparison_figures(compare([Contender("a", runs)], "any")):
         low, high = drawing.axes.get_xlim()
         assert low < high
         assert "<svg" in drawing.svg()

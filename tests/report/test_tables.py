@@ -54,7 +54,19 @@ def shown(table: Table) -> str:
 
 def test_run_is_shown_with_the_interval_of_its_success() -> None:
     text = shown(runs_table([RUN]))
-    for part in ("reach-s0-1", "finished", "20,000", "47.2 s", "0.97 [0.92, 0.99]", "0.90", "6,000", "12.0 s"):
+    parts = (
+        "reach-s0-1",
+        "finished",
+        "20,000",
+        "47.2 s",
+        "success end",
+        "0.90 [0.83, 0.94]",
+        "0.97",
+        "steps to .95 end",
+        "6,000",
+        "12.0 s",
+    )
+    for part in parts:
         assert part in text
 
 

@@ -69,7 +69,7 @@ EVIL = "<script>alert(1)</script>\"'><img src=x onerror=alert(2)>"
 
 
 def comparison() -> Comparison:
-    return compare([contender("one", CURVES), contender("two", CURVES[:2])])
+    return compare([contender("one", CURVES), contender("two", CURVES[:2])], "any")
 
 
 def evil() -> Comparison:
@@ -77,4 +77,4 @@ def evil() -> Comparison:
     spec = SPEC | {"agent": {"name": EVIL, EVIL: EVIL}}
     found = contender(EVIL, CURVES, spec=spec, commit=EVIL, versions={EVIL: EVIL}, state=EVIL, error=EVIL)
     runs = tuple(replace(run, summary=replace(run.summary, tags=(EVIL,), note=EVIL)) for run in found.runs)
-    return compare([contender("one", CURVES, versions={EVIL: "1"}), Contender(EVIL, runs, (EVIL,))])
+    return compare([contender("one", CURVES, versions={EVIL: "1"}), Contender(EVIL, runs, (EVIL,))], "any")
