@@ -34,7 +34,10 @@ class ActorCriticSettings(OptimiserSettings):
     clip_targets: bool = Setting(True, description="clip targets to the values that the declared reward range allows")
     action_penalty: float = Setting(0.0, ge=0, description="weight of the mean squared action in the policy loss")
     imitation: float = Setting(
-        0.0, ge=0, description="weight of the squared distance to demonstrated actions that the critics prefer"
+        0.0,
+        ge=0,
+        description="weight of the squared distance to demonstrated actions that the critics prefer; with "
+        "buffer.hindsight.imitate also to actions whose transition got a new goal",
     )
     precision: Precision = Setting("auto", description=PRECISION_MEANS)
 
@@ -148,8 +151,8 @@ class ActorCritic(Agent):
 def imitation_loss(action: Tensor, preferred: Tensor, batch: TensorBatch) -> tuple[Tensor, Tensor]:
     """sum_i d_i p_i |pi(s_i) - a_i|^2 / sum_i d_i, and its gradient 2 d_i p_i (pi(s_i) - a_i) / sum d by pi(s_i).
 
-    d_i: the transition is demonstrated; p_i: the critics prefer a_i. 0 without demonstrations. Source: Nair et al.
-    2018, "Overcoming Exploration in Reinforcement Learning with Demonstrations", equations 3 and 5.
+    d_i: the transition is demonstrated, or relabelled with `hindsight.imitate`; p_i: the critics prefer a_i.
+    Source: Nair et al. 2018, "Overcoming Exploration in Reinforcement Learning with Demonstrations", equations 3 and 5.
 
     Args:
         action: pi(s), (n, a).

@@ -33,7 +33,7 @@ class TensorBatch(NamedTuple):
     weight: Tensor
     """Of each transition in a loss: its importance weight / n. A loss is the weighted sum over the batch."""
     demonstrated: Tensor | None
-    """1 where an expert chose the action, else 0: (n,)."""
+    """1 where the action is to be imitated, else 0: (n,)."""
 
 
 def is_observed(update: int) -> bool:

@@ -44,6 +44,11 @@ class Hindsight:
             description="keep the original goal if the new one is closer than this (in the goal's unit) to the goal "
             "achieved before the transition: nothing moved, so there is nothing to learn; 0: always relabel",
         )
+        imitate: bool = Setting(
+            False,
+            description="relabelled transitions enter the agent's imitation term, as demonstrations do; needs "
+            "agent.imitation",
+        )
 
     def __init__(self, settings: Hindsight.Settings, signature: Signature) -> None:
         if signature.goal_rule is None:

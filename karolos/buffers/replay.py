@@ -108,6 +108,10 @@ class Replay(Buffer):
             self._discounts = self._n_step.extend(rows, slots, relabelled)
         elif self._discounts.size != slots.size:
             self._discounts = np.full(slots.size, self._discount, np.float32)
+        demonstrated = self.storage.demonstrated(slots)
+        if self._hindsight is not None and self._hindsight.settings.imitate:
+            demonstrated = np.zeros(slots.size, np.float32) if demonstrated is None else demonstrated
+            demonstrated[relabelled] = 1
         return Batch(
             observation=rows["observation"],
             desired_goal=rows["desired_goal"],
@@ -118,7 +122,7 @@ class Replay(Buffer):
             discount=self._discounts,
             weight=weights,
             slot=identifiers,
-            demonstrated=self.storage.demonstrated(slots),
+            demonstrated=demonstrated,
         )
 
     def __len__(self) -> int:

@@ -62,7 +62,8 @@ class Batch(NamedTuple):
     slot: NDArray[np.int64]
     """Identifies each transition in the buffer, for `Buffer.update_priorities`."""
     demonstrated: FloatArray | None = None
-    """1 for demonstrations, else 0; None: the buffer holds no demonstrations."""
+    """1 for transitions to imitate, else 0: demonstrations, and relabelled ones if hindsight says so. None: there are
+    no such transitions."""
 
 
 class Rollout(NamedTuple):

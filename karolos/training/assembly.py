@@ -63,9 +63,24 @@ def check_parts(spec: Spec) -> None:
             size = getattr(spec.orchestrator.settings, "size", 1)
             buffer = make_buffer(spec, environment.signature, SeedTree(0), environments=size, discount=agent.discount)
             _check_amounts(spec)
+            _check_imitation(spec)
             _check_demonstrations(spec, environment, buffer)
         finally:
             environment.close()
+
+
+def _check_imitation(spec: Spec) -> None:
+    """Raise a UsageError if relabelled transitions are to be imitated by an agent that does not imitate."""
+    if _imitates_relabelled(spec) and not getattr(spec.agent.settings, "imitation", 0):
+        raise UsageError(
+            f"{spec.agent.name} has no imitation term, so it cannot imitate relabelled transitions",
+            where="buffer.hindsight.imitate",
+            hint="set agent.imitation=1 (sac, td3, ddpg), or remove imitate",
+        )
+
+
+def _imitates_relabelled(spec: Spec) -> bool:
+    return bool(getattr(getattr(spec.buffer.settings, "hindsight", None), "imitate", False))
 
 
 def _check_amounts(spec: Spec) -> None:
@@ -121,11 +136,12 @@ def _check_demonstrations(spec: Spec, environment: Environment, buffer: Buffer) 
     if spec.demonstrations is not None:
         buffer.add_demonstrations(())
         demonstrating_expert(environment)
-    elif getattr(spec.agent.settings, "imitation", 0) > 0:
+    elif getattr(spec.agent.settings, "imitation", 0) > 0 and not _imitates_relabelled(spec):
         raise UsageError(
             "there are no demonstrations to imitate",
             where="agent.imitation",
-            hint="add demonstrations: {episodes: 100}, or set agent.imitation=0",
+            hint="add demonstrations: {episodes: 100}, set buffer.hindsight.imitate=true to imitate relabelled "
+            "transitions, or set agent.imitation=0",
         )
 
 

@@ -183,3 +183,25 @@ def test_the_share_goes_on_in_a_loaded_buffer(buffer: Any) -> None:
     second.load_state(first.state())
     np.testing.assert_array_equal(first.sample(64).observation, second.sample(64).observation)
     assert second.sample(64).demonstrated.sum() == 16
+
+
+@pytest.mark.parametrize("with_demonstrations", [False, True])
+@pytest.mark.parametrize("buffer", BUFFERS)
+def test_relabelled_transitions_are_imitated_if_hindsight_says_so(buffer: Any, with_demonstrations: bool) -> None:
+    plain, imitating = (
+        make(buffer, hindsight={"ratio": 0.5, "min_displacement": 0.0, "imitate": imitate}) for imitate in (False, True)
+    )
+    for made in (plain, imitating):
+        filled(made, 10)
+        if with_demonstrations:
+            made.add_demonstrations(episodes(2))
+    before, after = plain.sample(500), imitating.sample(500)
+    np.testing.assert_array_equal(before.desired_goal, after.desired_goal)
+    demonstrated = before.observation[:, 1] >= 100
+    if with_demonstrations:
+        np.testing.assert_array_equal(before.demonstrated, demonstrated)
+    else:
+        assert before.demonstrated is None
+    relabelled = after.desired_goal[:, 0] == after.observation[:, 1]  # episodes never have their own number as goal
+    assert 0.4 < relabelled.mean() < 0.6
+    np.testing.assert_array_equal(after.demonstrated, demonstrated | relabelled)

@@ -139,3 +139,10 @@ def test_what_is_learned_does_not_depend_on_the_number_of_processes(learner: str
 @pytest.mark.parametrize("learner", LEARNERS)
 def test_new_parts_go_on_bit_for_bit_from_saved_states(learner: str, saved_after: int) -> None:
     assert_same_state(trained(learner, 0), trained(learner, 0, saved_after=saved_after))
+
+
+def test_only_an_agent_with_an_imitation_term_imitates_relabelled_transitions() -> None:
+    parts = {"environment": "toy", "buffer": {"name": "uniform", "hindsight": {"imitate": True}}}
+    check_parts(Spec.from_dict({**parts, "agent": {"name": "sac", "imitation": 1.0}}))
+    with pytest.raises(KarolosError, match="no imitation term, so it cannot imitate relabelled"):
+        check_parts(Spec.from_dict({**parts, "agent": {"name": "sac"}}))
