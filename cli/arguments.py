@@ -104,7 +104,7 @@ def open_run(selector: str, runs: Path, database: str | None) -> RunFolder:
     """
     from karolos.records import RunFolder
 
-    if (Path(selector) / "run.json").is_file():
+    if os.path.isfile(Path(selector) / "run.json"):  # Path.is_file raises for a long name
         return RunFolder.open(selector)
     store, summary = find_run(selector, runs, database)
     store.close()

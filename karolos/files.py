@@ -9,7 +9,10 @@ import contextlib
 import errno
 import json
 import os
+import re
+import shutil
 import sys
+import tempfile
 import time
 from collections.abc import Iterable, Iterator, Mapping
 from pathlib import Path
@@ -71,6 +74,56 @@ def sync_folder(folder: Path) -> None:
             os.fsync(descriptor)
         finally:
             os.close(descriptor)
+
+
+def is_alive(process: int) -> bool:
+    """Whether a process of this machine has this id; always true on Windows, which has no harmless way to ask."""
+    if sys.platform == "win32":
+        return True
+    try:
+        os.kill(process, 0)
+    except (ProcessLookupError, OverflowError):
+        return False
+    except PermissionError:
+        return True
+    return True
+
+
+def remove_leftovers(folder: Path, pattern: str) -> None:
+    """Remove files and folders that dead processes of this user left; what cannot be removed stays.
+
+    Args:
+        folder: where they are.
+        pattern: of their names: a regular expression whose first group is the id of the process.
+    """
+    with contextlib.suppress(OSError):
+        for entry in list(os.scandir(folder)):
+            found = re.fullmatch(pattern, entry.name)
+            if not found or is_alive(int(found[1])):
+                continue
+            with contextlib.suppress(OSError):
+                if hasattr(os, "getuid") and entry.stat(follow_symlinks=False).st_uid != os.getuid():
+                    continue
+                if entry.is_dir(follow_symlinks=False):
+                    shutil.rmtree(entry.path, ignore_errors=True)
+                else:
+                    os.unlink(entry.path)
+
+
+UNFINISHED = r"\..+\.(\d+)\.tmp"
+"""Names of the files that `write_whole` writes beside the old ones."""
+TEMPORARY = r"karolos-(\d+)-.+"
+"""Names of karolos's files and folders in the machine's folder of temporary files."""
+
+
+def temporary_prefix() -> str:
+    """How the names of this process's temporary files and folders begin (TEMPORARY)."""
+    return f"karolos-{os.getpid()}-"
+
+
+def remove_temporary_leftovers() -> None:
+    """Remove the temporary files and folders of karolos processes that were killed."""
+    remove_leftovers(Path(tempfile.gettempdir()), TEMPORARY)
 
 
 def write_whole(path: Path, text: str) -> None:

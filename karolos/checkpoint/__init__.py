@@ -9,7 +9,18 @@ renames, `load` finds the old one in `.<name>.previous`.
 """
 
 from .folder import digest, load, names, read_meta, rename, save
-from .manifest import CheckpointError
+from .manifest import CheckpointError, fitting
 from .state_file import pack_state, unpack_state
 
-__all__ = ["CheckpointError", "digest", "load", "names", "pack_state", "read_meta", "rename", "save", "unpack_state"]
+__all__ = [
+    "CheckpointError",
+    "digest",
+    "fitting",
+    "load",
+    "names",
+    "pack_state",
+    "read_meta",
+    "rename",
+    "save",
+    "unpack_state",
+]

@@ -6,7 +6,8 @@ import hashlib
 import json
 import os
 import re
-from collections.abc import Mapping
+from collections.abc import Iterator, Mapping
+from contextlib import contextmanager
 from pathlib import Path
 from typing import Any
 
@@ -23,6 +24,19 @@ _MANIFEST_BYTES = 1 << 24
 
 class CheckpointError(RunError):
     """A checkpoint that is missing, damaged, from a newer karolos or unsafe to load."""
+
+
+@contextmanager
+def fitting(where: str) -> Iterator[None]:
+    """Turn the error of a part that cannot load the state of a checkpoint into a CheckpointError."""
+    try:
+        yield
+    except (AttributeError, IndexError, KeyError, RuntimeError, TypeError, ValueError) as error:
+        raise CheckpointError(
+            f"its content does not fit the run's spec ({type(error).__name__}: {str(error).splitlines()[0]})",
+            where=where,
+            hint="restore the folder from a copy",
+        ) from error
 
 
 def damaged(path: Path, why: str) -> CheckpointError:

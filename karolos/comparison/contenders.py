@@ -81,9 +81,12 @@ class Contender:
 def gather(store: Store, runs: Sequence[RunSummary], label: str) -> Contender:
     """A contender from runs of one experiment. Of several runs with the same seed, it has the newest finished one.
 
+    Of the runs of a sweep's trial, only those on the seeds that it is reported on count.
+
     Raises:
         UsageError: the runs belong to several experiments, or no run has a test yet.
     """
+    runs, problems = _reporting(store, runs, label)
     experiments = sorted({run.experiment for run in runs})
     if len(experiments) > 1:
         shown = ", ".join(experiment[:12] for experiment in experiments[:LISTED])
@@ -95,7 +98,6 @@ def gather(store: Store, runs: Sequence[RunSummary], label: str) -> Contender:
     chosen: dict[int, RunSummary] = {}
     for run in sorted(runs, key=lambda run: (run.state == "finished", run.created)):
         chosen[run.seed] = run
-    problems = []
     if len(chosen) < len(runs):
         problems.append(
             f"{label}: {len(runs) - len(chosen)} of {len(runs)} runs repeat a seed; of each seed the newest "
@@ -110,6 +112,33 @@ def gather(store: Store, runs: Sequence[RunSummary], label: str) -> Contender:
     if untested:
         problems.append(f"{label}: left out, because they have no test: {', '.join(untested)}")
     return Contender(label, tested, tuple(problems))
+
+
+def _reporting(store: Store, runs: Sequence[RunSummary], label: str) -> tuple[Sequence[RunSummary], list[str]]:
+    """The runs that say how good they are: of a sweep's trial those on its reporting seeds. Adds what to note."""
+    trials = [
+        (record, trial)
+        for record in store.sweeps.all()
+        for trial in record.trials
+        if all(run.name == trial.name for run in runs)
+    ]
+    if not trials:
+        return runs, []
+    record, trial = trials[0]  # of the newest sweep of this name
+    final = record.final if record.final is not None and record.final.chosen == trial.number else None
+    reporting = [run for run in runs if final is not None and run.seed in final.report_seeds]
+    if not reporting:
+        return runs, [
+            f"{label}: the sweep {record.name} tuned or chose its settings by these runs, so their success is biased"
+            " upwards"
+        ]
+    others = sorted({run.seed for run in runs} - {run.seed for run in reporting})
+    if not others:
+        return reporting, []
+    return reporting, [
+        f"{label}: only the seeds that the sweep {record.name} reports on count; it tuned or chose the settings on "
+        + ", ".join(map(str, others))
+    ]
 
 
 def _load(store: Store, run: RunSummary, tests: tuple[TestCounts, ...]) -> ComparedRun:

@@ -70,9 +70,10 @@ class Checkpointer(RunObserver):
 
     def restore(self, training: Training, parts: Mapping[str, State]) -> list[DueTest]:
         """Continue from the parts of a checkpoint `last`; returns the tests that are still to be played."""
-        training.agent.load_state(parts["agent"])
-        training.buffer.load_state(parts["buffer"])
-        training.load_state(parts["training"])
+        with checkpoint.fitting(str(self.folder.checkpoints)):
+            training.agent.load_state(parts["agent"])
+            training.buffer.load_state(parts["buffer"])
+            training.load_state(parts["training"])
         run = parts["run"]
         self.demonstrated = run["demonstrated"]
         self._best = run["best_end"], run["best_any"]

@@ -8,6 +8,7 @@ from pathlib import Path
 from typing import Any, Literal
 
 from ..errors import RunError, UsageError
+from ..files import remove_temporary_leftovers
 from ..orchestrator.auto import cores
 from ..records import RunFolder
 from ..records.labels import Labels
@@ -118,6 +119,7 @@ class Experiment:
             StoreError: the database cannot be used.
         """
         exit_if_imported_by_child()
+        remove_temporary_leftovers()
         if jobs < 1:
             raise UsageError(f"jobs is {jobs}", hint="run at least one seed at a time")
         folder = Path(runs)

@@ -60,6 +60,13 @@ def newest_snapshot(folder: RunFolder) -> Snapshot:
                 where=str(folder.checkpoints / name),
                 hint="an older karolos wrote it: it can be played and tested, but not resumed",
             )
+        wrong = [key for key in ("steps", "updates", "episodes_bytes") if type(meta.get(key)) is not int]
+        if wrong:
+            raise RunError(
+                f"its checkpoint does not say {' and '.join(wrong)} as whole numbers",
+                where=str(folder.checkpoints / name),
+                hint="restore the folder from a copy",
+            )
         return Snapshot(parts, meta, tuple(warnings))
     if warnings:
         raise RunError("no checkpoint can be used: " + "; ".join(warnings), where=folder.id)

@@ -137,6 +137,8 @@ class Run:
             self._announcer.seconds_left = tests.seconds_left
             finished = self._prepare(training) and self._train_and_test(training, tests)
             finished = finished and self._final_test(training, tests)
+        if finished and not training.updates:
+            self._warnings.add("the run made no gradient update", "its policy is that of an untrained agent")
         amounts = training.steps, training.seconds, training.updates
         return Ending("finished", *amounts) if finished else Ending("stopped", *amounts, self.stop.reason)
 

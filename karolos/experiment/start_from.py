@@ -6,6 +6,7 @@ was overwritten since is noticed. The sha256 belongs to the experiment's identit
 
 from __future__ import annotations
 
+import os
 from dataclasses import dataclass, replace
 from pathlib import Path
 
@@ -66,7 +67,7 @@ def find(spec: Spec, runs: Path) -> Start | None:
     if run is None:
         return None
     try:
-        folder = RunFolder.open(Path(run) if Path(run).is_dir() else runs / run)
+        folder = RunFolder.open(Path(run) if os.path.isdir(run) else runs / run)
     except RunError as error:
         raise UsageError(f"{run!r}: {error.what}", where=WHERE, hint=error.hint) from error
     source = Spec.from_dict(folder.spec())
@@ -82,13 +83,15 @@ def find(spec: Spec, runs: Path) -> Start | None:
             where=WHERE,
             hint="set agent.start_sha256=null to start from the present checkpoint, which is another experiment",
         )
-    return Start(folder.id, name, sha256, int(meta["steps"]), parts["agent"])
+    with checkpoint.fitting(str(folder.checkpoints / name)):
+        return Start(folder.id, name, sha256, int(meta["steps"]), parts["agent"])
 
 
 def apply(start: Start, agent: Agent) -> None:
     """Load what was learned into the agent. Raises UsageError if its networks have another shape."""
     try:
-        agent.start_from(start.state)
+        with checkpoint.fitting(f"{start.run}, checkpoint {start.checkpoint}"):
+            agent.start_from(start.state)
     except UsageError as error:
         raise UsageError(error.what, where=WHERE, hint=error.hint) from error
 

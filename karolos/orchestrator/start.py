@@ -11,16 +11,20 @@ import io
 import multiprocessing
 import os
 import pickle
+import shutil
 import sys
+import tempfile
 from collections.abc import Iterator, Sequence
 from contextlib import contextmanager
 from multiprocessing.connection import Connection
 from multiprocessing.context import ForkServerContext, ForkServerProcess, SpawnContext, SpawnProcess
+from multiprocessing.util import Finalize
 from threading import Lock
 from types import ModuleType
 from typing import Any, Literal
 
 from ..errors import PluginError
+from ..files import temporary_prefix
 from .executor import Build
 from .worker import work
 
@@ -92,6 +96,7 @@ def start_worker(number: int, recipe: bytes, ids: Sequence[range], size: int) ->
         name=f"worker {number}",
     )
     try:
+        _name_temporary_folder()
         with fresh_start():
             process.start()
     except BaseException:
@@ -102,6 +107,17 @@ def start_worker(number: int, recipe: bytes, ids: Sequence[range], size: int) ->
         for end in theirs:
             end.close()  # so that the connection ends when the worker does
     return process, [end for end, _ in pairs]
+
+
+def _name_temporary_folder() -> None:
+    """Give multiprocessing a folder for its sockets whose name tells the process, so that a later one can remove it.
+
+    This is multiprocessing.util.get_temp_dir with another name.
+    """
+    config: dict[str, Any] = multiprocessing.current_process()._config  # type: ignore[attr-defined]  # not in typeshed
+    if config.get("tempdir") is None:
+        config["tempdir"] = tempfile.mkdtemp(prefix=temporary_prefix())
+        Finalize(None, shutil.rmtree, args=(config["tempdir"],), kwargs={"ignore_errors": True}, exitpriority=-100)
 
 
 @contextmanager

@@ -13,7 +13,18 @@ from types import TracebackType
 from typing import Any
 
 from ..errors import MachineError, RunError, UsageError
-from ..files import FileLock, append_lines, parse_object, read_lines, read_object, write_json, write_whole, writing
+from ..files import (
+    UNFINISHED,
+    FileLock,
+    append_lines,
+    parse_object,
+    read_lines,
+    read_object,
+    remove_leftovers,
+    write_json,
+    write_whole,
+    writing,
+)
 from . import final_test, labels, provenance
 from .final_test import FinalTest
 from .labels import Labels
@@ -106,6 +117,7 @@ class RunFolder:
         if not self._lock.acquire(LOCK_SECONDS):
             raise RunError("another process is running it", where=self.id, hint="wait for it, or stop it first")
         self._locked_at, self._earlier_seconds = monotonic(), self._stored_state().total_seconds
+        remove_leftovers(self.path, UNFINISHED)
 
     def release(self) -> None:
         """Unlock the run. Safe to call twice."""

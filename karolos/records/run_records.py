@@ -18,6 +18,8 @@ from .results import TestCounts
 NAME = re.compile(r"[A-Za-z0-9][A-Za-z0-9._-]{0,63}")
 ID = re.compile(r"[A-Za-z0-9][A-Za-z0-9._-]{0,199}")
 """A run's id: its name, seed and time."""
+SWEEPS = "sweeps"
+"""Folder of all sweeps in the runs folder; no run has this id."""
 FORMAT = 1
 """Version of the folder's layout, in run.json."""
 STORED_STATES = ("created", "running", "finished", "failed", "stopped")
@@ -212,7 +214,14 @@ def check_name(name: str) -> None:
 
 
 def is_description(run: Mapping[str, Any]) -> bool:
-    """Whether an object has the fields of run.json."""
+    """Whether an object has the fields of run.json, and each has its type."""
+    git, versions, command = (run.get(key) for key in ("git", "versions", "command"))
+    if not (isinstance(git, dict | None) and isinstance(versions, dict | None) and isinstance(command, list | None)):
+        return False
+    if not all(isinstance(text, str) for text in (*(versions or {}).values(), *(command or ()))):
+        return False
+    if not isinstance((git or {}).get("commit"), str | None) or run.get("id") == SWEEPS:
+        return False
     texts = all(isinstance(run.get(key), str) for key in ("name", "experiment", "created"))
     numbers = all(type(run.get(key)) is int for key in ("seed", "format"))
     named = isinstance(run.get("id"), str) and ID.fullmatch(run["id"]) is not None

@@ -12,10 +12,9 @@ from typing import Any, Literal
 from ..errors import MachineError, RunError
 from ..files import FileLock, parse_object, read_lines
 from .decode import from_json
-from .run_records import ID
+from .run_records import ID, SWEEPS
 
-FOLDER = "sweeps"
-"""Folder of all sweeps in the runs folder."""
+FOLDER = SWEEPS
 DESCRIPTION, TRIALS, FINAL = "sweep.json", "trials.jsonl", "final.json"
 FORMAT = 1
 """Version of the folder's layout, in sweep.json."""

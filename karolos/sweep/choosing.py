@@ -7,7 +7,7 @@ Learning and How To Tune Them").
 from __future__ import annotations
 
 import math
-from collections.abc import Sequence
+from collections.abc import Callable, Sequence
 from dataclasses import dataclass
 from itertools import count, islice
 
@@ -20,28 +20,43 @@ from .objectives import directions
 from .pool import Feed, Job, RunPool
 from .study import Study
 
+REPORT_SEED_OFFSET = 2_000_000
+"""Distance of the reporting runs' `testing.seed` from the spec's: nothing was tuned or chosen on their tests."""
+
+
+def for_search(trial: Spec) -> Spec:
+    """A trial's spec without the final test, which says nothing to the search."""
+    return trial.model_copy(update={"testing": trial.testing.model_copy(update={"final_episodes": 0})})
+
+
+def for_report(trial: Spec) -> Spec:
+    """A trial's spec whose tests play other episodes than those it was tuned and chosen on."""
+    seed = trial.testing.seed + REPORT_SEED_OFFSET
+    return trial.model_copy(update={"testing": trial.testing.model_copy(update={"seed": seed})})
+
 
 def choose(
     base: Spec, settings: FinalSettings, study: Study, pool: RunPool, listener: SweepListener, stop: StopRequest
 ) -> SweepFinal | None:
-    """Run the best trials on new seeds, choose the best of them, and run it on further seeds.
+    """Run the best trials on new seeds, choose the best of them, and run it on further seeds and test episodes.
 
+    No seed is one of the sweep or of the spec.
     Uses finished runs of an earlier call. Returns None if every trial failed on the new seeds, or after a stop request.
     """
     sweep = base.sweep
     assert sweep is not None  # it has trials
-    unused = (seed for seed in count() if seed not in sweep.seeds)
+    unused = (seed for seed in count() if seed not in sweep.seeds and seed not in base.seeds)
     seeds = tuple(islice(unused, settings.seeds))
     report_seeds = tuple(islice(unused, settings.report_seeds))
     best = study.ranked()[: settings.top]
     listener(FinalBegan(tuple(trial.number for trial in best), seeds, "choose"))
-    fresh = _values(base, best, seeds, pool, stop)
+    fresh = _values(base, best, seeds, for_search, pool, stop)
     if stop.requested or not fresh:
         return None
     signs = directions(sweep.objectives)
     chosen = min((trial for trial in best if trial.number in fresh), key=lambda one: merit(fresh[one.number], signs))
     listener(FinalBegan((chosen.number,), report_seeds, "report"))
-    reported = _values(base, [chosen], report_seeds, pool, stop)
+    reported = _values(base, [chosen], report_seeds, for_report, pool, stop)
     if stop.requested:
         return None
     assert chosen.values is not None  # it is complete
@@ -49,10 +64,16 @@ def choose(
 
 
 def _values(
-    base: Spec, trials: Sequence[Trial], seeds: tuple[int, ...], pool: RunPool, stop: StopRequest
+    base: Spec,
+    trials: Sequence[Trial],
+    seeds: tuple[int, ...],
+    change: Callable[[Spec], Spec],
+    pool: RunPool,
+    stop: StopRequest,
 ) -> dict[int, tuple[float, ...]]:
-    """The trials' objectives on these seeds, without trials that failed on a seed."""
-    jobs = {trial.number: Job(spec_of_trial(base, trial.drawn, trial.name, seeds, trial.name)) for trial in trials}
+    """The trials' objectives with their specs changed and on these seeds, without trials that failed on a seed."""
+    specs = {trial.number: spec_of_trial(base, trial.drawn, trial.name, seeds, trial.name) for trial in trials}
+    jobs = {number: Job(change(spec)) for number, spec in specs.items()}
     pool.run(_Jobs(list(jobs.values())), stop)
     assert base.sweep is not None  # see `choose`
     values = {number: job.measure(base.sweep) for number, job in jobs.items() if job.finished}

@@ -124,6 +124,7 @@ class Search:
         if best is not None:
             seeds = self.spec.seeds if final is None else final.report_seeds
             spec = spec_of_trial(self.spec, best.drawn, f"{self.spec.name}-best", seeds, best.name)
+            spec = spec if final is None else choosing.for_report(spec)
             folder.write_best(spec, _comment(self.sweep, best, final))
         if best is not None and not stop.requested:  # the figures take seconds, and a resumed sweep draws them
             write_search_figures(

@@ -12,6 +12,7 @@ from ..experiment.signals import StopRequest
 from ..records.sweep_records import Trial, read_sweep
 from ..spec import Spec, Sweep, spec_of_trial
 from ..store import Store
+from .choosing import for_search
 from .events import SweepListener, TrialBegan, TrialEnded
 from .folder import SweepFolder
 from .objectives import nominal_steps, so_far
@@ -78,6 +79,7 @@ class Trials(Feed):
             self.listener(TrialBegan(record))
             try:
                 spec = spec_of_trial(self.base, trial.drawn, record.name, self.sweep.seeds, record.name)
+                spec = for_search(spec)
             except SpecError as error:
                 self._end(trial, error=str(error).replace("\n", "; "))
                 continue

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import math
 from collections.abc import Iterator
 from contextlib import contextmanager
 
@@ -46,11 +47,11 @@ def make_buffer(spec: Spec, signature: Signature, seeds: SeedTree, *, environmen
     return buffer
 
 
-def check_parts(spec: Spec) -> None:
+def check_parts(spec: Spec) -> str | None:
     """Build the spec's parts once, so that parts that do not fit are refused before anything runs.
 
     Builds one environment, the agent and the buffer, and discards them. A world is simulated only if an expert is
-    needed.
+    needed. Returns a note if a run of the spec may make no gradient update.
 
     Raises:
         UsageError: two parts do not fit together; names the setting and where it was set.
@@ -65,6 +66,7 @@ def check_parts(spec: Spec) -> None:
             _check_amounts(spec)
             _check_imitation(spec)
             _check_demonstrations(spec, environment, buffer)
+            return _without_updates(spec, environment.signature.max_steps)
         finally:
             environment.close()
 
@@ -124,6 +126,27 @@ def _check_amounts(spec: Spec) -> None:
             where="agent.minibatches",
             hint="raise buffer.rollout, or lower agent.minibatches",
         )
+
+
+def _without_updates(spec: Spec, max_steps: int) -> str | None:
+    """Why a run whose episodes last `max_steps` makes no gradient update; None if it makes some."""
+    amounts, size = spec.training, getattr(spec.orchestrator.settings, "size", 1)
+    if load("agents", spec.agent.name).on_policy:
+        rollout = getattr(spec.buffer.settings, "rollout", 1) * size
+        if rollout <= amounts.steps:
+            return None
+        return f"a run makes no update: a rollout takes {rollout} steps, and training.steps is {amounts.steps}"
+    if spec.demonstrations is not None and spec.demonstrations.updates:
+        return None
+    if amounts.replay_ratio == 0:
+        return "a run makes no update: training.replay_ratio is 0"
+    warmup = math.ceil(amounts.warmup_episodes / size) * max_steps * size
+    if warmup < amounts.steps:
+        return None
+    return (
+        f"a run may make no update: {amounts.warmup_episodes} warm-up episodes take up to {warmup} steps, and "
+        f"training.steps is {amounts.steps}"
+    )
 
 
 def _is_set(spec: Spec, name: str) -> bool:

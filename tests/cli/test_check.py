@@ -85,3 +85,9 @@ def test_file_names_cannot_write_control_characters(tmp_path):
     path.write_text(GOOD + "name: red\n")
     _, out, _ = call(app, str(path))
     assert "\x1b" not in out
+
+
+def test_an_override_longer_than_a_file_name_is_an_override(specs):
+    code, out, _ = call(app, str(specs / "good.yaml"), "name=" + "x" * 5000)
+    assert code == 2
+    assert "name" in out

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+from types import SimpleNamespace
 from typing import Any, Literal
 
 from pydantic import BaseModel, model_validator
@@ -14,7 +15,7 @@ from karolos.randomization.distribution import Distribution
 class Fake:
     """Can be built from anything, as far as putting a spec's parts together goes."""
 
-    signature = None
+    signature = SimpleNamespace(max_steps=10)
     discount = 0.9
 
     def __init__(self, *_: Any, **__: Any) -> None: ...

@@ -14,6 +14,7 @@ from collections import Counter
 import pytest
 from support.sweep_samples import LEARNING_RATE, sweep_spec
 
+from karolos.comparison import gather
 from karolos.errors import RunError, StoreError, UsageError
 from karolos.experiment.events import RunTested, RunWarned
 from karolos.experiment.experiment import Experiment
@@ -32,7 +33,7 @@ SPEC = sweep_spec(
     trials=TRIALS,
     objective="mean_success_end",
     final={"top": 2, "seeds": 1, "report_seeds": 1},
-)
+) | {"seeds": [2]}
 BEGIN = "import json, sys; from karolos.sweep.search import Search\nif __name__ == '__main__':\n    "
 BEGIN += "Search(json.loads(sys.argv[1])).run('runs')"
 
@@ -79,7 +80,7 @@ def test_a_sweep_that_was_killed_and_lost_a_worker_ends_with_its_trials_and_none
 
 def test_a_sweep_finds_a_better_learning_rate_than_a_bad_default(killed, tmp_path):
     found = []
-    Experiment({key: value for key, value in SPEC.items() if key != "sweep"}).run(
+    Experiment({key: value for key, value in SPEC.items() if key != "sweep"} | {"seeds": [0]}).run(
         tmp_path,
         listener=lambda event: found.append(event.result.success_end) if isinstance(event, RunTested) else None,
     )
@@ -91,7 +92,7 @@ def test_a_sweep_finds_a_better_learning_rate_than_a_bad_default(killed, tmp_pat
 
 def test_the_best_is_chosen_and_reported_on_seeds_it_was_not_tuned_on(killed):
     final = killed.final
-    assert (final.seeds, final.report_seeds) == ((1,), (2,))
+    assert (final.seeds, final.report_seeds) == ((1,), (3,))  # 0 tuned it, and 2 is the spec's own
     assert len(final.fresh) == 2
     assert final.fresh[final.chosen] == max(final.fresh.values())
     row = json.loads((killed.folder / "final.json").read_text())
@@ -102,8 +103,27 @@ def test_the_best_trial_is_a_spec_that_runs(killed):
     spec = load_spec(killed.folder / "best.yaml")
     assert spec.agent.settings.learning_rate == killed.best.drawn["agent.learning_rate"]
     assert (spec.name, spec.seeds, spec.sweep) == ("line-best", killed.final.report_seeds, None)
-    trial = RunFolder.open(next(killed.folder.parents[1].glob(f"{killed.best.name}-s0-*")))
-    assert trial.description()["experiment"] == spec.hash()
+    reported = RunFolder.open(next(killed.folder.parents[1].glob(f"{killed.best.name}-s3-*")))
+    assert reported.description()["experiment"] == spec.hash()
+
+
+def test_the_best_is_reported_on_test_episodes_it_was_not_tuned_on_and_ends_with_a_final_test(killed):
+    runs = killed.folder.parents[1]
+    tuned, chosen, reported = (RunFolder.open(next(runs.glob(f"{killed.best.name}-s{seed}-*"))) for seed in (0, 1, 3))
+    assert [folder.spec()["testing"]["seed"] for folder in (tuned, chosen, reported)] == [0, 0, 2_000_000]
+    assert [folder.final() is not None for folder in (tuned, chosen, reported)] == [False, False, True]
+
+
+def test_only_the_reporting_seeds_of_a_trial_are_compared(killed):
+    with Store(Store.default_url(killed.folder.parents[1])) as store:
+        best = gather(store, store.runs(name=killed.best.name), "best")
+        assert [run.summary.seed for run in best.runs] == [3]
+        [problem] = best.problems
+        assert "only the seeds that the sweep line reports on count" in problem
+        assert problem.endswith("on 0, 1")
+        other = next(trial for trial in killed.trials if trial.number != killed.best.number)
+        [problem] = gather(store, store.runs(name=other.name), "other").problems
+        assert "biased upwards" in problem
 
 
 def test_a_sweep_that_has_its_trials_runs_nothing_more(killed):

@@ -13,6 +13,7 @@ from xml.etree.ElementTree import Element
 
 from ...core import Array
 from ...errors import MachineError, PluginError
+from ...files import temporary_prefix
 from ..geometry import Vector
 from ..interface.engine import FLOOR_FRICTION, GRAVITY, Camera, Colour, Contact, Fingers, JointLimits
 from ..interface.engine import Body as AnyBody
@@ -129,7 +130,7 @@ class World:
         self.floor.set_friction(friction)
 
     def load(self, robot: Element, *, position: Vector = (0.0, 0.0, 0.0)) -> Body:
-        handle, path = tempfile.mkstemp(suffix=".urdf")
+        handle, path = tempfile.mkstemp(prefix=temporary_prefix(), suffix=".urdf")
         try:
             with os.fdopen(handle, "wb") as file:
                 file.write(ElementTree.tostring(robot))

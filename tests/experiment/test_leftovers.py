@@ -1,0 +1,160 @@
+"""What killed processes leave behind, and folders whose content is crafted."""
+
+from __future__ import annotations
+
+import json
+import os
+import subprocess
+import sys
+import tempfile
+from collections.abc import Callable
+from pathlib import Path
+from typing import Any
+
+import pytest
+
+from karolos import checkpoint
+from karolos.errors import KarolosError, RunError, UsageError
+from karolos.evaluation.policies import load_agent
+from karolos.experiment.experiment import Experiment, resume_run
+from karolos.files import is_alive, remove_temporary_leftovers
+from karolos.records import RunFolder
+from karolos.store import Store
+
+TOY: dict[str, Any] = {
+    "name": "toy",
+    "environment": "toy",
+    "agent": {"name": "sac", "hidden": [8]},
+    "buffer": {"name": "uniform", "capacity": 1000},
+    "orchestrator": {"processes": 0, "environments": 2},
+    "training": {"steps": 80, "batch_size": 8, "replay_ratio": 4, "warmup_episodes": 2},
+    "testing": {"interval": 40, "episodes": 2},
+}
+KILLED = """
+import os
+from karolos.experiment.events import RunTested
+from karolos.experiment.experiment import Experiment
+
+def listen(event):
+    if isinstance(event, RunTested):
+        os.kill(os.getpid(), 9)
+
+Experiment({spec!r}).run("runs", listener=listen)
+"""
+
+
+@pytest.fixture
+def dead() -> int:
+    with subprocess.Popen([sys.executable, "-c", ""]) as process:
+        pass
+    assert not is_alive(process.pid)
+    return process.pid
+
+
+@pytest.fixture
+def folder(tmp_path: Path) -> RunFolder:
+    return RunFolder.open(Experiment(TOY).run(tmp_path).runs[0].folder)
+
+
+def test_a_resumed_run_removes_files_that_its_killed_process_did_not_finish(folder: RunFolder, dead: int) -> None:
+    ours = folder.path / f".state.json.{dead}.tmp"
+    others = folder.path / f".labels.json.{os.getpid()}.tmp"
+    for path in (ours, others):
+        path.write_text("{")
+    folder.set_state("running")
+    resume_run(folder, Store.default_url(folder.path.parent))
+    assert not ours.exists()
+    assert others.exists()
+
+
+def test_temporary_files_of_killed_processes_only_are_removed(
+    tmp_path: Path, dead: int, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    monkeypatch.setattr(tempfile, "tempdir", str(tmp_path))
+    left, used, foreign = (tmp_path / name for name in (f"karolos-{dead}-a", f"karolos-{os.getpid()}-a", "pymp-a"))
+    for path in (left, used, foreign):
+        path.mkdir()
+        (path / "listener").touch()
+    (tmp_path / f"karolos-{dead}-b.urdf").touch()
+    remove_temporary_leftovers()
+    assert sorted(tmp_path.iterdir()) == sorted((used, foreign))
+
+
+def test_workers_and_robots_leave_only_what_the_next_start_removes(tmp_path: Path) -> None:
+    spec = TOY | {
+        "robot": {"name": "panda", "control": "cartesian"},
+        "task": {"name": "reach", "max_steps": 5},
+        "environment": "robot_task",
+        "orchestrator": {"processes": 1, "environments": 2},
+        "training": TOY["training"] | {"steps": 20, "warmup_episodes": 1},
+    }
+    script = tmp_path / "script.py"
+    script.write_text(KILLED.format(spec=spec))
+    with tempfile.TemporaryDirectory(prefix="k") as place:  # the path of a socket is short
+        environment = os.environ | {"TMPDIR": place}
+        done = subprocess.run(
+            [sys.executable, script], cwd=tmp_path, env=environment, capture_output=True, timeout=120, check=False
+        )
+        assert done.returncode == -9, done.stderr
+        left = list(Path(place).iterdir())
+    assert left
+    assert all(path.name.startswith("karolos-") for path in left)
+
+
+@pytest.mark.parametrize(
+    "change",
+    [
+        {"versions": ["numpy"]},
+        {"versions": {"numpy": 2}},
+        {"command": 5},
+        {"command": [1]},
+        {"git": "abc"},
+        {"git": {"commit": 7}},
+        {"id": "sweeps"},
+        {"seed": "1"},
+        {"created": None},
+    ],
+)
+def test_a_run_json_with_other_types_is_damaged_in_one_line(folder: RunFolder, change: dict[str, Any]) -> None:
+    path = folder.path / "run.json"
+    path.write_text(json.dumps(json.loads(path.read_text()) | change))
+    with pytest.raises(RunError, match=r"run\.json is damaged"):
+        RunFolder.open(folder.path)
+
+
+def crafted(folder: RunFolder, name: str, change: Callable[[dict[str, Any], dict[str, Any]], object]) -> None:
+    """Write a checkpoint again, with another content."""
+    parts, meta = checkpoint.load(folder.checkpoints, name)
+    change(parts, meta)
+    checkpoint.save(folder.checkpoints, name, parts, meta)
+
+
+@pytest.mark.parametrize(
+    "change",
+    [
+        lambda parts, _: parts["agent"].clear(),
+        lambda parts, _: parts["agent"].update(dict.fromkeys(parts["agent"], 5)),
+        lambda _, meta: meta.pop("steps"),
+        lambda _, meta: meta.update(seconds="long"),
+    ],
+)
+def test_a_crafted_checkpoint_is_one_clear_error(folder: RunFolder, change: Any) -> None:
+    crafted(folder, "best", change)
+    with pytest.raises(KarolosError, match="does not hold this agent"):
+        load_agent(folder, "best")
+
+
+@pytest.mark.parametrize(
+    "change", [lambda _, meta: meta.pop("updates"), lambda _, meta: meta.update(episodes_bytes="1")]
+)
+def test_a_crafted_checkpoint_is_not_resumed(folder: RunFolder, change: Any) -> None:
+    crafted(folder, "last", change)
+    folder.set_state("running")
+    with pytest.raises(RunError, match="as whole numbers"):
+        resume_run(folder, Store.default_url(folder.path.parent))
+
+
+def test_a_long_name_of_a_run_to_start_from_is_refused(tmp_path: Path) -> None:
+    spec = TOY | {"agent": TOY["agent"] | {"start_from": "x" * 300}}
+    with pytest.raises(UsageError, match="not a run folder"):
+        Experiment(spec).run(tmp_path)
