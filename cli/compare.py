@@ -34,17 +34,34 @@ def compare(
         Literal["any", "end"],
         typer.Option(help="Count success at any step of an episode or at its end, for curves and thresholds."),
     ] = "end",
-    html: Annotated[Path | None, typer.Option(help="Page to write, with every figure. It needs no network.")] = None,
-    figures: Annotated[Path | None, typer.Option(help="Folder to write the figures into, as SVG, PDF and PNG.")] = None,
+    label: Annotated[
+        list[str] | None, typer.Option(help="Name of an experiment in tables and figures; once for each, in order.")
+    ] = None,
+    out: Annotated[
+        list[Path] | None,
+        typer.Option(
+            help="What to write: FILE.html, a page with every figure that needs no network; or a folder for the "
+            "figures as SVG, PDF and PNG. May be repeated."
+        ),
+    ] = None,
+    width: Annotated[float, typer.Option(min=1, max=40, help="Width of a figure in the folder, in inches.")] = 4.8,
+    font: Annotated[float, typer.Option(min=2, max=60, help="Size of the text in these figures, in points.")] = 9,
+    html: Annotated[Path | None, typer.Option(hidden=True)] = None,
+    figures: Annotated[Path | None, typer.Option(hidden=True)] = None,
 ) -> None:
     """Compare experiments: success with its interval, steps and time to 50 and 90 %, cost, settings that differ."""
     from karolos.comparison import compare as compare_contenders
     from karolos.comparison import gather
 
+    for path in out or ():
+        if path.suffix == ".html":
+            html = path
+        else:
+            figures = path
     _check_targets(html, figures)
     with existing_store(experiments[0], runs, database) as store:
         selected = [select(store, selector) for selector in experiments]
-        labels = _labels(experiments, selected)
+        labels = _chosen(label, experiments) if label else _labels(experiments, selected)
         contenders = [gather(store, found, label) for found, label in zip(selected, labels, strict=True)]
     comparison = compare_contenders(contenders, metric)
     for warning in comparison.warnings:
@@ -64,7 +81,7 @@ def compare(
         write_page(comparison, drawings, html)
         say(f"wrote {html}")
     if figures is not None:
-        files = write_figures(drawings, figures)
+        files = write_figures(drawings, figures, width=width, font=font)
         say(f"wrote {len(files)} files into {figures}")
 
 
@@ -74,7 +91,18 @@ def _check_targets(html: Path | None, figures: Path | None) -> None:
         wrong = "is a folder" if html.is_dir() else f"there is no folder {html.parent}"
         raise UsageError(f"{html} cannot be written: {wrong}", hint="name a file in an existing folder")
     if figures is not None and figures.exists() and not figures.is_dir():
-        raise UsageError(f"{figures} is a file", hint="--figures takes a folder")
+        raise UsageError(f"{figures} is a file", hint="name a folder, or a page FILE.html")
+
+
+def _chosen(labels: Sequence[str], experiments: Sequence[str]) -> list[str]:
+    """The labels that somebody chose. Raises UsageError unless there is a distinct one for each experiment."""
+    if len(labels) != len(experiments) or len(set(labels)) < len(labels):
+        raise UsageError(
+            f"{len(set(labels))} different labels for {len(experiments)} experiments",
+            where="--label",
+            hint="give --label once for each experiment, in their order",
+        )
+    return list(labels)
 
 
 def _labels(selectors: Sequence[str], selected: Sequence[Sequence[RunSummary]]) -> list[str]:

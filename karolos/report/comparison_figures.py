@@ -13,7 +13,7 @@ from ..comparison.curves import Axis, places
 from ..core.seeding import SeedTree
 from ..files import writing
 from ..statistics import aggregates
-from .figures import COLOURS, Drawing, look, short, style
+from .figures import COLOURS, FONT, WIDTH, Drawing, look, short, style
 
 _Floats = NDArray[np.float64]
 _SECONDS = ((7200, 3600, "h"), (120, 60, "min"), (0, 1, "s"))
@@ -31,14 +31,24 @@ def comparison_figures(comparison: Comparison) -> list[Drawing]:
     ]
 
 
-def write_figures(drawings: Sequence[Drawing], folder: Path) -> tuple[Path, ...]:
+def write_figures(
+    drawings: Sequence[Drawing], folder: Path, *, width: float = WIDTH, font: float = FONT
+) -> tuple[Path, ...]:
     """Write figures into `folder`, which is made if it is missing, as SVG, PDF and PNG; returns the files.
+
+    Args:
+        drawings: the figures. They keep the size that they are written in.
+        folder: of the files.
+        width: of a figure in inches; the height follows.
+        font: size of the text in points; titles are a little larger.
 
     Raises:
         MachineError: they cannot be written.
     """
     with writing(folder):
         folder.mkdir(parents=True, exist_ok=True)
+    for drawing in drawings:
+        drawing.resize(width, font)
     return tuple(path for drawing in drawings for path in drawing.write(folder))
 
 

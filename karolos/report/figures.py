@@ -25,8 +25,12 @@ COLOURS = ("#0072b2", "#bf4a00", "#00805c", "#a03a80", "#8a6a00", "#5a5a5a")
 stands out from white by 4.5 : 1, as text must."""
 DASHES: tuple[tuple[float, ...], ...] = ((), (5, 2), (1.5, 1.5))
 """Dash patterns of the contenders: solid for the first six, dashed for the next six, then dotted."""
+WIDTH, HEIGHT = 4.8, 3.4
+"""Of a figure, in inches."""
+FONT = 9
+"""Size of its text, in points."""
 LOOK: dict[Any, Any] = {
-    "font.size": 9,
+    "font.size": FONT,
     "axes.titlesize": 10,
     "axes.titleweight": "bold",
     "axes.titlelocation": "left",
@@ -107,7 +111,7 @@ class Drawing:
         from matplotlib.figure import Figure  # noqa: PLC0415  (takes half a second)
 
         self.name, self.title, self.caption, self.series = name, title, caption, series
-        self.figure = Figure(figsize=(4.8, 3.4), layout="constrained")
+        self.figure = Figure(figsize=(WIDTH, HEIGHT), layout="constrained")
         self.axes = self.figure.add_subplot()
         self.axes.set_title(short(title, 44))
         self.parts: dict[str, tuple[str, str]] = {}
@@ -129,6 +133,18 @@ class Drawing:
             assert line is not None
             self.part(line, f"series-{series}")
             self.part(text, f"series-{series}")
+
+    def resize(self, width: float, font: float) -> None:
+        """Set the width in inches, keeping the proportions, and the size of the text in points."""
+        from matplotlib.text import Text  # noqa: PLC0415
+
+        if (width, font) == (WIDTH, FONT):
+            return
+        self.figure.set_size_inches(width, width * HEIGHT / WIDTH)
+        for text in self.figure.findobj(Text):
+            assert isinstance(text, Text)
+            text.set_fontsize(float(text.get_fontsize()) * font / FONT)
+        self.axes.tick_params(labelsize=font)  # of ticks that do not exist yet
 
     def write(self, folder: Path) -> list[Path]:
         """Write the figure into a folder in every format; returns the files."""

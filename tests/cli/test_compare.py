@@ -149,13 +149,36 @@ def test_page_and_figures_are_written(runs: Path, tmp_path: Path) -> None:
     add_run(runs, 1)
     index(runs)
     page, figures = tmp_path / "page.html", tmp_path / "figures"
-    code, _, err = call(app, "compare", "reach", "--runs", str(runs), "--html", str(page), "--figures", str(figures))
+    code, _, err = call(app, "compare", "reach", "--runs", str(runs), "--out", str(page), "--out", str(figures))
     assert (code, err) == (0, f"wrote {page}\nwrote 15 files into {figures}\n")
     text = page.read_text()
     assert "&lt;script&gt;alert(1)&lt;/script&gt;" in text
     assert "&lt;img src=x&gt;" in text
     assert "<script" not in text
     assert len(list(figures.iterdir())) == 15
+
+
+def test_labels_name_the_experiments_in_table_and_figures(runs: Path, tmp_path: Path) -> None:
+    add_run(runs, 0)
+    add_run(runs, 0, name="better", experiment=B)
+    index(runs)
+    both = ("compare", "reach", "better", "--runs", runs)
+    assert [row["label"] for row in rows(*both, "--label", "plain", "--label", "ours")] == ["plain", "ours"]
+    assert "--label: 1 different labels for 2 experiments" in refused(*both, "--label", "one")
+    assert "--label: 1 different labels for 2 experiments" in refused(*both, "--label", "one", "--label", "one")
+
+
+def test_figures_have_the_chosen_width_and_font_and_keep_their_text(runs: Path, tmp_path: Path) -> None:
+    add_run(runs, 0)
+    index(runs)
+    options = ("--out", str(tmp_path / "small"), "--width", "2.4", "--font", "6")
+    code, _, err = call(app, "compare", "reach", "--runs", str(runs), *options)
+    assert code == 0, err
+    drawn = (tmp_path / "small" / "success_over_steps.svg").read_text()
+    assert 'width="172.8pt"' in drawn  # 2.4 inches
+    assert "6px" in drawn
+    assert "9px" not in drawn
+    assert "success ratio at the end of the episode" in drawn
 
 
 def test_arguments_that_cannot_be_meant_are_refused(runs: Path, tmp_path: Path) -> None:
@@ -171,11 +194,11 @@ def test_arguments_that_cannot_be_meant_are_refused(runs: Path, tmp_path: Path) 
     assert "means no run" in refused("compare", "nothing", *there)
     assert "'a1a1a1' and 'a1a1a1a1' mean the same runs" in refused("compare", "a1a1a1", "a1a1a1a1", *there)
     assert "new has no test yet" in refused("compare", "new", *there)
-    assert "there is no folder" in refused("compare", "a1a1a1", *there, "--html", tmp_path / "no" / "page.html")
+    assert "there is no folder" in refused("compare", "a1a1a1", *there, "--out", tmp_path / "no" / "page.html")
     assert "is a folder" in refused("compare", "a1a1a1", *there, "--html", tmp_path)
     file = tmp_path / "toy.yaml"
     file.write_text("environment: toy\nagent: sac\n")
-    assert "is a file" in refused("compare", "a1a1a1", *there, "--figures", file)
+    assert "is a file" in refused("compare", "a1a1a1", *there, "--out", file)
     assert "there are no runs of" in refused("compare", file, *there)
 
 
