@@ -6,6 +6,7 @@
     code.diff       how the code differed from that commit
     state.json      state, steps, seconds, attempt, error; replaced as a whole
     tests.jsonl     one line per test
+    final.jsonl     the final test, of last and of best
     events.jsonl    one line per event
     episodes.jsonl  one line per training episode, with what domain randomization drew
     tensorboard/    scalars
