@@ -5,9 +5,11 @@ from __future__ import annotations
 import gc
 import sys
 import traceback
+from typing import Annotated
 
 import typer
 
+from karolos import __version__
 from karolos.errors import KarolosError, PluginError
 
 from . import bench, db, inspect, plugins, runs, spec, sweeps
@@ -52,8 +54,18 @@ app.command()(board)
 app.add_typer(bench.app)
 
 
+def _print_version(asked: bool) -> None:
+    if asked:
+        print(f"karolos {__version__}")
+        raise typer.Exit
+
+
 @app.callback(invoke_without_command=True)
-def root() -> None:
+def root(
+    version: Annotated[
+        bool, typer.Option("--version", callback=_print_version, is_eager=True, help="Print the version and exit.")
+    ] = False,
+) -> None:
     """Declarative reinforcement-learning experiments on robot-task environments."""
 
 

@@ -73,6 +73,8 @@ def resume(
 
     folder = open_run(run, runs, database)
     home = folder.path.resolve().parent
+    if folder.state().state == "finished" and not quiet:
+        say(f"{folder.id} is finished: nothing to do")
     with choose_display(quiet=quiet) as display:
         outcome = resume_run(
             folder, database or Store.default_url(home), time_limit=seconds(time_limit), listener=display
@@ -92,4 +94,7 @@ def report(outcome: Outcome, runs: Path, *, quiet: bool, json: bool) -> NoReturn
         if begun:
             plays = ", `karolos play @last` shows it" if begun[-1].success_any is not None else ""
             say(f"results in {runs}; `karolos runs show {begun[-1].run}` shows more{plays}")
+        stopped = [run.run for run in outcome.runs if run.state == "stopped"]
+        for run in stopped:
+            say(f"{run} is stopped: `karolos resume {run}` continues it")
     raise typer.Exit(outcome.exit_code)

@@ -1,0 +1,31 @@
+"""What `karolos` says about itself and about runs that ended."""
+
+from __future__ import annotations
+
+from pathlib import Path
+
+import pytest
+import typer
+from karolos_cli.main import app
+from karolos_cli.run import report
+from support.compared_runs import run
+from support.run_commands import add_run, call
+
+from karolos import __version__
+from karolos.experiment.experiment import Outcome
+
+
+def test_version_is_printed() -> None:
+    assert call(app, "--version").stdout == f"karolos {__version__}\n"
+
+
+def test_resume_of_a_finished_run_says_that_there_is_nothing_to_do(tmp_path: Path) -> None:
+    name = add_run(tmp_path, 0)
+    assert f"{name} is finished: nothing to do" in call(app, "resume", tmp_path / name).stderr
+
+
+def test_a_stopped_run_is_shown_with_the_command_that_continues_it(capsys: pytest.CaptureFixture[str]) -> None:
+    stopped = run(0, [10], state="stopped").summary
+    with pytest.raises(typer.Exit):
+        report(Outcome((stopped,), 1, 130), Path("runs"), quiet=False, json=False)
+    assert "`karolos resume reach-s0` continues it" in capsys.readouterr().err
