@@ -22,6 +22,8 @@ from operator import ge, gt, le, lt
 from typing import Any, NoReturn
 
 from ..errors import UsageError
+from ..records.run_records import STATES
+from ..registry import alternatives
 
 LONGEST = 10_000
 """Characters of a filter."""
@@ -53,7 +55,7 @@ class Filter:
         return frozenset(comparison.key for comparison in self.comparisons)
 
     def refuse_unknown(self, known: Callable[[str], bool], closest: Callable[[str], str | None]) -> None:
-        """Raise a UsageError at the first unknown key.
+        """Raise a UsageError at the first unknown key, or at a state that does not exist.
 
         Args:
             known: whether a key is known.
@@ -64,6 +66,11 @@ class Filter:
                 like = closest(comparison.key)
                 hint = f"did you mean {like}?" if like else "`karolos runs show RUN` shows the keys"
                 _refuse(f"no run has {comparison.key!r}", comparison.column, hint)
+            if comparison.key == "state" and comparison.operator in {"=", "!=", "in"}:
+                for literal in comparison.literals:
+                    if literal.value is not None and literal.text not in STATES:
+                        hint = alternatives(literal.text, STATES, what="states")
+                        _refuse(f"{literal.text!r} is not a state", comparison.column, hint)
 
 
 def parse(text: str) -> Filter:

@@ -170,3 +170,12 @@ def test_any_text_is_read_or_refused(text: str) -> None:
 def test_text_in_quotes_is_taken_as_it_stands(text: str) -> None:
     quoted = text.replace("\\", "\\\\").replace('"', '\\"')
     assert parse(f'note="{quoted}"').matches({"note": text})
+
+
+@pytest.mark.parametrize("text", ["state=finisched", "task=reach and state in (failed, finisched)"])
+def test_state_that_does_not_exist_is_refused_with_the_closest(text: str) -> None:
+    with pytest.raises(UsageError, match=r"'finisched' is not a state.*did you mean 'finished'"):
+        parse(text).refuse_unknown(lambda _: True, lambda _: None)
+    parse("state=finished or state in (failed, lost) or state=null or state~fin").refuse_unknown(
+        lambda _: True, lambda _: None
+    )
