@@ -22,8 +22,7 @@ from karolos.experiment.events import (
     RunWarned,
 )
 
-from .output import say
-from .sweep import drawn_text
+from .output import drawn_text, say
 
 if TYPE_CHECKING:
     from karolos.records.final_test import FinalTest

@@ -15,6 +15,7 @@ if TYPE_CHECKING:
     from rich.table import Table as RichTable
 
     from karolos.records.results import TestCounts
+    from karolos.records.sweep_records import Trial
 
 _STATE_STYLES = {
     "finished": "green",
@@ -155,3 +156,9 @@ def _csv_cell(value: Any) -> object:
         return value
     text = clean(value, allowed="\n")
     return f"'{text}" if text.startswith(("=", "+", "-", "@")) else text
+
+
+def drawn_text(trial: Trial) -> str:
+    """The settings of a trial in one line."""
+    texts = {key: f"{value:.4g}" if isinstance(value, float) else value for key, value in trial.drawn.items()}
+    return ", ".join(f"{key}={text}" for key, text in texts.items())

@@ -14,7 +14,7 @@ import typer
 from karolos.errors import MachineError, SpecError, UsageError
 
 from .arguments import Database, Json, Overrides, Quiet, Runs, TimeLimit, seconds
-from .output import print_rows, say
+from .output import drawn_text, print_rows, say
 
 if TYPE_CHECKING:
     from karolos.records.sweep_records import SweepFinal, Trial
@@ -75,12 +75,6 @@ def report(outcome: SweepOutcome, *, quiet: bool, json: bool) -> None:
         for trial in outcome.front if len(objectives) > 1 else ():
             say(f"no trial is better than trial {trial.number} in every objective: {drawn_text(trial)}")
         report_best(outcome.best, outcome.final, objectives, outcome.folder)
-
-
-def drawn_text(trial: Trial) -> str:
-    """The settings of a trial in one line."""
-    texts = {key: f"{value:.4g}" if isinstance(value, float) else value for key, value in trial.drawn.items()}
-    return ", ".join(f"{key}={text}" for key, text in texts.items())
 
 
 def trial_row(

@@ -10,8 +10,8 @@ import typer
 from karolos.errors import UsageError
 
 from .arguments import Database, Json, Runs, open_store
-from .output import print_rows, say
-from .sweep import drawn_text, report_best, trial_row
+from .output import drawn_text, print_rows, say
+from .sweep import report_best, trial_row
 
 if TYPE_CHECKING:
     from karolos.records.sweep_records import SweepRecord

@@ -99,20 +99,20 @@ def hindsight() -> dict[str, Any]:
 
 
 def _test(model: Any, environment: Any, episodes: int, seed: int) -> dict[str, float]:
-    """Mean return, and fraction of episodes with success at some step, of the deterministic policy."""
+    """Mean return, and fraction of episodes with success at the end, of the deterministic policy."""
     results = [play(model, environment, 10_000 * (seed + 1) + episode) for episode in range(episodes)]
     environment.close()
     return dict(zip(("return", "success"), map(fmean, zip(*results, strict=True)), strict=True))
 
 
 def play(model: Any, environment: Any, seed: int) -> tuple[float, bool]:
-    """Return of an episode of the deterministic policy, and whether some step of it is a success."""
+    """Return of an episode of the deterministic policy, and whether its last step is a success."""
     observation, _ = environment.reset(seed=seed)
     total, success, over = 0.0, False, False
     while not over:
         action, _ = model.predict(observation, deterministic=True)
         observation, reward, terminated, truncated, info = environment.step(action)
         total += float(reward)
-        success |= bool(info.get("is_success", False))
+        success = bool(info.get("is_success", False))
         over = bool(terminated or truncated)
     return total, success

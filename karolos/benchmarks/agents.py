@@ -18,7 +18,7 @@ from ..experiment.experiment import Experiment
 from ..files import write_json, write_whole
 from ..records import RunFolder, scan
 from ..registry import alternatives, names
-from ..spec import Spec, load_spec
+from ..spec import Spec, load_spec, spec_from_dict
 from . import agent_peers
 from .side_by_side import Row
 
@@ -176,7 +176,7 @@ def _value(spec: Spec, seed: int, unit: str, folder: Path, listener: Listener | 
     """The figure of this seed's last test; the seed is run unless its finished run is in `folder`."""
     found = _finished(spec, seed, folder)
     if found is None:
-        one = Spec.from_dict({**spec.dump(), "seeds": [seed]})
+        one = spec_from_dict({**spec.dump(), "seeds": [seed]})
         Experiment(one).run(folder, listener=listener)
         found = _finished(spec, seed, folder)
     if found is None:

@@ -20,7 +20,7 @@ from ..core import Discrete, Signature, Transitions
 from ..core.seeding import SeedTree
 from ..environments.build import build_environment
 from ..registry import load
-from ..spec import Spec
+from ..spec import spec_from_dict
 from .side_by_side import Row, take_turns
 
 NAME = "buffers"
@@ -38,7 +38,7 @@ def measure(*, transitions: int = 1_000_000, seconds: float = 10.0) -> Iterator[
         transitions: number of transitions in each buffer.
         seconds: for all measurements of time together; filling the buffers comes on top.
     """
-    environment = build_environment(Spec.from_dict(dict(SPEC)).recipe(randomize=False))
+    environment = build_environment(spec_from_dict(dict(SPEC)).recipe(randomize=False))
     signature = environment.signature
     environment.close()
     hindsight = {"strategy": "future", "ratio": 0.8}

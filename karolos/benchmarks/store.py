@@ -24,7 +24,7 @@ from ..records import RunFolder
 from ..records.provenance import versions
 from ..records.results import TestResult, encode_test
 from ..records.run_records import FORMAT, RunState
-from ..spec import Spec
+from ..spec import spec_from_dict
 from ..store import Store, check, reindex
 from .side_by_side import Row
 
@@ -144,7 +144,7 @@ def _run_id(index: int) -> str:
 def make_runs(folder: Path, runs: int, tests: int, episodes: int) -> None:
     """Write the folders of finished runs, SEEDS per experiment, with learning rates of 1e-4 and more."""
     curves = [_curve(index, tests, episodes) for index in range(min(CURVES, runs))]
-    spec = Spec.from_dict(dict(SPEC)).dump()
+    spec = spec_from_dict(dict(SPEC)).dump()
     software = versions()
     for index in range(runs):
         experiment, seed = divmod(index, SEEDS)

@@ -25,7 +25,7 @@ from ..orchestrator.local import Local
 from ..orchestrator.start import fresh_start
 from ..orchestrator.worker import isolate
 from ..records.results import TestResult
-from ..spec import Spec
+from ..spec import Spec, spec_from_dict
 from ..training.assembly import make_agent, make_orchestrator
 from .testing import play_episodes
 
@@ -167,7 +167,7 @@ def _serve(connection: Connection, resolved: dict[str, Any], layout: dict[str, A
         os.nice(NICENESS)
     with connection, suppress(EOFError, ConnectionError):
         try:
-            spec = Spec.from_dict(resolved)
+            spec = spec_from_dict(resolved)
             use_threads(spec.training.threads or 1)
             with _make_orchestrator(spec, layout) as orchestrator:
                 _play_tests(connection, spec, orchestrator)

@@ -19,7 +19,7 @@ from ..environments.robot_task import RobotTask
 from ..errors import MachineError, RunError, UsageError
 from ..records import RunFolder
 from ..registry import load
-from ..spec import Spec
+from ..spec import Spec, spec_from_dict
 from ..store import Store
 
 
@@ -102,7 +102,7 @@ def load_agent(folder: RunFolder, name: str = "best") -> SavedAgent:
     resolved = folder.spec()
     if not resolved:
         raise RunError("resolved.json is missing or damaged", where=folder.id, hint="restore the folder from a copy")
-    spec = Spec.from_dict(resolved)
+    spec = spec_from_dict(resolved)
     parts, meta = checkpoint.load(folder.checkpoints, name, only={"agent"})
     signature = signature_of(spec)
     agent: Agent = load("agents", spec.agent.name)(spec.agent.settings, signature, SeedTree(0), "cpu")

@@ -12,7 +12,7 @@ from ..records import RunFolder, provenance, transfer_results
 from ..records.results import TestCounts, TestResult
 from ..records.run_records import timestamp
 from ..records.transfer_results import TransferResult
-from ..spec import Spec
+from ..spec import Spec, spec_from_dict
 from ..training.assembly import located, make_orchestrator
 from .policies import SavedAgent, load_agent, signature_of
 from .testing import play_episodes, test_seeds
@@ -56,7 +56,7 @@ def transfer_test(
 
     _check_keys(overrides)
     saved = load_agent(folder, checkpoint)
-    spec = Spec.from_dict(saved.spec.dump(), overrides)
+    spec = spec_from_dict(saved.spec.dump(), overrides)
     _check_randomization(spec, overrides, randomize=randomize)
     with located(spec):
         _check_layouts(spec, saved, overrides, randomize=randomize)

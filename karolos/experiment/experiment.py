@@ -13,7 +13,7 @@ from ..orchestrator.auto import cores
 from ..records import RunFolder
 from ..records.labels import Labels
 from ..records.run_records import RunState, RunSummary, summarise, timestamp
-from ..spec import Spec
+from ..spec import Spec, spec_from_dict
 from ..store import Store
 from ..training.assembly import check_parts
 from .events import Listener, print_progress
@@ -79,7 +79,7 @@ class Experiment:
     """
 
     def __init__(self, spec: Spec | Mapping[str, Any]) -> None:
-        self.spec = spec if isinstance(spec, Spec) else Spec.from_dict(dict(spec))
+        self.spec = spec if isinstance(spec, Spec) else spec_from_dict(dict(spec))
 
     def run(  # noqa: PLR0913  (options by keyword)
         self,
@@ -162,7 +162,7 @@ def resume_run(
     """
     if folder.state().state == "finished":
         return Outcome((folder.summary(),), 1)
-    spec = Spec.from_dict(folder.spec())
+    spec = spec_from_dict(folder.spec())
     check_parts(spec)
     Store(url).close()  # an unusable database is an error before anything is computed
     with stop_on_signals(time_limit=time_limit) as stop, folder:
@@ -187,7 +187,7 @@ class SeedRunner:
     """Whether tests may be played beside training, in a second process."""
 
     def __call__(self, seed: int, listener: Listener, stop: StopRequest) -> RunSummary:
-        spec = Spec.from_dict(self.resolved)
+        spec = spec_from_dict(self.resolved)
         if self.existing != "ignore":
             found = find_run(self.runs, spec.name, spec.hash(), seed)
             if found is not None and found.state().state == "finished":
@@ -204,7 +204,7 @@ class SeedRunner:
         if folder is not None:
             summary = RunFolder.open(folder).summary()
             return summary if summary.state == "finished" else replace(summary, error=cause)
-        spec, now = Spec.from_dict(self.resolved), timestamp()
+        spec, now = spec_from_dict(self.resolved), timestamp()
         run = {"id": f"{spec.name}-s{seed}", "experiment": spec.hash(), "seed": seed, "name": spec.name, "created": now}
         state = RunState("lost", error=cause)
         return summarise(Path(), run, state, self.resolved, (), final=None, labels=Labels())

@@ -16,7 +16,7 @@ from ..core.signature import SAME_LAYOUTS, layout_differences
 from ..errors import RunError, UsageError
 from ..evaluation.policies import signature_of
 from ..records import RunFolder
-from ..spec import Spec
+from ..spec import Spec, spec_from_dict
 from ..training.assembly import located
 
 WHERE = "agent.start_from"
@@ -70,7 +70,7 @@ def find(spec: Spec, runs: Path) -> Start | None:
         folder = RunFolder.open(Path(run) if os.path.isdir(run) else runs / run)
     except RunError as error:
         raise UsageError(f"{run!r}: {error.what}", where=WHERE, hint=error.hint) from error
-    source = Spec.from_dict(folder.spec())
+    source = spec_from_dict(folder.spec())
     _check_agents(spec, source)
     _check_layouts(signature_of(spec), signature_of(source))
     name = settings.start_checkpoint

@@ -1,6 +1,6 @@
 """Specs: from YAML or a dictionary to a validated, frozen and hashed description of an experiment."""
 
-from .load import load_spec, spec_of_trial
+from .load import load_spec, spec_from_dict, spec_of_trial
 from .merge import parse_settings
 from .model import Spec, Testing, Training
 from .parts import Part, Recipe
@@ -16,6 +16,7 @@ __all__ = [
     "Training",
     "load_spec",
     "parse_settings",
+    "spec_from_dict",
     "spec_of_trial",
     "to_yaml",
 ]

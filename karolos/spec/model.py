@@ -4,7 +4,6 @@ from __future__ import annotations
 
 import hashlib
 import json
-from collections.abc import Iterable, Mapping
 from typing import Annotated, Any, Literal
 
 from pydantic import AfterValidator, PrivateAttr, StringConstraints, model_validator
@@ -143,7 +142,7 @@ Seed = Annotated[int, Setting(ge=0)]
 class Spec(Settings):
     """An experiment: the environment, the agent and the training. Frozen; specs with the same `dump` are equal.
 
-    Made by `load_spec(path, overrides)` or `Spec.from_dict(dictionary)`.
+    Made by `load_spec(path, overrides)` or `spec_from_dict(dictionary)`.
     """
 
     name: Annotated[str, StringConstraints(pattern=NAME)] = Setting(
@@ -172,18 +171,6 @@ class Spec(Settings):
     sweep: Sweep | None = Setting(None, description="a search for good settings, which `karolos sweep` carries out")
 
     _origins: dict[str, str] = PrivateAttr(default_factory=dict)
-
-    @classmethod
-    def from_dict(cls, spec: Mapping[str, Any], overrides: Iterable[str] = ()) -> Spec:
-        """A spec from a dictionary of the same shape as a spec file.
-
-        Raises:
-            SpecError: it is not a valid spec; carries every problem found.
-            PluginError: a plugin of the spec is broken.
-        """
-        from .load import spec_from_dict  # noqa: PLC0415  (load builds on this module)
-
-        return spec_from_dict(spec, overrides)
 
     @property
     def origins(self) -> dict[str, str]:

@@ -26,7 +26,7 @@ from ..files import FileLock
 from ..records import RunFolder
 from ..records.results import TestResult
 from ..records.run_records import RunSummary
-from ..spec import Spec, Sweep
+from ..spec import Spec, Sweep, spec_from_dict
 from ..training.assembly import check_parts
 from .objectives import measure
 
@@ -305,7 +305,7 @@ def _outcome(
     runner: SeedRunner, seed: int, tell: Callable[[RunEvent], None], stop: StopRequest
 ) -> RunSummary | Refused:
     try:
-        check_parts(Spec.from_dict(runner.resolved))
+        check_parts(spec_from_dict(runner.resolved))
         return runner(seed, tell, stop)
     except KarolosError as error:
         return Refused(str(error))

@@ -14,7 +14,7 @@ from ..experiment.signals import StopRequest, stop_on_signals
 from ..experiment.start_from import pinned
 from ..records import RunFolder
 from ..records.sweep_records import FOLDER, SweepFinal, Trial
-from ..spec import Spec, Sweep, spec_of_trial
+from ..spec import Spec, Sweep, spec_from_dict, spec_of_trial
 from ..spec.sweep import DEFAULT_TRIALS
 from ..store import Store
 from ..training.assembly import check_parts
@@ -43,7 +43,7 @@ class Search:
     """
 
     def __init__(self, spec: Spec | Mapping[str, Any], *, text: str | None = None, trials: int | None = None) -> None:
-        base = spec if isinstance(spec, Spec) else Spec.from_dict(dict(spec))
+        base = spec if isinstance(spec, Spec) else spec_from_dict(dict(spec))
         sweep = _sweep_of(base)
         self.sweep = sweep if trials is None else sweep.model_copy(update={"trials": trials})
         self.spec = base.model_copy(update={"sweep": self.sweep})

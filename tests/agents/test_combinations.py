@@ -11,7 +11,7 @@ import pytest
 from karolos.core.seeding import SeedTree
 from karolos.evaluation.testing import play_episodes, test_seeds
 from karolos.registry import load, names
-from karolos.spec import Spec
+from karolos.spec import Spec, spec_from_dict
 from karolos.training.assembly import check_parts, make_agent, make_buffer, make_orchestrator
 from karolos.training.training import Training
 
@@ -46,7 +46,7 @@ def spec_of(agent: str, buffer: dict[str, Any]) -> Spec:
     training: dict[str, Any] = {"steps": 8_000}
     if agent != "ppo":
         training = {"steps": 1_600, "batch_size": 64, "replay_ratio": 64, "warmup_episodes": 16}
-    return Spec.from_dict(
+    return spec_from_dict(
         {
             "environment": BITS if agent == "dqn" else LINE,
             "agent": {"name": agent, **SMALL, **tuned.get(agent, {})},

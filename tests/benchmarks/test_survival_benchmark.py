@@ -11,7 +11,7 @@ import pytest
 from karolos.benchmarks import survival
 from karolos.experiment.experiment import Experiment
 from karolos.records import RunFolder
-from karolos.spec import Spec
+from karolos.spec import spec_from_dict
 from karolos.store import Store
 
 TOY: dict[str, Any] = {
@@ -29,7 +29,7 @@ def test_a_killed_toy_ends_like_an_undisturbed_one_and_killed_workers_are_replac
     monkeypatch.setattr(survival, "CASES", {"toy": TOY})
     training = {**TOY["training"], "steps": 3000}
     orchestrator = {**TOY["orchestrator"], "failures": 1000}
-    small = Spec.from_dict({**TOY, "name": "toy", "training": training, "orchestrator": orchestrator})
+    small = spec_from_dict({**TOY, "name": "toy", "training": training, "orchestrator": orchestrator})
     monkeypatch.setattr(survival, "reach", lambda *_: small)
     said: list[str] = []
     killed, workers = survival.measure(steps=3000, seconds=0.5, say=said.append)
@@ -43,7 +43,7 @@ def test_runs_of_two_seeds_differ(tmp_path: Path) -> None:
     parts = {**TOY, "training": {**TOY["training"], "steps": 200}, "testing": {"interval": 100, "episodes": 2}}
     folders = []
     for seed in (0, 1):
-        (run,) = Experiment(Spec.from_dict({**parts, "name": "toy", "seeds": [seed]})).run(tmp_path / str(seed)).runs
+        (run,) = Experiment(spec_from_dict({**parts, "name": "toy", "seeds": [seed]})).run(tmp_path / str(seed)).runs
         folders.append(RunFolder.open(run.folder))
     found = survival.differences_of(folders[0], folders[1], Store.default_url(tmp_path / "0"))
     assert any(path.startswith("last.agent.critic") for path in found)

@@ -11,7 +11,7 @@ from karolos.benchmarks import end_to_end, side_by_side
 from karolos.benchmarks.training import WithoutOverlap
 from karolos.core.seeding import SeedTree
 from karolos.errors import MachineError
-from karolos.spec import Spec, load_spec
+from karolos.spec import load_spec, spec_from_dict
 from karolos.training.assembly import make_agent, make_buffer, make_orchestrator
 from karolos.training.training import Training
 
@@ -41,7 +41,7 @@ def test_a_missing_peer_is_told_before_anything_is_measured(monkeypatch):
 
 
 def learned(*, overlap: bool) -> dict[str, dict]:
-    spec = Spec.from_dict(
+    spec = spec_from_dict(
         {
             "environment": "toy",
             "agent": {"name": "sac", "hidden": [16], "precision": "float32"},

@@ -18,7 +18,7 @@ from support.commands import call
 from support.sweep_samples import LEARNING_RATE, sweep_spec
 
 from karolos.records.sweep_records import SweepFinal, Trial
-from karolos.spec import Spec
+from karolos.spec import spec_from_dict
 from karolos.sweep.events import SweepOutcome, TrialBegan, TrialEnded
 
 app = typer.Typer()
@@ -38,7 +38,7 @@ def test_a_dry_run_prints_specs_and_runs_nothing(home):
     found = [json.loads(line) for line in out.splitlines()]
     assert (code, len(found)) == (0, 3)
     for row in found:
-        assert Spec.from_dict(row["spec"]).agent.settings.learning_rate == row["agent.learning_rate"]
+        assert spec_from_dict(row["spec"]).agent.settings.learning_rate == row["agent.learning_rate"]
     assert "3 trials, 1 seeds of 200 steps each" in err
     assert not (home / "runs").exists()
 
@@ -96,7 +96,7 @@ def test_the_dashboard_is_given_the_journal_and_left_with_ctrl_c(home):
 
 
 def test_rows_and_words_tell_what_was_chosen_and_how_far_to_trust_it(home, capsys):
-    search = Spec.from_dict(sweep_spec(LEARNING_RATE)).sweep
+    search = spec_from_dict(sweep_spec(LEARNING_RATE)).sweep
     trials = (
         Trial(0, "line-t000", "complete", {"agent.learning_rate": 1e-3}, (0.9,), ("a",), None),
         Trial(1, "line-t001", "failed", {"agent.learning_rate": 1e-1}, None, (), "a loss that is nan\x1b[2J"),

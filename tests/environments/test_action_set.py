@@ -20,7 +20,7 @@ from karolos.environments.robot_task import RobotTask
 from karolos.errors import UsageError
 from karolos.evaluation.policies import load_expert
 from karolos.orchestrator.local import Local
-from karolos.spec import Spec
+from karolos.spec import spec_from_dict
 from karolos.spec.parts import Recipe
 
 CARTESIAN = Layout((Field("tool_position_change", 3), Field("gripper_opening", 1)))
@@ -149,6 +149,6 @@ def test_gymnasium_has_the_set_as_a_discrete_space() -> None:
 
 def test_an_expert_is_refused_where_actions_are_discrete() -> None:
     environment = {"name": "robot_task", "actions": "discrete"}
-    spec = Spec.from_dict({"robot": "panda", "task": "reach", "agent": "dqn", "environment": environment})
+    spec = spec_from_dict({"robot": "panda", "task": "reach", "agent": "dqn", "environment": environment})
     with pytest.raises(UsageError, match=r"environment\.actions.*discrete ones.*environment\.actions=continuous"):
         load_expert(spec)

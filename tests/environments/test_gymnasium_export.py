@@ -16,7 +16,7 @@ from gymnasium.utils.env_checker import check_env
 from karolos.environments.build import build_environment
 from karolos.environments.gymnasium_export import GoalEnv, environment_ids
 from karolos.errors import UsageError
-from karolos.spec import Spec
+from karolos.spec import spec_from_dict
 
 IDS = sorted(environment_ids())
 
@@ -37,7 +37,7 @@ def test_environment_passes_gymnasiums_own_check(name: str) -> None:
 
 
 def goal_env(**environment: object) -> GoalEnv:
-    spec = Spec.from_dict({"environment": environment, "agent": "dqn", "buffer": "uniform"})
+    spec = spec_from_dict({"environment": environment, "agent": "dqn", "buffer": "uniform"})
     return GoalEnv(build_environment(spec.recipe(randomize=False)))
 
 

@@ -18,7 +18,7 @@ from karolos.evaluation.policies import expert_policy, load_agent, load_expert, 
 from karolos.experiment.experiment import Experiment
 from karolos.records import RunFolder
 from karolos.registry import load
-from karolos.spec import Spec
+from karolos.spec import Spec, spec_from_dict
 
 TOY: dict[str, Any] = {
     "name": "toy",
@@ -31,7 +31,7 @@ TOY: dict[str, Any] = {
 
 
 def reach(**changes: Any) -> Spec:
-    return Spec.from_dict({"name": "reach", "robot": "panda", "task": "reach", "agent": "sac", **changes})
+    return spec_from_dict({"name": "reach", "robot": "panda", "task": "reach", "agent": "sac", **changes})
 
 
 def test_the_expert_of_a_spec_solves_its_task_without_randomization() -> None:
@@ -45,14 +45,14 @@ def test_the_expert_of_a_spec_solves_its_task_without_randomization() -> None:
 
 def test_an_environment_without_a_task_has_no_expert() -> None:
     with pytest.raises(UsageError, match="there is no expert for this environment"):
-        load_expert(Spec.from_dict(TOY))
+        load_expert(spec_from_dict(TOY))
     with pytest.raises(UsageError, match="tasks have experts"):
         expert_policy(Toy(Toy.Settings()))
 
 
 def test_a_window_needs_an_environment_that_has_one_and_a_display(monkeypatch: pytest.MonkeyPatch) -> None:
     with pytest.raises(MachineError, match="environment toy has no window"):
-        load_expert(Spec.from_dict(TOY), window=True)
+        load_expert(spec_from_dict(TOY), window=True)
     monkeypatch.delenv("DISPLAY", raising=False)
     with pytest.raises(MachineError, match="no display"):
         load_expert(reach(), window=True)
@@ -98,7 +98,7 @@ def test_a_missing_checkpoint_is_refused(folder: RunFolder) -> None:
 def test_a_checkpoint_that_lacks_something_is_refused_in_one_line(tmp_path: Path, lost: str) -> None:
     spec = {"name": "t", "environment": "toy", "agent": {"name": "sac", "hidden": [8]}}
     folder = RunFolder.create(tmp_path, "t", 0)
-    resolved = Spec.from_dict(spec)
+    resolved = spec_from_dict(spec)
     folder.describe(resolved.dump(), experiment="x")
     agent = load("agents", "sac")(resolved.agent.settings, signature_of(resolved), SeedTree(0), "cpu")
     state = agent.state()

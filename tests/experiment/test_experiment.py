@@ -15,7 +15,7 @@ from karolos.experiment.events import RunEnded, RunStarted, RunTested, RunWarned
 from karolos.experiment.experiment import Experiment
 from karolos.records import RunFolder
 from karolos.report.tables import runs_table
-from karolos.spec import Spec
+from karolos.spec import spec_from_dict
 from karolos.store import Store
 from karolos.training.assembly import check_parts
 
@@ -318,8 +318,8 @@ def test_the_papers_first_listing_is_a_valid_experiment():
 
 def test_a_run_without_updates_says_so(tmp_path):
     without = spec(training={"warmup_episodes": 1000})
-    assert "a run may make no update: 1000 warm-up episodes" in check_parts(Spec.from_dict(without))
-    assert check_parts(Spec.from_dict(spec())) is None
+    assert "a run may make no update: 1000 warm-up episodes" in check_parts(spec_from_dict(without))
+    assert check_parts(spec_from_dict(spec())) is None
     [summary] = Experiment(without).run(tmp_path).runs
     assert (summary.state, summary.updates) == ("finished", 0)
     warnings = [event["error"] for event in RunFolder.open(summary.folder).events() if event["event"] == "warning"]

@@ -16,7 +16,7 @@ from karolos.experiment.events import RunFinalTested
 from karolos.experiment.experiment import Experiment, Outcome, resume_run
 from karolos.records import RunFolder
 from karolos.records.final_test import FILE
-from karolos.spec import Spec
+from karolos.spec import spec_from_dict
 from karolos.store import Store, reindex
 from karolos.training.assembly import make_orchestrator
 
@@ -98,10 +98,10 @@ def test_no_final_test_without_final_episodes(tmp_path: Path) -> None:
 
 def test_null_plays_as_many_episodes_as_a_test_and_is_the_same_experiment() -> None:
     testing = {"interval": 20, "episodes": 4}
-    absent = Spec.from_dict(TOY | {"testing": testing})
+    absent = spec_from_dict(TOY | {"testing": testing})
     assert absent.testing.final_count == 4
-    assert absent.hash() == Spec.from_dict(TOY | {"testing": testing | {"final_episodes": 4}}).hash()
-    assert absent.hash() != Spec.from_dict(TOY | {"testing": testing | {"final_episodes": 5}}).hash()
+    assert absent.hash() == spec_from_dict(TOY | {"testing": testing | {"final_episodes": 4}}).hash()
+    assert absent.hash() != spec_from_dict(TOY | {"testing": testing | {"final_episodes": 5}}).hash()
 
 
 def test_a_run_killed_in_its_final_test_plays_it_on_resume(

@@ -17,7 +17,7 @@ from karolos.experiment.experiment import Experiment
 from karolos.experiment.start_from import apply, find, pinned
 from karolos.plugins.contracts.case import state_differences
 from karolos.records import RunFolder
-from karolos.spec import Spec
+from karolos.spec import Spec, spec_from_dict
 from karolos.training.assembly import make_agent
 
 TOY: dict[str, Any] = {
@@ -38,7 +38,7 @@ def source(tmp_path_factory: pytest.TempPathFactory) -> RunFolder:
 
 
 def spec(start: str, *overrides: str, **changes: Any) -> Spec:
-    return Spec.from_dict({**TOY, **changes}, [f"agent.start_from={start}", *overrides])
+    return spec_from_dict({**TOY, **changes}, [f"agent.start_from={start}", *overrides])
 
 
 def signature(of: Spec) -> Signature:
@@ -80,9 +80,9 @@ def test_the_experiment_is_what_was_started_from_wherever_it_lies(source: RunFol
     runs = source.path.parent
     by_id, by_path = pinned(spec(source.id), runs), pinned(spec(str(source.path)), Path("elsewhere"))
     assert by_id.hash() == by_path.hash()
-    assert by_id.hash() != Spec.from_dict(TOY).hash()
-    assert Spec.from_dict(by_id.dump()).hash() == by_id.hash()
-    assert pinned(Spec.from_dict(TOY), runs).hash() == Spec.from_dict(TOY).hash()
+    assert by_id.hash() != spec_from_dict(TOY).hash()
+    assert spec_from_dict(by_id.dump()).hash() == by_id.hash()
+    assert pinned(spec_from_dict(TOY), runs).hash() == spec_from_dict(TOY).hash()
 
 
 def test_a_checkpoint_that_is_another_by_now_is_refused(source: RunFolder) -> None:
@@ -117,6 +117,6 @@ def test_robots_in_cartesian_control_take_over_from_each_other() -> None:
     layouts = set()
     for robot in ("panda", "ur5", "iiwa"):
         part = {"name": robot, "control": "cartesian"}
-        found = signature(Spec.from_dict({"robot": part, "task": "pick_place", "agent": "sac"}))
+        found = signature(spec_from_dict({"robot": part, "task": "pick_place", "agent": "sac"}))
         layouts.add((found.observation, found.action, found.desired_goal))
     assert len(layouts) == 1

@@ -11,7 +11,7 @@ from karolos.environments.toy import Toy
 from karolos.orchestrator import auto
 from karolos.orchestrator.auto import Auto, Measured, choose, process_counts
 from karolos.orchestrator.local import Local
-from karolos.spec import Spec
+from karolos.spec import spec_from_dict
 
 TOY = Toy.Settings(dimensions=3, max_steps=5, reward="dense", threshold=0.3)
 SETTINGS = Auto.Settings(environments=4, seconds=0.1)
@@ -85,7 +85,7 @@ def test_process_counts_double_up_to_the_most(most, expected):
 def test_auto_and_local_with_as_many_environments_are_one_experiment():
     spec = {"environment": {"name": "toy"}, "agent": {"name": "sac"}}
     hashes = {
-        Spec.from_dict({**spec, "orchestrator": orchestrator}).hash()
+        spec_from_dict({**spec, "orchestrator": orchestrator}).hash()
         for orchestrator in (
             {"name": "auto", "environments": 6},
             {"name": "auto", "environments": 6, "seconds": 1.0, "failures": 0},
@@ -93,7 +93,7 @@ def test_auto_and_local_with_as_many_environments_are_one_experiment():
         )
     }
     assert len(hashes) == 1
-    assert Spec.from_dict({**spec, "orchestrator": "auto"}).orchestrator.settings.size == Auto.Settings().environments
+    assert spec_from_dict({**spec, "orchestrator": "auto"}).orchestrator.settings.size == Auto.Settings().environments
 
 
 def test_the_layout_as_it_is_is_told():

@@ -8,7 +8,7 @@ import pytest
 from support.spec_files import GOOD, problems_of, write
 
 from karolos.errors import PluginError, SpecError
-from karolos.spec import Spec, load_spec
+from karolos.spec import load_spec, spec_from_dict
 
 pytestmark = pytest.mark.usefixtures("fake_plugins")
 
@@ -248,7 +248,7 @@ def test_broken_distribution_is_not_taken_for_the_buffer_of_that_name(tmp_path, 
 )
 def test_mistakes_in_a_dictionary_are_told(spec, expected):
     with pytest.raises(SpecError) as caught:
-        Spec.from_dict(spec)
+        spec_from_dict(spec)
     assert str(caught.value).startswith(expected)
 
 
@@ -256,4 +256,4 @@ def test_endless_dictionary_is_refused():
     loop: dict = {"robot": "arm"}
     loop["task"] = loop
     with pytest.raises(SpecError, match="nested deeper"):
-        Spec.from_dict(loop)
+        spec_from_dict(loop)

@@ -6,7 +6,7 @@ import pytest
 from support.spec_files import GOOD, problems_of, write
 
 from karolos.errors import SpecError
-from karolos.spec import Spec, load_spec, spec_of_trial
+from karolos.spec import load_spec, spec_from_dict, spec_of_trial
 
 pytestmark = pytest.mark.usefixtures("fake_plugins")
 
@@ -27,7 +27,7 @@ def path(tmp_path):
 
 def test_a_spec_with_a_sweep_dumps_and_loads_as_itself(path):
     spec = load_spec(path)
-    assert Spec.from_dict(spec.dump()) == spec
+    assert spec_from_dict(spec.dump()) == spec
     assert spec.dump()["sweep"]["space"]["buffer.hindsight"]["choice"] == {"off": None, "on": {"strategy": "final"}}
 
 

@@ -21,7 +21,7 @@ from karolos.experiment.experiment import Experiment
 from karolos.files import FileLock
 from karolos.records import RunFolder
 from karolos.records.sweep_records import read_sweep
-from karolos.spec import Spec, load_spec
+from karolos.spec import load_spec, spec_from_dict
 from karolos.store import Store, check, reindex
 from karolos.store.sweeps import Sweeps
 from karolos.sweep.events import SweepOutcome, TrialBegan
@@ -139,7 +139,7 @@ def test_the_folder_says_it_all_without_optuna(killed):
     rows = [json.loads(line) for line in (killed.folder / "trials.jsonl").read_text().splitlines()]
     assert [row["number"] for row in rows] == list(range(TRIALS))
     assert all(len(row["runs"]) == 1 and row["values"] for row in rows)
-    assert Spec.from_dict(SPEC) == load_spec(killed.folder / "sweep.yaml")
+    assert spec_from_dict(SPEC) == load_spec(killed.folder / "sweep.yaml")
     assert (killed.folder / "figures" / "search.svg").read_text().count("agent.learning_rate") >= 1
 
 
@@ -252,6 +252,6 @@ def test_an_experiment_leaves_the_sweep_of_its_spec_alone(tmp_path):
 
 
 def test_samples_are_specs_of_trials_and_values_that_clash_are_told():
-    found = list(samples(Spec.from_dict(SPEC), 3))
+    found = list(samples(spec_from_dict(SPEC), 3))
     assert [made.name for _, made in found] == ["line-t000", "line-t001", "line-t002"]
     assert all(made.agent.settings.learning_rate == drawn["agent.learning_rate"] for drawn, made in found)

@@ -8,7 +8,7 @@ import pytest
 from support.sweep_samples import LEARNING_RATE, sweep_spec
 
 from karolos.records.results import TestResult
-from karolos.spec import Spec
+from karolos.spec import spec_from_dict
 from karolos.sweep.objectives import measure, nominal_steps, so_far
 from karolos.sweep.study import Study
 
@@ -20,7 +20,7 @@ CONDITIONAL = {
 
 
 def study(folder, space=CONDITIONAL, **sweep) -> Study:
-    return Study(folder / "journal.log", Spec.from_dict(sweep_spec(space, **sweep)).sweep, "line", 200)
+    return Study(folder / "journal.log", spec_from_dict(sweep_spec(space, **sweep)).sweep, "line", 200)
 
 
 def finish(one: Study, count: int) -> None:

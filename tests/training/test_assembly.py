@@ -11,7 +11,7 @@ from support.states import assert_same_state
 
 from karolos.core.seeding import SeedTree
 from karolos.errors import KarolosError, SpecError
-from karolos.spec import Spec, load_spec
+from karolos.spec import load_spec, spec_from_dict
 from karolos.training.assembly import check_parts, make_agent, make_buffer, make_orchestrator
 from karolos.training.training import Training
 
@@ -92,8 +92,8 @@ def test_parts_that_cannot_work_together_are_refused_with_the_place_and_the_reas
 @pytest.mark.parametrize("agent", ["sac", "ppo"])
 def test_a_resolved_spec_with_its_defaults_spelt_out_is_not_refused(agent: str) -> None:
     buffer = "on_policy" if agent == "ppo" else "uniform"
-    spec = Spec.from_dict({"environment": "toy", "agent": agent, "buffer": buffer})
-    check_parts(Spec.from_dict(spec.dump()))
+    spec = spec_from_dict({"environment": "toy", "agent": agent, "buffer": buffer})
+    check_parts(spec_from_dict(spec.dump()))
 
 
 LEARNERS: dict[str, dict[str, Any]] = {
@@ -112,7 +112,7 @@ LEARNERS: dict[str, dict[str, Any]] = {
 def trained(learner: str, processes: int, *, saved_after: int = 0, rounds: int = 60) -> dict[str, Any]:
     """All states after some rounds of four environments; those after `saved_after` go to new parts meanwhile."""
     layout = {"processes": processes, "environments": 4 // max(processes, 1)}
-    spec = Spec.from_dict({"environment": "toy", "orchestrator": layout, **LEARNERS[learner]})
+    spec = spec_from_dict({"environment": "toy", "orchestrator": layout, **LEARNERS[learner]})
     seeds, states = SeedTree(3), {}
     for count in (saved_after, rounds - saved_after) if saved_after else (rounds,):
         with make_orchestrator(spec, randomize=True) as orchestrator:
@@ -143,6 +143,6 @@ def test_new_parts_go_on_bit_for_bit_from_saved_states(learner: str, saved_after
 
 def test_only_an_agent_with_an_imitation_term_imitates_relabelled_transitions() -> None:
     parts = {"environment": "toy", "buffer": {"name": "uniform", "hindsight": {"imitate": True}}}
-    check_parts(Spec.from_dict({**parts, "agent": {"name": "sac", "imitation": 1.0}}))
+    check_parts(spec_from_dict({**parts, "agent": {"name": "sac", "imitation": 1.0}}))
     with pytest.raises(KarolosError, match="no imitation term, so it cannot imitate relabelled"):
-        check_parts(Spec.from_dict({**parts, "agent": {"name": "sac"}}))
+        check_parts(spec_from_dict({**parts, "agent": {"name": "sac"}}))

@@ -11,7 +11,7 @@ from karolos.core.seeding import SeedTree
 from karolos.errors import UsageError
 from karolos.experiment.experiment import Experiment
 from karolos.records import RunFolder
-from karolos.spec import Spec
+from karolos.spec import spec_from_dict
 from karolos.spec.model import Demonstrations as Settings
 from karolos.training.assembly import check_parts
 from karolos.training.demonstrations import collect_demonstrations
@@ -29,7 +29,7 @@ REACH: dict[str, Any] = {
 
 def collected(seed: int = 0, **settings: Any) -> Any:
     chosen = Settings.model_validate({"episodes": 3, **settings})
-    return collect_demonstrations(Spec.from_dict(REACH).recipe(randomize=True), chosen, SeedTree(seed))
+    return collect_demonstrations(spec_from_dict(REACH).recipe(randomize=True), chosen, SeedTree(seed))
 
 
 def test_the_expert_solves_what_it_shows_and_actions_stay_in_range() -> None:
@@ -73,7 +73,7 @@ def test_demonstrations_count_neither_as_training_nor_as_tests_and_are_noted(tmp
 
 
 def test_an_environment_without_an_expert_is_refused_where_it_was_asked_for() -> None:
-    spec = Spec.from_dict({"environment": "toy", "agent": "sac"}, ["demonstrations.episodes=5"])
+    spec = spec_from_dict({"environment": "toy", "agent": "sac"}, ["demonstrations.episodes=5"])
     with pytest.raises(UsageError, match="no expert") as caught:
         check_parts(spec)
     assert "override demonstrations.episodes=5: demonstrations:" in str(caught.value)
@@ -82,20 +82,20 @@ def test_an_environment_without_an_expert_is_refused_where_it_was_asked_for() ->
 def test_an_agent_that_learns_from_its_own_actions_only_is_refused_demonstrations() -> None:
     changed = {**REACH, "agent": "ppo", "buffer": "on_policy", "training": {}, "demonstrations": {}}
     with pytest.raises(UsageError, match="does not support demonstrations"):
-        check_parts(Spec.from_dict(changed))
+        check_parts(spec_from_dict(changed))
 
 
 def test_imitation_without_demonstrations_is_refused() -> None:
-    spec = Spec.from_dict({**REACH, "agent": {"name": "sac", "imitation": 0.5}})
+    spec = spec_from_dict({**REACH, "agent": {"name": "sac", "imitation": 0.5}})
     with pytest.raises(UsageError, match="no demonstrations to imitate"):
         check_parts(spec)
 
 
 def test_demonstrations_are_part_of_what_an_experiment_is() -> None:
     hashes = {
-        Spec.from_dict({**REACH, **({"demonstrations": some} if some is not None else {})}).hash()
+        spec_from_dict({**REACH, **({"demonstrations": some} if some is not None else {})}).hash()
         for some in (None, {}, {"episodes": 5})
     }
     assert len(hashes) == 3
-    spec = Spec.from_dict({**REACH, "demonstrations": {"episodes": 5}})
-    assert Spec.from_dict(spec.dump()) == spec
+    spec = spec_from_dict({**REACH, "demonstrations": {"episodes": 5}})
+    assert spec_from_dict(spec.dump()) == spec
