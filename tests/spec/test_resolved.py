@@ -27,7 +27,7 @@ def test_robot_task_and_agent_are_enough():
     amounts = {"steps": 100_000, "batch_size": 256, "replay_ratio": 64.0, "warmup_episodes": 20}
     rest = {"device": "cpu", "threads": None, "mode": "lockstep", "minimum_batch": None}
     assert spec.training.model_dump() == {**amounts, **rest}
-    assert spec.testing.model_dump() == {"interval": 5000, "episodes": 100, "seed": 0}
+    assert spec.testing.model_dump() == {"interval": 5000, "episodes": 100, "seed": 0, "final_episodes": None}
 
 
 def test_environment_and_agent_are_enough():
