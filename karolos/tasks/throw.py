@@ -113,7 +113,7 @@ class Throw(CubeTask):
     observation = Layout((*FIELDS, Field("landing_if_released", 2, "m"), Field("time_of_flight", 1, "s")))
     uses_gripper = True
     points_down = False
-    camera = Camera(target=(0.8, 0.0, 0.4), distance=4.0, yaw=22.0, pitch=-22.0)
+    camera = Camera(target=(0.9, 0.0, 0.35), distance=4.3, yaw=22.0, pitch=-22.0)
     achieved_goal = Layout((Field("landing_point", 2, "m"), Field("landed", 1)))
     desired_goal = Layout((Field("target", 2, "m"),))
 

@@ -66,7 +66,7 @@ def test_quiet_says_nothing_where_all_is_well(home):
 def test_a_table_and_the_place_of_the_results_end_a_run(home):
     result = karolos("run", "toy.yaml", "--runs", "elsewhere")
     assert result.returncode == 0
-    assert "success any" in result.stdout
+    assert "success end" in result.stdout
     assert "results in elsewhere" in result.stderr
     assert "finished" in karolos("runs", "list", "--runs", "elsewhere").stdout
 

@@ -68,7 +68,11 @@ def test_sighup_stops_like_sigterm(tmp_path: Path) -> None:
         if isinstance(event, RunStarted):
             signal.raise_signal(signal.SIGHUP)
 
-    outcome = Experiment(REACH).run(tmp_path, listener=hang_up)
+    before = signal.signal(signal.SIGHUP, signal.SIG_DFL)  # the tests may run under nohup, which ignores it
+    try:
+        outcome = Experiment(REACH).run(tmp_path, listener=hang_up)
+    finally:
+        signal.signal(signal.SIGHUP, before)
     assert outcome.exit_code == 129
     assert outcome.runs[0].state == "stopped"
 

@@ -93,13 +93,15 @@ def test_a_model_of_another_policy_does_not_stay_beside_the_new_arrays(tmp_path:
     assert sorted(path.name for path in tmp_path.iterdir()) == sorted(path.name for path in done.files)
 
 
-def test_without_onnx_the_error_says_what_to_do_before_anything_is_written(
+def test_without_onnx_the_numpy_files_are_written_unless_onnx_is_asked_for(
     tmp_path: Path, monkeypatch: pytest.MonkeyPatch
 ) -> None:
     monkeypatch.setitem(sys.modules, "onnx", None)
     with pytest.raises(MachineError, match="--no-onnx"):
-        export_policy(trained("td3"), tmp_path / "out")
+        export_policy(trained("td3"), tmp_path / "out", onnx=True)
     assert not (tmp_path / "out").exists()
+    export_policy(trained("td3"), tmp_path / "out")
+    assert sorted(path.name for path in (tmp_path / "out").iterdir()) == ["golden.npz", "policy.json", "policy.npz"]
 
 
 def test_a_checkpoint_that_is_not_there_is_refused(tmp_path: Path) -> None:

@@ -93,7 +93,7 @@ def test_settings_out_of_range_are_refused(bad):
 
 @pytest.mark.parametrize("robot", ["panda", "ur5", "iiwa"])
 def test_a_gripper_that_holds_keeps_its_grip_until_the_first_delayed_action(robot: str) -> None:
-    draws = {"robot.action_delay": part("distributions", "choice", values=(5.0,))}
+    draws = {"robot.action_delay": part("distributions", "choice", values=(2.0,))}
     environment = made("pick_place", robot, draws=draws, start_grasped=1.0)
     lift = np.array([0, 0, 1, -1], np.float32)
     for seed in range(5):
