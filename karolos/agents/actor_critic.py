@@ -11,7 +11,7 @@ from numpy.typing import NDArray
 from pydantic import Field as Setting
 from torch import Tensor
 
-from ..core import Agent, Discrete, FloatArray, Signature, State
+from ..core import Discrete, FloatArray, Signature
 from ..core.deployed import Deployed
 from ..core.seeding import SeedTree
 from ..errors import UsageError
@@ -22,6 +22,7 @@ from .noise import Noise
 from .normaliser import Normaliser
 from .optimisation import Adam, OptimiserSettings
 from .tensors import TensorBatch, network_input, to_array
+from .torch_agent import TorchAgent
 
 
 class ActorCriticSettings(OptimiserSettings):
@@ -42,7 +43,7 @@ class ActorCriticSettings(OptimiserSettings):
     precision: Precision = Setting("auto", description=PRECISION_MEANS)
 
 
-class ActorCritic(Agent):
+class ActorCritic(TorchAgent):
     """Networks, optimisers, exploration and state; an algorithm adds its losses in `learn`.
 
     Args:
@@ -59,8 +60,6 @@ class ActorCritic(Agent):
     """
 
     on_policy: ClassVar[bool] = False
-    stored: ClassVar[tuple[str, ...]]
-    """Attributes with a `state` that belong to the agent's state."""
 
     def __init__(
         self,
@@ -130,22 +129,6 @@ class ActorCritic(Agent):
     def deployed(self) -> Deployed:
         """The mean of the policy, squashed by tanh."""
         return deployed(self.policy, self.normaliser, "tanh", columns=slice(self.actions))
-
-    def state(self) -> State:
-        """Everything that learning and acting depend on."""
-        return {
-            **{name: getattr(self, name).state() for name in self.stored},
-            "optimisers": {name: optimiser.state() for name, optimiser in self.optimisers.items()},
-            "generator": self.generator.get_state(),
-        }
-
-    def load_state(self, state: State) -> None:
-        """Raises UsageError when the state is of networks of another shape."""
-        for name in self.stored:
-            getattr(self, name).load_state(state[name])
-        for name, optimiser in self.optimisers.items():
-            optimiser.load_state(state["optimisers"][name])
-        self.generator.set_state(torch.as_tensor(state["generator"]))
 
 
 def imitation_loss(action: Tensor, preferred: Tensor, batch: TensorBatch) -> tuple[Tensor, Tensor]:

@@ -9,7 +9,7 @@ import torch
 from pydantic import Field as Setting
 from torch import Tensor
 
-from ..core import Batch, Signature, State
+from ..core import Batch, Signature
 from ..core.seeding import SeedTree
 from .actor_critic import ActorCritic, ActorCriticSettings, imitation_loss
 from .critics import ValueCritic
@@ -33,7 +33,7 @@ class DDPG(ActorCritic):
         random_actions: float = Setting(0.3, ge=0, le=1, description="share of exploring actions drawn uniformly")
 
     learned: ClassVar[tuple[str, ...]] = ("policy", "critic", "target_policy", "target", "normaliser")
-    stored: ClassVar[tuple[str, ...]] = (*learned, "noise")
+    stored: ClassVar[tuple[str, ...]] = (*learned, "noise", "updates")
     critics: ClassVar[int] = 1
 
     def __init__(self, settings: Any, signature: Signature, seeds: SeedTree, device: str = "cpu") -> None:
@@ -43,7 +43,7 @@ class DDPG(ActorCritic):
         self.target_policy = self.policy.copy()
         self.policy_delay = 1
         """Critic updates for each update of policy and target networks."""
-        self._updates = 0
+        self.updates = 0
 
     def explore(self, output: Tensor, noise: Tensor) -> Tensor:
         return torch.add(torch.tanh(output), noise, alpha=self.settings.noise.std).clamp_(-1, 1)
@@ -51,12 +51,12 @@ class DDPG(ActorCritic):
     @torch.inference_mode()
     def learn(self, batch: Batch) -> Mapping[str, Any]:
         """One update: targets, critic step, and when it is their turn policy step and target networks."""
-        update = self._updates
+        update = self.updates
         report = update // self.policy_delay % REPORT_EVERY == 0
         data = tensor_batch(batch, self.normaliser, self.device, observe=is_observed(update))
-        self._updates += 1
+        self.updates += 1
         metrics = self.critic_step(data, self.targets(data), report=report)
-        if self._updates % self.policy_delay == 0:
+        if self.updates % self.policy_delay == 0:
             metrics |= self._policy_step(data, update, report=report)
             self.target.follow(self.critic, self.settings.tau)
             self.target_policy.follow(self.policy, self.settings.tau)
@@ -99,13 +99,6 @@ class DDPG(ActorCritic):
         self.policy.backward(policy_gradient(action, action_gradient), tapes)
         optimiser = self.optimisers["policy"]
         return metrics | optimiser.step(self.policy.gradient, "policy_gradient_norm", update=update, report=report)
-
-    def state(self) -> State:
-        return {**super().state(), "updates": self._updates}
-
-    def load_state(self, state: State) -> None:
-        super().load_state(state)
-        self._updates = int(state["updates"])
 
 
 def policy_loss(value: Tensor, weight: Tensor) -> Tensor:

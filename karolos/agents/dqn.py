@@ -12,7 +12,7 @@ from pydantic import Field as Setting
 from pydantic import model_validator
 from torch import Tensor
 
-from ..core import Agent, Batch, Discrete, FloatArray, Signature, State
+from ..core import Batch, Discrete, FloatArray, Signature
 from ..core.deployed import Deployed
 from ..core.schedules import Linear
 from ..core.seeding import SeedTree
@@ -23,9 +23,10 @@ from .networks import MLP, Shape, deployed
 from .normaliser import Normaliser
 from .optimisation import Adam, OptimiserSettings
 from .tensors import REPORT_EVERY, TensorBatch, is_observed, network_input, tensor_batch, to_array
+from .torch_agent import TorchAgent
 
 
-class DQN(Agent):
+class DQN(TorchAgent):
     """A network that gives the value of each discrete action, and the policy that takes the action of the largest.
 
     Off-policy. Exploring actions are uniform with probability epsilon, drawn for each environment separately; epsilon
@@ -64,6 +65,7 @@ class DQN(Agent):
 
     on_policy: ClassVar[bool] = False
     learned: ClassVar[tuple[str, ...]] = ("network", "target", "normaliser")
+    stored: ClassVar[tuple[str, ...]] = (*learned, "explored", "updates")
 
     def __init__(self, settings: DQN.Settings, signature: Signature, seeds: SeedTree, device: str = "cpu") -> None:
         self._actions = _require_discrete(signature)
@@ -77,17 +79,17 @@ class DQN(Agent):
         self.network = MLP(shape, torch.Generator().manual_seed(seeds.child("weights").integer()), device)
         self.target = self.network.copy()
         self.normaliser = Normaliser(inputs, device)
-        self._optimiser = Adam(self.network.vector, settings.rate, norm=settings.gradient_norm)
-        self._generator = torch.Generator(self.device).manual_seed(seeds.child("noise").integer())
+        self.optimisers = {"network": Adam(self.network.vector, settings.rate, norm=settings.gradient_norm)}
+        self.generator = torch.Generator(self.device).manual_seed(seeds.child("noise").integer())
         self._bounds = value_bounds(signature, settings.discount, clip=settings.clip_targets)
         self._schedule = Linear(settings.epsilon_start, settings.epsilon_end, settings.epsilon_steps)
-        self._explored = 0
-        self._updates = 0
+        self.explored = 0
+        self.updates = 0
 
     @property
     def epsilon(self) -> float:
         """Current probability of a random exploring action."""
-        return self._schedule(self._explored)
+        return self._schedule(self.explored)
 
     @torch.inference_mode()
     def act(
@@ -103,18 +105,18 @@ class DQN(Agent):
         action = self._values(self.network(inputs, exact=True)).argmax(1)
         if explore:
             size, epsilon = action.shape, self.epsilon
-            is_random = torch.rand(size, generator=self._generator, device=self.device) < epsilon
-            drawn = torch.randint(self._actions, size, generator=self._generator, device=self.device)
+            is_random = torch.rand(size, generator=self.generator, device=self.device) < epsilon
+            drawn = torch.randint(self._actions, size, generator=self.generator, device=self.device)
             action = torch.where(is_random, drawn, action)
-            self._explored += len(action)
+            self.explored += len(action)
         return to_array(action.float().unsqueeze(1))
 
     @torch.inference_mode()
     def learn(self, batch: Batch) -> Mapping[str, Any]:
         """One update of the network, and of the target network when it is its turn."""
-        report = self._updates % REPORT_EVERY == 0
-        data = tensor_batch(batch, self.normaliser, self.device, observe=is_observed(self._updates))
-        self._updates += 1
+        report = self.updates % REPORT_EVERY == 0
+        data = tensor_batch(batch, self.normaliser, self.device, observe=is_observed(self.updates))
+        self.updates += 1
 
         targets = self.targets(data)
         index = data.action.long()  # floats hold every index exactly
@@ -123,8 +125,8 @@ class DQN(Agent):
         errors = values - targets
         gradient = td_gradient(errors, self.settings.loss)
         self.network.backward(self._output_gradient(output, index, data.weight * gradient), tapes)
-        metrics: dict[str, Any] = self._optimiser.step(self.network.gradient, "gradient_norm", report=report)
-        if self._updates % self.settings.target_interval == 0:
+        metrics: dict[str, Any] = self.optimisers["network"].step(self.network.gradient, "gradient_norm", report=report)
+        if self.updates % self.settings.target_interval == 0:
             self.target.follow(self.network, self.settings.tau)
 
         if report:
@@ -134,7 +136,7 @@ class DQN(Agent):
                 "value_max": values.max(),
                 "target_mean": targets.mean(),
                 "epsilon": torch.tensor(self.epsilon),
-                "learning_rate": torch.tensor(self._optimiser.learning_rate),
+                "learning_rate": torch.tensor(self.optimisers["network"].learning_rate),
             }
         metrics["priorities"] = errors.abs_()
         return metrics
@@ -177,27 +179,6 @@ class DQN(Agent):
     def deployed(self) -> Deployed:
         """The action of the largest value, which with a dueling network is that of the largest advantage."""
         return deployed(self.network, self.normaliser, "argmax", columns=slice(int(self.settings.dueling), None))
-
-    def state(self) -> State:
-        """Everything that learning and acting depend on."""
-        return {
-            "network": self.network.state(),
-            "target": self.target.state(),
-            "normaliser": self.normaliser.state(),
-            "optimiser": self._optimiser.state(),
-            "generator": self._generator.get_state(),
-            "explored": self._explored,
-            "updates": self._updates,
-        }
-
-    def load_state(self, state: State) -> None:
-        """Raises UsageError when the state is of a network of another shape."""
-        for name in self.learned:
-            getattr(self, name).load_state(state[name])
-        self._optimiser.load_state(state["optimiser"])
-        self._generator.set_state(torch.as_tensor(state["generator"]))
-        self._explored = int(state["explored"])
-        self._updates = int(state["updates"])
 
 
 def td_loss(errors: Tensor, kind: Literal["huber", "squared"]) -> Tensor:

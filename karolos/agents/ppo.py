@@ -15,7 +15,7 @@ from numpy.typing import NDArray
 from pydantic import Field as Setting
 from torch import Tensor
 
-from ..core import Agent, Discrete, FloatArray, Rollout, Signature, State
+from ..core import Discrete, FloatArray, Rollout, Signature, State
 from ..core.deployed import Deployed
 from ..core.seeding import SeedTree
 from ..errors import UsageError
@@ -23,6 +23,7 @@ from .networks import MLP, Shape, deployed
 from .normaliser import Normaliser
 from .optimisation import Adam, OptimiserSettings, learning_rates
 from .tensors import network_input, saturation, to_array
+from .torch_agent import TorchAgent
 
 CLIP = 10.0
 """Bound of normalised inputs. A better policy reaches states far from those of the first ones, e.g. a cart far from the
@@ -52,7 +53,7 @@ class Transitions(NamedTuple):
         return Transitions(*(field[chosen] for field in self))
 
 
-class PPO(Agent[Rollout]):
+class PPO(TorchAgent[Rollout]):
     """Improves the policy on its latest rollout while it stays near the policy that collected the rollout.
 
     On-policy; continuous actions (a Gaussian whose actions are stored unclipped) and discrete ones. Observations and
@@ -81,6 +82,7 @@ class PPO(Agent[Rollout]):
 
     on_policy: ClassVar[bool] = True
     learned: ClassVar[tuple[str, ...]] = ("policy", "distribution", "value", "normaliser")
+    stored = learned
 
     def __init__(self, settings: PPO.Settings, signature: Signature, seeds: SeedTree, device: str = "cpu") -> None:
         self.settings, self.device, self.discount = settings, torch.device(device), settings.discount
@@ -98,11 +100,11 @@ class PPO(Agent[Rollout]):
         vectors = {"policy": self.policy.vector, "value": self.value.network.vector}
         if isinstance(self.distribution, Gaussian):
             vectors["std"] = self.distribution.log_std
-        self._optimisers = {
+        self.optimisers = {
             name: Adam(vector, settings.rate, epsilon=1e-5, norm=settings.gradient_norm)
             for name, vector in vectors.items()
         }
-        self._generator = torch.Generator(self.device).manual_seed(seeds.child("noise").integer())
+        self.generator = torch.Generator(self.device).manual_seed(seeds.child("noise").integer())
 
     @torch.inference_mode()
     def act(
@@ -116,7 +118,7 @@ class PPO(Agent[Rollout]):
         """Actions (n, a) for observations (n, o) and goals (n, g): in [-1, 1], or unclipped when exploring."""
         output = self.policy(network_input(observation, desired_goal, self.normaliser, self.device))
         if explore:
-            return to_array(self.distribution.sample(output, self._generator))
+            return to_array(self.distribution.sample(output, self.generator))
         return to_array(self.distribution.mode(output))
 
     @torch.inference_mode()
@@ -153,15 +155,15 @@ class PPO(Agent[Rollout]):
         by_output = self.distribution.backward(output, minibatch.action, gradient, -settings.entropy / len(ratio))
         entropy = self.distribution.entropy(output).mean()
         self.policy.backward(by_output, tapes)
-        metrics = self._optimisers["policy"].step(self.policy.gradient, "gradient_norm", report=True)
+        metrics = self.optimisers["policy"].step(self.policy.gradient, "gradient_norm", report=True)
         if isinstance(self.distribution, Gaussian):
-            self._optimisers["std"].step(self.distribution.gradient)
+            self.optimisers["std"].step(self.distribution.gradient)
             self.distribution.clamp_std()
 
         metrics["value_loss"] = self.value.backward(
             minibatch.inputs, minibatch.target, minibatch.value, settings.value_clip
         )
-        metrics |= self._optimisers["value"].step(self.value.network.gradient, "value_gradient_norm", report=True)
+        metrics |= self.optimisers["value"].step(self.value.network.gradient, "value_gradient_norm", report=True)
         return {
             **metrics,
             "policy_loss": loss,
@@ -207,7 +209,7 @@ class PPO(Agent[Rollout]):
                 hint="raise buffer.rollout, or lower agent.minibatches",
             )
         for _ in range(self.settings.epochs):
-            order = torch.randperm(count, generator=self._generator, device=self.device)
+            order = torch.randperm(count, generator=self.generator, device=self.device)
             yield from order.tensor_split(self.settings.minibatches)
 
     def _rollout_metrics(self, transitions: Transitions) -> dict[str, Tensor]:
@@ -217,7 +219,7 @@ class PPO(Agent[Rollout]):
         metrics = {
             "explained_variance": torch.where(total > 0, 1 - unexplained / total, torch.zeros_like(total)),
             "value_mean": transitions.value.mean(),
-            **learning_rates(self._optimisers),
+            **learning_rates(self.optimisers),
         }
         if isinstance(self.distribution, Gaussian):
             metrics["action_saturation"] = saturation(transitions.action)
@@ -232,22 +234,6 @@ class PPO(Agent[Rollout]):
     def deployed(self) -> Deployed:
         """The mean action, clipped to [-1, 1], or the most likely discrete one."""
         return deployed(self.policy, self.normaliser, "clip" if isinstance(self.distribution, Gaussian) else "argmax")
-
-    def state(self) -> State:
-        """Everything that learning and acting depend on."""
-        return {
-            **{name: getattr(self, name).state() for name in self.learned},
-            "optimisers": {name: optimiser.state() for name, optimiser in self._optimisers.items()},
-            "generator": self._generator.get_state(),
-        }
-
-    def load_state(self, state: State) -> None:
-        """Raises UsageError when the state is of networks of another shape."""
-        for name in self.learned:
-            getattr(self, name).load_state(state[name])
-        for name, optimiser in self._optimisers.items():
-            optimiser.load_state(state["optimisers"][name])
-        self._generator.set_state(torch.as_tensor(state["generator"]))
 
 
 def advantages(

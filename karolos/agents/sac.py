@@ -11,7 +11,7 @@ from pydantic import Field as Setting
 from pydantic import model_validator
 from torch import Tensor
 
-from ..core import Batch, Signature, State
+from ..core import Batch, Signature
 from ..core.seeding import SeedTree
 from .actor_critic import ActorCritic, ActorCriticSettings, imitation_loss
 from .backprop import Tape
@@ -55,7 +55,7 @@ class SAC(ActorCritic):
             return self
 
     learned: ClassVar[tuple[str, ...]] = ("policy", "critic", "target", "normaliser", "log_temperature")
-    stored: ClassVar[tuple[str, ...]] = ("policy", "critic", "target", "normaliser", "noise")
+    stored: ClassVar[tuple[str, ...]] = ("policy", "critic", "target", "normaliser", "noise", "log_temperature")
 
     def __init__(self, settings: SAC.Settings, signature: Signature, seeds: SeedTree, device: str = "cpu") -> None:
         kind = QuantileCritic(settings.critic) if settings.critic else ValueCritic()
@@ -172,13 +172,6 @@ class SAC(ActorCritic):
         self.optimisers["temperature"].step(temperature_gradient(entropy, self._target_entropy), update=update)
         if self.settings.temperature_min:
             self.log_temperature.clamp_(min=math.log(self.settings.temperature_min))
-
-    def state(self) -> State:
-        return {**super().state(), "log_temperature": self.log_temperature.clone()}
-
-    def load_state(self, state: State) -> None:
-        super().load_state(state)
-        self.log_temperature.copy_(torch.as_tensor(state["log_temperature"]))
 
 
 def policy_loss(value: Tensor, log_probabilities: Tensor, temperature: Tensor, weight: Tensor) -> Tensor:

@@ -114,7 +114,7 @@ def test_long_gradients_are_cut_to_the_length_that_is_set() -> None:
         agent = make(gradient_norm=longest, loss="squared")
         told.append(agent.learn(some(32, reward=50, terminated=1))["gradient_norm"].item())
         # Adam's first step leaves a tenth of the gradient in its running mean
-        lengths.append(10 * np.linalg.norm(agent.state()["optimiser"]["exp_avg"]))
+        lengths.append(10 * np.linalg.norm(agent.state()["optimisers"]["network"]["exp_avg"]))
     assert lengths == pytest.approx([told[0], 0.5], rel=1e-4)
     assert told[0] == told[1] > 1
 

@@ -19,7 +19,7 @@ TOY: dict[str, Any] = {
     "agent": {"name": "sac", "hidden": [8], "precision": "float32"},
     "buffer": {"name": "priority", "capacity": 2000, "hindsight": {}},
     "orchestrator": {"name": "local", "processes": 1, "environments": 4},
-    "training": {"batch_size": 16, "replay_ratio": 32, "warmup_episodes": 4},
+    "training": {"batch_size": 16, "replay_ratio": 12, "warmup_episodes": 4},
 }
 
 pytestmark = pytest.mark.skipif(not hasattr(signal, "SIGKILL"), reason="kills as POSIX does")
@@ -32,7 +32,7 @@ def test_a_killed_toy_ends_like_an_undisturbed_one_and_killed_workers_are_replac
     small = spec_from_dict({**TOY, "name": "toy", "training": training, "orchestrator": orchestrator})
     monkeypatch.setattr(survival, "reach", lambda *_: small)
     said: list[str] = []
-    killed, workers = survival.measure(steps=3000, seconds=0.5, say=said.append)
+    killed, workers = survival.measure(steps=3000, seconds=1.0, say=said.append)
     assert killed.value == 0
     assert any("killed after" in line and "equal" in line for line in said)
     assert workers.peer == "undisturbed"
