@@ -82,12 +82,21 @@ def new(
     ],
     name: Annotated[str, typer.Argument(metavar="NAME", help="Its name in specs, e.g. my_arm.")],
     out: Annotated[Path | None, typer.Option(metavar="DIR", help="Folder to write. Default: karolos-NAME.")] = None,
+    urdf: Annotated[
+        Path | None, typer.Option(metavar="FILE", help="A robot's URDF: write the robot that it describes.")
+    ] = None,
+    tool: Annotated[
+        str | None, typer.Option(metavar="LINK", help="The link of the URDF that is the tool frame, z forwards.")
+    ] = None,
 ) -> None:
-    """Write a package with a working, tested plugin to start from. Prints its files."""
+    """Write a package with a working, tested plugin to start from. Prints its files, and what was assumed of a URDF."""
     from karolos.plugins.starter import write_starter
 
-    for path in write_starter(kind, name, out or Path(f"karolos-{name.replace('_', '-')}")):
+    files, notes = write_starter(kind, name, out or Path(f"karolos-{name.replace('_', '-')}"), urdf=urdf, tool=tool)
+    for path in files:
         print_line(str(path))
+    for note in notes:
+        say(f"assumed: {note}")
 
 
 @app.command()
