@@ -42,7 +42,9 @@ class Gymnasium(Environment):
     class Settings(BaseSettings):
         id: str = Setting(min_length=1, description='as for gymnasium.make, e.g. "CartPole-v1" or "module:Name-v0"')
         kwargs: dict[str, JsonValue] = Setting({}, description="further arguments of gymnasium.make")
-        max_steps: int | None = Setting(None, ge=1, description="steps per episode; null: as the id is registered")
+        max_steps: int | None = Setting(
+            None, ge=1, le=10_000_000, description="steps per episode; null: as the id is registered"
+        )
         success_return: float | None = Setting(
             None, description="return from which an episode is a success; null: the id's reward_threshold"
         )

@@ -69,11 +69,12 @@ class RobotTask(Environment):
         """Number of episodes truncated because the physics diverged."""
         robot.prepare(gripper=task.uses_gripper, period=settings.substeps * TIMESTEP, points_down=task.points_down)
         task.fit(robot)
-        declared = {
+        self.declared = {
             **{f"robot.{name}": parameter for name, parameter in robot.parameters.items()},
             **{f"task.{name}": parameter for name, parameter in task.parameters.items()},
         }
-        self._randomization = Randomization(randomization or {}, declared)
+        """What randomization may change, by name with the part in front."""
+        self._randomization = Randomization(randomization or {}, self.declared)
         self._action_set = ActionSet(robot.action) if settings.actions == "discrete" else None
         self._terminates = type(task.goal_rule).terminated is not GoalRule.terminated
         self._drawn: list[float] = []

@@ -69,18 +69,28 @@ class Checkpointer(RunObserver):
             self._write(BEST, {"agent": test.agent}, test, meta)
 
     def restore(self, training: Training, parts: Mapping[str, State]) -> list[DueTest]:
-        """Continue from the parts of a checkpoint `last`; returns the tests that are still to be played."""
+        """Continue from the parts of a checkpoint `last`; returns the tests that are still to be played.
+
+        Raises:
+            CheckpointError: the parts do not fit the run's spec.
+        """
         with checkpoint.fitting(str(self.folder.checkpoints)):
-            training.agent.load_state(parts["agent"])
+            run = parts["run"]
+            self.demonstrated = bool(run["demonstrated"])
+            self._best = float(run["best_end"]), float(run["best_any"])
+            tests = [
+                DueTest(
+                    int(row["steps"]), int(row["updates"]), float(row["seconds"]), row["agent"], tuple(row["seeds"])
+                )
+                for row in run["tests"]
+            ]
+            for state in (*(test.agent for test in tests), parts["agent"]):  # a pending test's may not fit either
+                training.agent.load_state(state)
             training.buffer.load_state(parts["buffer"])
             training.load_state(parts["training"])
-        run = parts["run"]
-        self.demonstrated = run["demonstrated"]
-        self._best = run["best_end"], run["best_any"]
         results = {result.steps: result for result in self.folder.tests()}
         left = []
-        for row in run["tests"]:
-            test = DueTest(row["steps"], row["updates"], row["seconds"], row["agent"], tuple(row["seeds"]))
+        for test in tests:
             if test.steps in results:  # it was recorded after the checkpoint
                 self._choose(test, results[test.steps])
             else:

@@ -11,7 +11,9 @@ from ..errors import RunError, UsageError
 from ..files import remove_temporary_leftovers
 from ..orchestrator.auto import cores
 from ..records import RunFolder
+from ..records.archive import remove_unfinished_imports
 from ..records.labels import Labels
+from ..records.run_folder import remove_lost_leftovers
 from ..records.run_records import RunState, RunSummary, summarise, timestamp
 from ..spec import Spec, spec_from_dict
 from ..store import Store
@@ -124,8 +126,10 @@ class Experiment:
             raise UsageError(f"jobs is {jobs}", hint="run at least one seed at a time")
         folder = Path(runs)
         url = database or Store.default_url(folder)
-        check_parts(self.spec)
+        check_parts(self.spec, min(jobs, len(self.spec.seeds)))
         RunFolder.check_writable(folder)
+        remove_unfinished_imports(folder)
+        remove_lost_leftovers(folder, f"{self.spec.name}-s*")
         Store(url).close()  # an unusable database is an error before anything is computed
         listener = listener or (print_progress if progress else lambda _: None)
         spec = pinned(self.spec.alone(), folder)

@@ -343,6 +343,16 @@ def scan(runs: str | Path, pattern: str = "*") -> Iterator[RunFolder | RunError]
             yield error
 
 
+def remove_lost_leftovers(runs: str | Path, pattern: str = "*") -> None:
+    """Remove files that killed processes did not finish from run folders that no process has locked.
+
+    Arguments as those of `paths`.
+    """
+    for path in paths(runs, pattern):
+        if not FileLock(path / "lock").is_locked():
+            remove_leftovers(path, UNFINISHED)
+
+
 def _make_folder(runs: Path, stem: str) -> Path:
     with writing(runs):
         runs.mkdir(parents=True, exist_ok=True)

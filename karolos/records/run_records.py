@@ -225,15 +225,4 @@ def is_description(run: Mapping[str, Any]) -> bool:
     texts = all(isinstance(run.get(key), str) for key in ("name", "experiment", "created"))
     numbers = all(type(run.get(key)) is int for key in ("seed", "format"))
     named = isinstance(run.get("id"), str) and ID.fullmatch(run["id"]) is not None
-    return texts and numbers and named and _is_provenance(run)
-
-
-def _is_provenance(run: Mapping[str, Any]) -> bool:
-    """Whether the fields of run.json that may be missing have their types."""
-    versions, command, git = (run.get(key) for key in ("versions", "command", "git"))
-    if not (versions is None or isinstance(versions, dict)) or not (git is None or isinstance(git, dict)):
-        return False
-    texts = [*(versions or {}).values(), *([git.get("commit")] if git else [])]
-    if command is not None:
-        texts += command if isinstance(command, list) else [None]
-    return all(isinstance(text, str) for text in texts)
+    return texts and numbers and named

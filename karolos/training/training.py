@@ -45,7 +45,7 @@ class Progress:
     finished: tuple[Episode, ...] = ()
     """Episodes that ended in this round."""
     failures: tuple[Failure, ...] = ()
-    """Environments that failed in this round and have begun another episode since."""
+    """Environments that failed in this round. Their episodes are cut; in lockstep those of a lost worker go on."""
 
 
 @dataclass
