@@ -72,17 +72,6 @@ def test_motor_follows_a_ramp_of_speeds(substeps: int) -> None:
     world.close()
 
 
-def test_motor_keeps_its_speed_limit() -> None:
-    world = World()
-    world.set_gravity(0.0)
-    body, motors = pendulum(world, 20.0)
-    for _ in range(12):
-        motors.drive([3.0], [3.0], None)
-        world.step()
-        assert body.joints([0])[0][1] <= 2.0 * 1.01
-    world.close()
-
-
 def test_damping_brakes_a_joint_as_its_law_says_whatever_the_substeps() -> None:
     ends = []
     for substeps in (1, 10):
