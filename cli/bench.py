@@ -23,6 +23,9 @@ Robot = Annotated[str, typer.Option(help="Name of a robot.")]
 Task = Annotated[str, typer.Option(help="Name of a task.")]
 Seconds = Annotated[float, typer.Option(min=0.1, help="Time for all measurements together.")]
 Control = Literal["joint", "cartesian"]
+Engine = Annotated[
+    Literal["bullet", "mujoco"] | None, typer.Option(help="Physics engine. Default: bullet where it is installed.")
+]
 COLUMNS = ("benchmark", "case", "value", "unit", "peer", "peer_value", "ratio", "ratio_min", "ratio_max")
 
 
@@ -66,6 +69,7 @@ def environment(
     robot: Robot = "panda",
     task: Task = "reach",
     control: Annotated[Control | None, typer.Option(help="Only this control mode. Default: both.")] = None,
+    engine: Engine = None,
     seconds: Seconds = 10.0,
     peers: Annotated[bool, typer.Option("--peers", help="Measure panda-gym too, if it is installed.")] = False,
     json: Json = False,
@@ -74,7 +78,10 @@ def environment(
     from karolos.benchmarks.environment import measure, measure_panda_gym
 
     controls = ["joint", "cartesian"] if control is None else [control]
-    rows = measure_panda_gym(seconds=seconds) if peers else measure(robot, task, controls=controls, seconds=seconds)
+    if peers:
+        rows = measure_panda_gym(seconds=seconds)
+    else:
+        rows = measure(robot, task, controls=controls, engine=engine, seconds=seconds)
     _print_measurements(rows, json=json)
 
 
@@ -108,6 +115,7 @@ def experts(
     ] = None,
     episodes: Annotated[int, typer.Option(min=1, help="Seeded test episodes per pair and policy.")] = 200,
     control: Annotated[Control | None, typer.Option(help="Control mode. Default: that of the robot.")] = None,
+    engine: Engine = None,
     seed: Annotated[int, typer.Option(min=0, help="Root of the seeds of the episodes.")] = 0,
     jobs: Annotated[int | None, typer.Option(min=1, help="Processes at the same time. Default: one per core.")] = None,
     json: Json = False,
@@ -116,7 +124,7 @@ def experts(
     from karolos.benchmarks.experts import measure
 
     shown = []
-    for row in measure(_cases(pair or [], control), episodes=episodes, seed=seed, jobs=jobs):
+    for row in measure(_cases(pair or [], control, engine), episodes=episodes, seed=seed, jobs=jobs):
         say(f"{row.case}: {row.value:.3g}")
         line = row.dump()
         if json:
@@ -226,12 +234,12 @@ def _cell(value: object) -> str:
     return str(value)
 
 
-def _cases(pairs: list[str], control: str | None) -> list[Case]:
+def _cases(pairs: list[str], control: str | None, engine: Literal["bullet", "mujoco"] | None) -> list[Case]:
     """The named pairs, which must fit together, or all pairs that do."""
     from karolos.benchmarks.experts import Case, all_cases, check
 
     if not pairs:
-        cases, refusals = all_cases(control)
+        cases, refusals = all_cases(control, engine)
         for refusal in refusals:
             say(f"left out: {refusal}")
         return cases
@@ -240,7 +248,7 @@ def _cases(pairs: list[str], control: str | None) -> list[Case]:
         robot, slash, task = text.partition("/")
         if not (robot and slash and task):
             raise UsageError(f"{text!r} is not a pair", where="--pair", hint="write ROBOT/TASK, as in panda/reach")
-        cases.append(Case(robot, task, control))
+        cases.append(Case(robot, task, control, engine))
     for case in cases:
         check(case)
     return cases

@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 from pathlib import Path
-from typing import TYPE_CHECKING, Annotated, Any
+from typing import TYPE_CHECKING, Annotated, Any, Literal
 
 import typer
 
@@ -106,6 +106,10 @@ def check(
     settings: Annotated[
         list[str] | None, typer.Argument(metavar="[SETTING=VALUE]...", help="Settings other than the defaults.")
     ] = None,
+    engine: Annotated[
+        Literal["bullet", "mujoco"] | None,
+        typer.Option(help="Physics engine of a robot or a task. Default: bullet where it is installed."),
+    ] = None,
     json: Json = False,
 ) -> None:
     """Check what plugins of this kind promise, as karolos's own tests do. Exit code 3 if a promise is broken.
@@ -115,7 +119,7 @@ def check(
     from karolos.plugins.contracts import candidate, cases, results
     from karolos.spec import parse_settings
 
-    found = cases(candidate(_kind(kind), name, **parse_settings(settings or ())))
+    found = cases(candidate(_kind(kind), name, engine, **parse_settings(settings or ())))
     checked, broken = 0, 0
     problems: dict[str, str] = {}
     for case, problem in results(found):

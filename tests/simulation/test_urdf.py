@@ -178,15 +178,3 @@ def test_a_locked_joint_takes_along_those_that_mimic_it(tmp_path: Path) -> None:
     )
     with pytest.raises(PluginError, match="no joint is called 'x'; joints: j, k"):
         urdf.load(path, (("x", 0.5),))
-
-
-def test_urdf_that_the_engine_refuses_is_a_clear_error() -> None:
-    world = World()
-    robot = urdf.read(PANDA)
-    for joint in robot.findall("joint"):
-        child = joint.find("child")
-        assert child is not None
-        child.set("link", "nowhere")
-    with pytest.raises(PluginError, match="cannot load"):
-        world.load(robot)
-    world.close()
