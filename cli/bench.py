@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from collections.abc import Iterable
+from collections.abc import Iterable, Sequence
 from pathlib import Path
 from typing import TYPE_CHECKING, Annotated, Literal
 
@@ -27,6 +27,7 @@ Engine = Annotated[
     Literal["bullet", "mujoco"] | None, typer.Option(help="Physics engine. Default: bullet where it is installed.")
 ]
 COLUMNS = ("benchmark", "case", "value", "unit", "peer", "peer_value", "ratio", "ratio_min", "ratio_max")
+AGENT_COLUMNS = ("case", "steps", "episodes", "value", "unit", "peer", "peer_steps", "peer_value", "peer_settings")
 
 
 @app.command()
@@ -41,7 +42,8 @@ def agents(
 ) -> None:
     """Measure what each agent learns with each buffer over several seeds. Takes hours; a second call resumes.
 
-    The table so far is in the runs folder as agents.md and agents.json.
+    A figure is that of the last test. stable-baselines3 makes the same number of steps; in a second row it makes the
+    number of steps that its settings are tuned for. The table so far is in the runs folder (agents.md, agents.json).
     """
     from karolos.benchmarks.agents import measure
 
@@ -49,7 +51,7 @@ def agents(
     results = measure(
         folder, overrides=overrides or (), only=beginnings, seeds=seeds, peers=peers, quick=quick, say=say
     )
-    _print_measurements((result.row() for result in results), json=json)
+    _print_measurements((row for result in results for row in result.rows()), json=json, columns=AGENT_COLUMNS)
 
 
 @app.command()
@@ -217,13 +219,13 @@ def updates(
     _print_measurements(rows, json=json)
 
 
-def _print_measurements(rows: Iterable[Row], *, json: bool) -> None:
+def _print_measurements(rows: Iterable[Row], *, json: bool, columns: Sequence[str] = COLUMNS) -> None:
     """Print a table, or one JSON object per measurement as soon as it is made."""
     measured = (row.dump() for row in rows)
     if json:
         print_rows(measured, json=True)
     else:
-        print_table(Table(COLUMNS, [[_cell(row[column]) for column in COLUMNS] for row in measured]))
+        print_table(Table(columns, [[_cell(row[column]) for column in columns] for row in measured]))
 
 
 def _cell(value: object) -> str:

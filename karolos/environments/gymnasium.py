@@ -91,6 +91,8 @@ class Gymnasium(Environment):
     def __init__(self, settings: Gymnasium.Settings) -> None:
         self.settings = settings
         env = make_environment(settings)
+        registered = getattr(env.spec, "reward_threshold", None)
+        self._success_return = registered if settings.success_return is None else settings.success_return
         try:
             self._space: Any = env.observation_space
             observation = _observation(self._space, settings)
@@ -111,6 +113,7 @@ class Gymnasium(Environment):
                 max_steps=steps,
                 reward_range=settings.reward_range or (-np.inf, np.inf),
                 goal_rule=self._rule,
+                has_success=settings.goals or settings.flatten_goals or self._success_return is not None,
                 **goals,
             )
         except BaseException:
@@ -119,8 +122,6 @@ class Gymnasium(Environment):
         self._env = env
         self.rate = float(env.metadata.get("render_fps") or self.rate)
         self._actions: Any = env.action_space
-        registered = getattr(env.spec, "reward_threshold", None)
-        self._success_return = registered if settings.success_return is None else settings.success_return
         self._steps = steps  # no episode is running
         self._return = 0.0
         self._last: Step | None = None

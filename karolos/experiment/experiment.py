@@ -50,10 +50,10 @@ class Outcome:
 
     def __str__(self) -> str:
         """A table with one line per run."""
-        rows = [("run", "state", "steps", "success end", "seconds")]
+        rows = [("run", "state", "steps", "return", "success end", "seconds")]
         for run in self.runs:
-            end = "-" if run.success_end is None else f"{run.success_end:.2f}"
-            rows.append((run.run, run.state, f"{run.steps:,}", end, f"{run.seconds:.1f}"))
+            mean, end = ("-" if value is None else f"{value:,.2f}" for value in (run.mean_return, run.success_end))
+            rows.append((run.run, run.state, f"{run.steps:,}", mean, end, f"{run.seconds:.1f}"))
         widths = [max(map(len, cells)) for cells in zip(*rows, strict=True)]
         return "\n".join(
             "  ".join(cell.ljust(width) for cell, width in zip(row, widths, strict=True)).rstrip() for row in rows

@@ -29,7 +29,8 @@ OBJECTIVES: dict[str, Literal["maximize", "minimize"]] = {
 }
 """Objectives of a trial and their directions. Each is a mean over the seeds.
 
-success and return are those of the last test. mean_* is the mean over all tests, the area under the learning curve.
+success and return are those of the policy `last` in the final test; trials have none, and theirs are of the last test.
+mean_* is the mean over all tests, the area under the learning curve.
 steps_to_* is the number of environment steps until the first test with that `end` success; a run that never reaches it
 counts twice its steps (PAR2, penalised run time in algorithm configuration)."""
 DEFAULT_TRIALS = 20

@@ -42,6 +42,8 @@ class Job:
     spec: Spec
     tests: dict[int, dict[int, TestResult]] = field(default_factory=dict)
     """Seed -> steps -> test."""
+    finals: dict[int, TestResult] = field(default_factory=dict)
+    """Seed -> the policy `last` in the final test, for runs that have one."""
     summaries: dict[int, RunSummary] = field(default_factory=dict)
     error: str | None = None
     """The error of the first run that failed."""
@@ -63,12 +65,16 @@ class Job:
 
     def measure(self, sweep: Sweep) -> tuple[float, ...]:
         """The sweep's objectives of the finished runs."""
-        return tuple(measure(name, self.results(), self.spec.training.steps) for name in sweep.objectives)
+        results, steps = self.results(), self.spec.training.steps
+        return tuple(measure(name, results, steps, self.finals) for name in sweep.objectives)
 
     def record(self, summary: RunSummary) -> None:
         """Record the end of a run."""
         self.summaries[summary.seed] = summary
         self.read_tests(summary.seed, summary.folder)
+        final = RunFolder.open(summary.folder).final()
+        if final is not None:
+            self.finals[summary.seed] = final.last
 
     def read_tests(self, seed: int, folder: str) -> None:
         """Read the tests in a run's folder, also of a resumed run."""

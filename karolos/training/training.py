@@ -39,7 +39,7 @@ class Progress:
     episodes: int
     updates: int
     seconds: float
-    """Wall-clock seconds of collecting and learning. What the caller does between rounds is not counted."""
+    """Wall-clock seconds of collecting and learning; the caller may add those of demonstrations."""
     warming_up: bool
     """Whether actions are still random."""
     finished: tuple[Episode, ...] = ()

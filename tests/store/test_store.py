@@ -40,8 +40,8 @@ def test_run_comes_back_as_its_folder_says(store: Store, tmp_path: Path) -> None
     found = store.find(run.id)
     assert (found.steps_to_95, found.steps_to_95_any) == (100, 200)
     assert store.tests(run.id) == (
-        TestCounts(100, 1.0, 20, 3, 20, 0),
-        TestCounts(200, 2.0, 20, 19, 20, 0),
+        TestCounts(100, 1.0, 20, 3, 20, 0, -1.5),
+        TestCounts(200, 2.0, 20, 19, 20, 0, -1.5),
     )
 
 
