@@ -30,8 +30,8 @@ class Gymnasium(Environment):
     Reward and termination: the environment's.
     What counts as success, with goals: a reward of at least `success_reward`. Without goals: the episode ends with a
     return of at least `success_return`; without it, of at least the `reward_threshold` the id is registered with;
-    without either, `info["is_success"]`. Returns are judged at the end only: where rewards are negative, every episode
-    begins above any threshold.
+    without either, `info["is_success"]`, and results show returns only until a test has such a success. Returns are
+    judged at the end only: where rewards are negative, every episode begins above any threshold.
 
     Raises:
         UsageError: unknown id, spaces that karolos cannot use, or a `compute_reward` that disagrees with the rewards;
