@@ -157,8 +157,8 @@ def test_a_crafted_checkpoint_is_not_resumed(folder: RunFolder, change: Any) -> 
 
 INNER: dict[str, Callable[[dict[str, Any]], object]] = {
     "no tests": lambda parts: parts["run"].pop("tests"),
-    "no best": lambda parts: parts["run"].pop("best_end"),
-    "a text for the best": lambda parts: parts["run"].update(best_any="much"),
+    "no best": lambda parts: parts["run"].pop("best"),
+    "a text for the best": lambda parts: parts["run"].update(best=["much"]),
     "a test without its steps": lambda parts: parts["run"].update(tests=[{"seeds": [1]}]),
     "a test of another agent": lambda parts: parts["run"].update(
         tests=[{"steps": 9, "updates": 1, "seconds": 1.0, "seeds": [1], "agent": {}}]
