@@ -103,10 +103,9 @@ def _pictures(moments: Iterator[Moment], width: int, height: int) -> Iterator[ND
 
     for moment in moments:
         picture = moment.environment.render(width, height)
-        failed = moment.over and not moment.success and moment.environment.signature.has_success
-        outcome = "success" if moment.success else "no success" if failed else ""
+        outcome = "success" if moment.success else "no success" if moment.over else ""
         text = f"episode {moment.episode + 1}   step {moment.step}   {outcome}"
-        picture = with_caption(picture, text, success=moment.success, failed=failed)
+        picture = with_caption(picture, text, success=moment.success, over=moment.over)
         for _ in range(1 + moment.over * round(OUTCOME_SECONDS * moment.environment.rate)):
             yield picture
 
@@ -135,9 +134,8 @@ def _report_episodes(moments: Iterator[Moment]) -> Iterator[Moment]:
         reached = moment.success or (reached and moment.step > 0)
         yield moment
         if moment.over:
-            failure = "no success" if moment.environment.signature.has_success else "over"
-            outcome = "success" if moment.success else "reached, then lost" if reached else failure
-            say(f"episode {moment.episode + 1}: {outcome} after {moment.step} steps, return {moment.total:,.2f}")
+            outcome = "success" if moment.success else "reached, then lost" if reached else "no success"
+            say(f"episode {moment.episode + 1}: {outcome} after {moment.step} steps")
 
 
 def _has_display() -> bool:

@@ -1,1 +1,0 @@
-"""MuJoCo as the physics engine. No other package imports mujoco."""
