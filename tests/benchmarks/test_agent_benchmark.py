@@ -7,7 +7,7 @@ import pytest
 from karolos_cli.bench import app
 from typer.testing import CliRunner
 
-from karolos.benchmarks import agent_peers
+from karolos.benchmarks import agent_peers, agents
 from karolos.benchmarks.agents import ENTRIES, chosen, entry_spec
 from karolos.errors import SpecError, UsageError
 from karolos.records import scan
@@ -67,3 +67,28 @@ def test_entries_are_chosen_by_how_their_names_begin() -> None:
     assert chosen(["pendulum sac"]) == ["pendulum sac", "pendulum sac priority"]
     with pytest.raises(UsageError, match="no entry"):
         chosen(["pendulm"])
+
+
+def test_a_peer_also_makes_the_steps_that_its_settings_are_tuned_for(
+    tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    monkeypatch.setattr(agent_peers, "require", lambda: None)
+    monkeypatch.setattr(agent_peers, "value", lambda name, spec, steps, seed, unit, folder: float(steps + seed))
+    monkeypatch.setattr(agents, "_value", lambda spec, seed, unit, folder, listener: 500.0)
+    said: list[str] = []
+    only = ["cartpole dqn", "cartpole ppo"]
+    results = list(agents.measure(tmp_path, only=only, seeds=2, peers=True, say=said.append))
+    rows = [row.dump() for row in results[0].rows()]
+    assert [(row["steps"], row["episodes"], row["peer_steps"], row["peer_value"]) for row in rows] == [
+        (30_000, 100, 30_000, 30_000.5),
+        (30_000, 100, 50_000, 50_000.5),
+    ]
+    assert {row["peer_settings"] for row in rows} == {"zoo, dqn.yml, CartPole-v1"}
+    assert len(results[-1].rows()) == 1, "tuned for the same number"
+    assert "cartpole dqn, seed 1, stable-baselines3 after 50,000 steps: 5e+04" in said
+    table = (tmp_path / "agents.md").read_text()
+    assert "| 5e+04 after 50,000: 5e+04 5e+04 | zoo, dqn.yml, CartPole-v1 |" in table
+
+
+def test_every_recipe_of_the_peer_says_where_it_is_from() -> None:
+    assert all(recipe["source"] for recipe in agent_peers.RECIPES.values())
