@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from collections.abc import Iterable
+from collections.abc import Iterable, Sequence
 from pathlib import Path
 from typing import TYPE_CHECKING, Annotated, Literal
 
@@ -23,7 +23,11 @@ Robot = Annotated[str, typer.Option(help="Name of a robot.")]
 Task = Annotated[str, typer.Option(help="Name of a task.")]
 Seconds = Annotated[float, typer.Option(min=0.1, help="Time for all measurements together.")]
 Control = Literal["joint", "cartesian"]
+Engine = Annotated[
+    Literal["bullet", "mujoco"] | None, typer.Option(help="Physics engine. Default: bullet where it is installed.")
+]
 COLUMNS = ("benchmark", "case", "value", "unit", "peer", "peer_value", "ratio", "ratio_min", "ratio_max")
+AGENT_COLUMNS = ("case", "steps", "episodes", "value", "unit", "peer", "peer_steps", "peer_value", "peer_settings")
 
 
 @app.command()
@@ -34,20 +38,20 @@ def agents(
     seeds: Annotated[int, typer.Option(min=1, help="Runs of each entry.")] = 5,
     quick: Annotated[bool, typer.Option("--quick", help="Toy tasks, which only show that everything runs.")] = False,
     peers: Annotated[bool, typer.Option("--peers", help="Run tuned stable-baselines3 too.")] = False,
-    jobs: Annotated[int, typer.Option(min=1, help="Runs of an entry at the same time.")] = 1,
     json: Json = False,
 ) -> None:
     """Measure what each agent learns with each buffer over several seeds. Takes hours; a second call resumes.
 
-    The table so far is in the runs folder as agents.md and agents.json.
+    A figure is that of the last test. stable-baselines3 makes the same number of steps; in a second row it makes the
+    number of steps that its settings are tuned for. The table so far is in the runs folder (agents.md, agents.json).
     """
     from karolos.benchmarks.agents import measure
 
     beginnings = () if only is None else tuple(part.strip() for part in only.split(","))
     results = measure(
-        folder, overrides=overrides or (), only=beginnings, seeds=seeds, peers=peers, quick=quick, jobs=jobs, say=say
+        folder, overrides=overrides or (), only=beginnings, seeds=seeds, peers=peers, quick=quick, say=say
     )
-    _print_measurements((result.row() for result in results), json=json)
+    _print_measurements((row for result in results for row in result.rows()), json=json, columns=AGENT_COLUMNS)
 
 
 @app.command()
@@ -67,6 +71,7 @@ def environment(
     robot: Robot = "panda",
     task: Task = "reach",
     control: Annotated[Control | None, typer.Option(help="Only this control mode. Default: both.")] = None,
+    engine: Engine = None,
     seconds: Seconds = 10.0,
     peers: Annotated[bool, typer.Option("--peers", help="Measure panda-gym too, if it is installed.")] = False,
     json: Json = False,
@@ -75,7 +80,10 @@ def environment(
     from karolos.benchmarks.environment import measure, measure_panda_gym
 
     controls = ["joint", "cartesian"] if control is None else [control]
-    rows = measure_panda_gym(seconds=seconds) if peers else measure(robot, task, controls=controls, seconds=seconds)
+    if peers:
+        rows = measure_panda_gym(seconds=seconds)
+    else:
+        rows = measure(robot, task, controls=controls, engine=engine, seconds=seconds)
     _print_measurements(rows, json=json)
 
 
@@ -109,6 +117,7 @@ def experts(
     ] = None,
     episodes: Annotated[int, typer.Option(min=1, help="Seeded test episodes per pair and policy.")] = 200,
     control: Annotated[Control | None, typer.Option(help="Control mode. Default: that of the robot.")] = None,
+    engine: Engine = None,
     seed: Annotated[int, typer.Option(min=0, help="Root of the seeds of the episodes.")] = 0,
     jobs: Annotated[int | None, typer.Option(min=1, help="Processes at the same time. Default: one per core.")] = None,
     json: Json = False,
@@ -117,7 +126,7 @@ def experts(
     from karolos.benchmarks.experts import measure
 
     shown = []
-    for row in measure(_cases(pair or [], control), episodes=episodes, seed=seed, jobs=jobs):
+    for row in measure(_cases(pair or [], control, engine), episodes=episodes, seed=seed, jobs=jobs):
         say(f"{row.case}: {row.value:.3g}")
         line = row.dump()
         if json:
@@ -210,13 +219,13 @@ def updates(
     _print_measurements(rows, json=json)
 
 
-def _print_measurements(rows: Iterable[Row], *, json: bool) -> None:
+def _print_measurements(rows: Iterable[Row], *, json: bool, columns: Sequence[str] = COLUMNS) -> None:
     """Print a table, or one JSON object per measurement as soon as it is made."""
     measured = (row.dump() for row in rows)
     if json:
         print_rows(measured, json=True)
     else:
-        print_table(Table(COLUMNS, [[_cell(row[column]) for column in COLUMNS] for row in measured]))
+        print_table(Table(columns, [[_cell(row[column]) for column in columns] for row in measured]))
 
 
 def _cell(value: object) -> str:
@@ -227,12 +236,12 @@ def _cell(value: object) -> str:
     return str(value)
 
 
-def _cases(pairs: list[str], control: str | None) -> list[Case]:
+def _cases(pairs: list[str], control: str | None, engine: Literal["bullet", "mujoco"] | None) -> list[Case]:
     """The named pairs, which must fit together, or all pairs that do."""
     from karolos.benchmarks.experts import Case, all_cases, check
 
     if not pairs:
-        cases, refusals = all_cases(control)
+        cases, refusals = all_cases(control, engine)
         for refusal in refusals:
             say(f"left out: {refusal}")
         return cases
@@ -241,7 +250,7 @@ def _cases(pairs: list[str], control: str | None) -> list[Case]:
         robot, slash, task = text.partition("/")
         if not (robot and slash and task):
             raise UsageError(f"{text!r} is not a pair", where="--pair", hint="write ROBOT/TASK, as in panda/reach")
-        cases.append(Case(robot, task, control))
+        cases.append(Case(robot, task, control, engine))
     for case in cases:
         check(case)
     return cases

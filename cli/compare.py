@@ -31,9 +31,12 @@ def compare(
     database: Database = None,
     json: Json = False,
     metric: Annotated[
-        Literal["any", "end"],
-        typer.Option(help="Count success at any step of an episode or at its end, for curves and thresholds."),
-    ] = "end",
+        Literal["any", "end", "return"] | None,
+        typer.Option(
+            help="What curves and thresholds show: success at any step of an episode or at its end, or the return. "
+            "Default: end, or return where the environment defines no success."
+        ),
+    ] = None,
     label: Annotated[
         list[str] | None, typer.Option(help="Name of an experiment in tables and figures; once for each, in order.")
     ] = None,
@@ -49,7 +52,7 @@ def compare(
     html: Annotated[Path | None, typer.Option(hidden=True)] = None,
     figures: Annotated[Path | None, typer.Option(hidden=True)] = None,
 ) -> None:
-    """Compare experiments: success with its interval, steps and time to 50 and 90 %, cost, settings that differ."""
+    """Compare experiments: success and return with intervals, steps and time to 50 and 90 %, cost, settings."""
     from karolos.comparison import compare as compare_contenders
     from karolos.comparison import gather
 
@@ -63,7 +66,7 @@ def compare(
         selected = [select(store, selector) for selector in experiments]
         labels = _chosen(label, experiments) if label else _labels(experiments, selected)
         contenders = [gather(store, found, label) for found, label in zip(selected, labels, strict=True)]
-    comparison = compare_contenders(contenders, metric)
+        comparison = compare_contenders(contenders, metric, store)
     for warning in comparison.warnings:
         warn(warning)
     if json:

@@ -81,7 +81,7 @@ class Plain(Quiet):
             self._print(f"{event.run} started: {event.steps:,} steps into {event.folder}")
         elif isinstance(event, RunTested):
             result, speed = event.result, self._speeds[event.run].text
-            line = f"{event.run} at {result.steps:,} steps, {result.seconds:.1f} s: {_success(result)}"
+            line = f"{event.run} at {result.steps:,} steps, {result.seconds:.1f} s: {result.score}"
             self._print(f"{line} ({speed})" if speed else line)
         elif isinstance(event, RunFinalTested):
             self._print(f"{event.run} final test: {_final(event.final)}")
@@ -90,7 +90,7 @@ class Plain(Quiet):
 
 
 class Live(Quiet):
-    """Shows a bar per run: steps, speeds, activity, last success ratio, time left with tests."""
+    """Shows a bar per run: steps, speeds, activity, score of the last test, time left with tests."""
 
     def __init__(self, stream: TextIO | None = None) -> None:
         super().__init__(stream)
@@ -100,7 +100,7 @@ class Live(Quiet):
             MofNCompleteColumn(),
             TextColumn("{task.fields[speed]}", style="cyan"),
             TextColumn("{task.fields[activity]}", style="yellow"),
-            TextColumn("{task.fields[success]}", style="green"),
+            TextColumn("{task.fields[score]}", style="green"),
             TextColumn("{task.fields[left]}"),
             console=self._console,
         )
@@ -118,7 +118,7 @@ class Live(Quiet):
         bars = self._bars
         if isinstance(event, RunStarted):
             task = bars.add_task(
-                f"seed {event.seed}", total=event.steps, speed="starting", activity="", success="", left=""
+                f"seed {event.seed}", total=event.steps, speed="starting", activity="", score="", left=""
             )
             self._tasks[event.run] = task
             return
@@ -133,16 +133,12 @@ class Live(Quiet):
         elif isinstance(event, RunTested):
             if event.result.steps > bars.tasks[task].completed:  # training may have gone on since the test was due
                 bars.update(task, completed=event.result.steps)
-            bars.update(task, success=_success(event.result))
+            bars.update(task, score=event.result.score)
         elif isinstance(event, RunFinalTested):
-            bars.update(task, success=_final(event.final))
+            bars.update(task, score=_final(event.final))
         elif isinstance(event, RunEnded):
             bars.update(task, speed=event.state, activity="", left="")
             bars.stop_task(task)
-
-
-def _success(result: TestResult) -> str:
-    return f"success end {result.success_end:.2f}, any {result.success_any:.2f}"
 
 
 def _activity(event: RunBusy) -> str:
@@ -153,8 +149,11 @@ def _activity(event: RunBusy) -> str:
 
 
 def _final(final: FinalTest[TestResult]) -> str:
-    text = _success(final.last)
-    return text if final.best is None else f"{text}, best end {final.best.success_end:.2f}"
+    """The scores of the policies `last` and `best`."""
+    last, best = final.last.score, final.best
+    if best is None:
+        return last
+    return f"{last}; best {f'end {best.success_end:.2f}' if best.has_success else f'return {best.mean_return:,.2f}'}"
 
 
 def choose_display(*, quiet: bool) -> Quiet:

@@ -20,7 +20,7 @@ from .diff import diff
 from .export import export
 from .output import say
 from .play import play
-from .run import execute, resume, run
+from .run import resume, run
 from .sweep import sweep
 from .test import transfer
 
@@ -37,7 +37,6 @@ app = typer.Typer(
 )
 app.command()(run)
 app.command()(resume)
-app.command("_run", hidden=True)(execute)
 app.command()(check)
 app.add_typer(spec.app)
 app.add_typer(plugins.app)

@@ -14,7 +14,6 @@ from karolos.report.tables import Table, clean
 if TYPE_CHECKING:
     from rich.table import Table as RichTable
 
-    from karolos.records.results import TestCounts
     from karolos.records.sweep_records import Trial
 
 _STATE_STYLES = {
@@ -59,19 +58,6 @@ def print_rows(rows: Iterable[Mapping[str, Any]], *, json: bool, line: str = "")
     if listed:
         names = [name for name in listed[0] if any(row.get(name) not in (None, "", []) for row in listed)]
         print_table(Table(names, [[_text(row.get(name)) for name in names] for row in listed]))
-
-
-def success_row(test: TestCounts) -> dict[str, Any]:
-    """The success of a test as JSON fields, with Wilson's intervals at 95 %."""
-    from karolos.statistics.intervals import wilson
-
-    return {
-        "episodes": test.episodes,
-        "success_any": test.success_any,
-        "success_any_interval": wilson(test.any, test.episodes),
-        "success_end": test.success_end,
-        "success_end_interval": wilson(test.end, test.episodes),
-    }
 
 
 def print_csv(rows: Sequence[Mapping[str, Any]]) -> None:

@@ -103,9 +103,10 @@ def _pictures(moments: Iterator[Moment], width: int, height: int) -> Iterator[ND
 
     for moment in moments:
         picture = moment.environment.render(width, height)
-        outcome = "success" if moment.success else "no success" if moment.over else ""
+        failed = moment.over and not moment.success and moment.environment.signature.has_success
+        outcome = "success" if moment.success else "no success" if failed else ""
         text = f"episode {moment.episode + 1}   step {moment.step}   {outcome}"
-        picture = with_caption(picture, text, success=moment.success, over=moment.over)
+        picture = with_caption(picture, text, success=moment.success, failed=failed)
         for _ in range(1 + moment.over * round(OUTCOME_SECONDS * moment.environment.rate)):
             yield picture
 
@@ -134,8 +135,9 @@ def _report_episodes(moments: Iterator[Moment]) -> Iterator[Moment]:
         reached = moment.success or (reached and moment.step > 0)
         yield moment
         if moment.over:
-            outcome = "success" if moment.success else "reached, then lost" if reached else "no success"
-            say(f"episode {moment.episode + 1}: {outcome} after {moment.step} steps")
+            failure = "no success" if moment.environment.signature.has_success else "over"
+            outcome = "success" if moment.success else "reached, then lost" if reached else failure
+            say(f"episode {moment.episode + 1}: {outcome} after {moment.step} steps, return {moment.total:,.2f}")
 
 
 def _has_display() -> bool:

@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 from pathlib import Path
-from typing import TYPE_CHECKING, Annotated, Any
+from typing import TYPE_CHECKING, Annotated, Any, Literal
 
 import typer
 
@@ -82,12 +82,21 @@ def new(
     ],
     name: Annotated[str, typer.Argument(metavar="NAME", help="Its name in specs, e.g. my_arm.")],
     out: Annotated[Path | None, typer.Option(metavar="DIR", help="Folder to write. Default: karolos-NAME.")] = None,
+    urdf: Annotated[
+        Path | None, typer.Option(metavar="FILE", help="A robot's URDF: write the robot that it describes.")
+    ] = None,
+    tool: Annotated[
+        str | None, typer.Option(metavar="LINK", help="The link of the URDF that is the tool frame, z forwards.")
+    ] = None,
 ) -> None:
-    """Write a package with a working, tested plugin to start from. Prints its files."""
+    """Write a package with a working, tested plugin to start from. Prints its files, and what was assumed of a URDF."""
     from karolos.plugins.starter import write_starter
 
-    for path in write_starter(kind, name, out or Path(f"karolos-{name.replace('_', '-')}")):
+    files, notes = write_starter(kind, name, out or Path(f"karolos-{name.replace('_', '-')}"), urdf=urdf, tool=tool)
+    for path in files:
         print_line(str(path))
+    for note in notes:
+        say(f"assumed: {note}")
 
 
 @app.command()
@@ -96,6 +105,10 @@ def check(
     name: Annotated[str, typer.Argument(metavar="NAME", help="The name that a spec uses.")],
     settings: Annotated[
         list[str] | None, typer.Argument(metavar="[SETTING=VALUE]...", help="Settings other than the defaults.")
+    ] = None,
+    engine: Annotated[
+        Literal["bullet", "mujoco"] | None,
+        typer.Option(help="Physics engine of a robot or a task. Default: bullet where it is installed."),
     ] = None,
     json: Json = False,
 ) -> None:
@@ -106,7 +119,7 @@ def check(
     from karolos.plugins.contracts import candidate, cases, results
     from karolos.spec import parse_settings
 
-    found = cases(candidate(_kind(kind), name, **parse_settings(settings or ())))
+    found = cases(candidate(_kind(kind), name, engine, **parse_settings(settings or ())))
     checked, broken = 0, 0
     problems: dict[str, str] = {}
     for case, problem in results(found):

@@ -26,7 +26,7 @@ from .arguments import (
     open_store,
     select_runs,
 )
-from .output import print_csv, print_rows, print_table, say, success_row, warn
+from .output import print_csv, print_rows, print_table, say, warn
 
 if TYPE_CHECKING:
     from karolos.records import RunFolder
@@ -305,7 +305,7 @@ class _View:
 
 
 def _test_row(test: TestCounts) -> dict[str, Any]:
-    return {"steps": test.steps, "seconds": test.seconds, **success_row(test), "solved_at_reset": test.reset}
+    return {"steps": test.steps, "seconds": test.seconds, **test.row(), "solved_at_reset": test.reset}
 
 
 def _final_row(final: FinalTest[TestResult]) -> dict[str, Any]:

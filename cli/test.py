@@ -17,8 +17,8 @@ def transfer(
         list[str] | None,
         typer.Argument(
             metavar="[PATH=VALUE]...",
-            help="Settings to change of the run's robot, task, environment, randomization or orchestrator, e.g. "
-            "robot=ur5 task.object_mass=0.3",
+            help="Settings to change of the run's robot, task, environment, randomization or orchestrator, or "
+            "parameters of the world, e.g. robot=ur5 task.object_mass=0.3 task.gravity=-5",
         ),
     ] = None,
     episodes: Annotated[int | None, typer.Option(min=1, help="Episodes. Default: as in the run's final test.")] = None,

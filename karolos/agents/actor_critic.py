@@ -20,7 +20,7 @@ from .device import PRECISION_MEANS, Precision, uses_bfloat16
 from .networks import MLP, Shape, deployed
 from .noise import Noise
 from .normaliser import Normaliser
-from .optimisation import Adam, OptimiserSettings
+from .optimisation import Adam, Hidden, OptimiserSettings
 from .tensors import TensorBatch, network_input, to_array
 from .torch_agent import TorchAgent
 
@@ -29,7 +29,7 @@ class ActorCriticSettings(OptimiserSettings):
     """Settings of every agent with a policy of continuous actions and critics."""
 
     discount: float = Setting(0.95, ge=0, lt=1, description="per environment step; about 1 - 1 / steps of episode")
-    hidden: tuple[int, ...] = Setting((256, 256), min_length=1, description="units of each hidden layer")
+    hidden: Hidden = Setting((256, 256), description="units of each hidden layer")
     tau: float = Setting(0.05, gt=0, le=1, description="step of the target networks per update (Polyak averaging)")
     layer_norm: bool = Setting(False, description="layer normalisation in the critics: steadier, a little slower")
     clip_targets: bool = Setting(True, description="clip targets to the values that the declared reward range allows")

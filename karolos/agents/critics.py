@@ -20,7 +20,7 @@ from ..core import Signature
 class Quantiles(BaseSettings):
     """Truncated quantile critics. Defaults: of the paper (25 atoms; 2 to drop on most of its tasks)."""
 
-    quantiles: int = Setting(25, ge=2, description="quantiles of the return per critic")
+    quantiles: int = Setting(25, ge=2, le=1000, description="quantiles of the return per critic")
     drop: int = Setting(2, ge=0, description="largest quantiles per critic left out of targets, against overestimation")
 
     @model_validator(mode="after")

@@ -21,7 +21,7 @@ from .critics import value_bounds
 from .device import Precision, uses_bfloat16
 from .networks import MLP, Shape, deployed
 from .normaliser import Normaliser
-from .optimisation import Adam, OptimiserSettings
+from .optimisation import Adam, Hidden, OptimiserSettings
 from .tensors import REPORT_EVERY, TensorBatch, is_observed, network_input, tensor_batch, to_array
 from .torch_agent import TorchAgent
 
@@ -40,7 +40,7 @@ class DQN(TorchAgent):
     class Settings(OptimiserSettings):
         learning_rate: float = Setting(3e-4, gt=0, description="of the network (Adam)")
         discount: float = Setting(0.99, ge=0, lt=1, description="per environment step; about 1 - 1 / steps of episode")
-        hidden: tuple[int, ...] = Setting((256, 256), min_length=1, description="units of each hidden layer")
+        hidden: Hidden = Setting((256, 256), description="units of each hidden layer")
         double_q: bool = Setting(True, description="the online network chooses the next action, not the target network")
         dueling: bool = Setting(False, description="separate outputs for the state's value and the actions' advantages")
         tau: float = Setting(0.005, gt=0, le=1, description="step of the target network each time it is updated")

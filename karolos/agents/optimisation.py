@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 from collections.abc import Mapping
-from typing import Any
+from typing import Annotated, Any
 
 import torch
 from pydantic import Field as Setting
@@ -12,6 +12,9 @@ from torch import Tensor
 
 from ..core import AgentSettings, State
 from ..core.schedules import Linear
+
+Hidden = Annotated[tuple[Annotated[int, Setting(ge=1, le=65_536)], ...], Setting(min_length=1, max_length=32)]
+"""Units of each hidden layer."""
 
 
 class OptimiserSettings(AgentSettings):

@@ -21,7 +21,7 @@ from ..core.seeding import SeedTree
 from ..errors import UsageError
 from .networks import MLP, Shape, deployed
 from .normaliser import Normaliser
-from .optimisation import Adam, OptimiserSettings, learning_rates
+from .optimisation import Adam, Hidden, OptimiserSettings, learning_rates
 from .tensors import network_input, saturation, to_array
 from .torch_agent import TorchAgent
 
@@ -69,15 +69,17 @@ class PPO(TorchAgent[Rollout]):
             None, gt=0, description="bound of a value's change per rollout, in spreads of the returns; null: unbounded"
         )
         entropy: float = Setting(0.0, ge=0, description="weight of the policy's entropy (nats)")
-        epochs: int = Setting(10, ge=1, description="passes through each rollout")
-        minibatches: int = Setting(8, ge=1, description="gradient updates per epoch, each from a share of the rollout")
+        epochs: int = Setting(10, ge=1, le=10_000, description="passes through each rollout")
+        minibatches: int = Setting(
+            8, ge=1, le=10**6, description="gradient updates per epoch, each from a share of the rollout"
+        )
         target_kl: float | None = Setting(
             None, gt=0, description="stop learning from a rollout once the policy has moved 1.5 times this; null: never"
         )
         gradient_norm: float | None = Setting(
             0.5, gt=0, description="longer gradients are clipped to this; null: never"
         )
-        hidden: tuple[int, ...] = Setting((64, 64), min_length=1, description="units of each hidden layer")
+        hidden: Hidden = Setting((64, 64), description="units of each hidden layer")
         std: float = Setting(1.0, gt=0, description="standard deviation of continuous actions at the start")
 
     on_policy: ClassVar[bool] = True

@@ -1,4 +1,4 @@
-"""stable-baselines3 on the benchmark's tasks, at the tuned settings in peers.yaml."""
+"""stable-baselines3 on the benchmark's tasks, at the settings in peers.yaml."""
 
 from __future__ import annotations
 
@@ -39,28 +39,39 @@ def require() -> None:
     require_modules("pip install stable-baselines3, in an environment of its own beside karolos", "stable_baselines3")
 
 
-def value(name: str, spec: Spec, seed: int, unit: str, folder: Path) -> float | None:
-    """The peer's figure after the spec's steps and over its test episodes; None where there is no recipe.
+def numbers_of_steps(name: str, spec: Spec) -> tuple[int, ...]:
+    """Steps that the peer makes: those of the spec, then those that its settings are tuned for if they differ.
+
+    Empty if there is no recipe of this name.
+    """
+    if name not in RECIPES:
+        return ()
+    steps = spec.training.steps
+    return tuple(dict.fromkeys((steps, RECIPES[name].get("steps", steps))))
+
+
+def value(name: str, spec: Spec, steps: int, seed: int, unit: str, folder: Path) -> float:
+    """The peer's figure after some steps and over as many test episodes as the spec has.
 
     A figure that is stored in `folder` is not computed again.
 
     Args:
         name: of the recipe.
-        spec: determines the environment, the steps and the episodes.
+        spec: determines the environment and the number of episodes.
+        steps: that the peer makes.
         seed: of the peer's generators.
         unit: "return" or "success".
         folder: runs folder; the figures are stored in its folder `peers`.
     """
-    recipe = RECIPES.get(name)
-    if recipe is None:
-        return None
-    path = folder / "peers" / f"{name}-{spec.training.steps}-s{seed}.json"
+    path = folder / "peers" / f"{name}-{steps}-s{seed}.json"
     if path.exists():
         known = parse_object(path.read_bytes()) or {}
         if unit in known:
             return float(known[unit])
-    model = _model(recipe, spec, seed)
-    model.learn(spec.training.steps)
+    recipe = RECIPES[name]
+    tuned = recipe.get("tuned", {}) if steps == recipe.get("steps") else {}
+    model = _model(recipe | {"settings": recipe["settings"] | tuned}, spec, seed)
+    model.learn(steps)
     found = _test(model, _one(spec), spec.testing.episodes, seed)
     path.parent.mkdir(parents=True, exist_ok=True)
     write_json(path, found)

@@ -6,7 +6,7 @@ finished there are not run again: the table takes hours and may be interrupted a
 
 from __future__ import annotations
 
-from collections.abc import Callable, Iterator, Sequence
+from collections.abc import Callable, Iterator, Mapping, Sequence
 from dataclasses import asdict, dataclass, replace
 from importlib.resources import as_file, files
 from pathlib import Path
@@ -16,9 +16,9 @@ from ..errors import RunError, UsageError
 from ..experiment.events import Listener
 from ..experiment.experiment import Experiment
 from ..files import write_json, write_whole
-from ..records import RunFolder
+from ..records import RunFolder, scan
 from ..registry import alternatives, names
-from ..spec import Spec, load_spec
+from ..spec import Spec, load_spec, spec_from_dict
 from . import agent_peers
 from .side_by_side import Row
 
@@ -80,23 +80,48 @@ ENTRIES = _entries()
 
 
 @dataclass(frozen=True)
+class AgentRow(Row):
+    """A measurement after `steps` environment steps, over as many test episodes as those of the peer."""
+
+    steps: int = 0
+    episodes: int = 0
+    peer_steps: int | None = None
+    peer_settings: str | None = None
+
+
+@dataclass(frozen=True)
 class Result:
-    """One row of the table: the figure of each seed, and of the peer's seeds; empty where there is no peer."""
+    """One entry of the table: the figure of each seed, and of the peer's seeds by its number of steps."""
 
     case: str
     unit: str
     steps: int
+    episodes: int
+    """Of the test that the figures are of."""
     target: float
     values: tuple[float, ...]
     met: bool
-    peer_values: tuple[float, ...] = ()
+    peer_values: Mapping[int, Sequence[float]]
+    """Empty where there is no peer."""
+    peer_settings: str | None = None
+    """Their source."""
 
-    def row(self) -> Row:
-        row = Row("agents", self.case, fmean(self.values), self.unit)
-        return replace(row, peer=agent_peers.PEER, peer_value=fmean(self.peer_values)) if self.peer_values else row
+    def rows(self) -> list[AgentRow]:
+        """One row for each number of the peer's steps, or one without a peer."""
+        row = AgentRow("agents", self.case, fmean(self.values), self.unit, steps=self.steps, episodes=self.episodes)
+        return [
+            replace(
+                row,
+                peer=agent_peers.PEER,
+                peer_value=fmean(values),
+                peer_steps=steps,
+                peer_settings=self.peer_settings,
+            )
+            for steps, values in self.peer_values.items()
+        ] or [row]
 
 
-def measure(  # noqa: PLR0913  (options by keyword)
+def measure(
     folder: Path,
     *,
     overrides: Sequence[str] = (),
@@ -104,7 +129,6 @@ def measure(  # noqa: PLR0913  (options by keyword)
     seeds: int = 5,
     peers: bool = False,
     quick: bool = False,
-    jobs: int = 1,
     say: Callable[[str], None] = print,
     listener: Listener | None = None,
 ) -> Iterator[Result]:
@@ -115,9 +139,9 @@ def measure(  # noqa: PLR0913  (options by keyword)
         overrides: of every spec, PATH=VALUE.
         only: entries whose names begin with one of these; all by default.
         seeds: number of seeds of each entry: 0, 1, ...
-        peers: also train stable-baselines3 for the same number of steps, where it has the algorithm.
+        peers: also train stable-baselines3, where it has the algorithm: for the same number of steps, and for the
+            number of steps that its settings are tuned for.
         quick: toys instead.
-        jobs: seeds that run at the same time.
         say: receives a line with each seed's figure.
         listener: receives the runs' events.
 
@@ -137,17 +161,28 @@ def measure(  # noqa: PLR0913  (options by keyword)
     for case in chosen(only):
         entry = ENTRIES[case]
         spec = entry_spec(entry, overrides, quick=quick)
-        spec = spec.model_copy(update={"seeds": tuple(range(seeds))})
-        values, rivals = _values(spec, entry.unit, folder, jobs, listener), []
-        for seed, value in enumerate(values):
-            say(f"{case}, seed {seed}: {value:.4g}")
-            has_peer = peers and not entry.fails
-            rival = agent_peers.value(entry.spec, spec, seed, entry.unit, folder) if has_peer else None
-            if rival is not None:
-                rivals.append(rival)
-                say(f"{case}, seed {seed}, {agent_peers.PEER}: {rival:.4g}")
-        met = entry.met(fmean(values))
-        results.append(Result(case, entry.unit, spec.training.steps, entry.target, tuple(values), met, tuple(rivals)))
+        values: list[float] = []
+        numbers = agent_peers.numbers_of_steps(entry.spec, spec) if peers and not entry.fails else ()
+        rivals: dict[int, list[float]] = {steps: [] for steps in numbers[: 1 if quick else None]}
+        for seed in range(seeds):
+            values.append(_value(spec, seed, entry.unit, folder, listener))
+            say(f"{case}, seed {seed}: {values[-1]:.4g}")
+            for steps, figures in rivals.items():
+                figures.append(agent_peers.value(entry.spec, spec, steps, seed, entry.unit, folder))
+                say(f"{case}, seed {seed}, {agent_peers.PEER} after {steps:,} steps: {figures[-1]:.4g}")
+        results.append(
+            Result(
+                case,
+                entry.unit,
+                spec.training.steps,
+                spec.testing.episodes,
+                entry.target,
+                tuple(values),
+                entry.met(fmean(values)),
+                rivals,
+                agent_peers.RECIPES[entry.spec]["source"] if rivals else None,
+            )
+        )
         _write(folder, results)
         yield results[-1]
 
@@ -174,35 +209,53 @@ def entry_spec(entry: TableEntry, overrides: Sequence[str] = (), *, quick: bool 
         return load_spec(folder / f"{entry.spec}.yaml", (*entry.overrides, *(QUICK if quick else ()), *overrides))
 
 
-def _values(spec: Spec, unit: str, folder: Path, jobs: int, listener: Listener | None) -> list[float]:
-    """The figure of each seed's last test; a seed is run unless its finished run is in `folder`."""
-    outcome = Experiment(spec).run(folder, jobs=jobs, existing="resume", listener=listener)
-    if outcome.exit_code:
-        raise RunError(f"{spec.name} was stopped", hint="the same command continues the table")
-    tests = [RunFolder.open(run.folder).tests()[-1] for run in outcome.runs]
-    return [fmean(test.returns) if unit == "return" else test.success_end for test in tests]
+def _value(spec: Spec, seed: int, unit: str, folder: Path, listener: Listener | None) -> float:
+    """The figure of this seed's last test; the seed is run unless its finished run is in `folder`."""
+    found = _finished(spec, seed, folder)
+    if found is None:
+        one = spec_from_dict({**spec.dump(), "seeds": [seed]})
+        Experiment(one).run(folder, listener=listener)
+        found = _finished(spec, seed, folder)
+    if found is None:
+        raise RunError(f"{spec.name} with seed {seed} was stopped", hint="the same command continues the table")
+    last = found.tests()[-1]
+    return fmean(last.returns) if unit == "return" else last.success_end
+
+
+def _finished(spec: Spec, seed: int, folder: Path) -> RunFolder | None:
+    for run in scan(folder, f"{spec.name}-s{seed}-*"):
+        if isinstance(run, RunError):
+            continue
+        summary = run.summary()
+        if summary.state == "finished" and summary.experiment == spec.hash() and summary.seed == seed:
+            return run
+    return None
 
 
 def _write(folder: Path, results: Sequence[Result]) -> None:
     write_json(folder / "agents.json", {"rows": [asdict(result) for result in results]})
     lines = [
-        "| case | steps | seeds | mean | each seed | target | met | " + f"{agent_peers.PEER} |",
-        "|---|---|---|---|---|---|---|---|",
+        "| case | steps | seeds | episodes | mean | each seed | target | met | "
+        f"{agent_peers.PEER}, after its steps | its settings |",
+        "|---|---|---|---|---|---|---|---|---|---|",
     ]
     for result in results:
         fails = ENTRIES[result.case].fails
-        rival = f"{fmean(result.peer_values):.4g}: {_each(result.peer_values)}" if result.peer_values else "-"
+        rivals = [f"{fmean(each):.4g} after {steps:,}: {_each(each)}" for steps, each in result.peer_values.items()]
         cells = (
             result.case,
             f"{result.steps:,}",
             str(len(result.values)),
+            str(result.episodes),
             f"{fmean(result.values):.4g} ({result.unit})",
             _each(result.values),
             f"{'<=' if fails else '>='} {result.target:g}",
             "yes" if result.met else "no",
-            rival,
+            rivals[0] if rivals else "-",
+            result.peer_settings or "-",
         )
         lines.append(f"| {' | '.join(cells)} |")
+        lines += [f"| {result.case} |{' - |' * 7} {rival} | {result.peer_settings} |" for rival in rivals[1:]]
     write_whole(folder / "agents.md", "\n".join(lines) + "\n")
 
 

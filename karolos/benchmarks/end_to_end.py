@@ -24,6 +24,7 @@ from .side_by_side import require_modules
 PEER = "stable-baselines3 and panda-gym"
 SUCCESS = 0.95
 """At the end of the test episodes."""
+PEER_RECIPE = agent_peers.RECIPES["panda_reach_sac"]
 PEER_STEPS = 30_000
 """Steps after which the peer has failed."""
 INTERVAL = 500
@@ -99,7 +100,7 @@ def _peer(seed: int, started: float) -> Found | None:
     library = import_module("stable_baselines3")
     callbacks = import_module("stable_baselines3.common.callbacks")
     environment, tests = gymnasium.make("PandaReach-v3"), gymnasium.make("PandaReach-v3")
-    settings = agent_peers.RECIPES["panda_reach_sac"]["settings"] | agent_peers.hindsight()
+    settings = PEER_RECIPE["settings"] | agent_peers.hindsight()
     model = library.SAC("MultiInputPolicy", environment, seed=seed, device="cpu", **settings)
     startup, training_started, tested = time.time() - started, time.perf_counter(), 0.0
     found: list[Found] = []

@@ -22,7 +22,8 @@ from ..environments.robot_task import RobotTask
 from ..randomization.distribution import Distribution
 from ..randomization.normal import Normal
 from ..registry import load
-from ..simulation.bullet.motors import Motors
+from ..simulation.engines import Engine
+from ..simulation.interface import Motors
 from .side_by_side import Row, beside, require_modules, take_turns
 
 NAME = "environment"
@@ -36,7 +37,12 @@ PANDA_GYM_STEPS = 50
 
 
 def measure(
-    robot: str = "panda", task: str = "reach", *, controls: Sequence[str] = ("joint", "cartesian"), seconds: float = 10
+    robot: str = "panda",
+    task: str = "reach",
+    *,
+    controls: Sequence[str] = ("joint", "cartesian"),
+    engine: Engine | None = None,
+    seconds: float = 10,
 ) -> list[Row]:
     """Steps per second, and resets, of one robot with one task under random actions, on one core.
 
@@ -44,12 +50,13 @@ def measure(
         robot: name of a robot.
         task: name of a task.
         controls: control modes of the robot.
+        engine: physics engine; None: the default.
         seconds: time for all measurements together.
 
     Raises:
         UsageError: the robot or the task is unknown.
     """
-    cases = {control: _Case(robot, task, control) for control in controls}
+    cases = {control: _Case(robot, task, control, engine) for control in controls}
     measured = take_turns(
         {
             (control, method.__name__): method
@@ -74,15 +81,17 @@ def measure(
 class _Case:
     """One control mode. Each method measures one thing in the episode of a seed."""
 
-    def __init__(self, robot: str, task: str, control: str) -> None:
-        self._plain = _joined(robot, task, control, {})
+    def __init__(self, robot: str, task: str, control: str, engine: Engine | None) -> None:
+        self._plain = _joined(robot, task, control, engine, {})
         parts = (("robot", self._plain.robot.parameters), ("task", self._plain.task.parameters))
         nominal: dict[str, Distribution] = {
             f"{part}.{name}": Normal(Normal.Settings(mean=parameter.nominal, std=0.0))
             for part, parameters in parts
             for name, parameter in parameters.items()
         }
-        self._randomized = _joined(robot, task, control, nominal)  # the same physics: each value drawn is nominal
+        self._randomized = _joined(
+            robot, task, control, engine, nominal
+        )  # the same physics: each value drawn is nominal
         generator = np.random.Generator(np.random.PCG64(0))
         shape = (4, self._plain.signature.max_steps, self._plain.signature.action.size)
         self._actions: Array = generator.uniform(-1, 1, shape).astype(np.float32)
@@ -105,7 +114,7 @@ class _Case:
         """Steps per second of physics alone: the episode's ramps of the motors are recorded, then replayed."""
         environment, actions = self._plain, self._actions[seed % len(self._actions)]
         environment.reset(seed)
-        with _recorded_ramps() as ramps:
+        with _recorded_ramps(environment) as ramps:
             marks = [len(ramps)]
             for action in actions:
                 environment.step(action)
@@ -150,11 +159,13 @@ def _play(environment: RobotTask, seed: int, actions: Array) -> None:
             break
 
 
-def _joined(robot: str, task: str, control: str, randomization: dict[str, Distribution]) -> RobotTask:
+def _joined(
+    robot: str, task: str, control: str, engine: Engine | None, randomization: dict[str, Distribution]
+) -> RobotTask:
     robot_class: Any = load("robots", robot)
     task_class: Any = load("tasks", task)
     return RobotTask(
-        RobotTask.Settings.model_validate({}),
+        RobotTask.Settings.model_validate({} if engine is None else {"engine": engine}),
         robot=robot_class(robot_class.Settings(control=control)),
         task=task_class(task_class.Settings()),
         randomization=randomization,
@@ -162,20 +173,21 @@ def _joined(robot: str, task: str, control: str, randomization: dict[str, Distri
 
 
 @contextmanager
-def _recorded_ramps() -> Iterator[list[tuple[Motors, tuple[Any, ...]]]]:
-    """Motors and the arguments of their `drive`, in the order of the calls."""
+def _recorded_ramps(environment: RobotTask) -> Iterator[list[tuple[Motors, tuple[Any, ...]]]]:
+    """The motors of a robot and the arguments of their `drive`, in the order of the calls."""
     recorded: list[tuple[Motors, tuple[Any, ...]]] = []
-    drive = Motors.drive
+    motors: Any = environment.robot._motors  # type: ignore[attr-defined]  # robots do not show their motors
+    drive = motors.drive
 
-    def recorder(motors: Motors, *arguments: Any) -> None:
+    def recorder(*arguments: Any) -> None:
         recorded.append((motors, arguments))
-        drive(motors, *arguments)
+        drive(*arguments)
 
-    Motors.drive = recorder  # type: ignore[assignment]  # restored below
+    motors.drive = recorder
     try:
         yield recorded
     finally:
-        Motors.drive = drive  # type: ignore[method-assign]
+        del motors.drive  # the method of the class is found again
 
 
 def measure_panda_gym(*, seconds: float = 10.0) -> list[Row]:

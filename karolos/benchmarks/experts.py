@@ -14,6 +14,7 @@ from ..evaluation.policies import expert_policy
 from ..orchestrator.auto import cores
 from ..plugins.inspection import floor, pair
 from ..registry import names
+from ..simulation.engines import Engine
 from .side_by_side import Row
 
 PEER = "random policy"
@@ -36,14 +37,15 @@ class ExpertRow(Row):
 
 @dataclass(frozen=True)
 class Case:
-    """Names of a robot and a task, and the robot's control mode; None: the robot's default."""
+    """Names of a robot and a task, the robot's control mode and the engine; None: the default."""
 
     robot: str
     task: str
     control: str | None = None
+    engine: Engine | None = None
 
     def __str__(self) -> str:
-        return " ".join(part for part in (self.robot, self.task, self.control) if part)
+        return " ".join(part for part in (self.robot, self.task, self.control, self.engine) if part)
 
     @property
     def settings(self) -> dict[str, str]:
@@ -53,14 +55,14 @@ class Case:
 
 def check(case: Case) -> None:
     """Raise UsageError or PluginError where robot and task do not go together."""
-    pair(case.robot, case.task, **case.settings).close()
+    pair(case.robot, case.task, case.engine, **case.settings).close()
 
 
-def all_cases(control: str | None = None) -> tuple[list[Case], list[KarolosError]]:
+def all_cases(control: str | None = None, engine: Engine | None = None) -> tuple[list[Case], list[KarolosError]]:
     """Every robot with every task that goes with it, and why the others do not."""
     cases, refusals = [], []
     for robot, task in product(names("robots"), names("tasks")):
-        case = Case(robot, task, control)
+        case = Case(robot, task, control, engine)
         try:
             check(case)
         except KarolosError as error:
@@ -99,12 +101,12 @@ def measure(cases: Sequence[Case], *, episodes: int, seed: int = 0, jobs: int | 
 
 def _row(work: tuple[Case, int, int]) -> ExpertRow:
     case, episodes, seed = work
-    environment = pair(case.robot, case.task, **case.settings)
+    environment = pair(case.robot, case.task, case.engine, **case.settings)
     try:
         expert = score(environment, expert_policy(environment), episodes=episodes, seed=seed)
     finally:
         environment.close()
-    random = floor(case.robot, case.task, episodes=episodes, seed=seed, **case.settings)
+    random = floor(case.robot, case.task, case.engine, episodes=episodes, seed=seed, **case.settings)
     return ExpertRow(
         benchmark="experts",
         case=str(case),

@@ -23,7 +23,7 @@ from ..orchestrator.auto import steps_per_second
 from ..spec import Spec
 from ..training.assembly import make_agent, make_buffer, make_orchestrator
 from ..training.training import Progress, Training
-from .end_to_end import PEER, Found, first_success, reach, require_peer
+from .end_to_end import EPISODES, INTERVAL, PEER, PEER_RECIPE, PEER_STEPS, Found, first_success, reach, require_peer
 from .side_by_side import Row, beside, take_turns
 
 NAME = "training"
@@ -175,6 +175,9 @@ def _until_success(seeds: Sequence[int], *, peers: bool, say: Callable[[str], ob
         say(f"{who}: .95 success (end): {found.steps} steps, {found.training:.1f} s of training, {found.whole:.1f} s")
         return found
 
+    if peers:
+        tests = f"tests of {EPISODES} episodes every {INTERVAL} steps"
+        say(f"{tests}; {PEER}: at most {PEER_STEPS:,} steps, settings: {PEER_RECIPE['source']}")
     runs = take_turns({who: partial(run, who) for who in ("karolos", *([PEER] if peers else []))}, turns=len(seeds))
     for what, column in (("training", "training"), ("start, imports and training", "whole")):
         case = f"panda reach until .95 success at the end, {what}"

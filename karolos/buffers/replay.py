@@ -30,7 +30,9 @@ class Replay(Buffer):
     """
 
     class Settings(BaseSettings):
-        capacity: int = Setting(1_000_000, ge=1, description="largest number of transitions, over all environments")
+        capacity: int = Setting(
+            1_000_000, ge=1, le=10**12, description="largest number of transitions, over all environments"
+        )
         hindsight: Hindsight.Settings | None = Setting(None, description="goals relabelled when sampling; null: off")
         n_step: int = Setting(1, ge=1, le=100, description="environment steps that a sampled transition spans at most")
 
@@ -139,5 +141,6 @@ class Replay(Buffer):
     def load_state(self, state: State) -> None:
         """Raises UsageError for the state of a buffer of another shape."""
         self.storage.load_state(state["storage"])
-        self._share = state["storage"]["share"]
+        share = state["storage"]["share"]
+        self._share = None if share is None else float(share)
         load_generator_state(self._generator, state["generator"])

@@ -102,8 +102,12 @@ def read_meta(folder: Path, name: str) -> dict[str, Any]:
 
 
 def digest(folder: Path, name: str, part: str) -> str:
-    """The sha256 (hex) of a part of a checkpoint, as its manifest says. Raises as `read_meta` does, and KeyError."""
-    sha256: str = read_manifest(_find(folder, name))["files"][part]["sha256"]
+    """The sha256 (hex) of a part of a checkpoint, as its manifest says. Raises as `load` does."""
+    path = _find(folder, name)
+    facts = read_manifest(path)["files"].get(part)
+    if not isinstance(facts, dict) or not isinstance(facts.get("sha256"), str):
+        raise damaged(path, f"it lacks {part}")
+    sha256: str = facts["sha256"]
     return sha256
 
 
@@ -134,7 +138,7 @@ def _remove_unused(folder: Path) -> None:
     for path in folder.iterdir():
         if path.is_dir() and path.name != _ARRAYS and not path.name.endswith(".new"):
             try:
-                used.update(read_manifest(path).get("array_files", ()))
+                used.update(map(str, read_manifest(path).get("array_files", ())))
             except CheckpointError:
                 return
     ArrayFiles(folder / _ARRAYS).remove_unused(used)

@@ -31,9 +31,10 @@ def fitting(where: str) -> Iterator[None]:
     """Turn the error of a part that cannot load the state of a checkpoint into a CheckpointError."""
     try:
         yield
-    except (AttributeError, IndexError, KeyError, RuntimeError, TypeError, ValueError) as error:
+    except (ArithmeticError, AttributeError, LookupError, RuntimeError, TypeError, ValueError) as error:
+        reason = (str(error).splitlines() or [""])[0]
         raise CheckpointError(
-            f"its content does not fit the run's spec ({type(error).__name__}: {str(error).splitlines()[0]})",
+            f"its content does not fit the run's spec ({type(error).__name__}: {reason})",
             where=where,
             hint="restore the folder from a copy",
         ) from error

@@ -1,6 +1,6 @@
 """From runs to the numbers that compare experiments. `karolos.report` draws them."""
 
-from .contenders import ComparedRun, Contender, Success, gather
+from .contenders import ComparedRun, Contender, Metric, Success, gather
 from .curves import Curve, densities, learning_curve
 from .differences import MISSING, differences
 from .scores import Comparison, Estimate, Improvement, Reaching, Scores, compare
@@ -13,6 +13,7 @@ __all__ = [
     "Curve",
     "Estimate",
     "Improvement",
+    "Metric",
     "Reaching",
     "Scores",
     "Success",

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import math
 import os
 from collections.abc import Mapping, Sequence
 from contextlib import suppress
@@ -18,6 +19,8 @@ from ..store import Store
 
 Success = Literal["any", "end"]
 """How success is counted: the goal is reached at any step, or at the last step."""
+Metric = Literal["any", "end", "return"]
+"""What is compared: the success ratio, or the mean return."""
 
 LISTED = 5
 
@@ -35,14 +38,22 @@ class ComparedRun:
     updates_per_second: float | None
     """Gradient updates per second of collecting and learning; None without a checkpoint."""
 
-    def ratios(self, success: Success) -> tuple[float, ...]:
-        """Success ratio of each test."""
-        return tuple(getattr(test, success) / test.episodes for test in self.tests)
+    @property
+    def has_success(self) -> bool:
+        """Whether a test says how many episodes succeed."""
+        return self.summary.success_end is not None or any(test.end is not None for test in self.tests)
 
-    def reported(self, success: Success) -> float:
-        """Success ratio of the final test's policy `last`; without a final test, of the last test."""
-        ratio = self.summary.success_any if success == "any" else self.summary.success_end
-        return ratio if self.summary.final and ratio is not None else self.ratios(success)[-1]
+    def values(self, metric: Metric) -> tuple[float, ...]:
+        """Success ratio or mean return of each test."""
+        if metric == "return":
+            return tuple(math.nan if test.mean_return is None else test.mean_return for test in self.tests)
+        return tuple((getattr(test, metric) or 0) / test.episodes for test in self.tests)
+
+    def reported(self, metric: Metric) -> float:
+        """Success ratio or mean return of the final test's policy `last`; without a final test, of the last test."""
+        summary = self.summary
+        final = {"any": summary.success_any, "end": summary.success_end, "return": summary.mean_return}[metric]
+        return final if summary.final and final is not None else self.values(metric)[-1]
 
     @property
     def episodes(self) -> int:
@@ -67,6 +78,11 @@ class Contender:
     label: str
     runs: tuple[ComparedRun, ...]
     problems: tuple[str, ...] = ()
+
+    @property
+    def has_success(self) -> bool:
+        """Whether the success of its runs is known."""
+        return any(run.has_success for run in self.runs)
 
     @property
     def experiment(self) -> str:

@@ -11,9 +11,11 @@ from numpy.typing import NDArray
 
 from ..core.seeding import Generator
 from ..statistics import aggregates
-from ..statistics import density as statistics
+from ..statistics.density import Density
 from ..statistics.intervals import wilson
-from .contenders import ComparedRun, Success
+from ..store import Store
+from ..store.summaries import success_densities
+from .contenders import ComparedRun, Contender, Metric, Success
 
 Axis = Literal["steps", "seconds"]
 POINTS = 101
@@ -24,7 +26,7 @@ _Floats = NDArray[np.float64]
 
 @dataclass(frozen=True)
 class Curve:
-    """A statistic of the success of all seeds over training.
+    """A statistic of the success or return of all seeds over training.
 
     Args:
         at: (t,) environment steps or seconds, ascending.
@@ -44,42 +46,48 @@ def places(run: ComparedRun, axis: Axis) -> _Floats:
     return np.array([getattr(test, axis) for test in run.tests], float)
 
 
-def along(runs: Sequence[ComparedRun], axis: Axis, success: Success) -> tuple[_Floats, _Floats]:
-    """Success ratios of all seeds at common points: (t,) and (t, n).
+def along(runs: Sequence[ComparedRun], axis: Axis, metric: Metric) -> tuple[_Floats, _Floats]:
+    """Success ratios or mean returns of all seeds at common points: (t,) and (t, n).
 
     The points begin at the first test of the seed that was tested last, and end at the earliest end of an unfinished
     run. A finished run keeps its last value. Values between a seed's tests are interpolated linearly. If all seeds were
     tested at the same steps, the points are these steps, and nothing is interpolated.
     """
     own = [places(run, axis) for run in runs]
-    ratios = [run.ratios(success) for run in runs]
+    values = [run.values(metric) for run in runs]
     start = max(at[0] for at in own)
     open_ends = [at[-1] for at, run in zip(own, runs, strict=True) if not run.finished]
     end = max(min(open_ends) if open_ends else max(at[-1] for at in own), start)
     points = np.unique(np.concatenate([at[(at >= start) & (at <= end)] for at in own]))
     if axis == "seconds" or points.size > POINTS:
         points = np.linspace(start, end, POINTS) if end > start else np.array([start])
-    return points, np.stack([np.interp(points, at, ratio) for at, ratio in zip(own, ratios, strict=True)], axis=1)
+    return points, np.stack([np.interp(points, *pair) for pair in zip(own, values, strict=True)], axis=1)
 
 
 def learning_curve(
-    runs: Sequence[ComparedRun], axis: Axis, success: Success, statistic: aggregates.Statistic, generator: Generator
+    runs: Sequence[ComparedRun], axis: Axis, metric: Metric, statistic: aggregates.Statistic, generator: Generator
 ) -> Curve:
-    """A statistic over the seeds with its band: Wilson's for one run, the range for 2 - 4, else bootstrap (95 %)."""
-    at, values = along(runs, axis, success)
+    """A statistic over the seeds with its band: Wilson's for one run, the range for 2 - 4, else bootstrap (95 %).
+
+    The band of one run's return has no width.
+    """
+    at, values = along(runs, axis, metric)
     middle = statistic(values)
     found = aggregates.band(values, statistic, generator)
     if found is not None:
         low, high = found
-    elif len(runs) > 1:
+    elif len(runs) > 1 or metric == "return":
         low, high = values.min(axis=1), values.max(axis=1)
     else:
-        ends = [wilson(getattr(test, success), test.episodes) for test in runs[0].tests]
+        ends = [wilson(getattr(test, metric) or 0, test.episodes) for test in runs[0].tests]
         low, high = (np.interp(at, places(runs[0], axis), [pair[side] for pair in ends]) for side in (0, 1))
     return Curve(at, middle, low, high)
 
 
-def densities(runs: Sequence[ComparedRun], success: Success) -> tuple[_Floats, tuple[statistics.Density, ...]]:
-    """Density over the seeds at each common test point: environment steps (t,) and t densities."""
-    at, values = along(runs, "steps", success)
-    return at, tuple(statistics.kde(row) for row in values)
+def densities(
+    contender: Contender, success: Success, store: Store | None = None
+) -> tuple[_Floats, tuple[Density, ...]]:
+    """Density over the seeds at each common test point, from the store: environment steps (t,) and t densities."""
+    at, values = along(contender.runs, "steps", success)
+    ratios = dict(zip(at.tolist(), values.tolist(), strict=True))
+    return at, success_densities(store, contender.experiment, success, ratios)

@@ -1,29 +1,34 @@
 """The numbers of a comparison. The seed is the unit: a run gives one number, an experiment one per seed.
 
-A run's success is that of its final test, whose episodes nothing was chosen on; without one, of its last test.
+A run's success and return are those of its final test, whose episodes nothing was chosen on; without one, of its last
+test.
 """
 
 from __future__ import annotations
 
 from collections.abc import Mapping, Sequence
 from dataclasses import asdict, dataclass
-from typing import Any, Literal
+from typing import Any, Literal, get_args
 
 import numpy as np
+from numpy.typing import NDArray
 
 from ..core.seeding import SeedTree
+from ..errors import UsageError
 from ..statistics import aggregates
-from ..statistics import density as statistics
+from ..statistics.density import Density
 from ..statistics.intervals import wilson
+from ..store import Store
 from ..store.rows import without_seeds
+from ..store.summaries import success_densities
 from .cautions import cautions
-from .contenders import ComparedRun, Contender, Success
-from .curves import places
+from .contenders import ComparedRun, Contender, Metric, Success
+from .curves import densities, places
 from .differences import MISSING, differences
 
-IntervalKind = Literal["wilson", "range", "approximate", "bootstrap"]
-"""Kind of an interval: Wilson's of one run; smallest to largest of 2 - 4 seeds; bootstrap over 5 - 9 seeds, which
-covers too little; bootstrap over 10 or more seeds. All but the range are at 95 %."""
+IntervalKind = Literal["none", "wilson", "range", "approximate", "bootstrap"]
+"""Kind of an interval: none of one run's return; Wilson's of one run; smallest to largest of 2 - 4 seeds; bootstrap
+over 5 - 9 seeds, which covers too little; bootstrap over 10 or more seeds. The last two and Wilson's are at 95 %."""
 RATIOS = (0.5, 0.9)
 """Success ratios (`end` by default) for which steps and time of the first test that reaches them are reported."""
 
@@ -65,18 +70,24 @@ class Reaching:
 
 @dataclass(frozen=True)
 class Scores:
-    """One contender's numbers. `iqm`, `reaching`, `improvement` and `density` use the comparison's `success`."""
+    """One contender's numbers. `iqm`, `reaching`, `improvement` and `density` use the comparison's `metric`."""
 
-    any: Estimate
-    end: Estimate
+    any: Estimate | None
+    """Success; None if it is unknown."""
+    end: Estimate | None
+    returns: Estimate
     iqm: Estimate
     reaching: tuple[Reaching, ...]
+    """Empty for returns."""
     best_end: Estimate | None
     """Success at the end of the policies `best` in the final test; None if a run has none."""
+    best_return: Estimate | None
     improvement: Improvement | None
     """None for the first contender."""
-    density: statistics.Density | None
-    """Over the seeds; None for a single one."""
+    density: Density | None
+    """Of the reported success over the seeds; None for a single one and for returns."""
+    over_steps: tuple[NDArray[np.float64], tuple[Density, ...]] | None
+    """Environment steps (t,) and the density at each; None for a single seed and for returns."""
     steps: float
     """Environment steps of a run, mean over seeds; so are the following."""
     seconds: float
@@ -87,7 +98,7 @@ class Scores:
 class Comparison:
     """Contenders with their scores in the same order, the settings that differ, and warnings."""
 
-    success: Success
+    metric: Metric
     contenders: tuple[Contender, ...]
     scores: tuple[Scores, ...]
     parameters: Mapping[str, tuple[Any, ...]]
@@ -112,10 +123,12 @@ class Comparison:
             "n": len(runs),
             "seeds": [run.summary.seed for run in runs],
             "runs": [run.summary.run for run in runs],
-            "success": self.success,
-            "success_any": asdict(scores.any) | {"seeds": [run.reported("any") for run in runs]},
-            "success_end": asdict(scores.end) | {"seeds": [run.reported("end") for run in runs]},
+            "metric": self.metric,
+            "success_any": scores.any and asdict(scores.any) | {"seeds": [run.reported("any") for run in runs]},
+            "success_end": scores.end and asdict(scores.end) | {"seeds": [run.reported("end") for run in runs]},
+            "mean_return": asdict(scores.returns) | {"seeds": [run.reported("return") for run in runs]},
             "best_end": scores.best_end and asdict(scores.best_end),
+            "best_return": scores.best_return and asdict(scores.best_return),
             "final": all(run.summary.final for run in runs),
             "iqm": asdict(scores.iqm),
             "density": density and {key: getattr(density, key) for key in ("modes", "mean", "low", "high")},
@@ -131,41 +144,78 @@ class Comparison:
         }
 
 
-def compare(contenders: Sequence[Contender], success: Success = "end") -> Comparison:
-    """The numbers of all contenders. Improvements are relative to the first."""
+def compare(contenders: Sequence[Contender], metric: Metric | None = None, store: Store | None = None) -> Comparison:
+    """The numbers of all contenders. Improvements are relative to the first.
+
+    Args:
+        contenders: what to compare.
+        metric: of curves, thresholds and improvements; by default `end`, or `return` if the success of one is unknown.
+        store: keeps the densities; without one they are computed.
+
+    Raises:
+        UsageError: success is to be compared, and that of a contender is unknown.
+    """
+    unknown = [contender.label for contender in contenders if not contender.has_success]
+    if unknown and metric in ("any", "end"):
+        raise UsageError(
+            f"the environment of {', '.join(unknown)} does not define success",
+            where="--metric",
+            hint="--metric return compares returns",
+        )
+    metric = metric or ("return" if unknown else "end")
     tree = SeedTree(0).child("compare")
     scores = tuple(
-        _scores(contender, contenders[0] if place else None, success, tree.child(place))
+        _scores(contender, contenders[0] if place else None, metric, tree.child(place), store)
         for place, contender in enumerate(contenders)
     )
     parameters = differences([without_seeds(contender.spec) for contender in contenders])
-    return Comparison(success, tuple(contenders), scores, parameters, cautions(contenders))
+    return Comparison(metric, tuple(contenders), scores, parameters, cautions(contenders))
 
 
-def _scores(contender: Contender, first: Contender | None, success: Success, tree: SeedTree) -> Scores:
+def _scores(
+    contender: Contender, first: Contender | None, metric: Metric, tree: SeedTree, store: Store | None
+) -> Scores:
     runs = contender.runs
-    values = [run.reported(success) for run in runs]
-    best = [run.summary.best_end for run in runs if run.summary.best_end is not None]
+    reported = {kind: [run.reported(kind) for run in runs] for kind in get_args(Metric)}
     rates = [run.updates_per_second for run in runs if run.updates_per_second is not None]
+    steps = float(np.mean([run.summary.steps for run in runs]))
+    density = over_steps = None
+    if metric != "return" and len(runs) > 1:
+        [density] = success_densities(store, contender.experiment, metric, {steps: reported[metric]}, reported=True)
+        over_steps = densities(contender, metric, store)
+
+    def mean(of: Sequence[float | None], kind: Metric, name: str) -> Estimate | None:
+        known = [value for value in of if value is not None]
+        return _estimate(known, runs, kind, aggregates.mean, tree.child(name)) if len(known) == len(of) else None
+
     return Scores(
-        any=_estimate([run.reported("any") for run in runs], runs, aggregates.mean, tree.child("any")),
-        end=_estimate([run.reported("end") for run in runs], runs, aggregates.mean, tree.child("end")),
-        iqm=_estimate(values, runs, aggregates.iqm, tree.child("iqm")),
-        best_end=_estimate(best, runs, aggregates.mean, tree.child("best")) if len(best) == len(runs) else None,
-        reaching=tuple(_reaching(runs, success, ratio) for ratio in RATIOS),
-        improvement=None if first is None else _improvement(runs, first.runs, success, tree.child("improvement")),
-        density=statistics.kde(values) if len(values) > 1 else None,
-        steps=float(np.mean([run.summary.steps for run in runs])),
+        any=mean(reported["any"], "any", "any") if contender.has_success else None,
+        end=mean(reported["end"], "end", "end") if contender.has_success else None,
+        returns=_estimate(reported["return"], runs, "return", aggregates.mean, tree.child("return")),
+        iqm=_estimate(reported[metric], runs, metric, aggregates.iqm, tree.child("iqm")),
+        best_end=mean([run.summary.best_end for run in runs], "end", "best"),
+        best_return=mean([run.summary.best_return for run in runs], "return", "best_return"),
+        reaching=() if metric == "return" else tuple(_reaching(runs, metric, ratio) for ratio in RATIOS),
+        improvement=None if first is None else _improvement(runs, first.runs, metric, tree.child("improvement")),
+        density=density,
+        over_steps=over_steps,
+        steps=steps,
         seconds=float(np.mean([run.summary.seconds for run in runs])),
         updates_per_second=float(np.mean(rates)) if rates else None,
     )
 
 
 def _estimate(
-    values: Sequence[float], runs: Sequence[ComparedRun], statistic: aggregates.Statistic, tree: SeedTree
+    values: Sequence[float],
+    runs: Sequence[ComparedRun],
+    metric: Metric,
+    statistic: aggregates.Statistic,
+    tree: SeedTree,
 ) -> Estimate:
     """A statistic of one value per run, with the kind of interval that the number of seeds allows."""
     middle = float(statistic(np.array(values)))
+    if len(runs) == 1 and metric == "return":
+        return Estimate(middle, middle, middle, "none")
     if len(runs) == 1:
         episodes = runs[0].episodes
         return Estimate(middle, *wilson(round(values[0] * episodes), episodes), "wilson")
@@ -178,7 +228,7 @@ def _estimate(
 
 def _reaching(runs: Sequence[ComparedRun], success: Success, ratio: float) -> Reaching:
     at = {
-        axis: [aggregates.first_reaching(run.ratios(success), list(places(run, axis)), ratio) for run in runs]
+        axis: [aggregates.first_reaching(run.values(success), list(places(run, axis)), ratio) for run in runs]
         for axis in ("steps", "seconds")
     }
     return Reaching(
@@ -191,9 +241,9 @@ def _reaching(runs: Sequence[ComparedRun], success: Success, ratio: float) -> Re
 
 
 def _improvement(
-    ours: Sequence[ComparedRun], theirs: Sequence[ComparedRun], success: Success, tree: SeedTree
+    ours: Sequence[ComparedRun], theirs: Sequence[ComparedRun], metric: Metric, tree: SeedTree
 ) -> Improvement:
-    one, other = [run.reported(success) for run in ours], [run.reported(success) for run in theirs]
+    one, other = [run.reported(metric) for run in ours], [run.reported(metric) for run in theirs]
     low, high = aggregates.improvement_interval(one, other, tree.generator()) or (None, None)
     approximate = low is not None and "approximate" in {aggregates.reliability(len(side)) for side in (one, other)}
     return Improvement(aggregates.improvement(one, other), low, high, approximate)

@@ -20,6 +20,8 @@ class Failure(NamedTuple):
 
     environment: NDArray[np.int64]
     error: KarolosError
+    lost: bool = False
+    """Whether the worker ended by itself or was killed, so that the same episode may succeed in another one."""
 
 
 class Received(NamedTuple):
@@ -34,7 +36,12 @@ class Received(NamedTuple):
     @property
     def failed(self) -> NDArray[np.int64]:
         """The environments that lost their episodes, in ascending order."""
-        return np.unique(np.concatenate([np.zeros(0, np.int64), *(failure.environment for failure in self.failures)]))
+        return environments_of(self.failures)
+
+
+def environments_of(failures: Sequence[Failure]) -> NDArray[np.int64]:
+    """The environments of these failures, in ascending order."""
+    return np.unique(np.concatenate([np.zeros(0, np.int64), *(failure.environment for failure in failures)]))
 
 
 class Orchestrator(ABC):
@@ -47,9 +54,10 @@ class Orchestrator(ABC):
 
     Failures. An environment that raises, or whose worker ends or hangs, loses its episode, whether it is busy or idle.
     The next `receive` lists it in `failed` with the cause in `failures`, and returns no step of it. The environment is
-    then idle. Its next reset builds it again, with a new worker if necessary, and may fail like any command. A loop
-    cuts the lost episodes in its buffer (`buffer.cut(received.failed)`), drops their counts and resets these
-    environments with new seeds. `receive` raises the error of an environment that fails repeatedly.
+    then idle. Its next reset builds it again, with a new worker if necessary, and may fail like any command. A loop in
+    lockstep plays the episodes of a lost worker again, with their seeds and actions. It cuts other lost episodes in its
+    buffer (`buffer.cut(received.failed)`), drops their counts and resets these environments with new seeds. `receive`
+    raises the error of an environment that fails repeatedly.
     """
 
     signature: Signature

@@ -27,6 +27,8 @@ class Signature:
     desired_goal: Layout = NO_FIELDS
     goal_rule: GoalRule | None = None
     """None: the environment has no goals and empty goal layouts."""
+    has_success: bool = True
+    """False: no step is a success, because nothing says what one is. Tests and tables then show returns only."""
     parameters: Layout = NO_FIELDS
     """The values that domain randomization draws at each reset, see `Environment.parameters`."""
 

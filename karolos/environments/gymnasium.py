@@ -30,8 +30,8 @@ class Gymnasium(Environment):
     Reward and termination: the environment's.
     What counts as success, with goals: a reward of at least `success_reward`. Without goals: the episode ends with a
     return of at least `success_return`; without it, of at least the `reward_threshold` the id is registered with;
-    without either, `info["is_success"]`. Returns are judged at the end only: where rewards are negative, every episode
-    begins above any threshold.
+    without either, `info["is_success"]`, and results show returns only until a test has such a success. Returns are
+    judged at the end only: where rewards are negative, every episode begins above any threshold.
 
     Raises:
         UsageError: unknown id, spaces that karolos cannot use, or a `compute_reward` that disagrees with the rewards;
@@ -42,7 +42,9 @@ class Gymnasium(Environment):
     class Settings(BaseSettings):
         id: str = Setting(min_length=1, description='as for gymnasium.make, e.g. "CartPole-v1" or "module:Name-v0"')
         kwargs: dict[str, JsonValue] = Setting({}, description="further arguments of gymnasium.make")
-        max_steps: int | None = Setting(None, ge=1, description="steps per episode; null: as the id is registered")
+        max_steps: int | None = Setting(
+            None, ge=1, le=10_000_000, description="steps per episode; null: as the id is registered"
+        )
         success_return: float | None = Setting(
             None, description="return from which an episode is a success; null: the id's reward_threshold"
         )
@@ -89,6 +91,8 @@ class Gymnasium(Environment):
     def __init__(self, settings: Gymnasium.Settings) -> None:
         self.settings = settings
         env = make_environment(settings)
+        registered = getattr(env.spec, "reward_threshold", None)
+        self._success_return = registered if settings.success_return is None else settings.success_return
         try:
             self._space: Any = env.observation_space
             observation = _observation(self._space, settings)
@@ -109,6 +113,7 @@ class Gymnasium(Environment):
                 max_steps=steps,
                 reward_range=settings.reward_range or (-np.inf, np.inf),
                 goal_rule=self._rule,
+                has_success=settings.goals or settings.flatten_goals or self._success_return is not None,
                 **goals,
             )
         except BaseException:
@@ -117,8 +122,6 @@ class Gymnasium(Environment):
         self._env = env
         self.rate = float(env.metadata.get("render_fps") or self.rate)
         self._actions: Any = env.action_space
-        registered = getattr(env.spec, "reward_threshold", None)
-        self._success_return = registered if settings.success_return is None else settings.success_return
         self._steps = steps  # no episode is running
         self._return = 0.0
         self._last: Step | None = None

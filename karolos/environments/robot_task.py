@@ -15,12 +15,12 @@ from ..core.seeding import SeedTree
 from ..errors import UsageError
 from ..randomization.distribution import Distribution
 from ..randomization.randomization import Randomization
-from ..simulation.bullet.world import World
-from ..simulation.interface import Expert, Robot, Task
+from ..simulation.engines import Engine, check_engine, default_engine, make_world
+from ..simulation.interface import Expert, Robot, Task, World
 from .action_set import ActionSet, action_index
 
 TIMESTEP = 1 / 240
-"""Seconds of a physics step, PyBullet's default."""
+"""Seconds of a physics step."""
 
 
 class RobotTask(Environment):
@@ -37,10 +37,14 @@ class RobotTask(Environment):
 
     Raises:
         PluginError: robot and task are incompatible.
-        UsageError: `randomization` names a parameter that neither declares.
+        UsageError: `randomization` names a parameter that neither declares, or the engine is not installed.
     """
 
     class Settings(BaseSettings):
+        engine: Engine = Setting(
+            default_factory=default_engine,
+            description="physics engine; by default bullet where it is installed, else mujoco",
+        )
         substeps: int = Setting(
             10, ge=1, le=100, description="physics steps of 1/240 s per control step; 10 make 24 Hz"
         )
@@ -61,6 +65,7 @@ class RobotTask(Environment):
         task: Task,
         randomization: Mapping[str, Distribution] | None = None,
     ) -> None:
+        check_engine(settings.engine)
         self.settings = settings
         self.robot = robot
         self.task = task
@@ -69,11 +74,12 @@ class RobotTask(Environment):
         """Number of episodes truncated because the physics diverged."""
         robot.prepare(gripper=task.uses_gripper, period=settings.substeps * TIMESTEP, points_down=task.points_down)
         task.fit(robot)
-        declared = {
+        self.declared = {
             **{f"robot.{name}": parameter for name, parameter in robot.parameters.items()},
             **{f"task.{name}": parameter for name, parameter in task.parameters.items()},
         }
-        self._randomization = Randomization(randomization or {}, declared)
+        """What randomization may change, by name with the part in front."""
+        self._randomization = Randomization(randomization or {}, self.declared)
         self._action_set = ActionSet(robot.action) if settings.actions == "discrete" else None
         self._terminates = type(task.goal_rule).terminated is not GoalRule.terminated
         self._drawn: list[float] = []
@@ -97,7 +103,8 @@ class RobotTask(Environment):
     def world(self) -> World:
         """The physics world, built at the first access."""
         if self._world is None:
-            self._world = World(
+            self._world = make_world(
+                self.settings.engine,
                 substeps=self.settings.substeps,
                 timestep=TIMESTEP,
                 window=self.settings.window,

@@ -55,7 +55,7 @@ class Toy(Environment):
         dimensions: int = Setting(2, ge=1, le=16, description="of the space the point lives in")
         threshold: float = Setting(0.1, gt=0, lt=1, description="distance at which the goal is reached")
         speed: float = Setting(0.2, gt=0, le=2, description="largest displacement per step along each axis")
-        max_steps: int = Setting(20, ge=1, description="steps per episode")
+        max_steps: int = Setting(20, ge=1, le=100_000, description="steps per episode")
         reward: Literal["sparse", "dense"] = Setting(
             "sparse", description="-1 until at the goal, or minus the distance"
         )

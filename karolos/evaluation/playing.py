@@ -22,6 +22,8 @@ class Moment:
     success: bool
     over: bool
     """Whether the episode ends here."""
+    total: float
+    """Sum of the rewards so far."""
     environment: Environment
     """For pictures: `environment.render()`."""
 
@@ -48,14 +50,14 @@ def play(environment: Environment, policy: Policy, *, episodes: int, seed: int) 
     for episode, episode_seed in enumerate(test_seeds(seed, episodes)):
         state = environment.reset(episode_seed)
         policy.begin()
-        step = 0
-        yield Moment(episode, step, bool(state.success), False, environment)
+        step, total = 0, 0.0
+        yield Moment(episode, step, bool(state.success), False, total, environment)
         over = False
         while not over:
             state = environment.step(policy.act(state))
-            step += 1
+            step, total = step + 1, total + float(state.reward)
             over = bool(state.terminated or state.truncated)
-            yield Moment(episode, step, bool(state.success), over, environment)
+            yield Moment(episode, step, bool(state.success), over, total, environment)
 
 
 def score(environment: Environment, policy: Policy, *, episodes: int, seed: int) -> Score:

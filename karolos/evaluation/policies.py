@@ -109,7 +109,7 @@ def load_agent(folder: RunFolder, name: str = "best") -> SavedAgent:
     try:
         agent.load_state(parts["agent"])
         steps, seconds = int(meta["steps"]), float(meta["seconds"])
-    except (AttributeError, IndexError, KeyError, OverflowError, RuntimeError, TypeError, ValueError) as error:
+    except (ArithmeticError, AttributeError, LookupError, RuntimeError, TypeError, ValueError) as error:
         reason = (str(error).splitlines() or [""])[0]
         raise RunError(
             f"the checkpoint {name!r} does not hold this agent ({type(error).__name__}: {reason})",

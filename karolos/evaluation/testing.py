@@ -113,4 +113,5 @@ def play_episodes(
         returns=tuple(returns.tolist()),
         lengths=tuple(lengths.tolist()),
         distances=None if np.isnan(distances).any() else tuple(distances.tolist()),
+        has_success=orchestrator.signature.has_success or bool(success_any.any()),
     )

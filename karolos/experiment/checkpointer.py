@@ -45,8 +45,8 @@ class Checkpointer(RunObserver):
     announce: Announce
     demonstrated: bool = field(default=True, init=False)
     """Whether the buffer holds the demonstrations of the spec, if it has any."""
-    _best: tuple[float, float] = field(default=(-1.0, -1.0), init=False)
-    """`success_end` and `success_any` of the best test."""
+    _best: tuple[float, ...] = field(default=(-1.0,), init=False)
+    """`_rank` of the best test."""
     _saved_at: tuple[int, int] = field(default=(-1, 0), init=False)
     """Environment steps and pending tests at the last checkpoint `last`."""
 
@@ -62,25 +62,37 @@ class Checkpointer(RunObserver):
 
     def _choose(self, test: DueTest, result: TestResult) -> None:
         """Write the tested agent as `best` if no earlier test is better."""
-        success = result.success_end, result.success_any
-        if success >= self._best:  # of equal tests the later one, whose agent has learned longer
-            self._best = success
-            meta = {"chosen_by": {"success_any": result.success_any, "success_end": result.success_end}}
-            self._write(BEST, {"agent": test.agent}, test, meta)
+        rank = _rank(result)
+        if rank >= self._best:  # of equal tests the later one, whose agent has learned longer
+            self._best = rank
+            chosen_by = {"success_any": result.success_any, "success_end": result.success_end}
+            if not result.has_success:
+                chosen_by = {"mean_return": result.mean_return}
+            self._write(BEST, {"agent": test.agent}, test, {"chosen_by": chosen_by})
 
     def restore(self, training: Training, parts: Mapping[str, State]) -> list[DueTest]:
-        """Continue from the parts of a checkpoint `last`; returns the tests that are still to be played."""
+        """Continue from the parts of a checkpoint `last`; returns the tests that are still to be played.
+
+        Raises:
+            CheckpointError: the parts do not fit the run's spec.
+        """
         with checkpoint.fitting(str(self.folder.checkpoints)):
-            training.agent.load_state(parts["agent"])
+            run = parts["run"]
+            self.demonstrated = bool(run["demonstrated"])
+            self._best = tuple(map(float, run["best"]))
+            tests = [
+                DueTest(
+                    int(row["steps"]), int(row["updates"]), float(row["seconds"]), row["agent"], tuple(row["seeds"])
+                )
+                for row in run["tests"]
+            ]
+            for state in (*(test.agent for test in tests), parts["agent"]):  # a pending test's may not fit either
+                training.agent.load_state(state)
             training.buffer.load_state(parts["buffer"])
             training.load_state(parts["training"])
-        run = parts["run"]
-        self.demonstrated = run["demonstrated"]
-        self._best = run["best_end"], run["best_any"]
         results = {result.steps: result for result in self.folder.tests()}
         left = []
-        for row in run["tests"]:
-            test = DueTest(row["steps"], row["updates"], row["seconds"], row["agent"], tuple(row["seeds"]))
+        for test in tests:
             if test.steps in results:  # it was recorded after the checkpoint
                 self._choose(test, results[test.steps])
             else:
@@ -98,8 +110,7 @@ class Checkpointer(RunObserver):
             "buffer": training.buffer.state(),
             "training": training.state(),
             "run": {
-                "best_end": self._best[0],
-                "best_any": self._best[1],
+                "best": list(self._best),
                 "demonstrated": self.demonstrated,
                 "tests": [{one.name: getattr(test, one.name) for one in fields(test)} for test in self.pending],
             },
@@ -120,3 +131,8 @@ class Checkpointer(RunObserver):
         }
         with self.warnings.tolerated(MachineError, f"the checkpoint {name!r} was not written; the one before is kept"):
             checkpoint.save(self.folder.checkpoints, name, parts, meta)
+
+
+def _rank(result: TestResult) -> tuple[float, ...]:
+    """What the best test has most of: success, or return where the environment defines no success."""
+    return (1.0, result.success_end, result.success_any) if result.has_success else (0.0, result.mean_return)

@@ -91,7 +91,9 @@ def print_progress(event: RunEvent) -> None:
     if isinstance(event, RunStarted):
         line = f"{event.steps:,} steps, {event.folder}"
     elif isinstance(event, RunTested):
-        line = f"{event.result.steps:,} steps: success at the end {event.result.success_end:.2f}"
+        line = f"{event.result.steps:,} steps: {event.result.score}"
+    elif isinstance(event, RunFinalTested):
+        line = f"final test of {event.final.last.episodes} episodes: {event.final.last.score}"
     elif isinstance(event, RunWarned):
         line = f"warning: {event.warning}"
     elif isinstance(event, RunEnded):

@@ -12,7 +12,7 @@ from ..errors import StoreError
 from ..evaluation.evaluation_process import DueTest
 from ..records import RunFolder
 from ..records.final_test import FinalTest
-from ..records.results import TestResult
+from ..records.results import TestCounts, TestResult
 from ..training.episodes import Episode
 from ..training.training import Training
 from .observer import Ending, RunObserver, RunWarnings
@@ -70,9 +70,8 @@ class FolderWriter(RunObserver):
         self.folder.event(
             "final_test",
             seed=final.seed,
-            episodes=final.last.episodes,
-            last=final.last.success_end,
-            best=final.best.success_end if final.best else None,
+            last=asdict(TestCounts.of(final.last)),
+            best=asdict(TestCounts.of(final.best)) if final.best else None,
         )
 
     @override

@@ -176,6 +176,7 @@ class Run:
         demonstrations = collect_demonstrations(recipe, settings, training.seeds, on_step)
         self._announcer.announce("collecting demonstrations", settings.episodes, settings.episodes)
         training.buffer.add_demonstrations(demonstrations.episodes, settings.share)
+        training.seconds += demonstrations.seconds
         self.folder.event(
             "demonstrated",
             episodes=len(demonstrations.episodes),

@@ -97,17 +97,14 @@ class TensorBoardWriter(RunObserver):
             **self._replay_ratio(training),
         }
         groups = {"agent": metrics, "buffer": training.buffer.metrics(), "speed": speed}
-        self._add(groups | {"train": _episode_means(episodes)}, training.steps)
+        has_success = training.orchestrator.signature.has_success
+        self._add(groups | {"train": _episode_means(episodes, has_success=has_success)}, training.steps)
 
     @override
     def tested(self, training: Training, test: DueTest, result: TestResult) -> None:
-        means = {
-            "success_any": result.success_any,
-            "success_end": result.success_end,
-            "return": float(np.mean(result.returns)),
-            "episode_length": float(np.mean(result.lengths)),
-        }
-        self._add({"test": means}, result.steps)
+        success = {"success_any": result.success_any, "success_end": result.success_end} if result.has_success else {}
+        means = {"return": result.mean_return, "episode_length": float(np.mean(result.lengths))}
+        self._add({"test": success | means}, result.steps)
 
     @override
     def ended(self, ending: Ending) -> None:
@@ -133,13 +130,15 @@ class TensorBoardWriter(RunObserver):
         return {"replay_ratio": ratio}
 
 
-def _episode_means(episodes: Sequence[Episode]) -> dict[str, float]:
+def _episode_means(episodes: Sequence[Episode], *, has_success: bool) -> dict[str, float]:
     """Means over training episodes; empty without episodes."""
     if not episodes:
         return {}
-    return {
+    success = {
         "success_any": float(np.mean([episode.any for episode in episodes])),
         "success_end": float(np.mean([episode.end for episode in episodes])),
+    }
+    return (success if has_success else {}) | {
         "return": float(np.mean([episode.total_reward for episode in episodes])),
         "episode_length": float(np.mean([episode.steps for episode in episodes])),
         "diverged": float(np.mean([episode.diverged for episode in episodes])),

@@ -16,7 +16,7 @@ from pydantic import Field as Setting
 from ..core import Orchestrator, random_actions
 from ..environments.build import build_environment
 from .executor import Build
-from .local import Limits, Local
+from .local import MAX_ENVIRONMENTS, Limits, Local
 
 THREADS = 4
 """Threads per process that the probe tries with the best number of processes."""
@@ -38,10 +38,11 @@ class Auto(Local):
     """
 
     class Settings(Limits):
-        environments: int = Setting(default=8, ge=1, le=65536, description="number of environments")
+        environments: int = Setting(default=8, ge=1, le=MAX_ENVIRONMENTS, description="number of environments")
         seconds: float = Setting(
             default=3.0,
             gt=0,
+            le=3600,
             description="seconds of stepping in the probe; starting its workers takes additional time",
         )
 

@@ -13,6 +13,7 @@ from typing import Any
 import numpy as np
 from numpy.typing import NDArray
 from pydantic import Field as Setting
+from pydantic import model_validator
 
 from ..core import Failure, FloatArray, Orchestrator, Received, Step
 from ..core import Settings as BaseSettings
@@ -23,6 +24,9 @@ from .executor import RESET, STEP, Build
 from .pool import WorkerPool
 
 EnvironmentIds = Sequence[int] | NDArray[np.int64]
+
+
+MAX_ENVIRONMENTS = 65_536
 
 
 class Limits(BaseSettings):
@@ -61,7 +65,15 @@ class Local(Orchestrator):
         threads: int = Setting(
             default=1, ge=1, le=1024, description="threads per process, for environments that wait for I/O"
         )
-        environments: int = Setting(default=8, ge=1, le=65536, description="environments per thread")
+        environments: int = Setting(default=8, ge=1, le=MAX_ENVIRONMENTS, description="environments per thread")
+
+        @model_validator(mode="after")
+        def _not_too_many(self) -> Local.Settings:
+            if self.size > MAX_ENVIRONMENTS:
+                raise ValueError(
+                    f"processes x threads x environments are {self.size} environments; {MAX_ENVIRONMENTS} are allowed"
+                )
+            return self
 
         @property
         def size(self) -> int:
@@ -176,13 +188,13 @@ class Local(Orchestrator):
             self._ready += ids.size
         if not answers.failures:
             return answers.failures
-        for ids, _ in answers.failures:
+        for ids, *_ in answers.failures:
             self._pending -= int(self._busy[ids].sum())
             self._ready -= int(self._answered[ids].sum())
             self._busy[ids] = self._answered[ids] = False
             self._failed[ids] += 1
             self._any_failed = True
-        for ids, error in answers.failures:
+        for ids, error, _ in answers.failures:
             if (self._failed[ids] > self._settings.failures).any():
                 raise error
         return answers.failures

@@ -98,7 +98,7 @@ class WorkerPool(Backend):
             plan = self._plans[key] = self._plan(environments.ids)
         for channel, group, messages in plan:
             if channel.worker.lost:
-                self._undelivered.append(Failure(group.ids, channel.worker.lost))
+                self._undelivered.append(Failure(group.ids, channel.worker.lost, lost=True))
             else:
                 channel.send(messages[command], group)
 
@@ -189,7 +189,7 @@ class WorkerPool(Backend):
         worker.close_connections()
         worker.lost = worker.end()
         self._any_lost = True
-        answers.failures.append(Failure(worker.environments, error or worker.lost))
+        answers.failures.append(Failure(worker.environments, error or worker.lost, lost=error is None))
 
     def close(self) -> None:
         alive = [worker for worker in self._workers if not worker.lost]

@@ -19,7 +19,7 @@ from ..evaluation.policies import random_policy
 from ..evaluation.testing import test_seeds
 from ..randomization.randomization import RandomizedParameter
 from ..registry import load
-from ..simulation.bullet.world import World
+from ..simulation.engines import Engine, default_engine, make_world
 from ..simulation.interface import Camera
 from ..spec.parts import Part, Recipe
 
@@ -37,8 +37,8 @@ class Inspection:
     picture: NDArray[np.uint8] | None = None
 
 
-def pair(robot: str, task: str, **robot_settings: Any) -> RobotTask:
-    """A robot with a task at their defaults, except the given settings of the robot.
+def pair(robot: str, task: str, engine: Engine | None = None, **robot_settings: Any) -> RobotTask:
+    """A robot with a task at their defaults, except the engine and the given settings of the robot.
 
     Raises:
         UsageError: the robot or the task is unknown.
@@ -46,7 +46,7 @@ def pair(robot: str, task: str, **robot_settings: Any) -> RobotTask:
     """
     environment = build_environment(
         Recipe(
-            environment=_part("environments", "robot_task"),
+            environment=_part("environments", "robot_task", **({} if engine is None else {"engine": engine})),
             robot=_part("robots", robot, **robot_settings),
             task=_part("tasks", task),
         )
@@ -173,7 +173,7 @@ def _picture(robot: str, task: str | None, size: tuple[int, int] | None) -> NDAr
         return None
     width, height = size
     if task is None:
-        alone, world = _prepared(load("robots", robot), None), World()
+        alone, world = _prepared(load("robots", robot), None), make_world(default_engine())
         try:
             alone.build(world)
             alone.reset(SeedTree(0).generator())
@@ -196,9 +196,17 @@ def halved(picture: NDArray[np.uint8]) -> NDArray[np.uint8]:
     return mean
 
 
-def floor(robot: str, task: str, *, episodes: int = 100, seed: int = 0, **robot_settings: Any) -> Score:
+def floor(
+    robot: str,
+    task: str,
+    engine: Engine | None = None,
+    *,
+    episodes: int = 100,
+    seed: int = 0,
+    **robot_settings: Any,
+) -> Score:
     """Success of uniformly random actions in the first test episodes of the root `seed`."""
-    environment = pair(robot, task, **robot_settings)
+    environment = pair(robot, task, engine, **robot_settings)
     try:
         return score(environment, random_policy(environment, seed), episodes=episodes, seed=seed)
     finally:

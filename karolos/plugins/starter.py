@@ -1,9 +1,13 @@
-"""Starter packages: a small, complete and tested plugin of each kind, to be changed step by step."""
+"""Starter packages: a small, complete and tested plugin of each kind, to be changed step by step.
+
+A robot can be written from somebody's URDF; see `proposal`.
+"""
 
 from __future__ import annotations
 
 import keyword
 import re
+import shutil
 from importlib.resources import files
 from pathlib import Path
 from string import Template
@@ -15,16 +19,21 @@ KINDS = ("robot", "task", "agent", "buffer", "environment", "distribution")
 """Kinds with a starter package."""
 
 
-def write_starter(kind: str, name: str, out: Path) -> list[Path]:
-    """Write the package `karolos-<name>` into `out`; returns its files, sorted.
+def write_starter(
+    kind: str, name: str, out: Path, *, urdf: Path | None = None, tool: str | None = None
+) -> tuple[list[Path], list[str]]:
+    """Write the package `karolos-<name>` into `out`; returns its files, sorted, and what was assumed of the URDF.
 
     Args:
         kind: one of KINDS.
         name: of the plugin in specs: lower-case letters, digits and underscores.
         out: the package's folder; created if it is missing.
+        urdf: a robot's description, instead of the made-up arm.
+        tool: the link of its tool frame, if it is not found by its name.
 
     Raises:
         UsageError: the kind or the name is invalid, or the folder is not empty or cannot be written.
+        PluginError: the URDF is not of an arm that karolos can simulate.
     """
     if kind not in KINDS:
         raise UsageError(f"there is no starter for {kind!r}", hint=alternatives(kind, KINDS))
@@ -33,38 +42,61 @@ def write_starter(kind: str, name: str, out: Path) -> list[Path]:
             f"{name!r} cannot be the name of a plugin",
             hint="lower-case letters, digits and single underscores, beginning with a letter, not a Python keyword",
         )
-    texts = _rendered(kind, name)
+    if urdf is not None and kind != "robot":
+        raise UsageError(f"a {kind} has no URDF", where="--urdf", hint="leave it out, or write a robot")
+    if tool is not None and urdf is None:
+        raise UsageError("names a link of a URDF", where="--tool", hint="add --urdf FILE")
+    texts, copies, notes = _rendered(kind, name, urdf, tool)
     try:
         if out.exists() and (not out.is_dir() or any(out.iterdir())):
             raise UsageError("already exists", where=str(out), hint="name another folder with --out DIR")
-        for path, text in texts.items():
+        for path in (*texts, *copies):
             (out / path).parent.mkdir(parents=True, exist_ok=True)
+        for path, text in texts.items():
             (out / path).write_text(text, encoding="utf-8")
+        for path, file in copies.items():
+            shutil.copyfile(file, out / path)
     except OSError as error:
         raise UsageError(f"cannot be written: {error.strerror}", where=str(out)) from error
-    return [out / path for path in sorted(texts)]
+    return [out / path for path in sorted({*texts, *copies})], notes
 
 
-def _rendered(kind: str, name: str) -> dict[str, str]:
-    """The package's files: path below its folder -> text."""
+def _rendered(
+    kind: str, name: str, urdf: Path | None, tool: str | None
+) -> tuple[dict[str, str], dict[str, Path], list[str]]:
+    """The package's texts and the files that are copied into it (path below its folder -> text, or file), and notes."""
     values = {
         "kind": kind,
         "name": name,
         "dashed": name.replace("_", "-"),
         "class_name": "".join(word.capitalize() for word in name.split("_")),
+        "about": "",
     }
     package = f"src/karolos_{name}"
     templates = {
         "pyproject.toml": "pyproject.toml",
         "README.md": "README.md",
         f"{package}/__init__.py": "__init__.py",
-        f"{package}/{name}.py": f"{kind}.py",
+        f"{package}/{name}.py": f"{kind}.py" if urdf is None else "robot_from_urdf.py",
         f"tests/test_{name}.py": f"test_{kind}.py",
     }
+    copies: dict[str, Path] = {}
+    texts: dict[str, str] = {}
+    notes: list[str] = []
     if kind == "robot":
         templates[f"{package}/{name}.urdf"] = "robot.urdf"
+        templates[f"specs/{name}_reach.yaml"] = "reach.yaml"
+    if urdf is not None:
+        from .meshes import with_meshes  # noqa: PLC0415
+        from .proposal import propose  # noqa: PLC0415 (imports the physics engine)
+
+        del templates[f"{package}/{name}.urdf"]
+        proposal = propose(urdf, tool)
+        values.update(proposal.texts())
+        notes = proposal.notes
+        texts[f"{package}/{name}.urdf"], meshes = with_meshes(urdf)
+        copies = {f"{package}/{path}": file for path, file in meshes.items()}
     folder = files("karolos.plugins") / "starters"
-    return {
-        path: Template((folder / f"{template}.txt").read_text(encoding="utf-8")).substitute(values)
-        for path, template in templates.items()
-    }
+    for path, template in templates.items():
+        texts[path] = Template((folder / f"{template}.txt").read_text(encoding="utf-8")).substitute(values)
+    return texts, copies, notes

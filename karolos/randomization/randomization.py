@@ -5,6 +5,8 @@ from __future__ import annotations
 from collections.abc import Mapping
 from dataclasses import dataclass
 
+import numpy as np
+
 from ..core import Field, Layout
 from ..core.seeding import Generator
 from ..errors import RunError, UsageError
@@ -38,6 +40,7 @@ class Randomization:
 
     Raises:
         UsageError: a parameter that neither robot nor task declares.
+        RunError: a distribution that misses the allowed range.
     """
 
     def __init__(self, distributions: Mapping[str, Distribution], declared: Mapping[str, RandomizedParameter]) -> None:
@@ -51,6 +54,7 @@ class Randomization:
         self._drawn = tuple((name, distributions[name], declared[name]) for name in sorted(distributions))
         self.layout = Layout(tuple(Field(name, 1, parameter.unit) for name, _, parameter in self._drawn))
         """The parameters in the order of the values that `draw` returns."""
+        self.draw(np.random.Generator(np.random.PCG64(0)))  # to refuse a distribution before a run begins
 
     def draw(self, generator: Generator) -> list[float]:
         """A value for each parameter. Raises RunError when a distribution keeps missing the allowed range."""

@@ -18,7 +18,7 @@ from pathlib import Path
 from typing import NoReturn
 
 from ..errors import RunError, UsageError
-from ..files import sync_folder, writing
+from ..files import FileLock, remove_leftovers, sync_folder, writing
 from . import RunFolder
 from .run_records import ID
 from .storable import run_fault
@@ -27,6 +27,8 @@ SUFFIXES = (".tar.gz", ".tgz", ".zip")
 MOST_FILES = 1_000_000
 MOST_BYTES = 64 << 30
 """Default limit of an archive's unpacked size."""
+UNFINISHED_IMPORT = ".import-"
+"""Beginning of the names of folders in which archives are unpacked."""
 _DEEPEST = 12
 _LEFT_OUT = re.compile(r"(?:.*\.)?lock|\..*\.tmp")
 """Files of processes, which do not belong to the run."""
@@ -64,6 +66,7 @@ def export_runs(folders: Sequence[RunFolder], target: Path, *, checkpoints: bool
     _check_suffix(target)
     if target.exists():
         raise UsageError("the file exists already", where=str(target), hint="name another, or remove it")
+    remove_leftovers(target.parent, rf"\.{re.escape(target.name)}\.(\d+)\.tmp")
     beside = target.with_name(f".{target.name}.{os.getpid()}.tmp")
     with writing(target):
         try:
@@ -125,10 +128,13 @@ def import_runs(
         MachineError: the disk is full, or the runs folder cannot be written.
     """
     _check_suffix(source)
+    remove_unfinished_imports(runs)
     with writing(runs):
         runs.mkdir(parents=True, exist_ok=True)
-        place = Path(tempfile.mkdtemp(prefix=".import-", dir=runs))
+        place = Path(tempfile.mkdtemp(prefix=UNFINISHED_IMPORT, dir=runs))
+    lock = FileLock(place / ".lock")
     try:
+        lock.acquire()
         names = _unpack(source, place, most_bytes)
         if not names:
             raise UsageError("there is no run in it", where=str(source), hint="`karolos runs export` makes archives")
@@ -138,8 +144,17 @@ def import_runs(
                 _refuse(source, f"the run {name} exists already", "`karolos runs rm` removes it")
         _move(names, place, runs)
     finally:
+        lock.release()
         shutil.rmtree(place, ignore_errors=True)
     return tuple(Imported(RunFolder.open(runs / name), found) for name, found in zip(names, problems, strict=True))
+
+
+def remove_unfinished_imports(runs: Path) -> None:
+    """Remove what killed imports into this runs folder have unpacked."""
+    for place in runs.glob(f"{UNFINISHED_IMPORT}*"):
+        lock = FileLock(place / ".lock")
+        if lock.path.exists() and not lock.is_locked():
+            shutil.rmtree(place, ignore_errors=True)
 
 
 def _move(names: Sequence[str], place: Path, runs: Path) -> None:

@@ -8,6 +8,7 @@ from dataclasses import dataclass
 from typing import Any
 
 from ..files import parse_object
+from ..statistics.intervals import wilson
 from .decode import from_json
 
 WITHIN = (0.05, 0.1, 0.25)
@@ -19,6 +20,7 @@ class TestResult:
     """The result of one test, episode by episode. The lists hold one entry per test seed, in the order of the seeds.
 
     `any`: the goal was reached at some step; `end`: it held at the last step; `reset`: it held before the first action.
+    `returns`: sums of rewards.
     """
 
     __test__ = False  # not a test case for pytest
@@ -26,7 +28,7 @@ class TestResult:
     steps: int
     """Environment steps of training before the test."""
     seconds: float
-    """Wall-clock seconds of collecting and learning before the test; tests excluded."""
+    """Wall-clock seconds of collecting (demonstrations included) and learning before the test; tests excluded."""
     any: tuple[bool, ...]
     end: tuple[bool, ...]
     reset: tuple[bool, ...]
@@ -34,6 +36,8 @@ class TestResult:
     lengths: tuple[int, ...]
     distances: tuple[float, ...] | None = None
     """From the goal at the last step, in m; inf where it does not count (nothing landed). None if it is unknown."""
+    has_success: bool = True
+    """False: nothing in the environment says what a success is, and no episode has one. Only returns count."""
 
     @property
     def episodes(self) -> int:
@@ -49,6 +53,18 @@ class TestResult:
         """Fraction of episodes in which the goal held at the last step."""
         return sum(self.end) / self.episodes
 
+    @property
+    def mean_return(self) -> float:
+        """nan if it is not finite."""
+        mean = _finite_mean(self.returns)
+        return math.nan if mean is None else mean
+
+    @property
+    def score(self) -> str:
+        """Success and mean return as a text for a person."""
+        success = f"success end {self.success_end:.2f}, any {self.success_any:.2f}, " if self.has_success else ""
+        return f"{success}return {self.mean_return:,.2f}"
+
     def first(self, count: int) -> TestResult:
         """The result of the first `count` episodes."""
         return TestResult(
@@ -60,6 +76,7 @@ class TestResult:
             self.returns[:count],
             self.lengths[:count],
             None if self.distances is None else self.distances[:count],
+            self.has_success,
         )
 
     def within(self, metres: float) -> float | None:
@@ -69,31 +86,58 @@ class TestResult:
 
 @dataclass(frozen=True)
 class TestCounts:
-    """The counts of one test, as the index stores them: episodes in which `any`, `end`, `reset` of TestResult hold."""
+    """One test in numbers, as the index stores it: episodes in which `any`, `end`, `reset` of TestResult hold.
+
+    They are None where TestResult has no success. `mean_return` is None if it is not finite.
+    """
 
     __test__ = False  # not a test case for pytest
 
     steps: int
     seconds: float
     episodes: int
-    any: int
-    end: int
-    reset: int
+    any: int | None
+    end: int | None
+    reset: int | None
+    mean_return: float | None
 
     @property
-    def success_any(self) -> float:
+    def success_any(self) -> float | None:
         """Fraction of episodes in which the goal was reached at some step."""
-        return self.any / self.episodes
+        return None if self.any is None else self.any / self.episodes
 
     @property
-    def success_end(self) -> float:
+    def success_end(self) -> float | None:
         """Fraction of episodes in which the goal held at the last step."""
-        return self.end / self.episodes
+        return None if self.end is None else self.end / self.episodes
 
     @classmethod
     def of(cls, result: TestResult) -> TestCounts:
-        counts = (sum(flags) for flags in (result.any, result.end, result.reset))
-        return cls(int(result.steps), float(result.seconds), result.episodes, *counts)
+        some, end, reset = (
+            sum(flags) if result.has_success else None for flags in (result.any, result.end, result.reset)
+        )
+        mean = _finite_mean(result.returns)
+        return cls(int(result.steps), float(result.seconds), result.episodes, some, end, reset, mean)
+
+    def row(self) -> dict[str, Any]:
+        """Success and return as JSON values, with Wilson's intervals at 95 %."""
+        return {
+            "episodes": self.episodes,
+            "success_any": self.success_any,
+            "success_any_interval": None if self.any is None else wilson(self.any, self.episodes),
+            "success_end": self.success_end,
+            "success_end_interval": None if self.end is None else wilson(self.end, self.episodes),
+            "mean_return": self.mean_return,
+        }
+
+
+def _finite_mean(values: Sequence[float]) -> float | None:
+    """The mean, which is the same in every version of Python; None if it is not finite."""
+    try:
+        mean = math.fsum(values) / len(values)
+    except (OverflowError, ValueError):
+        return None
+    return mean if math.isfinite(mean) else None
 
 
 def encode_test(result: TestResult) -> dict[str, Any]:
@@ -107,6 +151,7 @@ def encode_test(result: TestResult) -> dict[str, Any]:
         "returns": _numbers(result.returns),
         "lengths": [int(length) for length in result.lengths],
         **({} if result.distances is None else {"distances": _numbers(result.distances)}),
+        **({} if result.has_success else {"has_success": False}),
     }
 
 
@@ -134,22 +179,25 @@ def _is_time(steps: int, seconds: float) -> bool:
 def count_test(line: bytes) -> TestCounts | None:
     """The counts of a line as `encode_test` makes it, or None for any other line.
 
-    Reads the line up to the returns, and its lists as text, which takes a tenth of the time of `decode_test`.
+    Reads the line up to the returns, and its flags as text, which takes a fraction of the time of `decode_test`.
     """
     head, _, rest = line.partition(b'],"returns":[')
-    if head.count(b'"') != 10 or not rest.endswith(b"]}"):  # the quotes of five keys
+    numbers, _, rest = rest.partition(b"]")
+    without_success = rest.endswith(b',"has_success":false}')
+    if head.count(b'"') != 10 or not (without_success or rest.endswith(b"]}")):  # the quotes of five keys
         return None
-    row = parse_object(head.replace(b":[", b':"').replace(b"],", b'",') + b'"}')
-    if row is None or list(row) != ["steps", "seconds", "any", "end", "reset"]:
+    row = parse_object(head.replace(b":[", b':"').replace(b"],", b'",') + b'","returns":[' + numbers + b"]}")
+    if row is None or list(row) != ["steps", "seconds", "any", "end", "reset", "returns"]:
         return None
-    steps, seconds, *flags = row.values()
+    steps, seconds, *flags, returns = row.values()
     if type(steps) is not int or type(seconds) is not float or not _is_time(steps, seconds):
         return None
-    if not all(isinstance(text, str) for text in flags):
+    if not all(isinstance(text, str) for text in flags) or set(map(type, returns)) != {float}:
         return None
-    episodes = len(flags[0]) // 2 + 1
+    episodes = len(returns)
     separators = "," * (episodes - 1)
     for text in flags:
         if len(text) != 2 * episodes - 1 or text[1::2] != separators or text[::2].strip("01"):
             return None
-    return TestCounts(steps, seconds, episodes, *(text.count("1") for text in flags))
+    some, end, reset = (None if without_success else text.count("1") for text in flags)
+    return TestCounts(steps, seconds, episodes, some, end, reset, _finite_mean(returns))

@@ -48,8 +48,6 @@ class RunFolder:
         self.id = path.name
         self.checkpoints = path / "checkpoints"
         self.tensorboard = path / "tensorboard"
-        self.progress = path / "progress.json"
-        self.stop = path / "stop"
         self._lock = FileLock(path / "lock")
         self._run: dict[str, Any] = {}
         self._locked_at: float | None = None
@@ -110,13 +108,13 @@ class RunFolder:
     ) -> None:
         self.release()
 
-    def lock(self, seconds: float = LOCK_SECONDS) -> None:
+    def lock(self) -> None:
         """Lock the run for this process until `release` or the process's end.
 
         Raises:
-            RunError: another process keeps it locked for this many seconds.
+            RunError: another process has locked it.
         """
-        if not self._lock.acquire(seconds):
+        if not self._lock.acquire(LOCK_SECONDS):
             raise RunError("another process is running it", where=self.id, hint="wait for it, or stop it first")
         self._locked_at, self._earlier_seconds = monotonic(), self._stored_state().total_seconds
         remove_leftovers(self.path, UNFINISHED)
@@ -267,7 +265,7 @@ class RunFolder:
         """The content of the folder, and what is damaged or missing in it."""
         spec = read_object(self.path / "resolved.json")
         state = RunState.from_row(read_object(self.path / "state.json"))
-        now = self._current(state or RunState("running"))
+        now = self._current(state or RunState("created"))
         tests, problems = self._count_tests()  # after the state: a finished run has all its tests
         for name, row in (("resolved.json", spec), ("state.json", state)):
             if row is None:
@@ -285,12 +283,11 @@ class RunFolder:
         """The state now, given what state.json held just before."""
         if stored.unfinished and not self.is_locked():
             stored = self._stored_state()  # the run may have ended after the first read
-            if stored.unfinished and (stored.state, stored.attempt) != ("created", 1):  # such a run waits for its start
-                return replace(stored, state="lost")
+            return replace(stored, state="lost") if stored.unfinished else stored
         return stored
 
     def _stored_state(self) -> RunState:
-        return RunState.from_row(read_object(self.path / "state.json")) or RunState("running")
+        return RunState.from_row(read_object(self.path / "state.json")) or RunState("created")
 
     def _write_state(self, state: RunState) -> None:
         if self._locked_at is not None:
@@ -344,6 +341,16 @@ def scan(runs: str | Path, pattern: str = "*") -> Iterator[RunFolder | RunError]
             yield RunFolder.open(path)
         except RunError as error:
             yield error
+
+
+def remove_lost_leftovers(runs: str | Path, pattern: str = "*") -> None:
+    """Remove files that killed processes did not finish from run folders that no process has locked.
+
+    Arguments as those of `paths`.
+    """
+    for path in paths(runs, pattern):
+        if not FileLock(path / "lock").is_locked():
+            remove_leftovers(path, UNFINISHED)
 
 
 def _make_folder(runs: Path, stem: str) -> Path:

@@ -41,7 +41,7 @@ class RunState:
     Args:
         state: one of STATES.
         steps: environment steps of training.
-        seconds: wall-clock seconds of collecting and learning; tests excluded.
+        seconds: wall-clock seconds of collecting (demonstrations included) and learning; tests excluded.
         attempt: number of processes that have worked on it, from 1.
         error: why it failed, in one line.
         updated: when this was written (ISO 8601, UTC).
@@ -82,8 +82,9 @@ class RunState:
 class RunSummary:
     """One run in one row. The first ten fields are what scripts rely on, in this order.
 
-    Success is of the final test's policy `last`; before it, of the last test (None before the first). *_to_95 are of
-    the first test with `end` success >= .95, *_to_95_any of the first with `any` success >= .95.
+    Success and return are of the final test's policy `last`; before it, of the last test (None before the first).
+    Success is None as well if the environment does not define it. *_to_95 are of the first test with `end` success
+    >= .95, *_to_95_any of the first with `any` success >= .95.
     """
 
     run: str
@@ -98,7 +99,7 @@ class RunSummary:
     seconds_to_95: float | None
     name: str
     episodes: int | None
-    """Episodes of the test whose success this is: success_any * episodes is a whole number."""
+    """Episodes of the test that success and return are of: success_any * episodes is a whole number."""
     environment: str | None
     robot: str | None
     task: str | None
@@ -123,6 +124,10 @@ class RunSummary:
     seconds_to_95_any: float | None = None
     total_seconds: float = 0.0
     """Wall-clock seconds from start to end, of all attempts: `seconds`, tests, checkpoints and everything else."""
+    mean_return: float | None = None
+    """Mean over the episodes of the sum of rewards."""
+    best_return: float | None = None
+    """That of the policy `best`."""
 
     def row(self) -> dict[str, Any]:
         """The fields as JSON values, in order."""
@@ -163,8 +168,8 @@ def summarise(
     """The row of a run from the content of its folder; `tests` in the order of their steps."""
     last = final.last if final else tests[-1] if tests else None
     best = final.best if final else None
-    solved = next((test for test in tests if test.success_end >= THRESHOLD), None)
-    solved_any = next((test for test in tests if test.success_any >= THRESHOLD), None)
+    solved = next((test for test in tests if (test.success_end or 0) >= THRESHOLD), None)
+    solved_any = next((test for test in tests if (test.success_any or 0) >= THRESHOLD), None)
     return RunSummary(
         run=str(run["id"]),
         experiment=str(run.get("experiment", "")),
@@ -194,6 +199,8 @@ def summarise(
         steps_to_95_any=solved_any.steps if solved_any else None,
         seconds_to_95_any=solved_any.seconds if solved_any else None,
         total_seconds=state.total_seconds,
+        mean_return=last.mean_return if last else None,
+        best_return=best.mean_return if best else None,
     )
 
 
@@ -225,15 +232,4 @@ def is_description(run: Mapping[str, Any]) -> bool:
     texts = all(isinstance(run.get(key), str) for key in ("name", "experiment", "created"))
     numbers = all(type(run.get(key)) is int for key in ("seed", "format"))
     named = isinstance(run.get("id"), str) and ID.fullmatch(run["id"]) is not None
-    return texts and numbers and named and _is_provenance(run)
-
-
-def _is_provenance(run: Mapping[str, Any]) -> bool:
-    """Whether the fields of run.json that may be missing have their types."""
-    versions, command, git = (run.get(key) for key in ("versions", "command", "git"))
-    if not (versions is None or isinstance(versions, dict)) or not (git is None or isinstance(git, dict)):
-        return False
-    texts = [*(versions or {}).values(), *([git.get("commit")] if git else [])]
-    if command is not None:
-        texts += command if isinstance(command, list) else [None]
-    return all(isinstance(text, str) for text in texts)
+    return texts and numbers and named

@@ -10,7 +10,6 @@ from dataclasses import asdict, dataclass
 from typing import Any
 
 from ..files import append_lines, locked, read_lines
-from ..statistics.intervals import wilson
 from . import RunFolder
 from .decode import from_json
 from .results import TestCounts, TestResult, decode_test, encode_test
@@ -50,20 +49,10 @@ class TransferResult:
             "overrides": list(self.overrides),
             "randomized": self.randomized,
             "seed": self.seed,
-            **_successes(TestCounts.of(self.result)),
-            "own": _successes(self.own),
+            **TestCounts.of(self.result).row(),
+            "own": self.own.row(),
             "wall_seconds": self.wall_seconds,
         }
-
-
-def _successes(counts: TestCounts) -> dict[str, Any]:
-    return {
-        "episodes": counts.episodes,
-        "success_any": counts.success_any,
-        "success_any_interval": wilson(counts.any, counts.episodes),
-        "success_end": counts.success_end,
-        "success_end_interval": wilson(counts.end, counts.episodes),
-    }
 
 
 def add(folder: RunFolder, transfer: TransferResult) -> None:

@@ -8,7 +8,7 @@ from pathlib import Path
 import numpy as np
 from numpy.typing import NDArray
 
-from ..comparison import Comparison, Contender, densities, learning_curve
+from ..comparison import Comparison, Contender, learning_curve
 from ..comparison.curves import Axis, places
 from ..core.seeding import SeedTree
 from ..files import writing
@@ -21,7 +21,10 @@ _SECONDS = ((7200, 3600, "h"), (120, 60, "min"), (0, 1, "s"))
 
 
 def comparison_figures(comparison: Comparison) -> list[Drawing]:
-    """Every figure, in the order of the page: learning twice, seeds twice, then a density for each contender."""
+    """Every figure, in the order of the page: learning twice, seeds twice, then a density for each contender.
+
+    There are no densities of returns.
+    """
     return [
         learning(comparison, "steps"),
         learning(comparison, "seconds"),
@@ -54,48 +57,53 @@ def write_figures(
 
 @look()
 def learning(comparison: Comparison, axis: Axis) -> Drawing:
-    """Success over training: every seed thin, their mean or inter-quartile mean bold, with its interval as a band."""
-    contenders, success = comparison.contenders, comparison.success
+    """Success or return over training: every seed thin, mean or inter-quartile mean bold, its interval as a band."""
+    contenders, metric = comparison.contenders, comparison.metric
+    what = "return" if metric == "return" else "success"
     robust = min(len(contender.runs) for contender in contenders) >= aggregates.FEW_SEEDS
     statistic, name = (aggregates.iqm, "inter-quartile mean") if robust else (aggregates.mean, "mean")
     tree = SeedTree(0).child("report", axis)
     drawing = Drawing(
-        f"success_over_{axis}",
-        f"Success over {'environment steps' if axis == 'steps' else 'wall-clock time'}",
+        f"{what}_over_{axis}",
+        f"{what.title()} over {'environment steps' if axis == 'steps' else 'wall-clock time'}",
         f"Bold: {name} over seeds; thin: each seed. Band: 95 % bootstrap interval for 5 seeds or more (approximate "
         "below 10), smallest to largest for 2 to 4 seeds, Wilson interval for one run.",
     )
     axes, scale = drawing.axes, _x_axis(drawing, contenders, axis)
     for series, contender in enumerate(contenders):
-        curve = learning_curve(contender.runs, axis, success, statistic, tree.child(series).generator())
+        curve = learning_curve(contender.runs, axis, metric, statistic, tree.child(series).generator())
         colour, at = style(series)["color"], curve.at / scale
         band = axes.fill_between(at, curve.low, curve.high, color=colour, alpha=0.16, linewidth=0)
         drawing.part(band, f"band series-{series}")
         for place, run in enumerate(contender.runs):
             x = places(run, axis) / scale
-            [line] = axes.plot(x, run.ratios(success), **style(series), linewidth=0.6, alpha=0.45)
+            [line] = axes.plot(x, run.values(metric), **style(series), linewidth=0.6, alpha=0.45)
             drawing.part(line, f"seed series-{series}", _run_text(contender, place))
         [line] = axes.plot(at, curve.middle, **style(series), linewidth=2, zorder=3)
         drawing.part(line, f"main series-{series}", f"{contender.label}: {name}")
-    _ratio_axis(drawing, "y", _success_label(comparison))
+    _metric_axis(drawing, "y", comparison)
     drawing.legend([contender.label for contender in contenders])
     return drawing
 
 
 @look()
 def final(comparison: Comparison) -> Drawing:
-    """The reported success of every seed as a dot; below them mean and interval as a cross."""
+    """The reported success or return of every seed as a dot; below them mean and interval as a cross."""
+    what = "return" if comparison.metric == "return" else "success"
     drawing = Drawing(
-        "final_success",
-        "Success at the end of training",
+        f"final_{what}",
+        f"{what.title()} at the end of training",
         "A dot is a seed. Below: mean and its interval (95 %; smallest to largest for 2 to 4 seeds).",
     )
     axes, count = drawing.axes, len(comparison.contenders)
+    low, high = _ends(comparison)
+    span = high - low or 1.0
     for series, (contender, scores) in enumerate(zip(comparison.contenders, comparison.scores, strict=True)):
-        estimate = scores.any if comparison.success == "any" else scores.end
-        values = np.array([run.reported(comparison.success) for run in contender.runs])
+        estimate = {"any": scores.any, "end": scores.end, "return": scores.returns}[comparison.metric]
+        assert estimate is not None  # `compare` refuses a metric that is unknown
+        values = np.array([run.reported(comparison.metric) for run in contender.runs])
         row, colour = count - series, style(series)["color"]
-        for place, (x, y) in enumerate(zip(values, row + _offsets(values), strict=True)):
+        for place, (x, y) in enumerate(zip(values, row + _offsets(values, span), strict=True)):
             [dot] = axes.plot(x, y, "o", color=colour, alpha=0.75, markersize=4.5, markeredgewidth=0, clip_on=False)
             drawing.part(dot, f"dot series-{series}", _run_text(contender, place))
         [line] = axes.plot([estimate.low, estimate.high], [row - 0.3] * 2, color=colour, linewidth=1.2)
@@ -103,7 +111,7 @@ def final(comparison: Comparison) -> Drawing:
         [tick] = axes.plot([estimate.value] * 2, [row - 0.38, row - 0.22], color=colour, linewidth=2.2)
         text = f"{contender.label}: mean {estimate.value:.3f}, {estimate.low:.3f} to {estimate.high:.3f}"
         drawing.part(tick, f"main series-{series}", text)
-    _ratio_axis(drawing, "x", _success_label(comparison))
+    _metric_axis(drawing, "x", comparison)
     labels = [short(contender.label, 22) for contender in comparison.contenders]
     axes.set_yticks(range(count, 0, -1), labels)
     axes.set_ylim(0.4, count + 0.6)
@@ -114,21 +122,22 @@ def final(comparison: Comparison) -> Drawing:
 
 @look()
 def profiles(comparison: Comparison) -> Drawing:
-    """Performance profile: the fraction of seeds with at least the success on the axis."""
+    """Performance profile: the fraction of seeds with at least the success or return on the axis."""
+    what = "return" if comparison.metric == "return" else "success"
     drawing = Drawing(
         "performance_profiles",
         "Performance profiles",
-        "Fraction of seeds with at least that success at the end of training. A curve above another is better.",
+        f"Fraction of seeds with at least that {what} at the end of training. A curve above another is better.",
     )
     for series, contender in enumerate(comparison.contenders):
-        values = [run.reported(comparison.success) for run in contender.runs]
-        thresholds = np.unique([0.0, *values, 1.0])
+        values = [run.reported(comparison.metric) for run in contender.runs]
+        thresholds = np.unique([*values, *_ends(comparison)])
         # The fraction at t holds from the threshold before t up to t.
         [line] = drawing.axes.step(
             thresholds, aggregates.profile(values, thresholds), where="pre", **style(series), linewidth=2
         )
         drawing.part(line, f"main series-{series}", contender.label)
-    _ratio_axis(drawing, "x", f"at least this {_success_label(comparison)}")
+    _metric_axis(drawing, "x", comparison, "at least this ")
     _ratio_axis(drawing, "y", "fraction of seeds")
     drawing.legend([contender.label for contender in comparison.contenders])
     return drawing
@@ -143,8 +152,8 @@ def density_figures(comparison: Comparison) -> list[Drawing]:
     """
     from matplotlib.colors import LinearSegmentedColormap  # noqa: PLC0415  (takes half a second)
 
-    several = {k: contender for k, contender in enumerate(comparison.contenders) if len(contender.runs) > 1}
-    found = {series: densities(contender.runs, comparison.success) for series, contender in several.items()}
+    found = {series: scores.over_steps for series, scores in enumerate(comparison.scores) if scores.over_steps}
+    several = {series: comparison.contenders[series] for series in found}
     peak = max((float(one.density.max()) for _, each in found.values() for one in each), default=1.0)
     drawings = []
     for series, (at, each) in found.items():
@@ -169,7 +178,7 @@ def density_figures(comparison: Comparison) -> list[Drawing]:
             classes, width = ("main", 2.0) if key == "mean" else ("edge", 0.8)
             [line] = axes.plot(at, [getattr(one, key) for one in each], color=style(series)["color"], linewidth=width)
             drawing.part(line, classes, text)
-        _ratio_axis(drawing, "y", _success_label(comparison))
+        _metric_axis(drawing, "y", comparison)
         drawings.append(drawing)
     return drawings
 
@@ -203,8 +212,22 @@ def _columns(at: _Floats) -> _Floats:
     return np.concatenate([[max(first, 0.0)], (at[1:] + at[:-1]) / 2, [at[-1]]])
 
 
-def _success_label(comparison: Comparison) -> str:
-    return "success ratio at any step" if comparison.success == "any" else "success ratio at the end of the episode"
+def _ends(comparison: Comparison) -> tuple[float, float]:
+    """Smallest and largest return that a run reports, or 0 and 1 for success."""
+    if comparison.metric != "return":
+        return 0.0, 1.0
+    reported = [run.reported("return") for contender in comparison.contenders for run in contender.runs]
+    return min(reported), max(reported)
+
+
+def _metric_axis(drawing: Drawing, axis: str, comparison: Comparison, before: str = "") -> None:
+    """An axis of what is compared."""
+    if comparison.metric == "return":
+        drawing.axes.set(**{f"{axis}label": f"{before}mean return of an episode"})
+        drawing.axes.grid(visible=True, axis="x" if axis == "x" else "y")
+        return
+    label = "success ratio at any step" if comparison.metric == "any" else "success ratio at the end of the episode"
+    _ratio_axis(drawing, axis, before + label)
 
 
 def _run_text(contender: Contender, place: int) -> str:
@@ -212,12 +235,15 @@ def _run_text(contender: Contender, place: int) -> str:
     return f"{contender.label}, seed {run.seed}: {run.run} ({run.state})"
 
 
-def _offsets(values: _Floats) -> _Floats:
-    """Vertical offsets that keep equal values apart: each further dot of about the same value is .09 higher."""
+def _offsets(values: _Floats, span: float) -> _Floats:
+    """Vertical offsets that keep equal values apart: each further dot of about the same value is .09 higher.
+
+    Values differ by more than a 40th of `span`, or are about the same.
+    """
     seen: dict[int, int] = {}
     offsets = []
     for value in values:
-        key = round(float(value) * 40)
+        key = round(float(value) / span * 40)
         offsets.append(min(0.09 * seen.setdefault(key, 0), 0.6) - 0.1)
         seen[key] += 1
     return np.array(offsets)

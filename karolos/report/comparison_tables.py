@@ -16,19 +16,27 @@ def scores_table(comparison: Comparison) -> Table:
     rows = [
         ("experiment", *(contender.experiment[:12] for contender in contenders)),
         ("seeds", *(str(len(contender.runs)) for contender in contenders)),
+    ]
+    success = [
         ("success end", *(estimate(one.end) for one in scores)),
         ("success any", *(estimate(one.any) for one in scores)),
-        (f"inter-quartile mean, {comparison.success}", *(estimate(one.iqm) for one in scores)),
     ]
-    if any(one.best_end for one in scores):
-        rows.append(("best, end", *("-" if one.best_end is None else estimate(one.best_end) for one in scores)))
+    returns = [("return", *(estimate(one.returns) for one in scores))]
+    rows += [*returns, *success] if comparison.metric == "return" else [*success, *returns]
+    rows += [
+        (f"inter-quartile mean, {comparison.metric}", *(estimate(one.iqm) for one in scores)),
+        ("best, return", *(estimate(one.best_return) for one in scores))
+        if comparison.metric == "return"
+        else ("best, end", *(estimate(one.best_end) for one in scores)),
+    ]
+    rows = [row for row in rows if set(row[1:]) != {"-"}]
     if len(contenders) > 1:
         rows.append((f"better than {contenders[0].label}", *(improvement(one.improvement) for one in scores)))
     for place, reaching in enumerate(scores[0].reaching):
         for unit, name in (("steps", "steps"), ("seconds", "time")):
             rows.append(
                 (
-                    f"{name} to {reaching.ratio * 100:g} %, {comparison.success}",
+                    f"{name} to {reaching.ratio * 100:g} %, {comparison.metric}",
                     *(_reached(one, place, unit) for one in scores),
                 )
             )
@@ -56,10 +64,11 @@ def differences_table(differences: Sequence[SideDifference], a: str, b: str) -> 
 def explanations(comparison: Comparison) -> list[str]:
     """What the signs in the scores mean, as far as they occur."""
     scores = comparison.scores
-    kinds = {one.any.kind for one in scores}
+    kinds = {found.kind for one in scores for found in (one.any, one.returns) if found is not None}
     final = [run.summary.final for contender in comparison.contenders for run in contender.runs]
-    lines = [f"success is that of {_reported_test(final)}; the unit is the seed"]
-    if any(one.best_end for one in scores):
+    what = "success and return are those" if any(one.end for one in scores) else "the return is that"
+    lines = [f"{what} of {_reported_test(final)}; the unit is the seed"]
+    if any(one.best_end or one.best_return for one in scores):
         lines.append("best: the policy of the best test, in the final test, whose episodes it was not chosen on")
     if "bootstrap" in kinds:
         lines.append("[low, high]: 95 % bootstrap interval over 10 seeds or more")
@@ -69,10 +78,13 @@ def explanations(comparison: Comparison) -> list[str]:
         lines.append("(low - high): smallest and largest of 2 to 4 seeds, too few for an interval")
     if "wilson" in kinds:
         lines.append("[low, high] of a single run: 95 % Wilson interval of its test, which says nothing about seeds")
-    lines.append(
-        f"steps and time to: median over seeds of the first test with that success ({comparison.success}); "
-        "(k of n) reached it; - if half of the seeds or more did not"
-    )
+    if comparison.metric == "return":
+        lines.append("steps and time to a threshold and densities over seeds exist for success only")
+    else:
+        lines.append(
+            f"steps and time to: median over seeds of the first test with that success ({comparison.metric}); "
+            "(k of n) reached it; - if half of the seeds or more did not"
+        )
     if len(scores) > 1:
         lines.append("better than: probability that a run is better than one of the first contender; .5: no difference")
     if any(one.density for one in scores):
@@ -86,8 +98,12 @@ def _reported_test(final: Sequence[bool]) -> str:
     return "the final test, or of the last test where a run has no final test" if any(final) else "the last test"
 
 
-def estimate(found: Estimate) -> str:
-    """A ratio with its interval, whose brackets tell its kind."""
+def estimate(found: Estimate | None) -> str:
+    """A number with its interval, whose brackets tell its kind; - for None."""
+    if found is None:
+        return "-"
+    if found.kind == "none":
+        return f"{found.value:.3f}"
     if found.kind == "range":
         return f"{found.value:.3f} ({found.low:.3f} - {found.high:.3f})"
     return f"{found.value:.3f} {'~' if found.kind == 'approximate' else ''}[{found.low:.3f}, {found.high:.3f}]"

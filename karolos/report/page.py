@@ -13,7 +13,7 @@ from ..files import write_whole
 from .comparison_tables import explanations, parameters_table, scores_table
 from .figures import COLOURS, DASHES, Drawing
 from .markup import Markup, tag
-from .tables import Columns, Table, count, duration, success
+from .tables import Columns, Table, count, duration, number, success
 
 _STYLE = """
 :root{color-scheme:light;--soft:#5c5c5c;--panel:#f6f6f4;--rule:#d9d9d4}
@@ -106,7 +106,7 @@ def _sections(comparison: Comparison, drawings: Sequence[Drawing]) -> list[Marku
             "Darker is denser: shades follow the square root of the density and are the same in all figures. Bold: "
             "mean of the density; thin: 5 and 95 % of its mass are below."
             if density
-            else "A single seed has no density.",
+            else f"{'Returns have' if comparison.metric == 'return' else 'A single seed has'} no density.",
         ),
         _figures(density),
         tag("h2", "Runs"),
@@ -158,12 +158,16 @@ def _runs_table(comparison: Comparison) -> Markup:
         "state": lambda run: ": ".join(filter(None, (run.summary.state, run.summary.error))),
         "steps": lambda run: count(run.summary.steps),
         "time": lambda run: duration(run.summary.seconds),
-        "success end": lambda run: success(run.reported("end"), run.episodes),
-        "success any": lambda run: success(run.reported("any"), run.episodes),
+        "success end": lambda run: success(run.reported("end") if run.has_success else None, run.episodes),
+        "success any": lambda run: success(run.reported("any") if run.has_success else None, run.episodes),
         "best, end": lambda run: success(run.summary.best_end, run.episodes),
+        "return": lambda run: number(run.reported("return")),
+        "best, return": lambda run: number(run.summary.best_return),
         "updates/s": lambda run: count(run.updates_per_second),
         "code": lambda run: run.commit or "-",
     }
+    if not any(contender.has_success for contender in comparison.contenders):
+        columns = {name: cell for name, cell in columns.items() if not name.startswith(("success", "best, end"))}
     runs = [(series, run) for series, contender in enumerate(comparison.contenders) for run in contender.runs]
     if any(run.summary.tags or run.summary.note for _, run in runs):
         columns["tags"] = lambda run: ", ".join(run.summary.tags)

@@ -64,9 +64,9 @@ def duration(seconds: float | None) -> str:
     return f"{whole // 3600} h {whole % 3600 // 60:02} min"
 
 
-def count(number: float | None) -> str:
+def count(value: float | None) -> str:
     """A number without decimals, in groups of three digits; - for None."""
-    return "-" if number is None else f"{number:,.0f}"
+    return "-" if value is None else f"{value:,.0f}"
 
 
 def success(ratio: float | None, episodes: int | None) -> str:
@@ -77,17 +77,22 @@ def success(ratio: float | None, episodes: int | None) -> str:
     return f"{ratio:.2f} [{low:.2f}, {high:.2f}]"
 
 
+def number(value: float | None) -> str:
+    """A number with two decimals, in groups of three digits; - for None."""
+    return "-" if value is None else f"{value:,.2f}"
+
+
 def setting(value: object) -> str:
     """A value of a spec as a spec writes it."""
     return value if isinstance(value, str) else json.dumps(value)
 
 
 def runs_table(runs: Sequence[RunSummary]) -> Table:
-    """One row per run. Success is that of the final test, or of the last test before it.
+    """One row per run. Success and return are those of the final test, or of the last test before it.
 
-    `best` is the success at the end of the policy `best` in the final test. `time` is that of collecting and learning,
-    `total` that from start to end. `steps to .95 end` is when a test first showed that ratio
-    at the end of its episodes.
+    `best` is the policy `best` in the final test, `best end` its success at the end. `time` is that of collecting and
+    learning, `total` that from start to end. `steps to .95 end` is when a test first showed that ratio at the end of
+    its episodes. Where no run has success, the return stands in the place of these columns.
     """
     columns: Columns[RunSummary] = {
         "run": lambda run: run.run,
@@ -95,12 +100,21 @@ def runs_table(runs: Sequence[RunSummary]) -> Table:
         "steps": lambda run: count(run.steps),
         "time": lambda run: duration(run.seconds),
         "total": lambda run: duration(run.total_seconds),
-        "success end": lambda run: success(run.success_end, run.episodes),
-        "any": lambda run: "-" if run.success_any is None else f"{run.success_any:.2f}",
-        "best end": lambda run: "-" if run.best_end is None else f"{run.best_end:.2f}",
-        "steps to .95 end": lambda run: count(run.steps_to_95),
-        "time to .95 end": lambda run: duration(run.seconds_to_95),
     }
+    returns: Columns[RunSummary] = {
+        "return": lambda run: number(run.mean_return),
+        "best return": lambda run: number(run.best_return),
+    }
+    if any(run.success_end is not None or run.mean_return is None for run in runs):
+        columns |= {
+            "success end": lambda run: success(run.success_end, run.episodes),
+            "any": lambda run: number(run.success_any),
+            "best end": lambda run: number(run.best_end),
+            "steps to .95 end": lambda run: count(run.steps_to_95),
+            "time to .95 end": lambda run: duration(run.seconds_to_95),
+        }
+        del returns["best return"]
+    columns |= returns
     if any(run.tags for run in runs):
         columns["tags"] = lambda run: ", ".join(run.tags)
     return Table.of(runs, columns)
@@ -112,7 +126,7 @@ def run_state(run: RunSummary) -> str:
 
 
 def table_of_tests(tests: Iterable[TestCounts], results: Iterable[TestResult] = (), *, title: str = "") -> Table:
-    """One row per test, with both ways to count success.
+    """One row per test, with both ways to count success, or without success where no test has it.
 
     Args:
         tests: what to show.
@@ -127,14 +141,18 @@ def table_of_tests(tests: Iterable[TestCounts], results: Iterable[TestResult] = 
         for result in results
         if result.distances
     }
+    tests = list(tests)
     columns: Columns[TestCounts] = {
         "steps": lambda test: count(test.steps),
         "time": lambda test: duration(test.seconds),
         "success end": lambda test: success(test.success_end, test.episodes),
         "success any": lambda test: success(test.success_any, test.episodes),
+        "return": lambda test: number(test.mean_return),
         "episodes": lambda test: count(test.episodes),
         "solved at reset": lambda test: count(test.reset),
     }
+    if all(test.end is None for test in tests):
+        columns = {name: cell for name, cell in columns.items() if not name.startswith(("success", "solved"))}
     if near:
         heading = f"end within {' / '.join(f'{metres:.2f}' for metres in WITHIN)} m"
         columns[heading] = lambda test: near.get(test.steps, "-")
@@ -149,11 +167,16 @@ def transfers_table(transfers: Iterable[TransferResult], *, title: str = "") -> 
         "success end": lambda one: success(one.result.success_end, one.result.episodes),
         "success any": lambda one: success(one.result.success_any, one.result.episodes),
         "unchanged end": lambda one: success(one.own.success_end, one.own.episodes),
-        "unchanged any": lambda one: f"{one.own.success_any:.2f}",
+        "unchanged any": lambda one: number(one.own.success_any),
+        "return": lambda one: number(one.result.mean_return),
+        "unchanged return": lambda one: number(one.own.mean_return),
         "episodes": lambda one: count(one.result.episodes),
         "seed": lambda one: str(one.seed),
         "when": lambda one: one.time[:16].replace("T", " "),
     }
+    transfers = list(transfers)
+    if all(one.own.end is None for one in transfers):
+        columns = {name: cell for name, cell in columns.items() if not name.endswith((" end", " any"))}
     return Table.of(transfers, columns, title)
 
 

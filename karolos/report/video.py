@@ -23,8 +23,8 @@ def check_video_path(path: Path) -> None:
         raise UsageError(f"there is no folder {path.parent} to record into")
 
 
-def with_caption(picture: NDArray[np.uint8], text: str, *, success: bool, over: bool) -> NDArray[np.uint8]:
-    """The picture (height, width, 3) with text and a frame: green at the goal, red where an episode ends elsewhere."""
+def with_caption(picture: NDArray[np.uint8], text: str, *, success: bool, failed: bool) -> NDArray[np.uint8]:
+    """The picture (height, width, 3) with text and a frame: green at the goal, red where an episode failed."""
     from PIL import Image, ImageDraw, ImageFont  # noqa: PLC0415
 
     image = Image.fromarray(picture)
@@ -32,7 +32,7 @@ def with_caption(picture: NDArray[np.uint8], text: str, *, success: bool, over: 
     height, width = picture.shape[:2]
     size = max(8, height // 26)
     draw.text((size, size), text, fill=TEXT, font=ImageFont.load_default(size))
-    if success or over:
+    if success or failed:
         edge = max(1, height // 80)
         draw.rectangle((0, 0, width - 1, height - 1), outline=SUCCESS if success else FAILURE, width=edge)
     return np.asarray(image)

@@ -8,7 +8,7 @@ from __future__ import annotations
 
 from collections import deque
 from collections.abc import Callable, Mapping, Sequence
-from dataclasses import dataclass
+from dataclasses import dataclass, field
 from functools import cached_property
 from math import atan2, cos, dist, hypot, sin
 from operator import mul, truediv
@@ -26,6 +26,7 @@ from ..simulation import urdf
 from ..simulation.geometry import Vector
 from ..simulation.interface import Body, Box, Fingers, Gripper, JointLimits, World
 from ..simulation.kinematics import Chain, Configuration
+from ..simulation.urdf import Description, Joint
 from .joint_control import JointControl
 
 POSTURE_GAIN = 0.1
@@ -82,7 +83,8 @@ class ArmSettings(Settings):
 class ArmModel:
     """The numbers of one arm; limits, efforts and speeds of the joints come from its URDF.
 
-    The revolute joints of the URDF, in order, are the arm. Its base stands on the floor at the world's origin.
+    The revolute and continuous joints of the URDF that are not locked are the arm: a serial chain from its base. The
+    base is the link without a joint above it; its frame is that of the world, whose floor is z = 0.
     """
 
     urdf: Path
@@ -91,23 +93,37 @@ class ArmModel:
     workspace: Box
     """Region that the tool reaches while pointing down, in m."""
     tool: Vector
-    """Tool centre point in the frame of the last link, in m."""
+    """Tool centre point in the frame of the link that the last joint moves, in m."""
     tool_rpy: Vector
-    """Tool frame in the frame of the last link, rad; its z axis is the direction of approach."""
+    """Tool frame in that frame, rad; its z axis is the direction of approach."""
     fingers: Fingers | None = None
     accelerations: tuple[float, ...] | None = None
     """Largest acceleration of each joint in rad/s2 as its maker publishes it; None where no maker does."""
     self_collisions: tuple[tuple[str, str], ...] = ()
     """Pairs of links that collide; all other pairs of the arm's links do not."""
+    locked: Mapping[str, float] = field(default_factory=dict)
+    """Joints that are held at a position in rad or m, such as those of a gripper with turning fingers."""
+
+    @property
+    def description(self) -> Description:
+        """What is simulated of the URDF."""
+        fingers = self.fingers.joints if self.fingers is not None else ()
+        return urdf.load(self.urdf, tuple(sorted(self.locked.items())), fingers)
 
 
-def _check_model(model: ArmModel, home: Vector) -> None:
+def _check_model(model: ArmModel, arm: Sequence[Joint], home: Vector) -> None:
     """Refuse a model that does not fit its URDF. `home`: position of the tool at home in m.
 
-    Raises PluginError for a home outside the workspace, for fingers that the URDF lacks, and for sliding joints that
-    nothing moves.
+    Raises PluginError for a home outside the limits or the workspace, for fingers and links that the URDF lacks, and
+    for sliding joints that nothing moves.
     """
     where = str(model.urdf)
+    for joint, position in zip(arm, model.home, strict=True):
+        if not joint.lower <= position <= joint.upper:
+            raise PluginError(
+                f"home is {position:g}, outside its limits from {joint.lower:g} to {joint.upper:g}",
+                where=f"{where}: joint {joint.name}",
+            )
     if not model.workspace.contains(home):
         place, low, high = (
             " ".join(f"{x:.3f}" for x in corner) for corner in (home, model.workspace.low, model.workspace.high)
@@ -117,24 +133,53 @@ def _check_model(model: ArmModel, home: Vector) -> None:
             where=where,
             hint="change `home`, `tool` or `workspace`",
         )
-    slides = {joint.name: joint.child for joint in urdf.joints(model.urdf) if not joint.revolute}
+    slides = {joint.name: joint for joint in model.description.joints if not joint.revolute}
     used = dict(zip(model.fingers.joints, model.fingers.links, strict=True)) if model.fingers else {}
-    for joint, link in used.items():
-        if joint not in slides:
+    for name, link in used.items():
+        if name not in slides:
             raise PluginError(
-                f"no finger joint is called {joint!r}", where=where, hint=f"prismatic joints: {', '.join(slides)}"
+                f"no finger joint is called {name!r}", where=where, hint=f"prismatic joints: {', '.join(slides)}"
             )
-        if slides[joint] != link:
+        if slides[name].child != link:
             raise PluginError(
-                f"finger joint {joint!r} does not move a link {link!r}", where=where, hint=f"it moves {slides[joint]!r}"
+                f"finger joint {name!r} does not move a link {link!r}",
+                where=where,
+                hint=f"it moves {slides[name].child!r}",
+            )
+        if model.fingers is not None and model.fingers.travel > slides[name].upper + 1e-6:
+            raise PluginError(
+                f"finger joint {name!r} moves by {slides[name].upper:g} m, `travel` is {model.fingers.travel:g}",
+                where=where,
             )
     unused = sorted(set(slides) - set(used))
     if unused:
         raise PluginError(
             f"nothing moves the prismatic joints {', '.join(unused)}",
             where=where,
-            hint="name them in `fingers`, or make them fixed",
+            hint="name them in `fingers` or `locked`",
         )
+    for link in {link for pair in model.self_collisions for link in pair} - set(model.description.carriers):
+        raise PluginError(f"self_collisions names a link {link!r}, which the URDF lacks", where=where)
+
+
+def _arm_joints(model: ArmModel) -> list[Joint]:
+    """The joints of the arm. Raises PluginError where they are no serial chain, or do not fit the home pose."""
+    found = [joint for joint in model.description.joints if joint.revolute]
+    for before, joint in zip([None, *found], found, strict=False):
+        problem = None
+        if joint.mimic is not None:
+            problem = f"it mimics {joint.mimic}, and karolos drives every joint of an arm by itself"
+        elif before is not None and joint.parent != before.child:
+            problem = f"it does not follow joint {before.name}: an arm is a serial chain"
+        if problem is not None:
+            raise PluginError(problem, where=f"{model.urdf}: joint {joint.name}", hint="name it in `locked`")
+    if len(found) != len(model.home):
+        raise PluginError(
+            f"{len(found)} revolute joints, but a home pose of {len(model.home)}",
+            where=str(model.urdf),
+            hint=f"the joints that are not locked: {', '.join(joint.name for joint in found)}",
+        )
+    return found
 
 
 class Arm:
@@ -154,11 +199,7 @@ class Arm:
     def __init__(self, settings: ArmSettings) -> None:
         self.settings = settings
         model = self.model
-        self._joints = [joint for joint in urdf.joints(model.urdf) if joint.revolute]
-        if len(self._joints) != len(model.home):
-            raise PluginError(
-                f"{len(self._joints)} revolute joints, but a home pose of {len(model.home)}", where=str(model.urdf)
-            )
+        self._joints = _arm_joints(model)
         self.limits = JointLimits(
             *(tuple(getattr(joint, key) for joint in self._joints) for key in ("lower", "upper", "velocity", "effort"))
         )
@@ -174,7 +215,7 @@ class Arm:
         pose = self._configuration.tool
         self.home = pose.position
         self.home_yaw = atan2(pose.x[1], pose.x[0])
-        _check_model(model, self.home)
+        _check_model(model, self._joints, self.home)
         self.workspace = model.workspace
         self.reset_noise = settings.reset_noise
         self._fingers = model.fingers
@@ -253,15 +294,16 @@ class Arm:
         return Layout(tuple(fields))
 
     def build(self, world: World) -> None:
-        robot = urdf.read(self.model.urdf)
+        robot, carriers = self.model.description.robot, self.model.description.carriers
         fingers = self.model.fingers
         if fingers is not None and self._fingers is None:
             robot = urdf.weld(robot, dict.fromkeys(fingers.joints, fingers.position(0.0)))
         self.world = world
         self.body = world.load(robot)
         links = {**self.body.links(), self._joints[0].parent: -1}
+        named = [(carriers[first], carriers[second]) for first, second in self.model.self_collisions]
         # a welded finger has no link
-        pairs = [(links[a], links[b]) for a, b in self.model.self_collisions if a in links and b in links]
+        pairs = [(links[first], links[second]) for first, second in named if first in links and second in links]
         self.body.collide_only(pairs)
         self._control = JointControl(self.limits, world.period, self._accelerations)
         arm = [joint.child for joint in self._joints]

@@ -13,7 +13,7 @@ BRAKING_TIME = 1 / 12
 REFERENCE_LAG = 0.01
 """Largest distance, in rad, of the reference from its joint. It bounds what an arm that is held back accumulates."""
 SPEED_SHARE = 0.97
-"""Fraction of a joint's largest speed that is commanded, so that the engine's cap on speeds does not act."""
+"""Fraction of a joint's largest speed at which it moves steadily. The rest is for the correction of its reference."""
 
 
 class JointControl:
@@ -23,7 +23,7 @@ class JointControl:
 
         w = d / T, limited by the largest speed, the acceleration and the range of the joint
         r = r + (w_before + w) / 2 T, the reference, at most `REFERENCE_LAG` away from the joint before it moves
-        ramp from v to w + c, c = (r - x) / T - (v + w) / 2, within the acceleration
+        ramp from v to w + c, c = (r - x) / T - (v + w) / 2, within the acceleration and the largest speed
 
     x and v are the joint's position and speed, T is the period. The mean of a ramp times T is the distance that it
     moves the joint. The correction c removes half of the distance between joint and reference.
@@ -43,7 +43,7 @@ class JointControl:
         accelerations = accelerations or [speed / ACCELERATION_TIME for speed in limits.velocity]
         # lower, upper, largest speed, largest change of speed per control step, time constant of braking
         self._bounds = tuple(
-            (low, high, SPEED_SHARE * speed, acceleration * period, max(BRAKING_TIME, speed / acceleration))
+            (low, high, speed, acceleration * period, max(BRAKING_TIME, speed / acceleration))
             for low, high, speed, acceleration in zip(
                 limits.lower, limits.upper, limits.velocity, accelerations, strict=True
             )
@@ -58,10 +58,10 @@ class JointControl:
         """Speeds (n,) in rad/s at the end of a ramp that starts at `velocities` and changes the joints by `changes`."""
         period = self._period
         references, speeds, ends = [], [], []
-        for position, velocity, change, before, last, (low, high, most, rise, braking) in zip(
+        for position, velocity, change, before, last, (low, high, limit, rise, braking) in zip(
             positions, velocities, changes, self._references, self._speeds, self._bounds, strict=True
         ):
-            speed = change / period
+            speed, most = change / period, SPEED_SHARE * limit
             fastest, slowest = min(velocity + rise, most), max(velocity - rise, -most)
             if position + braking * fastest > high:
                 fastest = (high - position) / braking
@@ -73,6 +73,6 @@ class JointControl:
             references.append(reference)
             speeds.append(speed)
             end = speed + (reference - position) / period - (velocity + speed) / 2
-            ends.append(min(max(end, velocity - rise), velocity + rise))
+            ends.append(min(max(end, velocity - rise, -limit), velocity + rise, limit))
         self._references, self._speeds = references, speeds
         return ends

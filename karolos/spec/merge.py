@@ -29,10 +29,13 @@ def is_part(path: tuple[str, ...]) -> bool:
 
 
 def normalised(node: Node, path: tuple[str, ...] = ()) -> Node:
-    """The tree without shorthand: `robot: ur5` becomes `robot: {name: ur5}`."""
+    """The tree without shorthand: `robot: ur5` becomes `robot: {name: ur5}`, a number a distribution of this value."""
     if is_part(path):
         if isinstance(node.value, str):
             return Node({"name": node.with_key(node.key)}, node.at, node.key)
+        if path[0] == RANDOMIZATION and isinstance(node.value, int | float) and not isinstance(node.value, bool):
+            values = Node([Node(node.value, node.at)], node.at)
+            return Node({"name": Node("choice", node.at), "values": values}, node.at, node.key)
         return node
     if node.mapping is not None and (not path or path == (RANDOMIZATION,)):
         entries = {key: normalised(entry, (*path, key)) for key, entry in node.mapping.items()}

@@ -22,7 +22,7 @@ from .parts import (
     RobotPart,
     TaskPart,
 )
-from .sweep import Sweep
+from .sweep import Seed, Sweep
 
 NAME = r"^[A-Za-z0-9][A-Za-z0-9._-]{0,63}$"
 """Names are used as folder names: at most 64 letters, digits, dots, underscores and hyphens."""
@@ -30,15 +30,25 @@ PARAMETER = r"^(robot|task)\.[A-Za-z_][A-Za-z0-9_]*$"
 """Parameters for randomization, e.g. task.gravity."""
 
 
+MAX_THREADS = 1024
+
+
 class Training(Settings):
     """Amounts of collecting and learning, and where the agent runs."""
 
-    steps: int = Setting(default=100_000, ge=1, description="environment steps of training, all environments together")
-    batch_size: int = Setting(default=256, ge=1, description="transitions per gradient update")
-    replay_ratio: float = Setting(
-        default=64.0, ge=0, description="transitions learned from per environment step: gradient updates x batch size"
+    steps: int = Setting(
+        default=100_000, ge=1, le=10**12, description="environment steps of training, all environments together"
     )
-    warmup_episodes: int = Setting(default=20, ge=0, description="episodes of random actions before learning begins")
+    batch_size: int = Setting(default=256, ge=1, le=10**7, description="transitions per gradient update")
+    replay_ratio: float = Setting(
+        default=64.0,
+        ge=0,
+        le=10**6,
+        description="transitions learned from per environment step: gradient updates x batch size",
+    )
+    warmup_episodes: int = Setting(
+        default=20, ge=0, le=10**9, description="episodes of random actions before learning begins"
+    )
     device: Literal["auto", "cpu", "cuda"] = Setting(
         default="cpu",
         description="where the agent learns; auto takes the GPU if there is one. Does not count as a change",
@@ -46,6 +56,7 @@ class Training(Settings):
     threads: int | None = Setting(
         default=None,
         ge=1,
+        le=MAX_THREADS,
         description="CPU threads of the learner; null leaves it to karolos. Does not count as a change",
     )
     mode: Literal["lockstep", "async"] = Setting(
@@ -54,7 +65,10 @@ class Training(Settings):
         "on with whatever is ready, and a run depends on timing",
     )
     minimum_batch: int | None = Setting(
-        default=None, ge=1, description="async: environments that have to be ready before training goes on; null: 1"
+        default=None,
+        ge=1,
+        le=10**6,
+        description="async: environments that have to be ready before training goes on; null: 1",
     )
 
     @model_validator(mode="after")
@@ -77,9 +91,9 @@ class Training(Settings):
 class Demonstrations(Settings):
     """Episodes of the task's scripted expert, collected before training. They do not count as training steps."""
 
-    episodes: int = Setting(default=100, ge=1, description="episodes to collect")
+    episodes: int = Setting(default=100, ge=1, le=10**6, description="episodes to collect")
     noise: float = Setting(
-        default=0.1, ge=0, description="standard deviation of the Gaussian noise on the expert's actions"
+        default=0.1, ge=0, le=10, description="standard deviation of the Gaussian noise on the expert's actions"
     )
     random: float = Setting(default=0.05, ge=0, le=1, description="probability of a uniformly random action instead")
     share: float | None = Setting(
@@ -89,7 +103,10 @@ class Demonstrations(Settings):
         description="fraction of each batch from demonstrations; null: sampled like other transitions",
     )
     updates: int = Setting(
-        default=0, ge=0, description="gradient updates on the demonstrations before the first environment step"
+        default=0,
+        ge=0,
+        le=10**9,
+        description="gradient updates on the demonstrations before the first environment step",
     )
 
 
@@ -100,14 +117,15 @@ FINAL_SEED_OFFSET = 1_000_000
 class Testing(Settings):
     """Tests of the agent without exploration."""
 
-    interval: int = Setting(default=5_000, ge=1, description="environment steps of training between two tests")
-    episodes: int = Setting(default=100, ge=1, description="episodes per test")
-    seed: int = Setting(
-        default=0, ge=0, description="root of the test episodes' seeds; the same episodes for every run"
+    interval: int = Setting(
+        default=5_000, ge=1, le=10**12, description="environment steps of training between two tests"
     )
+    episodes: int = Setting(default=100, ge=1, le=10**6, description="episodes per test")
+    seed: Seed = Setting(default=0, description="root of the test episodes' seeds; the same episodes for every run")
     final_episodes: int | None = Setting(
         default=None,
         ge=0,
+        le=10**6,
         description="episodes of the final test of `last` and of `best`, which are not those of the tests; null: as "
         "many as in a test; 0: no final test",
     )
@@ -136,9 +154,6 @@ def _distinct(seeds: tuple[int, ...]) -> tuple[int, ...]:
     return seeds
 
 
-Seed = Annotated[int, Setting(ge=0)]
-
-
 class Spec(Settings):
     """An experiment: the environment, the agent and the training. Frozen; specs with the same `dump` are equal.
 
@@ -160,7 +175,8 @@ class Spec(Settings):
     buffer: BufferPart = Setting(description="what the agent learns from. Default: uniform")
     orchestrator: OrchestratorPart = Setting(description="how environments share the machine. Default: local")
     randomization: dict[Annotated[str, StringConstraints(pattern=PARAMETER)], DistributionPart] = Setting(
-        {}, description="distributions of robot.* and task.* parameters, drawn at each training reset"
+        {},
+        description="distributions of robot.* and task.* parameters, drawn at each training reset; a number: one value",
     )
     demonstrations: Demonstrations | None = Setting(
         None, description="episodes of the task's expert, collected before training; null: off"

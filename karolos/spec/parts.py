@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import json
+from collections.abc import Iterator
 from dataclasses import dataclass
 from typing import Annotated, Any
 
@@ -69,7 +70,8 @@ class OfKind:
         noun = singular(self.kind)
         what = f"{'an' if noun[0] in 'aeiou' else 'a'} {noun}"
         if not isinstance(value, dict):
-            raise PydanticCustomError("part_type", f"should be the name of {what}, or a mapping with `name`")
+            number = "a number, " if self.kind == "distributions" else ""
+            raise PydanticCustomError("part_type", f"should be {number}the name of {what}, or a mapping with `name`")
         if "name" not in value:
             raise _at_name("missing_name", f"should name {what}", value)
         name = value["name"]
@@ -79,8 +81,23 @@ class OfKind:
             plugin = load(self.kind, name)
         except UsageError as error:
             raise _at_name("unknown_name", error.what, name, error.hint) from None
-        settings = {key: entry for key, entry in value.items() if key != "name"}
-        return Part(self.kind, name, validate_strictly(plugin.Settings, settings))
+        settings = validate_strictly(plugin.Settings, {key: entry for key, entry in value.items() if key != "name"})
+        large = [InitErrorDetails(type=TOO_LARGE, loc=path, input=0) for path in _large_integers(settings.model_dump())]
+        if large:
+            raise ValidationError.from_exception_data("Part", large)
+        return Part(self.kind, name, settings)
+
+
+TOO_LARGE = PydanticCustomError("integer_size", "should be an integer of at most 64 bits")
+
+
+def _large_integers(value: object, path: tuple[str | int, ...] = ()) -> Iterator[tuple[str | int, ...]]:
+    """Paths of the integers that numpy, torch and databases cannot hold."""
+    entries = value.items() if isinstance(value, dict) else enumerate(value) if isinstance(value, list | tuple) else ()
+    for key, entry in entries:
+        yield from _large_integers(entry, (*path, key))
+    if isinstance(value, int) and not -(1 << 63) <= value < 1 << 63:
+        yield path
 
 
 def _at_name(kind: str, message: str, value: object, hint: str | None = None) -> ValidationError:

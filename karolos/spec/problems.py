@@ -108,6 +108,8 @@ def _problem(tree: Node, path: Path, entries: list[dict[str, Any]]) -> Located:
     if kind == "extra_forbidden":
         allowed = _allowed(tree, path)
         hint = alternatives(str(path[-1]), allowed) if allowed else None
+        if len(path) == 2 and path[0] in ("robot", "task") and not closest(str(path[-1]), allowed):
+            hint = f"{hint}; a parameter of the world is set as randomization: {{{text}: NUMBER}}"
         return Located(place, text, "no such key", hint)
     if kind == "missing":
         return Located(place, text, "is missing", AGENT_HINT if path == ("agent",) else None)

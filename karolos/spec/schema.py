@@ -34,7 +34,7 @@ def spec_schema() -> tuple[Schema, list[PluginError]]:
         **{key: _part(kind, definitions, broken) for key, kind in PARTS.items()},
         RANDOMIZATION: {
             "type": "object",
-            "patternProperties": {PARAMETER: _or_null(_part("distributions", definitions, broken))},
+            "patternProperties": {PARAMETER: _or_null(_distribution(definitions, broken))},
             "additionalProperties": False,
         },
         "demonstrations": _settings(Demonstrations, "demonstrations", definitions),
@@ -83,6 +83,12 @@ def _part(kind: str, definitions: Schema, broken: list[PluginError]) -> Schema:
     if cases:
         mapping["allOf"] = cases
     return {"anyOf": [{"enum": installed}, mapping]}
+
+
+def _distribution(definitions: Schema, broken: list[PluginError]) -> Schema:
+    """A number, or a part."""
+    part = _part("distributions", definitions, broken)
+    return {"anyOf": [{"type": "number"}, *part["anyOf"]]}
 
 
 def _settings(model: type[BaseModel], name: str, definitions: Schema) -> Schema:

@@ -12,6 +12,8 @@ from pydantic import Field as Setting
 
 from ..core import Settings
 
+Seed = Annotated[int, Setting(ge=0, le=10**60)]
+"""A seed of at most 60 digits: names of folders contain it."""
 Number: TypeAlias = float  # SweepParameter has fields named float and int
 Whole: TypeAlias = int
 
@@ -27,7 +29,8 @@ OBJECTIVES: dict[str, Literal["maximize", "minimize"]] = {
 }
 """Objectives of a trial and their directions. Each is a mean over the seeds.
 
-success and return are those of the last test. mean_* is the mean over all tests, the area under the learning curve.
+success and return are those of the policy `last` in the final test; trials have none, and theirs are of the last test.
+mean_* is the mean over all tests, the area under the learning curve.
 steps_to_* is the number of environment steps until the first test with that `end` success; a run that never reaches it
 counts twice its steps (PAR2, penalised run time in algorithm configuration)."""
 DEFAULT_TRIALS = 20
@@ -47,7 +50,7 @@ class SweepParameter(Settings):
         None, description="values to choose from; a mapping gives each value a name"
     )
     log: bool = Setting(False, description="whether to sample the logarithm uniformly")
-    points: Whole | None = Setting(None, ge=2, description="number of values of a range in a grid")
+    points: Whole | None = Setting(None, ge=2, le=10_000, description="number of values of a range in a grid")
     when: dict[str, Any] = Setting(
         {}, description="search only in trials in which these choices have this value, or one of these values"
     )
@@ -130,7 +133,7 @@ class Pruner(Settings):
     warmup: float = Setting(
         0.3, ge=0.3, lt=1, description="share of training.steps before which no trial is stopped; 0.3 at least"
     )
-    startup: int = Setting(5, ge=1, description="trials that have to be complete before one is stopped")
+    startup: int = Setting(5, ge=1, le=10**6, description="trials that have to be complete before one is stopped")
 
 
 class FinalSettings(Settings):
@@ -139,9 +142,11 @@ class FinalSettings(Settings):
     Source: Eimer et al. 2023, "Hyperparameters in Reinforcement Learning and How To Tune Them".
     """
 
-    top: int = Setting(3, ge=1, description="number of best trials to choose from")
-    seeds: int = Setting(3, ge=1, description="number of new seeds to choose by")
-    report_seeds: int = Setting(5, ge=1, description="number of further seeds, on which the chosen trial is reported")
+    top: int = Setting(3, ge=1, le=1000, description="number of best trials to choose from")
+    seeds: int = Setting(3, ge=1, le=1000, description="number of new seeds to choose by")
+    report_seeds: int = Setting(
+        5, ge=1, le=1000, description="number of further seeds, on which the chosen trial is reported"
+    )
 
 
 def _distinct_seeds(seeds: tuple[int, ...]) -> tuple[int, ...]:
@@ -165,9 +170,9 @@ class Sweep(Settings):
 
     space: dict[str, SweepParameter] = Setting(min_length=1, description="setting to search -> its range or choice")
     trials: int | None = Setting(
-        None, ge=1, description=f"number of trials. Default: {DEFAULT_TRIALS}, or all combinations of a grid"
+        None, ge=1, le=10**6, description=f"number of trials. Default: {DEFAULT_TRIALS}, or all combinations of a grid"
     )
-    seeds: Annotated[tuple[Annotated[int, Setting(ge=0)], ...], AfterValidator(_distinct_seeds)] = Setting(
+    seeds: Annotated[tuple[Seed, ...], AfterValidator(_distinct_seeds)] = Setting(
         (0, 1), description="seeds of every trial"
     )
     objective: Annotated[str | tuple[str, ...], AfterValidator(_objectives)] = Setting(
@@ -177,7 +182,7 @@ class Sweep(Settings):
         "tpe", description="Parzen estimators, Gaussian process, random values, or every combination"
     )
     pruner: Pruner | None = Setting(None, description="stops trials early; null: off")
-    seed: int = Setting(0, ge=0, description="root of the sampler's random numbers")
+    seed: Seed = Setting(0, description="root of the sampler's random numbers")
     final: FinalSettings | None = Setting(None, description="choose and report the best trial on new seeds; null: off")
 
     @model_validator(mode="after")

@@ -44,10 +44,6 @@ _SQLITE_ERRORS = {
 }
 
 
-class ReadOnlyError(StoreError):
-    """The database can be read but not written."""
-
-
 class Database:
     """A results database: its URL and its transactions. A SQLite file that does not exist is created.
 
@@ -177,8 +173,7 @@ def explained(url: URL) -> Iterator[None]:
         yield
     except DBAPIError as error:
         what, hint = _reason(error.orig)
-        kind = ReadOnlyError if _is_read_only(error.orig) else StoreError
-        raise kind(what, where=_without_secrets(url), hint=hint) from error
+        raise StoreError(what, where=_without_secrets(url), hint=hint) from error
 
 
 def _sqlite_kind(error: Any) -> int | None:
@@ -194,10 +189,6 @@ def _reason(error: Any) -> tuple[str, str]:
         return _LOCKED
     lines = str(error).strip().splitlines() or [type(error).__name__]
     return f"the database refuses ({redact(lines[0])})", "check that the server is up and the URL is right"
-
-
-def _is_read_only(error: Any) -> bool:
-    return _sqlite_kind(error) == sqlite3.SQLITE_READONLY or getattr(error, "sqlstate", None) == "25006"
 
 
 def _parse_url(text: str) -> URL:

@@ -46,7 +46,7 @@ class Records(Sequence[RunSummary]):
         return _table([summary.row() | _new(settings, summary.row()) for summary, settings in pairs])
 
     def tests(self) -> Any:
-        """One row per test of each run: run, seed, steps, seconds, success. A pandas.DataFrame as `rows`."""
+        """One row per test of each run: run, seed, steps, seconds, success, return. A pandas.DataFrame as `rows`."""
         return _table(
             [
                 {
@@ -54,6 +54,7 @@ class Records(Sequence[RunSummary]):
                     **{name: getattr(test, name) for name in ("steps", "seconds", "episodes")},
                     "success_any": test.success_any,
                     "success_end": test.success_end,
+                    "mean_return": test.mean_return,
                 }
                 for summary, tests in zip(self.summaries, self.counts, strict=True)
                 for test in tests

@@ -5,6 +5,7 @@ from __future__ import annotations
 from dataclasses import dataclass
 from pathlib import Path
 
+from ..records.run_folder import remove_lost_leftovers
 from ..records.sweep_records import FOLDER
 from .folders import is_gone, read_folders, read_sweeps
 from .store import Store
@@ -39,6 +40,7 @@ def reindex(store: Store, runs: str | Path, *, jobs: int = 1) -> Reindexed:
     known: dict[str, str] = {}
     problems: list[str] = []
     waiting: list[RunEntry] = []
+    remove_lost_leftovers(root)
     for found in read_folders(root, jobs):
         problems += found.problems
         if found.run is None or found.entry is None:

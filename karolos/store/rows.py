@@ -30,6 +30,7 @@ def test_row(run: str, test: TestCounts) -> dict[str, Any]:
         "successes_any": test.any,
         "successes_end": test.end,
         "solved_at_reset": test.reset,
+        "mean_return": test.mean_return,
     }
 
 

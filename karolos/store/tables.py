@@ -10,7 +10,7 @@ from typing import Any
 from sqlalchemy import JSON, BigInteger, Boolean, Column, Float, ForeignKey, Integer, MetaData, String, Table, Text
 from sqlalchemy.types import TypeEngine
 
-SCHEMA = 6
+SCHEMA = 7
 """Version of these tables, stored in `karolos_schema`. Raise it with every change of the tables.
 
 A database of another version is refused: the run folders are the truth, and `karolos db reindex` builds a new one.
@@ -95,6 +95,8 @@ RUNS = Table(
     Column("steps_to_95_any", BigInteger()),
     Column("seconds_to_95_any", Float(53)),
     _column("total_seconds", Float(53)),
+    Column("mean_return", Float(53)),
+    Column("best_return", Float(53)),
     Column("spec", ForeignKey("specs.digest"), nullable=False, index=True),
     Column("software", String(64), index=True),  # null: not known
 )
@@ -114,23 +116,28 @@ TESTS = Table(
     _part_of_key("run", _owner("runs.run")),
     _part_of_key("steps", BigInteger()),
     _column("seconds", Float(53)),
-    *(_column(name, Integer()) for name in ("episodes", "successes_any", "successes_end", "solved_at_reset")),
+    _column("episodes", Integer()),
+    *(Column(name, Integer()) for name in ("successes_any", "successes_end", "solved_at_reset")),  # null: no success
+    Column("mean_return", Float(53)),
 )
-"""The counts of one test of a run. The run folder holds the test episode by episode."""
+"""One test of a run: the fields of TestCounts. The run folder holds the test episode by episode."""
 
 SUCCESSES = Table(
     "success_summaries",
     TABLES,
     _part_of_key("experiment", _owner("experiments.hash")),
-    _part_of_key("steps", BigInteger()),
     _part_of_key("counting", String(8)),  # any or end
+    _part_of_key("reported", Boolean()),
+    _part_of_key("steps", Float(53)),
     _column("runs", Integer()),
-    _column("bandwidth", Float(53)),
-    _column("mode", Float(53)),
-    _column("modes", JSON()),
-    *(_column(name, Float(53)) for name in ("mean", "low", "high")),
+    *(_column(name, JSON()) for name in ("ratios", "modes", "density")),
+    *(_column(name, Float(53)) for name in ("bandwidth", "mode", "mean", "low", "high")),
 )
-"""The density of the success ratios of an experiment's runs after the same steps; see `SuccessSummary`."""
+"""The kernel density of the success ratios of an experiment's compared runs: `Density` without its grid.
+
+One row per step at which the runs were tested, and one `reported` row of the ratios that the runs report. A row lasts
+until a test or a run of the experiment is added or removed.
+"""
 
 SWEEPS = Table(
     "sweeps",

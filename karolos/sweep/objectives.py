@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 from collections.abc import Mapping, Sequence
+from types import MappingProxyType
 from typing import Literal
 
 import numpy as np
@@ -22,30 +23,28 @@ def directions(objectives: Sequence[str]) -> tuple[Literal["maximize", "minimize
     return tuple(OBJECTIVES[name] for name in objectives)
 
 
-def measure(objective: str, tests: Tests, steps: int) -> float:
-    """The objective's value for finished runs of `steps` environment steps; nan without tests."""
+def measure(objective: str, tests: Tests, steps: int, finals: Mapping[int, TestResult] = MappingProxyType({})) -> float:
+    """The objective's value for finished runs of `steps` environment steps; nan without tests.
+
+    `finals` holds, by seed, the policy `last` in the final test of the runs that have one.
+    """
     if not tests or not all(tests.values()):
         return float("nan")
-    return float(np.mean([_of_run(objective, results, steps) for results in tests.values()]))
+    return float(np.mean([_of_run(objective, results, steps, finals.get(seed)) for seed, results in tests.items()]))
 
 
-def measure_all(objectives: Sequence[str], tests: Tests, steps: int) -> tuple[float, ...]:
-    """The value of each objective, as `measure`."""
-    return tuple(measure(name, tests, steps) for name in objectives)
-
-
-def _of_run(objective: str, tests: Sequence[TestResult], steps: int) -> float:
+def _of_run(objective: str, tests: Sequence[TestResult], steps: int, final: TestResult | None) -> float:
     if objective.startswith("steps_to_"):
         threshold = int(objective.removeprefix("steps_to_")) / 100
         reached = first_reaching([test.success_end for test in tests], [test.steps for test in tests], threshold)
         return CENSORED * steps if reached is None else reached
     if objective.startswith("mean_"):
         return float(np.mean([_of_test(objective.removeprefix("mean_"), test) for test in tests]))
-    return _of_test(objective, tests[-1])
+    return _of_test(objective, final or tests[-1])
 
 
 def _of_test(name: str, test: TestResult) -> float:
-    return float(np.mean(test.returns)) if name == "return" else float(getattr(test, name))
+    return test.mean_return if name == "return" else float(getattr(test, name))
 
 
 def so_far(objective: str, tests: Tests, count: int) -> float:

@@ -1,4 +1,4 @@
-"""The trials of a sweep as jobs of a driver: sampled, run, evaluated and recorded."""
+"""The trials of a sweep as jobs of a pool: sampled, run, evaluated and recorded."""
 
 from __future__ import annotations
 
@@ -6,18 +6,17 @@ import math
 from collections.abc import Sequence
 from dataclasses import dataclass, field
 
-from ..errors import KarolosError, StoreError
-from ..experiment.driver import Feed, Job
-from ..experiment.events import RunEvent, RunTested, RunWarned
+from ..errors import SpecError, StoreError
+from ..experiment.events import RunWarned
 from ..experiment.signals import StopRequest
 from ..records.sweep_records import Trial, read_sweep
 from ..spec import Spec, Sweep, spec_of_trial
 from ..store import Store
-from ..training.assembly import check_parts
 from .choosing import for_search
 from .events import SweepListener, TrialBegan, TrialEnded
 from .folder import SweepFolder
-from .objectives import measure_all, nominal_steps, so_far
+from .objectives import nominal_steps, so_far
+from .pool import Feed, Job
 from .study import OpenTrial, Study
 
 PRUNED = "pruned"
@@ -81,19 +80,18 @@ class Trials(Feed):
             try:
                 spec = spec_of_trial(self.base, trial.drawn, record.name, self.sweep.seeds, record.name)
                 spec = for_search(spec)
-                check_parts(spec)
-            except KarolosError as error:
+            except SpecError as error:
                 self._end(trial, error=str(error).replace("\n", "; "))
                 continue
-            job = Job(spec, together=True)
+            job = Job(spec)
             self._open[job] = trial
             self._reported[job] = 0
             return job
         return None
 
-    def heard(self, job: Job, event: RunEvent) -> str | None:
+    def tested(self, job: Job) -> str | None:
         """Report the mean at each test that every seed has completed; PRUNED when the pruner stops the trial."""
-        if self.sweep.pruner is None or not isinstance(event, RunTested) or job.halted:
+        if self.sweep.pruner is None:
             return None
         results, settings = job.results(), job.spec
         while (count := self._reported[job] + 1) <= min(len(tests) for tests in results.values()):
@@ -111,7 +109,7 @@ class Trials(Feed):
         trial = self._open.pop(job)
         runs = [job.summaries[seed].run for seed in job.spec.seeds if seed in job.summaries]
         if job.finished:
-            values = measure_all(self.sweep.objectives, job.results(), job.spec.training.steps)
+            values = job.measure(self.sweep)
             finite = all(math.isfinite(value) for value in values)
             error = None if finite else f"{' and '.join(self.sweep.objectives)} came to {list(values)}"
             self._end(trial, runs, values if finite else None, error)

@@ -11,8 +11,9 @@ from ..core.seeding import SeedTree
 from ..environments.build import build_environment
 from ..errors import KarolosError, UsageError
 from ..registry import load
-from ..spec import Spec
+from ..spec import Part, Spec
 from .demonstrations import demonstrating_expert
+from .memory import check_memory
 
 REPLAY_SETTINGS = {
     "batch_size": "remove it; agent.minibatches and buffer.rollout determine the size of a batch",
@@ -47,28 +48,50 @@ def make_buffer(spec: Spec, signature: Signature, seeds: SeedTree, *, environmen
     return buffer
 
 
-def check_parts(spec: Spec) -> str | None:
+def check_parts(spec: Spec, jobs: int = 1) -> str | None:
     """Build the spec's parts once, so that parts that do not fit are refused before anything runs.
 
     Builds one environment, the agent and the buffer, and discards them. A world is simulated only if an expert is
     needed. Returns a note if a run of the spec may make no gradient update.
 
+    Args:
+        spec: to check.
+        jobs: runs of it at the same time, which share the machine's memory.
+
     Raises:
-        UsageError: two parts do not fit together; names the setting and where it was set.
+        UsageError: two parts do not fit together, or need too much memory; names the setting and where it was set.
         KarolosError: a plugin or the machine prevents it.
     """
     with located(spec):
-        environment = build_environment(spec.recipe(randomize=True))
+        with _making("environment", spec.environment):
+            environment = build_environment(spec.recipe(randomize=True))
         try:
-            agent = make_agent(spec, environment.signature, SeedTree(0))
-            size = getattr(spec.orchestrator.settings, "size", 1)
-            buffer = make_buffer(spec, environment.signature, SeedTree(0), environments=size, discount=agent.discount)
+            signature, size = environment.signature, getattr(spec.orchestrator.settings, "size", 1)
+            check_memory(spec, signature, jobs)
+            with _making("agent", spec.agent):
+                agent = make_agent(spec, signature, SeedTree(0))
+            with _making("buffer", spec.buffer):
+                buffer = make_buffer(spec, signature, SeedTree(0), environments=size, discount=agent.discount)
             _check_amounts(spec)
             _check_imitation(spec)
             _check_demonstrations(spec, environment, buffer)
-            return _without_updates(spec, environment.signature.max_steps)
+            return _without_updates(spec, signature.max_steps)
         finally:
             environment.close()
+
+
+@contextmanager
+def _making(key: str, part: Part) -> Iterator[None]:
+    """Turn an error of a plugin's constructor into a UsageError that names the plugin."""
+    try:
+        yield
+    except KarolosError:
+        raise
+    except Exception as error:  # the constructor is anybody's
+        reason = (str(error).splitlines() or [""])[0]
+        raise UsageError(
+            f"{key} {part.name!r} cannot be made: {type(error).__name__}: {reason}", where=f"{key}.name"
+        ) from error
 
 
 def _check_imitation(spec: Spec) -> None:

@@ -53,7 +53,7 @@ class Collector:
         self.started = False
         """Whether the environments have begun their first episodes."""
         self.steps = self.episodes = 0
-        self._running = Episodes(orchestrator, seeds)
+        self._running = Episodes(orchestrator, seeds, replay=at_least is None)
         self._latest = empty_steps(orchestrator)
         """The latest step of every environment."""
         self._all = np.arange(size)
@@ -215,7 +215,8 @@ class Collector:
             self._running.load_state(state["running"], self._latest)
             self.started = True
         self.steps, self.episodes = int(state["steps"]), int(state["episodes"])
-        self._learning_since = state["learning_since"]
+        since = state["learning_since"]
+        self._learning_since = None if since is None else int(since)
         load_generator_state(self._warmup, state["warmup"])
 
 

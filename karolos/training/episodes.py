@@ -8,6 +8,7 @@ from dataclasses import dataclass
 import numpy as np
 
 from ..core import Failure, FloatArray, Orchestrator, Received, State, Step
+from ..core.orchestrator import environments_of
 from ..core.seeding import SeedTree
 from ..errors import PluginError, UsageError
 
@@ -31,18 +32,26 @@ class Episode:
     """The values that domain randomization drew, laid out by `signature.parameters`."""
 
 
+IDLE = -2
+"""Instead of a number of updates: the environment has no command."""
+REPLAYS = 3
+"""Workers that may be lost in a row while the same episodes are played again."""
+
+
 class Episodes:
     """The episodes that the environments of an orchestrator play one after the other, each with its own seed.
 
-    The seed and the actions so far determine a running episode. Its state therefore needs nothing else.
+    The seed and the actions so far determine a running episode. Its state therefore needs nothing else, and a lost
+    worker changes nothing: its episodes are played again up to where they were.
 
     Args:
         orchestrator: the environments.
         seeds: the run's; episode k of environment i has the seed at ("environment", i, k).
+        replay: whether episodes of lost workers are played again, which needs lockstep. If not, they fail.
     """
 
-    def __init__(self, orchestrator: Orchestrator, seeds: SeedTree) -> None:
-        self._orchestrator, self._seeds = orchestrator, seeds
+    def __init__(self, orchestrator: Orchestrator, seeds: SeedTree, *, replay: bool = True) -> None:
+        self._orchestrator, self._seeds, self._replay = orchestrator, seeds, replay
         size, signature = orchestrator.size, orchestrator.signature
         self._index = np.full(size, -1)
         self._seed = np.zeros(size, np.int64)
@@ -54,8 +63,10 @@ class Episodes:
         self._parameters = np.zeros((size, signature.parameters.size), np.float32)
         self._actions = np.zeros((size, signature.max_steps, signature.action.size), np.float32)
         """The actions of each running episode; entries beyond its steps belong to older episodes."""
+        self._updates = np.full(size, IDLE)
+        """`updates` of each environment's command without an answer; -1 for a reset, or IDLE."""
         self.failures: tuple[Failure, ...] = ()
-        """Failures since the caller last emptied this. An episode that failed has no record."""
+        """Failures since the caller last emptied this, those of episodes that were played again included."""
 
     def begin(self, environments: np.ndarray) -> None:
         """Reset these environments, each with the seed of its next episode. Does not wait."""
@@ -70,21 +81,55 @@ class Episodes:
         """Reset these environments with their current seeds."""
         self._steps[environments] = 0
         self._total_reward[environments] = 0
+        self._updates[environments] = -1
         self._orchestrator.reset(environments, self._seed[environments].tolist())
 
     def send(self, environments: np.ndarray, actions: FloatArray, *, updates: int = 0) -> None:
         """Send each environment its row of `actions`, chosen after this many gradient updates. Does not wait."""
         self._actions[environments, self._steps[environments]] = actions
+        self._updates[environments] = updates
         self._orchestrator.step(environments, actions, updates=updates)
 
     def receive(self, at_least: int | None = None) -> Received:
-        """Wait for answers as `Orchestrator.receive` does, and count them.
+        """Wait for answers as `Orchestrator.receive` does, and count them. An episode that failed has no record.
 
         Raises:
             PluginError: a reward is not finite.
         """
-        received = self._orchestrator.receive(at_least)
+        received = self._counted(self._orchestrator.receive(at_least))
+        for _ in range(REPLAYS if self._replay else 0):
+            if not any(failure.lost for failure in received.failures):
+                break
+            received = self._with_replayed(received)
+        return received
+
+    def _with_replayed(self, received: Received) -> Received:
+        """Play the episodes of lost workers again, and add the answers to the commands that they had."""
+        failures = tuple(failure for failure in received.failures if not failure.lost)
+        lost = np.setdiff1d(received.failed, environments_of(failures))
+        steps = self._steps[lost] + (self._updates[lost] >= 0)
+        latest = empty_steps(self._orchestrator)
+        self._orchestrator.reset(lost, self._seed[lost].tolist())
+        for step in range(int(steps.max(initial=0)) + 1):
+            answers = self._orchestrator.receive()
+            write_rows(latest, answers.environment, answers.step)
+            failures += answers.failures
+            self.failures += answers.failures
+            playing = np.setdiff1d(lost[steps > step], environments_of(failures))
+            if playing.size:
+                self._orchestrator.step(playing, self._actions[playing, step])
+        answered = np.setdiff1d(lost[self._updates[lost] > IDLE], environments_of(failures))
+        again = Received(answered, Step(*(field[answered] for field in latest)), self._updates[answered])
+        self._counted(again)
+        environments = np.concatenate((received.environment, answered))
+        order = np.argsort(environments)
+        rows = Step(*(np.concatenate(fields)[order] for fields in zip(received.step, again.step, strict=True)))
+        updates = np.concatenate((received.updates, again.updates))[order]
+        return Received(environments[order], rows, updates, failures)
+
+    def _counted(self, received: Received) -> Received:
         self.failures += received.failures
+        self._updates[received.environment] = IDLE
         reset = received.updates < 0
         if reset.any():
             environments = received.environment[reset]
@@ -155,12 +200,12 @@ class Episodes:
         self._reset(np.arange(len(index)))
         for step in range(longest + 1):
             received = self.receive()
+            if received.failures:
+                raise received.failures[0].error
             write_rows(latest, received.environment, received.step)
             playing = np.flatnonzero(steps > step)
             if playing.size:
                 self.send(playing, actions[playing, step])
-        if self.failures:
-            raise self.failures[0].error
 
 
 def empty_steps(orchestrator: Orchestrator) -> Step:

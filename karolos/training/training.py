@@ -39,13 +39,13 @@ class Progress:
     episodes: int
     updates: int
     seconds: float
-    """Wall-clock seconds of collecting and learning. What the caller does between rounds is not counted."""
+    """Wall-clock seconds of collecting and learning; the caller may add those of demonstrations."""
     warming_up: bool
     """Whether actions are still random."""
     finished: tuple[Episode, ...] = ()
     """Episodes that ended in this round."""
     failures: tuple[Failure, ...] = ()
-    """Environments that failed in this round and have begun another episode since."""
+    """Environments that failed in this round. Their episodes are cut; in lockstep those of a lost worker go on."""
 
 
 @dataclass

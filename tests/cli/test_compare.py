@@ -13,12 +13,14 @@ import pytest
 import typer
 from karolos_cli.compare import compare
 from karolos_cli.diff import diff
+from sqlalchemy import select, update
 from support.commands import call
 
 from karolos.records import RunFolder, labels
 from karolos.records.results import TestResult
 from karolos.spec import load_spec
 from karolos.store import Store, reindex
+from karolos.store.tables import SUCCESSES
 
 A, B = "a1" * 32, "b2" * 32
 SPEC = {"name": "reach", "seeds": [0], "environment": {"name": "toy"}, "agent": {"name": "sac", "learning_rate": 1e-3}}
@@ -156,6 +158,24 @@ def test_page_and_figures_are_written(runs: Path, tmp_path: Path) -> None:
     assert "&lt;img src=x&gt;" in text
     assert "<script" not in text
     assert len(list(figures.iterdir())) == 15
+
+
+def test_densities_are_read_from_the_database(runs: Path) -> None:
+    for seed, k in enumerate((12, 16, 20)):
+        add_run(runs, seed, (4, k))
+    index(runs)
+    before = rows("compare", "reach", "--runs", runs)[0]["density"]
+    with Store(Store.default_url(runs)) as store:
+        stored = store.database.fetch(select(SUCCESSES).order_by(SUCCESSES.c.reported, SUCCESSES.c.steps))
+        assert [(row.steps, row.ratios) for row in stored] == [
+            (1000, [0.2] * 3),
+            (2000, [0.6, 0.8, 1.0]),
+            (2000, [0.6, 0.8, 1.0]),
+        ]
+        assert before == {name: getattr(stored[-1], name) for name in ("modes", "mean", "low", "high")}
+        with store.database.writing() as connection:
+            connection.execute(update(SUCCESSES).values(mean=0.125))
+    assert rows("compare", "reach", "--runs", runs)[0]["density"] == before | {"mean": 0.125}
 
 
 def test_labels_name_the_experiments_in_table_and_figures(runs: Path, tmp_path: Path) -> None:

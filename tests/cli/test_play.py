@@ -62,11 +62,11 @@ def test_a_film_has_one_episode_by_default_and_a_bar(
 
 def test_pictures_of_a_film_say_how_an_episode_goes() -> None:
     plain = np.full((240, 320, 3), 200, np.uint8)
-    running = with_caption(plain, "episode 1", success=False, over=False)
+    running = with_caption(plain, "episode 1", success=False, failed=False)
     assert (running[:40] != plain[:40]).any()
     assert (running[60:] == plain[60:]).all()
     for success, strongest in ((True, 1), (False, 0)):
-        assert with_caption(plain, "", success=success, over=True)[0, 0].argmax() == strongest
+        assert with_caption(plain, "", success=success, failed=True)[0, 0].argmax() == strongest
 
 
 @pytest.mark.parametrize(

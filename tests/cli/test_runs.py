@@ -126,6 +126,7 @@ def test_show_tells_all_about_a_run(runs: Path) -> None:
             "success_any_interval": [pytest.approx(0.7639, abs=1e-4), pytest.approx(0.9911, abs=1e-4)],
             "success_end": 0.95,
             "success_end_interval": [pytest.approx(0.7639, abs=1e-4), pytest.approx(0.9911, abs=1e-4)],
+            "mean_return": 0.0,
             "solved_at_reset": 0,
         }
     ]

@@ -3,12 +3,14 @@
 from __future__ import annotations
 
 import json
+from dataclasses import replace
 from typing import Any
 
 import pytest
 from support.compared_runs import SPEC, contender, run
 
 from karolos.comparison import Contender, compare
+from karolos.errors import UsageError
 from karolos.statistics.intervals import wilson
 
 FIVE = [[0, 50, 90], [0, 40, 100], [10, 60, 95], [0, 0, 0], [0, 20, 85]]
@@ -16,6 +18,7 @@ FIVE = [[0, 50, 90], [0, 40, 100], [10, 60, 95], [0, 0, 0], [0, 20, 85]]
 
 def test_one_run_has_the_wilson_interval_of_its_last_test() -> None:
     [scores] = compare([contender("a", [[10, 80]])]).scores
+    assert scores.any is not None
     assert (scores.any.value, scores.any.low, scores.any.high) == (0.8, *wilson(80, 100))
     assert (scores.end.value, scores.end.low, scores.end.high) == (0.4, *wilson(40, 100))
     assert scores.any.kind == "wilson"
@@ -24,6 +27,7 @@ def test_one_run_has_the_wilson_interval_of_its_last_test() -> None:
 
 def test_two_to_four_seeds_have_their_range() -> None:
     [scores] = compare([contender("a", [[20], [60], [100]])]).scores
+    assert scores.any is not None
     assert (scores.any.value, scores.any.low, scores.any.high) == (pytest.approx(0.6), 0.2, 1.0)
     assert scores.any.kind == "range"
 
@@ -63,7 +67,7 @@ def test_improvement_counts_pairs_and_halves_ties() -> None:
 
 def test_success_at_the_end_is_what_counts() -> None:
     comparison = compare([contender("a", [[100], [80]]), contender("b", [[100], [90]])])
-    assert comparison.success == "end"
+    assert comparison.metric == "end"
     assert comparison.scores[0].iqm.value == pytest.approx(0.45)
     assert comparison.scores[0].reaching[0].reached == 1
     assert comparison.scores[1].improvement is not None
@@ -101,3 +105,38 @@ def test_cost_is_the_mean_over_runs() -> None:
     runs = (run(0, [1], rate=100), run(1, [1, 1], rate=50))
     [scores] = compare([Contender("a", runs)]).scores
     assert (scores.steps, scores.seconds) == (1500, 25)
+
+
+def test_returns_are_compared_seed_by_seed_without_thresholds_and_densities() -> None:
+    first, second = compare([contender("a", [[50], [60]]), contender("b", [[60], [70]])], "return").scores
+    assert (first.returns.value, first.returns.low, first.returns.high) == (-145.0, -150.0, -140.0)
+    assert first.iqm.value == -145.0
+    assert first.end is not None
+    assert first.end.value == 0.275
+    assert second.improvement is not None
+    assert second.improvement.probability == (1 + 0.5 + 1 + 1) / 4
+    assert (first.reaching, first.density, first.over_steps) == ((), None, None)
+
+
+def test_one_run_has_no_interval_of_its_return() -> None:
+    [scores] = compare([contender("a", [[10, 80]])]).scores
+    assert (scores.returns.value, scores.returns.low, scores.returns.high) == (-120.0,) * 3
+    assert scores.returns.kind == "none"
+
+
+def test_where_success_is_undefined_returns_are_what_counts() -> None:
+    undefined = contender("a", [[50], [60]], has_success=False)
+    comparison = compare([undefined, contender("b", [[60], [70]])])
+    assert comparison.metric == "return"
+    assert (comparison.scores[0].end, comparison.scores[0].any) == (None, None)
+    row = comparison.rows()[0]
+    assert (row["success_end"], row["mean_return"]["seeds"]) == (None, [-150.0, -140.0])
+    assert "steps_to_90" not in row
+    with pytest.raises(UsageError, match="the environment of a does not define success"):
+        compare([undefined], "end")
+
+
+def test_a_test_without_a_success_counts_as_none_where_another_test_has_one() -> None:
+    one, other = run(0, [50]), run(0, [60], has_success=False)
+    mixed = replace(one, tests=(other.tests[0], *one.tests))
+    assert mixed.values("any") == (0.0, 0.5)

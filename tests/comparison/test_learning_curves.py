@@ -4,7 +4,7 @@ import numpy as np
 import pytest
 from hypothesis import given
 from hypothesis import strategies as st
-from support.compared_runs import run
+from support.compared_runs import contender, run
 
 from karolos.comparison import densities, learning_curve
 from karolos.comparison.curves import POINTS, along
@@ -55,6 +55,11 @@ def test_band_of_one_run_is_wilsons() -> None:
     assert list(zip(curve.low, curve.high, strict=True)) == [wilson(10, 100), wilson(90, 100)]
 
 
+def test_band_of_one_runs_return_has_no_width() -> None:
+    curve = learning_curve([run(0, [10, 90])], "steps", "return", aggregates.mean, generator())
+    assert curve.middle.tolist() == curve.low.tolist() == curve.high.tolist() == [-190, -110]
+
+
 def test_band_of_few_seeds_is_their_range() -> None:
     curve = learning_curve([run(0, [10]), run(1, [40]), run(2, [30])], "steps", "any", aggregates.mean, generator())
     assert (curve.low[0], curve.high[0], curve.middle[0]) == (0.1, 0.4, pytest.approx(0.8 / 3))
@@ -72,7 +77,7 @@ def test_band_lies_around_the_statistic_and_within_the_seeds(curves: list[list[i
 
 
 def test_density_of_seeds_that_agree_peaks_where_they_are_at_each_test() -> None:
-    at, found = densities([run(seed, [0, 50, 100]) for seed in range(5)], "any")
+    at, found = densities(contender("a", [[0, 50, 100]] * 5), "any")
     assert at.tolist() == [1000, 2000, 3000]
     assert [one.mode for one in found] == [0.0, 0.5, 1.0]
     assert [integral(one.density) for one in found] == pytest.approx([1, 1, 1])

@@ -13,7 +13,7 @@ from karolos.randomization.normal import Normal
 from karolos.randomization.uniform import Uniform
 from karolos.registry import names
 from karolos.robots.panda import Panda
-from karolos.simulation.bullet.picture import view_of
+from karolos.simulation.picture import view_of
 from karolos.spec.parts import Part, Recipe
 from karolos.tasks.reach import Reach
 
@@ -151,12 +151,12 @@ def test_recipe_without_a_robot_or_with_one_too_many_is_refused() -> None:
 @pytest.mark.parametrize("robot", names("robots"))
 def test_camera_shows_every_goal_and_the_robot(robot: str, task: str) -> None:
     made = pair(robot, task)
-    view = view_of(made.world.api, 640, 480, made.task.camera)
+    view = view_of(640, 480, made.task.camera)
     places = [(0.0, 0.0, 0.0), made.robot.home]
     for seed in range(30):
         goal = made.reset(seed).desired_goal.tolist()
         places.append((*goal, *[0.0] * (3 - len(goal))))
-    right, up, ahead = view.axes @ (np.array(places, np.float32) - view.origin).T
+    right, up, ahead = view.axes @ (np.array(places, np.float32) - np.array(view.eye.origin)).T
     assert np.abs(right / ahead / view.edge * 480 / 640).max() < 0.9
     assert np.abs(up / ahead / view.edge).max() < 0.9
     made.close()

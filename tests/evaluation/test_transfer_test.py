@@ -108,6 +108,22 @@ def test_a_policy_is_tested_on_another_robot_and_with_randomization(reach: RunFo
         transfer_test(reach, [gravity], checkpoint="last")
 
 
+def test_a_parameter_of_the_world_takes_a_plain_value(reach: RunFolder) -> None:
+    own = transfer_test(reach, checkpoint="last")
+    changed = transfer_test(reach, ["task.gravity=-5"], checkpoint="last")
+    assert changed.result.distances != own.result.distances
+    assert changed.overrides == ("task.gravity=-5",)
+    assert not changed.randomized
+    nominal = transfer_test(reach, ["task.gravity=-9.81"], checkpoint="last")
+    assert nominal.result.distances == own.result.distances
+    both = ["robot=ur5", "robot.joint_friction=0.4"]
+    assert transfer_test(reach, both, checkpoint="last").overrides == tuple(both)
+    with pytest.raises(UsageError, match=r"task\.gravity.*-50 m/s2; allowed is -20 to 0 m/s2"):
+        transfer_test(reach, ["task.gravity=-50"])
+    with pytest.raises(SpecError, match=r"task\.gravty: no such key"):
+        transfer_test(reach, ["task.gravty=-5"])
+
+
 def test_other_layouts_are_refused_and_both_are_shown(reach: RunFolder, toy: RunFolder) -> None:
     before = transfer_results.read(reach)
     with pytest.raises(UsageError, match="with other observations, actions or goals") as caught:

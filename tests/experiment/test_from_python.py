@@ -73,10 +73,11 @@ def test_a_loaded_policy_acts_on_one_and_on_many(folder: Path) -> None:
 def test_an_outcome_prints_as_a_table_and_progress_as_lines(tmp_path: Path, capsys: pytest.CaptureFixture[str]) -> None:
     outcome = karolos.Experiment(TOY).run(tmp_path, progress=True)
     told = capsys.readouterr().err
-    assert "20 steps: success at the end" in told
+    assert "20 steps: success end" in told
+    assert ": final test of 4 episodes: success end" in told
     assert told.endswith(": finished\n")
     head, line = str(outcome).splitlines()
-    assert head.split() == ["run", "state", "steps", "success", "end", "seconds"]
+    assert head.split() == ["run", "state", "steps", "return", "success", "end", "seconds"]
     assert line.split()[:3] == [outcome.runs[0].run, "finished", "40"]
 
 

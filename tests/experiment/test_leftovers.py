@@ -17,8 +17,9 @@ from karolos import checkpoint
 from karolos.errors import KarolosError, RunError, UsageError
 from karolos.evaluation.policies import load_agent
 from karolos.experiment.experiment import Experiment, resume_run
-from karolos.files import is_alive, remove_temporary_leftovers
-from karolos.records import RunFolder
+from karolos.files import is_alive, locked, remove_temporary_leftovers
+from karolos.records import RunFolder, scan
+from karolos.records.run_folder import remove_lost_leftovers
 from karolos.store import Store
 
 TOY: dict[str, Any] = {
@@ -152,6 +153,82 @@ def test_a_crafted_checkpoint_is_not_resumed(folder: RunFolder, change: Any) -> 
     folder.set_state("running")
     with pytest.raises(RunError, match="as whole numbers"):
         resume_run(folder, Store.default_url(folder.path.parent))
+
+
+INNER: dict[str, Callable[[dict[str, Any]], object]] = {
+    "no tests": lambda parts: parts["run"].pop("tests"),
+    "no best": lambda parts: parts["run"].pop("best"),
+    "a text for the best": lambda parts: parts["run"].update(best=["much"]),
+    "a test without its steps": lambda parts: parts["run"].update(tests=[{"seeds": [1]}]),
+    "a test of another agent": lambda parts: parts["run"].update(
+        tests=[{"steps": 9, "updates": 1, "seconds": 1.0, "seeds": [1], "agent": {}}]
+    ),
+    "no episodes": lambda parts: parts["training"].pop("running"),
+    "an infinite count": lambda parts: parts["training"].update(updates=float("inf")),
+    "a text for a count": lambda parts: parts["training"].update(learning_since="now"),
+    "a list for a generator": lambda parts: parts["training"].update(warmup=[1]),
+    "no table": lambda parts: parts["buffer"]["storage"].pop("table"),
+    "a text for a share": lambda parts: parts["buffer"]["storage"].update(share="half"),
+    "no optimisers": lambda parts: parts["agent"].pop("optimisers"),
+}
+
+
+@pytest.mark.parametrize("case", INNER)
+def test_a_crafted_content_of_a_checkpoint_is_one_clear_error_at_resume(folder: RunFolder, case: str) -> None:
+    crafted(folder, "last", lambda parts, _: INNER[case](parts))
+    folder.set_state("running")
+    (run,) = resume_run(folder, Store.default_url(folder.path.parent)).runs
+    assert run.state == "failed"
+    assert run.error is not None
+    assert "its content does not fit the run's spec" in run.error
+    assert str(folder.checkpoints) in run.error
+    assert folder.events()[-1].get("traceback") is None
+
+
+@pytest.mark.parametrize(
+    ("change", "expected"),
+    [
+        (lambda parts, _: parts.pop("agent"), "it lacks agent"),
+        (lambda parts, _: parts["agent"].pop("policy"), "does not fit the run's spec"),
+        (lambda parts, _: parts["agent"].update(policy=5), "does not fit the run's spec"),
+        (lambda _, meta: meta.pop("steps"), "does not fit the run's spec"),
+    ],
+)
+def test_a_crafted_checkpoint_to_start_from_is_one_clear_error(folder: RunFolder, change: Any, expected: str) -> None:
+    crafted(folder, "best", change)
+    spec = TOY | {"agent": TOY["agent"] | {"start_from": str(folder.path)}}
+    with pytest.raises(RunError, match=expected):  # before or while it starts
+        Experiment(spec).run(folder.path.parent)
+    assert not any(event.get("traceback") for one in scan(folder.path.parent) for event in one.events())
+
+
+def test_the_next_start_removes_what_killed_processes_left_in_runs_that_nobody_resumes(
+    folder: RunFolder, dead: int
+) -> None:
+    runs = folder.path.parent
+    ours = folder.path / f".state.json.{dead}.tmp"
+    ours.write_text("{")
+    unpacked, imported = runs / ".import-killed", runs / ".import-running"
+    for path in (unpacked, imported):
+        path.mkdir()
+        (path / ".lock").touch()
+    with locked(imported / ".lock"):
+        Experiment(TOY | {"training": TOY["training"] | {"steps": 2}}).run(runs)
+    assert not ours.exists()
+    assert not unpacked.exists()
+    assert imported.exists()
+
+
+def test_files_of_a_run_that_goes_on_stay(folder: RunFolder, dead: int) -> None:
+    ours = folder.path / f".state.json.{dead}.tmp"
+    ours.write_text("{")
+    folder.lock()
+    ours.write_text("{")
+    remove_lost_leftovers(folder.path.parent)
+    assert ours.exists()
+    folder.release()
+    remove_lost_leftovers(folder.path.parent)
+    assert not ours.exists()
 
 
 def test_a_long_name_of_a_run_to_start_from_is_refused(tmp_path: Path) -> None:

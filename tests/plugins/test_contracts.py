@@ -10,6 +10,7 @@ import torch
 from karolos.plugins.contracts import Case, candidate, cases
 from karolos.plugins.contracts.checking import of_pair
 from karolos.registry import load, names
+from karolos.simulation.engines import installed
 
 
 @pytest.fixture(autouse=True)
@@ -21,7 +22,7 @@ def one_thread() -> Iterator[None]:
     torch.set_num_threads(threads)
 
 
-def installed(kind: str) -> list[Case]:
+def plugins(kind: str) -> list[Case]:
     """What the installed plugins of a kind promise, each by itself; left out: those that cannot do without settings."""
     found = []
     for name in names(kind):
@@ -31,28 +32,38 @@ def installed(kind: str) -> list[Case]:
     return found
 
 
-@pytest.mark.parametrize("case", installed("agents"), ids=str)
+@pytest.mark.parametrize("case", plugins("agents"), ids=str)
 def test_an_agent_keeps_its_promise(case: Case) -> None:
     case()
 
 
-@pytest.mark.parametrize("case", installed("buffers"), ids=str)
+@pytest.mark.parametrize("case", plugins("buffers"), ids=str)
 def test_a_buffer_keeps_its_promise(case: Case) -> None:
     case()
 
 
-@pytest.mark.parametrize("case", installed("environments"), ids=str)
+@pytest.mark.parametrize("case", plugins("environments"), ids=str)
 def test_an_environment_keeps_its_promise(case: Case) -> None:
     case()
 
 
-@pytest.mark.parametrize("case", installed("robots"), ids=str)
+@pytest.mark.parametrize("case", plugins("robots"), ids=str)
 def test_a_robot_keeps_its_promise(case: Case) -> None:
     case()
 
 
-@pytest.mark.parametrize("case", installed("tasks"), ids=str)
+@pytest.mark.parametrize("case", plugins("tasks"), ids=str)
 def test_a_task_keeps_its_promise(case: Case) -> None:
+    case()
+
+
+@pytest.mark.skipif(not installed("mujoco"), reason="MuJoCo is not installed")
+@pytest.mark.parametrize(
+    "case",
+    [case for name in names("robots") for case in cases(candidate("robots", name, "mujoco"), alone=True)],
+    ids=str,
+)
+def test_a_robot_keeps_its_promise_with_mujoco(case: Case) -> None:
     case()
 
 
@@ -62,6 +73,9 @@ PAIRS = [
     for task in names("tasks")
     for case in of_pair(candidate("robots", robot), candidate("tasks", task))
 ]
+if installed("mujoco"):  # the other robots: `karolos plugins check robot NAME --engine mujoco`
+    for name in names("tasks"):
+        PAIRS += of_pair(candidate("robots", "panda", "mujoco"), candidate("tasks", name))
 
 
 @pytest.mark.parametrize("case", PAIRS, ids=str)

@@ -4,6 +4,8 @@ import errno
 import io
 import json
 import os
+import subprocess
+import sys
 import tarfile
 import zipfile
 from pathlib import Path
@@ -82,6 +84,38 @@ def test_export_refuses_what_is_there_or_running_and_leaves_nothing(run: RunFold
     with new_run(tmp_path / "runs", source=tmp_path) as busy, pytest.raises(RunError, match="another process"):
         export_runs([run, RunFolder.open(busy.path)], place / "y.zip")
     assert [path.name for path in place.iterdir()] == ["x.zip"]
+
+
+KILLED = """
+import os, sys
+from pathlib import Path
+from karolos.records import archive
+archive._examine = lambda *_: os.kill(os.getpid(), 9)
+archive.import_runs(Path(sys.argv[1]), Path(sys.argv[2]))
+"""
+
+
+def test_the_next_import_removes_what_a_killed_one_unpacked(run: RunFolder, tmp_path: Path) -> None:
+    source, runs = tmp_path / "x.zip", tmp_path / "other"
+    export_runs([run], source)
+    done = subprocess.run([sys.executable, "-c", KILLED, source, runs], timeout=60, check=False)
+    assert done.returncode == -9
+    (left,) = runs.iterdir()
+    assert left.name.startswith(".import-")
+    import_runs(source, runs)
+    assert [path.name for path in runs.iterdir()] == [run.id]
+
+
+def test_the_next_export_removes_what_a_killed_one_wrote(run: RunFolder, tmp_path: Path) -> None:
+    with subprocess.Popen([sys.executable, "-c", ""]) as dead:
+        pass
+    place = tmp_path / "out"
+    place.mkdir()
+    left, other = (place / f".{name}.{dead.pid}.tmp" for name in ("x.zip", "notes"))
+    left.touch()
+    other.touch()
+    export_runs([run], place / "x.zip")
+    assert sorted(path.name for path in place.iterdir()) == sorted([other.name, "x.zip"])
 
 
 @pytest.mark.parametrize("suffix", ["tar.gz", "zip"])

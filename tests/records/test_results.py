@@ -1,9 +1,12 @@
 from __future__ import annotations
 
 import json
+import math
+from dataclasses import replace
 from pathlib import Path
 from typing import Any
 
+import numpy as np
 import pytest
 from hypothesis import given
 from hypothesis import strategies as st
@@ -20,9 +23,10 @@ results = st.integers(1, 9).flatmap(
         any=st.tuples(*[st.booleans()] * n),
         end=st.tuples(*[st.booleans()] * n),
         reset=st.tuples(*[st.booleans()] * n),
-        returns=st.tuples(*[st.floats()] * n),
+        returns=st.tuples(*[st.floats(allow_nan=False, allow_infinity=False)] * n),
         lengths=st.tuples(*[st.integers(0, 2**40)] * n),
         distances=st.none() | st.tuples(*[st.floats(0)] * n),
+        has_success=st.booleans(),
     )
 )
 
@@ -44,20 +48,35 @@ def test_line_gives_the_test_back(test: TestResult) -> None:
 @given(results)
 def test_counts_have_the_fractions_of_the_test(test: TestResult) -> None:
     counts = TestCounts.of(test)
-    assert (counts.success_any, counts.success_end) == (test.success_any, test.success_end)
+    expected = (test.success_any, test.success_end) if test.has_success else (None, None)
+    assert (counts.success_any, counts.success_end) == expected
+    assert counts.mean_return is None or counts.mean_return == pytest.approx(np.mean(test.returns))
     assert (counts.steps, counts.seconds, counts.episodes) == (test.steps, test.seconds, test.episodes)
 
 
 @given(st.data())
 def test_damaged_line_is_counted_correctly_or_not_at_all(data: st.DataObject) -> None:
     text = bytearray(line(encode_test(result(10, 1, episodes=2))))
-    place = data.draw(st.integers(0, text.index(b"returns")))
+    place = data.draw(st.integers(0, text.index(b"lengths")))
     text[place : place + data.draw(st.integers(0, 3))] = data.draw(st.binary(max_size=2))
     counts = count_test(bytes(text))
     if counts is not None:
         decoded = decode_test(json.loads(bytes(text)))
         assert decoded is not None
         assert counts == TestCounts.of(decoded)
+
+
+@pytest.mark.parametrize("returns", [(math.nan, 1.0), (math.inf, 1.0), (math.inf, -math.inf), (1e308, 1e308)])
+def test_mean_return_that_is_not_finite_is_unknown(returns: tuple[float, float]) -> None:
+    test = replace(result(10, 1, episodes=2), returns=returns)
+    assert TestCounts.of(test).mean_return is None
+    assert math.isnan(test.mean_return)
+
+
+def test_score_of_an_environment_without_success_is_its_return() -> None:
+    test = result(10, 1, episodes=2)
+    assert test.score == "success end 0.50, any 0.50, return -1.50"
+    assert replace(test, has_success=False).score == "return -1.50"
 
 
 def test_line_that_is_cut_anywhere_is_not_counted() -> None:

@@ -72,6 +72,21 @@ def test_final_success_shows_each_seed_by_its_run() -> None:
     assert drawing.parts[dots[3].get_gid()][1] == "a, seed 3: a-s3 (finished)"
 
 
+def test_returns_are_drawn_on_their_own_axis() -> None:
+    compared = compare([contender("a", CURVES), contender("b", CURVES[:1])], "return")
+    drawings = figures.comparison_figures(compared)
+    assert [drawing.name for drawing in drawings] == [
+        "return_over_steps",
+        "return_over_seconds",
+        "final_return",
+        "performance_profiles",
+    ]
+    assert drawings[0].axes.get_ylabel() == "mean return of an episode"
+    assert drawings[0].axes.get_ylim()[0] < -150
+    [line] = artists(drawings[3], "main series-0")
+    assert line.get_xdata().tolist() == [-200, -115, -110, -105, -100]
+
+
 def test_single_test_at_step_zero_can_be_drawn() -> None:
     runs = (run(0, [50], interval=0), run(1, [60], interval=0))
     for drawing in figures.comparison_figures(compare([Contender("a", runs)], "any")):

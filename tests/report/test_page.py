@@ -39,6 +39,14 @@ def test_same_specs_are_said_to_be_the_same() -> None:
     assert "The specs are the same." in text_of(comparison())
 
 
+def test_page_of_returns_shows_no_success() -> None:
+    text = text_of(compare([contender("one", CURVES, has_success=False)]))
+    assert text.count("<figure") == 4
+    assert "-126.000 ~[" in text
+    assert "Returns have no density." in text
+    assert "success" not in re.sub(r"<title>.*?</title>|<h2>.*?</h2>|thresholds?.*?success only", "", text)
+
+
 def test_every_text_is_escaped() -> None:
     text = text_of(evil())
     assert text.count("&lt;script&gt;alert(1)&lt;/script&gt;") >= 10

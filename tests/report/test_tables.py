@@ -72,12 +72,26 @@ def test_run_is_shown_with_the_interval_of_its_success() -> None:
 
 def test_run_without_a_test_is_shown() -> None:
     empty = dict.fromkeys(("success_any", "success_end", "steps_to_95", "seconds_to_95", "episodes"), None)
-    assert shown(runs_table([replace(RUN, **empty)])).count(" - ") == 5
+    assert shown(runs_table([replace(RUN, **empty)])).count(" - ") == 6
+
+
+def test_returns_stand_alone_where_nothing_defines_success() -> None:
+    empty = dict.fromkeys(("success_any", "success_end", "steps_to_95", "seconds_to_95"), None)
+    run = replace(RUN, **empty, mean_return=-1234.567, best_return=-130.0)
+    table = runs_table([run])
+    assert [*table.columns[-2:], *table.rows[0][-2:]] == ["return", "best return", "-1,234.57", "-130.00"]
+    assert not any("success" in name or ".95" in name for name in table.columns)
+    both = runs_table([run, replace(RUN, mean_return=-3.0)])
+    assert both.columns[-1] == "return"
+    assert [row[-1] for row in both.rows] == ["-1,234.57", "-3.00"]
+    assert both.rows[0][both.columns.index("success end")] == "-"
+    tests = table_of_tests([TestCounts(1000, 100.0, 20, None, None, None, -12.5)])
+    assert list(tests.columns) == ["steps", "time", "return", "episodes"]
 
 
 def test_test_is_shown_with_both_ways_to_count() -> None:
-    text = shown(table_of_tests([TestCounts(1000, 100.0, 20, 18, 0, 3)]))
-    for part in ("1,000", "1 min 40 s", "0.90 [0.70, 0.97]", "0.00 [0.00, 0.16]", "20", "3"):
+    text = shown(table_of_tests([TestCounts(1000, 100.0, 20, 18, 0, 3, -12.5)]))
+    for part in ("1,000", "1 min 40 s", "0.90 [0.70, 0.97]", "0.00 [0.00, 0.16]", "20", "3", "-12.50"):
         assert part in text
     assert "within" not in text
 
@@ -85,7 +99,7 @@ def test_test_is_shown_with_both_ways_to_count() -> None:
 def test_test_is_shown_with_how_many_ended_near_their_goal_where_that_is_known() -> None:
     flags = (True, False, False, False)
     far = TestResult(1000, 100.0, flags, flags, flags, (0.0,) * 4, (9,) * 4, (0.04, 0.09, 0.2, float("inf")))
-    tests = [TestCounts(1000, 100.0, 4, 1, 1, 0), TestCounts(2000, 200.0, 4, 1, 1, 0)]
+    tests = [TestCounts(steps, steps / 10, 4, 1, 1, 0, 0.0) for steps in (1000, 2000)]
     text = shown(table_of_tests(tests, [far]))
     for part in ("end within 0.05 / 0.10 / 0.25 m", "0.25 / 0.50 / 0.75"):
         assert part in text

@@ -6,13 +6,20 @@ import numpy as np
 import pytest
 from hypothesis import given
 from hypothesis import strategies as st
+from support.fourth_robot import exported_arm, small_arm
 
 from karolos.errors import PluginError
+from karolos.plugins.contracts import Candidate, candidate
+from karolos.plugins.contracts.joined import joined
 from karolos.robots.panda import Panda
 from karolos.simulation import urdf
 from karolos.simulation.bullet.world import World
 
 PANDA = Panda.model.urdf
+LIMIT = '<limit lower="0" upper="1" effort="1" velocity="1"/>'
+BODY = '<inertial><mass value="1"/><inertia ixx="1" iyy="1" izz="1" ixy="0" ixz="0" iyz="0"/></inertial>'
+A, B = '<link name="a"/>', f'<link name="b">{BODY}</link>'
+MESH = '<visual><geometry><mesh filename="package://x/arm.stl"/></geometry></visual></link>'
 angles = st.floats(-3.1, 3.1)
 
 
@@ -62,7 +69,19 @@ def test_welded_robot_weighs_as_much_on_its_joints_as_the_whole_one() -> None:
 
 def test_missing_urdf_is_a_clear_error(tmp_path: Path) -> None:
     with pytest.raises(PluginError, match=r"cannot read robot\.urdf"):
-        urdf.joints(tmp_path / "robot.urdf")
+        urdf.load(tmp_path / "robot.urdf")
+
+
+def robot(*parts: str) -> str:
+    return f"<robot>{''.join(parts)}</robot>"
+
+
+def turning(name: str, parent: str, child: str, more: str = LIMIT) -> str:
+    return f'<joint name="{name}" type="revolute"><parent link="{parent}"/><child link="{child}"/>{more}</joint>'
+
+
+J = turning("j", "a", "b")
+LIMITS = "joint j: limits must satisfy lower < upper, effort > 0, velocity > 0; .* exporters leave zeros"
 
 
 @pytest.mark.parametrize(
@@ -70,34 +89,92 @@ def test_missing_urdf_is_a_clear_error(tmp_path: Path) -> None:
     [
         ("<robot", "not an XML file"),
         ("<house/>", "not a URDF"),
-        ('<robot><link name="a"/><joint name="j" type="floating"/></robot>', "joint j: a floating joint"),
-        ('<robot><link name="a"/><joint name="j" type="revolute"/></robot>', "without parent, child or limit"),
         (
-            '<robot><link name="a"/><joint name="j" type="revolute"><parent link="a"/><child link="b"/>'
-            '<limit lower="1" upper="0" effort="1" velocity="1"/></joint></robot>',
-            "lower < upper",
+            '<robot xmlns:x="http://www.ros.org/wiki/xacro"><x:macro/></robot>',
+            "not expanded; expand it first: xacro",
         ),
-        (
-            '<robot><link name="a"/><joint name="j" type="revolute"><parent link="a"/><child link="b"/>'
-            '<limit lower="0" upper="1" effort="1"/></joint></robot>',
-            "not readable",
-        ),
+        (robot(A, '<joint name="j" type="floating"/>'), "joint j: a floating joint"),
+        (robot(A, '<joint name="j" type="revolute"/>'), "joint j: a joint without parent or child"),
+        (robot(A, J), "joint j: there is no link 'b'"),
+        (robot(A, A), "link a: two of this name"),
+        (robot(A, B), "2 links without a joint above them: a, b; exactly one link is the base"),
+        (robot(A, B, J, turning("k", "a", "b")), "joint k: link 'b' is also the child of joint j"),
+        (robot('<link name="c"/>', A, B, J, turning("k", "b", "a")), "joint j: not connected to the base"),
+        (robot(A, B, turning("j", "a", "b", "")), "joint j: a joint without limit"),
+        (robot(A, B, J.replace('lower="0"', 'lower="2"')), LIMITS),
+        (robot(A, B, J.replace('effort="1"', 'effort="0"')), LIMITS),
+        (robot(A, B, J.replace("velocity", "v")), "joint j: .* not readable"),
+        (robot(A, B, J.replace('upper="1"', 'upper="much"')), "joint j: .* not readable: .*much"),
+        (robot(A, B, turning("j", "a", "b", f'{LIMIT}<axis xyz="0 0 0"/>')), "joint j: its axis is 0 0 0"),
+        (robot(A, '<link name="b"/>', J), "link b: it moves and has no mass"),
+        (robot(A, B.replace('ixx="1"', 'ixx="-1"'), J), "link b: its inertia is not positive definite"),
+        (robot(A, B.replace("</link>", MESH), J), "link b: there is no mesh 'package://x/arm.stl'; it is looked for"),
     ],
 )
-def test_broken_urdf_is_a_clear_error(tmp_path: Path, text: str, message: str) -> None:
+def test_a_urdf_that_cannot_be_simulated_is_refused_in_one_line_that_names_the_joint_or_link(
+    tmp_path: Path, text: str, message: str
+) -> None:
     path = tmp_path / "robot.urdf"
     path.write_text(text)
-    with pytest.raises(PluginError, match=message):
-        urdf.joints(path)
+    with pytest.raises(PluginError, match=message) as caught:
+        urdf.load(path)
+    assert "\n" not in str(caught.value)
 
 
-def test_urdf_that_the_engine_refuses_is_a_clear_error() -> None:
-    world = World()
-    robot = urdf.read(PANDA)
-    for joint in robot.findall("joint"):
-        child = joint.find("child")
-        assert child is not None
-        child.set("link", "nowhere")
-    with pytest.raises(PluginError, match="cannot load"):
-        world.load(robot)
-    world.close()
+def test_a_robot_as_exporters_write_it_moves_as_the_plain_one(tmp_path: Path) -> None:
+    """Transmissions, a world link, fixed joints between those of the arm, a mirrored finger, a continuous joint."""
+    plain = Candidate("robots", "plain", small_arm(tmp_path))
+    dressed = Candidate("robots", "dressed", exported_arm(tmp_path))
+    draws = np.random.default_rng(0)
+    with (
+        joined(plain, candidate("tasks", "pick_place")) as one,
+        joined(dressed, candidate("tasks", "pick_place")) as other,
+    ):
+        assert other.reset(0).observation == pytest.approx(one.reset(0).observation, abs=1e-5)
+        for _ in range(20):
+            action = draws.uniform(-1, 1, one.signature.action.size)
+            assert other.step(action).observation == pytest.approx(one.step(action).observation, abs=1e-3)
+        assert other.robot.opening == pytest.approx(one.robot.opening, abs=1e-3)
+
+
+def test_a_mesh_is_found_beside_the_urdf_and_by_its_package_wherever_the_urdf_stands(tmp_path: Path) -> None:
+    urdfs, meshes = tmp_path / "my_robot" / "urdf", tmp_path / "my_robot" / "meshes"
+    urdfs.mkdir(parents=True)
+    meshes.mkdir()
+    mesh = meshes / "arm.stl"
+    mesh.touch()
+    for name in ("../meshes/arm.stl", "meshes/arm.stl", "package://my_robot/meshes/arm.stl", f"file://{mesh}"):
+        assert urdf.find_mesh(name, urdfs) == mesh, name
+    renamed = (tmp_path / "my_robot").rename(tmp_path / "robot-main")
+    assert urdf.find_mesh("package://my_robot/meshes/arm.stl", renamed / "urdf") == renamed / "meshes" / "arm.stl"
+
+
+def test_an_inertia_that_no_body_can_have_is_corrected_as_little_as_possible(tmp_path: Path) -> None:
+    path = tmp_path / "robot.urdf"
+    path.write_text(robot(A, B.replace('izz="1"', 'izz="3"'), J))
+    found = urdf.load(path)
+    assert found.corrected == ("b",)
+    inertia = found.robot.findall("link/inertial/inertia")[1]
+    assert [float(inertia.get(key, "0")) for key in ("ixx", "iyy", "izz")] == pytest.approx([1.5, 1.5, 3], abs=0.01)
+
+
+def test_dry_friction_takes_torque_from_its_motor(tmp_path: Path) -> None:
+    path = tmp_path / "robot.urdf"
+    path.write_text(robot(A, B, turning("j", "a", "b", f'{LIMIT}<dynamics damping="2" friction=".25"/>')))
+    assert urdf.load(path).joints[0].effort == 0.75
+
+
+def test_a_locked_joint_takes_along_those_that_mimic_it(tmp_path: Path) -> None:
+    path = tmp_path / "robot.urdf"
+    mimic = f'{LIMIT}<origin xyz="0 0 1"/><mimic joint="j" multiplier="-1" offset="0.5"/>'  # held at 0
+    links = f'{A}{B}<link name="c">{BODY}<collision><origin xyz="0 1 0"/></collision></link>'
+    path.write_text(robot(links, J, turning("k", "b", "c", mimic)))
+    found = urdf.load(path, (("j", 0.5),))
+    assert not found.joints
+    assert found.carriers == {"a": "a", "b": "a", "c": "a"}
+    origin = found.robot.findall("link/collision/origin")[0]
+    assert [float(one) for one in origin.get("xyz", "").split()] == pytest.approx(
+        [0, np.cos(0.5) - np.sin(0.5), np.cos(0.5) + np.sin(0.5)]
+    )
+    with pytest.raises(PluginError, match="no joint is called 'x'; joints: j, k"):
+        urdf.load(path, (("x", 0.5),))

@@ -142,7 +142,7 @@ parts = {
         {"name": st.just("learner")},
         optional={
             "discount": numbers,
-            "hidden": st.lists(st.integers(-(2**70), 2**70), max_size=3),
+            "hidden": st.lists(st.integers(-(2**63), 2**63 - 1), max_size=3),
             "entropy": st.just("auto") | st.floats(allow_nan=False, allow_infinity=False),
             "decay": st.booleans() | st.fixed_dictionaries({"rate": numbers}),
         },
@@ -150,12 +150,12 @@ parts = {
 }
 optional = {
     "name": st.from_regex(r"[A-Za-z0-9][A-Za-z0-9._-]{0,63}", fullmatch=True),
-    "seeds": st.lists(st.integers(0, 2**70), min_size=1, max_size=4, unique=True),
+    "seeds": st.lists(st.integers(0, 10**60), min_size=1, max_size=4, unique=True),
     "randomization": st.dictionaries(
         st.sampled_from(["task.gravity", "robot.mass"]),
         st.fixed_dictionaries({"name": st.just("normal"), "mean": st.floats(-9, 9), "std": numbers}),
     ),
-    "training": st.fixed_dictionaries({}, optional={"steps": st.integers(1, 10**9), "replay_ratio": st.floats(0, 1e9)}),
+    "training": st.fixed_dictionaries({}, optional={"steps": st.integers(1, 10**9), "replay_ratio": st.floats(0, 1e6)}),
 }
 
 

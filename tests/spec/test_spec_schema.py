@@ -30,7 +30,7 @@ def test_schema_is_a_schema(fake_plugins):
         "extends: base.yaml\ntraining: {steps: 1e6}\nrobot: null",
         "extends: [a.yaml, b.yaml]\nagent: {discount: 0.5}",
         "robot: arm\ntask: reach\nagent: learner\nbuffer: {name: uniform, hindsight: {ratio: 0.5}}\n"
-        "randomization: {task.gravity: {name: normal, mean: 1, std: 1}}",
+        "randomization: {task.gravity: {name: normal, mean: 1, std: 1}, robot.gain: 2}",
     ],
 )
 def test_good_specs_fit_the_schema(fake_plugins, text):

@@ -21,7 +21,7 @@ from karolos.files import FileLock
 from karolos.records import RunFolder, labels, trash
 from karolos.records.sweep_records import SweepFinal, SweepTrialState
 from karolos.store import Store, check, reindex
-from karolos.store.summaries import success_summaries
+from karolos.store.summaries import success_densities
 from karolos.store.tables import TABLES
 
 texts = st.text(st.characters(exclude_categories=["Cs", "Cc"]), min_size=1, max_size=5).filter(
@@ -38,7 +38,7 @@ operations = st.lists(
         st.tuples(st.just("note"), which, texts),
         st.tuples(st.just("remove"), which),
         st.tuples(st.just("restore"), which),
-        st.tuples(st.just("summaries"), st.sampled_from("ab")),
+        st.tuples(st.just("densities"), st.sampled_from("ab")),
         st.tuples(
             st.just("sweep"),
             st.sampled_from(["line", "other"]),
@@ -70,8 +70,8 @@ class World:
         elif operation == "unsweep":
             shutil.rmtree(self.runs / "sweeps" / values[0], ignore_errors=True)
             reindex(self.store, self.runs)
-        elif operation == "summaries":
-            success_summaries(self.store, values[0])
+        elif operation == "densities":
+            densities(self.store, values[0])
         elif operation == "restore":
             if self.thrown:
                 folder = trash.restore(self.thrown.pop(values[0] % len(self.thrown)))
@@ -127,6 +127,14 @@ class World:
         self.store.remove_runs([folder.id])
 
 
+def densities(store: Store, experiment: str) -> list[tuple[float, float]]:
+    ratios: dict[float, list[float]] = {}
+    for tests in store.tests_of([run.run for run in store.runs(experiment=experiment)]).values():
+        for test in tests:
+            ratios.setdefault(test.steps, []).append(test.success_any or 0.0)
+    return [(one.mode, one.mean) for one in success_densities(store, experiment, "any", ratios)]
+
+
 def answers(store: Store) -> list[Any]:
     runs = store.runs()
     experiments = sorted({run.experiment for run in runs})
@@ -134,7 +142,7 @@ def answers(store: Store) -> list[Any]:
         runs,
         store.tests_of([run.run for run in runs]),
         [(store.parameters(run.run), store.versions(run.run)) for run in runs],
-        [(store.spec(name), success_summaries(store, name)) for name in experiments],
+        [(store.spec(name), densities(store, name)) for name in experiments],
         [(sweep, sweep.row(), sweep.best) for sweep in store.sweeps.all()],
         sorted(len(store.runs(where=f"tags = {json.dumps(tag)}")) for run in runs for tag in run.tags),
     ]

@@ -40,8 +40,8 @@ def test_run_comes_back_as_its_folder_says(store: Store, tmp_path: Path) -> None
     found = store.find(run.id)
     assert (found.steps_to_95, found.steps_to_95_any) == (100, 200)
     assert store.tests(run.id) == (
-        TestCounts(100, 1.0, 20, 3, 20, 0),
-        TestCounts(200, 2.0, 20, 19, 20, 0),
+        TestCounts(100, 1.0, 20, 3, 20, 0, -1.5),
+        TestCounts(200, 2.0, 20, 19, 20, 0, -1.5),
     )
 
 
@@ -106,13 +106,14 @@ def test_runs_are_listed_newest_first_and_filtered(store: Store) -> None:
         store.runs(state="done")
 
 
-def test_run_whose_process_is_gone_is_listed_as_lost(store: Store, tmp_path: Path) -> None:
+@pytest.mark.parametrize("state", ["created", "running"])
+def test_run_whose_process_is_gone_is_listed_as_lost(store: Store, tmp_path: Path, state: str) -> None:
     run = new_run(store, tmp_path)
-    run.set_state("running")
+    run.set_state(state)
     store.update_run(run.summary())
-    assert [found.state for found in store.runs(state="running")] == ["running"]
+    assert [found.state for found in store.runs(state=state)] == [state]
     run.release()
-    assert store.runs(state="running") == ()
+    assert store.runs(state=state) == ()
     assert [found.state for found in store.runs(state="lost")] == ["lost"]
     assert store.find(run.id).state == "lost"
 

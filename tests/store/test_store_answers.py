@@ -6,7 +6,9 @@ import sqlite3
 from collections.abc import Iterator
 from pathlib import Path
 
+import numpy as np
 import pytest
+from sqlalchemy import select, update
 from support.databases import KINDS, empty_database
 from support.store_samples import bare, result
 
@@ -14,7 +16,8 @@ from karolos.errors import StoreError, UsageError
 from karolos.records import RunFolder, labels
 from karolos.statistics.density import kde
 from karolos.store import Store
-from karolos.store.summaries import success_summaries
+from karolos.store.summaries import success_densities
+from karolos.store.tables import SUCCESSES
 
 
 @pytest.fixture(params=KINDS)
@@ -119,22 +122,34 @@ def test_hash_that_begins_several_experiments_names_them(store: Store) -> None:
         store.select("abcdef")
 
 
-def test_summaries_follow_the_tests_and_runs_of_the_experiment(store: Store, tmp_path: Path) -> None:
+def stored_densities(store: Store) -> list[tuple[float, int, float]]:
+    rows = store.database.fetch(select(SUCCESSES).order_by(SUCCESSES.c.steps))
+    return [(row.steps, row.runs, row.mode) for row in rows]
+
+
+def test_densities_are_stored_until_a_test_or_a_run_is_added_or_removed(store: Store, tmp_path: Path) -> None:
     runs = [add(store, tmp_path, seed) for seed in (1, 2, 3)]
-    for run, successes in zip(runs, (20, 18, 4), strict=True):
-        store.add_test(run.id, result(100, successes))
-    reached, ended = success_summaries(store, "a" * 64)
-    density = kde([1.0, 0.9, 0.2])
-    assert (reached.steps, reached.counting, reached.runs) == (100, "any", 3)
-    assert (reached.mode, reached.modes) == (density.mode, density.modes)
-    assert (reached.mean, reached.low, reached.high) == pytest.approx((density.mean, density.low, density.high))
-    assert (ended.counting, ended.mode) == ("end", 1.0)
-    assert success_summaries(store, "a" * 64) == (reached, ended)
-    store.add_test(runs[0].id, result(200, 20))
-    assert [(one.steps, one.runs) for one in success_summaries(store, "a" * 64)] == [(100, 3)] * 2 + [(200, 1)] * 2
-    store.remove_runs([runs[0].id])
-    assert [(one.steps, one.runs) for one in success_summaries(store, "a" * 64)] == [(100, 2)] * 2
-    assert success_summaries(store, "none") == ()
+    ratios = {100.0: [1.0, 0.9, 0.2], 200.5: [0.5, 0.5, 0.5]}
+    first = success_densities(store, "a" * 64, "end", ratios)
+    for density, values in zip(first, ratios.values(), strict=True):
+        for name, value in vars(kde(values)).items():
+            assert np.array_equal(getattr(density, name), value)
+    assert stored_densities(store) == [(100.0, 3, first[0].mode), (200.5, 3, 0.5)]
+    with store.database.writing() as connection:
+        connection.execute(update(SUCCESSES).values(mode=0.125))
+    again = success_densities(store, "a" * 64, "end", ratios)
+    assert [one.mode for one in again] == [0.125, 0.125], "read, not computed"
+    assert np.array_equal(again[0].density, first[0].density)
+    [other] = success_densities(store, "a" * 64, "end", {100.0: [1.0, 0.9, 0.3]})
+    assert other.mode == kde([1.0, 0.9, 0.3]).mode, "of other ratios"
+    for change in (
+        lambda: store.add_test(runs[0].id, result(200, 20)),
+        lambda: store.remove_runs([runs[0].id]),
+        lambda: store.add_records([runs[0].record()]),
+    ):
+        success_densities(store, "a" * 64, "any", ratios)
+        change()
+        assert stored_densities(store) == []
 
 
 def test_database_that_may_only_be_read_still_answers(tmp_path: Path) -> None:
@@ -148,7 +163,7 @@ def test_database_that_may_only_be_read_still_answers(tmp_path: Path) -> None:
         from sqlalchemy import event
 
         event.listen(store.database.engine, "connect", read_only)
-        assert [one.mode for one in success_summaries(store, "a" * 64)] == [1.0, 1.0]
+        assert [one.mode for one in success_densities(store, "a" * 64, "end", {100: [1.0]})] == [1.0]
         assert store.runs(where="task=reach") == (run.summary(),)
         with pytest.raises(StoreError, match="the database is read-only"):
             store.add_test(run.id, result(200, 1))

@@ -2,20 +2,19 @@
 
 from __future__ import annotations
 
-from types import SimpleNamespace
 from typing import Any, Literal
 
 from pydantic import BaseModel, model_validator
 from pydantic import Field as Setting
 
-from karolos.core import Settings
+from karolos.core import Field, Layout, Settings, Signature
 from karolos.randomization.distribution import Distribution
 
 
 class Fake:
     """Can be built from anything, as far as putting a spec's parts together goes."""
 
-    signature = SimpleNamespace(max_steps=10)
+    signature = Signature(Layout((Field("seen", 1),)), Layout((Field("done", 1),)), 10)
     discount = 0.9
 
     def __init__(self, *_: Any, **__: Any) -> None: ...

@@ -6,6 +6,7 @@ to the axes of the world: what a task must not take for granted.
 
 from __future__ import annotations
 
+from dataclasses import replace
 from math import pi
 from pathlib import Path
 
@@ -97,3 +98,55 @@ def small_arm(folder: Path, *, fingers: bool = True) -> type[Arm]:
         )
 
     return Small
+
+
+OTHER_PROGRAMS = """<link name="tool0"/>
+<transmission name="t1"><joint name="joint1"><hardwareInterface>x</hardwareInterface></joint></transmission>
+<ros2_control name="c" type="system"><joint name="joint1"/></ros2_control>
+<gazebo reference="base"><selfCollide>true</selfCollide></gazebo></robot>"""
+"""What exporters write for simulators and controllers."""
+
+
+def exported_arm(folder: Path) -> type[Arm]:
+    """The same arm in a URDF as exporters write it, in a folder of its own with a mesh."""
+    small = small_arm(folder)
+    package = folder / "small_description"
+    (package / "urdf").mkdir(parents=True)
+    (package / "meshes").mkdir()
+    (package / "meshes" / "mark.obj").write_text("v 0 0 0\nv 0 0 .01\nv 0 .01 0\nf 1 2 3\n")
+    text = _urdf(fingers=True)
+    mesh = '<visual><geometry><mesh filename="package://small_description/meshes/mark.obj"/></geometry></visual>'
+    mimic = '<mimic joint="slide1" multiplier="-1"/><limit lower="-0.035" upper="0"'
+    elbow = '<link name="elbow"/>' + _fixed("link2", "elbow", "0 0 0.32")
+    for old, new in {
+        '<robot name="small">': '<robot name="small"><link name="world"/>' + _fixed("world", "base", "0 0 0"),
+        '<link name="base">': f'<link name="base">{mesh}',
+        '<link name="link3">': f'{elbow}<link name="link3">',
+        '<parent link="link2"/><child link="link3"/><origin xyz="0 0 0.32"/>': (
+            '<parent link="elbow"/><child link="link3"/>'
+        ),
+        '<axis xyz="0 -1 0"/><limit lower="0" upper="0.035"': f'<axis xyz="0 1 0"/>{mimic}',
+        'name="joint6" type="revolute"': 'name="joint6" type="continuous"',
+        '<origin xyz="0 0 0.08"/><axis xyz="0 0 1"/><limit lower="-3.0" upper="3.0"': (
+            '<origin xyz="0 0 0.08"/><axis xyz="0 0 1"/><limit'
+        ),
+        "</robot>": _fixed("link6", "tool0", f"0 0 {TOOL}") + OTHER_PROGRAMS,
+    }.items():
+        assert old in text, old
+        text = text.replace(old, new)
+    path = package / "urdf" / "small.urdf"
+    path.write_text(text)
+
+    class Exported(small):  # type: ignore[misc, valid-type]
+        """The same arm."""
+
+        model = replace(small.model, urdf=path)
+
+    return Exported
+
+
+def _fixed(parent: str, child: str, place: str) -> str:
+    return (
+        f'<joint name="{child}_fixed" type="fixed"><parent link="{parent}"/><child link="{child}"/>'
+        f'<origin xyz="{place}"/></joint>'
+    )

@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import json
+import multiprocessing
 import os
 import signal
 import subprocess
@@ -11,7 +12,6 @@ import time
 from collections import Counter
 
 import pytest
-from support.processes import child_processes
 from support.sweep_samples import LEARNING_RATE, sweep_spec
 
 from karolos.comparison import gather
@@ -25,6 +25,7 @@ from karolos.spec import load_spec, spec_from_dict
 from karolos.store import Store, check, reindex
 from karolos.store.sweeps import Sweeps
 from karolos.sweep.events import SweepOutcome, TrialBegan
+from karolos.sweep.pool import Job
 from karolos.sweep.search import Search, samples
 
 TRIALS = 5
@@ -57,9 +58,9 @@ def killed(tmp_path_factory) -> SweepOutcome:
 
     def kill(event: object) -> None:
         if isinstance(event, TrialBegan) and not lost:
-            lost.extend(child_processes())  # none at the first trial
-            for process in lost:
-                os.kill(process, signal.SIGKILL)
+            lost.extend(multiprocessing.active_children())  # none at the first trial
+            for worker in lost:
+                worker.kill()
 
     outcome = Search(SPEC).run(home / "runs", listener=kill)
     assert len(lost) == 1
@@ -112,6 +113,15 @@ def test_the_best_is_reported_on_test_episodes_it_was_not_tuned_on_and_ends_with
     tuned, chosen, reported = (RunFolder.open(next(runs.glob(f"{killed.best.name}-s{seed}-*"))) for seed in (0, 1, 3))
     assert [folder.spec()["testing"]["seed"] for folder in (tuned, chosen, reported)] == [0, 0, 2_000_000]
     assert [folder.final() is not None for folder in (tuned, chosen, reported)] == [False, False, True]
+
+
+def test_the_reported_value_is_that_of_the_final_test(killed):
+    folder = RunFolder.open(next(killed.folder.parents[1].glob(f"{killed.best.name}-s3-*")))
+    job = Job(load_spec(killed.folder / "best.yaml"))
+    job.record(folder.summary())
+    assert job.finals == {3: folder.final().last}
+    sweep = load_spec(killed.folder / "sweep.yaml").sweep.model_copy(update={"objective": ("success_end", "return")})
+    assert job.measure(sweep) == (folder.final().last.success_end, folder.final().last.mean_return)
 
 
 def test_only_the_reporting_seeds_of_a_trial_are_compared(killed):

@@ -142,6 +142,14 @@ def test_objectives_are_means_over_seeds(objective, value):
     assert measure(objective, TESTS, 200) == pytest.approx(value)
 
 
+def test_a_final_test_is_what_a_run_is_reported_by():
+    finals = {0: result(200, 7, -3.0), 1: result(200, 5, -5.0)}
+    assert measure("success_end", TESTS, 200, finals) == pytest.approx(0.6)
+    assert measure("return", TESTS, 200, finals) == pytest.approx(-4.0)
+    assert measure("mean_success_end", TESTS, 200, finals) == measure("mean_success_end", TESTS, 200)
+    assert measure("steps_to_50", TESTS, 200, finals) == measure("steps_to_50", TESTS, 200)
+
+
 def test_what_the_pruner_compares_is_better_in_the_objectives_own_direction():
     assert so_far("success_end", TESTS, 1) == pytest.approx(0.3)
     assert so_far("mean_success_end", TESTS, 2) == pytest.approx(0.6)

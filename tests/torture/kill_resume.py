@@ -2,12 +2,12 @@
 
     python tests/torture/kill_resume.py --kills 100 [--spec SPEC] [--seed 0] [--runs DIR]
 
-A run is started, killed with SIGKILL after a random time, resumed, killed again ... The times are drawn so that kills
-fall into training, testing, checkpoints and index writes alike; a third of the kills wait for the next checkpoint to be
-amid its writing. After each, every process that the run had started has to end by itself. When a run has finished
-another one begins, until the kills are done. Each finished run is compared with one that nobody disturbed: weights,
-buffer, counters and generators of the last checkpoint, tests, training episodes, and what the database says. Ends with
-1 at the first difference.
+A run is started, killed with SIGKILL after a random time, resumed, killed again ... Half of the kills hit a worker of
+the run, which goes on. The times are drawn so that kills fall into training, testing, checkpoints and index writes
+alike; a third of the kills wait for the next checkpoint to be amid its writing. After a kill of the run, every process
+that it had started has to end by itself. When a run has finished another one begins, until the kills are done. Each
+finished run is compared with one that nobody disturbed: weights, buffer, counters and generators of the last
+checkpoint, tests, training episodes, and what the database says. Ends with 1 at the first difference.
 """
 
 from __future__ import annotations
@@ -36,7 +36,7 @@ name: torture
 environment: toy
 agent: {name: sac, hidden: [16], precision: float32}
 buffer: {name: priority, capacity: 2000, hindsight: {strategy: future}}
-orchestrator: {processes: 1, environments: 4}
+orchestrator: {processes: 2, environments: 2, failures: 1000}
 training: {steps: 1600, batch_size: 16, replay_ratio: 8, warmup_episodes: 4}
 testing: {interval: 50, episodes: 4}
 """
@@ -52,23 +52,31 @@ def karolos(*arguments: str) -> subprocess.Popen[bytes]:
     )
 
 
-def finish(process: subprocess.Popen[bytes], seconds: float, home: Path | None = None) -> int | None:
-    """The exit code, or None when the process had to be killed after `seconds`.
+def over(process: subprocess.Popen[bytes], seconds: float, home: Path | None = None) -> bool:
+    """Wait; returns whether the process has ended.
 
     Args:
         process: as `karolos` started it.
-        seconds: to let it run.
+        seconds: to wait.
         home: wait further, until a run in this folder is amid writing a checkpoint.
     """
     deadline = time.monotonic() + seconds
     while process.poll() is None:
         if time.monotonic() > deadline and (home is None or any(home.glob("*/checkpoints/.*.new"))):
-            os.kill(process.pid, signal.SIGKILL)
-            process.wait()
-            await_the_end_of_the_others(process.pid)
-            return None
+            return False
         time.sleep(0.001)
-    return process.returncode
+    return True
+
+
+def kill_worker(process: subprocess.Popen[bytes], draw: random.Random) -> bool:
+    """Kill one of the run's workers, which are grandchildren of its process; False if there is none now."""
+    workers = [pid for pid, (_, parent) in members(process.pid).items() if process.pid not in (pid, parent)]
+    if not workers or process.poll() is not None:
+        return False
+    with suppress(ProcessLookupError):
+        os.kill(draw.choice(workers), signal.SIGKILL)
+        return True
+    return False
 
 
 def await_the_end_of_the_others(session: int) -> None:
@@ -80,14 +88,14 @@ def await_the_end_of_the_others(session: int) -> None:
         time.sleep(0.05)
 
 
-def members(session: int) -> dict[int, str]:
-    """The living processes of a session, with their command lines."""
+def members(session: int) -> dict[int, tuple[str, int]]:
+    """The living processes of a session, with their command lines and parents."""
     found = {}
     for path in Path("/proc").glob("[0-9]*"):
         with suppress(OSError):  # it has ended meanwhile
-            state, _, _, its_session = (path / "stat").read_text().rpartition(")")[2].split()[:4]
+            state, parent, _, its_session = (path / "stat").read_text().rpartition(")")[2].split()[:4]
             if int(its_session) == session and state != "Z":
-                found[int(path.name)] = (path / "cmdline").read_bytes().replace(b"\0", b" ").decode()
+                found[int(path.name)] = (path / "cmdline").read_bytes().replace(b"\0", b" ").decode(), int(parent)
     return found
 
 
@@ -102,28 +110,41 @@ def torture(spec: Path, runs: Path, kills: int, draw: random.Random) -> int:
     whole = time.monotonic() - started
     print(f"an undisturbed run takes {whole:.1f} s", flush=True)
     (reference,) = (RunFolder.open(path.parent) for path in (runs / "reference").glob("*/run.json"))
-    done = compared = 0
+    done = compared = hits = 0
     while done < kills:
         home = runs / f"killed-{compared}"
         database = Store.default_url(home)
-        while True:
+        code: int | None = None
+        while code is None:
             folders = [path.parent for path in home.glob("*/run.json")]
             arguments = ("resume", str(folders[0])) if folders else ("run", str(spec))
             process = karolos(*arguments, "--runs", str(home), "--quiet")
-            patience = draw.uniform(0.2, 1.1) * whole if done < kills else 600.0
-            code = finish(process, patience, home if draw.random() < AMID_CHECKPOINT and done < kills else None)
-            assert process.stderr is not None
-            errors = process.stderr.read().decode() if code is not None else ""
-            if code is None:
+            while True:
+                amid_checkpoint = draw.random() < AMID_CHECKPOINT and done < kills
+                patience = draw.uniform(0.2, 1.1) * whole if done < kills else 600.0
+                if over(process, patience, home if amid_checkpoint else None):
+                    code = process.returncode
+                    break
+                if 2 * hits < done + 1:
+                    hit = kill_worker(process, draw)
+                    done, hits = done + hit, hits + hit
+                    continue
+                os.kill(process.pid, signal.SIGKILL)
+                process.wait()
+                await_the_end_of_the_others(process.pid)
                 done += 1
-                continue
-            if code != 0:
-                raise SystemExit(f"after {done} kills, {' '.join(arguments)} ended with {code}: {errors}")
-            break
+                break
+        assert process.stderr is not None
+        errors = process.stderr.read().decode()
+        if code != 0:
+            raise SystemExit(f"after {done} kills, {' '.join(arguments)} ended with {code}: {errors}")
         folder = next(RunFolder.open(path.parent) for path in home.glob("*/run.json"))
         found = differences_of(folder, reference, database)
         compared += 1
-        print(f"{done} kills, run {compared} in attempt {folder.state().attempt}: {found or 'equal'}", flush=True)
+        print(
+            f"{done} kills, {hits} of workers, run {compared} in attempt {folder.state().attempt}: {found or 'equal'}",
+            flush=True,
+        )
         if found:
             raise SystemExit(1)
     return compared

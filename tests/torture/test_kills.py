@@ -15,6 +15,7 @@ from typing import Any
 import pytest
 from kill_resume import TOY, torture
 
+from karolos.benchmarks.survival import differences_of
 from karolos.experiment.events import RunAdvanced, RunWarned
 from karolos.experiment.experiment import Experiment, resume_run
 from karolos.records import RunFolder
@@ -64,6 +65,18 @@ class Killer:
         assert victim.pid
         os.kill(victim.pid, signal.SIGKILL)
         self.killed += 1
+
+
+@pytest.mark.skipif(not hasattr(signal, "SIGKILL"), reason="kills as POSIX does")
+def test_a_run_in_lockstep_whose_workers_are_killed_ends_bit_for_bit_like_an_undisturbed_one(tmp_path: Path) -> None:
+    spec = LEARNS | {"training": LEARNS["training"] | {"steps": 800}, "testing": {"interval": 400, "episodes": 4}}
+    killer = Killer(interval=150)
+    (disturbed,) = Experiment(spec).run(tmp_path / "killed", listener=killer).runs
+    (undisturbed,) = Experiment(spec).run(tmp_path / "whole").runs
+    assert killer.killed >= 3
+    assert killer.warnings
+    folder, reference = RunFolder.open(disturbed.folder), RunFolder.open(undisturbed.folder)
+    assert differences_of(folder, reference, Store.default_url(tmp_path / "killed")) == []
 
 
 @pytest.mark.skipif(not hasattr(signal, "SIGKILL"), reason="kills as POSIX does")

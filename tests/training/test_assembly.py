@@ -10,9 +10,10 @@ import pytest
 from support.states import assert_same_state
 
 from karolos.core.seeding import SeedTree
-from karolos.errors import KarolosError, SpecError
+from karolos.errors import KarolosError, SpecError, UsageError
 from karolos.spec import load_spec, spec_from_dict
 from karolos.training.assembly import check_parts, make_agent, make_buffer, make_orchestrator
+from karolos.training.memory import machine_memory
 from karolos.training.training import Training
 
 REFUSED = {
@@ -94,6 +95,97 @@ def test_a_resolved_spec_with_its_defaults_spelt_out_is_not_refused(agent: str) 
     buffer = "on_policy" if agent == "ppo" else "uniform"
     spec = spec_from_dict({"environment": "toy", "agent": agent, "buffer": buffer})
     check_parts(spec_from_dict(spec.dump()))
+
+
+LARGE = {
+    "seeds=[1" + 239 * "0" + "]": "seeds[0]: should be less than or equal to 1" + 60 * "0" + ", not 1000",
+    "training.threads=1e6": "training.threads: should be less than or equal to 1024, not 1000000",
+    "training.steps=1e300": "training.steps: should be less than or equal to 1000000000000, not 1e+300",
+    "orchestrator={processes: 100, threads: 100, environments: 100}": "orchestrator: processes x threads x environments"
+    " are 1000000 environments; 65536 are allowed",
+    "orchestrator.environments=1e30": "orchestrator.environments: should be less than or equal to 65536",
+    "agent.hidden=[1e9]": "agent.hidden[0]: should be less than or equal to 65536",
+    "agent.hidden=[0]": "agent.hidden[0]: should be greater than or equal to 1, not 0",
+    "agent.policy_delay=1e20": "agent.policy_delay: should be an integer of at most 64 bits, not 1e+20",
+    "testing.episodes=1e9": "testing.episodes: should be less than or equal to 1000000",
+    "environment={name: gymnasium, id: 'a:b:X'}": "environment.id: 'a:b:X' must be \"Name-v0\" or",
+}
+
+
+@pytest.mark.parametrize("override", LARGE)
+def test_an_amount_that_no_machine_has_is_refused_at_its_setting(override: str, tmp_path: Path) -> None:
+    path = tmp_path / "s.yaml"
+    path.write_text("environment: toy\nagent: sac\n")
+    with pytest.raises(SpecError) as refused:
+        load_spec(path, [override])
+    (problem,) = refused.value.problems
+    assert LARGE[override] in str(problem)
+    assert "override" in problem.where
+
+
+NEEDS_MEMORY = {
+    "capacity": (
+        "buffer: {capacity: 1e9}\n",
+        r"3:20: buffer\.capacity: a buffer of 1,000,000,000 transitions needs 64\.0 GB of memory, and this machine has"
+        r" 10\.0 GB; lower buffer\.capacity",
+    ),
+    "a buffer that a checkpoint copies": (
+        "buffer: {capacity: 1e8}\ntraining: {steps: 1e9}\n",
+        r"3:20: buffer\.capacity: a buffer of 100,000,000 transitions needs 12\.8 GB",
+    ),
+    "networks": (
+        "training: {steps: 1000}\n",
+        r"2:28: agent\.hidden: an agent with networks of 30000 x 30000 units needs 43\.2 GB",
+    ),
+    "processes": (
+        "orchestrator: {processes: 512}\n",
+        r"3:27: orchestrator\.processes: training and testing with 512 worker processes each needs 32\.2 GB",
+    ),
+    "episodes": (
+        "orchestrator: {processes: 0, environments: 65536}\nbuffer: {capacity: 3e7}\n",
+        r"orchestrator\.environments: the actions of 65,536 running episodes of up to 100,000 steps needs",
+    ),
+}
+
+
+@pytest.mark.parametrize("case", NEEDS_MEMORY)
+def test_what_does_not_fit_into_memory_is_refused_with_what_it_needs(
+    case: str, tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    text, expected = NEEDS_MEMORY[case]
+    monkeypatch.setattr("karolos.training.memory.machine_memory", lambda: 10_000_000_000)
+    agent = "{name: sac, hidden: [30000, 30000]}" if case == "networks" else "sac"
+    steps = "{name: toy, max_steps: 1e5}" if case == "episodes" else "toy"
+    path = tmp_path / "s.yaml"
+    path.write_text(f"environment: {steps}\nagent: {agent}\n{text}")
+    with pytest.raises(UsageError, match=expected):
+        check_parts(load_spec(path))
+
+
+def test_runs_at_the_same_time_share_the_memory(monkeypatch: pytest.MonkeyPatch) -> None:
+    monkeypatch.setattr("karolos.training.memory.machine_memory", lambda: 10_000_000_000)
+    spec = spec_from_dict({"environment": "toy", "agent": "sac", "buffer": {"capacity": 1e8}})
+    check_parts(spec)
+    with pytest.raises(UsageError, match=r"needs 6\.4 GB of memory \(2 runs at the same time: 12\.9 GB\), and"):
+        check_parts(spec, jobs=2)
+
+
+def test_the_machine_says_how_much_memory_it_has() -> None:
+    memory = machine_memory()
+    assert memory is None or 1e8 < memory < 1e14
+
+
+def test_an_error_of_a_plugins_constructor_is_one_line(monkeypatch: pytest.MonkeyPatch, tmp_path: Path) -> None:
+    def refuse(*_: object) -> None:
+        raise ZeroDivisionError("no mass\nand a second line")
+
+    monkeypatch.setattr("karolos.environments.toy.Toy.__init__", refuse)
+    path = tmp_path / "s.yaml"
+    path.write_text("environment: toy\nagent: sac\n")
+    with pytest.raises(UsageError) as refused:
+        check_parts(load_spec(path))
+    told = "environment.name: environment 'toy' cannot be made: ZeroDivisionError: no mass"
+    assert str(refused.value) == f"{path}:1:14: {told}"
 
 
 LEARNERS: dict[str, dict[str, Any]] = {

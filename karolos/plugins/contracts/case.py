@@ -12,6 +12,7 @@ from pydantic import ValidationError
 
 from ...errors import UsageError
 from ...registry import load, singular
+from ...simulation.engines import Engine
 
 _HINT = "give a value for each setting without a default, e.g. low=0"
 
@@ -25,12 +26,14 @@ class Candidate:
         name: its name in specs.
         plugin: its class.
         settings: those that differ from the defaults.
+        engine: in which a robot or a task is simulated; by default the environment's default.
     """
 
     kind: str
     name: str
     plugin: type[Any]
     settings: Mapping[str, Any] = field(default_factory=dict)
+    engine: Engine | None = None
 
     def settled(self, **more: Any) -> Any:
         """The plugin's settings, with `more` on top.
@@ -46,9 +49,9 @@ class Candidate:
             raise UsageError(first["msg"], where=place, hint=_HINT) from None
 
 
-def candidate(kind: str, name: str, **settings: Any) -> Candidate:
+def candidate(kind: str, name: str, engine: Engine | None = None, **settings: Any) -> Candidate:
     """An installed plugin. Raises UsageError or PluginError as `registry.load`."""
-    return Candidate(kind, name, load(kind, name), settings)
+    return Candidate(kind, name, load(kind, name), settings, engine)
 
 
 @dataclass(frozen=True)
@@ -68,7 +71,9 @@ class Case:
         self.promise(*self.candidates)
 
     def __str__(self) -> str:
-        who = [text for one in self.candidates for text in (one.name, *map(str, one.settings.values()))]
+        who = [
+            text for one in self.candidates for text in (one.name, *map(str, one.settings.values()), one.engine) if text
+        ]
         return f"{'-'.join(who)}-{self.promise.__name__}"
 
     @property

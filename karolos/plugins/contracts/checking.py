@@ -34,7 +34,7 @@ def cases(one: Candidate, *, alone: bool = False) -> list[Case]:
     if one.kind == "robots":
         return _of_robot(one) + ([] if alone else [case for task in _all("tasks") for case in of_pair(one, task)])
     if one.kind == "tasks":
-        usual = candidate("robots", USUAL_ROBOT)
+        usual = candidate("robots", USUAL_ROBOT, one.engine)
         found = [Case(environments.an_episode_begins_and_takes_a_step, (usual, one), basic=True)]
         found += cases_of(tasks.PROMISES, usual, one)
         return found + ([] if alone else [case for robot in _all("robots") for case in of_pair(robot, one)])

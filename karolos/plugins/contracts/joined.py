@@ -4,6 +4,7 @@ from __future__ import annotations
 
 from collections.abc import Iterator, Mapping
 from contextlib import contextmanager
+from dataclasses import replace
 from typing import Any
 
 from ...core import Environment
@@ -32,8 +33,9 @@ def join(robot: Candidate, task: Candidate, *, drawn: Mapping[str, float] | None
         drawn: values that randomization gives to parameters of the two.
         settings: of the task.
     """
+    engine = robot.engine or task.engine
     return RobotTask(
-        RobotTask.Settings.model_validate({}),
+        RobotTask.Settings.model_validate({} if engine is None else {"engine": engine}),
         robot=robot.plugin(robot.settled()),
         task=task.plugin(task.settled(**settings)),
         randomization={
@@ -79,7 +81,7 @@ def controls(robot: Candidate) -> list[Candidate]:
 
 def under(robot: Candidate, control: str) -> Candidate:
     """The robot under a control mode."""
-    return Candidate(robot.kind, robot.name, robot.plugin, {**robot.settings, "control": control})
+    return replace(robot, settings={**robot.settings, "control": control})
 
 
 def goes_with(task: Candidate, control: str | None) -> bool:

@@ -114,10 +114,6 @@ class Body:
             physicsClientId=self.client,
         )
 
-    def limit_joint_speed(self, velocity: float) -> None:
-        """Cap the speed of every joint of this body in rad/s, whatever pushes it."""
-        self.api.changeDynamics(self.index, -1, maxJointVelocity=velocity, physicsClientId=self.client)
-
     def set_friction(self, lateral: float, link: int = -1) -> None:
         self.api.changeDynamics(self.index, link, lateralFriction=lateral, physicsClientId=self.client)
 

@@ -37,9 +37,6 @@ class Motors:
         self._arm = list(joints)
         self._joints = [*joints, *pads[:1]]
         self._fingers = fingers
-        # A motor that is short of torque can be overrun, when the arm hits the floor, itself or the end of a joint.
-        # PyBullet caps all joints of a body at one speed, the fastest one's; `read` brakes the others.
-        body.limit_joint_speed(max(limits.velocity))
         for link in (-1, *joints):
             body.set_air_drag(0.0, link)
         if fingers is not None:

@@ -11,15 +11,18 @@ from typing import Any
 from xml.etree import ElementTree
 from xml.etree.ElementTree import Element
 
-from ...core import Array
+import numpy as np
+from numpy.typing import NDArray
+
+from ...core import Array, FloatArray
 from ...errors import MachineError, PluginError
 from ...files import temporary_prefix
 from ..geometry import Vector
 from ..interface.engine import FLOOR_FRICTION, GRAVITY, Camera, Colour, Contact, Fingers, JointLimits
 from ..interface.engine import Body as AnyBody
+from ..picture import FLOOR_COLOUR, GRID_COLOUR, GRIDS, SKY_COLOUR, Eye, Marker, draw
 from .body import Body
 from .motors import Motors
-from .picture import FLOOR_COLOUR, GRID_COLOUR, GRIDS, SKY_COLOUR, Marker, draw
 
 FLOOR_HALF = (5.0, 5.0, 0.5)
 """Half the edges of the slab that is the floor, in m. An endless plane would be checked against every link at every
@@ -181,7 +184,28 @@ class World:
 
     def render(self, width: int, height: int, camera: Camera) -> Array:
         markers = [Marker(body.pose()[0], radius, colour) for body, radius, colour in self._markers]
-        return draw(self.api, self.client, width, height, camera, markers)
+        return draw(self._render_bodies, width, height, camera, markers)
+
+    def _render_bodies(self, eye: Eye, width: int, height: int) -> tuple[NDArray[np.uint8], FloatArray]:
+        """PyBullet's software renderer, which needs no display and has no antialiasing."""
+        aim = [own + step for own, step in zip(eye.origin, eye.ahead, strict=True)]
+        image = self.api.getCameraImage(
+            width,
+            height,
+            self.api.computeViewMatrix(eye.origin, aim, eye.up),
+            self.api.computeProjectionMatrixFOV(eye.field_of_view, width / height, eye.near, eye.far),
+            lightDirection=(1.5, -1.4, 3.0),
+            lightColor=(1.0, 0.99, 0.97),
+            lightAmbientCoeff=0.52,
+            lightDiffuseCoeff=0.4,
+            lightSpecularCoeff=0.05,
+            shadow=0,
+            renderer=self.api.ER_TINY_RENDERER,
+            physicsClientId=self.client,
+        )
+        colours, depth, bodies = (np.asarray(part).reshape(height, width, -1) for part in image[2:5])
+        away = eye.far * eye.near / (eye.far - (eye.far - eye.near) * depth[..., 0].astype(np.float32))
+        return colours[..., :3].astype(np.uint8), np.where(bodies[..., 0] >= 0, away, np.float32(np.inf))
 
     def _floor_look(self) -> int:
         """The visual shape of the floor. A window shows the floor of the pictures, which draw theirs without it."""

@@ -1,1 +1,0 @@
-"""Launchers: how the processes of runs are started, on this machine and on others."""

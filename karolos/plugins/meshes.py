@@ -1,0 +1,83 @@
+"""Points on the shapes of a URDF's links, and the files that belong to its meshes."""
+
+from __future__ import annotations
+
+import os
+import re
+from itertools import product
+from pathlib import Path
+from xml.etree.ElementTree import Element
+
+import numpy as np
+
+from ..core import Array
+from ..simulation import urdf
+
+
+def points_of(robot: Element, link: str) -> Array:
+    """Points (n, 3) that span the collision shapes of a link, or its visual ones, in its frame in m."""
+    element = next(one for one in robot.findall("link") if one.get("name") == link)
+    found = [np.zeros((0, 3))]
+    for shape in element.findall("collision") or element.findall("visual"):
+        translation, rotation = urdf.origin_of(shape)
+        found += [_corners(one) @ rotation.T + translation for one in shape.findall("geometry/*")]
+    return np.vstack(found)
+
+
+def _corners(shape: Element) -> Array:
+    """Points (n, 3) of a shape in its own frame. A mesh of a format that is not read here has none."""
+    size = {key: [float(one) for one in value.split()] for key, value in shape.attrib.items() if key != "filename"}
+    if shape.tag == "mesh":
+        scaled: Array = _vertices(Path(shape.get("filename", ""))) * np.array(size.get("scale", [1.0]))
+        return scaled
+    if shape.tag == "box":
+        half = np.array(size["size"]) / 2
+    else:
+        radius, length = size["radius"][0], size.get("length", [0.0])[0]
+        half = np.array([radius, radius, length / 2 if shape.tag == "cylinder" else length / 2 + radius])
+    corners: Array = half * np.array(list(product((-1, 1), repeat=3)))
+    return corners
+
+
+def _vertices(path: Path) -> Array:
+    """Vertices (n, 3) of a mesh."""
+    data = path.read_bytes()
+    if path.suffix.lower() == ".stl" and len(data) == 84 + 50 * (count := int.from_bytes(data[80:84], "little")):
+        triangle = np.dtype([("normal", "<f4", 3), ("corners", "<f4", (3, 3)), ("attributes", "<u2")])
+        return np.frombuffer(data, triangle, count, 84)["corners"].reshape(-1, 3).astype(float)
+    word = {".stl": rb"vertex", ".obj": rb"v"}.get(path.suffix.lower())
+    if word is None:
+        return np.zeros((0, 3))
+    lines = re.findall(rb"^\s*" + word + rb"\s+(\S+)\s+(\S+)\s+(\S+)", data, re.MULTILINE)
+    return np.array(lines, float).reshape(-1, 3)
+
+
+def files_of(mesh: Path) -> list[Path]:
+    """A mesh and the materials and pictures that it names and that exist."""
+    found = [mesh]
+    names = {".obj": rb"^\s*mtllib\s+(.+?)\s*$", ".dae": rb"<init_from>\s*([^<]+?)\s*</init_from>"}
+    names[".mtl"] = rb"^\s*map_\w+\s+(?:.*\s)?(\S+)\s*$"
+    for file in found:  # grows while it is read
+        pattern = names.get(file.suffix.lower())
+        for name in re.findall(pattern, file.read_bytes(), re.MULTILINE) if pattern else ():
+            other = file.parent / name.decode("utf-8", "replace")
+            if other.is_file() and other not in found:
+                found.append(other)
+    return found
+
+
+def with_meshes(path: Path) -> tuple[str, dict[str, Path]]:
+    """A URDF whose meshes are in the folder `meshes` beside it, and the files to copy there by their new names."""
+    text = path.read_text(encoding="utf-8")
+    meshes = {name: mesh for name in _names(path) if (mesh := urdf.find_mesh(name, path.parent)) is not None}
+    files = {file for mesh in meshes.values() for file in files_of(mesh)}
+    if not files:
+        return text, {}
+    top = Path(os.path.commonpath([file.parent for file in files]))
+    for name, mesh in meshes.items():
+        text = re.sub(rf"""(["']){re.escape(name)}\1""", f'"meshes/{mesh.relative_to(top).as_posix()}"', text)
+    return text, {f"meshes/{file.relative_to(top).as_posix()}": file for file in files}
+
+
+def _names(path: Path) -> set[str]:
+    return {mesh.get("filename", "") for mesh in urdf.read(path).iter("mesh")}

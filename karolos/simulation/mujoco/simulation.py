@@ -1,0 +1,152 @@
+"""A MuJoCo model and its state: compiled when its structure changed, and kept up to date with its parameters."""
+
+from __future__ import annotations
+
+import sys
+from collections.abc import Callable
+from threading import Lock
+from typing import Any, Protocol
+
+import numpy as np
+
+from ...errors import MachineError
+from ..interface.engine import GRAVITY
+
+IMPEDANCE_RATIO = 10.0
+"""Ratio of the stiffness of friction to that of the normal direction; a held object creeps less the larger it is."""
+CONTACT_IMPEDANCE = (0.99, 0.995, 0.001, 0.5, 2.0)
+"""`solimp` of contacts, joint limits and the coupling of fingers: (.95, .99) presses a cube 6 mm into the floor."""
+OLDEST = 4_000_001
+"""The oldest version that works, 4.0.1."""
+_IMPORTING = Lock()
+
+
+def _mujoco() -> Any:
+    """The module, imported when a world is built, so that specs are checked without it.
+
+    Raises MachineError for a version that is too old.
+    """
+    with _IMPORTING:
+        if "mujoco" not in sys.modules:
+            import mujoco  # noqa: PLC0415
+
+            if mujoco.mj_version() < OLDEST:
+                raise MachineError(
+                    f"MuJoCo {mujoco.mj_versionString()} is too old",
+                    hint="pip uninstall mujoco mujoco-core, then pip install 'karolos[mujoco]'",
+                )
+            log = mujoco.MjLogConfig.get()  # warnings would be written into a file in the current folder
+            log.logto_console = log.logto_file = False
+            mujoco.MjLogConfig.set(log)
+        return sys.modules["mujoco"]
+
+
+class Part(Protocol):
+    """Something that has places and parameters in the model."""
+
+    def find(self, model: Any) -> None:
+        """Look up the part's places in a model that was just compiled."""
+
+    def write_parameters(self, model: Any) -> None:
+        """Write the part's parameters into the model. Masses and inertias are those of the structure before."""
+
+
+class Simulation:
+    """MuJoCo compiles a model before it simulates. Here it is compiled at the first use after a change of structure.
+
+    A state survives that. Parameters are written into the model at the first use after one has changed.
+
+    The integrator is semi-implicit Euler. Constraints and integrator see the same inertia: joint damping is made
+    implicit by `Motors`, and MuJoCo's own implicit damping is off. With `implicitfast`, pads would slip.
+
+    Args:
+        timestep: of a physics step in s.
+        substeps: physics steps per control step.
+        declare: adds what depends on all bodies to the spec, before it is compiled.
+    """
+
+    def __init__(self, timestep: float, substeps: int, declare: Callable[[], None]) -> None:
+        self.api = api = _mujoco()
+        self.timestep = timestep
+        self.substeps = substeps
+        self.parts: list[Part] = []
+        self.model: Any = None
+        self.spec = api.MjSpec()
+        self.spec.compiler.degree = False
+        option = self.spec.option
+        option.timestep = timestep
+        option.integrator = api.mjtIntegrator.mjINT_EULER
+        option.cone = api.mjtCone.mjCONE_ELLIPTIC
+        option.impratio = IMPEDANCE_RATIO
+        option.gravity = (0.0, 0.0, GRAVITY)
+        # a state that diverged must be seen, so it is not reset
+        option.disableflags = api.mjtDisableBit.mjDSBL_AUTORESET | api.mjtDisableBit.mjDSBL_EULERDAMP
+        option.enableflags = api.mjtEnableBit.mjENBL_DIAGEXACT
+        self._declare = declare
+        self._data: Any = None
+        self._scratch: Any = None
+        self._structure_changed = self._parameters_changed = True
+        self.stepped = False
+        """Whether forces and contacts of a physics step are known: no state was written since the last one."""
+
+    @property
+    def stiff(self) -> tuple[float, float]:
+        """`solref` of the stiffest constraints that the time step allows."""
+        return 2 * self.timestep, 1.0
+
+    def restructure(self) -> None:
+        """Compile the model before its next use."""
+        self._structure_changed = True
+
+    def reparametrise(self) -> None:
+        """Write all parameters into the model before its next use."""
+        self._parameters_changed = True
+
+    def ready(self) -> Any:
+        """MuJoCo's data, of a model that has the present structure and parameters."""
+        if self._structure_changed:
+            self._compile()
+        if self._parameters_changed:
+            self._write_parameters()
+        return self._data
+
+    def writable(self) -> Any:
+        """MuJoCo's data before a state is written.
+
+        Contacts and the solver's warm start are forgotten, so that an episode repeats bit for bit in a used world.
+        """
+        data = self.ready()
+        data.qacc_warmstart[:] = 0.0
+        self.stepped = False
+        return data
+
+    def motor_force(self, dof: int) -> float:
+        """Torque or force (N m or N) of the motor of a degree of freedom in the last physics step."""
+        row = int(self.rows[dof])
+        return float(self._data.efc_force[self._data.ne + row]) if self.stepped and row >= 0 else 0.0
+
+    def _compile(self) -> None:
+        self._declare()
+        if self._data is None:
+            self.model = self.spec.compile()
+            self._data = self.api.MjData(self.model)
+        else:
+            self.model, self._data = self.spec.recompile(self.model, self._data)
+        self._scratch = self.api.MjData(self.model)
+        self._masses, self._inertias = self.model.body_mass.copy(), self.model.body_inertia.copy()
+        for part in self.parts:
+            part.find(self.model)
+        self._structure_changed = self.stepped = False
+        self._parameters_changed = True
+
+    def _write_parameters(self) -> None:
+        model = self.model
+        model.body_mass[:], model.body_inertia[:] = self._masses, self._inertias
+        model.jnt_solref[:], model.jnt_solimp[:] = self.stiff, CONTACT_IMPEDANCE
+        for part in self.parts:
+            part.write_parameters(model)
+        driven = model.dof_frictionloss > 0
+        self.rows = np.where(driven, np.cumsum(driven) - 1, -1)
+        """Row of each degree of freedom's motor among the constraints, after those of equality; -1 without a motor."""
+        self.api.mj_setConst(model, self._scratch)  # it uses the data that it gets as workspace
+        self._parameters_changed = False

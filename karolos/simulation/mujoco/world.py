@@ -1,0 +1,249 @@
+"""A MuJoCo world."""
+
+from __future__ import annotations
+
+import copy
+from collections.abc import Iterator, Sequence
+from itertools import combinations, product
+from typing import Any
+from xml.etree import ElementTree
+from xml.etree.ElementTree import Element
+
+import numpy as np
+from numpy.typing import NDArray
+
+from ...core import Array, FloatArray
+from ...errors import MachineError, PluginError
+from ..geometry import Vector
+from ..interface.engine import FLOOR_FRICTION, Camera, Colour, Contact, Fingers, JointLimits
+from ..interface.engine import Body as AnyBody
+from ..picture import Eye, Marker, draw
+from .body import Body
+from .motors import Motors
+from .renderer import Renderer
+from .simulation import CONTACT_IMPEDANCE, Simulation
+
+
+class World:
+    """Implements `interface.World`; a control step is `substeps` physics steps of `timestep` seconds.
+
+    Contacts have the product of the friction coefficients of both bodies, as with PyBullet. Therefore every pair of
+    shapes that may touch is declared; MuJoCo by itself would take the larger coefficient.
+    """
+
+    def __init__(
+        self,
+        substeps: int = 10,
+        *,
+        timestep: float = 1 / 240,
+        window: bool = False,
+        camera: Camera | None = None,  # noqa: ARG002 (of a window)
+    ) -> None:
+        if window:
+            raise MachineError("the engine mujoco has no window", hint="set environment.engine=bullet, or make a film")
+        self.substeps = substeps
+        self.period = substeps * timestep
+        self._simulation = simulation = Simulation(timestep, substeps, self._declare_pairs)
+        self._spec, self.api = simulation.spec, simulation.api
+        self._bodies: list[Body] = []
+        self._motors: list[Motors] = []
+        self._markers: list[tuple[Body, float, Colour]] = []
+        self._pairs: list[tuple[Body, int, Body, int]] = []
+        self._renderers: dict[tuple[int, int], Renderer] = {}
+        self._spec.visual.headlight.active = 0
+        self._spec.worldbody.add_light(
+            type=self.api.mjtLightType.mjLIGHT_DIRECTIONAL,
+            dir=(-1.5, 1.4, -3.0),
+            ambient=[0.52] * 3,
+            diffuse=[0.4] * 3,
+            specular=[0.05] * 3,
+            castshadow=False,
+        )
+        floor = self._spec.worldbody.add_body(name="0/floor", mocap=True)
+        floor.add_geom(name="0/floor", type=self.api.mjtGeom.mjGEOM_PLANE, size=(5.0, 5.0, 0.05), group=2)
+        self.floor = self._add(["0/floor"], [["0/floor"]], free=False)
+        self.set_floor_friction(FLOOR_FRICTION)
+        simulation.parts.append(self)
+
+    def step(self) -> None:
+        simulation = self._simulation
+        data, model = simulation.ready(), simulation.model
+        begin, end = self.api.mj_step1, self.api.mj_step2
+        for substep in range(self.substeps):
+            begin(model, data)
+            rows = data.ne + simulation.rows
+            for motors in self._motors:
+                motors.substep(substep, data, rows)
+            end(model, data)
+        simulation.stepped = True
+
+    def set_gravity(self, gravity: float) -> None:
+        self._spec.option.gravity = (0.0, 0.0, gravity)
+        if self._simulation.model is not None:
+            self._simulation.model.opt.gravity[2] = gravity
+
+    def set_floor_friction(self, friction: float) -> None:
+        self.floor.set_friction(friction)
+
+    def load(self, robot: Element, *, position: Vector = (0.0, 0.0, 0.0)) -> Body:
+        robot = copy.deepcopy(robot)
+        keep = {"discardvisual": "false", "fusestatic": "false", "balanceinertia": "true"}
+        ElementTree.SubElement(ElementTree.SubElement(robot, "mujoco"), "compiler", keep)
+        try:
+            loaded = self.api.MjSpec.from_string(ElementTree.tostring(robot, encoding="unicode"))
+            loaded.copy().compile()
+        except ValueError as error:
+            raise PluginError(
+                f"mujoco cannot load this URDF: {error}", where=f"robot {robot.get('name', '?')}"
+            ) from error
+        bodies = loaded.bodies[1:]
+        bodies[0].mocap = True
+        bodies[0].pos = position
+        prefix = f"{len(self._bodies)}/"
+        names, shapes = [], []
+        for body in bodies:
+            names.append(prefix + body.name)
+            shapes.append(list(self._shapes(body, prefix)))
+        self._spec.attach(loaded, prefix=prefix, frame=self._spec.worldbody.add_frame())
+        return self._add(names, shapes, free=False)
+
+    def _shapes(self, body: Any, prefix: str) -> Iterator[str]:
+        """Name the geoms of a URDF's link that collide. They are drawn only if the link has no others."""
+        geoms = body.geoms
+        visible = any(not geom.contype for geom in geoms)
+        for place, geom in enumerate(geoms):
+            if geom.contype:
+                geom.name = f"{body.name} {place}"
+                geom.group = 3 if visible else 1
+                geom.contype = geom.conaffinity = 0
+                yield prefix + geom.name
+
+    def motors(self, body: AnyBody, joints: Sequence[str], limits: JointLimits, fingers: Fingers | None) -> Motors:
+        links = body.links()
+        pads = [links[name] for name in fingers.links] if fingers else []
+        arm = [links[name] for name in joints]
+        motors = Motors(self._simulation, self._bodies[body.index], limits, arm, fingers, pads)
+        self._motors.append(motors)
+        self._simulation.parts.append(motors)
+        if fingers is not None:
+            first, second = (f"{body.index}/{name}" for name in fingers.joints)
+            self._spec.add_equality(
+                type=self.api.mjtEq.mjEQ_JOINT,
+                objtype=self.api.mjtObj.mjOBJ_JOINT,
+                name1=first,
+                name2=second,
+                data=[0.0, 1.0] + [0.0] * 10,
+                solref=self._simulation.stiff,
+                solimp=CONTACT_IMPEDANCE,
+            )
+        self._simulation.restructure()
+        return motors
+
+    def box(self, size: Vector, mass: float, colour: Colour) -> Body:
+        name = f"{len(self._bodies)}/box"
+        half = [edge / 2 for edge in size]
+        body = self._spec.worldbody.add_body(name=name, mocap=mass == 0)
+        body.add_geom(
+            name=name,
+            type=self.api.mjtGeom.mjGEOM_BOX,
+            size=half,
+            mass=mass,
+            rgba=colour,
+            contype=0,
+            conaffinity=0,
+            group=1,
+        )
+        if mass > 0:
+            body.add_freejoint()
+        return self._add([name], [[name]], free=mass > 0)
+
+    def marker(self, radius: float, colour: Colour) -> Body:
+        name = f"{len(self._bodies)}/marker"
+        self._spec.worldbody.add_body(name=name, mocap=True)
+        marker = self._add([name], [[]], free=False)
+        self._markers.append((marker, radius, colour))
+        return marker
+
+    def update_contacts(self) -> None:
+        self._simulation.writable()
+
+    def contacts(self, first: AnyBody, second: AnyBody, link: int) -> list[Contact]:
+        data = self._simulation.ready()
+        if not (self._simulation.stepped and data.ncon):
+            return []
+        bodies = self._simulation.model.geom_bodyid[data.contact.geom].tolist()
+        own, others = self._bodies[first.index].ids[link + 1], self._bodies[second.index].ids
+        found = []
+        for place, (one, other) in enumerate(bodies):
+            if one == own and other in others:
+                sign = -1.0
+            elif other == own and one in others:
+                sign = 1.0
+            else:
+                continue
+            row = int(data.contact.efc_address[place])
+            normal = tuple((sign * data.contact.frame[place, :3]).tolist())
+            found.append(Contact(normal, float(data.efc_force[row]) if row >= 0 else 0.0))
+        return found
+
+    def render(self, width: int, height: int, camera: Camera) -> Array:
+        data = self._simulation.ready()
+        for compute in (self.api.mj_kinematics, self.api.mj_comPos, self.api.mj_camlight):
+            compute(self._simulation.model, data)
+        markers = [Marker(body.pose()[0], radius, colour) for body, radius, colour in self._markers]
+        return draw(self._render_bodies, width, height, camera, markers)
+
+    def _render_bodies(self, eye: Eye, width: int, height: int) -> tuple[NDArray[np.uint8], FloatArray]:
+        size = width, height
+        if size not in self._renderers:
+            self._renderers[size] = Renderer(self.api, self._simulation.model, width, height)
+        return self._renderers[size](self._simulation.ready(), eye)
+
+    def _free_renderers(self) -> None:
+        for renderer in self._renderers.values():
+            renderer.close()
+        self._renderers = {}
+
+    def close(self) -> None:
+        self._free_renderers()
+
+    def find(self, model: Any) -> None:
+        """Nothing to look up: contacts are found by their pair."""
+
+    def write_parameters(self, model: Any) -> None:
+        """Write the friction of every pair into the model."""
+        lateral = [one.frictions[first] * other.frictions[second] for one, first, other, second in self._pairs]
+        model.pair_friction[:, :2] = np.maximum(lateral, self.api.mjMINMU)[:, None]
+
+    def _add(self, names: Sequence[str], shapes: Sequence[Sequence[str]], *, free: bool) -> Body:
+        body = Body(self._simulation, len(self._bodies), names, shapes, free=free)
+        self._bodies.append(body)
+        self._simulation.parts.append(body)
+        self._simulation.restructure()
+        return body
+
+    def _declare_pairs(self) -> None:
+        """Declare every pair of shapes that may touch."""
+        self._free_renderers()
+        for pair in self._spec.pairs:
+            self._spec.delete(pair)
+        self._pairs = []
+        for one, other in combinations(self._bodies, 2):
+            for first, second in product(range(-1, len(one.shapes) - 1), range(-1, len(other.shapes) - 1)):
+                if one.free or other.free or first >= 0 or second >= 0:  # something of the two moves
+                    self._pair(one, first, other, second)
+        for body in self._bodies:
+            for first, second in body.pairs:
+                self._pair(body, first, body, second)
+
+    def _pair(self, one: Body, first: int, other: Body, second: int) -> None:
+        """Let all shapes of a link of one body collide with all shapes of a link of another."""
+        for shape, opposite in product(one.shapes[first + 1], other.shapes[second + 1]):
+            self._pairs.append((one, first + 1, other, second + 1))
+            self._spec.add_pair(
+                geomname1=shape,
+                geomname2=opposite,
+                condim=3,
+                solref=self._simulation.stiff,
+                solimp=CONTACT_IMPEDANCE,
+            )

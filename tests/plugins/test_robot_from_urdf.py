@@ -1,0 +1,136 @@
+"""`karolos plugins new robot --urdf`: what is proposed for somebody's URDF, and the guide's way to a trained policy."""
+
+from __future__ import annotations
+
+import re
+import shlex
+from importlib.util import find_spec
+from pathlib import Path
+
+import numpy as np
+import pytest
+from karolos_cli.plugins import app
+from support.commands import call
+from support.fourth_robot import TOOL, WIDTH, exported_arm
+from support.plugin_packages import install, python
+
+from karolos.errors import PluginError
+from karolos.plugins.proposal import propose
+
+GUIDE = Path(__file__).parents[2] / "docs" / "your_robot.md"
+
+
+def test_arm_tool_gripper_home_and_workspace_are_found_in_a_urdf_as_exporters_write_it(tmp_path: Path) -> None:
+    path = exported_arm(tmp_path).model.urdf
+    found = propose(path)
+    model, fingers = found.model, found.model.fingers
+    assert found.joints == tuple(f"joint{place}" for place in range(1, 7))
+    assert model.tool == (0.0, 0.0, TOOL)  # the frame tool0
+    assert fingers is not None
+    assert fingers.joints == ("slide1", "slide2")
+    assert (fingers.travel, fingers.open_at_zero, fingers.gripper.width) == (WIDTH / 2, False, WIDTH)
+    assert model.locked == {}
+    assert min(np.subtract(model.workspace.high, model.workspace.low)) > 0.2
+    assert model.workspace.low[2] < 0.03, "the tool reaches objects on the floor"
+    assert [note.partition(":")[0] for note in found.notes] == [
+        "base", "arm", "gripper", "tool", "home", "workspace", "self-collisions",
+    ]  # fmt: skip
+
+
+def test_the_tool_is_at_the_tips_of_the_fingers_where_no_frame_names_it(tmp_path: Path) -> None:
+    path = exported_arm(tmp_path).model.urdf
+    path.write_text(path.read_text().replace("tool0", "somewhere"))
+    assert propose(path).model.tool == pytest.approx((0, 0, TOOL + 0.015 - 0.01), abs=1e-6)
+    assert propose(path, "somewhere").model.tool == (0, 0, TOOL)
+
+
+def test_a_gripper_with_turning_fingers_is_locked(tmp_path: Path) -> None:
+    path = exported_arm(tmp_path).model.urdf
+    path.write_text(path.read_text().replace('"prismatic"', '"revolute"'))
+    found = propose(path)
+    assert found.model.fingers is None
+    assert found.model.locked == {"slide1": 0.0}
+    assert "locked: slide1, slide2 do not move" in found.notes
+
+
+@pytest.mark.parametrize(
+    ("old", "new", "message"),
+    [
+        ('name="joint3" type="revolute"', 'name="joint3" type="prismatic"', "an arm of 2 turning joints"),
+        ('name="joint3" type="revolute"', 'name="joint3" type="fixed"', "no box of 10 cm was found"),
+        ('effort="15" velocity="0.06"', 'effort="0" velocity="0"', "joint slide1: limits must satisfy"),
+        ("small_description/meshes", "elsewhere", "link base: there is no mesh 'package://elsewhere/mark.obj'"),
+        ('<mass value="1.2"/>', '<mass value="0"/>', "link link3: it moves and has no mass"),
+    ],
+)
+def test_a_urdf_that_does_not_work_is_refused_in_one_line_and_nothing_is_written(
+    tmp_path: Path, old: str, new: str, message: str
+) -> None:
+    path = exported_arm(tmp_path).model.urdf
+    text = path.read_text()
+    assert old in text
+    path.write_text(text.replace(old, new))
+    code, printed, err = call(app, "new", "robot", "mine", "--urdf", str(path), "--out", str(tmp_path / "new"))
+    assert (code, printed) == (3, "")
+    assert message in err
+    assert len(err.strip().splitlines()) <= 2, "the message and a hint"
+    assert not (tmp_path / "new").exists()
+
+
+def test_of_two_arms_one_is_chosen_by_its_tool(tmp_path: Path) -> None:
+    path = exported_arm(tmp_path).model.urdf
+    whole = path.read_text()
+    first = whole.index('<link name="link1">')
+    second = re.sub(r'"(link|joint|pad|slide|elbow|tool0)', r'"left_\1', whole[first : whole.index("<transmission")])
+    path.write_text(whole.replace("<transmission", f"{second}<transmission", 1))
+    with pytest.raises(
+        PluginError, match=r"link world: two arms begin here, with joints joint1, left_joint1; .*--tool"
+    ):
+        propose(path)
+    assert propose(path, "left_tool0").joints[0] == "left_joint1"
+    with pytest.raises(PluginError, match="there is no link 'tool7'; links: world, base"):
+        propose(path, "tool7")
+
+
+@pytest.mark.parametrize(
+    ("arguments", "message"),
+    [(("task", "x", "--urdf", "x"), "a task has no URDF"), (("robot", "x", "--tool", "x"), "add --urdf FILE")],
+)
+def test_options_that_do_not_go_together_are_refused(arguments: tuple[str, ...], message: str) -> None:
+    code, _, err = call(app, "new", *arguments)
+    assert code == 2
+    assert message in err
+
+
+def test_the_commands_of_the_guide_lead_from_a_urdf_to_a_policy(tmp_path: Path) -> None:
+    """With a URDF that comes with PyBullet, at toy size; `pip install -e` is replaced by what it does."""
+    guide = GUIDE.read_text()
+    commands = [
+        line.partition(" #")[0].strip() for line in re.findall(r"^    (karolos .*|pip .*)$", guide, re.MULTILINE)
+    ]
+    spec = find_spec("pybullet_data")
+    assert spec is not None
+    assert spec.submodule_search_locations is not None
+    file = Path(spec.submodule_search_locations[0]) / "kuka_iiwa" / "model.urdf"
+    small = ["--width", "64", "--height", "48"]
+    toy = {
+        "inspect": small,
+        "run": ["agent.hidden=[8]", "orchestrator.environments=2", "task.max_steps=4"]
+        + [f"training.{one}" for one in ("steps=16", "warmup_episodes=1", "batch_size=8", "replay_ratio=1")]
+        + [f"testing.{one}" for one in ("interval=16", "episodes=2", "final_episodes=2")],
+        "play": ["--episodes", "1", *small],
+    }
+    done = []
+    for command in commands:
+        words = shlex.split(command.replace("$URDF", str(file)))
+        sources = [path / "src" for path in tmp_path.glob("karolos-*")]
+        if words[0] == "pip":
+            install(tmp_path / words[-1])
+        elif words[1:3] != ["plugins", "check"]:  # takes minutes; test_fourth_robot checks what it checks
+            more = toy.get(words[1], [])
+            ran = python("-m", "karolos_cli", *words[1:], *more, sources=sources, folder=tmp_path)
+            assert ran.returncode == 0, f"{command}\n{ran.stdout}{ran.stderr}"
+            done.append(words[1])
+    assert done == ["plugins", "inspect", "run", "play"]
+    assert (tmp_path / "my_arm.png").exists()
+    assert (tmp_path / "my_arm.mp4").exists()

@@ -1,0 +1,49 @@
+"""A number where a distribution is expected."""
+
+from __future__ import annotations
+
+from pathlib import Path
+
+import pytest
+from support.spec_files import problems_of, write
+
+from karolos.errors import UsageError
+from karolos.spec import load_spec
+from karolos.training.assembly import check_parts
+
+REACH = "robot: panda\ntask: reach\nagent: sac\n"
+
+
+def test_a_number_is_a_distribution_of_one_value(tmp_path: Path) -> None:
+    plain = load_spec(write(tmp_path, "s.yaml", REACH + "randomization: {task.gravity: -5}\n"))
+    drawn = {"name": "choice", "values": [-5.0], "weights": None}
+    assert plain.dump()["randomization"] == {"task.gravity": drawn}
+    written = "randomization: {task.gravity: {name: choice, values: [-5]}}\n"
+    assert plain.hash() == load_spec(write(tmp_path, "t.yaml", REACH + written)).hash()
+    override = "randomization.task.gravity=-5"
+    assert plain.hash() == load_spec(write(tmp_path, "u.yaml", REACH), [override]).hash()
+
+
+@pytest.mark.parametrize(
+    ("value", "expected"),
+    [
+        ("true", "s.yaml:4:31: randomization.task.gravity: should be a number, the name of a distribution, or a"),
+        ("[1, 2]", "s.yaml:4:31: randomization.task.gravity: should be a number, the name of a distribution, or a"),
+        (".inf", "s.yaml:4:31: randomization.task.gravity.values[0]: should be a finite number"),
+    ],
+)
+def test_other_values_are_refused(tmp_path: Path, value: str, expected: str) -> None:
+    (line,) = problems_of(write(tmp_path, "s.yaml", REACH + f"randomization: {{task.gravity: {value}}}\n"))
+    assert line.startswith(expected)
+
+
+def test_a_value_that_the_parameter_never_takes_is_refused_before_a_run(tmp_path: Path) -> None:
+    path = write(tmp_path, "s.yaml", REACH + "randomization: {task.gravity: -50}\n")
+    with pytest.raises(UsageError, match=r"s\.yaml:4:\d+: randomization\.task\.gravity: .* allowed is -20 to 0 m/s2"):
+        check_parts(load_spec(path))
+
+
+def test_a_parameter_among_the_settings_is_told_where_it_goes(tmp_path: Path) -> None:
+    (line,) = problems_of(write(tmp_path, "s.yaml", REACH), "task.gravity=-5")
+    assert "no such key" in line
+    assert line.endswith("a parameter of the world is set as randomization: {task.gravity: NUMBER}")

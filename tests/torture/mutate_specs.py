@@ -1,0 +1,327 @@
+"""Mutate the shipped specs and see that `karolos check` prints lines and never a traceback.
+
+    python tests/torture/mutate_specs.py --count 2000 --run 100 [--seed 0] [--only N]
+
+A mutant has one to four mutations: keys deleted, duplicated, renamed or moved, values of other types and sizes, deep
+nesting, anchors and aliases, names of missing plugins, broken text, overrides of any kind. Of the mutants that `check`
+accepts, `--run` are then run with a small budget, each in a process of its own. A run ends well if it is finished, or
+if the command ends with an error of one line. Ends with 1 if there was a traceback, or a run that ended otherwise.
+"""
+
+from __future__ import annotations
+
+import argparse
+import copy
+import random
+import subprocess
+import sys
+import tempfile
+import traceback
+from collections import Counter
+from collections.abc import Callable
+from itertools import pairwise
+from pathlib import Path
+from typing import Any
+
+import yaml
+from karolos_cli.check import check
+from typer import Typer
+from typer.testing import CliRunner
+
+from karolos.errors import KarolosError
+from karolos.registry import KINDS, names
+
+SPECS = Path(__file__).parents[2] / "specs"
+BUDGET = (
+    "training.steps=200",
+    "testing.interval=100",
+    "testing.episodes=2",
+    "testing.final_episodes=2",
+    "seeds=[0]",
+)
+"""Overrides of a run that is to be quick."""
+MORE = {
+    "training": ("training.replay_ratio=1", "training.warmup_episodes=1", "training.batch_size=16"),
+    "demonstrations": ("demonstrations.episodes=2", "demonstrations.updates=2"),
+}
+"""Overrides for specs whose agent replays, or that have demonstrations."""
+PATIENCE = 90.0
+"""Seconds that such a run may take, start-up included."""
+VALUES: tuple[Any, ...] = (
+    *(None, True, False, 0, 1, -1, 2, 0.5, -0.5, 1e-300, 1e300, -1e300, 10**18, 10**30, -(10**30), 2**63, 2**31),
+    *(float("inf"), float("nan"), "", " ", "x", "null", "1e5", "0x10", "sac", "panda", "../../etc/passwd", "a:b:c"),
+    *("\N{SNOWMAN}" * 3, "\N{RIGHT-TO-LEFT OVERRIDE}x", "\x1b[31m", "x" * 5000, "\N{GREEK SMALL LETTER ALPHA}\u0301"),
+    *([], {}, [[]], [{}], {"": 1}, {"name": None}, {"name": []}, {"name": "sac"}, [1, 2, 3], [0] * 300, ["a"] * 5),
+    *({"x": {"y": {"z": [1, {"w": 2}]}}}, [1, [2, [3, [4]]]], {"1": 1}, 1.5, 3, 10, 100, 1000, 65536, 1024, 1e6),
+)
+KEYS = (
+    "name",
+    "robot",
+    "steps",
+    "x",
+    "",
+    "extends",
+    "sweep",
+    "a.b",
+    "\N{SNOWMAN}",
+    "seeds ",
+    "Agent",
+    "<<",
+    "null",
+    "1",
+)
+OVERRIDES = (
+    *(
+        "",
+        "=",
+        "x",
+        "=1",
+        "a=b=c",
+        ".=1",
+        "agent",
+        "agent=",
+        "agent=null",
+        "agent.=1",
+        "agent..x=1",
+        "agent.name=",
+        "#=1",
+    ),
+    *(
+        "robot.name=[1]",
+        "seeds=[",
+        "seeds={0}",
+        "seeds=[0,0]",
+        "seeds=1",
+        "training={}",
+        "training=null",
+        "extends=x.yaml",
+    ),
+    *("buffer.name=priority", "buffer.name=on_policy", "agent.name=ppo", "agent=dqn", "environment=toy", "task=throw"),
+    *("environment={name: gymnasium, id: CartPole-v1}", "environment={name: gymnasium, id: 'x:Y-v0'}", "robot=null"),
+    *(
+        "environment={name: gymnasium, id: CartPole-v1, kwargs: {x: 1}}",
+        "randomization.task.gravity=-5",
+        "task.gravity=-5",
+    ),
+    *("randomization.task.gravity={name: uniform, low: 1, high: 2}", "randomization=5", "sweep={space: {}}", "\x00=1"),
+    *("sweep={space: {agent.learning_rate: {float: [0, 1], log: true}}}", "training.mode=async", "name=" + "n" * 300),
+    *(
+        "sweep={space: {training.batch_size: {int: [1, 1e18]}}, sampler: grid}",
+        "agent.hidden=[1,2,3]",
+        "a" * 4000 + "=1",
+    ),
+    *(
+        "training.device=cuda",
+        "orchestrator=auto",
+        "orchestrator.processes=0",
+        "buffer.hindsight=null",
+        "demonstrations={}",
+    ),
+)
+
+Tree = Any
+Place = tuple[Any, Any]
+"""A container and a key or index in it."""
+
+
+def places(tree: Tree) -> list[Place]:
+    """Every entry of the nested mappings and lists."""
+    found: list[Place] = []
+    entries = tree.items() if isinstance(tree, dict) else enumerate(tree) if isinstance(tree, list) else ()
+    for key, value in entries:
+        found += [(tree, key), *places(value)]
+    return found
+
+
+def put_value(tree: Tree, draw: random.Random) -> None:
+    container, key = draw.choice(places(tree))
+    container[key] = copy.deepcopy(draw.choice(VALUES))
+
+
+def scale_number(tree: Tree, draw: random.Random) -> None:
+    numbers = [(one, key) for one, key in places(tree) if isinstance(one[key], int | float)]
+    if numbers:
+        container, key = draw.choice(numbers)
+        container[key] = container[key] * draw.choice((-1, 0, 0.1, 2, 10, 1e3, 1e9, 1e40))
+
+
+def delete(tree: Tree, draw: random.Random) -> None:
+    container, key = draw.choice(places(tree))
+    del container[key]
+
+
+def rename(tree: Tree, draw: random.Random) -> None:
+    container, key = draw.choice([one for one in places(tree) if isinstance(one[0], dict)])
+    letters = list(str(key))
+    draw.shuffle(letters)
+    container[draw.choice((*KEYS, "".join(letters), f"{key}x", str(key)[:-1], str(key).upper()))] = container.pop(key)
+
+
+def add_key(tree: Tree, draw: random.Random) -> None:
+    mappings = [tree, *(one[key] for one, key in places(tree) if isinstance(one[key], dict))]
+    draw.choice(mappings)[draw.choice(KEYS)] = copy.deepcopy(draw.choice(VALUES))
+
+
+def move(tree: Tree, draw: random.Random) -> None:
+    (one, key), (other, place) = draw.choice(places(tree)), draw.choice(places(tree))
+    other[place] = copy.deepcopy(one[key])
+
+
+def nest(tree: Tree, draw: random.Random) -> None:
+    container, key = draw.choice(places(tree))
+    for _ in range(draw.choice((1, 2, 5, 31, 40, 200))):
+        container[key] = [container[key]] if draw.random() < 0.5 else {"x": container[key]}
+
+
+def name_plugin(tree: Tree, draw: random.Random) -> None:
+    kind = draw.choice(KINDS)
+    name = draw.choice((*names(kind), "sacc", "panda2", "uniforn", "karolos.robots.panda:Panda"))
+    key = kind.removesuffix("s") if kind != "distributions" else "randomization"
+    tree[key] = {"task.gravity": {"name": name}} if kind == "distributions" else draw.choice((name, {"name": name}))
+
+
+TREE_MUTATIONS: tuple[Callable[[Tree, random.Random], None], ...] = (
+    *(put_value, put_value, scale_number, scale_number, delete, rename, add_key, move, nest, name_plugin),
+)
+
+
+def break_text(text: str, draw: random.Random) -> str:
+    """Change the text of a spec below YAML's structure."""
+    lines = text.splitlines() or [""]
+    place = draw.randrange(len(lines))
+    kind = draw.randrange(9)
+    if kind == 0:
+        lines.insert(place, lines[place])  # a duplicate key
+    elif kind == 1:
+        lines[place] = " " * draw.randrange(5) + lines[place].strip()
+    elif kind == 2:
+        lines.insert(place, "a0: &a [" + "x, " * 20 + "]")
+        lines += [f"a{last}: &{last} [{f'*{one}, ' * 20}]" for one, last in pairwise("abcdef")]
+    elif kind == 3:
+        lines[place] = lines[place].replace(
+            ": ", draw.choice((":", ": !!python/name:os.system ", ": &x *x ", ": - ")), 1
+        )
+    elif kind == 4:
+        at = draw.randrange(len(lines[place]) + 1)
+        lines[place] = lines[place][:at] + draw.choice("{}[]:,&*!|>'\"%@`#\t\x07\ufffe") + lines[place][at:]
+    elif kind == 5:
+        lines.insert(place, draw.choice(("---", "...", "<<: {agent: sac}", "? [1, 2]", "extends: s.yaml", "- x")))
+    elif kind == 6:
+        return text[: draw.randrange(len(text) + 1)]
+    elif kind == 7:
+        lines.append("x: " + "[" * draw.choice((10, 100, 10_000)))
+    else:
+        lines.append("y: " + "9" * draw.choice((30, 300, 3000)))
+    return "\n".join(lines) + "\n"
+
+
+def mutant(draw: random.Random, specs: list[Path]) -> tuple[str, list[str]]:
+    """The text of a mutated spec, and overrides."""
+    source = draw.choice(specs)
+    tree = yaml.safe_load(source.read_text("utf-8"))
+    if draw.random() < 0.5:  # a larger spec, in which more can break
+        for base in tree.get("extends") or [] if isinstance(tree.get("extends"), list) else [tree.get("extends")]:
+            if base:
+                tree = {**yaml.safe_load((source.parent / base).read_text("utf-8")), **tree}
+        tree.pop("extends", None)
+    for _ in range(draw.choice((0, 1, 1, 1, 2, 2, 3))):
+        if places(tree):
+            draw.choice(TREE_MUTATIONS)(tree, draw)
+    text = yaml.dump(tree, sort_keys=False, allow_unicode=True)
+    if draw.random() < 0.2:
+        text = break_text(text, draw)
+    overrides = [draw.choice(OVERRIDES) for _ in range(draw.choice((0, 0, 0, 1, 2)))]
+    return text, overrides
+
+
+def checked(app: Typer, path: Path, overrides: list[str]) -> tuple[int, str, str | None]:
+    """Exit code and output of `check`, and the traceback if it raised."""
+    result = CliRunner().invoke(app, [str(path), *(text for text in overrides if not text.startswith("-"))])
+    error = result.exception
+    if isinstance(error, KarolosError):
+        return error.exit_code, str(error), None
+    if error is not None and not isinstance(error, SystemExit):
+        return 1, result.output, "".join(traceback.format_exception(error))
+    return result.exit_code, result.output, None
+
+
+def ended(path: Path, overrides: list[str], runs: Path) -> str | None:
+    """Why the run of an accepted mutant did not end well; None if it did."""
+    text = path.read_text("utf-8")
+    budget = [*BUDGET]
+    if "ppo" not in text and not any("ppo" in override for override in overrides):
+        budget += MORE["training"]
+    if "demonstrations" in text and "demonstrations: null" not in text:
+        budget += MORE["demonstrations"]
+    command = [sys.executable, "-m", "karolos_cli", "run", str(path), *overrides]
+    for more in (budget, list(BUDGET), []):  # a budget may not fit a spec
+        code, _, _ = checked(APP, path, [*overrides, *more])
+        if code == 0:
+            break
+    command += [*more, "--runs", str(runs), "--time-limit", "30s"]
+    try:
+        done = subprocess.run(command, capture_output=True, text=True, timeout=PATIENCE, check=False)
+    except subprocess.TimeoutExpired:
+        return f"was not over after {PATIENCE:g} s"
+    if "Traceback" in done.stderr:
+        return done.stderr
+    if done.returncode in (0, 124):  # finished, or stopped by the time limit
+        return None
+    return None if done.stderr.strip() else f"ended with {done.returncode} without a word"
+
+
+APP = Typer()
+APP.command()(check)
+
+
+def main() -> int:
+    parser = argparse.ArgumentParser(description=(__doc__ or "").splitlines()[0])
+    parser.add_argument("--count", type=int, default=2000, help="mutants to check")
+    parser.add_argument("--run", type=int, default=0, help="accepted mutants to run")
+    parser.add_argument("--seed", type=int, default=0)
+    parser.add_argument("--only", type=int, help="only the mutant of this number, which is printed")
+    options = parser.parse_args()
+    specs = sorted(SPECS.glob("*.yaml"))
+    codes: Counter[int] = Counter()
+    accepted: list[int] = []
+    failed = 0
+    with tempfile.TemporaryDirectory() as temporary:
+        folder = Path(temporary) / "specs"
+        folder.mkdir()
+        (folder / "bases").symlink_to(SPECS / "bases")
+        for path in specs:
+            (folder / path.name).symlink_to(path)
+        path = folder / "mutant.yaml"
+
+        def write(number: int) -> list[str]:
+            text, overrides = mutant(random.Random(f"{options.seed} {number}"), specs)
+            path.write_text(text, "utf-8", errors="surrogatepass")
+            return overrides
+
+        for number in range(options.count) if options.only is None else [options.only]:
+            overrides = write(number)
+            code, output, trace = checked(APP, path, overrides)
+            codes[code] += 1
+            if options.only is not None:
+                print(path.read_text("utf-8"), overrides, code, output, sep="\n")
+            if trace is not None:
+                failed += 1
+                print(f"mutant {number}: {overrides}\n{trace}", flush=True)
+            elif code == 0:
+                accepted.append(number)
+        print(
+            f"{sum(codes.values())} mutants, exit codes {dict(sorted(codes.items()))}, {failed} tracebacks", flush=True
+        )
+        chosen = random.Random(options.seed).sample(accepted, min(options.run, len(accepted)))
+        bad = 0
+        for place, number in enumerate(chosen, 1):
+            problem = ended(path, write(number), Path(temporary) / "runs")
+            bad += problem is not None
+            print(f"run {place} of mutant {number}: {problem or 'ended well'}", flush=True)
+        if options.run:
+            print(f"{len(chosen)} accepted mutants run, {bad} ended badly")
+    return int(failed + bad > 0)
+
+
+if __name__ == "__main__":
+    sys.exit(main())
