@@ -13,6 +13,8 @@ from karolos_cli.main import app
 from typer.testing import CliRunner
 
 from karolos.errors import MachineError, PluginError
+from karolos.plugins.contracts import candidate
+from karolos.plugins.contracts.joined import joined
 from karolos.robots.panda import Panda
 from karolos.simulation import engines, urdf
 from karolos.simulation.engines import Engine, installed, make_world
@@ -240,6 +242,28 @@ def test_a_body_hides_the_marker_behind_it(world: World) -> None:
     (red, green, _), (hidden_red, hidden_green, _) = middle(0.7), middle(-0.3)
     assert green > red
     assert hidden_red > hidden_green
+
+
+def test_a_held_cube_stays_in_the_hand_while_the_arm_swings(engine: Engine) -> None:
+    panda, pick = candidate("robots", "panda", engine, control="joint"), candidate("tasks", "pick_place")
+    with joined(panda, pick, start_grasped=1.0) as environment:
+        environment.reset(0)
+        robot, cube = environment.robot, environment.task.cube  # type: ignore[attr-defined]
+
+        def place() -> np.ndarray:
+            """The cube's position in the tool's frame."""
+            tool = robot.forward(robot.joint_positions).tool
+            offset: np.ndarray = np.array([tool.x, tool.y, tool.z]) @ np.subtract(cube.position, tool.position)
+            return offset
+
+        hold = np.array([0.0] * 7 + [-1.0])
+        for _ in range(4):
+            environment.step(hold)
+        before, swing = place(), hold + np.eye(8)[0]
+        for _ in range(20):
+            environment.step(swing)
+        assert robot.joint_velocities[0] > 2
+        assert np.linalg.norm(place() - before) < 1e-3
 
 
 def test_a_urdf_that_the_engine_refuses_is_a_clear_error(world: World) -> None:

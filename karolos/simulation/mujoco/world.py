@@ -29,6 +29,9 @@ class World:
 
     Contacts have the product of the friction coefficients of both bodies, as with PyBullet. Therefore every pair of
     shapes that may touch is declared; MuJoCo by itself would take the larger coefficient.
+
+    A physics step computes contacts and forces half-way between the positions at its start and those at its end. With
+    the positions at the start, a held object drifts outwards where the hand turns: by 3 cm in a throw.
     """
 
     def __init__(
@@ -67,14 +70,19 @@ class World:
 
     def step(self) -> None:
         simulation = self._simulation
-        data, model = simulation.ready(), simulation.model
-        begin, end = self.api.mj_step1, self.api.mj_step2
+        data, model, timestep = simulation.ready(), simulation.model, simulation.timestep
+        begin, end, integrate = self.api.mj_step1, self.api.mj_step2, self.api.mj_integratePos
+        positions, velocities = data.qpos, data.qvel
         for substep in range(self.substeps):
+            start = positions.copy()
+            integrate(model, positions, velocities, timestep / 2)
             begin(model, data)
             rows = data.ne + simulation.rows
             for motors in self._motors:
                 motors.substep(substep, data, rows)
             end(model, data)
+            positions[:] = start
+            integrate(model, positions, velocities, timestep)
         simulation.stepped = True
 
     def set_gravity(self, gravity: float) -> None:
