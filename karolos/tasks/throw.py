@@ -94,7 +94,7 @@ class Throw(CubeTask):
     the cube again moves the true one by up to a decimetre.
 
     Reach and furthest throw follow from the speed limits of the joints, see `ThrowPlanner`. Horizontal distances from
-    the robot's axis: panda .95 and 2.14 m, ur5 1.06 and 2.39 m, iiwa 1.08 and 1.73 m. Such throws turn the gripper, so
+    the robot's axis: panda .95 and 2.13 m, ur5 1.06 and 2.39 m, iiwa 1.08 and 1.73 m. Such throws turn the gripper, so
     `control: joint` is needed, the default of the robots for this task: pointing down, within the workspace, no throw
     lands beyond .81 (panda), .86 (ur5) and .79 m (iiwa), within the arm's reach.
     """
@@ -283,7 +283,7 @@ class Flight(NamedTuple):
         return self.position[0] + self.velocity[0] * after, self.position[1] + self.velocity[1] * after
 
 
-RUN_UP = 0.35
+RUN_UP = 0.4
 """Seconds at constant speed before the release, in which the arm accelerates to that speed."""
 FOLLOW_THROUGH = 0.15
 """Seconds at constant speed after the release, in which the gripper opens."""
@@ -514,7 +514,7 @@ class ThrowPlanner:
         return landing_distance(points[..., -1], self._velocity(points, velocities[..., self._swinging]), self._height)
 
 
-RAMP = 0.28
+RAMP = 0.32
 """Seconds in which the throw accelerates to its speed: the heaviest arm has the torque for it."""
 DECELERATION = 3.0
 """rad/s2 with which joints come to rest at the start of the throw."""
@@ -522,7 +522,7 @@ SETTLED = 0.05, 0.3
 """rad and rad/s within which the arm is at rest at the start of the throw."""
 PATIENCE = 40
 """Control steps after which the throw starts from the current position."""
-POSITION_GAIN = 0.2
+POSITION_GAIN = 0.1
 """Fraction of its position error that a joint makes up for in a control step."""
 VELOCITY_GAIN = 0.15
 """Fraction of a joint's velocity error by which its next steps are lengthened. Velocities follow actions a step or two
