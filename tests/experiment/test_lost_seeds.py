@@ -15,7 +15,7 @@ from karolos.errors import RunError
 from karolos.experiment.events import RunAdvanced, RunEnded, RunStarted, RunWarned
 from karolos.experiment.experiment import Experiment
 from karolos.records import RunFolder
-from karolos.store import Store, check
+from karolos.store import Store, check, reindex
 
 TOY: dict[str, Any] = {
     "name": "toy",
@@ -99,6 +99,34 @@ def test_a_database_that_cannot_be_reached_between_seeds_costs_a_warning(tmp_pat
         assert {run.run for run in store.runs()} == {started[0], started[2]}
         assert [found.run for found in check(store, tmp_path)] == [started[1]]
     assert RunFolder.open(tmp_path / started[1]).record().problems == ()
+
+
+def test_an_outage_of_the_database_costs_no_seed_of_several_at_a_time(tmp_path: Path) -> None:
+    """The short version of tests/torture/outage.py."""
+    file, aside = tmp_path / "karolos.sqlite", tmp_path / "aside"
+    warnings, ended = [], []
+
+    def listen(event: object) -> None:
+        if isinstance(event, RunStarted) and not aside.exists() and not ended:
+            file.rename(aside)
+            file.mkdir()
+        if isinstance(event, RunWarned):
+            warnings.append(event.warning)
+        if isinstance(event, RunEnded):
+            ended.append(event.state)
+            if len(ended) == 2:
+                file.rmdir()
+                aside.rename(file)
+
+    outcome = Experiment(TOY | {"seeds": [0, 1, 2]}).run(tmp_path, jobs=2, listener=listen)
+    assert outcome.exit_code == 0
+    assert ended == ["finished"] * 3
+    assert any("its folder is complete" in warning for warning in warnings)
+    with Store(Store.default_url(tmp_path)) as store:
+        assert {run.seed for run in store.runs()} >= {2}
+        assert reindex(store, tmp_path).problems == ()
+        assert list(check(store, tmp_path)) == []
+        assert sorted(run.seed for run in store.runs()) == [0, 1, 2]
 
 
 def test_a_run_is_entered_whole_as_soon_as_the_database_is_back(tmp_path: Path) -> None:

@@ -135,7 +135,7 @@ NEEDS_MEMORY = {
     ),
     "networks": (
         "training: {steps: 1000}\n",
-        r"2:28: agent\.hidden: an agent with networks of 30000 x 30000 units needs 43\.2 GB",
+        r"2:28: agent\.hidden: an agent with networks of 30000 x 30000 units needs 57\.6 GB",
     ),
     "processes": (
         "orchestrator: {processes: 512}\n",
