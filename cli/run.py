@@ -92,7 +92,7 @@ def report(outcome: Outcome, runs: Path, *, quiet: bool, json: bool) -> NoReturn
         print_table(runs_table(outcome.runs))
         begun = [run for run in outcome.runs if Path(run.folder).name == run.run]
         if begun:
-            plays = ", `karolos play @last` shows it" if begun[-1].success_any is not None else ""
+            plays = ", `karolos play @last` shows it" if begun[-1].mean_return is not None else ""
             say(f"results in {runs}; `karolos runs show {begun[-1].run}` shows more{plays}")
         stopped = [run.run for run in outcome.runs if run.state == "stopped"]
         for run in stopped:

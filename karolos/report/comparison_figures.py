@@ -116,7 +116,6 @@ def final(comparison: Comparison) -> Drawing:
     axes.set_yticks(range(count, 0, -1), labels)
     axes.set_ylim(0.4, count + 0.6)
     axes.tick_params(axis="y", length=0)
-    axes.grid(axis="x")
     return drawing
 
 

@@ -75,7 +75,7 @@ def explanations(comparison: Comparison) -> list[str]:
     if "approximate" in kinds:
         lines.append("~[low, high]: the same over 5 to 9 seeds, which covers less than 95 %")
     if "range" in kinds:
-        lines.append("(low - high): smallest and largest of 2 to 4 seeds, too few for an interval")
+        lines.append("(low to high): smallest and largest of 2 to 4 seeds, too few for an interval")
     if "wilson" in kinds:
         lines.append("[low, high] of a single run: 95 % Wilson interval of its test, which says nothing about seeds")
     if comparison.metric == "return":
@@ -105,7 +105,7 @@ def estimate(found: Estimate | None) -> str:
     if found.kind == "none":
         return f"{found.value:.3f}"
     if found.kind == "range":
-        return f"{found.value:.3f} ({found.low:.3f} - {found.high:.3f})"
+        return f"{found.value:.3f} ({found.low:.3f} to {found.high:.3f})"
     return f"{found.value:.3f} {'~' if found.kind == 'approximate' else ''}[{found.low:.3f}, {found.high:.3f}]"
 
 

@@ -57,7 +57,7 @@ def test_counts_have_the_fractions_of_the_test(test: TestResult) -> None:
 @given(st.data())
 def test_damaged_line_is_counted_correctly_or_not_at_all(data: st.DataObject) -> None:
     text = bytearray(line(encode_test(result(10, 1, episodes=2))))
-    place = data.draw(st.integers(0, text.index(b"lengths")))
+    place = data.draw(st.integers(0, text.index(b"mean_return")))
     text[place : place + data.draw(st.integers(0, 3))] = data.draw(st.binary(max_size=2))
     counts = count_test(bytes(text))
     if counts is not None:
@@ -86,7 +86,16 @@ def test_line_that_is_cut_anywhere_is_not_counted() -> None:
 
 @pytest.mark.parametrize(
     "change",
-    [{"any": []}, {"end": [1]}, {"any": [[1], 0]}, {"end": [1, 2]}, {"steps": "x"}, {"seconds": None}, {"reset": 3}],
+    [
+        {"any": []},
+        {"end": [1]},
+        {"any": [[1], 0]},
+        {"end": [1, 2]},
+        {"steps": "x"},
+        {"seconds": None},
+        {"reset": 3},
+        {"mean_return": "x"},
+    ],
 )
 def test_line_of_another_form_is_not_counted(change: dict[str, Any]) -> None:
     row = encode_test(result(10, 1, episodes=2))

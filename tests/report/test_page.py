@@ -30,7 +30,7 @@ def test_page_has_a_figure_for_each_question() -> None:
 def test_page_shows_numbers_warnings_and_settings() -> None:
     other = SPEC | {"agent": {"name": "ppo"}}
     text = text_of(compare([contender("one", CURVES), contender("two", CURVES[:2], spec=other)]))
-    for part in ("0.740 ~[", "0.950 (0.900 - 1.000)", "unequal numbers of seeds: one 5; two 2", "agent.name", "ppo"):
+    for part in ("0.740 ~[", "0.950 (0.900 to 1.000)", "unequal numbers of seeds: one 5; two 2", "agent.name", "ppo"):
         assert part in text
     assert text.count("two-s1") >= 2  # in the table and on its lines
 
