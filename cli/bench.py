@@ -42,8 +42,9 @@ def agents(
 ) -> None:
     """Measure what each agent learns with each buffer over several seeds. Takes hours; a second call resumes.
 
-    A figure is that of the last test. stable-baselines3 makes the same number of steps; in a second row it makes the
-    number of steps that its settings are tuned for. The table so far is in the runs folder (agents.md, agents.json).
+    A figure is that of the last test. stable-baselines3 plays as many test episodes, on seeds of its own. It makes the
+    same number of steps; in a second row it makes the number of steps that its settings are tuned for. The table so far
+    is in the runs folder (agents.md, agents.json).
     """
     from karolos.benchmarks.agents import measure
 
