@@ -6,12 +6,13 @@ import os
 import re
 from collections.abc import Sequence
 from pathlib import Path
-from typing import TYPE_CHECKING, Annotated
+from typing import TYPE_CHECKING, Annotated, Literal
 
 import typer
 
 from karolos.errors import UsageError
 
+from .completion import complete_run, complete_setting
 from .output import say, warn
 
 if TYPE_CHECKING:
@@ -30,11 +31,15 @@ FILTER_HELP = (
 )
 _SPECS = (".yaml", ".yml")
 
-Runs = Annotated[Path, typer.Option("--runs", envvar="KAROLOS_RUNS", help="Folder of the run folders.", file_okay=True)]
+Runs = Annotated[
+    Path,
+    typer.Option("--runs", metavar="FOLDER", envvar="KAROLOS_RUNS", help="Folder of the run folders.", file_okay=True),
+]
 Database = Annotated[
     str | None,
     typer.Option(
         "--database",
+        metavar="URL",
         envvar="KAROLOS_DATABASE",
         help="SQLAlchemy URL of the results database. Default: karolos.sqlite in the runs folder.",
     ),
@@ -42,24 +47,19 @@ Database = Annotated[
 Overrides = Annotated[
     list[str] | None,
     typer.Argument(
-        metavar="[PATH=VALUE]...", help="Settings that replace the spec's, e.g. agent.learning_rate=1e-4 seeds=[0,1]."
+        metavar="[PATH=VALUE]...",
+        help="Settings that replace the spec's, e.g. agent.learning_rate=1e-4 seeds=[0,1].",
+        autocompletion=complete_setting,
     ),
 ]
-OneRun = Annotated[str, typer.Argument(metavar="RUN", help=RUN_HELP)]
-ManyRuns = Annotated[list[str] | None, typer.Argument(metavar="[RUN]...", help=MANY_HELP)]
+OneRun = Annotated[str, typer.Argument(metavar="RUN", help=RUN_HELP, autocompletion=complete_run)]
+ManyRuns = Annotated[list[str] | None, typer.Argument(metavar="[RUN]...", help=MANY_HELP, autocompletion=complete_run)]
 Where = Annotated[str | None, typer.Option(metavar="FILTER", help=FILTER_HELP)]
 Json = Annotated[bool, typer.Option("--json", help="Print one JSON object per row.")]
 Quiet = Annotated[bool, typer.Option("--quiet", "-q", help="Show only warnings and failures.")]
 
 
-def check_checkpoint(name: str | None) -> str | None:
-    """Raise a UsageError for a checkpoint that no run writes."""
-    if name not in (None, "best", "last"):
-        raise UsageError(f"there is no checkpoint {name!r}", hint="a run has best and last")
-    return name
-
-
-Checkpoint = Annotated[str, typer.Option(help="The checkpoint to use: best or last.", callback=check_checkpoint)]
+Checkpoint = Annotated[Literal["best", "last"], typer.Option(help="The checkpoint to use.")]
 TimeLimit = Annotated[
     str | None,
     typer.Option(
@@ -141,7 +141,8 @@ def select_runs(
         matching = {run.run: run for run in store.runs(where=where)}
         selected = {run: matching[run] for run in selected if run in matching} if selectors else matching
     if not selected:
-        raise UsageError("no runs match the filter", hint="`karolos runs list FILTER` shows which runs match")
+        hint = store.closest_value(where) if where is not None else None
+        raise UsageError("no runs match the filter", hint=hint or "`karolos runs list FILTER` shows which runs match")
     return store, tuple(selected.values())
 
 

@@ -12,6 +12,7 @@ from karolos.errors import UsageError
 from karolos.report.tables import Table
 
 from .arguments import Json, Overrides
+from .completion import complete_plugin
 from .output import print_rows, print_table, say
 
 if TYPE_CHECKING:
@@ -19,8 +20,8 @@ if TYPE_CHECKING:
     from karolos.benchmarks.side_by_side import Row
 
 app = typer.Typer(name="bench", help="Measure the speed of parts beside a peer in the same run.", no_args_is_help=True)
-Robot = Annotated[str, typer.Option(help="Name of a robot.")]
-Task = Annotated[str, typer.Option(help="Name of a task.")]
+Robot = Annotated[str, typer.Option(metavar="NAME", help="Name of a robot.", autocompletion=complete_plugin("robot"))]
+Task = Annotated[str, typer.Option(metavar="NAME", help="Name of a task.", autocompletion=complete_plugin("task"))]
 Seconds = Annotated[float, typer.Option(min=0.1, help="Time for all measurements together.")]
 Control = Literal["joint", "cartesian"]
 Engine = Annotated[
@@ -33,8 +34,12 @@ AGENT_COLUMNS = ("case", "steps", "episodes", "value", "unit", "peer", "peer_ste
 @app.command()
 def agents(
     overrides: Overrides = None,
-    folder: Annotated[Path, typer.Option("--runs", help="Folder of the runs and of the table.")] = Path("runs/bench"),
-    only: Annotated[str | None, typer.Option(help="Beginnings of entries to run: pendulum,panda_reach sac.")] = None,
+    folder: Annotated[
+        Path, typer.Option("--runs", metavar="FOLDER", help="Folder of the runs and of the table.")
+    ] = Path("runs/bench"),
+    only: Annotated[
+        str | None, typer.Option(metavar="NAME,...", help="Beginnings of entries to run: pendulum,panda_reach sac.")
+    ] = None,
     seeds: Annotated[int, typer.Option(min=1, help="Runs of each entry.")] = 5,
     quick: Annotated[bool, typer.Option("--quick", help="Toy tasks, which only show that everything runs.")] = False,
     peers: Annotated[bool, typer.Option("--peers", help="Run tuned stable-baselines3 too.")] = False,
@@ -92,14 +97,18 @@ def environment(
 def orchestrator(
     robot: Robot = "panda",
     task: Task = "reach",
-    figure: Annotated[Path | None, typer.Option(help="Box plots to write: FILE.svg, .pdf or .png.")] = None,
+    out: Annotated[
+        Path | None, typer.Option(metavar="FILE", help="Box plots to write: FILE.svg, .pdf or .png.")
+    ] = None,
     quick: Annotated[bool, typer.Option("--quick", help="Seconds, not minutes; the numbers mean little.")] = False,
     json: Json = False,
+    figure: Annotated[Path | None, typer.Option(hidden=True)] = None,
 ) -> None:
     """Measure resets and steps over processes and threads beside gymnasium's vector environments; advise settings."""
     from karolos.benchmarks.orchestrator import QUICK, Amounts, measure
     from karolos.report.figures import check_format, write_box_plots
 
+    figure = out or figure
     if figure is not None:
         check_format(figure)
     report = measure(robot, task, QUICK if quick else Amounts())
@@ -155,7 +164,8 @@ def store(
     episodes: Annotated[int, typer.Option(min=1, help="Episodes per test.")] = 100,
     writers: Annotated[int, typer.Option(min=1, help="Processes that write at the same time.")] = 16,
     database: Annotated[
-        str | None, typer.Option(help="URL of an empty database to fill and measure. Default: a SQLite file.")
+        str | None,
+        typer.Option(metavar="URL", help="URL of an empty database to fill and measure. Default: a SQLite file."),
     ] = None,
     json: Json = False,
 ) -> None:
@@ -198,9 +208,10 @@ def training(
 
 @app.command()
 def updates(
-    threads: Annotated[str, typer.Option(help="Numbers of CPU threads to measure with: 1,2.")] = "1",
+    threads: Annotated[str, typer.Option(metavar="N,...", help="Numbers of CPU threads to measure with: 1,2.")] = "1",
     only: Annotated[
-        str | None, typer.Option(help="Names of agents: sac,td3. Default: all with a replay buffer.")
+        str | None,
+        typer.Option(metavar="NAME,...", help="Names of agents: sac,td3. Default: all with a replay buffer."),
     ] = None,
     device: Annotated[Literal["auto", "cpu", "cuda"], typer.Option(help="Where the agents learn.")] = "cpu",
     seconds: Annotated[float, typer.Option(min=0.1, help="Time per number of threads.")] = 20.0,

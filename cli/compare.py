@@ -11,6 +11,7 @@ import typer
 from karolos.errors import UsageError
 
 from .arguments import MANY_HELP, Database, Json, Runs, existing_store, select
+from .completion import complete_run
 from .output import print_rows, print_table, say, warn
 
 if TYPE_CHECKING:
@@ -24,7 +25,9 @@ def compare(
     experiments: Annotated[
         list[str],
         typer.Argument(
-            metavar="EXPERIMENT...", help=f"{MANY_HELP} The first is the one that the others are measured against."
+            metavar="EXPERIMENT...",
+            help=f"{MANY_HELP} The first is the one that the others are measured against.",
+            autocompletion=complete_run,
         ),
     ],
     runs: Runs = Path("runs"),
@@ -38,13 +41,15 @@ def compare(
         ),
     ] = None,
     label: Annotated[
-        list[str] | None, typer.Option(help="Name of an experiment in tables and figures; once for each, in order.")
+        list[str] | None,
+        typer.Option(metavar="NAME", help="Name of an experiment in tables and figures; once for each, in order."),
     ] = None,
     out: Annotated[
         list[Path] | None,
         typer.Option(
+            metavar="FILE.html|FOLDER",
             help="What to write: FILE.html, a page with every figure that needs no network; or a folder for the "
-            "figures as SVG, PDF and PNG. May be repeated."
+            "figures as SVG, PDF and PNG. May be repeated.",
         ),
     ] = None,
     width: Annotated[float, typer.Option(min=1, max=40, help="Width of a figure in the folder, in inches.")] = 4.8,

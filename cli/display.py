@@ -9,7 +9,7 @@ from datetime import timedelta
 from typing import TYPE_CHECKING, TextIO
 
 from rich.console import Console
-from rich.progress import BarColumn, MofNCompleteColumn, Progress, TaskID, TextColumn
+from rich.progress import BarColumn, MofNCompleteColumn, Progress, TaskID, TextColumn, TimeRemainingColumn
 
 from karolos.experiment.events import (
     RunAdvanced,
@@ -21,14 +21,18 @@ from karolos.experiment.events import (
     RunTested,
     RunWarned,
 )
+from karolos.report.tables import clean
 
-from .output import drawn_text, say
+from .output import drawn_text
 
 if TYPE_CHECKING:
     from karolos.records.final_test import FinalTest
     from karolos.records.results import TestResult
+    from karolos.records.sweep_records import Trial
     from karolos.sweep.events import SweepEvent
 
+SWEEP_SPEED_SECONDS = 600.0
+"""Seconds over which the speed of a sweep is averaged for the time left."""
 SPEED_WINDOW = 50
 """Events over which speeds are averaged: about five seconds."""
 
@@ -163,29 +167,88 @@ def choose_display(*, quiet: bool) -> Quiet:
     return Live() if sys.stderr.isatty() else Plain()
 
 
-class SweepDisplay:
-    """Shows one line per start and end of a trial; only warnings and failures if quiet."""
+class SweepDisplay(AbstractContextManager["SweepDisplay"]):
+    """Shows one line per trial, and on a terminal a bar: trials, the best so far, the time left.
 
-    def __init__(self, objectives: tuple[str, ...], *, quiet: bool) -> None:
+    Elsewhere a trial's start has a line as well. Shows only warnings and failures if quiet.
+    """
+
+    def __init__(self, objectives: tuple[str, ...], *, quiet: bool, stream: TextIO | None = None) -> None:
         self._objectives = objectives
         self._quiet = quiet
+        self._console = Console(file=stream or sys.stderr, stderr=stream is None, highlight=False, markup=False)
+        self._bar: Progress | None = None
+        if self._console.is_terminal and not quiet:
+            self._bar = Progress(
+                TextColumn("{task.description}"),
+                BarColumn(bar_width=24),
+                TextColumn("{task.fields[done]}"),
+                TextColumn("{task.fields[best]}", style="green"),
+                TimeRemainingColumn(),
+                TextColumn("left"),
+                console=self._console,
+                speed_estimate_period=SWEEP_SPEED_SECONDS,
+            )
+            self._task = self._bar.add_task("trials", total=None, done="", best="")
+        self._ended = 0
+        """Trials of this phase that have ended."""
+        self._fractions: dict[str, float] = {}
+        """Trials that have not ended, by name -> fraction of their steps."""
+
+    def __enter__(self) -> SweepDisplay:
+        if self._bar:
+            self._bar.start()
+        return self
+
+    def __exit__(self, *_: object) -> None:
+        if self._bar:
+            self._bar.stop()
 
     def __call__(self, event: SweepEvent) -> None:
-        from karolos.sweep.events import TrialBegan, TrialEnded
+        from karolos.sweep.events import TrialAdvanced, TrialBegan, TrialEnded
 
         if isinstance(event, RunWarned):
-            say(f"{event.run}: {event.warning}")
+            self._print(f"{event.run}: {event.warning}")
         elif isinstance(event, TrialEnded) and event.trial.state == "failed":
-            say(f"trial {event.trial.number} failed: {event.trial.error} [{event.done}/{event.asked}]")
+            self._print(f"trial {event.trial.number} failed: {event.trial.error} [{event.done}/{event.asked}]")
         elif self._quiet:
             return
-        elif isinstance(event, TrialBegan):
-            say(f"trial {event.trial.number}: {drawn_text(event.trial)}")
+        elif isinstance(event, TrialBegan) and not self._bar:
+            self._print(f"trial {event.trial.number}: {drawn_text(event.trial)}")
         elif isinstance(event, TrialEnded):
-            values = zip(self._objectives, event.trial.values or (), strict=False)
-            found = ", ".join(f"{name} {value:.4g}" for name, value in values)
+            found = self._values(event.trial)
             text = f"{event.trial.state}: {found}" if found else event.trial.state
-            say(f"trial {event.trial.number} {text} [{event.done}/{event.asked}]")
-        else:
+            drawn = f" with {drawn_text(event.trial)}" if self._bar else ""
+            self._print(f"trial {event.trial.number} {text}{drawn} [{event.done}/{event.asked}]")
+        elif not isinstance(event, TrialBegan | TrialAdvanced):
             seeds = ", ".join(map(str, event.seeds))
-            say(f"trials {', '.join(map(str, event.trials))} on seeds {seeds}, to {event.purpose}")
+            self._print(f"trials {', '.join(map(str, event.trials))} on seeds {seeds}, to {event.purpose}")
+        if self._bar:
+            self._update(self._bar, event)
+
+    def _update(self, bar: Progress, event: SweepEvent) -> None:
+        from karolos.sweep.events import FinalBegan, TrialAdvanced, TrialBegan, TrialEnded
+
+        if isinstance(event, TrialAdvanced):
+            self._fractions[event.name] = event.fraction
+        elif isinstance(event, TrialBegan | TrialEnded):
+            self._fractions.pop(event.trial.name, None)
+            best = event.best and f"best {self._values(event.best)} (trial {event.best.number})"
+            done = f"{event.done}/{event.asked}"
+            bar.update(self._task, total=event.asked, done=done, best=best or "")
+            self._ended = event.done
+        elif isinstance(event, FinalBegan):
+            self._fractions.clear()
+            self._ended = 0
+            doing = "choosing" if event.purpose == "choose" else "reporting"
+            done, best = f"{len(event.seeds)} seeds each", bar.tasks[0].fields["best"]
+            bar.reset(self._task, description=doing, total=len(event.trials), done=done, best=best)
+        bar.update(self._task, completed=self._ended + sum(self._fractions.values()))
+
+    def _values(self, trial: Trial) -> str:
+        return ", ".join(
+            f"{name} {value:.4g}" for name, value in zip(self._objectives, trial.values or (), strict=False)
+        )
+
+    def _print(self, text: str) -> None:
+        self._console.print(clean(text), soft_wrap=True)

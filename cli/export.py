@@ -14,7 +14,8 @@ from .output import print_rows, warn
 def export(
     run: OneRun,
     out: Annotated[
-        Path | None, typer.Option("--out", help="Folder to write. Default: export in the run's folder.")
+        Path | None,
+        typer.Option("--out", metavar="FOLDER", help="Folder to write. Default: export in the run's folder."),
     ] = None,
     checkpoint: Checkpoint = "best",
     onnx: Annotated[

@@ -11,29 +11,33 @@ import typer
 from karolos.errors import MachineError, UsageError
 
 from .arguments import Json
+from .completion import complete_plugin
 from .output import print_line, print_rows
 
 if TYPE_CHECKING:
     from karolos.plugins.inspection import Inspection
 
 app = typer.Typer(name="inspect", help="Show a robot or a task: a picture and its numbers.", no_args_is_help=True)
-Picture = Annotated[
-    Path | None,
-    typer.Option("--picture", metavar="FILE", help="Picture to write: FILE.png. Default: ./NAME.png."),
+Out = Annotated[
+    Path | None, typer.Option("--out", metavar="FILE", help="Picture to write: FILE.png. Default: ./NAME.png.")
 ]
+Picture = Annotated[Path | None, typer.Option("--picture", hidden=True)]
 Size = Annotated[int, typer.Option(min=16, max=2048, help="Size of the picture in pixels.")]
 
 
 @app.command()
 def robot(
-    name: Annotated[str, typer.Argument(metavar="NAME", help="Name of a robot.")],
-    picture: Picture = None,
+    name: Annotated[
+        str, typer.Argument(metavar="NAME", help="Name of a robot.", autocompletion=complete_plugin("robot"))
+    ],
+    out: Out = None,
     width: Size = 960,
     height: Size = 720,
     json: Json = False,
+    picture: Picture = None,
 ) -> None:
     """Show a robot: joints with limits, workspace, control modes, layouts, parameters for randomization."""
-    target = _target(picture, name)
+    target = _target(out or picture, name)
     from karolos.plugins.inspection import inspect_robot
 
     _show("robot", inspect_robot(name, size=(width, height)), target, json=json)
@@ -41,14 +45,20 @@ def robot(
 
 @app.command()
 def task(
-    name: Annotated[str, typer.Argument(metavar="NAME", help="Name of a task.")],
-    robot: Annotated[str, typer.Option(help="Robot to show the task with.")] = "panda",
+    name: Annotated[
+        str, typer.Argument(metavar="NAME", help="Name of a task.", autocompletion=complete_plugin("task"))
+    ],
+    robot: Annotated[
+        str,
+        typer.Option(metavar="NAME", help="Robot to show the task with.", autocompletion=complete_plugin("robot")),
+    ] = "panda",
     floor: Annotated[bool, typer.Option("--floor", help="Measure the success of a random policy instead.")] = False,
     episodes: Annotated[int, typer.Option(min=1, help="Episodes of the random policy.")] = 100,
-    picture: Picture = None,
+    out: Out = None,
     width: Size = 960,
     height: Size = 720,
     json: Json = False,
+    picture: Picture = None,
 ) -> None:
     """Show a task: goal rule, layouts, settings, parameters for randomization; or the success of a random policy."""
     if floor:
@@ -57,7 +67,7 @@ def task(
         found = random_policy(robot, name, episodes=episodes)
         print_rows([{"robot": robot, "task": name, **asdict(found)}], json=json)
         return
-    target = _target(picture, name)
+    target = _target(out or picture, name)
     from karolos.plugins.inspection import inspect_task
 
     _show("task", inspect_task(name, robot, size=(width, height)), target, json=json)

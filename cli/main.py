@@ -3,14 +3,17 @@
 from __future__ import annotations
 
 import gc
+import re
 import sys
 import traceback
-from typing import Annotated
+from typing import Annotated, Any
 
 import typer
+from typer.core import TyperGroup, TyperOption
 
 from karolos import __version__
 from karolos.errors import KarolosError, PluginError
+from karolos.registry import closest
 
 from . import bench, db, inspect, plugins, runs, spec, sweeps
 from .board import board
@@ -28,8 +31,33 @@ OBJECTS_PER_COLLECTION = 50_000
 """New objects before Python looks for garbage. With Python's default a short command spends an eighth of its time on
 looking through the objects that imports make."""
 
+
+class Commands(TyperGroup):
+    """Commands whose help says what each option takes. An error about a value that is not a choice suggests one."""
+
+    def get_command(self, ctx: Any, cmd_name: str) -> Any:
+        command = super().get_command(ctx, cmd_name)
+        for option in command.get_params(ctx) if command else ():
+            if isinstance(option, TyperOption) and option.metavar is None:
+                if option.is_flag:
+                    option.metavar = ""
+                elif option.type_descriptor.is_ranged:
+                    option.metavar = "INTEGER" if option.type_descriptor.ranged_type_name == "int" else "NUMBER"
+        return command
+
+    def invoke(self, ctx: Any) -> Any:
+        try:
+            return super().invoke(ctx)
+        except typer.BadParameter as error:
+            if found := re.fullmatch(r"(?:Value error, )?('(.*)' is not one of (.*))", error.message):
+                like = closest(found[2], re.findall(r"'([^']*)'", found[3]))
+                error.message = f"{found[1]} Did you mean {like!r}?" if like else found[1]
+            raise
+
+
 app = typer.Typer(
     name="karolos",
+    cls=Commands,
     help="Declarative reinforcement-learning experiments on robot-task environments.",
     no_args_is_help=True,
     rich_markup_mode="markdown",
@@ -38,20 +66,20 @@ app = typer.Typer(
 app.command()(run)
 app.command()(resume)
 app.command()(check)
-app.add_typer(spec.app)
-app.add_typer(plugins.app)
-app.add_typer(inspect.app)
-app.add_typer(runs.app)
-app.add_typer(db.app)
+app.add_typer(spec.app, cls=Commands)
+app.add_typer(plugins.app, cls=Commands)
+app.add_typer(inspect.app, cls=Commands)
+app.add_typer(runs.app, cls=Commands)
+app.add_typer(db.app, cls=Commands)
 app.command()(sweep)
-app.add_typer(sweeps.app)
+app.add_typer(sweeps.app, cls=Commands)
 app.command()(compare)
 app.command()(diff)
 app.command("test")(transfer)
 app.command()(play)
 app.command()(export)
 app.command()(board)
-app.add_typer(bench.app)
+app.add_typer(bench.app, cls=Commands)
 
 
 def _print_version(asked: bool) -> None:

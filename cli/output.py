@@ -16,6 +16,8 @@ if TYPE_CHECKING:
 
     from karolos.records.sweep_records import Trial
 
+WIDEST = 10_000
+"""A width in which every table fits."""
 _STATE_STYLES = {
     "finished": "green",
     "running": "cyan",
@@ -76,7 +78,10 @@ def print_table(table: Table) -> None:
     if sys.stdout.isatty():
         from rich.console import Console
 
-        Console().print(rich_table(table))
+        console, drawn = Console(), rich_table(table)
+        if console.measure(drawn, options=console.options.update(width=WIDEST)).maximum > console.width:
+            drawn = rich_table(Table([name.replace("_", "_\n") for name in table.columns], table.rows, table.title))
+        console.print(drawn)
         return
     if table.title:
         print(f"\n{clean(table.title)}")
@@ -100,12 +105,13 @@ def rich_table(table: Table) -> RichTable:
         title=Text(clean(table.title)) if table.title else None,
         title_justify="left",
         pad_edge=False,
+        collapse_padding=True,
     )
     for place, name in enumerate(table.columns):
         numbers = all(row[place] in ("", "-") or row[place][0].isdigit() for row in table.rows)
         style = "bold" if not name and place == 0 else None  # names of the rows
         justify: Any = "right" if numbers else "left"
-        drawn.add_column(Text(clean(name)), overflow="fold", justify=justify, style=style)
+        drawn.add_column(Text(clean(name, allowed="\n")), overflow="fold", justify=justify, style=style)
     for row in table.rows:
         drawn.add_row(
             *(
@@ -146,5 +152,9 @@ def _csv_cell(value: Any) -> object:
 
 def drawn_text(trial: Trial) -> str:
     """The settings of a trial in one line."""
-    texts = {key: f"{value:.4g}" if isinstance(value, float) else value for key, value in trial.drawn.items()}
-    return ", ".join(f"{key}={text}" for key, text in texts.items())
+    return ", ".join(f"{key}={short_text(value)}" for key, value in trial.drawn.items())
+
+
+def short_text(value: object, digits: int = 4) -> str:
+    """A value with few significant digits; nothing for None."""
+    return f"{value:.{digits}g}" if isinstance(value, float) else "" if value is None else str(value)

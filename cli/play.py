@@ -7,13 +7,14 @@ import sys
 import time
 from collections.abc import Iterator
 from pathlib import Path
-from typing import TYPE_CHECKING, Annotated
+from typing import TYPE_CHECKING, Annotated, Literal
 
 import typer
 
 from karolos.errors import UsageError
 
-from .arguments import RUN_HELP, Database, Runs, check_checkpoint, open_run
+from .arguments import RUN_HELP, Database, Runs, open_run
+from .completion import complete_run
 from .output import say
 
 if TYPE_CHECKING:
@@ -28,32 +29,34 @@ OUTCOME_SECONDS = 0.7
 
 
 def play(
-    run: Annotated[str, typer.Argument(metavar="RUN", help=f"{RUN_HELP} With --expert a SPEC.yaml.")],
+    run: Annotated[
+        str,
+        typer.Argument(metavar="RUN", help=f"{RUN_HELP} With --expert a SPEC.yaml.", autocompletion=complete_run),
+    ],
     expert: Annotated[bool, typer.Option("--expert", help="Play the expert of a spec's task instead.")] = False,
-    record: Annotated[Path | None, typer.Option(help="Film to write: FILE.mp4 or FILE.gif.")] = None,
+    out: Annotated[Path | None, typer.Option(metavar="FILE", help="Film to write: FILE.mp4 or FILE.gif.")] = None,
     episodes: Annotated[
         int | None, typer.Option(min=1, help="Episodes to play. Default: 1 for a film, 5 in a window.")
     ] = None,
     checkpoint: Annotated[
-        str | None,
-        typer.Option(
-            help="Checkpoint to play: best or last. Default: best, or last if the run has no test yet.",
-            callback=check_checkpoint,
-        ),
+        Literal["best", "last"] | None,
+        typer.Option(help="The checkpoint to play. Default: best, or last if the run has no test yet."),
     ] = None,
     width: Annotated[int, typer.Option(min=16, max=4096, help="Width of the film in pixels.")] = 640,
     height: Annotated[int, typer.Option(min=16, max=4096, help="Height of the film in pixels.")] = 480,
     runs: Runs = Path("runs"),
     database: Database = None,
+    record: Annotated[Path | None, typer.Option(hidden=True)] = None,
 ) -> None:
     """Play test episodes of a run's saved policy, or with --expert of the scripted policy for a spec.
 
-    Opens a window if there is a display. Without a display, or with --record, writes a film. Default: play.mp4 in the
+    Opens a window if there is a display. Without a display, or with --out, writes a film. Default: play.mp4 in the
     run's folder, or NAME.mp4 in the current folder for the spec NAME.
     """
     if width % 2 or height % 2:
         raise UsageError(f"a film of {width} x {height} pixels cannot be encoded", hint="use even numbers")
-    window = record is None and _has_display()
+    film = out or record
+    window = film is None and _has_display()
     from karolos.evaluation.playing import play as play_episodes
     from karolos.evaluation.policies import load_expert, load_player
     from karolos.report.video import check_video_path, write_video
@@ -62,10 +65,10 @@ def play(
         from karolos.spec import load_spec
 
         spec = load_spec(run)
-        target = record or Path(f"{spec.name}.mp4")
+        target = film or Path(f"{spec.name}.mp4")
     else:
         folder = open_run(run, runs, database)
-        target = record or folder.path / "play.mp4"
+        target = film or folder.path / "play.mp4"
     if not window:
         check_video_path(target)
     if expert:

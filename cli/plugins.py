@@ -11,6 +11,7 @@ from karolos.errors import PluginError
 from karolos.report.tables import Columns, Table, setting
 
 from .arguments import Json
+from .completion import complete_kind, complete_plugin
 from .output import print_line, print_rows, print_table, say
 
 if TYPE_CHECKING:
@@ -20,7 +21,14 @@ if TYPE_CHECKING:
 app = typer.Typer(
     name="plugins", help="List, show and check robots, tasks, agents and others; start a new one.", no_args_is_help=True
 )
-Kind = Annotated[str, typer.Argument(metavar="KIND", help="robot, task, environment, agent, buffer, ...")]
+Kind = Annotated[
+    str,
+    typer.Argument(metavar="KIND", help="robot, task, environment, agent, buffer, ...", autocompletion=complete_kind),
+]
+Name = Annotated[
+    str,
+    typer.Argument(metavar="NAME", help="The name that a spec uses.", autocompletion=complete_plugin()),
+]
 
 
 @app.command("list")
@@ -45,7 +53,7 @@ def list_plugins(
 @app.command()
 def show(
     kind: Kind,
-    name: Annotated[str, typer.Argument(metavar="NAME", help="The name that a spec uses.")],
+    name: Name,
     json: Json = False,
 ) -> None:
     """Show a plugin: its documentation, and its settings with types, defaults and units."""
@@ -81,7 +89,7 @@ def new(
         str, typer.Argument(metavar="KIND", help="robot, task, agent, buffer, environment or distribution.")
     ],
     name: Annotated[str, typer.Argument(metavar="NAME", help="Its name in specs, e.g. my_arm.")],
-    out: Annotated[Path | None, typer.Option(metavar="DIR", help="Folder to write. Default: karolos-NAME.")] = None,
+    out: Annotated[Path | None, typer.Option(metavar="FOLDER", help="Folder to write. Default: karolos-NAME.")] = None,
     urdf: Annotated[
         Path | None, typer.Option(metavar="FILE", help="A robot's URDF: write the robot that it describes.")
     ] = None,
@@ -102,7 +110,7 @@ def new(
 @app.command()
 def check(
     kind: Kind,
-    name: Annotated[str, typer.Argument(metavar="NAME", help="The name that a spec uses.")],
+    name: Name,
     settings: Annotated[
         list[str] | None, typer.Argument(metavar="[SETTING=VALUE]...", help="Settings other than the defaults.")
     ] = None,

@@ -26,6 +26,7 @@ from .arguments import (
     open_store,
     select_runs,
 )
+from .completion import complete_run
 from .output import print_csv, print_rows, print_table, say, warn
 
 if TYPE_CHECKING:
@@ -39,7 +40,7 @@ if TYPE_CHECKING:
 app = typer.Typer(
     name="runs", help="List, show, label and remove runs; write them to an archive and read one.", no_args_is_help=True
 )
-LabelledRun = Annotated[str, typer.Argument(metavar="RUN", help=MANY_HELP)]
+LabelledRun = Annotated[str, typer.Argument(metavar="RUN", help=MANY_HELP, autocompletion=complete_run)]
 
 
 @app.command("list")
@@ -50,9 +51,11 @@ def list_runs(
     json: Json = False,
     csv: Annotated[bool, typer.Option("--csv", help="Print comma-separated values with a line of names.")] = False,
     state: Annotated[
-        str | None, typer.Option(help="Only runs that are created, running, finished, failed, stopped or lost.")
+        str | None,
+        typer.Option(metavar="STATE", help="Only runs that are created, running, finished, failed, stopped or lost."),
     ] = None,
     limit: Annotated[int | None, typer.Option(min=1, help="Only this number of runs, the newest.")] = None,
+    trials: Annotated[bool, typer.Option("--trials", help="List the runs of sweeps' trials, too.")] = False,
     trash: Annotated[bool, typer.Option("--trash", help="List the runs in the trash instead.")] = False,
     columns: Annotated[
         str | None,
@@ -71,7 +74,10 @@ def list_runs(
         say(f"no runs in {runs} yet; `karolos run SPEC` makes one")
         return
     with store:
-        found = store.runs(state=state, where=where, limit=limit)
+        found = store.runs(state=state, where=where, limit=limit, trials=None if trials else False)
+        if not trials and store.runs(state=state, where=where, limit=1, trials=True):
+            say("the runs of sweeps' trials are left out; --trials lists them")
+        like = store.closest_value(where) if where is not None and not found else None
         rows = _columns(store, found, columns) if columns is not None else [run.row() for run in found]
     if json:
         print_rows(rows, json=True)
@@ -86,7 +92,7 @@ def list_runs(
 
         print_table(runs_table(found))
     elif where is not None:
-        say("no runs match the filter")
+        say("no runs match the filter" + (f": {like}" if like else ""))
     else:
         say("no runs" + (f" are {state}" if state else " yet"))
 

@@ -16,7 +16,7 @@ app = typer.Typer(name="spec", help="Show what a spec resolves to, and the schem
 
 @app.command()
 def show(
-    spec: Annotated[Path, typer.Argument(help="The YAML spec.")],
+    spec: Annotated[Path, typer.Argument(metavar="SPEC", help="The YAML spec.")],
     overrides: Overrides = None,
     origin: Annotated[bool, typer.Option("--origin", help="Show where each value comes from.")] = False,
     json: Json = False,

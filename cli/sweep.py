@@ -5,6 +5,7 @@ from __future__ import annotations
 import shutil
 import subprocess
 import sys
+from collections import Counter
 from collections.abc import Iterable, Sequence
 from pathlib import Path
 from typing import TYPE_CHECKING, Annotated, Any
@@ -14,7 +15,7 @@ import typer
 from karolos.errors import MachineError, SpecError, UsageError
 
 from .arguments import Database, Json, Overrides, Quiet, Runs, TimeLimit, seconds
-from .output import drawn_text, print_rows, say
+from .output import drawn_text, print_rows, say, short_text
 
 if TYPE_CHECKING:
     from karolos.records.sweep_records import SweepFinal, Trial
@@ -59,8 +60,8 @@ def sweep(
     if dry_run:
         _print_samples(search, json=json)
         return
-    listener = SweepDisplay(search.sweep.objectives, quiet=quiet)
-    outcome = search.run(runs, database=database, jobs=jobs, time_limit=seconds(time_limit), listener=listener)
+    with SweepDisplay(search.sweep.objectives, quiet=quiet) as listener:
+        outcome = search.run(runs, database=database, jobs=jobs, time_limit=seconds(time_limit), listener=listener)
     report(outcome, quiet=quiet, json=json)
     raise typer.Exit(outcome.exit_code)
 
@@ -68,9 +69,11 @@ def sweep(
 def report(outcome: SweepOutcome, *, quiet: bool, json: bool) -> None:
     """Print the trials on stdout, and the best of them on stderr."""
     objectives = outcome.sweep.objectives
-    if json or not quiet:
-        rows = (trial_row(trial, objectives, outcome.sweep.space, outcome.final) for trial in outcome.trials)
-        print_rows(rows, json=json)
+    if json:
+        parameters = outcome.sweep.space
+        print_rows((trial_row(one, objectives, parameters, outcome.final) for one in outcome.trials), json=True)
+    elif not quiet:
+        print_trials(outcome.trials, objectives, outcome.sweep.space, outcome.final)
     if not quiet:
         for trial in outcome.front if len(objectives) > 1 else ():
             say(f"no trial is better than trial {trial.number} in every objective: {drawn_text(trial)}")
@@ -95,6 +98,33 @@ def trial_row(
             row[f"{name}_unused"] = unused[place] if unused else None
     settings = {key: trial.drawn.get(key) for key in parameters}  # None for a setting that the trial did not draw
     return {**row, **settings, "error": trial.error, "runs": list(trial.runs)}
+
+
+def print_trials(
+    trials: Iterable[Trial],
+    objectives: Sequence[str],
+    parameters: Iterable[str],
+    final: SweepFinal | None,
+    *,
+    running: bool = False,
+) -> None:
+    """Print a table of trials that fits a terminal: without runs, errors and `unused`, and with short headings.
+
+    Only the last part of a setting's name is shown if it is unique. A trial that has not ended is `open` unless the
+    sweep is running: it waits until the sweep is resumed.
+    """
+    rows = [trial_row(trial, objectives, parameters, final) for trial in trials]
+    left_out = ("error", "runs", *(f"{name}_unused" for name in objectives))
+    names = [name for name in (rows[0] if rows else {}) if name not in left_out]
+    short = {name: name.rpartition(".")[2] for name in names}
+    if len(objectives) == 1:
+        short[f"{objectives[0]}_fresh"] = "fresh"
+    count = Counter(short.values())
+    headings = {name: short[name] if count[short[name]] == 1 else name for name in names}
+    for row in rows:
+        if row["state"] == "running" and not running:
+            row["state"] = "open"
+    print_rows([{headings[name]: short_text(row[name], digits=3) for name in names} for row in rows], json=False)
 
 
 def report_best(best: Trial | None, final: SweepFinal | None, objectives: Sequence[str], folder: Path) -> None:

@@ -11,7 +11,7 @@ from karolos.errors import UsageError
 
 from .arguments import Database, Json, Runs, open_store
 from .output import drawn_text, print_rows, say
-from .sweep import report_best, trial_row
+from .sweep import print_trials, report_best
 
 if TYPE_CHECKING:
     from karolos.records.sweep_records import SweepRecord
@@ -48,12 +48,11 @@ def show(
         print_rows([sweep.row()], json=True)
         return
     state = sweep.state()
-    rows = [trial_row(trial, sweep.objectives, sweep.parameters, sweep.final) for trial in sweep.trials]
-    # Nothing works on a trial of an interrupted sweep: it waits until the sweep is resumed.
-    print_rows(
-        [row | {"state": "open"} if state != "running" and row["state"] == "running" else row for row in rows],
-        json=False,
-    )
+    running = state == "running"
+    print_trials(sweep.trials, sweep.objectives, sweep.parameters, sweep.final, running=running)
+    for trial in sweep.trials:
+        if trial.error is not None:
+            say(f"trial {trial.number} failed: {trial.error}")
     say(f"{sweep.sweep} {state}, {sweep.ended} of {sweep.asked} trials, {sweep.folder}")
     report_best(sweep.best, sweep.final, sweep.objectives, Path(sweep.folder))
 

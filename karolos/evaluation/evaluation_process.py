@@ -60,7 +60,8 @@ class _Order:
 
     steps: int
     seconds: float
-    agent: bytes
+    agent: bytes | None
+    """None: the agent of the order before."""
     seeds: tuple[int, ...]
 
 
@@ -77,6 +78,8 @@ class EvaluationProcess:
         """The test that it plays; None: it waits for one."""
         self.ready = False
         """Whether the environments are built."""
+        self._agent: State | None = None
+        """The agent that it has loaded."""
         steps_itself = _steps_itself(spec, layout)
         limit = getattr(spec.orchestrator.settings, "time_limit", None)
         self._time_limit = limit * layout["environments"] if limit and steps_itself else None
@@ -92,8 +95,10 @@ class EvaluationProcess:
     def play(self, test: DueTest) -> None:
         """Begin a test. Does not wait. The process must be ready and without a test."""
         self.test, self._last = test, monotonic()
+        agent = None if test.agent is self._agent else checkpoint.pack_state(test.agent)
+        self._agent = test.agent
         with suppress(OSError):  # `receive` notices that the process has ended
-            self._connection.send(_Order(test.steps, test.seconds, checkpoint.pack_state(test.agent), test.seeds))
+            self._connection.send(_Order(test.steps, test.seconds, agent, test.seeds))
 
     def receive(self, timeout: float = 0.0) -> Iterator[int | Failure | TestResult]:
         """What has happened since the last call: completed episodes, failures of environments, the result.
@@ -190,7 +195,8 @@ def _play_tests(connection: Connection, spec: Spec, orchestrator: Orchestrator) 
 
     while True:
         order: _Order = connection.recv()
-        agent.load_state(checkpoint.unpack_state(order.agent))
+        if order.agent is not None:
+            agent.load_state(checkpoint.unpack_state(order.agent))
         connection.send(
             play_episodes(
                 orchestrator,

@@ -204,6 +204,6 @@ def _environment(spec: Spec, window: bool) -> Environment:
     if not window:
         return build_environment(recipe)
     if "window" not in type(part.settings).model_fields:
-        raise MachineError(f"environment {part.name} has no window", hint="record a film with --record FILE.mp4")
+        raise MachineError(f"environment {part.name} has no window", hint="record a film with --out FILE.mp4")
     settings = part.settings.model_copy(update={"window": True})
     return build_environment(replace(recipe, environment=replace(part, settings=settings)))

@@ -115,7 +115,6 @@ class Run:
         use_threads(spec.training.threads or 1)
         with ExitStack() as stack:
             environments = stack.enter_context(make_orchestrator(spec, randomize=True))
-            test_environments = stack.enter_context(make_orchestrator(spec, randomize=False))
             self.folder.event("layout", **environments.describe())
             signature, size = environments.signature, environments.size
             agent = make_agent(spec, signature, seeds)
@@ -126,7 +125,8 @@ class Run:
             )
             tests = PendingTests(
                 spec,
-                test_environments,
+                training,
+                lambda: make_orchestrator(spec, randomize=False),
                 self._pending,
                 self._warnings,
                 self.stop,
@@ -231,9 +231,9 @@ class Run:
 
     def _test(self, training: Training, tests: PendingTests, *, due: bool) -> None:
         """Add a test if one is due, and record the tests that are over."""
-        if due:
-            tests.add(training)
         tests.advance()
+        if due:
+            tests.add()
         for test, result in tests.finished():
             self._tested(training, test, result)
         if due and tests.pending:
@@ -258,6 +258,7 @@ class Run:
             amounts = int(meta["steps"]), int(meta["updates"]), float(meta["seconds"])
             best = last if amounts[0] == training.steps else DueTest(*amounts, parts["agent"], seeds)
         tests.pending += [last] if best in (None, last) else [last, best]
+        tests.activity = "final test"
         results = dict(tests.play_remaining())
         if tests.pending:
             return False

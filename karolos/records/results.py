@@ -4,7 +4,7 @@ from __future__ import annotations
 
 import math
 from collections.abc import Mapping, Sequence
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from types import NoneType
 from typing import Any
 
@@ -65,6 +65,15 @@ class TestResult:
         """Success and mean return as a text for a person."""
         success = f"success end {self.success_end:.2f}, any {self.success_any:.2f}, " if self.has_success else ""
         return f"{success}return {self.mean_return:,.2f}"
+
+    @staticmethod
+    def joined(parts: Sequence[TestResult]) -> TestResult:
+        """The result of a test whose episodes were played in several parts."""
+        names = ["any", "end", "reset", "returns", "lengths", "distances"]
+        if any(part.distances is None for part in parts):
+            names.remove("distances")
+        lists: dict[str, Any] = {name: sum((getattr(part, name) for part in parts), ()) for name in names}
+        return replace(parts[0], **{"distances": None} | lists)
 
     def first(self, count: int) -> TestResult:
         """The result of the first `count` episodes."""

@@ -182,6 +182,11 @@ def sweep_paths(runs: str | Path) -> list[Path]:
     return [path for path in found if os.path.isfile(path / DESCRIPTION)]
 
 
+def names_of_trials(runs: str | Path) -> set[str]:
+    """The names of the runs of all trials of the sweeps in a runs folder."""
+    return {str(row.get("name")) for folder in sweep_paths(runs) for row in read_lines(folder / TRIALS).rows}
+
+
 def read_sweep(folder: Path) -> tuple[SweepRecord, tuple[str, ...]]:
     """A sweep from its folder, and one line per damaged file.
 

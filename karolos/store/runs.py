@@ -16,12 +16,12 @@ from sqlalchemy import Connection, Select, func, select
 from ..errors import RunError, UsageError
 from ..records import RunFolder
 from ..records.run_records import STATES, UNFINISHED, RunSummary
-from ..registry import closest
+from ..registry import alternatives, closest
 from . import filters
 from .database import Database
 from .filters import Filter
 from .rows import ROWS_PER_STATEMENT, SUMMARY_COLUMNS, chunks, folder_path, summary_of
-from .tables import PARAMETERS, RUNS, TAGS, VERSIONS
+from .tables import PARAMETERS, RUNS, TAGS, TRIALS, VERSIONS
 
 _PACKAGE = "versions."
 _FIELDS = (*SUMMARY_COLUMNS, "tags")
@@ -45,6 +45,8 @@ class RunConditions(TypedDict, total=False):
     where: str | None
     """A filter (`karolos.store.filters`) over the fields of RunSummary, the settings of the spec by their key paths
     (agent.learning_rate), and versions.<package>."""
+    trials: bool | None
+    """Only runs of sweeps' trials, or only other runs."""
     limit: int | None
     """At most this many runs."""
 
@@ -60,7 +62,7 @@ def find_runs(database: Database, **conditions: Unpack[RunConditions]) -> tuple[
     """
     state, where = conditions.get("state"), conditions.get("where")
     if state is not None and state not in STATES:
-        raise UsageError(f"there is no state {state!r}", hint=f"there are {', '.join(STATES)}")
+        raise UsageError(f"there is no state {state!r}", hint=alternatives(state, STATES, what="states"))
     condition = filters.parse(where) if where is not None else None
     query = select(RUNS).order_by(RUNS.c.created.desc(), RUNS.c.run.desc())
     for column, prefix in ((RUNS.c.run, conditions.get("prefix")), (RUNS.c.experiment, conditions.get("experiment"))):
@@ -70,8 +72,25 @@ def find_runs(database: Database, **conditions: Unpack[RunConditions]) -> tuple[
         query = query.where(RUNS.c.name == name)
     if (ids := conditions.get("ids")) is not None:
         query = query.where(RUNS.c.run.in_(ids))
+    if (trials := conditions.get("trials")) is not None:
+        of_trial = RUNS.c.name.in_(select(TRIALS.c.name))
+        query = query.where(of_trial if trials else ~of_trial)
     with database.reading() as connection:
         return _Snapshot(connection, database.home).find(query, state, condition, conditions.get("limit"))
+
+
+def closest_value(database: Database, where: str) -> str | None:
+    """For a filter that matches no run: the first value in it that no run has, and the closest that some run has."""
+    condition = filters.parse(where)
+    with database.reading() as connection:
+        snapshot = _Snapshot(connection, database.home)
+        for comparison in condition.comparisons:
+            for literal in comparison.literals if comparison.operator in ("=", "in") else ():
+                known = snapshot.texts(comparison.key)
+                like = None if literal.text in known else closest(literal.text, known)
+                if like is not None and isinstance(literal.value, str):
+                    return f"no run has {comparison.key}={literal.text}, did you mean {like}?"
+    return None
 
 
 class _Value(NamedTuple):
@@ -164,6 +183,14 @@ class _Snapshot:
             return _Value("run", lambda run: tuple(tags.get(run.run, ())), True, _identity)
         decode: dict[str, _Getter] = {"seed": int, "folder": lambda stored: folder_path(stored, self._home)}
         return _Value(key, attrgetter(key), True, decode.get(key, _identity))
+
+    def texts(self, key: str) -> set[str]:
+        """The distinct texts that runs have as the value of a filter's key."""
+        if key == "tags":
+            return set(self._connection.scalars(select(TAGS.c.tag).distinct()))
+        if key in SUMMARY_COLUMNS:
+            return {text for text in self._connection.scalars(select(RUNS.c[key]).distinct()) if isinstance(text, str)}
+        return {text for text in self._settings(key).values() if isinstance(text, str)}
 
     def _settings(self, key: str) -> dict[str, Any]:
         """The values of a setting by the digest of the spec."""

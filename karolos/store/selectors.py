@@ -6,10 +6,14 @@ import re
 from collections.abc import Sequence
 from pathlib import Path
 
+import sqlalchemy
+
 from ..errors import UsageError
 from ..records.run_records import RunSummary
+from ..registry import closest
 from .database import Database
 from .runs import find_runs
+from .tables import RUNS
 
 SHORTEST_HASH = 6
 """Fewest digits that are taken for the beginning of a hash."""
@@ -56,7 +60,9 @@ def select(database: Database, selector: str, *, all_prefixed: bool = False) -> 
             return found
         if found := find_runs(database, prefix=identity, limit=_LISTED + 1):
             return found if all_prefixed else (only(selector, found),)
-    raise UsageError(f"{selector!r} means no run", hint="`karolos runs list` shows them; @last is the newest")
+    like = closest(identity, [row.name for row in database.fetch(sqlalchemy.select(RUNS.c.name).distinct())])
+    hint = "`karolos runs list` shows them; @last is the newest"
+    raise UsageError(f"{selector!r} means no run", hint=f"did you mean {like!r}? {hint}" if like else hint)
 
 
 def only(selector: str, found: Sequence[RunSummary]) -> RunSummary:

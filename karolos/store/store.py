@@ -17,7 +17,7 @@ from ..records.run_records import RunRecord, RunSummary
 from . import selectors, writing
 from .database import BUSY_SECONDS, Database
 from .rows import chunks, run_row, test_row, upsert
-from .runs import RunConditions, find_runs
+from .runs import RunConditions, closest_value, find_runs
 from .sweeps import Sweeps
 from .tables import PARAMETERS, RUNS, SPECS, SUCCESSES, TESTS, VERSIONS
 from .writing import RunEntry
@@ -120,6 +120,10 @@ class Store:
     def runs(self, **conditions: Unpack[RunConditions]) -> tuple[RunSummary, ...]:
         """Runs that meet all conditions (`RunConditions`), the newest first; see `find_runs`."""
         return find_runs(self.database, **conditions)
+
+    def closest_value(self, where: str) -> str | None:
+        """What a filter that matches no run may mean; see `runs.closest_value`."""
+        return closest_value(self.database, where)
 
     def find(self, selector: str) -> RunSummary:
         """The one run that a selector means (`selectors.select`).

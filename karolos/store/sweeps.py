@@ -12,6 +12,7 @@ from sqlalchemy import delete, select
 from ..errors import StoreError, UsageError
 from ..records.decode import from_json
 from ..records.sweep_records import SweepRecord
+from ..registry import closest
 from .database import Database
 from .rows import as_stored, folder_path, put
 from .tables import SWEEPS, TRIALS
@@ -63,7 +64,9 @@ class Sweeps:
         """
         found = self.all(name=name)
         if not found:
-            raise UsageError(f"there is no sweep {name!r}", hint="`karolos sweeps list` shows them")
+            like = closest(name, {record.name for record in self.all()})
+            hint = "`karolos sweeps list` shows them"
+            raise UsageError(f"there is no sweep {name!r}", hint=f"did you mean {like!r}? {hint}" if like else hint)
         if len(found) > 1:
             listed = ", ".join(record.sweep for record in found[:_LISTED])
             raise UsageError(f"{name!r} means several sweeps", hint=f"one of {listed}")

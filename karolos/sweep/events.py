@@ -39,9 +39,21 @@ class SweepOutcome:
 
 @dataclass(frozen=True)
 class TrialBegan:
-    """A trial begins, or resumes after an interruption of the sweep."""
+    """A trial begins, or resumes after an interruption of the sweep; `done` of `asked` trials have ended."""
 
     trial: Trial
+    done: int
+    asked: int
+    best: Trial | None
+    """The best trial so far by the first objective."""
+
+
+@dataclass(frozen=True)
+class TrialAdvanced:
+    """The runs of a trial have taken this fraction of their environment steps."""
+
+    name: str
+    fraction: float
 
 
 @dataclass(frozen=True)
@@ -51,6 +63,8 @@ class TrialEnded:
     trial: Trial
     done: int
     asked: int
+    best: Trial | None
+    """The best trial so far by the first objective."""
 
 
 @dataclass(frozen=True)
@@ -62,5 +76,5 @@ class FinalBegan:
     purpose: Literal["choose", "report"]
 
 
-SweepEvent = TrialBegan | TrialEnded | FinalBegan | RunWarned
+SweepEvent = TrialBegan | TrialAdvanced | TrialEnded | FinalBegan | RunWarned
 SweepListener = Callable[[SweepEvent], None]

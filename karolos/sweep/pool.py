@@ -17,7 +17,7 @@ from pathlib import Path
 from typing import Any
 
 from ..errors import KarolosError, MachineError
-from ..experiment.events import RunEvent, RunStarted, RunTested, RunWarned
+from ..experiment.events import RunAdvanced, RunEvent, RunStarted, RunTested, RunWarned
 from ..experiment.experiment import SeedRunner
 from ..experiment.jobs import POLL_SECONDS, exit_cause, start_process
 from ..experiment.resume import find_run
@@ -28,6 +28,7 @@ from ..records.results import TestResult
 from ..records.run_records import RunSummary
 from ..spec import Spec, Sweep, spec_from_dict
 from ..training.assembly import check_parts
+from .events import SweepListener, TrialAdvanced
 from .objectives import measure
 
 _LOCK_SECONDS = 10.0
@@ -51,6 +52,8 @@ class Job:
     """Why its runs were stopped."""
     deaths: dict[int, int] = field(default_factory=dict)
     """Seed -> number of processes that died."""
+    steps: dict[int, int] = field(default_factory=dict)
+    """Seed -> environment steps of its run."""
 
     @property
     def finished(self) -> bool:
@@ -58,6 +61,11 @@ class Job:
         return len(self.summaries) == len(self.spec.seeds) and all(
             summary.state == "finished" for summary in self.summaries.values()
         )
+
+    @property
+    def fraction(self) -> float:
+        """Fraction of the environment steps of all runs that are taken."""
+        return sum(self.steps.values()) / (self.spec.training.steps * len(self.spec.seeds))
 
     def results(self) -> dict[int, list[TestResult]]:
         """Seed -> its tests in order; seeds in the spec's order."""
@@ -71,6 +79,7 @@ class Job:
     def record(self, summary: RunSummary) -> None:
         """Record the end of a run."""
         self.summaries[summary.seed] = summary
+        self.steps[summary.seed] = self.spec.training.steps
         self.read_tests(summary.seed, summary.folder)
         final = RunFolder.open(summary.folder).final()
         if final is not None:
@@ -141,10 +150,10 @@ class RunPool:
         size: largest number of processes.
         locks: folder of their lock files.
         runner: runs one seed; the worker sets its spec.
-        listener: called with the warnings of runs.
+        listener: called with the progress of jobs and the warnings of runs.
     """
 
-    def __init__(self, size: int, locks: Path, runner: SeedRunner, listener: Callable[[RunWarned], None]) -> None:
+    def __init__(self, size: int, locks: Path, runner: SeedRunner, listener: SweepListener) -> None:
         self._size = size
         self._locks = locks
         self._runner = runner
@@ -226,10 +235,14 @@ class RunPool:
             job.read_tests(seed, message.folder)
         elif isinstance(message, RunTested):
             job.tests.setdefault(seed, {})[message.result.steps] = message.result
+        elif isinstance(message, RunAdvanced):
+            job.steps[seed] = min(message.steps, job.spec.training.steps)
+            self._listener(TrialAdvanced(job.spec.name, job.fraction))
         elif isinstance(message, RunWarned):
             self._listener(message)
         elif isinstance(message, RunSummary):
             job.record(message)
+            self._listener(TrialAdvanced(job.spec.name, job.fraction))
             worker.job = None
         elif isinstance(message, Refused):
             worker.job = None

@@ -75,8 +75,9 @@ class Trials(Feed):
                 trial = self.study.ask()
             else:
                 return None
-            record = self.writer.write()[trial.number]
-            self.listener(TrialBegan(record))
+            trials = self.writer.write()
+            record = trials[trial.number]
+            self.listener(TrialBegan(record, *self._progress(trials)))
             try:
                 spec = spec_of_trial(self.base, trial.drawn, record.name, self.sweep.seeds, record.name)
                 spec = for_search(spec)
@@ -128,5 +129,9 @@ class Trials(Feed):
     ) -> None:
         trial.end(runs, values, error)
         trials = self.writer.write()
+        self.listener(TrialEnded(trials[trial.number], *self._progress(trials)))
+
+    def _progress(self, trials: Sequence[Trial]) -> tuple[int, int, Trial | None]:
+        """The number of trials that have ended, the number that the sweep should have, and the best so far."""
         done = sum(one.state != "running" for one in trials)
-        self.listener(TrialEnded(trials[trial.number], done, self.asked))
+        return done, self.asked, next(iter(self.study.ranked()), None)

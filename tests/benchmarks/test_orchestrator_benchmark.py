@@ -9,7 +9,7 @@ from karolos.errors import UsageError
 
 def test_a_quick_run_prints_rows_and_advice_and_draws_the_papers_two_experiments(tmp_path):
     figure = tmp_path / "boxes.svg"
-    result = CliRunner().invoke(app, ["orchestrator", "--quick", "--json", "--figure", str(figure)])
+    result = CliRunner().invoke(app, ["orchestrator", "--quick", "--json", "--out", str(figure)])
     assert result.exit_code == 0, result.output
     rows = [json.loads(line) for line in result.stdout.splitlines()]
     assert all(tuple(row) == COLUMNS for row in rows)
@@ -24,6 +24,6 @@ def test_a_quick_run_prints_rows_and_advice_and_draws_the_papers_two_experiments
 
 
 def test_a_figure_of_an_unknown_format_is_refused_before_anything_is_measured(tmp_path):
-    result = CliRunner().invoke(app, ["orchestrator", "--figure", str(tmp_path / "boxes.doc")])
+    result = CliRunner().invoke(app, ["orchestrator", "--out", str(tmp_path / "boxes.doc")])
     assert isinstance(result.exception, UsageError)
     assert ".svg" in str(result.exception)

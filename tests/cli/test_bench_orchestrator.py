@@ -32,13 +32,13 @@ def test_nothing_is_written_that_was_not_asked_for(tmp_path: Path) -> None:
 
 
 def test_the_box_plots_are_where_it_says(tmp_path: Path) -> None:
-    code, _, err = call(app, "--figure", "boxes.svg")
+    code, _, err = call(app, "--out", "boxes.svg")
     assert code == 0, err
     assert err.splitlines() == ["use 2 processes", "wrote the box plots into boxes.svg"]
     assert "<svg" in (tmp_path / "boxes.svg").read_text()
 
 
 def test_a_figure_that_is_no_picture_is_refused_before_anything_is_measured() -> None:
-    code, out, err = call(app, "--figure", "boxes.txt")
+    code, out, err = call(app, "--out", "boxes.txt")
     assert (code, out) == (2, "")
     assert "boxes.txt has no file extension of a picture; let it end in .svg, .pdf, .png" in err

@@ -18,7 +18,7 @@ SMALL = ("--width", "32", "--height", "24")
 @pytest.mark.parametrize("name", names("robots"))
 def test_robot_is_shown_with_a_picture(name: str, tmp_path: Path) -> None:
     target = tmp_path / "robot.png"
-    code, out, err = call(app, "robot", name, "--picture", str(target), *SMALL, "--json")
+    code, out, err = call(app, "robot", name, "--out", str(target), *SMALL, "--json")
     assert code == 0, err
     found = json.loads(out)
     assert found["joints"]
@@ -29,7 +29,7 @@ def test_robot_is_shown_with_a_picture(name: str, tmp_path: Path) -> None:
 def test_robot_is_shown_without_a_goal(tmp_path: Path) -> None:
     def green(kind: str, name: str) -> int:
         target = tmp_path / f"{name}.png"
-        assert call(app, kind, name, "--picture", str(target), "--width", "160", "--height", "120")[0] == 0
+        assert call(app, kind, name, "--out", str(target), "--width", "160", "--height", "120")[0] == 0
         red, green, blue = np.asarray(Image.open(target), int).transpose(2, 0, 1)
         return int(((green > red + 30) & (green > blue + 30)).sum())
 
@@ -40,7 +40,7 @@ def test_robot_is_shown_without_a_goal(tmp_path: Path) -> None:
 @pytest.mark.parametrize("name", names("tasks"))
 def test_task_is_shown_with_a_picture(name: str, tmp_path: Path) -> None:
     target = tmp_path / "task.png"
-    code, out, err = call(app, "task", name, "--picture", str(target), *SMALL)
+    code, out, err = call(app, "task", name, "--out", str(target), *SMALL)
     assert code == 0, err
     assert "task.gravity" in out
     assert "What counts as success" in out or "success" in out
@@ -57,8 +57,8 @@ def test_floor_gives_an_interval() -> None:
 
 def test_unknown_names_and_bad_files_are_refused(tmp_path: Path) -> None:
     assert call(app, "robot", "pandda")[0] == 2
-    assert call(app, "task", "reach", "--picture", str(tmp_path / "x.txt"))[0] == 2
-    assert call(app, "task", "reach", "--picture", str(tmp_path / "none" / "x.png"))[0] == 2
+    assert call(app, "task", "reach", "--out", str(tmp_path / "x.txt"))[0] == 2
+    assert call(app, "task", "reach", "--out", str(tmp_path / "none" / "x.png"))[0] == 2
 
 
 def test_halving_takes_the_mean() -> None:

@@ -3,10 +3,12 @@ from __future__ import annotations
 import io
 import shutil
 import sys
+import time
 from pathlib import Path
 
 import imageio.v3 as imageio
 import numpy as np
+import pybullet
 import pytest
 from karolos_cli.play import play
 from support.commands import call
@@ -30,7 +32,7 @@ def spec(tmp_path: Path) -> Path:
 def test_the_expert_of_a_spec_is_filmed_and_its_episodes_are_told(spec: Path, tmp_path: Path) -> None:
     film = tmp_path / "film.gif"
     size = ("--width", "64", "--height", "48")
-    code, out, err = call(app, str(spec), "--expert", "--record", str(film), "--episodes", "2", *size)
+    code, out, err = call(app, str(spec), "--expert", "--out", str(film), "--episodes", "2", *size)
     assert code == 0, err
     assert out.strip() == str(film)
     assert [line.split(":")[0] for line in err.splitlines()] == ["episode 1", "episode 2"]
@@ -51,7 +53,7 @@ def test_a_film_has_one_episode_by_default_and_a_bar(
     screen = Terminal()
     monkeypatch.setattr(sys, "stderr", screen)
     monkeypatch.setenv("TERM", "xterm")
-    play(str(spec), expert=True, record=tmp_path / "film.mp4", width=64, height=48)
+    play(str(spec), expert=True, out=tmp_path / "film.mp4", width=64, height=48)
     assert "recording episode 1/1" in screen.getvalue()
     assert "episode 1: " in screen.getvalue()
     assert "episode 2" not in screen.getvalue()
@@ -73,12 +75,12 @@ def test_pictures_of_a_film_say_how_an_episode_goes() -> None:
     ("arguments", "message"),
     [
         (("--width", "65"), "cannot be encoded"),
-        (("--record", "film.txt"), "cannot record"),
-        (("--checkpoint", "worst"), "there is no checkpoint 'worst'"),
+        (("--out", "film.txt"), "cannot record"),
+        (("--checkpoint", "worst"), "'worst'"),
     ],
 )
 def test_what_cannot_be_filmed_is_refused(spec: Path, arguments: tuple[str, ...], message: str) -> None:
-    defaults = () if "--record" in arguments else ("--record", str(spec.with_suffix(".gif")))
+    defaults = () if "--out" in arguments else ("--out", str(spec.with_suffix(".gif")))
     code, _, err = call(app, str(spec), "--expert", *defaults, *arguments)
     assert code == 2
     assert message in err
@@ -87,9 +89,33 @@ def test_what_cannot_be_filmed_is_refused(spec: Path, arguments: tuple[str, ...]
 def test_a_spec_without_a_task_has_no_expert(tmp_path: Path) -> None:
     path = tmp_path / "toy.yaml"
     path.write_text("name: toy\nenvironment: toy\nagent: sac\n")
-    code, _, err = call(app, str(path), "--expert", "--record", str(tmp_path / "film.gif"))
+    code, _, err = call(app, str(path), "--expert", "--out", str(tmp_path / "film.gif"))
     assert code == 2
     assert "there is no expert for this environment" in err
+
+
+def test_a_window_shows_the_episodes_at_the_pace_of_control(spec: Path, monkeypatch: pytest.MonkeyPatch) -> None:
+    """PyBullet connects without a window here, and tells what the window would be asked for."""
+    connect, opened, cameras, pauses = pybullet.connect, [], [], []
+    monkeypatch.setattr(pybullet, "connect", lambda mode: opened.append(mode) or connect(pybullet.DIRECT))
+    monkeypatch.setattr(pybullet, "resetDebugVisualizerCamera", lambda *place, **_: cameras.append(place))
+    monkeypatch.setattr(time, "sleep", pauses.append)
+    monkeypatch.setattr(sys, "platform", "linux")
+    monkeypatch.setenv("DISPLAY", ":0")
+    monkeypatch.chdir(spec.parent)
+    code, out, err = call(app, str(spec), "--expert", "--episodes", "2")
+    assert (code, out) == (0, ""), err
+    assert opened == [pybullet.GUI]
+    assert len(cameras) == 1
+    assert pauses == [pytest.approx(1 / 24)] * 2 * 7
+    assert [line.split(":")[0] for line in err.splitlines()] == ["episode 1", "episode 2"]
+    assert [path.name for path in spec.parent.iterdir()] == [spec.name], "no film is written"
+
+
+def test_the_old_name_of_the_option_for_a_film_still_works(spec: Path, tmp_path: Path) -> None:
+    film = tmp_path / "film.gif"
+    assert call(app, str(spec), "--expert", "--record", str(film), "--width", "64", "--height", "48")[0] == 0
+    assert film.is_file()
 
 
 TOY = {
@@ -104,7 +130,7 @@ TOY = {
 
 def test_a_run_without_a_best_checkpoint_plays_its_last_and_says_so(tmp_path: Path) -> None:
     folder = Path(Experiment(TOY).run(tmp_path / "runs").runs[0].folder)
-    film = ("--record", str(tmp_path / "film.gif"), "--episodes", "1", "--width", "64", "--height", "48")
+    film = ("--out", str(tmp_path / "film.gif"), "--episodes", "1", "--width", "64", "--height", "48")
     code, _, err = call(app, str(folder), *film)
     assert (code, [line.split(":")[0] for line in err.splitlines()]) == (0, ["episode 1"])
     shutil.rmtree(folder / "checkpoints" / "best")  # as in a run that was stopped before its first test

@@ -127,7 +127,7 @@ def test_a_run_killed_outright_is_listed_as_lost(home):
 
 def test_play_records_a_film_of_the_best_checkpoint(home):
     assert karolos("run", "toy.yaml", "-q").returncode == 0
-    result = karolos("play", "@last", "--record", "toy.gif", "--episodes", "2", "--width", "64", "--height", "48")
+    result = karolos("play", "@last", "--out", "toy.gif", "--episodes", "2", "--width", "64", "--height", "48")
     assert result.returncode == 0, result.stderr
     assert result.stdout == "toy.gif\n"
     from PIL import Image
@@ -141,7 +141,7 @@ def test_play_records_a_film_of_the_best_checkpoint(home):
     ("arguments", "words"),
     [
         (["@last"], ["no run"]),
-        (["@last", "--record", "x.avi"], ["no run"]),
+        (["@last", "--out", "x.avi"], ["no run"]),
     ],
 )
 def test_play_without_runs_says_so(home, arguments, words):

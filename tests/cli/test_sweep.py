@@ -2,12 +2,17 @@
 
 from __future__ import annotations
 
+import io
 import json
 import os
+import re
 import shutil
 import signal
 import subprocess
 import sys
+import time
+from dataclasses import replace
+from pathlib import Path
 
 import pytest
 import typer
@@ -18,8 +23,11 @@ from support.commands import call
 from support.sweep_samples import LEARNING_RATE, sweep_spec
 
 from karolos.records.sweep_records import SweepFinal, Trial
-from karolos.spec import spec_from_dict
-from karolos.sweep.events import SweepOutcome, TrialBegan, TrialEnded
+from karolos.spec import load_spec, spec_from_dict
+from karolos.sweep.events import FinalBegan, SweepOutcome, TrialAdvanced, TrialBegan, TrialEnded
+from karolos.sweep.study import Study
+
+ROOT = Path(__file__).parents[2]
 
 app = typer.Typer()
 app.command()(sweep)
@@ -105,8 +113,8 @@ def test_rows_and_words_tell_what_was_chosen_and_how_far_to_trust_it(home, capsy
     outcome = SweepOutcome(search, trials, 2, trials[0], trials[:1], final, home)
     display = SweepDisplay(outcome.sweep.objectives, quiet=False)
     for place, trial in enumerate(trials):
-        display(TrialBegan(trial))
-        display(TrialEnded(trial, place + 1, 2))
+        display(TrialBegan(trial, place, 2, None))
+        display(TrialEnded(trial, place + 1, 2, trials[0]))
     report(outcome, quiet=False, json=True)
     out, err = capsys.readouterr()
     rows = [json.loads(line) for line in out.splitlines()]
@@ -117,3 +125,52 @@ def test_rows_and_words_tell_what_was_chosen_and_how_far_to_trust_it(home, capsy
     assert "\x1b" not in err
     assert "gap +0.15" in err
     assert outcome.exit_code == 0
+
+
+class Terminal(io.StringIO):
+    def isatty(self):
+        return True
+
+
+def test_bar_shows_trials_the_best_so_far_and_the_time_left():
+    first = Trial(0, "line-t000", "complete", {"agent.learning_rate": 1e-3}, (0.9,), ("a",), None)
+    second = Trial(1, "line-t001", "running", {"agent.learning_rate": 1e-2}, None, (), None)
+    screen = Terminal()
+    with SweepDisplay(("success_end",), quiet=False, stream=screen) as display:
+        (task,) = display._bar.tasks
+        display(TrialBegan(replace(first, state="running", values=None), 0, 4, None))
+        display(TrialAdvanced("line-t000", 0.5))
+        assert (task.completed, task.total, task.fields["done"], task.fields["best"]) == (0.5, 4, "0/4", "")
+        time.sleep(0.01)
+        display(TrialEnded(first, 1, 4, first))
+        display(TrialBegan(second, 1, 4, first))
+        display(TrialAdvanced("line-t001", 0.25))
+        assert (task.completed, task.fields["done"]) == (1.25, "1/4")
+        assert task.fields["best"] == "best success_end 0.9 (trial 0)"
+        assert task.time_remaining is not None
+        display(FinalBegan((0, 1), (2, 3), "choose"))
+        display(TrialAdvanced("line-t000", 1.0))
+        assert (task.completed, task.total, task.description) == (1.0, 2, "choosing")
+    text = re.sub(r"\x1b\[[0-9;?]*[A-Za-z]", "", screen.getvalue())
+    assert "trial 0 complete: success_end 0.9 with agent.learning_rate=0.001 [1/4]" in text
+
+
+@pytest.mark.parametrize("path", ["specs/panda_reach_sweep.yaml", "specs/smoke/toy_sweep.yaml"])
+def test_a_row_of_the_table_takes_one_line_on_a_narrow_terminal(path, monkeypatch, tmp_path):
+    search = load_spec(ROOT / path).sweep
+    drawn = Study.draws(search, 12)
+    trials = tuple(
+        Trial(number, f"a-t{number:03}", "complete", values, (0.123456789,), ("panda_reach_sweep-t000-s0-2026",), None)
+        for number, values in enumerate(drawn)
+    )
+    final = SweepFinal(1, (2, 3), (4, 5), (0.123456789,), {1: (0.0123456789,)}, (0.3456789,))
+    screen = Terminal()
+    monkeypatch.setattr(sys, "stdout", screen)
+    monkeypatch.setenv("COLUMNS", "80")
+    monkeypatch.setenv("TERM", "xterm")
+    report(SweepOutcome(search, trials, 12, trials[1], trials[:1], final, tmp_path), quiet=False, json=False)
+    text = re.sub(r"\x1b\[[0-9;?]*[A-Za-z]", "", screen.getvalue())
+    lines = [line for line in text.splitlines() if line.strip()]
+    head = next(place for place, line in enumerate(lines) if "─" in line)
+    assert len(lines) == head + 1 + 12, text
+    assert max(map(len, lines)) <= 80

@@ -4,8 +4,9 @@ from pathlib import Path
 
 import pytest
 from karolos_cli.db import app as db
+from karolos_cli.runs import app as list_of_runs
 from karolos_cli.sweeps import app
-from support.run_commands import call, rows
+from support.run_commands import add_run, call, rows
 from support.sweep_samples import some_trial, write_sweep
 
 from karolos.errors import UsageError
@@ -44,9 +45,9 @@ def test_show_tells_trials_and_how_far_to_trust_the_best(runs: Path) -> None:
     told = call(app, "show", "done")
     lines = told.stdout.splitlines()
     assert "success_end_fresh" in lines[0]
-    assert "agent.learning_rate" in lines[0]
-    assert lines[3].split()[:5] == ["2", "complete", "0.8", "0.7", "0.65"]
-    assert "a loss that is nan" in lines[2]
+    assert "learning_rate" in lines[0]
+    assert lines[3].split()[:5] == ["2", "complete", "0.8", "0.7", "1e+03"]
+    assert "trial 1 failed: a loss that is nan" in told.stderr
     assert "best: trial 2" in told.stderr
     assert "gap +0.15" in told.stderr
     (row,) = rows(app, "show", "done-20260101-000000")
@@ -58,7 +59,7 @@ def test_a_trial_that_nobody_works_on_is_open_and_not_running(runs: Path) -> Non
 
 
 def test_a_name_of_no_sweep_or_of_several_is_told(runs: Path, tmp_path: Path) -> None:
-    with pytest.raises(UsageError, match="there is no sweep 'dome'; `karolos sweeps list` shows them"):
+    with pytest.raises(UsageError, match="there is no sweep 'dome'; did you mean 'done'"):
         call(app, "show", "dome")
     with Store(Store.default_url(runs)) as store:
         store.sweeps.add([write_sweep(tmp_path / "other", "done", [], sweep="done-20270101-000000")])
@@ -77,3 +78,16 @@ def test_reindex_enters_sweeps_and_names_what_is_damaged(runs: Path) -> None:
     assert "1 sweeps entered, 0 forgotten" in told
     assert "half: sweep.json is damaged; remove that file: `karolos sweep SPEC` writes it again" in told
     assert [row["name"] for row in rows(app, "list")] == ["done"]
+
+
+def test_runs_of_trials_are_listed_on_request(runs: Path) -> None:
+    with Store(Store.default_url(runs)) as store:
+        store.sweeps.add([write_sweep(runs, "half", [some_trial(0)])])
+    plain, trial = add_run(runs, 0), add_run(runs, 0, name="x-t000")
+    told = call(list_of_runs, "list", "--limit", 1)
+    assert plain in told.stdout
+    assert trial not in told.stdout
+    assert told.stderr == "the runs of sweeps' trials are left out; --trials lists them\n"
+    assert [row["run"] for row in rows(list_of_runs, "list")] == [plain]
+    assert {row["run"] for row in rows(list_of_runs, "list", "--trials")} == {plain, trial}
+    assert call(list_of_runs, "list", "--trials").stderr == ""

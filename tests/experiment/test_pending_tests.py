@@ -5,6 +5,7 @@ from __future__ import annotations
 import os
 import signal
 import time
+from dataclasses import replace
 from pathlib import Path
 from typing import Any
 
@@ -12,6 +13,7 @@ import pytest
 from support.states import assert_same_runs, assert_same_state
 
 from karolos import checkpoint
+from karolos.errors import WorkerError
 from karolos.evaluation.evaluation_process import EvaluationProcess
 from karolos.experiment import experiment, pending_tests
 from karolos.experiment.events import RunTested, RunWarned
@@ -71,8 +73,8 @@ def test_results_and_weights_are_those_of_a_run_without_a_second_process(
     add = pending_tests.PendingTests.add
     beside = []
 
-    def add_and_wait(tests: pending_tests.PendingTests, training: Any) -> None:
-        add(tests, training)
+    def add_and_wait(tests: pending_tests.PendingTests) -> None:
+        add(tests)
         wait_until_ready(tests)
         beside.append(tests._process is not None and tests._process.test is not None)
 
@@ -93,8 +95,8 @@ def test_lost_process_costs_a_warning_and_its_test_is_played_again(
 ) -> None:
     add = pending_tests.PendingTests.add
 
-    def add_and_kill(tests: pending_tests.PendingTests, training: Any) -> None:
-        add(tests, training)
+    def add_and_kill(tests: pending_tests.PendingTests) -> None:
+        add(tests)
         if tests._process is not None:
             os.kill(tests._process._process.pid or 0, signal.SIGKILL)
 
@@ -146,3 +148,67 @@ def test_stop_during_a_test_abandons_it_and_the_resumed_run_plays_it_again(
     assert [test.steps for test in stopped.tests()] == [40]
     assert checkpoint.read_meta(stopped.checkpoints, "last")["steps"] == 80
     assert_same_runs(here, run(tmp_path, existing="resume"))
+
+
+def test_tests_are_played_in_parts_by_both_processes_and_join_in_order(
+    tmp_path: Path, processes: list[EvaluationProcess], monkeypatch: pytest.MonkeyPatch
+) -> None:
+    """Training ends before the second process is ready, so that both share the final test."""
+    monkeypatch.setattr(pending_tests, "PART_EPISODES", 4)
+    spec = SPEC | {"testing": {"interval": 120, "episodes": 6, "final_episodes": 64}}
+    play, played = pending_tests.play_episodes, []
+
+    def slowly(environments: Any, agent: Any, seeds: Any, **options: Any) -> Any:
+        if options["steps"] == 240:
+            wait_until_ready(tests[0])
+            played.append(len(seeds))
+        return play(environments, agent, seeds, **options)
+
+    tests: list[pending_tests.PendingTests] = []
+    begin = pending_tests.PendingTests.__init__
+    monkeypatch.setattr(
+        pending_tests.PendingTests, "__init__", lambda self, *a, **o: (tests.append(self), begin(self, *a, **o))[1]
+    )
+    monkeypatch.setattr(pending_tests, "play_episodes", slowly)
+    (summary,) = Experiment(spec).run(tmp_path / "both").runs
+    monkeypatch.undo()
+    monkeypatch.setattr(experiment, "cores", lambda: 1)
+    (alone,) = Experiment(spec).run(tmp_path / "alone").runs
+    shared, expected = RunFolder.open(summary.folder), RunFolder.open(alone.folder)
+    assert_same_runs(expected, shared)
+    assert sum(played) < 6 + 64, "the second process has played parts, too"
+    final, whole = shared.final(), expected.final()
+    assert final is not None
+    assert whole is not None
+    assert replace(final.last, seconds=0.0) == replace(whole.last, seconds=0.0)
+
+
+def test_second_process_starts_before_the_first_test_if_many_steps_are_tested_or_warm_up_is_slow(
+    tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    started: list[int] = []
+
+    class Never(pending_tests.EvaluationProcess):
+        def __init__(self, *_: Any) -> None:
+            started.append(len(tests))
+            raise WorkerError("none in this test")
+
+    tests: list[int] = []
+    monkeypatch.setattr(experiment, "cores", lambda: 2)
+    monkeypatch.setattr(pending_tests, "EvaluationProcess", Never)
+    monkeypatch.setattr(pending_tests.PendingTests, "add", lambda self: tests.append(1))
+    few = SPEC | {
+        "training": SPEC["training"] | {"warmup_episodes": 20},
+        "testing": {"interval": 120, "episodes": 6},
+    }
+    many = SPEC | {"testing": {"interval": 1, "episodes": 100}}
+    Experiment(few).run(tmp_path, check=False)
+    assert started == []
+    tests.clear()
+    Experiment(many).run(tmp_path, check=False)
+    assert started == [0]
+    monkeypatch.setattr(pending_tests, "WORTHWHILE", 0.01)
+    monkeypatch.setattr(pending_tests, "MANY_STEPS", 1e9)
+    tests.clear()
+    Experiment(few).run(tmp_path, check=False)
+    assert started == [0, 0]

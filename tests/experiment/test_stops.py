@@ -58,8 +58,9 @@ def test_listener_hears_what_a_run_does_besides_training(tmp_path: Path) -> None
     for event in busy:
         first.setdefault(event.activity, (event.done, event.total))
         last[event.activity] = event.done, event.total
-    assert first == {"collecting demonstrations": (0, 3), "testing": (0, 2), "checkpoint": (0, 1)}
-    assert last == {"collecting demonstrations": (3, 3), "testing": (2, 2), "checkpoint": (1, 1)}
+    testing = {"testing": (0, 2), "final test": (0, 2)}
+    assert first == {"collecting demonstrations": (0, 3), "checkpoint": (0, 1), **testing}
+    assert last == {"collecting demonstrations": (3, 3), "checkpoint": (1, 1), "testing": (2, 2), "final test": (2, 2)}
 
 
 @pytest.mark.skipif(not hasattr(signal, "SIGHUP"), reason="this system has no SIGHUP")

@@ -102,7 +102,7 @@ def test_runs_are_listed_newest_first_and_filtered(store: Store) -> None:
     assert store.runs(prefix="reach_1") == (new,)
     assert store.runs(prefix="%") == ()
     assert store.runs(ids=[old.run, "none"]) == (old,)
-    with pytest.raises(UsageError, match="no state 'done'; there are created, running"):
+    with pytest.raises(UsageError, match="no state 'done'; states: created, running"):
         store.runs(state="done")
 
 

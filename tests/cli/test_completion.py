@@ -1,0 +1,104 @@
+"""Shell completion: run ids, plugins and settings, without importing what takes seconds."""
+
+from __future__ import annotations
+
+import os
+import re
+import subprocess
+import sys
+from collections.abc import Iterator
+from pathlib import Path
+
+import pytest
+import typer
+from karolos_cli.completion import _fields
+from karolos_cli.main import app
+from typer.testing import CliRunner
+
+from karolos.registry import KINDS, entries, load
+
+ROOT = Path(__file__).parents[2]
+REPORT = """
+import sys
+from karolos_cli import main
+sys.argv = ["karolos"]
+try:
+    main()
+finally:
+    print(*sys.modules, file=sys.stderr)
+"""
+
+
+def words(line: str) -> dict[str, str]:
+    """The environment in which bash asks for completions of the last word."""
+    return {"COMP_WORDS": line, "COMP_CWORD": str(line.count(" ")), "_KAROLOS_COMPLETE": "complete_bash"}
+
+
+@pytest.mark.parametrize(
+    ("line", "expected"),
+    [
+        ("karolos runs show re", "reach reach-s0"),
+        ("karolos play @", "@last"),
+        ("karolos plugins show buf", "buffer"),
+        ("karolos plugins show agent s", "sac"),
+        ("karolos inspect robot u", "ur5"),
+        ("karolos compare reach --metric e", "end"),
+        ("karolos run specs/panda_reach.yaml training.warm", "training.warmup_episodes="),
+        ("karolos sweep specs/panda_reach.yaml agent.noise.k", "agent.noise.kind="),
+        ("karolos run specs/panda_reach.yaml buffer.hindsight.s", "buffer.hindsight.strategy="),
+        ("karolos run specs/missing.yaml testing.final", "testing.final_episodes="),
+    ],
+)
+def test_runs_plugins_and_settings_are_completed(
+    line: str, expected: str, tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    (tmp_path / "reach-s0").mkdir()
+    (tmp_path / "reach-s0" / "run.json").write_text("{}")
+    monkeypatch.chdir(ROOT)
+    completed = CliRunner().invoke(app, [], prog_name="karolos", env=words(line) | {"KAROLOS_RUNS": str(tmp_path)})
+    assert completed.stdout.split() == expected.split()
+
+
+def test_completing_a_setting_imports_no_plugin() -> None:
+    ended = subprocess.run(
+        [sys.executable, "-c", REPORT],
+        env=os.environ | words("karolos run specs/panda_reach.yaml agent.noise.k"),
+        cwd=ROOT,
+        capture_output=True,
+        text=True,
+        check=False,
+    )
+    assert ended.stdout.split() == ["agent.noise.kind="]
+    assert not {"torch", "pybullet"} & set(ended.stderr.split())
+
+
+@pytest.mark.parametrize(("kind", "name"), [(kind, entry.name) for kind in KINDS for entry in entries(kind)])
+def test_settings_in_the_source_are_those_of_the_model(kind: str, name: str) -> None:
+    plugin = load(kind, name)
+    found = set(_fields(f"{plugin.__module__}:{plugin.__name__}.Settings"))
+    assert {field for field in found if "." not in field} == set(plugin.Settings.model_fields)
+
+
+def commands(group: typer.core.TyperGroup, path: str = "karolos") -> Iterator[tuple[str, typer.core.TyperCommand]]:
+    for name, command in group.commands.items():
+        if isinstance(command, typer.core.TyperGroup):
+            yield from commands(command, f"{path} {name}")
+        else:
+            yield f"{path} {name}", command
+
+
+def test_help_says_what_each_option_takes(monkeypatch: pytest.MonkeyPatch) -> None:
+    monkeypatch.setenv("COLUMNS", "200")
+    for name, _ in commands(typer.main.get_command(app)):
+        shown = CliRunner().invoke(app, [*name.split()[1:], "--help"]).stdout
+        options = shown.split("Options", 1)[1]
+        assert not re.findall(r"<(?:bool|str|path|file|directory|int range|float range|list.*?)>", options), name
+
+
+def test_what_is_written_is_named_by_out() -> None:
+    outputs = ("record", "figure", "figures", "html", "picture", "output", "file")
+    for name, command in commands(typer.main.get_command(app)):
+        for option in command.params:
+            if option.name in outputs and option.param_type_name == "option":
+                assert option.hidden, f"{name} {option.opts[0]}"
+                assert any(one.name == "out" for one in command.params), name
