@@ -16,7 +16,7 @@ from ..core.seeding import SeedTree
 from ..errors import PluginError
 from ..robots.arm import Arm, ArmModel, ArmSettings
 from ..simulation import urdf
-from ..simulation.bullet.world import World
+from ..simulation.engines import default_engine, make_world
 from ..simulation.geometry import Box, Vector
 from ..simulation.interface import Fingers, Gripper
 from ..simulation.urdf import Joint
@@ -398,7 +398,7 @@ def _self_collisions(model: ArmModel, found: urdf.Description) -> tuple[tuple[st
         Settings = ArmSettings
 
     Proposed.model = model
-    robot, world = Proposed(ArmSettings.model_validate({})), World()
+    robot, world = Proposed(ArmSettings.model_validate({})), make_world(default_engine())
     try:
         robot.prepare(gripper=model.fingers is not None, period=world.period)
         robot.build(world)

@@ -9,7 +9,7 @@ from typing import Any, Protocol
 
 import numpy as np
 
-from ...errors import MachineError
+from ...errors import MachineError, PluginError
 from ..interface.engine import GRAVITY
 
 IMPEDANCE_RATIO = 10.0
@@ -87,7 +87,7 @@ class Simulation:
         self._scratch: Any = None
         self._structure_changed = self._parameters_changed = True
         self.stepped = False
-        """Whether forces and contacts of a physics step are known: no state was written since the last one."""
+        """Whether forces and contacts are known: no state was written since they were computed."""
 
     @property
     def stiff(self) -> tuple[float, float]:
@@ -127,11 +127,14 @@ class Simulation:
 
     def _compile(self) -> None:
         self._declare()
-        if self._data is None:
-            self.model = self.spec.compile()
-            self._data = self.api.MjData(self.model)
-        else:
-            self.model, self._data = self.spec.recompile(self.model, self._data)
+        try:
+            if self._data is None:
+                self.model = self.spec.compile()
+                self._data = self.api.MjData(self.model)
+            else:
+                self.model, self._data = self.spec.recompile(self.model, self._data)
+        except ValueError as error:
+            raise PluginError(f"mujoco cannot compile the model: {' '.join(str(error).split())}") from error
         self._scratch = self.api.MjData(self.model)
         self._masses, self._inertias = self.model.body_mass.copy(), self.model.body_inertia.copy()
         for part in self.parts:

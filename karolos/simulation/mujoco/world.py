@@ -94,16 +94,14 @@ class World:
         self.floor.set_friction(friction)
 
     def load(self, robot: Element, *, position: Vector = (0.0, 0.0, 0.0)) -> Body:
-        robot = copy.deepcopy(robot)
-        keep = {"discardvisual": "false", "fusestatic": "false", "balanceinertia": "true"}
-        ElementTree.SubElement(ElementTree.SubElement(robot, "mujoco"), "compiler", keep)
         try:
-            loaded = self.api.MjSpec.from_string(ElementTree.tostring(robot, encoding="unicode"))
-            loaded.copy().compile()
+            loaded = self.api.MjSpec.from_string(ElementTree.tostring(_readable(robot), encoding="unicode"))
         except ValueError as error:
             raise PluginError(
                 f"mujoco cannot load this URDF: {error}", where=f"robot {robot.get('name', '?')}"
             ) from error
+        for mesh in loaded.meshes:  # masses come from the URDF; an open mesh has no volume
+            mesh.inertia = self.api.mjtMeshInertia.mjMESH_INERTIA_SHELL
         bodies = loaded.bodies[1:]
         bodies[0].mocap = True
         bodies[0].pos = position
@@ -173,7 +171,10 @@ class World:
         return marker
 
     def update_contacts(self) -> None:
-        self._simulation.writable()
+        data = self._simulation.writable()
+        self.api.mj_fwdPosition(self._simulation.model, data)
+        data.efc_force[:] = 0.0
+        self._simulation.stepped = True
 
     def contacts(self, first: AnyBody, second: AnyBody, link: int) -> list[Contact]:
         data = self._simulation.ready()
@@ -255,3 +256,19 @@ class World:
                 solref=self._simulation.stiff,
                 solimp=CONTACT_IMPEDANCE,
             )
+
+
+def _readable(robot: Element) -> Element:
+    """A copy of a URDF as MuJoCo reads it."""
+    robot = copy.deepcopy(robot)
+    keep = {"discardvisual": "false", "fusestatic": "false", "balanceinertia": "true", "strippath": "false"}
+    ElementTree.SubElement(ElementTree.SubElement(robot, "mujoco"), "compiler", keep)
+    for element in robot.iter():
+        for key in ("name", "link"):  # a link "world" would become MuJoCo's own
+            if element.get(key) == "world":
+                element.set(key, "world link")
+    for link in robot.findall("link"):
+        for visual in link.findall("visual"):
+            if any(mesh.get("filename", "").lower().endswith(".dae") for mesh in visual.iter("mesh")):
+                link.remove(visual)  # MuJoCo reads no Collada; the link is drawn as it collides
+    return robot
