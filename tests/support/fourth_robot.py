@@ -115,8 +115,6 @@ def exported_arm(folder: Path) -> type[Arm]:
     (package / "meshes").mkdir()
     solid = "v 0 0 0\nv 0 0 .01\nv 0 .01 0\nv .01 0 0\nf 1 3 2\nf 1 2 4\nf 1 4 3\nf 2 3 4\n"
     (package / "meshes" / "mark.obj").write_text(solid)
-        "v 0 0 0\nv 0 0 .01\nv 0 .01 0\nv .01 0 0\nf 1 3 2\nf 1 2 4\nf 1 4 3\nf 2 3 4\n"
-    )
     text = _urdf(fingers=True)
     mesh = '<visual><geometry><mesh filename="package://small_description/meshes/mark.obj"/></geometry></visual>'
     mimic = '<mimic joint="slide1" multiplier="-1"/><limit lower="-0.035" upper="0"'
