@@ -4,27 +4,51 @@ from __future__ import annotations
 
 from collections.abc import Sequence
 from itertools import product
-from math import atan2, pi
+from math import atan2, cos, pi, sin
+from typing import NamedTuple
 
 import numpy as np
 
 from ..core import Array
-from ..core.seeding import SeedTree
+from ..core.seeding import Generator, SeedTree
 from ..robots.arm import POSTURE_GAIN
 from ..simulation.geometry import Box, Vector
 from ..simulation.kinematics import Chain
 from ..simulation.urdf import Joint
 
-STARTS = 12
+STARTS = 6
 """Random joint positions from which inverse kinematics looks for a home pose, for each place and yaw of the tool."""
 MARGIN = 0.1
 """Distance in rad from the limits of the joints that home and workspace keep."""
 SPEED = 0.8
 """Fraction of the joints' speeds that a full action may take at home."""
+SMALLEST = 0.04
+"""Least edge of a workspace in m."""
 GOALS = 0.3
 """Edges in m of the box from which tasks draw goals."""
 CLEARANCE = 0.015
 """Least height in m of the joints above the floor, but for the first."""
+
+
+class Place(NamedTuple):
+    """A home pose and what can be done around it."""
+
+    home: tuple[float, ...]
+    """Joint positions in rad."""
+    tool_step: float
+    """The distance in m that the tool can move per control step along every axis."""
+    workspace: Box
+
+    @property
+    def edge(self) -> float:
+        """The shortest edge of the workspace in m."""
+        return float(np.subtract(self.workspace.high, self.workspace.low).min())
+
+    @property
+    def room(self) -> float:
+        """Volume in m3 of the workspace as far as tasks use it; half of it counts if it does not reach the floor."""
+        edges = np.subtract(self.workspace.high, self.workspace.low)
+        return float(np.prod(np.minimum(edges, GOALS))) * (1.0 if self.workspace.low[2] < 0.05 else 0.5)
 
 
 class Poses:
@@ -39,39 +63,59 @@ class Poses:
         self.chain = Chain(joints, tool)
         self.length = sum(float(np.linalg.norm(one.origin)) for one in joints[1:]) + float(np.linalg.norm(tool[0]))
         """Of the arm from its second joint to the tool, in m."""
-        self.shoulder = joints[0].origin[2] + joints[1].origin[2]
-        low = np.array([max(joint.lower, -pi) for joint in joints])
-        high = np.array([min(joint.upper, pi) for joint in joints])
+        low, high = (np.array([getattr(joint, end) for joint in joints]) for end in ("lower", "upper"))
+        turns = high - low > 2 * pi
+        low, high = np.where(turns, np.maximum(low, -pi), low), np.where(turns, np.minimum(high, pi), high)
         margin = np.minimum(MARGIN, (high - low) / 10)
         self.low, self.high = low + margin, high - margin
-        self.rest = np.clip(0.0, self.low, self.high)
+        inside = (low < -(high - low) / 10) & (high > (high - low) / 10)
+        self.rest = np.where(inside, 0.0, (low + high) / 2)
+        """Joint positions that are preferred: 0, or the middle of a range that 0 is not well within."""
+        self.shoulder = self.chain.forward(self.rest.tolist()).axes[8]
+        """Height of the second joint in m."""
         self.speeds = np.array([joint.velocity for joint in joints])
 
-    def homes(self) -> list[tuple[float, ...]]:
-        """Joint positions with the tool pointing down at several distances in front of the base, at the same height.
+    def best(self, largest_step: float) -> Place | None:
+        """The home pose with the roomiest workspace; None if the tool cannot point down anywhere around the base.
 
-        Many poses are computed from random starts. For each distance the one is taken that is furthest from joint
-        limits and singularities, with joints above the floor and near 0.
+        The search begins in front of the base, with the tool a quarter of the arm's length above the floor. It goes on
+        lower, and then to the sides, until the goals of the tasks have room.
         """
         draws = SeedTree(0).generator()
-        homes = []
-        for height in sorted({max(0.25 * self.length, height) for height in (0.0, self.shoulder - 0.3 * self.length)}):
-            for ahead in (0.45, 0.55, 0.65):
-                target = (ahead * self.length, 0.0, height)
-                found: list[tuple[float, Array, float]] = []
-                for yaw, start in product((0.0, pi / 2, -pi / 2, pi), range(STARTS)):
-                    offset = draws.uniform(self.low, self.high) - self.rest
-                    pose = self._solved(self.rest + (1.0 if start % 2 else 0.3) * offset, target, yaw)
-                    score = self._score(pose, target)
-                    if score is not None:
-                        found.append((score, pose, yaw))
-                if found:
-                    _, pose, yaw = max(found, key=lambda one: one[0])
-                    pose = self._solved(pose, target, yaw, steps=500)
-                    homes.append(tuple(round(float(value), 4) + 0.0 for value in pose))
-            if homes:
+        lift = max(0.0, self.shoulder / self.length - 0.45)  # of a base on a pedestal
+        best: Place | None = None
+        for direction, height in product((0.0, -pi / 2, pi / 2, pi), (0.25, 0.15, 0.08)):
+            if best is not None and direction and best.edge > SMALLEST:
                 break
-        return homes
+            for ahead in (0.55, 0.45, 0.65, 0.35):
+                place = np.array([ahead * cos(direction), ahead * sin(direction), lift + height])
+                x, y, z = (self.length * place).tolist()
+                for home in self._homes((x, y, z), draws):
+                    step = min(largest_step, self._tool_step(home))
+                    found = Place(home, step, self._workspace(home, step))
+                    best = found if best is None or found.room > 1.1 * best.room else best
+            if best is not None and best.room > 0.9 * GOALS**3:
+                break
+        return best
+
+    def _homes(self, target: Vector, draws: Generator) -> list[tuple[float, ...]]:
+        """At most two different poses with the tool at `target`, pointing down, the best first.
+
+        They are computed from random starts. Good ones are far from joint limits and singularities, with joints above
+        the floor and near those preferred.
+        """
+        found: list[tuple[float, Array, float]] = []
+        for yaw, start in product((0.0, pi / 2, -pi / 2, pi), range(STARTS)):
+            offset = draws.uniform(self.low, self.high) - self.rest
+            pose = self._solved(self.rest + (1.0 if start % 2 else 0.3) * offset, target, yaw)
+            score = self._score(pose, target)
+            if score is not None:
+                found.append((score, pose, yaw))
+        homes: list[Array] = []
+        for _, pose, yaw in sorted(found, key=lambda one: -one[0]):
+            if len(homes) < 2 and all(np.abs(pose - other)[:-1].max() > 0.5 for other in homes):
+                homes.append(self._solved(pose, target, yaw, steps=500))
+        return [tuple(round(float(value), 4) + 0.0 for value in pose) for pose in homes]
 
     def _solved(self, pose: Array, target: Vector, yaw: float, steps: int = 60) -> Array:
         """A pose (n,) near this one with the tool at `target`, pointing down, if inverse kinematics finds one."""
@@ -93,14 +137,14 @@ class Poses:
         margin = float(np.minimum(pose - self.low, self.high - pose).min())
         dexterity = float(np.linalg.svd(jacobian, compute_uv=False)[-1])
         bent = float(np.abs(pose - self.rest).sum())
-        return min(margin, 0.5) + 4 * min(dexterity, 0.2) + 0.5 * max(heights) / self.length - 0.05 * bent
+        return min(margin, 0.5) + 4 * min(dexterity, 0.1) + 0.5 * max(heights) / self.length - 0.1 * bent
 
-    def tool_step(self, home: Sequence[float]) -> float:
+    def _tool_step(self, home: Sequence[float]) -> float:
         """The distance in m that the tool can move per control step along every axis from home."""
         inverse = np.abs(np.linalg.pinv(self.chain.jacobian(self.chain.forward(home)))[:, :3])
         return float(np.floor(1000 * SPEED / 24 / (inverse / self.speeds[:, None]).max()) / 1000)
 
-    def workspace(self, home: Sequence[float], tool_step: float) -> Box:
+    def _workspace(self, home: Sequence[float], tool_step: float) -> Box:
         """A box around home that the tool reaches pointing down, down to the floor.
 
         It grows face by face from home, to at most 40 % of the arm's length ahead and 60 % across. Of a box that grows
@@ -108,36 +152,33 @@ class Poses:
         """
         sides, ahead = [(0, 1), (1, 1)], [(0, 0), (1, 0), (1, 2)]
         boxes = [self._grown(home, tool_step, phases) for phases in ([[*sides, *ahead]], [sides, ahead])]
-        return max(boxes, key=self.room)
-
-    @staticmethod
-    def room(box: Box) -> tuple[float, float]:
-        """How much room a workspace has: first as far as the goals of the tasks use it, then its volume in m3."""
-        edges = np.subtract(box.high, box.low)
-        return float(np.prod(np.minimum(edges, GOALS))), float(np.prod(edges))
+        return max(boxes, key=lambda box: Place((), 0.0, box).room)
 
     def _grown(self, home: Sequence[float], tool_step: float, phases: Sequence[Sequence[tuple[int, int]]]) -> Box:
         """A box whose faces (side, axis) grow phase by phase, after the lower one has grown to the floor."""
-        start = self.chain.forward(home).tool.position
-        unit = self.length / 40
-        most = np.array([[-8 * unit, -12 * unit, min(0.0, 0.02 - start[2])], [8 * unit, 12 * unit, 10 * unit]])
+        start = np.array(self.chain.forward(home).tool.position)
+        ahead, across, up = 0.2 * self.length, 0.3 * self.length, 0.25 * self.length
+        most = np.array([[-ahead, -across, min(0.0, 0.02 - start[2])], [ahead, across, up]])
         size = np.zeros((2, 3))
-        for phase in ([(0, 2)], *phases):
+        for phase, fraction in product(([(0, 2)], *phases), (10, 20, 40, 80)):
             growing = list(phase)
             while growing:
                 for side, axis in [*growing]:
                     face, larger = (side, axis), size.copy()
-                    larger[face] = np.clip(size[face] + (2 * side - 1) * unit, most[0, axis], most[1, axis])
+                    larger[face] += (2 * side - 1) * self.length / fraction
+                    larger[face] = np.clip(larger[face], most[0, axis], most[1, axis])
                     if larger[face] == size[face] or not self._face_reached(home, start, larger, face, tool_step):
                         growing.remove(face)
                     else:
                         size = larger
-        low, high = np.ceil((start + size[0]) * 1000) / 1000, np.floor((start + size[1]) * 1000) / 1000
+        start = 1000 * start
+        low = np.minimum(np.ceil(start + 1000 * size[0]), np.floor(start)) / 1000
+        high = np.maximum(np.floor(start + 1000 * size[1]), np.ceil(start)) / 1000
         (x, y, z), (u, v, w) = low.tolist(), high.tolist()
         return Box((x, y, z), (u, v, w))
 
     def _face_reached(
-        self, home: Sequence[float], start: Vector, size: Array, face: tuple[int, int], tool_step: float
+        self, home: Sequence[float], start: Array, size: Array, face: tuple[int, int], tool_step: float
     ) -> bool:
         """Whether the tool reaches the corners and the centres of one face of a box and of its edges."""
         side, axis = face

@@ -21,7 +21,7 @@ from ..simulation.geometry import Box, Vector
 from ..simulation.interface import Fingers, Gripper
 from ..simulation.urdf import Joint
 from .meshes import points_of
-from .poses import Poses
+from .poses import SMALLEST, Poses
 
 GRIPPER_NAMES = re.compile(r"grip|finger|jaw|claw|knuckle|thumb", re.IGNORECASE)
 """Joints of these names are not of the arm."""
@@ -34,8 +34,6 @@ ALONG = 0.99
 """Cosine of the largest angle between two directions that count as the same."""
 PAD_DEPTH = 0.01
 """Distance in m from the tips of the fingers to the tool centre point."""
-SMALLEST = 0.1
-"""Least edge of a workspace in m."""
 TOOL_STEP: float = ArmSettings.model_fields["tool_step"].default
 
 
@@ -104,6 +102,7 @@ class Proposal:
             "high": _code(model.workspace.high),
             "tool": _code(model.tool),
             "tool_rpy": _code(model.tool_rpy),
+            "threshold": "0.05" if min(np.subtract(model.workspace.high, model.workspace.low)) > 0.2 else "0.02",
             "more": "".join(f"        {line}\n" for line in more),
         }
 
@@ -145,18 +144,14 @@ def propose(path: Path, tool: str | None = None) -> Proposal:
     position, rotation, note = _tool(path, found, joints[-1], (across, *pads), tool)
     notes.append(note)
     poses = Poses(joints, (position, rotation))
-    choices = []
-    for home in poses.homes():
-        step = min(TOOL_STEP, poses.tool_step(home))
-        choices.append((poses.workspace(home, step), home, step))
-    empty = Box((0.0, 0.0, 0.0), (0.0, 0.0, 0.0))
-    box, home, tool_step = max(choices, key=lambda choice: poses.room(choice[0]), default=(empty, (), 0.0))
-    if min(np.subtract(box.high, box.low)) < SMALLEST:
+    best = poses.best(TOOL_STEP)
+    if best is None or best.edge < SMALLEST:
         raise PluginError(
-            f"no box of {100 * SMALLEST:g} cm was found in front of the base that the tool reaches pointing down",
+            f"no box of {100 * SMALLEST:g} cm was found around the base that the tool reaches pointing down",
             where=str(path),
             hint="choose the tool with --tool LINK; the base stands on the floor with its z axis upwards",
         )
+    home, tool_step, box = best
     start = poses.chain.forward(home).tool.position
     notes.append(f"home: tool at {_metres(start)} m, pointing down; by inverse kinematics, far from joint limits")
     notes.append(f"workspace: {_metres(box.low)} to {_metres(box.high)} m; the tool reaches it pointing down")
@@ -206,15 +201,19 @@ def _rest(joint: Joint) -> float:
 
 
 def _arm(found: urdf.Description, path: Path, tool: str | None) -> list[Joint]:
-    """The joints of the arm, from the base to the wrist."""
+    """The turning joints of the arm, from the base to the wrist. Joints that slide on the way are left out."""
     leaders = {joint.mimic for joint in found.joints}
     usable = [
         joint
         for joint in found.joints
-        if joint.revolute and joint.mimic is None and joint.name not in leaders and not GRIPPER_NAMES.search(joint.name)
+        if joint.mimic is None and joint.name not in leaders and not GRIPPER_NAMES.search(joint.name)
     ]
     above = {joint.child: joint for joint in found.joints}
     arm: list[Joint] = []
+
+    def depth(joint: Joint) -> int:
+        return joint.revolute + max((depth(other) for other in usable if other.parent == joint.child), default=0)
+
     if tool is not None:
         link = found.carriers[tool]
         while link in above:
@@ -223,27 +222,27 @@ def _arm(found: urdf.Description, path: Path, tool: str | None) -> list[Joint]:
         while arm and arm[-1] not in usable:  # the tool link is on a finger
             arm.pop()
     else:
-
-        def depth(joint: Joint) -> int:
-            return 1 + max((depth(other) for other in usable if other.parent == joint.child), default=0)
-
-        link = next(joint.parent for joint in found.joints if joint.parent not in above) if found.joints else ""
-        while children := sorted((joint for joint in usable if joint.parent == link), key=depth, reverse=True):
-            if len(children) > 1 and depth(children[0]) == depth(children[1]):
-                if depth(children[0]) <= 2:  # fingers
-                    break
-                names = ", ".join(joint.name for joint in children)
+        link = next((joint.parent for joint in found.joints if joint.parent not in above), "")
+        while children := [joint for joint in usable if joint.parent == link and depth(joint)]:
+            deepest = max(map(depth, children))
+            first, *others = (joint for joint in children if depth(joint) == deepest)
+            if others and deepest <= 2:  # fingers
+                break
+            if others:
                 raise PluginError(
-                    f"two arms begin here, with joints {names}",
+                    f"two arms begin here, with joints {', '.join(joint.name for joint in (first, *others))}",
                     where=f"{path}: link {link}",
                     hint="choose one with --tool LINK, a link at its end",
                 )
-            arm.append(children[0])
-            link = children[0].child
+            arm.append(first)
+            link = first.child
+    arm = [joint for joint in arm if joint.revolute]
     for joint in arm:
-        if not joint.revolute or joint.mimic is not None:
-            kind = f"mimics {joint.mimic}" if joint.mimic is not None else "slides"
-            raise PluginError(f"it {kind}; the joints of an arm turn", where=f"{path}: joint {joint.name}")
+        if joint.mimic is not None:
+            raise PluginError(
+                f"it mimics {joint.mimic}; karolos drives every joint of an arm by itself",
+                where=f"{path}: joint {joint.name}",
+            )
     if len(arm) < 5:
         names = ", ".join(joint.name for joint in arm) or "none"
         raise PluginError(

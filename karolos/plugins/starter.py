@@ -71,6 +71,7 @@ def _rendered(
         "dashed": name.replace("_", "-"),
         "class_name": "".join(word.capitalize() for word in name.split("_")),
         "about": "",
+        "threshold": "0.05",
     }
     package = f"src/karolos_{name}"
     templates = {

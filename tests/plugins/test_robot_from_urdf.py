@@ -56,8 +56,8 @@ def test_a_gripper_with_turning_fingers_is_locked(tmp_path: Path) -> None:
 @pytest.mark.parametrize(
     ("old", "new", "message"),
     [
-        ('name="joint3" type="revolute"', 'name="joint3" type="prismatic"', "an arm of 2 turning joints"),
-        ('name="joint3" type="revolute"', 'name="joint3" type="fixed"', "no box of 10 cm was found"),
+        ('type="revolute"', 'type="prismatic"', "an arm of 1 turning joints (joint6)"),
+        ('name="joint2" type="revolute"', 'name="joint2" type="fixed"', "no box of 4 cm was found"),
         ('effort="15" velocity="0.06"', 'effort="0" velocity="0"', "joint slide1: limits must satisfy"),
         ("small_description/meshes", "elsewhere", "link base: there is no mesh 'package://elsewhere/mark.obj'"),
         ('<mass value="1.2"/>', '<mass value="0"/>', "link link3: it moves and has no mass"),
