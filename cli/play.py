@@ -13,7 +13,7 @@ import typer
 
 from karolos.errors import UsageError
 
-from .arguments import RUN_HELP, Database, Runs, open_run
+from .arguments import RUN_HELP, Database, Runs, open_run, open_store
 from .completion import complete_run
 from .output import say
 
@@ -31,7 +31,11 @@ OUTCOME_SECONDS = 0.7
 def play(
     run: Annotated[
         str,
-        typer.Argument(metavar="RUN", help=f"{RUN_HELP} With --expert a SPEC.yaml.", autocompletion=complete_run),
+        typer.Argument(
+            metavar="RUN",
+            help=f"{RUN_HELP} Or the name of a policy that ships with karolos: panda_reach. With --expert a SPEC.yaml.",
+            autocompletion=complete_run,
+        ),
     ],
     expert: Annotated[bool, typer.Option("--expert", help="Play the expert of a spec's task instead.")] = False,
     out: Annotated[Path | None, typer.Option(metavar="FILE", help="Film to write: FILE.mp4 or FILE.gif.")] = None,
@@ -48,10 +52,11 @@ def play(
     database: Database = None,
     record: Annotated[Path | None, typer.Option(hidden=True)] = None,
 ) -> None:
-    """Play test episodes of a run's saved policy, or with --expert of the scripted policy for a spec.
+    """Play test episodes of a run's saved policy, of one that ships, or with --expert of the scripted one for a spec.
 
     Opens a window if there is a display. Without a display, or with --out, writes a film. Default: play.mp4 in the
-    run's folder, or NAME.mp4 in the current folder for the spec NAME.
+    run's folder, or NAME.mp4 in the current folder for a spec or a policy that ships. A run of your own with the name
+    of a policy that ships is played instead of it.
     """
     if width % 2 or height % 2:
         raise UsageError(f"a film of {width} x {height} pixels cannot be encoded", hint="use even numbers")
@@ -59,21 +64,24 @@ def play(
     window = film is None and _has_display()
     from karolos.evaluation.playing import play as play_episodes
     from karolos.evaluation.policies import load_expert, load_player
-    from karolos.report.video import check_video_path, write_video
+    from karolos.report.video import write_video
 
     if expert:
         from karolos.spec import load_spec
 
         spec = load_spec(run)
-        target = film or Path(f"{spec.name}.mp4")
+        target = _film(film or Path(f"{spec.name}.mp4"), window=window)
+        environment, policy = load_expert(spec, window=window)
+    elif _ships(run, runs, database):
+        from karolos.export.shipped import load_shipped
+
+        if checkpoint is not None:
+            raise UsageError(f"{run!r} ships with karolos and has no checkpoints", hint="leave out --checkpoint")
+        target = _film(film or Path(f"{run}.mp4"), window=window)
+        spec, environment, policy = load_shipped(run, window=window)
     else:
         folder = open_run(run, runs, database)
-        target = film or folder.path / "play.mp4"
-    if not window:
-        check_video_path(target)
-    if expert:
-        environment, policy = load_expert(spec, window=window)
-    else:
+        target = _film(film or folder.path / "play.mp4", window=window)
         spec, environment, policy = load_player(folder, checkpoint or _best_or_last(folder), window=window)
     count = episodes or (5 if window else 1)
     moments = _report_episodes(play_episodes(environment, policy, episodes=count, seed=spec.testing.seed))
@@ -87,6 +95,28 @@ def play(
     finally:
         environment.close()
     print(target)
+
+
+def _film(target: Path, *, window: bool) -> Path:
+    """The film to write. Raises UsageError if it cannot be written, unless there is a window instead."""
+    from karolos.report.video import check_video_path
+
+    if not window:
+        check_video_path(target)
+    return target
+
+
+def _ships(name: str, runs: Path, database: str | None) -> bool:
+    """Whether a policy that ships with karolos is meant: neither a run of one's own nor a folder has its name."""
+    from karolos.export.shipped import shipped_names
+
+    if name not in shipped_names() or os.path.isdir(name):
+        return False
+    store = open_store(runs, database)
+    if store is None:
+        return True
+    with store:
+        return not store.runs(name=name)
 
 
 def _best_or_last(folder: RunFolder) -> str:

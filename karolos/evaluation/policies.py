@@ -180,7 +180,7 @@ def load_player(folder: RunFolder, name: str = "best", *, window: bool = False) 
         MachineError: there is no display for the window.
     """
     saved = load_agent(folder, name)
-    return saved.spec, _environment(saved.spec, window), saved.policy()
+    return saved.spec, environment_of(saved.spec, window=window), saved.policy()
 
 
 def load_expert(spec: Spec, *, window: bool = False) -> tuple[Environment, Policy]:
@@ -190,7 +190,7 @@ def load_expert(spec: Spec, *, window: bool = False) -> tuple[Environment, Polic
         UsageError: the spec has no robot and task, or the task has no expert.
         MachineError: there is no display for the window.
     """
-    environment = _environment(spec, window)
+    environment = environment_of(spec, window=window)
     try:
         return environment, expert_policy(environment)
     except BaseException:
@@ -198,7 +198,8 @@ def load_expert(spec: Spec, *, window: bool = False) -> tuple[Environment, Polic
         raise
 
 
-def _environment(spec: Spec, window: bool) -> Environment:
+def environment_of(spec: Spec, *, window: bool = False) -> Environment:
+    """One environment of the spec without randomization. Raises MachineError if there is no display for the window."""
     recipe = spec.recipe(randomize=False)
     part = recipe.environment
     if not window:

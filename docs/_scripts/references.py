@@ -1,0 +1,212 @@
+"""Reference runs: the runs that the tables of learning in README.md and docs/results.md are generated from.
+
+python docs/_scripts/references.py add RUN...   copy finished run folders into runs/reference
+python docs/_scripts/references.py tables       write the tables
+python docs/_scripts/references.py check        exit 1 if tables, reference runs and shipped specs do not agree
+"""
+
+from __future__ import annotations
+
+import shutil
+import sys
+from collections.abc import Iterator
+from itertools import product
+from pathlib import Path
+from tempfile import TemporaryDirectory
+
+from karolos.comparison import Comparison, Contender, compare, gather
+from karolos.errors import KarolosError
+from karolos.records import RunFolder, paths
+from karolos.report.comparison_tables import estimate, improvement
+from karolos.report.tables import count, duration
+from karolos.spec import Spec, load_spec, spec_from_dict
+from karolos.statistics.aggregates import median_reaching
+from karolos.store import Store, reindex
+
+ROOT = Path(__file__).parents[2]
+REFERENCE = ROOT / "runs" / "reference"
+FILES = ("spec.yaml", "resolved.json", "run.json", "state.json", "tests.jsonl", "final.jsonl", "labels.json")
+"""What is kept of a run: no weights and no training episodes."""
+SHARED = "shared-machine"
+"""Tag of runs that shared their machine with other work: their times are upper limits."""
+ROBOTS = ("panda", "ur5", "iiwa")
+TARGETS = {
+    "reach": (0.99, 15),
+    "push": (0.95, 300),
+    "pick": (0.97, 180),
+    "pick_demos": (0.97, 60),
+    "throw": (0.95, 600),
+}
+"""Task, as in the name of a spec -> the least `end` of every seed, and the most seconds to .95 (median)."""
+
+
+def shipped_spec(folder: RunFolder) -> Spec:
+    """The spec that the command of a run means today: the shipped file with the command's overrides."""
+    words = folder.description().get("command") or []
+    if words[1:2] != ["run"] or len(words) < 3 or not (ROOT / words[2]).is_relative_to(ROOT / "specs"):
+        raise KarolosError(f"its command is not `karolos run specs/...`, but {' '.join(words)}")
+    return load_spec(ROOT / words[2], [word for word in words[3:] if "=" in word and not word.startswith("-")])
+
+
+def faults(folder: RunFolder) -> Iterator[str]:
+    """Why a run cannot be a reference, one line each."""
+    record, git = folder.record(), folder.description().get("git")
+    yield from record.problems
+    if record.summary.state != "finished":
+        yield f"the run is {record.summary.state}, not finished"
+    final = folder.final()
+    if final is None or final.best is None or final.last.episodes < 1000:
+        yield "it has no final test of last and best with 1,000 episodes"
+    if not git or git["dirty"]:
+        yield "its code is not that of a commit"
+    try:
+        if spec_from_dict(record.spec).hash() != shipped_spec(folder).hash():
+            yield "its spec is not the one that ships"
+    except KarolosError as error:
+        yield f"its spec is not the one that ships: {error}"
+
+
+def add(path: Path) -> Path:
+    """Copy a run folder into runs/reference; returns the copy. Raises KarolosError if it cannot be a reference."""
+    folder = RunFolder.open(path)
+    wrong = list(faults(folder))
+    if wrong:
+        raise KarolosError("; ".join(wrong), where=str(path))
+    about = folder.description()
+    target = REFERENCE / f"{about['name']}-s{about['seed']}"
+    shutil.rmtree(target, ignore_errors=True)
+    target.mkdir(parents=True)
+    for name in FILES:
+        if (path / name).exists():
+            shutil.copy(path / name, target)
+    return target
+
+
+def contenders() -> dict[str, Contender]:
+    """The reference runs by the names of their experiments."""
+    with TemporaryDirectory() as scratch, Store(f"sqlite:///{scratch}/index.sqlite") as store:
+        reindex(store, REFERENCE)
+        names = sorted({run.name for run in store.runs()})
+        return {name: gather(store, store.runs(name=name), name) for name in names}
+
+
+def tables() -> dict[str, str]:
+    """The generated tables in Markdown, by the names of their markers."""
+    found = contenders()
+    pairs = [f"{robot}_{task}" for task, robot in product(TARGETS, ROBOTS)]
+    others = sorted(set(found) - set(pairs))
+    return {
+        "pairs": _overview(found),
+        "reference runs": _results(found, [*pairs, *(name for name in others if _is_shipped(name))]),
+        "variants": _variants(found, [name for name in others if not _is_shipped(name)]),
+    }
+
+
+def _is_shipped(name: str) -> bool:
+    return (ROOT / "specs" / f"{name}.yaml").is_file()
+
+
+def _overview(found: dict[str, Contender]) -> str:
+    rows = [
+        [f"`{task}`", *(_success(found.get(f"{robot}_{task}"), short=True) for robot in ROBOTS)] for task in TARGETS
+    ]
+    return _markdown(["task", *ROBOTS], rows)
+
+
+def _results(found: dict[str, Contender], names: list[str]) -> str:
+    columns = ["spec", "`end`, mean", "each seed", "best policy", "steps to .95", "time to .95", "in all", "targets"]
+    table = _markdown(columns, [_result(name, found[name]) for name in names if name in found])
+    missing = ", ".join(f"`{name}`" for name in names if name not in found)
+    return f"{table}\n\nWithout a reference run: {missing}." if missing else table
+
+
+def _result(name: str, one: Contender) -> list[str]:
+    runs, ends = [run.summary for run in one.runs], [run.reported("end") for run in one.runs]
+    best = compare([one]).scores[0].best_end
+    seconds = median_reaching([run.seconds_to_95 for run in runs])
+    shared = any(SHARED in run.tags for run in runs)
+    mark, targets = " *" if shared else "", "-"
+    if task := TARGETS.get(name.partition("_")[2]):
+        least, most = task
+        slow = "not shown" if shared else "missed"
+        on_time = "met" if seconds is not None and seconds <= most else slow
+        targets = f"{least:.2f} {'met' if min(ends) >= least else 'missed'}, {most} s {on_time}"
+    return [
+        f"`{name}`",
+        _success(one),
+        " ".join(f"{end:.3f}" for end in ends),
+        "-" if best is None else f"{best.value:.3f}",
+        count(median_reaching([run.steps_to_95 for run in runs])),
+        duration(seconds) + mark,
+        duration(median_reaching([run.total_seconds for run in runs])) + mark,
+        targets,
+    ]
+
+
+def _success(one: Contender | None, *, short: bool = False) -> str:
+    if one is None:
+        return "-"
+    found = compare([one]).scores[0].end
+    return f"{found.value:.3f} ({len(one.runs)})" if short else estimate(found)
+
+
+def _variants(found: dict[str, Contender], names: list[str]) -> str:
+    columns = ["variant", "of", "changed", "seeds", "`end`, mean", "steps to .95", "better than the shipped spec"]
+    rows = []
+    for name in names:
+        words = RunFolder.open(found[name].runs[0].summary.folder).description()["command"]
+        base = Path(words[2]).stem
+        changed = [word for word in words[3:] if "=" in word and not word.startswith(("-", "name=", "seeds="))]
+        both: Comparison = compare([found[one] for one in (base, name) if one in found])
+        better = improvement(both.scores[1].improvement) if len(both.scores) > 1 else "-"
+        steps = count(median_reaching([run.summary.steps_to_95 for run in found[name].runs]))
+        seeds = str(len(found[name].runs))
+        rows.append([f"`{name}`", f"`{base}`", f"`{' '.join(changed)}`", seeds, _success(found[name]), steps, better])
+    return _markdown(columns, rows) if rows else "None yet."
+
+
+def _markdown(columns: list[str], rows: list[list[str]]) -> str:
+    lines = [columns, ["---"] * len(columns), *rows]
+    return "\n".join(f"| {' | '.join(line)} |" for line in lines)
+
+
+def pages() -> dict[Path, str]:
+    """The texts of README.md and docs/results.md with the generated tables between their markers."""
+    generated, found = tables(), {}
+    for page in (ROOT / "README.md", ROOT / "docs" / "results.md"):
+        text = page.read_text(encoding="utf-8")
+        for name, table in generated.items():
+            begin, end = f"<!-- {name}: written by docs/_scripts/references.py -->", f"<!-- end of {name} -->"
+            if begin in text:
+                before, _, rest = text.partition(begin)
+                text = f"{before}{begin}\n{table}\n{end}{rest.partition(end)[2]}"
+        found[page] = text
+    return found
+
+
+def problems() -> list[str]:
+    """What does not agree, one line each."""
+    found = [f"{path.name}: {fault}" for path in paths(REFERENCE) for fault in faults(RunFolder.open(path))]
+    for page, text in pages().items():
+        if page.read_text(encoding="utf-8") != text:
+            found.append(f"{page.name} is not the generated one; run: python docs/_scripts/references.py tables")
+    return found
+
+
+def main() -> None:
+    verb, *arguments = sys.argv[1:] or ["check"]
+    if verb == "add":
+        for argument in arguments:
+            try:
+                print(add(Path(argument)).name)
+            except KarolosError as error:
+                sys.exit(str(error))
+    elif verb == "tables":
+        for page, text in pages().items():
+            page.write_text(text, encoding="utf-8")
+    else:
+        sys.exit("\n".join(problems()))
+
+
+if __name__ == "__main__":
+    main()

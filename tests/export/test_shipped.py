@@ -1,0 +1,57 @@
+"""Policies that ship are those of reference runs, and still work."""
+
+from __future__ import annotations
+
+from pathlib import Path
+
+import numpy as np
+import pytest
+from karolos_cli.play import play
+from support.commands import call
+from typer import Typer
+
+from karolos.evaluation.playing import score
+from karolos.export.numpy_policy import NumpyPolicy
+from karolos.export.shipped import FOLDER, load_shipped, shipped_names
+from karolos.files import read_object
+from karolos.records import RunFolder, paths
+
+REFERENCE = Path(__file__).parents[2] / "runs" / "reference"
+app = Typer()
+app.command()(play)
+
+
+def test_a_reaching_arm_ships() -> None:
+    assert {"panda_reach"} <= set(shipped_names())
+
+
+@pytest.mark.parametrize("name", shipped_names())
+def test_a_policy_that_ships_is_that_of_a_reference_run_and_acts_as_its_agent_did(name: str) -> None:
+    described = read_object(FOLDER / name / "policy.json")
+    assert described is not None
+    [final] = [folder.final() for folder in map(RunFolder.open, paths(REFERENCE)) if folder.id == described["run"]]
+    assert final is not None
+    assert described["sha256"] in (final.last_sha256, final.best_sha256)
+    golden = np.load(FOLDER / name / "golden.npz")
+    acted = NumpyPolicy(FOLDER / name / "policy.npz")(golden["observation"], golden["desired_goal"])
+    assert np.abs(acted - golden["action"]).max() < 1e-4
+
+
+@pytest.mark.parametrize("name", shipped_names())
+def test_a_policy_that_ships_succeeds(name: str) -> None:
+    spec, environment, policy = load_shipped(name)
+    try:
+        assert score(environment, policy, episodes=20, seed=spec.testing.final_seed).success_end >= 0.9
+    finally:
+        environment.close()
+
+
+def test_play_shows_a_policy_that_ships_without_any_run(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
+    monkeypatch.chdir(tmp_path)
+    film = ("--episodes", "1", "--width", "64", "--height", "48", "--out", "film.gif")
+    code, out, err = call(app, "panda_reach", *film)
+    assert (code, out) == (0, "film.gif\n"), err
+    assert err.startswith("episode 1: success")
+    code, _, err = call(app, "panda_reach", *film, "--checkpoint", "best")
+    assert code == 2
+    assert "'panda_reach' ships with karolos and has no checkpoints" in err

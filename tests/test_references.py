@@ -1,0 +1,45 @@
+"""Tables of learning are generated from reference runs, and these are of the specs that ship."""
+
+from __future__ import annotations
+
+import json
+import runpy
+import shutil
+from itertools import product
+from pathlib import Path
+
+import pytest
+
+from karolos.errors import KarolosError
+from karolos.records import paths
+
+ROOT = Path(__file__).parents[1]
+SCRIPT = runpy.run_path(str(ROOT / "docs" / "_scripts" / "references.py"))
+REFERENCE: Path = SCRIPT["REFERENCE"]
+MOST_BYTES = 20_000_000
+
+
+def test_tables_reference_runs_and_shipped_specs_agree() -> None:
+    assert paths(REFERENCE)
+    assert SCRIPT["problems"]() == []
+
+
+def test_every_pair_of_robot_and_task_has_a_spec() -> None:
+    for robot, task in product(SCRIPT["ROBOTS"], SCRIPT["TARGETS"]):
+        assert (ROOT / "specs" / f"{robot}_{task}.yaml").is_file()
+
+
+def test_reference_runs_are_small_and_hold_no_weights() -> None:
+    files = [path for path in REFERENCE.rglob("*") if path.is_file() and path.name != "karolos.sqlite"]
+    assert {path.name for path in files} <= {*SCRIPT["FILES"], "README.md"}
+    assert sum(path.stat().st_size for path in files) < MOST_BYTES
+
+
+def test_a_run_of_another_spec_or_without_its_final_test_is_refused(tmp_path: Path) -> None:
+    run = shutil.copytree(paths(REFERENCE)[0], tmp_path / "run")
+    resolved = json.loads((run / "resolved.json").read_text())
+    resolved["training"]["steps"] += 1
+    (run / "resolved.json").write_text(json.dumps(resolved))
+    (run / "final.jsonl").unlink()
+    with pytest.raises(KarolosError, match=r"no final test .* its spec is not the one that ships"):
+        SCRIPT["add"](run)
