@@ -43,6 +43,7 @@ def agents(
     seeds: Annotated[int, typer.Option(min=1, help="Runs of each entry.")] = 5,
     quick: Annotated[bool, typer.Option("--quick", help="Toy tasks, which only show that everything runs.")] = False,
     peers: Annotated[bool, typer.Option("--peers", help="Run tuned stable-baselines3 too.")] = False,
+    jobs: Annotated[int, typer.Option(min=1, help="Runs of an entry at the same time.")] = 1,
     json: Json = False,
 ) -> None:
     """Measure what each agent learns with each buffer over several seeds. Takes hours; a second call resumes.
@@ -55,7 +56,7 @@ def agents(
 
     beginnings = () if only is None else tuple(part.strip() for part in only.split(","))
     results = measure(
-        folder, overrides=overrides or (), only=beginnings, seeds=seeds, peers=peers, quick=quick, say=say
+        folder, overrides=overrides or (), only=beginnings, seeds=seeds, peers=peers, quick=quick, jobs=jobs, say=say
     )
     _print_measurements((row for result in results for row in result.rows()), json=json, columns=AGENT_COLUMNS)
 

@@ -23,7 +23,7 @@ from .diff import diff
 from .export import export
 from .output import say
 from .play import play
-from .run import resume, run
+from .run import execute, resume, run
 from .sweep import sweep
 from .test import transfer
 
@@ -65,6 +65,7 @@ app = typer.Typer(
 )
 app.command()(run)
 app.command()(resume)
+app.command("_run", hidden=True)(execute)
 app.command()(check)
 app.add_typer(spec.app, cls=Commands)
 app.add_typer(plugins.app, cls=Commands)

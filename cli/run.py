@@ -7,6 +7,8 @@ from typing import TYPE_CHECKING, Annotated, NoReturn
 
 import typer
 
+from karolos.errors import MachineError
+
 from .arguments import Database, Json, OneRun, Overrides, Quiet, Runs, TimeLimit, open_run, seconds
 from .output import print_rows, print_table, say
 
@@ -82,6 +84,19 @@ def resume(
     report(outcome, home, quiet=quiet, json=json)
 
 
+def execute(
+    folder: Annotated[Path | None, typer.Argument(help="A run folder. Default: those on stdin, one a line.")] = None,
+    cores: Annotated[int, typer.Option(min=1, help="Number of cores for a run.")] = 1,
+) -> None:
+    """Execute or resume the run of a folder: the process that a launcher starts."""
+    from karolos.experiment.worker import execute_folder, serve
+
+    if folder is None:
+        serve(cores)
+    elif (problem := execute_folder(folder, cores)) is not None:
+        raise MachineError(problem)
+
+
 def report(outcome: Outcome, runs: Path, *, quiet: bool, json: bool) -> NoReturn:
     """Print the runs and end with the outcome's exit code."""
     if json:
@@ -90,10 +105,9 @@ def report(outcome: Outcome, runs: Path, *, quiet: bool, json: bool) -> NoReturn
         from karolos.report.tables import runs_table
 
         print_table(runs_table(outcome.runs))
-        begun = [run for run in outcome.runs if Path(run.folder).name == run.run]
-        if begun:
-            plays = ", `karolos play @last` shows it" if begun[-1].mean_return is not None else ""
-            say(f"results in {runs}; `karolos runs show {begun[-1].run}` shows more{plays}")
+        last = outcome.runs[-1]
+        plays = ", `karolos play @last` shows it" if last.mean_return is not None else ""
+        say(f"results in {runs}; `karolos runs show {last.run}` shows more{plays}")
         stopped = [run.run for run in outcome.runs if run.state == "stopped"]
         for run in stopped:
             say(f"{run} is stopped: `karolos resume {run}` continues it")

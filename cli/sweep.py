@@ -152,10 +152,7 @@ def _open_dashboard(journal: Path) -> int:
         raise MachineError(f"{DASHBOARD} is not installed", hint=f"`pip install {DASHBOARD}`, then try again")
     if not journal.is_file():
         raise UsageError(f"there is no sweep at {journal.parent} yet", hint="`karolos sweep SPEC` starts one")
-    from karolos.experiment.jobs import sigint_ignored
-
-    with sigint_ignored():  # the dashboard inherits it; otherwise Ctrl-C would end it with a traceback
-        process = subprocess.Popen([program, str(journal)])
+    process = subprocess.Popen([program, str(journal)], process_group=0)  # Ctrl-C would end it with a traceback
     try:
         return process.wait()
     except KeyboardInterrupt:

@@ -126,8 +126,13 @@ def remove_temporary_leftovers() -> None:
     remove_leftovers(Path(tempfile.gettempdir()), TEMPORARY)
 
 
-def write_whole(path: Path, text: str) -> None:
+def write_whole(path: Path, text: str, *, durable: bool = True) -> None:
     """Write a file so that a reader sees the old or the new content and never a part of it.
+
+    Args:
+        path: of the file.
+        text: its content.
+        durable: whether to wait until it is on the disk.
 
     Raises:
         MachineError: the disk is full or the folder cannot be written; the old content stays.
@@ -137,12 +142,14 @@ def write_whole(path: Path, text: str) -> None:
         try:
             with beside.open("w", encoding="utf-8", newline="\n") as file:
                 file.write(text)
-                file.flush()
-                os.fsync(file.fileno())
+                if durable:
+                    file.flush()
+                    os.fsync(file.fileno())
             os.replace(beside, path)
         finally:
             beside.unlink(missing_ok=True)  # exists only after an error
-        sync_folder(path.parent)
+        if durable:
+            sync_folder(path.parent)
 
 
 def write_json(path: Path, value: Mapping[str, Any]) -> None:
@@ -209,6 +216,18 @@ def read_lines(path: Path) -> Lines:
     if rest:
         problems.append(f"{path.name}:{len(whole) + 1}: the last line is torn; left out")
     return Lines(tuple(rows), tuple(problems))
+
+
+def new_lines(path: Path, start: int) -> tuple[list[dict[str, Any]], int]:
+    """The JSON objects of the complete lines from byte `start` on, and where they end. A missing file is empty."""
+    try:
+        with path.open("rb") as file:
+            file.seek(start)
+            whole, newline, _ = file.read().rpartition(b"\n")
+    except OSError:
+        return [], start
+    rows = [parse_object(line) for line in whole.split(b"\n")]
+    return [row for row in rows if row is not None], start + len(whole + newline)
 
 
 def parse_object(data: bytes) -> dict[str, Any] | None:

@@ -15,7 +15,7 @@ from typing import Any
 
 from .errors import PluginError, UsageError
 
-KINDS = ("robots", "tasks", "environments", "agents", "buffers", "distributions", "orchestrators")
+KINDS = ("robots", "tasks", "environments", "agents", "buffers", "distributions", "orchestrators", "launchers")
 
 NEEDED = {
     "robots": ("prepare", "build", "apply", "reset", "act", "read", "observe"),
@@ -25,6 +25,7 @@ NEEDED = {
     "buffers": ("on_policy", "add", "cut", "sample", "state", "load_state"),
     "distributions": ("draw",),
     "orchestrators": ("reset", "step", "receive", "close"),
+    "launchers": ("room", "start", "wait", "close"),
 }
 """Attributes that a class of each kind must have, whether or not it inherits from karolos's interface."""
 

@@ -16,9 +16,9 @@ from ..errors import RunError, UsageError
 from ..experiment.events import Listener
 from ..experiment.experiment import Experiment
 from ..files import write_json, write_whole
-from ..records import RunFolder, scan
+from ..records import RunFolder
 from ..registry import alternatives, names
-from ..spec import Spec, load_spec, spec_from_dict
+from ..spec import Spec, load_spec
 from . import agent_peers
 from .side_by_side import Row
 
@@ -121,7 +121,7 @@ class Result:
         ] or [row]
 
 
-def measure(
+def measure(  # noqa: PLR0913  (options by keyword)
     folder: Path,
     *,
     overrides: Sequence[str] = (),
@@ -129,6 +129,7 @@ def measure(
     seeds: int = 5,
     peers: bool = False,
     quick: bool = False,
+    jobs: int = 1,
     say: Callable[[str], None] = print,
     listener: Listener | None = None,
 ) -> Iterator[Result]:
@@ -142,6 +143,7 @@ def measure(
         peers: also train stable-baselines3, where it has the algorithm: for the same number of steps, and for the
             number of steps that its settings are tuned for.
         quick: toys instead.
+        jobs: seeds that run at the same time.
         say: receives a line with each seed's figure.
         listener: receives the runs' events.
 
@@ -161,12 +163,12 @@ def measure(
     for case in chosen(only):
         entry = ENTRIES[case]
         spec = entry_spec(entry, overrides, quick=quick)
-        values: list[float] = []
+        spec = spec.model_copy(update={"seeds": tuple(range(seeds))})
+        values = _values(spec, entry.unit, folder, jobs, listener)
         numbers = agent_peers.numbers_of_steps(entry.spec, spec) if peers and not entry.fails else ()
         rivals: dict[int, list[float]] = {steps: [] for steps in numbers[: 1 if quick else None]}
-        for seed in range(seeds):
-            values.append(_value(spec, seed, entry.unit, folder, listener))
-            say(f"{case}, seed {seed}: {values[-1]:.4g}")
+        for seed, value in enumerate(values):
+            say(f"{case}, seed {seed}: {value:.4g}")
             for steps, figures in rivals.items():
                 figures.append(agent_peers.value(entry.spec, spec, steps, seed, entry.unit, folder))
                 say(f"{case}, seed {seed}, {agent_peers.PEER} after {steps:,} steps: {figures[-1]:.4g}")
@@ -209,27 +211,13 @@ def entry_spec(entry: TableEntry, overrides: Sequence[str] = (), *, quick: bool 
         return load_spec(folder / f"{entry.spec}.yaml", (*entry.overrides, *(QUICK if quick else ()), *overrides))
 
 
-def _value(spec: Spec, seed: int, unit: str, folder: Path, listener: Listener | None) -> float:
-    """The figure of this seed's last test; the seed is run unless its finished run is in `folder`."""
-    found = _finished(spec, seed, folder)
-    if found is None:
-        one = spec_from_dict({**spec.dump(), "seeds": [seed]})
-        Experiment(one).run(folder, listener=listener)
-        found = _finished(spec, seed, folder)
-    if found is None:
-        raise RunError(f"{spec.name} with seed {seed} was stopped", hint="the same command continues the table")
-    last = found.tests()[-1]
-    return fmean(last.returns) if unit == "return" else last.success_end
-
-
-def _finished(spec: Spec, seed: int, folder: Path) -> RunFolder | None:
-    for run in scan(folder, f"{spec.name}-s{seed}-*"):
-        if isinstance(run, RunError):
-            continue
-        summary = run.summary()
-        if summary.state == "finished" and summary.experiment == spec.hash() and summary.seed == seed:
-            return run
-    return None
+def _values(spec: Spec, unit: str, folder: Path, jobs: int, listener: Listener | None) -> list[float]:
+    """The figure of each seed's last test; a seed is run unless its finished run is in `folder`."""
+    outcome = Experiment(spec).run(folder, jobs=jobs, existing="resume", listener=listener)
+    if outcome.exit_code:
+        raise RunError(f"{spec.name} was stopped", hint="the same command continues the table")
+    tests = [RunFolder.open(run.folder).tests()[-1] for run in outcome.runs]
+    return [fmean(test.returns) if unit == "return" else test.success_end for test in tests]
 
 
 def _write(folder: Path, results: Sequence[Result]) -> None:

@@ -3,37 +3,32 @@
 from __future__ import annotations
 
 from collections.abc import Mapping
-from dataclasses import dataclass, replace
+from dataclasses import dataclass
 from pathlib import Path
-from typing import Any, Literal
+from typing import Any
 
 from ..errors import RunError, UsageError
 from ..files import remove_temporary_leftovers
 from ..orchestrator.auto import cores
 from ..records import RunFolder
 from ..records.archive import remove_unfinished_imports
-from ..records.labels import Labels
 from ..records.run_folder import remove_lost_leftovers
-from ..records.run_records import RunState, RunSummary, summarise, timestamp
+from ..records.run_records import RunSummary
 from ..spec import Spec, spec_from_dict
 from ..store import Store
 from ..training.assembly import check_parts
+from .driver import Driver, Existing, Feed, Job, create, find_existing, local
 from .events import Listener, print_progress
-from .jobs import exit_if_imported_by_child, run_side_by_side
-from .resume import find_run, newest_snapshot
-from .run import Run
-from .run_index import RunIndex
 from .signals import StopRequest, stop_on_signals
 from .start_from import pinned
-
-Existing = Literal["ignore", "skip", "resume"]
+from .worker import execute
 
 
 @dataclass(frozen=True)
 class Outcome:
     """The runs of an experiment, in the order of the seeds. Seeds that never started after a stop are missing.
 
-    A run whose process died is `lost`. If it had not begun, it has no folder.
+    A run whose process died is `lost`.
     """
 
     runs: tuple[RunSummary, ...]
@@ -120,7 +115,6 @@ class Experiment:
             MachineError: the runs folder cannot be written.
             StoreError: the database cannot be used.
         """
-        exit_if_imported_by_child()
         remove_temporary_leftovers()
         if jobs < 1:
             raise UsageError(f"jobs is {jobs}", hint="run at least one seed at a time")
@@ -133,17 +127,16 @@ class Experiment:
         Store(url).close()  # an unusable database is an error before anything is computed
         listener = listener or (print_progress if progress else lambda _: None)
         spec = pinned(self.spec.alone(), folder)
-        work = SeedRunner(spec.dump(), folder, url, text, existing, beside=has_spare_core(min(jobs, len(spec.seeds))))
+        jobs = min(jobs, len(spec.seeds))
         with stop_on_signals(time_limit=time_limit) as stop:
-            if jobs == 1 or len(self.spec.seeds) == 1:
-                summaries = []
-                for seed in self.spec.seeds:
-                    if not stop.requested:
-                        summaries.append(work(seed, listener, stop))
+            if jobs == 1:
+                summaries = _run_here(spec, folder, url, listener, stop, existing=existing, text=text)
             else:
-                summaries = run_side_by_side(work, work.lost, self.spec.seeds, jobs, listener, stop)
-        order = {seed: index for index, seed in enumerate(self.spec.seeds)}
-        outcome = Outcome(tuple(sorted(summaries, key=lambda run: order[run.seed])), len(order), stop.exit_code)
+                job = Job(spec)
+                with local(jobs) as launcher:
+                    Driver(launcher, folder, url, listener, existing=existing, text=text).run(Feed(job), stop)
+                summaries = [job.summaries[seed] for seed in spec.seeds if seed in job.summaries]
+        outcome = Outcome(tuple(summaries), len(spec.seeds), stop.exit_code)
         if check:
             outcome.check()
         return outcome
@@ -170,61 +163,29 @@ def resume_run(
     check_parts(spec)
     Store(url).close()  # an unusable database is an error before anything is computed
     with stop_on_signals(time_limit=time_limit) as stop, folder:
-        listener = listener or (lambda _: None)
-        summary = _resume(folder, spec, url, listener, stop, beside=has_spare_core(1))
+        folder.lock()
+        summary = execute(folder, url, listener or (lambda _: None), stop, beside=cores() >= 2)
     return Outcome((summary,), 1, stop.exit_code)
 
 
-@dataclass(frozen=True)
-class SeedRunner:
-    """Runs one seed of a resolved spec. The state in the summary says whether it failed.
-
-    Picklable, for a new process.
-    """
-
-    resolved: dict[str, Any]
-    runs: Path
-    url: str
-    text: str | None
-    existing: Existing = "ignore"
-    beside: bool = False
-    """Whether tests may be played beside training, in a second process."""
-
-    def __call__(self, seed: int, listener: Listener, stop: StopRequest) -> RunSummary:
-        spec = spec_from_dict(self.resolved)
-        if self.existing != "ignore":
-            found = find_run(self.runs, spec.name, spec.hash(), seed)
-            if found is not None and found.state().state == "finished":
-                return found.summary()
-            if found is not None and self.existing == "resume":
-                with found:
-                    return _resume(found, spec, self.url, listener, stop, beside=self.beside)
-        with RunFolder.create(self.runs, spec.name, seed) as folder, RunIndex(self.url, folder) as index:
-            folder.describe(spec.dump(), experiment=spec.hash(), text=self.text)
-            return Run(spec, seed, folder, index, listener, stop, beside=self.beside).execute()
-
-    def lost(self, seed: int, folder: str | None, cause: str) -> RunSummary:
-        """The row of a seed whose process died; `folder` is None if its run had not begun."""
-        if folder is not None:
-            summary = RunFolder.open(folder).summary()
-            return summary if summary.state == "finished" else replace(summary, error=cause)
-        spec, now = spec_from_dict(self.resolved), timestamp()
-        run = {"id": f"{spec.name}-s{seed}", "experiment": spec.hash(), "seed": seed, "name": spec.name, "created": now}
-        state = RunState("lost", error=cause)
-        return summarise(Path(), run, state, self.resolved, (), final=None, labels=Labels())
-
-
-def has_spare_core(jobs: int) -> bool:
-    """Whether each of so many runs at the same time has a second core for its tests."""
-    return cores() >= 2 * jobs
-
-
-def _resume(
-    folder: RunFolder, spec: Spec, url: str, listener: Listener, stop: StopRequest, *, beside: bool
-) -> RunSummary:
-    folder.lock()
-    snapshot = newest_snapshot(folder)
-    folder.next_attempt()
-    seed = folder.description()["seed"]
-    with RunIndex(url, folder) as index:
-        return Run(spec, seed, folder, index, listener, stop, snapshot, beside).execute()
+def _run_here(
+    spec: Spec,
+    runs: Path,
+    url: str,
+    listener: Listener,
+    stop: StopRequest,
+    *,
+    existing: Existing,
+    text: str | None,
+) -> list[RunSummary]:
+    """Run the seeds one after the other in this process."""
+    summaries = []
+    for seed in spec.seeds:
+        if stop.requested:
+            break
+        with find_existing(runs, spec, seed, existing) or create(runs, spec, seed, text) as folder:
+            if folder.state().state != "finished":
+                folder.lock()
+                execute(folder, url, listener, stop, beside=cores() >= 2)
+            summaries.append(folder.summary())
+    return summaries

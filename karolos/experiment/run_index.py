@@ -16,11 +16,11 @@ class RunIndex:
     The database is opened by the first update. After an update that failed, the next one enters the whole run again.
 
     Args:
-        url: SQLAlchemy URL of the database.
+        url: SQLAlchemy URL of the database; None: another process indexes the run, and nothing is done.
         folder: of the run.
     """
 
-    def __init__(self, url: str, folder: RunFolder) -> None:
+    def __init__(self, url: str | None, folder: RunFolder) -> None:
         self._url, self._folder = url, folder
         self._store: Store | None = None
         self._entered = False
@@ -31,6 +31,10 @@ class RunIndex:
     def __exit__(
         self, kind: type[BaseException] | None, error: BaseException | None, trace: TracebackType | None
     ) -> None:
+        self.close()
+
+    def close(self) -> None:
+        """Close the database. Safe to call twice."""
         if self._store is not None:
             self._store.close()
 
@@ -43,6 +47,8 @@ class RunIndex:
         Raises:
             StoreError: the database cannot be used.
         """
+        if self._url is None:
+            return
         try:
             if self._store is None:
                 self._store = Store(self._url)

@@ -1,17 +1,26 @@
-"""Stop requests: SIGINT, SIGTERM, SIGHUP, SIGUSR1, a time limit or the program. A second SIGINT stops at once."""
+"""Stop requests: a signal, a time limit, the file `stop` of a run, or the end of the process that follows the run.
+
+The signals are SIGINT, SIGTERM, SIGHUP and SIGUSR1. A second SIGINT stops at once.
+"""
 
 from __future__ import annotations
 
+import os
 import signal
 import threading
 import time
 from collections.abc import Iterator
-from contextlib import contextmanager
-from dataclasses import dataclass
+from contextlib import contextmanager, suppress
+from dataclasses import dataclass, field
+from pathlib import Path
 from types import FrameType
 
 TIME_LIMIT_EXIT = 124
 """Exit code of an experiment that its time limit stopped; the same as that of timeout(1)."""
+
+
+LOOK_SECONDS = 0.2
+"""Time between two looks for the file `stop`."""
 
 
 class StopRequestedError(Exception):
@@ -26,12 +35,26 @@ class StopRequest:
     """The signal that requested it."""
     deadline: float | None = None
     """The time limit on the clock of `time.monotonic`; None: no limit."""
-    program_reason: str | None = None
-    """Why the program requests it, e.g. "pruned"; None: it does not."""
+    file: Path | None = None
+    """A file that requests it and holds the reason, e.g. "pruned"; None: there is no such file."""
+    driver: int | None = None
+    """The process with whose end this one, its child, stops; None: it goes on."""
+    _reason: str | None = field(default=None, init=False)
+    """The content of the file."""
+    _looked: float = field(default=0.0, init=False)
 
     @property
     def requested(self) -> bool:
-        return self.signal is not None or self.program_reason is not None or self.time_is_up
+        if self.file is not None and time.monotonic() - self._looked >= LOOK_SECONDS:
+            self._look(self.file)
+        return self.signal is not None or self._reason is not None or self.time_is_up
+
+    def _look(self, file: Path) -> None:
+        self._looked = time.monotonic()
+        with suppress(FileNotFoundError):
+            self._reason = file.read_text("utf-8")
+        if self.driver not in (None, os.getppid()):
+            self.signal = signal.SIGTERM
 
     @property
     def time_is_up(self) -> bool:
@@ -39,11 +62,11 @@ class StopRequest:
 
     @property
     def reason(self) -> str | None:
-        """A signal's name, the program's reason or "time limit"; None without a request."""
+        """The file's reason, a signal's name or "time limit"; None without a request."""
+        if self._reason is not None:
+            return self._reason
         if self.signal is not None:
             return signal.Signals(self.signal).name
-        if self.program_reason is not None:
-            return self.program_reason
         return "time limit" if self.time_is_up else None
 
     def check(self) -> None:
@@ -60,16 +83,19 @@ class StopRequest:
 
 
 @contextmanager
-def stop_on_signals(*, interrupt: bool = True, time_limit: float | None = None) -> Iterator[StopRequest]:
+def stop_on_signals(
+    *, time_limit: float | None = None, file: Path | None = None, driver: int | None = None
+) -> Iterator[StopRequest]:
     """Turn SIGINT, SIGTERM, SIGHUP and SIGUSR1 into a stop request while the block runs.
 
     Outside the main thread signals keep their handlers. An ignored SIGHUP stays ignored, for nohup.
 
     Args:
-        interrupt: whether to handle SIGINT. A process whose parent handles it leaves it ignored.
         time_limit: seconds from now after which to stop.
+        file: as in StopRequest.
+        driver: as in StopRequest.
     """
-    request = StopRequest(deadline=None if time_limit is None else time.monotonic() + time_limit)
+    request = StopRequest(None, None if time_limit is None else time.monotonic() + time_limit, file, driver)
     if threading.current_thread() is not threading.main_thread():
         yield request
         return
@@ -80,9 +106,7 @@ def stop_on_signals(*, interrupt: bool = True, time_limit: float | None = None) 
         elif number == signal.SIGINT:
             raise KeyboardInterrupt
 
-    handled = [signal.SIGTERM]
-    if interrupt:
-        handled.append(signal.SIGINT)
+    handled = [signal.SIGTERM, signal.SIGINT]
     if hasattr(signal, "SIGHUP") and signal.getsignal(signal.SIGHUP) != signal.SIG_IGN:  # Windows does not have it
         handled.append(signal.SIGHUP)
     if hasattr(signal, "SIGUSR1"):  # batch systems send it some time before they kill

@@ -14,10 +14,13 @@
     export/         its policy for use without karolos, after `karolos export`
     transfers.jsonl one line per test of its policy under changed settings
     labels.json     tags and note
+    progress.json   how far it is, while a launcher's process executes it
+    stop            why that process has to stop, written by the process that follows the run
     lock            held by the process that runs it, for as long as it lives
 
-Only the process that holds the lock writes, except transfers.jsonl and labels.json, which have their own locks. The
-state `lost` is never written: it means `created` or `running` while no process holds the lock.
+Only the process that holds the lock writes, except stop, and transfers.jsonl and labels.json, which have their own
+locks. The state `lost` is never written: it means that the run has begun and not ended, and no process holds the lock.
+A run that is `created` waits for its start.
 """
 
 from .run_folder import RunFolder, paths, scan

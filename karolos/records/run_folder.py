@@ -48,6 +48,8 @@ class RunFolder:
         self.id = path.name
         self.checkpoints = path / "checkpoints"
         self.tensorboard = path / "tensorboard"
+        self.progress = path / "progress.json"
+        self.stop = path / "stop"
         self._lock = FileLock(path / "lock")
         self._run: dict[str, Any] = {}
         self._locked_at: float | None = None
@@ -108,13 +110,13 @@ class RunFolder:
     ) -> None:
         self.release()
 
-    def lock(self) -> None:
+    def lock(self, seconds: float = LOCK_SECONDS) -> None:
         """Lock the run for this process until `release` or the process's end.
 
         Raises:
-            RunError: another process has locked it.
+            RunError: another process keeps it locked for this many seconds.
         """
-        if not self._lock.acquire(LOCK_SECONDS):
+        if not self._lock.acquire(seconds):
             raise RunError("another process is running it", where=self.id, hint="wait for it, or stop it first")
         self._locked_at, self._earlier_seconds = monotonic(), self._stored_state().total_seconds
         remove_leftovers(self.path, UNFINISHED)
@@ -265,7 +267,7 @@ class RunFolder:
         """The content of the folder, and what is damaged or missing in it."""
         spec = read_object(self.path / "resolved.json")
         state = RunState.from_row(read_object(self.path / "state.json"))
-        now = self._current(state or RunState("created"))
+        now = self._current(state or RunState("running"))
         tests, problems = self._count_tests()  # after the state: a finished run has all its tests
         for name, row in (("resolved.json", spec), ("state.json", state)):
             if row is None:
@@ -283,11 +285,12 @@ class RunFolder:
         """The state now, given what state.json held just before."""
         if stored.unfinished and not self.is_locked():
             stored = self._stored_state()  # the run may have ended after the first read
-            return replace(stored, state="lost") if stored.unfinished else stored
+            if stored.unfinished and (stored.state, stored.attempt) != ("created", 1):  # such a run waits for its start
+                return replace(stored, state="lost")
         return stored
 
     def _stored_state(self) -> RunState:
-        return RunState.from_row(read_object(self.path / "state.json")) or RunState("created")
+        return RunState.from_row(read_object(self.path / "state.json")) or RunState("running")
 
     def _write_state(self, state: RunState) -> None:
         if self._locked_at is not None:

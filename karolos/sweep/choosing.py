@@ -8,16 +8,16 @@ from __future__ import annotations
 
 import math
 from collections.abc import Callable, Sequence
-from dataclasses import dataclass
 from itertools import count, islice
 
+from ..experiment.driver import Driver, Feed, Job
+from ..experiment.events import RunAdvanced, RunEnded, RunEvent
 from ..experiment.signals import StopRequest
 from ..records.sweep_records import SweepFinal, Trial, merit
 from ..spec import Spec, spec_of_trial
 from ..spec.sweep import FinalSettings
-from .events import FinalBegan, SweepListener
-from .objectives import directions
-from .pool import Feed, Job, RunPool
+from .events import FinalBegan, SweepListener, TrialAdvanced
+from .objectives import directions, measure_all
 from .study import Study
 
 REPORT_SEED_OFFSET = 2_000_000
@@ -36,7 +36,7 @@ def for_report(trial: Spec) -> Spec:
 
 
 def choose(
-    base: Spec, settings: FinalSettings, study: Study, pool: RunPool, listener: SweepListener, stop: StopRequest
+    base: Spec, settings: FinalSettings, study: Study, driver: Driver, listener: SweepListener, stop: StopRequest
 ) -> SweepFinal | None:
     """Run the best trials on new seeds, choose the best of them, and run it on further seeds and test episodes.
 
@@ -45,18 +45,22 @@ def choose(
     """
     sweep = base.sweep
     assert sweep is not None  # it has trials
+
+    def run(jobs: Sequence[Job]) -> None:
+        driver.run(_Candidates(listener, *jobs), stop)
+
     unused = (seed for seed in count() if seed not in sweep.seeds and seed not in base.seeds)
     seeds = tuple(islice(unused, settings.seeds))
     report_seeds = tuple(islice(unused, settings.report_seeds))
     best = study.ranked()[: settings.top]
     listener(FinalBegan(tuple(trial.number for trial in best), seeds, "choose"))
-    fresh = _values(base, best, seeds, for_search, pool, stop)
+    fresh = _values(base, best, seeds, for_search, run)
     if stop.requested or not fresh:
         return None
     signs = directions(sweep.objectives)
     chosen = min((trial for trial in best if trial.number in fresh), key=lambda one: merit(fresh[one.number], signs))
     listener(FinalBegan((chosen.number,), report_seeds, "report"))
-    reported = _values(base, [chosen], report_seeds, for_report, pool, stop)
+    reported = _values(base, [chosen], report_seeds, for_report, run)
     if stop.requested:
         return None
     assert chosen.values is not None  # it is complete
@@ -68,23 +72,28 @@ def _values(
     trials: Sequence[Trial],
     seeds: tuple[int, ...],
     change: Callable[[Spec], Spec],
-    pool: RunPool,
-    stop: StopRequest,
+    run: Callable[[Sequence[Job]], None],
 ) -> dict[int, tuple[float, ...]]:
     """The trials' objectives with their specs changed and on these seeds, without trials that failed on a seed."""
     specs = {trial.number: spec_of_trial(base, trial.drawn, trial.name, seeds, trial.name) for trial in trials}
-    jobs = {number: Job(change(spec)) for number, spec in specs.items()}
-    pool.run(_Jobs(list(jobs.values())), stop)
+    jobs = {number: Job(change(spec), together=True) for number, spec in specs.items()}
+    run(list(jobs.values()))
     assert base.sweep is not None  # see `choose`
-    values = {number: job.measure(base.sweep) for number, job in jobs.items() if job.finished}
+    values = {
+        number: measure_all(base.sweep.objectives, job.results(), job.spec.training.steps, job.finals)
+        for number, job in jobs.items()
+        if job.finished
+    }
     return {number: value for number, value in values.items() if all(map(math.isfinite, value))}
 
 
-@dataclass
-class _Jobs(Feed):
-    """A list of jobs that all run to the end."""
+class _Candidates(Feed):
+    """Jobs of trials, which all run to the end."""
 
-    waiting: list[Job]
+    def __init__(self, listener: SweepListener, *jobs: Job) -> None:
+        super().__init__(*jobs)
+        self._listener = listener
 
-    def next(self) -> Job | None:
-        return self.waiting.pop(0) if self.waiting else None
+    def heard(self, job: Job, event: RunEvent) -> None:
+        if isinstance(event, RunAdvanced | RunEnded):
+            self._listener(TrialAdvanced(job.spec.name, job.fraction))

@@ -8,14 +8,13 @@ runs/sweeps/<name>/
     best.yaml       the best trial as a spec
     final.json      the best trials on new seeds
     figures/        of the search
-    lock            held by the process of the sweep; workers/ has those of its worker processes
+    lock            held by the process of the sweep
 """
 
 from __future__ import annotations
 
 import hashlib
 import json
-import time
 from collections.abc import Iterable
 from datetime import UTC, datetime
 from pathlib import Path
@@ -36,9 +35,6 @@ from ..records.sweep_records import (
 from ..spec import Spec, load_spec, to_yaml
 from .objectives import directions
 
-ORPHAN_SECONDS = 60.0
-"""Seconds to wait for the worker processes of a killed sweep, which write a checkpoint and exit."""
-_POLL_SECONDS = 0.05
 _LOCK_SECONDS = 0.5
 """Readers hold the lock for an instant to test whether the sweep is running."""
 _FREE = ("trials", "final")
@@ -62,7 +58,6 @@ class SweepFolder:
     def __init__(self, path: Path, spec: Spec, asked: int) -> None:
         self.path = path
         self.journal = path / "journal.log"
-        self.workers = path / "workers"
         self.figures = path / "figures"
         self._spec = spec
         self._asked = asked
@@ -70,12 +65,11 @@ class SweepFolder:
 
     def __enter__(self) -> SweepFolder:
         with writing(self.path):
-            self.workers.mkdir(parents=True, exist_ok=True)
+            self.path.mkdir(parents=True, exist_ok=True)
         if not self._lock.acquire(_LOCK_SECONDS):
             raise RunError("another process runs this sweep", where=str(self.path), hint="wait for it")
         try:
             self._claim()
-            self._await_orphans()
             append_lines(self.journal, ())  # removes an incomplete last line of a killed process
         except BaseException:
             self._lock.release()
@@ -138,17 +132,6 @@ class SweepFolder:
             folder=str(self.path),
         )
         write_json(self.path / DESCRIPTION, record.description())
-
-    def _await_orphans(self) -> None:
-        deadline = time.monotonic() + ORPHAN_SECONDS
-        while any(FileLock(path).is_locked() for path in self.workers.iterdir()):
-            if time.monotonic() > deadline:
-                raise RunError(
-                    "a worker process of this sweep is still running after its parent was killed",
-                    where=str(self.workers),
-                    hint="end it, and start the sweep again",
-                )
-            time.sleep(_POLL_SECONDS)
 
 
 def _fingerprint(spec: Spec) -> str:

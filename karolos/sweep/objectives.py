@@ -33,6 +33,13 @@ def measure(objective: str, tests: Tests, steps: int, finals: Mapping[int, TestR
     return float(np.mean([_of_run(objective, results, steps, finals.get(seed)) for seed, results in tests.items()]))
 
 
+def measure_all(
+    objectives: Sequence[str], tests: Tests, steps: int, finals: Mapping[int, TestResult]
+) -> tuple[float, ...]:
+    """The value of each objective, as `measure`."""
+    return tuple(measure(name, tests, steps, finals) for name in objectives)
+
+
 def _of_run(objective: str, tests: Sequence[TestResult], steps: int, final: TestResult | None) -> float:
     if objective.startswith("steps_to_"):
         threshold = int(objective.removeprefix("steps_to_")) / 100

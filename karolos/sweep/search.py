@@ -8,8 +8,8 @@ from pathlib import Path
 from typing import Any
 
 from ..errors import SpecError, UsageError
-from ..experiment.experiment import SeedRunner
-from ..experiment.jobs import exit_if_imported_by_child
+from ..experiment.driver import Driver, local
+from ..experiment.events import RunEvent, RunWarned
 from ..experiment.signals import StopRequest, stop_on_signals
 from ..experiment.start_from import pinned
 from ..records import RunFolder
@@ -21,7 +21,6 @@ from ..training.assembly import check_parts
 from . import choosing
 from .events import SweepListener, SweepOutcome
 from .folder import SweepFolder
-from .pool import RunPool
 from .study import Study
 from .trials import Trials, TrialWriter
 
@@ -89,30 +88,33 @@ class Search:
             MachineError: the runs folder cannot be written, or processes cannot be started.
             StoreError: the database cannot be used.
         """
-        exit_if_imported_by_child()
         if jobs < 1:
             raise UsageError(f"jobs is {jobs}", hint="use at least 1")
         root = Path(runs)
         url = database or Store.default_url(root)
         check_parts(self.spec)
         RunFolder.check_writable(root)
-        runner = SeedRunner({}, root, url, self._text, "resume")
         base = pinned(self.spec, root)
-        size = jobs * len(self.sweep.seeds)
         folder = SweepFolder(self.folder(root), self.spec, self.asked)
+
+        def warn(event: RunEvent) -> None:
+            if isinstance(event, RunWarned):
+                listener(event)
+
         with (
             Store(url) as store,
             folder,
             stop_on_signals(time_limit=time_limit) as stop,
-            RunPool(size, folder.workers, runner, listener) as pool,
+            local(jobs * len(self.sweep.seeds)) as launcher,
         ):
             study = Study(folder.journal, self.sweep, self.spec.name, self.spec.training.steps)
             writer = TrialWriter(folder, study, store, listener)
             writer.write()
-            pool.run(Trials(base, self.sweep, study, jobs, self.asked, listener, stop, writer), stop)
+            driver = Driver(launcher, root, url, warn, existing="resume", text=self._text, retries=1)
+            driver.run(Trials(base, self.sweep, study, jobs, self.asked, listener, stop, writer), stop)
             final = None
             if self.sweep.final is not None and not stop.requested and study.ranked():
-                final = choosing.choose(base, self.sweep.final, study, pool, listener, stop)
+                final = choosing.choose(base, self.sweep.final, study, driver, listener, stop)
             return self._conclude(writer, final, stop)
 
     def _conclude(self, writer: TrialWriter, final: SweepFinal | None, stop: StopRequest) -> SweepOutcome:

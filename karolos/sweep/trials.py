@@ -1,4 +1,4 @@
-"""The trials of a sweep as jobs of a pool: sampled, run, evaluated and recorded."""
+"""The trials of a sweep as jobs of a driver: sampled, run, evaluated and recorded."""
 
 from __future__ import annotations
 
@@ -6,17 +6,18 @@ import math
 from collections.abc import Sequence
 from dataclasses import dataclass, field
 
-from ..errors import SpecError, StoreError
-from ..experiment.events import RunWarned
+from ..errors import KarolosError, StoreError
+from ..experiment.driver import Feed, Job
+from ..experiment.events import RunAdvanced, RunEnded, RunEvent, RunTested, RunWarned
 from ..experiment.signals import StopRequest
 from ..records.sweep_records import Trial, read_sweep
 from ..spec import Spec, Sweep, spec_of_trial
 from ..store import Store
+from ..training.assembly import check_parts
 from .choosing import for_search
-from .events import SweepListener, TrialBegan, TrialEnded
+from .events import SweepListener, TrialAdvanced, TrialBegan, TrialEnded
 from .folder import SweepFolder
-from .objectives import nominal_steps, so_far
-from .pool import Feed, Job
+from .objectives import measure_all, nominal_steps, so_far
 from .study import OpenTrial, Study
 
 PRUNED = "pruned"
@@ -81,18 +82,21 @@ class Trials(Feed):
             try:
                 spec = spec_of_trial(self.base, trial.drawn, record.name, self.sweep.seeds, record.name)
                 spec = for_search(spec)
-            except SpecError as error:
+                check_parts(spec)
+            except KarolosError as error:
                 self._end(trial, error=str(error).replace("\n", "; "))
                 continue
-            job = Job(spec)
+            job = Job(spec, together=True)
             self._open[job] = trial
             self._reported[job] = 0
             return job
         return None
 
-    def tested(self, job: Job) -> str | None:
+    def heard(self, job: Job, event: RunEvent) -> str | None:
         """Report the mean at each test that every seed has completed; PRUNED when the pruner stops the trial."""
-        if self.sweep.pruner is None:
+        if isinstance(event, RunAdvanced | RunEnded):
+            self.listener(TrialAdvanced(job.spec.name, job.fraction))
+        if self.sweep.pruner is None or not isinstance(event, RunTested) or job.halted:
             return None
         results, settings = job.results(), job.spec
         while (count := self._reported[job] + 1) <= min(len(tests) for tests in results.values()):
@@ -110,7 +114,7 @@ class Trials(Feed):
         trial = self._open.pop(job)
         runs = [job.summaries[seed].run for seed in job.spec.seeds if seed in job.summaries]
         if job.finished:
-            values = job.measure(self.sweep)
+            values = measure_all(self.sweep.objectives, job.results(), job.spec.training.steps, job.finals)
             finite = all(math.isfinite(value) for value in values)
             error = None if finite else f"{' and '.join(self.sweep.objectives)} came to {list(values)}"
             self._end(trial, runs, values if finite else None, error)

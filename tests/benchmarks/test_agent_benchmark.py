@@ -74,7 +74,7 @@ def test_a_peer_also_makes_the_steps_that_its_settings_are_tuned_for(
 ) -> None:
     monkeypatch.setattr(agent_peers, "require", lambda: None)
     monkeypatch.setattr(agent_peers, "value", lambda name, spec, steps, seed, unit, folder: float(steps + seed))
-    monkeypatch.setattr(agents, "_value", lambda spec, seed, unit, folder, listener: 500.0)
+    monkeypatch.setattr(agents, "_values", lambda spec, unit, folder, jobs, listener: [500.0] * len(spec.seeds))
     said: list[str] = []
     only = ["cartpole dqn", "cartpole ppo"]
     results = list(agents.measure(tmp_path, only=only, seeds=2, peers=True, say=said.append))

@@ -145,15 +145,25 @@ def test_state_that_cannot_be_written_is_refused(tmp_path: Path, state: str) -> 
 
 
 @pytest.mark.parametrize(
-    ("stored", "seen"), [("created", "lost"), ("running", "lost"), ("finished", "finished"), ("stopped", "stopped")]
+    ("stored", "seen"),
+    [("created", "created"), ("running", "lost"), ("finished", "finished"), ("stopped", "stopped")],
 )
-def test_run_that_nobody_runs_is_lost_unless_it_ended(tmp_path: Path, stored: str, seen: str) -> None:
+def test_run_that_nobody_runs_is_lost_unless_it_ended_or_waits_for_its_start(
+    tmp_path: Path, stored: str, seen: str
+) -> None:
     run = new_run(tmp_path)
     run.set_state(stored)
     assert RunFolder.open(run.path).state().state == stored
     run.release()
     assert RunFolder.open(run.path).state().state == seen
     assert json.loads((run.path / "state.json").read_text())["state"] == stored  # a reader writes nothing
+
+
+def test_run_whose_second_process_died_before_it_resumed_is_lost(tmp_path: Path) -> None:
+    run = new_run(tmp_path)
+    run.next_attempt()
+    run.release()
+    assert RunFolder.open(run.path).state().state == "lost"
 
 
 def test_killed_process_leaves_a_lost_run(tmp_path: Path) -> None:

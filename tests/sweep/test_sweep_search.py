@@ -3,7 +3,6 @@
 from __future__ import annotations
 
 import json
-import multiprocessing
 import os
 import signal
 import subprocess
@@ -12,10 +11,12 @@ import time
 from collections import Counter
 
 import pytest
+from support.processes import child_processes
 from support.sweep_samples import LEARNING_RATE, sweep_spec
 
 from karolos.comparison import gather
 from karolos.errors import RunError, StoreError, UsageError
+from karolos.experiment.driver import Job
 from karolos.experiment.events import RunTested, RunWarned
 from karolos.experiment.experiment import Experiment
 from karolos.files import FileLock
@@ -25,7 +26,7 @@ from karolos.spec import load_spec, spec_from_dict
 from karolos.store import Store, check, reindex
 from karolos.store.sweeps import Sweeps
 from karolos.sweep.events import SweepOutcome, TrialBegan
-from karolos.sweep.pool import Job
+from karolos.sweep.objectives import measure_all
 from karolos.sweep.search import Search, samples
 
 TRIALS = 5
@@ -58,9 +59,9 @@ def killed(tmp_path_factory) -> SweepOutcome:
 
     def kill(event: object) -> None:
         if isinstance(event, TrialBegan) and not lost:
-            lost.extend(multiprocessing.active_children())  # none at the first trial
-            for worker in lost:
-                worker.kill()
+            lost.extend(child_processes())  # none at the first trial
+            for process in lost:
+                os.kill(process, signal.SIGKILL)
 
     outcome = Search(SPEC).run(home / "runs", listener=kill)
     assert len(lost) == 1
@@ -118,10 +119,10 @@ def test_the_best_is_reported_on_test_episodes_it_was_not_tuned_on_and_ends_with
 def test_the_reported_value_is_that_of_the_final_test(killed):
     folder = RunFolder.open(next(killed.folder.parents[1].glob(f"{killed.best.name}-s3-*")))
     job = Job(load_spec(killed.folder / "best.yaml"))
-    job.record(folder.summary())
+    job.read_tests(3, folder)
     assert job.finals == {3: folder.final().last}
-    sweep = load_spec(killed.folder / "sweep.yaml").sweep.model_copy(update={"objective": ("success_end", "return")})
-    assert job.measure(sweep) == (folder.final().last.success_end, folder.final().last.mean_return)
+    values = measure_all(("success_end", "return"), job.results(), job.spec.training.steps, job.finals)
+    assert values == (folder.final().last.success_end, folder.final().last.mean_return)
 
 
 def test_only_the_reporting_seeds_of_a_trial_are_compared(killed):

@@ -1,0 +1,96 @@
+"""The process of a run, which a launcher has started: it executes runs whose folders exist."""
+
+from __future__ import annotations
+
+import json
+import os
+import sys
+from contextlib import suppress
+from dataclasses import asdict
+from pathlib import Path
+from typing import Any
+
+from ..errors import KarolosError, MachineError
+from ..files import write_whole
+from ..records import RunFolder
+from ..records.run_records import RunSummary
+from ..spec import spec_from_dict
+from .events import Listener, RunAdvanced, RunBusy, RunEvent
+from .resume import newest_snapshot
+from .run import Run
+from .run_index import RunIndex
+from .signals import StopRequest, stop_on_signals
+
+LOCK_SECONDS = 60.0
+"""How long a run waits for an earlier process of the run, which writes a checkpoint and ends."""
+
+
+def execute(folder: RunFolder, url: str | None, listener: Listener, stop: StopRequest, *, beside: bool) -> RunSummary:
+    """Execute the run of a folder, or resume it from its newest checkpoint if it has begun.
+
+    Args:
+        folder: of the run, locked.
+        url: SQLAlchemy URL of the results database; None: another process indexes the run.
+        listener: is called with every RunEvent.
+        stop: is checked after each round.
+        beside: whether tests may be played beside training, in a second process.
+
+    Raises:
+        RunError: no checkpoint can be used.
+        SpecError: its resolved spec is damaged, or of another version.
+    """
+    spec, seed = spec_from_dict(folder.spec()), folder.description()["seed"]
+    snapshot = newest_snapshot(folder) if folder.events() else None
+    if snapshot is not None:
+        folder.next_attempt()
+    with RunIndex(url, folder) as index:
+        return Run(spec, seed, folder, index, listener, stop, snapshot, beside).execute()
+
+
+def execute_folder(path: Path, cores: int, driver: int | None = None) -> str | None:
+    """Execute the run of a folder that another process follows. Returns why it could not be executed.
+
+    Args:
+        path: of the folder.
+        cores: number of cores for the run.
+        driver: id of the process with whose end the run stops.
+    """
+    try:
+        folder = RunFolder.open(path)
+        with folder, stop_on_signals(file=folder.stop, driver=driver) as stop:
+            folder.lock(LOCK_SECONDS)
+            if folder.state().state != "finished":
+                execute(folder, None, _progress_writer(folder), stop, beside=cores >= 2)
+            folder.progress.unlink(missing_ok=True)
+    except KarolosError as error:
+        return str(error)
+    return None
+
+
+def serve(cores: int) -> None:
+    """Execute the runs whose folders come on stdin, one a line; answer each on stdout when it has ended.
+
+    The first answer says that libraries are imported. The others are what `execute_folder` returns, as JSON.
+    """
+    answers = os.fdopen(os.dup(1), "w", buffering=1)
+    os.dup2(2, 1)  # what libraries print does not mix with the answers
+    from ..agents import device  # noqa: F401, PLC0415  (imports torch)
+
+    driver = os.getppid()
+    with suppress(BrokenPipeError):  # the driver has ended
+        answers.write("null\n")
+        for line in sys.stdin:
+            answers.write(json.dumps(execute_folder(Path(line.removesuffix("\n")), cores, driver)) + "\n")
+
+
+def _progress_writer(folder: RunFolder) -> Listener:
+    """A listener that writes the latest progress into the folder."""
+    latest: dict[str, Any] = {}
+
+    def write(event: RunEvent) -> None:
+        if isinstance(event, RunAdvanced | RunBusy):
+            latest[type(event).__name__] = asdict(event)
+            with suppress(MachineError):  # it is for display only
+                write_whole(folder.progress, json.dumps(latest), durable=False)
+
+    return write

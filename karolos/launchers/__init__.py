@@ -1,0 +1,1 @@
+"""Launchers: how the processes of runs are started, on this machine and on others."""

@@ -1,0 +1,104 @@
+"""Runs in processes of this machine."""
+
+from __future__ import annotations
+
+import os
+import signal
+import subprocess
+import sys
+import time
+from pathlib import Path
+from typing import Any
+
+import pytest
+from support.processes import child_processes
+
+from karolos.errors import MachineError
+from karolos.experiment.driver import create
+from karolos.launchers.local import Local
+from karolos.records import RunFolder
+from karolos.spec import spec_from_dict
+
+TOY: dict[str, Any] = {
+    "name": "toy",
+    "environment": "toy",
+    "agent": {"name": "sac", "hidden": [8]},
+    "orchestrator": {"processes": 0, "environments": 2},
+    "training": {"steps": 40, "batch_size": 8, "replay_ratio": 4, "warmup_episodes": 2},
+    "testing": {"interval": 20, "episodes": 2},
+}
+SECONDS = 60.0
+DRIVER = """
+import sys, time
+from pathlib import Path
+from karolos.launchers.local import Local
+launcher = Local(Local.Settings())
+while not launcher.room(1):
+    launcher.wait(1.0)
+launcher.start(Path(sys.argv[1]))
+time.sleep(600)
+"""
+
+
+def new_run(runs: Path, seed: int = 0, steps: int = 40) -> RunFolder:
+    spec = spec_from_dict(TOY | {"training": TOY["training"] | {"steps": steps}})
+    folder = create(runs, spec, seed, None)
+    folder.release()
+    return folder
+
+
+def prepare(launcher: Local) -> None:
+    until = time.monotonic() + SECONDS
+    while not launcher.room(1) and time.monotonic() < until:
+        assert launcher.wait(0.5) is None
+
+
+def await_tests(folder: RunFolder) -> None:
+    until = time.monotonic() + SECONDS
+    while not folder.tests() and time.monotonic() < until:
+        time.sleep(0.05)
+
+
+def test_a_process_executes_several_runs_stops_one_by_its_file_and_is_replaced_when_it_dies(tmp_path: Path) -> None:
+    first, stopped, killed = (new_run(tmp_path, seed, steps) for seed, steps in enumerate((40, 10**6, 10**6)))
+    before = set(child_processes())
+    with Local(Local.Settings()) as launcher:
+        prepare(launcher)
+        (process,) = set(child_processes()) - before
+        launcher.start(first.path)
+        assert launcher.room(1) == 0
+        assert launcher.wait(SECONDS) == (first.path, None, False)
+        assert first.state().state == "finished"
+        launcher.start(stopped.path)
+        await_tests(stopped)
+        stopped.stop.write_text("pruned")
+        assert launcher.wait(SECONDS) == (stopped.path, None, False)
+        assert (stopped.state().state, stopped.events()[-1]["reason"]) == ("stopped", "pruned")
+        launcher.start(killed.path)
+        await_tests(killed)
+        os.kill(process, signal.SIGKILL)
+        assert launcher.wait(SECONDS) == (killed.path, "its process was killed by signal 9", True)
+        assert killed.state().state == "lost"
+        assert launcher.room(1) == 0, "another process begins"
+        assert set(child_processes()) - before - {process}
+    assert set(child_processes()) <= before
+
+
+def test_the_end_of_the_driver_stops_its_runs_with_a_checkpoint(tmp_path: Path) -> None:
+    folder = new_run(tmp_path, steps=10**6)
+    with subprocess.Popen([sys.executable, "-c", DRIVER, str(folder.path)]) as driver:
+        await_tests(folder)
+        driver.kill()
+    until = time.monotonic() + SECONDS
+    while folder.is_locked() and time.monotonic() < until:
+        time.sleep(0.05)
+    assert (folder.state().state, folder.events()[-1]["reason"]) == ("stopped", "SIGTERM")
+    assert (folder.checkpoints / "last" / "manifest.json").is_file()
+
+
+def test_a_process_that_cannot_begin_is_an_error_that_says_how_it_ended(
+    tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    monkeypatch.setattr("karolos.launchers.local.COMMAND", (sys.executable, "-c", "raise SystemExit(3)"))
+    with Local(Local.Settings()) as launcher, pytest.raises(MachineError, match="ended with exit code 3 before"):
+        prepare(launcher)

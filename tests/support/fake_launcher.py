@@ -1,0 +1,35 @@
+"""A launcher that executes runs in this process, one after the other, and may pretend that their processes died."""
+
+from __future__ import annotations
+
+from collections import deque
+from pathlib import Path
+
+from karolos.core.launcher import Ended, Launcher
+from karolos.experiment.worker import execute_folder
+
+
+class FakeLauncher(Launcher):
+    """Each entry of `deaths` is for a started run: True if its process dies before it begins."""
+
+    def __init__(self, *deaths: bool) -> None:
+        self.deaths = deque(deaths)
+        self.started: list[Path] = []
+        self.closed: bool | None = None
+        self._ended: deque[Ended] = deque()
+
+    def room(self, waiting: int) -> int:
+        return 0 if self._ended else 1
+
+    def start(self, folder: Path) -> None:
+        self.started.append(folder)
+        if self.deaths and self.deaths.popleft():
+            self._ended.append(Ended(folder, "its process died", died=True))
+        else:
+            self._ended.append(Ended(folder, execute_folder(folder, 1)))
+
+    def wait(self, seconds: float) -> Ended | None:
+        return self._ended.popleft() if self._ended else None
+
+    def close(self, *, kill: bool) -> None:
+        self.closed = kill
