@@ -15,7 +15,6 @@ from ..records import RunFolder
 from ..records.decode import from_json
 from ..records.results import TestResult, decode_test
 from ..records.run_records import UNFINISHED, RunSummary
-from ..registry import load
 from ..spec import Spec
 from .events import Listener, RunAdvanced, RunBusy, RunEnded, RunEvent, RunFinalTested, RunStarted, RunTested, RunWarned
 from .resume import find_run
@@ -107,13 +106,6 @@ def create(runs: Path, spec: Spec, seed: int, text: str | None) -> RunFolder:
     folder = RunFolder.create(runs, spec.name, seed)
     folder.describe(spec.dump(), experiment=spec.hash(), text=text)
     return folder
-
-
-def local(jobs: int) -> Launcher:
-    """The launcher of processes of this machine, for so many runs at the same time."""
-    plugin = load("launchers", "local")
-    launcher: Launcher = plugin(plugin.Settings(), jobs)
-    return launcher
 
 
 class Driver:

@@ -9,6 +9,7 @@ from typing import Any
 
 from ..errors import RunError, UsageError
 from ..files import remove_temporary_leftovers
+from ..launchers.local import Local
 from ..orchestrator.auto import cores
 from ..records import RunFolder
 from ..records.archive import remove_unfinished_imports
@@ -17,7 +18,7 @@ from ..records.run_records import RunSummary
 from ..spec import Spec, spec_from_dict
 from ..store import Store
 from ..training.assembly import check_parts
-from .driver import Driver, Existing, Feed, Job, create, find_existing, local
+from .driver import Driver, Existing, Feed, Job, create, find_existing
 from .events import Listener, print_progress
 from .signals import StopRequest, stop_on_signals
 from .start_from import pinned
@@ -133,7 +134,7 @@ class Experiment:
                 summaries = _run_here(spec, folder, url, listener, stop, existing=existing, text=text)
             else:
                 job = Job(spec)
-                with local(jobs) as launcher:
+                with Local(Local.Settings(), jobs) as launcher:
                     Driver(launcher, folder, url, listener, existing=existing, text=text).run(Feed(job), stop)
                 summaries = [job.summaries[seed] for seed in spec.seeds if seed in job.summaries]
         outcome = Outcome(tuple(summaries), len(spec.seeds), stop.exit_code)

@@ -8,10 +8,11 @@ from pathlib import Path
 from typing import Any
 
 from ..errors import SpecError, UsageError
-from ..experiment.driver import Driver, local
+from ..experiment.driver import Driver
 from ..experiment.events import RunEvent, RunWarned
 from ..experiment.signals import StopRequest, stop_on_signals
 from ..experiment.start_from import pinned
+from ..launchers.local import Local
 from ..records import RunFolder
 from ..records.sweep_records import FOLDER, SweepFinal, Trial
 from ..spec import Spec, Sweep, spec_from_dict, spec_of_trial
@@ -105,7 +106,7 @@ class Search:
             Store(url) as store,
             folder,
             stop_on_signals(time_limit=time_limit) as stop,
-            local(jobs * len(self.sweep.seeds)) as launcher,
+            Local(Local.Settings(), jobs * len(self.sweep.seeds)) as launcher,
         ):
             study = Study(folder.journal, self.sweep, self.spec.name, self.spec.training.steps)
             writer = TrialWriter(folder, study, store, listener)
