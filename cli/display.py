@@ -130,10 +130,12 @@ class Live(Quiet):
             return
         task = self._tasks[event.run]
         if isinstance(event, RunAdvanced):
-            left = "" if event.seconds_left is None else f"{timedelta(seconds=round(event.seconds_left))} left"
+            left = _left(event.seconds_left)
             bars.update(task, completed=event.steps, speed=self._speeds[event.run].text, left=left)
-        elif isinstance(event, RunBusy):
+        elif isinstance(event, RunBusy) and event.seconds_left is None:
             bars.update(task, activity=_activity(event))
+        elif isinstance(event, RunBusy):  # the speed of training says nothing any more
+            bars.update(task, activity=_activity(event), left=_left(event.seconds_left), speed="")
         elif isinstance(event, RunTested):
             if event.result.steps > bars.tasks[task].completed:  # training may have gone on since the test was due
                 bars.update(task, completed=event.result.steps)
@@ -143,6 +145,10 @@ class Live(Quiet):
         elif isinstance(event, RunEnded):
             bars.update(task, speed=event.state, activity="", left="")
             bars.stop_task(task)
+
+
+def _left(seconds: float | None) -> str:
+    return "" if seconds is None else f"{timedelta(seconds=round(seconds))} left"
 
 
 def _activity(event: RunBusy) -> str:

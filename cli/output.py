@@ -111,7 +111,13 @@ def rich_table(table: Table) -> RichTable:
         numbers = all(row[place] in ("", "-") or row[place][0].isdigit() for row in table.rows)
         style = "bold" if not name and place == 0 else None  # names of the rows
         justify: Any = "right" if numbers else "left"
-        drawn.add_column(Text(clean(name, allowed="\n")), overflow="fold", justify=justify, style=style)
+        drawn.add_column(
+            Text(clean(name, allowed="\n")),
+            overflow="fold",
+            justify=justify,
+            style=style,
+            no_wrap=headed and place == 0,  # names can be copied
+        )
     for row in table.rows:
         drawn.add_row(
             *(

@@ -41,10 +41,12 @@ class RunBusy:
 
     run: str
     activity: str
-    """testing, collecting demonstrations or checkpoint."""
+    """testing, final test, collecting demonstrations or checkpoint."""
     done: int
     total: int
     """Episodes, or 1 for a checkpoint."""
+    seconds_left: float | None = None
+    """Estimated wall-clock seconds to the end of the tests, if training is complete."""
 
 
 @dataclass(frozen=True)

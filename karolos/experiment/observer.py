@@ -125,6 +125,8 @@ class Announcer(RunObserver):
     _last: float = field(default=0.0, init=False)
     _busy: float = field(default=0.0, init=False)
     """Time of the last RunBusy event."""
+    _trained: bool = field(default=False, init=False)
+    """Whether training is complete."""
     _points: deque[tuple[float, int]] = field(default_factory=lambda: deque(maxlen=SPEED_WINDOW), init=False)
     """Seconds and steps of training at the latest events."""
     seconds_left: Callable[[float, int], float] = field(default=lambda seconds, _: seconds, init=False)
@@ -135,10 +137,12 @@ class Announcer(RunObserver):
         now = time.monotonic()
         if done in (0, total) or now - self._busy >= ADVANCE_SECONDS:
             self._busy = now
-            self.listener(RunBusy(self.run, activity, done, total))
+            left = self.seconds_left(0.0, 0) if self._trained else None
+            self.listener(RunBusy(self.run, activity, done, total, left))
 
     @override
     def progressed(self, progress: Progress) -> None:
+        self._trained = progress.steps >= self.steps
         now = time.monotonic()
         if now - self._last >= ADVANCE_SECONDS:
             self._last = now

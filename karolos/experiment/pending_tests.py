@@ -178,7 +178,8 @@ class PendingTests:
             len(part.seeds) for test in self.pending for part in self._parts_of(test) if part not in self._results
         )
         testing = self._spec.testing
-        return waiting + math.ceil(steps / testing.interval) * testing.episodes + (testing.final_count if steps else 0)
+        final = testing.final_count if self.activity == "testing" else 0
+        return waiting + math.ceil(steps / testing.interval) * testing.episodes + final
 
     def _play(self, part: DueTest) -> None:
         """Play a part in this process."""

@@ -29,5 +29,8 @@ def test_bar_says_what_a_run_does_besides_training_and_the_time_left_with_tests(
         live(RunBusy("run", "checkpoint", 0, 1))
         assert fields()[0] == "checkpoint"
         live(RunBusy("run", "checkpoint", 1, 1))
+        live(RunBusy("run", "final test", 100, 1000, 61.2))
+        assert fields() == ("final test 100/1000", "0:01:01 left")
+        assert live._bars.tasks[0].fields["speed"] == "", "training is over"
         live(RunEnded("run", "finished"))
         assert fields() == ("", "")
