@@ -31,6 +31,8 @@ if TYPE_CHECKING:
     from karolos.records.sweep_records import Trial
     from karolos.sweep.events import SweepEvent
 
+WIDE = 130
+"""Characters of a terminal that shows everything beside a bar."""
 SWEEP_SPEED_SECONDS = 600.0
 """Seconds over which the speed of a sweep is averaged for the time left."""
 SPEED_WINDOW = 50
@@ -98,9 +100,10 @@ class Live(Quiet):
 
     def __init__(self, stream: TextIO | None = None) -> None:
         super().__init__(stream)
+        self._narrow = self._console.width < WIDE
         self._bars = Progress(
             TextColumn("{task.description}"),
-            BarColumn(bar_width=24),
+            BarColumn(bar_width=12 if self._narrow else 24),
             MofNCompleteColumn(),
             TextColumn("{task.fields[speed]}", style="cyan"),
             TextColumn("{task.fields[activity]}", style="yellow"),
@@ -131,7 +134,9 @@ class Live(Quiet):
         task = self._tasks[event.run]
         if isinstance(event, RunAdvanced):
             left = _left(event.seconds_left)
-            bars.update(task, completed=event.steps, speed=self._speeds[event.run].text, left=left)
+            speed = self._speeds[event.run].text
+            speed = speed.partition(",")[0] if self._narrow else speed
+            bars.update(task, completed=event.steps, speed=speed, left=left)
         elif isinstance(event, RunBusy) and event.seconds_left is None:
             bars.update(task, activity=_activity(event))
         elif isinstance(event, RunBusy):  # the speed of training says nothing any more
@@ -139,9 +144,9 @@ class Live(Quiet):
         elif isinstance(event, RunTested):
             if event.result.steps > bars.tasks[task].completed:  # training may have gone on since the test was due
                 bars.update(task, completed=event.result.steps)
-            bars.update(task, score=event.result.score)
+            bars.update(task, score=_brief(event.result) if self._narrow else event.result.score)
         elif isinstance(event, RunFinalTested):
-            bars.update(task, score=_final(event.final))
+            bars.update(task, score=_brief(event.final.last) if self._narrow else _final(event.final))
         elif isinstance(event, RunEnded):
             bars.update(task, speed=event.state, activity="", left="")
             bars.stop_task(task)
@@ -163,7 +168,12 @@ def _final(final: FinalTest[TestResult]) -> str:
     last, best = final.last.score, final.best
     if best is None:
         return last
-    return f"{last}; best {f'end {best.success_end:.2f}' if best.has_success else f'return {best.mean_return:,.2f}'}"
+    return f"{last}; best {_brief(best)}"
+
+
+def _brief(result: TestResult) -> str:
+    """The score in a few characters."""
+    return f"end {result.success_end:.2f}" if result.has_success else f"return {result.mean_return:,.2f}"
 
 
 def choose_display(*, quiet: bool) -> Quiet:

@@ -7,6 +7,7 @@ import json as json_text
 import math
 import sys
 from collections.abc import Iterable, Mapping, Sequence
+from dataclasses import replace
 from typing import TYPE_CHECKING, Any
 
 from karolos.report.tables import Table, clean
@@ -76,12 +77,7 @@ def print_csv(rows: Sequence[Mapping[str, Any]]) -> None:
 def print_table(table: Table) -> None:
     """Print a table: coloured and folded at the width of a terminal; in a pipe one line per row with whole cells."""
     if sys.stdout.isatty():
-        from rich.console import Console
-
-        console, drawn = Console(), rich_table(table)
-        if console.measure(drawn, options=console.options.update(width=WIDEST)).maximum > console.width:
-            drawn = rich_table(Table([name.replace("_", "_\n") for name in table.columns], table.rows, table.title))
-        console.print(drawn)
+        _print_in_terminal(table)
         return
     if table.title:
         print(f"\n{clean(table.title)}")
@@ -90,6 +86,25 @@ def print_table(table: Table) -> None:
     widths = [max(map(len, column)) for column in zip(*cells, strict=True)]
     for line in cells:
         print("  ".join(cell.ljust(width) for cell, width in zip(line, widths, strict=True)).rstrip())
+
+
+def _print_in_terminal(table: Table) -> None:
+    """Print a table. One that is too wide has folded headings, and no optional columns if that is not enough."""
+    from rich.console import Console
+
+    console, left_out = Console(), []
+    whole = console.options.update(width=WIDEST)
+    drawn = rich_table(table)
+    while console.measure(drawn, options=whole).maximum > console.width:
+        folded = [name.replace("_", "_\n").replace(" ", "\n") for name in table.columns]
+        drawn = rich_table(replace(table, columns=folded))
+        if not table.optional or console.measure(drawn, options=whole).maximum <= console.width:
+            break
+        left_out.append(table.optional[0])
+        table = table.without(table.optional[0])
+    console.print(drawn)
+    if left_out:
+        say(f"left out, because the terminal is narrow: {', '.join(left_out)}")
 
 
 def rich_table(table: Table) -> RichTable:

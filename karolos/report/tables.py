@@ -4,7 +4,7 @@ from __future__ import annotations
 
 import json
 from collections.abc import Callable, Iterable, Iterator, Mapping, Sequence
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from typing import TYPE_CHECKING, Any, TypeVar
 
 from ..statistics.intervals import wilson
@@ -27,11 +27,20 @@ class Table:
         columns: headings; all empty: the table is shown without them.
         rows: as many cells as columns in each.
         title: stands above the table, if it is not empty.
+        optional: columns that a narrow terminal leaves out, the first of them first.
     """
 
     columns: Sequence[str]
     rows: Sequence[Sequence[str]]
     title: str = ""
+    optional: tuple[str, ...] = ()
+
+    def without(self, name: str) -> Table:
+        """The table without a column."""
+        place = list(self.columns).index(name)
+        rows = [[*row[:place], *row[place + 1 :]] for row in self.rows]
+        columns = [*self.columns[:place], *self.columns[place + 1 :]]
+        return replace(self, columns=columns, rows=rows, optional=tuple(one for one in self.optional if one != name))
 
     @classmethod
     def of(cls, rows: Iterable[T], columns: Columns[T], title: str = "") -> Table:
@@ -117,7 +126,8 @@ def runs_table(runs: Sequence[RunSummary]) -> Table:
     columns |= returns
     if any(run.tags for run in runs):
         columns["tags"] = lambda run: ", ".join(run.tags)
-    return Table.of(runs, columns)
+    optional = [name for name in ("time to .95 end", "any", "best end", "total", "return") if name in columns]
+    return replace(Table.of(runs, columns), optional=tuple(optional if "success end" in columns else ()))
 
 
 def run_state(run: RunSummary) -> str:

@@ -3,10 +3,18 @@
 from __future__ import annotations
 
 import io
+import re
 
+import pytest
 from karolos_cli.display import Live
 
-from karolos.experiment.events import RunAdvanced, RunBusy, RunEnded, RunStarted
+from karolos.experiment.events import RunAdvanced, RunBusy, RunEnded, RunStarted, RunTested
+from karolos.records.results import TestResult
+
+
+class Terminal(io.StringIO):
+    def isatty(self) -> bool:
+        return True
 
 
 def test_bar_says_what_a_run_does_besides_training_and_the_time_left_with_tests() -> None:
@@ -34,3 +42,21 @@ def test_bar_says_what_a_run_does_besides_training_and_the_time_left_with_tests(
         assert live._bars.tasks[0].fields["speed"] == "", "training is over"
         live(RunEnded("run", "finished"))
         assert fields() == ("", "")
+
+
+def test_bar_fits_a_narrow_terminal(monkeypatch: pytest.MonkeyPatch) -> None:
+    monkeypatch.setenv("COLUMNS", "80")
+    monkeypatch.setenv("TERM", "xterm")
+    screen = Terminal()
+    flags = (True,) * 100
+    with Live(screen) as live:
+        live(RunStarted("run", 0, 6000, "runs/run"))
+        for steps in (5000, 5296):
+            live(RunAdvanced("run", steps, 2650, 100, steps / 290, False, 3.0))
+        live(RunTested("run", TestResult(5000, 17.0, flags, flags, flags, (-7.5,) * 100, (50,) * 100)))
+        live(RunBusy("run", "testing", 37, 100))
+        live._bars.refresh()
+    text = re.sub(r"\x1b\[[0-9;?]*[A-Za-z]", "", screen.getvalue())
+    line = next(line for line in text.splitlines() if "testing" in line)
+    assert len(line) <= 80
+    assert re.fullmatch(r"seed 0 [━╸╺]{12} 5296/6000 290 steps/s testing 37/100 end 1.00 0:00:03 left *", line), line

@@ -2,13 +2,17 @@
 
 from __future__ import annotations
 
+import io
 import json
+import sys
+from dataclasses import replace
 
 from hypothesis import given
 from hypothesis import strategies as st
-from karolos_cli.output import print_rows
+from karolos_cli.output import print_rows, print_table
+from support.compared_runs import run
 
-from karolos.report.tables import clean
+from karolos.report.tables import clean, runs_table
 
 
 @given(st.text())
@@ -35,3 +39,23 @@ def test_no_rows_print_nothing(capsys):
 def test_numbers_that_json_has_not_become_null(capsys):
     print_rows([{"value": float("nan"), "values": (1.0, float("inf"))}], json=True)
     assert json.loads(capsys.readouterr().out) == {"value": None, "values": [1.0, None]}
+
+
+def test_a_narrow_terminal_shows_ids_and_cells_whole_and_leaves_out_optional_columns(monkeypatch, capsys):
+    class Terminal(io.StringIO):
+        def isatty(self):
+            return True
+
+    screen = Terminal()
+    monkeypatch.setattr(sys, "stdout", screen)
+    monkeypatch.setenv("COLUMNS", "80")
+    monkeypatch.setenv("TERM", "dumb")
+    plain = run(0, [50], state="finished").summary
+    shown = replace(plain, run="reach-s0-20260101-000000", success_any=0.5, success_end=0.25, episodes=100)
+    print_table(runs_table([shown]))
+    lines = [line for line in screen.getvalue().splitlines() if shown.run in line]
+    assert len(lines) == 1
+    assert "[" in lines[0]
+    assert "]" in lines[0]
+    assert len(lines[0]) <= 80
+    assert capsys.readouterr().err.startswith("left out, because the terminal is narrow: time to .95 end")
