@@ -15,6 +15,7 @@ from karolos.errors import RunError
 from karolos.experiment.events import RunStarted, RunTested, RunWarned
 from karolos.experiment.experiment import Experiment, resume_run
 from karolos.records import RunFolder
+from karolos.simulation.engines import installed
 from karolos.store import Store
 
 HINDSIGHT = {"strategy": "future"}
@@ -72,6 +73,23 @@ def test_stopped_and_resumed_run_equals_one_without_a_break_bit_for_bit(case: st
     assert_same_runs(whole, only(again))
     with Store(Store.default_url(tmp_path / "broken")) as store:
         assert [test.steps for test in store.tests(again.runs[0].run)] == [100, 200, 240]
+
+
+@pytest.mark.skipif(not installed("mujoco"), reason="MuJoCo is not installed")
+def test_a_run_with_mujoco_is_the_same_in_one_process_and_broken_off_in_two(tmp_path: Path) -> None:
+    spec = BASE | {
+        "environment": {"name": "robot_task", "engine": "mujoco"},
+        "robot": "panda",
+        "task": {"name": "pick_place", "start_grasped": 0.5, "max_steps": 12},
+        "testing": {"interval": 100, "episodes": 2, "final_episodes": 0},
+        "randomization": {"task.object_mass": {"name": "uniform", "low": 0.05, "high": 0.3}},
+        "agent": SAC,
+        "orchestrator": {"processes": 0, "environments": 2},
+    }
+    whole = only(Experiment(spec).run(tmp_path / "whole"))
+    spec["orchestrator"] = {"processes": 2, "environments": 1}
+    Experiment(spec).run(tmp_path / "broken", listener=stopping_at(100))
+    assert_same_runs(whole, only(Experiment(spec).run(tmp_path / "broken", existing="resume")))
 
 
 @pytest.fixture(scope="module")

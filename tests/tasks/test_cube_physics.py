@@ -7,6 +7,7 @@ import pytest
 from support.rig import expert_episode, made, part
 
 from karolos.environments.robot_task import RobotTask
+from karolos.simulation.engines import installed
 from karolos.simulation.interface.engine import FLOOR_FRICTION, GRAVITY
 
 SPEED = 1.0
@@ -32,6 +33,7 @@ def slide(**values: float) -> float:
     return cube.position[1]
 
 
+@pytest.mark.skipif(not installed("bullet"), reason="the cube gets its speed from PyBullet")
 @pytest.mark.parametrize(
     ("values", "friction"),
     [
@@ -97,8 +99,8 @@ def test_a_cube_that_is_lost_ends_the_episode_as_truncated_and_diverged(task: st
     still = np.zeros(environment.signature.action.size)
     assert environment.step(still).reward == -1
     cube = environment.task.cube
-    if np.isnan(place[0]):
-        cube.body.pose = lambda: (place, (0.0, 0.0, 0.0, 1.0))  # what pybullet gives after it has blown up
+    if not place[2] > 0:
+        cube.body.pose = lambda: (place, (0.0, 0.0, 0.0, 1.0))  # what an engine gives after it has blown up
     else:
         cube.body.place(place)
     step = environment.step(still)

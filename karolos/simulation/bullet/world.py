@@ -180,7 +180,7 @@ class World:
 
     def contacts(self, first: AnyBody, second: AnyBody, link: int) -> list[Contact]:
         points = self.api.getContactPoints(first.index, second.index, linkIndexA=link, physicsClientId=self.client)
-        return [Contact(point[7], point[9]) for point in points or ()]
+        return [Contact(point[7], point[9], point[8]) for point in points or ()]
 
     def render(self, width: int, height: int, camera: Camera) -> Array:
         markers = [Marker(body.pose()[0], radius, colour) for body, radius, colour in self._markers]

@@ -95,6 +95,8 @@ class Contact(NamedTuple):
     """Unit vector from the second body to the first."""
     force: float
     """Normal force in N, of the last physics step."""
+    distance: float
+    """Between the two surfaces in m; negative where they overlap."""
 
 
 class Body(Protocol):

@@ -123,9 +123,10 @@ class Motors:
         """
         speeds = self._speeds[step]
         if self._fingers is not None:
-            most = self._fingers.gripper.speed
-            ahead = self._goal - data.qpos[self._positions[self._size :]]
-            speeds[self._size :] = np.clip(FINGER_GAIN / self._simulation.timestep * ahead, -most, most)
+            most, gain = self._fingers.gripper.speed, FINGER_GAIN / self._simulation.timestep
+            for place in (-2, -1):  # plain floats take half the time of numpy arrays here
+                wanted = gain * (self._goal - float(data.qpos[self._positions[place]]))
+                speeds[place] = min(max(wanted, -most), most)
         dofs = self._dofs
         data.efc_aref[rows[dofs]] = self._rates * (speeds - data.qvel[dofs])
 

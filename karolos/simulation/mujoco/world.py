@@ -192,7 +192,8 @@ class World:
                 continue
             row = int(data.contact.efc_address[place])
             normal = tuple((sign * data.contact.frame[place, :3]).tolist())
-            found.append(Contact(normal, float(data.efc_force[row]) if row >= 0 else 0.0))
+            force = float(data.efc_force[row]) if row >= 0 else 0.0
+            found.append(Contact(normal, force, float(data.contact.dist[place])))
         return found
 
     def render(self, width: int, height: int, camera: Camera) -> Array:
