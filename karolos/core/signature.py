@@ -28,7 +28,7 @@ class Signature:
     goal_rule: GoalRule | None = None
     """None: the environment has no goals and empty goal layouts."""
     has_success: bool = True
-    """False: no step is a success, because nothing says what one is. Tests and tables then show returns only."""
+    """Whether success is defined. False: results show returns only, unless a test has a success all the same."""
     parameters: Layout = NO_FIELDS
     """The values that domain randomization draws at each reset, see `Environment.parameters`."""
 

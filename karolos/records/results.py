@@ -38,7 +38,7 @@ class TestResult:
     distances: tuple[float, ...] | None = None
     """From the goal at the last step, in m; inf where it does not count (nothing landed). None if it is unknown."""
     has_success: bool = True
-    """False: nothing in the environment says what a success is, and no episode has one. Only returns count."""
+    """False: the environment does not define success, and no episode has one. Only returns count."""
 
     @property
     def episodes(self) -> int:
