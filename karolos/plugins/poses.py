@@ -18,6 +18,7 @@ from ..simulation.urdf import Joint
 
 STARTS = 6
 """Random joint positions from which inverse kinematics looks for a home pose, for each place and yaw of the tool."""
+YAWS = (0.0, pi / 2, pi, 3 * pi / 2)
 MARGIN = 0.1
 """Distance in rad from the limits of the joints that home and workspace keep."""
 SPEED = 0.8
@@ -105,12 +106,20 @@ class Poses:
         the floor and near those preferred.
         """
         found: list[tuple[float, Array, float]] = []
-        for yaw, start in product((0.0, pi / 2, -pi / 2, pi), range(STARTS)):
-            offset = draws.uniform(self.low, self.high) - self.rest
-            pose = self._solved(self.rest + (1.0 if start % 2 else 0.3) * offset, target, yaw)
+
+        def solve(pose: Array, yaw: float) -> Array:
+            pose = self._solved(pose, target, yaw)
             score = self._score(pose, target)
             if score is not None:
                 found.append((score, pose, yaw))
+            return pose
+
+        for yaw, start in product(YAWS, range(STARTS)):
+            solve(self.rest + (1.0 if start % 2 else 0.3) * (draws.uniform(self.low, self.high) - self.rest), yaw)
+        if found:  # the best with the tool turned: a redundant arm may be straighter
+            _, pose, yaw = max(found, key=lambda one: one[0])
+            for turn in YAWS[1:]:
+                pose = solve(pose, yaw + turn)
         homes: list[Array] = []
         for _, pose, yaw in sorted(found, key=lambda one: -one[0]):
             if len(homes) < 2 and all(np.abs(pose - other)[:-1].max() > 0.5 for other in homes):

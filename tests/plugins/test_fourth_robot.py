@@ -14,10 +14,12 @@ from karolos.errors import PluginError
 from karolos.evaluation.playing import score
 from karolos.evaluation.policies import expert_policy
 from karolos.plugins.contracts import Candidate, candidate, cases, robots
-from karolos.plugins.contracts.joined import CONTROLS, goes_with, join, joined
+from karolos.plugins.contracts.joined import CONTROLS, goes_with, join, joined, reaching
 from karolos.registry import load, names
 from karolos.simulation.interface import Box
 
+LAST_JOINT = '<joint name="joint6" type="revolute">'
+LIGHT = '<mass value="0.1"/><inertia ixx="4e-5" iyy="4e-5" izz="8e-5"'
 ENOUGH = {"pick_place": 0.9, "push": 0.9, "reach": 1.0}
 """Share of episodes that the expert solves at the least; any other task has to be solved once."""
 
@@ -67,6 +69,21 @@ def test_a_robot_without_gripper_is_refused_where_one_is_needed_and_solves_the_r
             continue
         with joined(bare, candidate("tasks", task)) as made:
             assert score(made, expert_policy(made), episodes=5, seed=0).success_end >= 0.8, task
+
+
+def test_a_light_wrist_with_the_damping_that_exporters_write_is_still(tmp_path: Path) -> None:
+    light = small_arm(tmp_path)
+    path = light.model.urdf
+    text = path.read_text().replace('<joint name="joint6" type="revolute">', f"{LAST_JOINT}<dynamics damping='1.0'/>")
+    path.write_text(text.replace('<mass value="0.3"/><inertia ixx="0.0006" iyy="0.0006" izz="0.0006"', LIGHT))
+    assert path.read_text().count(LIGHT) == 1
+    with reaching(Candidate("robots", "light", light)) as made:
+        made.reset(0)
+        made.robot.apply("motor_gain", 0.8)
+        made.reset(1)
+        for _ in range(24):
+            made.step(np.zeros(made.signature.action.size))
+        assert max(map(abs, made.robot.joint_velocities)) < 0.05
 
 
 @pytest.mark.parametrize(

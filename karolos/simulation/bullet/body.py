@@ -5,6 +5,9 @@ from __future__ import annotations
 from collections.abc import Collection, Sequence
 from typing import Any
 
+import numpy as np
+
+from ...core import Array
 from ..geometry import UPRIGHT, Quaternion, Vector
 from ..interface.engine import LinkState
 
@@ -157,6 +160,14 @@ class Body:
         """Viscous friction of the joint above the link, in N m s/rad."""
         damping: float = self.api.getJointInfo(self.index, link, physicsClientId=self.client)[6]
         return damping
+
+    def mass_matrix(self) -> Array:
+        """The mass matrix (n, n) of the moving joints at position 0, in kg m2 or kg."""
+        count = sum(
+            self.api.getJointInfo(self.index, joint, physicsClientId=self.client)[2] != self.api.JOINT_FIXED
+            for joint in range(self.api.getNumJoints(self.index, physicsClientId=self.client))
+        )
+        return np.array(self.api.calculateMassMatrix(self.index, [0.0] * count, physicsClientId=self.client))
 
     def set_joint_damping(self, damping: float, link: int) -> None:
         """Set the viscous friction of the joint above the link, in N m s/rad."""

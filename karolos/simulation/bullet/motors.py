@@ -5,6 +5,8 @@ from __future__ import annotations
 from collections.abc import Sequence
 from operator import gt
 
+import numpy as np
+
 from ..interface.engine import Fingers, JointLimits
 from .body import Body
 
@@ -12,12 +14,19 @@ FINGER_GAIN = 0.1
 """Fraction of the distance to its target that a finger asks for per physics step."""
 
 
+STABLE = 0.5
+"""Largest fraction of a joint's speed that its own damping removes per physics step. PyBullet integrates it explicitly:
+from 1 on a light wrist oscillates."""
+
+
 class Motors:
     """Implements `interface.Motors`. A motor is a constraint on the speed of its joint, limited in torque.
 
     Args:
+        substeps: physics steps per control step.
         joints: of the arm, from base to wrist, as the body counts them.
         pads: joints of the two fingers; empty without a gripper.
+        timestep: of a physics step in s.
     """
 
     def __init__(
@@ -28,6 +37,8 @@ class Motors:
         joints: Sequence[int],
         fingers: Fingers | None,
         pads: Sequence[int],
+        *,
+        timestep: float,
     ) -> None:
         self.pads = pads
         self._body = body
@@ -48,6 +59,10 @@ class Motors:
             self.set_pad_friction(fingers.gripper.pad_friction)
         self._masses = [(link, *body.inertia(link)) for link in (*joints, *pads)]
         self._dampings = [body.joint_damping(link) for link in joints]
+        if any(self._dampings):
+            inertias = 1 / np.diagonal(np.linalg.inv(body.mass_matrix()))[: len(joints)]
+            self._dampings = np.minimum(self._dampings, STABLE * inertias / timestep).tolist()
+            self.set_joint_damping(0.0)
         self._begin: Sequence[float] = (0.0,) * len(joints)
         self._end: Sequence[float] = self._begin
         self.set_joint_friction(0.0)

@@ -157,7 +157,9 @@ class World:
         links = body.links()
         pads = [links[name] for name in fingers.links] if fingers else []
         own = Body(self.api, self.client, body.index)
-        motors = Motors(own, self.substeps, limits, [links[name] for name in joints], fingers, pads)
+        motors = Motors(
+            own, self.substeps, limits, [links[name] for name in joints], fingers, pads, timestep=self.timestep
+        )
         self._motors.append(motors)
         return motors
 
