@@ -55,6 +55,14 @@ Overrides = Annotated[
 OneRun = Annotated[str, typer.Argument(metavar="RUN", help=RUN_HELP, autocompletion=complete_run)]
 ManyRuns = Annotated[list[str] | None, typer.Argument(metavar="[RUN]...", help=MANY_HELP, autocompletion=complete_run)]
 Where = Annotated[str | None, typer.Option(metavar="FILTER", help=FILTER_HELP)]
+On = Annotated[
+    str | None,
+    typer.Option(
+        "--on",
+        metavar="LAUNCHER",
+        help="Where to run: local, ray, ray://HOST:PORT or slurm. As launcher.name=... launcher.address=...",
+    ),
+]
 Json = Annotated[bool, typer.Option("--json", help="Print one JSON object per row.")]
 Quiet = Annotated[bool, typer.Option("--quiet", "-q", help="Show only warnings and failures.")]
 
@@ -67,6 +75,14 @@ TimeLimit = Annotated[
         help="Stop after this time with a checkpoint to resume from, e.g. 90s, 30m, 2h. The exit code is then 124.",
     ),
 ]
+
+
+def with_launcher(overrides: Sequence[str] | None, on: str | None) -> list[str]:
+    """The overrides of a spec with those that --on means."""
+    if on is None:
+        return list(overrides or ())
+    name, address, _ = on.partition("://")
+    return [*(overrides or ()), f"launcher.name={name}", *([f"launcher.address={on}"] if address else ())]
 
 
 def open_store(runs: Path, database: str | None) -> Store | None:

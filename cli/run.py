@@ -9,7 +9,19 @@ import typer
 
 from karolos.errors import MachineError
 
-from .arguments import Database, Json, OneRun, Overrides, Quiet, Runs, TimeLimit, open_run, seconds
+from .arguments import (
+    Database,
+    Json,
+    On,
+    OneRun,
+    Overrides,
+    Quiet,
+    Runs,
+    TimeLimit,
+    open_run,
+    seconds,
+    with_launcher,
+)
 from .output import print_rows, print_table, say
 
 if TYPE_CHECKING:
@@ -21,11 +33,17 @@ def run(
     overrides: Overrides = None,
     runs: Runs = Path("runs"),
     database: Database = None,
-    jobs: Annotated[int, typer.Option(min=1, help="Seeds to run at the same time, each in its own process.")] = 1,
+    jobs: Annotated[
+        int | None,
+        typer.Option(
+            min=1, help="Seeds to run at the same time, each in its own process. Default: 1, or all with --on."
+        ),
+    ] = None,
     resume: Annotated[
         bool, typer.Option("--resume", help="Resume interrupted runs of this spec; skip finished seeds.")
     ] = False,
     if_needed: Annotated[bool, typer.Option("--if-needed", help="Skip seeds that are finished.")] = False,
+    on: On = None,
     time_limit: TimeLimit = None,
     quiet: Quiet = False,
     json: Json = False,
@@ -37,7 +55,7 @@ def run(
     """
     from karolos.spec import load_spec
 
-    found = load_spec(spec, overrides or ())
+    found = load_spec(spec, with_launcher(overrides, on))
     from karolos.experiment.experiment import Experiment
 
     from .display import choose_display

@@ -14,7 +14,7 @@ import typer
 
 from karolos.errors import MachineError, SpecError, UsageError
 
-from .arguments import Database, Json, Overrides, Quiet, Runs, TimeLimit, seconds
+from .arguments import Database, Json, On, Overrides, Quiet, Runs, TimeLimit, seconds, with_launcher
 from .output import drawn_text, print_rows, say, short_text
 
 if TYPE_CHECKING:
@@ -35,6 +35,7 @@ def sweep(
     trials: Annotated[int | None, typer.Option(min=1, help="Trials in total, instead of the spec's number.")] = None,
     jobs: Annotated[int, typer.Option(min=1, help="Trials at the same time. Each seed of each is a process.")] = 1,
     dry_run: Annotated[bool, typer.Option("--dry-run", help="Check the search and print some sampled specs.")] = False,
+    on: On = None,
     time_limit: TimeLimit = None,
     dashboard: Annotated[
         bool, typer.Option("--dashboard", help=f"Open the sweep so far in {DASHBOARD} instead.")
@@ -49,7 +50,7 @@ def sweep(
     """
     from karolos.spec import load_spec
 
-    found = load_spec(spec, overrides or ())
+    found = load_spec(spec, with_launcher(overrides, on))
     from karolos.sweep.search import Search
 
     from .display import SweepDisplay

@@ -11,10 +11,12 @@ from typing import Any, Literal
 from ..core.launcher import Ended, Launcher
 from ..errors import StoreError
 from ..files import new_lines, read_object, write_whole
+from ..launchers.local import Local
 from ..records import RunFolder
 from ..records.decode import from_json
 from ..records.results import TestResult, decode_test
 from ..records.run_records import UNFINISHED, RunSummary
+from ..registry import load
 from ..spec import Spec
 from .events import Listener, RunAdvanced, RunBusy, RunEnded, RunEvent, RunFinalTested, RunStarted, RunTested, RunWarned
 from .resume import find_run
@@ -106,6 +108,14 @@ def create(runs: Path, spec: Spec, seed: int, text: str | None) -> RunFolder:
     folder = RunFolder.create(runs, spec.name, seed)
     folder.describe(spec.dump(), experiment=spec.hash(), text=text)
     return folder
+
+
+def make_launcher(spec: Spec, jobs: int | None) -> Launcher:
+    """The spec's launcher, for so many runs at the same time."""
+    if spec.launcher is None:
+        return Local(Local.Settings(), jobs)
+    launcher: Launcher = load("launchers", spec.launcher.name)(spec.launcher.settings, jobs)
+    return launcher
 
 
 class Driver:
@@ -232,7 +242,9 @@ class Driver:
         job, seed, folder = active.job, active.seed, active.folder
         folder.stop.unlink(missing_ok=True)
         summary, problem = folder.summary(), ended.problem
-        if ended.died and summary.state != "finished" and not job.halted:
+        if ended.died and summary.state not in (*UNFINISHED, "lost"):
+            problem = None  # the run had come to its end
+        elif ended.died and not job.halted:
             job.deaths[seed] = job.deaths.get(seed, 0) + 1
             if job.deaths[seed] <= self._retries:
                 active.index.close()

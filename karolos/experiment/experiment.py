@@ -9,7 +9,6 @@ from typing import Any
 
 from ..errors import RunError, UsageError
 from ..files import remove_temporary_leftovers
-from ..launchers.local import Local
 from ..orchestrator.auto import cores
 from ..records import RunFolder
 from ..records.archive import remove_unfinished_imports
@@ -18,7 +17,7 @@ from ..records.run_records import RunSummary
 from ..spec import Spec, spec_from_dict
 from ..store import Store
 from ..training.assembly import check_parts
-from .driver import Driver, Existing, Feed, Job, create, find_existing
+from .driver import Driver, Existing, Feed, Job, create, find_existing, make_launcher
 from .events import Listener, print_progress
 from .signals import StopRequest, stop_on_signals
 from .start_from import pinned
@@ -84,7 +83,7 @@ class Experiment:
         runs: str | Path = "runs",
         *,
         database: str | None = None,
-        jobs: int = 1,
+        jobs: int | None = None,
         existing: Existing = "ignore",
         time_limit: float | None = None,
         listener: Listener | None = None,
@@ -100,7 +99,8 @@ class Experiment:
         Args:
             runs: folder of the run folders and, without `database`, of karolos.sqlite.
             database: SQLAlchemy URL of the results database.
-            jobs: seeds that run at the same time, each in its own process.
+            jobs: seeds that run at the same time, each in its own process; None: one, or with another launcher than
+                `local` as many as it has room for.
             existing: what to do with existing runs of this experiment. "ignore": run every seed again. "skip": do not
                 run finished seeds again. "resume": as "skip", and unfinished runs resume from their newest checkpoint,
                 bit for bit in lockstep.
@@ -117,24 +117,25 @@ class Experiment:
             StoreError: the database cannot be used.
         """
         remove_temporary_leftovers()
-        if jobs < 1:
+        if jobs is not None and jobs < 1:
             raise UsageError(f"jobs is {jobs}", hint="run at least one seed at a time")
+        is_local = self.spec.launcher is None or self.spec.launcher.name == "local"
+        jobs = min(jobs or 1, len(self.spec.seeds)) if is_local else jobs
         folder = Path(runs)
         url = database or Store.default_url(folder)
-        check_parts(self.spec, min(jobs, len(self.spec.seeds)))
+        check_parts(self.spec, jobs or 1)
         RunFolder.check_writable(folder)
         remove_unfinished_imports(folder)
         remove_lost_leftovers(folder, f"{self.spec.name}-s*")
         Store(url).close()  # an unusable database is an error before anything is computed
         listener = listener or (print_progress if progress else lambda _: None)
         spec = pinned(self.spec.alone(), folder)
-        jobs = min(jobs, len(spec.seeds))
         with stop_on_signals(time_limit=time_limit) as stop:
-            if jobs == 1:
+            if is_local and jobs == 1:
                 summaries = _run_here(spec, folder, url, listener, stop, existing=existing, text=text)
             else:
                 job = Job(spec)
-                with Local(Local.Settings(), jobs) as launcher:
+                with make_launcher(self.spec, jobs) as launcher:
                     Driver(launcher, folder, url, listener, existing=existing, text=text).run(Feed(job), stop)
                 summaries = [job.summaries[seed] for seed in spec.seeds if seed in job.summaries]
         outcome = Outcome(tuple(summaries), len(spec.seeds), stop.exit_code)

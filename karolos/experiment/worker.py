@@ -59,7 +59,7 @@ def execute_folder(path: Path, cores: int, driver: int | None = None) -> str | N
         folder = RunFolder.open(path)
         with folder, stop_on_signals(file=folder.stop, driver=driver) as stop:
             folder.lock(LOCK_SECONDS)
-            if folder.state().state != "finished":
+            if folder.state().state != "finished" and not stop.requested:
                 execute(folder, None, _progress_writer(folder), stop, beside=cores >= 2)
             folder.progress.unlink(missing_ok=True)
     except KarolosError as error:

@@ -11,7 +11,6 @@ import sys
 from pathlib import Path
 from threading import Thread
 
-from pydantic import Field as Setting
 from typing_extensions import override
 
 from ..core.launcher import COMMAND, Ended, Launcher
@@ -71,10 +70,10 @@ class Local(Launcher):
     """
 
     class Settings(BaseSettings):
-        jobs: int = Setting(default=1, ge=1, description="runs at the same time")
+        pass
 
-    def __init__(self, settings: Settings, jobs: int | None = None) -> None:
-        self._jobs = jobs or settings.jobs
+    def __init__(self, settings: Settings, jobs: int | None = None) -> None:  # noqa: ARG002  (it has none)
+        self._jobs = jobs or 1
         self._workers: list[Worker] = []
         self._answers: queue.Queue[tuple[Worker, str]] = queue.Queue()
 

@@ -17,6 +17,7 @@ PARTS = {
     "agent": "agents",
     "buffer": "buffers",
     "orchestrator": "orchestrators",
+    "launcher": "launchers",
 }
 """Keys of a spec that hold a part, and their kinds of plugins."""
 RANDOMIZATION = "randomization"

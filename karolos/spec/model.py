@@ -16,6 +16,7 @@ from .parts import (
     BufferPart,
     DistributionPart,
     EnvironmentPart,
+    LauncherPart,
     OrchestratorPart,
     Part,
     Recipe,
@@ -174,6 +175,9 @@ class Spec(Settings):
     agent: AgentPart = Setting(description="the learning algorithm")
     buffer: BufferPart = Setting(description="what the agent learns from. Default: uniform")
     orchestrator: OrchestratorPart = Setting(description="how environments share the machine. Default: local")
+    launcher: LauncherPart | None = Setting(
+        None, description="where runs are executed: local, ray or slurm; null: local. Does not count as a change"
+    )
     randomization: dict[Annotated[str, StringConstraints(pattern=PARAMETER)], DistributionPart] = Setting(
         {},
         description="distributions of robot.* and task.* parameters, drawn at each training reset; a number: one value",
@@ -198,13 +202,13 @@ class Spec(Settings):
         return {key: value for key, value in self.model_dump(mode="json").items() if value is not None}
 
     def alone(self) -> Spec:
-        """This spec without its sweep."""
-        return self.model_copy(update={"sweep": None})
+        """This spec without what is not a run's own: sweep and launcher."""
+        return self.model_copy(update={"sweep": None, "launcher": None})
 
     def hash(self) -> str:
         """SHA-256 (hex) of the settings that results depend on. Specs with the same hash are one experiment.
 
-        Excludes name, seeds, sweep, device, threads and settings that a plugin's `Settings.identity()` omits.
+        Excludes name, seeds, sweep, launcher, device, threads and settings that a plugin's `Settings.identity()` omits.
         """
         parts: dict[str, Part | None] = {key: getattr(self, key) for key in PARTS}
         identity = {
@@ -214,7 +218,7 @@ class Spec(Settings):
             "training": self.training.identity(),
             "testing": self.testing.identity(),
         }
-        for key in ("name", "seeds", "sweep"):
+        for key in ("name", "seeds", "sweep", "launcher"):
             identity.pop(key, None)
         text = json.dumps(identity, sort_keys=True, separators=(",", ":"))
         return hashlib.sha256(text.encode()).hexdigest()

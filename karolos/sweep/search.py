@@ -8,11 +8,10 @@ from pathlib import Path
 from typing import Any
 
 from ..errors import SpecError, UsageError
-from ..experiment.driver import Driver
+from ..experiment.driver import Driver, make_launcher
 from ..experiment.events import RunEvent, RunWarned
 from ..experiment.signals import StopRequest, stop_on_signals
 from ..experiment.start_from import pinned
-from ..launchers.local import Local
 from ..records import RunFolder
 from ..records.sweep_records import FOLDER, SweepFinal, Trial
 from ..spec import Spec, Sweep, spec_from_dict, spec_of_trial
@@ -95,7 +94,7 @@ class Search:
         url = database or Store.default_url(root)
         check_parts(self.spec)
         RunFolder.check_writable(root)
-        base = pinned(self.spec, root)
+        base = pinned(self.spec.model_copy(update={"launcher": None}), root)
         folder = SweepFolder(self.folder(root), self.spec, self.asked)
 
         def warn(event: RunEvent) -> None:
@@ -106,7 +105,7 @@ class Search:
             Store(url) as store,
             folder,
             stop_on_signals(time_limit=time_limit) as stop,
-            Local(Local.Settings(), jobs * len(self.sweep.seeds)) as launcher,
+            make_launcher(self.spec, jobs * len(self.sweep.seeds)) as launcher,
         ):
             study = Study(folder.journal, self.sweep, self.spec.name, self.spec.training.steps)
             writer = TrialWriter(folder, study, store, listener)

@@ -110,13 +110,12 @@ def test_existing_runs_are_used_as_asked(tmp_path: Path, existing: Existing, sta
     assert len(list(tmp_path.glob("toy-s*"))) == 2 + (existing == "ignore") + (existing != "resume")
 
 
-def test_a_halted_run_ends_with_the_reason_in_its_folder(tmp_path: Path) -> None:
+def test_a_run_that_is_halted_before_it_begins_is_not_executed(tmp_path: Path) -> None:
     folder = create(tmp_path, toy(), 0, None)
     folder.release()
     folder.stop.write_text("pruned")
     assert execute_folder(folder.path, 1) is None
-    assert (folder.state().state, folder.events()[-1]["reason"]) == ("stopped", "pruned")
-    assert not folder.progress.exists()
+    assert (folder.state().state, folder.events()) == ("created", ())
 
 
 def test_a_damaged_folder_is_a_problem_and_not_an_end(tmp_path: Path) -> None:

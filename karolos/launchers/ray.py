@@ -1,0 +1,117 @@
+"""Runs as tasks of a Ray cluster. This module alone imports Ray; the extra `ray` installs it."""
+
+from __future__ import annotations
+
+import importlib
+import platform
+from pathlib import Path
+from typing import Any, ClassVar
+
+from pydantic import Field as Setting
+from typing_extensions import override
+
+from ..core.launcher import Ended, Launcher
+from ..core.settings import Settings as BaseSettings
+from ..errors import MachineError, UsageError
+from .local import Worker
+
+_workers: list[Worker] = []
+"""The process that executes the runs of this Ray worker, one after another."""
+
+
+def execute(folder: str, cores: int) -> str | None:
+    """Execute a run in a Ray worker. Returns why it could not be executed."""
+    if not Path(folder, "run.json").is_file():
+        return f"{platform.node()} cannot see {folder}; use a runs folder that all machines share under this path"
+    if not _workers:
+        _workers.append(Worker(cores))
+        _workers[0].answers.readline()  # libraries are imported
+    worker = _workers[0]
+    worker.ready = True
+    worker.start(Path(folder))
+    ended = worker.ended(worker.answers.readline())
+    assert ended is not None
+    if ended.died:
+        _workers.clear()
+        raise ChildProcessError(ended.problem)
+    return ended.problem
+
+
+class Ray(Launcher):
+    """Tasks of a Ray cluster, each with its own cores and GPUs. Ray chooses the GPU.
+
+    Without an address, and without a cluster in RAY_ADDRESS or on this machine, it starts one here. The runs folder is
+    on a path that all machines share. A run whose machine or process is lost is resumed elsewhere.
+
+    Raises:
+        MachineError: Ray is not installed, there is no cluster at the address, or the cluster is gone.
+        UsageError: no machine of the cluster has so many cores or GPUs.
+    """
+
+    class Settings(BaseSettings):
+        cpus: int = Setting(default=1, ge=1, description="cores of a run; with two or more, tests run beside training")
+        gpus: float = Setting(default=0, ge=0, description="GPUs of a run; a fraction shares one")
+        address: str | None = Setting(
+            default=None, description="of the cluster: HOST:PORT, ray://HOST:PORT or auto; null: RAY_ADDRESS, or none"
+        )
+        max_retries: int = Setting(default=3, ge=0, description="how often a run is resumed after its machine was lost")
+
+    poll_seconds: ClassVar[float] = 0.5
+
+    def __init__(self, settings: Settings, jobs: int | None = None) -> None:
+        try:
+            self._ray: Any = importlib.import_module("ray")
+        except ImportError as error:
+            raise MachineError("Ray is not installed", hint="pip install 'karolos[ray]'") from error
+        ray, self._jobs = self._ray, jobs
+        self._mine = not ray.is_initialized()
+        if self._mine:
+            try:
+                ray.init(settings.address, log_to_driver=False, logging_level="ERROR", include_dashboard=None)
+            except (ConnectionError, RuntimeError, TimeoutError, ValueError) as error:
+                what = f"no Ray cluster answers at {settings.address}" if settings.address else "Ray does not start"
+                raise MachineError(f"{what}: {error}".splitlines()[0], hint="`ray status` shows a cluster") from error
+        for resource, amount in (("CPU", settings.cpus), ("GPU", settings.gpus)):
+            most = max((node["Resources"].get(resource, 0) for node in ray.nodes() if node["Alive"]), default=0)
+            if amount > most:
+                self.close(kill=False)
+                raise UsageError(
+                    f"a run needs {amount:g} {resource}s, and no machine of the cluster has more than {most:g}",
+                    where=f"launcher.{resource.lower()}s",
+                    hint="lower it, or add a larger machine",
+                )
+        options = {"num_cpus": settings.cpus, "num_gpus": settings.gpus, "max_retries": settings.max_retries}
+        self._task = ray.remote(execute).options(**options, retry_exceptions=[ChildProcessError])
+        self._cores = settings.cpus
+        self._active: dict[Any, Path] = {}
+
+    @override
+    def room(self, waiting: int) -> int:
+        return waiting if self._jobs is None else self._jobs - len(self._active)
+
+    @override
+    def start(self, folder: Path) -> None:
+        self._active[self._task.remote(str(folder), self._cores)] = folder
+
+    @override
+    def wait(self, seconds: float) -> Ended | None:
+        errors = self._ray.exceptions
+        try:
+            done, _ = self._ray.wait(list(self._active), timeout=seconds) if self._active else ([], [])
+            if not done:
+                return None
+            folder = self._active.pop(done[0])
+            return Ended(folder, self._ray.get(done[0]))
+        except errors.RayTaskError as error:  # of the task, e.g. karolos is not installed there
+            return Ended(folder, f"its task failed: {error.cause}")
+        except (errors.WorkerCrashedError, errors.ObjectLostError, errors.NodeDiedError) as error:
+            return Ended(folder, f"its machine or process was lost: {error}".splitlines()[0], died=True)
+        except (errors.RaySystemError, ConnectionError) as error:
+            raise MachineError("the Ray cluster is gone", hint="the same command with --resume continues") from error
+
+    @override
+    def close(self, *, kill: bool) -> None:
+        for task in self._active if hasattr(self, "_active") else ():
+            self._ray.cancel(task, force=kill)
+        if self._mine:
+            self._ray.shutdown()

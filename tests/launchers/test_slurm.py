@@ -1,0 +1,92 @@
+"""Runs as jobs of a stand-in for Slurm (support/fake_slurm.py): the script, the requeue, a second driver."""
+
+from __future__ import annotations
+
+import os
+import signal
+import sys
+import threading
+import time
+from pathlib import Path
+from typing import Any
+
+import pytest
+from support import fake_slurm
+
+from karolos.errors import MachineError
+from karolos.experiment.driver import create
+from karolos.experiment.experiment import Experiment
+from karolos.launchers.slurm import Slurm
+from karolos.records import RunFolder
+from karolos.spec import spec_from_dict
+
+TOY: dict[str, Any] = {
+    "name": "toy",
+    "seeds": [0, 1],
+    "environment": "toy",
+    "agent": {"name": "sac", "hidden": [8]},
+    "orchestrator": {"processes": 0, "environments": 2},
+    "training": {"steps": 2000, "batch_size": 8, "replay_ratio": 4, "warmup_episodes": 2},
+    "testing": {"interval": 100, "episodes": 2},
+}
+
+
+@pytest.fixture
+def slurm(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> Path:
+    """The folder with the tasks' processes."""
+    programs, state = tmp_path / "bin", tmp_path / "state"
+    programs.mkdir()
+    state.mkdir()
+    for name in ("sbatch", "squeue", "scancel", "scontrol"):
+        (programs / name).write_text(f"#!{sys.executable}\n{Path(fake_slurm.__file__).read_text()}")
+        (programs / name).chmod(0o755)
+    monkeypatch.setenv("FAKE_SLURM", str(state))
+    monkeypatch.setenv("PATH", f"{programs}{os.pathsep}{os.environ['PATH']}")
+    monkeypatch.setattr(Slurm, "poll_seconds", 0.2)
+    return state
+
+
+def test_a_run_that_reaches_its_time_limit_is_queued_again_and_equals_an_undisturbed_one(
+    tmp_path: Path, slurm: Path
+) -> None:
+    runs = tmp_path / "runs"
+
+    def reach_time_limit() -> None:
+        until = time.monotonic() + 120
+        while not list(runs.glob("toy-s1-*/tests.jsonl")) and time.monotonic() < until:
+            time.sleep(0.02)
+        os.kill(int((slurm / "1_1").read_text().split()[0]), signal.SIGUSR1)
+
+    limit = threading.Thread(target=reach_time_limit)
+    limit.start()
+    outcome = Experiment(TOY | {"launcher": "slurm"}).run(runs, check=False)
+    limit.join()
+    assert [(run.state, run.attempt) for run in outcome.runs] == [("finished", 1), ("finished", 2)]
+    undisturbed = Experiment(TOY).run(tmp_path / "undisturbed")
+    for one, other in zip(outcome.runs, undisturbed.runs, strict=True):
+        tests, same = (RunFolder.open(run.folder).tests() for run in (one, other))
+        assert [(test.steps, test.returns) for test in tests] == [(test.steps, test.returns) for test in same]
+
+
+def test_a_second_driver_follows_the_jobs_of_the_first(tmp_path: Path, slurm: Path) -> None:
+    folder = create(tmp_path / "runs", spec_from_dict(TOY | {"training": TOY["training"] | {"steps": 10**6}}), 0, None)
+    folder.release()
+    first, second = Slurm(Slurm.Settings()), Slurm(Slurm.Settings())
+    first.start(folder.path)
+    assert first.wait(0.1) is None
+    second.start(folder.path)
+    assert second.wait(0.1) is None
+    assert [path.name for path in slurm.iterdir()] == ["1_0"]
+    folder.stop.write_text("enough")
+    until = time.monotonic() + 120
+    while (ended := second.wait(0.2)) is None and time.monotonic() < until:
+        pass
+    assert ended is not None
+    assert ended.folder == folder.path
+    assert folder.state().state in ("stopped", "created")
+
+
+def test_without_slurm_the_missing_command_is_named(monkeypatch: pytest.MonkeyPatch) -> None:
+    monkeypatch.setenv("PATH", "")
+    with pytest.raises(MachineError, match="squeue is not installed"):
+        Slurm(Slurm.Settings())
