@@ -71,7 +71,14 @@ def inspect_robot(name: str, *, size: tuple[int, int] | None = (960, 720)) -> In
     joints = zip(limits.lower, limits.upper, limits.velocity, limits.effort, strict=True)
     tables: dict[str, list[Facts]] = {
         "joints": [
-            {"joint": place, "lower_rad": low, "upper_rad": high, "speed_rad_s": speed, "torque_N_m": torque}
+            {
+                "joint": place,
+                "name": limits.name(place - 1),
+                "lower_rad": low,
+                "upper_rad": high,
+                "speed_rad_s": speed,
+                "torque_N_m": torque,
+            }
             for place, (low, high, speed, torque) in enumerate(joints, 1)
         ],
         "tool": [

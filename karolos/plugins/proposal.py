@@ -7,6 +7,7 @@ import textwrap
 from collections.abc import Iterator, Sequence
 from dataclasses import dataclass, field, replace
 from itertools import combinations, product
+from math import pi
 from pathlib import Path
 
 import numpy as np
@@ -32,6 +33,8 @@ TOOL_NAMES = tuple(
 """Frames that are taken for the tool, the best first."""
 ALONG = 0.99
 """Cosine of the largest angle between two directions that count as the same."""
+FAST = 2 * pi
+"""Speed in rad/s from which a joint's limit is doubted."""
 PAD_DEPTH = 0.01
 """Distance in m from the tips of the fingers to the tool centre point."""
 TOOL_STEP: float = ArmSettings.model_fields["tool_step"].default
@@ -128,7 +131,9 @@ def propose(path: Path, tool: str | None = None) -> Proposal:
     locked = {
         joint.name: _rest(joint)
         for joint in loose.joints
-        if joint not in arm and joint.name not in slides and joint.mimic is None
+        if joint not in arm
+        and joint.name not in slides
+        and (joint.mimic is None or joint.mimic in {one.name for one in arm})
     }
     found = urdf.load(path, tuple(sorted(locked.items())), slides)
     joints = [joint for joint in found.joints if joint.revolute]
@@ -138,6 +143,10 @@ def propose(path: Path, tool: str | None = None) -> Proposal:
     if held := [joint.name for joint in loose.joints if joint not in arm and joint.name not in slides]:
         notes.append(f"locked: {', '.join(held)} do not move")
     notes += [f"inertia of {link}: no body can have it; its smaller moments are raised" for link in found.corrected]
+    if fast := [joint.name for joint in joints if joint.velocity > FAST]:
+        notes.append(
+            f"speed: the URDF lets {', '.join(fast)} turn faster than a turn per second; compare the data sheet"
+        )
     base = joints[0].parent
     notes.insert(0, f"base: {_names(found, base)}, at the origin of the world, on the floor z = 0")
     notes.insert(1, f"arm: {', '.join(joint.name for joint in joints)}")
@@ -338,7 +347,7 @@ def _tool(
     axis = np.array(last.axis)
     middle = np.zeros(3)
     if len(tips):
-        middle = np.mean([(group.min(0) + group.max(0)) / 2 for group in pads], axis=0)
+        middle = np.mean([(group.min(0) + group.max(0)) / 2 for group in pads if len(group)], axis=0)
     if named is not None or (place is not None and abs(turn[:, 2] @ axis) > ALONG):
         approach = turn[:, 2]
     elif len(tips):

@@ -201,7 +201,10 @@ class Arm:
         model = self.model
         self._joints = _arm_joints(model)
         self.limits = JointLimits(
-            *(tuple(getattr(joint, key) for joint in self._joints) for key in ("lower", "upper", "velocity", "effort"))
+            *(
+                tuple(getattr(joint, key) for joint in self._joints)
+                for key in ("lower", "upper", "velocity", "effort", "name")
+            )
         )
         self._accelerations = model.accelerations if settings.acceleration == "sheet" else None
         if settings.acceleration == "sheet" and model.accelerations is None:

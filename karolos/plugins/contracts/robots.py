@@ -46,11 +46,11 @@ def no_joint_exceeds_its_speed_under_full_actions(one: Candidate) -> None:
             fastest = np.maximum(fastest, [abs(state[1]) for state in joints])
             positions = np.array([state[0] for state in joints])
             inside = (positions > np.array(limits.lower) - 0.02) & (positions < np.array(limits.upper) + 0.02)
-            demand(inside.all(), f"joint {int(np.argmin(inside))} leaves its range")
+            demand(inside.all(), f"joint {limits.name(int(np.argmin(inside)))} leaves its range")
         worst = int(np.argmax(fastest / speeds))
         demand(
             (fastest <= SPEED_TOLERANCE * speeds).all(),
-            f"joint {worst} reaches {fastest[worst]:.3g} rad/s, its limit is {speeds[worst]:.3g}",
+            f"joint {limits.name(worst)} reaches {fastest[worst]:.3g} rad/s, its limit is {speeds[worst]:.3g}",
         )
         demand((fastest > 0.5 * speeds).any(), "full actions bring no joint to half its speed")
 
@@ -206,7 +206,7 @@ def every_joint_reaches_its_speed(one: Candidate) -> None:
                     fastest = max(fastest, abs(robot.joint_velocities[joint]))
             demand(
                 0.9 * speed < fastest < SPEED_TOLERANCE * speed,
-                f"joint {joint} reaches {fastest:.3g} rad/s, its limit is {speed:.3g}",
+                f"joint {robot.limits.name(joint)} reaches {fastest:.3g} rad/s, its limit is {speed:.3g}",
             )
 
 
@@ -271,7 +271,8 @@ def accelerations_are_those_of_the_data_sheet(one: Candidate) -> None:
         worst = int(np.argmax(measured / largest))
         demand(
             (measured < 1.1 * largest).all(),
-            f"joint {worst} accelerates with {measured[worst]:.1f} rad/s2, its sheet says {largest[worst]:.1f}",
+            f"joint {robot.limits.name(worst)} accelerates with {measured[worst]:.1f} rad/s2, "
+            f"its sheet says {largest[worst]:.1f}",
         )
 
 

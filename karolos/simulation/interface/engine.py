@@ -40,6 +40,12 @@ class JointLimits:
     upper: tuple[float, ...]
     velocity: tuple[float, ...]
     effort: tuple[float, ...]
+    names: tuple[str, ...] = ()
+    """Of the joints, for messages; empty where they have none."""
+
+    def name(self, joint: int) -> str:
+        """What a person calls a joint, given its index: its name, or its number from 1."""
+        return self.names[joint] if self.names else str(joint + 1)
 
 
 @dataclass(frozen=True)
