@@ -233,20 +233,30 @@ def a_full_action_moves_the_tool_by_one_tool_step(one: Candidate) -> None:
 
 
 def a_pressed_cube_stays_on_the_floor(one: Candidate) -> None:
-    """An arm that presses a cube of 4 cm from above for 2 s brings no corner of it 5 mm into the floor."""
+    """A cube of 4 cm, pressed for 2 s, sinks less than 5 mm into the floor and is not shot away.
+
+    Its speed exceeds that of the tool by less than a tenth and .2 m/s. It is pressed in the middle, and near an edge
+    at another place.
+    """
     with reaching(one) as environment:
         robot = environment.robot
         environment.reset(0)
         cube = environment.world.box((0.04, 0.04, 0.04), 0.1, (0.9, 0.4, 0.1, 1.0))
-        x, y, _ = robot.workspace.centre
-        cube.place((x, y, 0.02))
-        deepest = 0.0
-        for step in range(78):
-            environment.step(robot.towards((x, y, 0.12 if step < 30 else 0.0), 0.0))
-            (_, _, height), (i, j, k, w) = cube.pose()
-            upright = abs(2 * (i * k - w * j)) + abs(2 * (j * k + w * i)) + abs(1 - 2 * (i * i + j * j))
-            deepest = max(deepest, 0.02 * upright - height)
-        demand(deepest < 0.005, f"a pressed cube is {1000 * deepest:.1f} mm deep in the floor")
+        for aside, off_x, off_y in ((0.0, 0.0, 0.0), (0.12, 0.012, 0.008)):
+            environment.reset(0)
+            x, y, _ = robot.workspace.centre
+            cube.place((x, y + aside, 0.02))
+            deepest = fastest = 0.0
+            speeds = [0.0] * 4  # the cube follows a tool that brakes
+            for step in range(78):
+                environment.step(robot.towards((x + off_x, y + aside + off_y, 0.12 if step < 30 else 0.0), 0.0))
+                speeds = [*speeds[1:], float(np.linalg.norm(robot.tool_velocity))]
+                fastest = max(fastest, float(np.linalg.norm(cube.velocity()[0])) - 1.1 * max(speeds))
+                (_, _, height), (i, j, k, w) = cube.pose()
+                upright = abs(2 * (i * k - w * j)) + abs(2 * (j * k + w * i)) + abs(1 - 2 * (i * i + j * j))
+                deepest = max(deepest, 0.02 * upright - height)
+            demand(deepest < 0.005, f"a pressed cube is {1000 * deepest:.1f} mm deep in the floor")
+            demand(fastest < 0.2, f"a pressed cube is {fastest:.2f} m/s faster than 1.1 times the tool")
 
 
 def accelerations_are_those_of_the_data_sheet(one: Candidate) -> None:
