@@ -18,9 +18,6 @@ import typer
 
 from karolos.errors import KarolosError
 
-DEFAULTS = {"environment": "robot_task", "buffer": "uniform", "orchestrator": "local"}
-"""Parts that a spec may leave out."""
-
 
 def complete_run(ctx: typer.Context, incomplete: str) -> list[str]:
     """@last, names of experiments and ids of runs."""
@@ -53,18 +50,12 @@ def complete_plugin(kind: str | None = None) -> Callable[[typer.Context, str], l
 
 def complete_setting(ctx: typer.Context, incomplete: str) -> list[str]:
     """PATH= for each setting of a spec and of the plugins that the spec names."""
-    from karolos.registry import find
-    from karolos.spec.files import SpecFiles
-    from karolos.spec.merge import PARTS
+    from karolos.spec.files import SpecFiles, named_plugins
 
     found = list(_fields("karolos.spec.model:Spec"))
     with suppress(KarolosError):
-        tree = SpecFiles(Path(str(ctx.params.get("spec")))).load()
-        for key, kind in PARTS.items():
-            name = tree.get(key, "name")
-            plugin = str(name.value) if name is not None else DEFAULTS.get(key)
-            with suppress(KarolosError):
-                found += [f"{key}.{field}" for field in _fields(f"{find(kind, str(plugin)).target}.Settings")]
+        for key, plugin in named_plugins(SpecFiles(Path(str(ctx.params.get("spec")))).load()).items():
+            found += [f"{key}.{field}" for field in _fields(f"{plugin.target}.Settings")]
     return [f"{path}=" for path in found if path.startswith(incomplete)]
 
 

@@ -2,12 +2,13 @@
 
 from __future__ import annotations
 
+from contextlib import suppress
 from pathlib import Path
 from typing import TYPE_CHECKING, Annotated, NoReturn
 
 import typer
 
-from karolos.errors import MachineError
+from karolos.errors import KarolosError, MachineError
 
 from .arguments import (
     Database,
@@ -25,6 +26,8 @@ from .arguments import (
 from .output import print_rows, print_table, say
 
 if TYPE_CHECKING:
+    from collections.abc import Sequence
+
     from karolos.experiment.experiment import Outcome
 
 
@@ -53,6 +56,8 @@ def run(
     Each run writes a folder in the runs folder and an entry in the database. Ctrl-C finishes the step, writes a
     checkpoint and stops the run. A second Ctrl-C ends it at once.
     """
+    if jobs == 1:
+        _start_workers(spec, overrides or ())
     from karolos.spec import load_spec
 
     found = load_spec(spec, with_launcher(overrides, on))
@@ -72,6 +77,19 @@ def run(
             check=False,
         )
     report(outcome, runs, quiet=quiet, json=json)
+
+
+def _start_workers(spec: Path, overrides: Sequence[str]) -> None:
+    """Start the server of the worker processes while this process imports the agent, which takes longer."""
+    from karolos.orchestrator.start import start_server
+    from karolos.spec.files import SpecFiles, named_plugins
+
+    with suppress(KarolosError):  # `load_spec` reports it
+        tree = SpecFiles(spec).load()
+        processes, plugins = tree.get("orchestrator", "processes"), named_plugins(tree)
+        if (processes is None or processes.value != 0) and not any(one.startswith("orchestrator") for one in overrides):
+            parts = [plugins[key] for key in ("environment", "robot", "task") if key in plugins]
+            start_server([part.target.partition(":")[0] for part in parts])
 
 
 def resume(

@@ -75,6 +75,20 @@ def _modules(data: bytes) -> set[str]:
     return reader.names
 
 
+def start_server(modules: Sequence[str]) -> None:
+    """Start the server that workers are forked from, which imports these modules. Does not wait for it.
+
+    This process can import large libraries meanwhile. Without this call the first worker starts the server.
+    """
+    if START_METHOD == "forkserver":
+        from multiprocessing import forkserver  # noqa: PLC0415  (Windows has none)
+
+        multiprocessing.get_context("forkserver").set_forkserver_preload([work.__module__, *modules])
+        _name_temporary_folder()
+        with fresh_start():
+            forkserver.ensure_running()
+
+
 def start_worker(number: int, recipe: bytes, ids: Sequence[range], size: int) -> tuple[WorkerProcess, list[Connection]]:
     """Start worker `number` with one thread for each range of ids; returns the process and its connections.
 

@@ -3,12 +3,13 @@
 from __future__ import annotations
 
 import os
+from contextlib import suppress
 from dataclasses import dataclass, field
 from pathlib import Path
 
-from ..errors import Problem, SpecError
-from ..registry import closest
-from .merge import merged, normalised
+from ..errors import KarolosError, Problem, SpecError
+from ..registry import PluginEntry, closest, find
+from .merge import DEFAULTS, PARTS, merged, normalised
 from .nodes import Located, Mark, Node, refuse, shown
 from .yaml_text import MAX_CHARACTERS, BrokenTextError, read
 
@@ -108,6 +109,16 @@ class SpecFiles:
             return f"more than {MAX_CHAIN} files in a row extend each other", None
         missing = _unreadable(file)
         return (f"{shown(target)}: {missing}", _similar(file)) if missing else None
+
+
+def named_plugins(tree: Node) -> dict[str, PluginEntry]:
+    """The plugins that a spec names, by the key of their part; unknown ones are left out. Imports none of them."""
+    found = {}
+    for key, kind in PARTS.items():
+        name = tree.get(key, "name")
+        with suppress(KarolosError):
+            found[key] = find(kind, DEFAULTS.get(key, "") if name is None else str(name.value))
+    return found
 
 
 def spec_tree(root: Path) -> Path:

@@ -11,7 +11,7 @@ from ..errors import PluginError
 from ..registry import singular
 from .checks import ROBOT_TASK
 from .files import SpecFiles
-from .merge import PARTS, RANDOMIZATION, SWEEP, merged, normalised, override_trees, with_shared_settings
+from .merge import DEFAULTS, PARTS, RANDOMIZATION, SWEEP, merged, normalised, override_trees, with_shared_settings
 from .model import NAME, Spec
 from .nodes import DEFAULT, Located, Mark, Node, from_plain, leaves, refuse
 from .problems import validate
@@ -84,9 +84,8 @@ def _without_nulls(node: Node, path: tuple[str, ...] = ()) -> Node:
 def _with_defaults(tree: Node, stem: str | None) -> Node:
     """The tree with a name and the parts that a spec may leave to karolos."""
     given = dict(tree.mapping or {})
-    defaults = {"buffer": "uniform", "orchestrator": "local"}
-    if "robot" in given and "task" in given:
-        defaults["environment"] = ROBOT_TASK
+    joined = "robot" in given and "task" in given
+    defaults = {key: name for key, name in DEFAULTS.items() if joined or name != ROBOT_TASK}
     for key, name in defaults.items():  # below what is given: `buffer: {capacity: 1e5}` needs no name
         default = Node({"name": Node(name, DEFAULT, DEFAULT)}, DEFAULT, DEFAULT)
         given[key] = merged(default, given[key], (key,)) if key in given else default
