@@ -126,5 +126,7 @@ class Noise:
         return {"memory": self._memory.clone(), "age": self._age.copy()}
 
     def load_state(self, state: State) -> None:
-        self._memory = torch.as_tensor(state["memory"]).clone().to(self._memory.device)
-        self._age = np.array(state["age"], np.int64)
+        memory, age = torch.as_tensor(state["memory"]), np.array(state["age"], np.int64)
+        if memory.shape[1:] != self._memory.shape[1:] or age.shape != memory.shape[:1]:
+            raise ValueError(f"the noise has the shapes {tuple(memory.shape)} and {age.shape}")
+        self._memory, self._age = memory.clone().to(self._memory.device), age

@@ -29,8 +29,8 @@ def play_episodes(
     *,
     steps: int = 0,
     seconds: float = 0.0,
-    on_failure: Callable[[Failure], object] | None = None,
-    on_round: Callable[[int], object] | None = None,
+    on_failure: Callable[[Failure], object] = lambda _: None,
+    on_round: Callable[[int], object] = lambda _: None,
 ) -> TestResult:
     """Play one episode per seed with the deterministic policy. No episode runs afterwards.
 
@@ -74,19 +74,25 @@ def play_episodes(
             episodes = playing[received.environment]
             success_reset[episodes] = success_any[episodes] = success_end[episodes] = received.step.success
             returns[episodes] = lengths[episodes] = 0
-            environments = failed(received)
+            environments = after(received)
 
-    def failed(received: Received) -> NDArray[np.int64]:
-        """The environments that failed and have an episode to play."""
-        if on_failure:
-            for failure in received.failures:
-                on_failure(failure)
-        return received.failed[playing[received.failed] < count]
+    def after(received: Received) -> NDArray[np.int64]:
+        """The environments that failed or whose episode is over, and that have another one to begin.
+
+        An episode is over at its reset if its simulation diverges there.
+        """
+        nonlocal completed
+        for failure in received.failures:
+            on_failure(failure)
+        over = received.environment[received.step.terminated | received.step.truncated]
+        completed += over.size
+        playing[over] += size
+        ended: NDArray[np.int64] = np.union1d(over, received.failed)
+        return ended[playing[ended] < count]
 
     begin(np.flatnonzero(playing < count))
     while (environments := np.flatnonzero(playing < count)).size:
-        if on_round:
-            on_round(completed)
+        on_round(completed)
         actions = agent.act(latest.observation[environments], latest.desired_goal[environments], explore=False)
         orchestrator.step(environments, actions)
         received = orchestrator.receive()
@@ -100,10 +106,7 @@ def play_episodes(
         distance = None if rule is None else rule.distance(step.achieved_goal, step.desired_goal)
         if distance is not None:
             distances[episodes] = distance
-        over = received.environment[step.terminated | step.truncated]
-        completed += over.size
-        playing[over] += size
-        begin(np.sort(np.concatenate((over[playing[over] < count], failed(received)))))
+        begin(after(received))
     return TestResult(
         steps=steps,
         seconds=seconds,

@@ -32,7 +32,7 @@ def transfer_test(
     episodes: int | None = None,
     seed: int | None = None,
     randomize: bool = False,
-    on_failure: Callable[[Failure], object] | None = None,
+    on_failure: Callable[[Failure], object] = lambda _: None,
 ) -> TransferResult:
     """Play test episodes of a run's policy under its spec with overrides, and write the result into the run's folder.
 

@@ -11,9 +11,10 @@ from time import perf_counter
 from typing import Any
 
 import numpy as np
+from numpy.typing import NDArray
 from pydantic import Field as Setting
 
-from ..core import Orchestrator, random_actions
+from ..core import Orchestrator, Received, random_actions
 from ..environments.build import build_environment
 from .executor import Build
 from .local import MAX_ENVIRONMENTS, Limits, Local
@@ -94,17 +95,25 @@ def steps_per_second(orchestrator: Orchestrator, seconds: float) -> float:
     everything = np.arange(orchestrator.size)
     generator = np.random.Generator(np.random.PCG64(0))
     actions = [random_actions(orchestrator.signature, orchestrator.size, generator) for _ in range(PROBE_ROUNDS)]
-    orchestrator.reset(everything, range(orchestrator.size))
-    orchestrator.receive()
+    seeds = itertools.count()
+
+    def begin(environments: NDArray[np.int64]) -> None:
+        """Begin an episode in each of these environments, and again where it fails or is over at once."""
+        while environments.size:
+            orchestrator.reset(environments, [next(seeds) for _ in environments])
+            environments = over(orchestrator.receive())
+
+    def over(received: Received) -> NDArray[np.int64]:
+        ends = received.environment[received.step.terminated | received.step.truncated]
+        return np.union1d(ends, received.failed)
+
+    begin(everything)
     steps, started = 0, perf_counter()
     for drawn in itertools.cycle(actions):
         orchestrator.step(everything, drawn)
-        step = orchestrator.receive().step
-        steps += orchestrator.size
-        over = np.flatnonzero(step.terminated | step.truncated)
-        if over.size:
-            orchestrator.reset(over, (steps + over).tolist())
-            orchestrator.receive()
+        received = orchestrator.receive()
+        steps += received.environment.size
+        begin(over(received))
         elapsed = perf_counter() - started
         if elapsed >= seconds:
             break

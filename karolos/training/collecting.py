@@ -214,9 +214,9 @@ class Collector:
         if state["running"] is not None:
             self._running.load_state(state["running"], self._latest)
             self.started = True
-        self.steps, self.episodes = int(state["steps"]), int(state["episodes"])
+        self.steps, self.episodes = (int(np.int64(state[name])) for name in ("steps", "episodes"))
         since = state["learning_since"]
-        self._learning_since = None if since is None else int(since)
+        self._learning_since = None if since is None else int(np.int64(since))
         load_generator_state(self._warmup, state["warmup"])
 
 

@@ -6,6 +6,8 @@ import math
 from collections.abc import Callable, Mapping
 from typing import Any
 
+import numpy as np
+
 from ..core import Agent, Buffer, State
 from ..core.schedules import Ratio
 
@@ -94,6 +96,6 @@ class Learner:
         return {"updates": self.updates, "due": self._due.counted, "owed": self._owed}
 
     def load_state(self, state: State) -> None:
-        self.updates = int(state["updates"])
-        self._due.counted = int(state["due"])
-        self._owed = int(state["owed"])
+        self.updates, self._due.counted, self._owed = (
+            int(np.int64(state[name])) for name in ("updates", "due", "owed")
+        )

@@ -163,6 +163,22 @@ def test_which_environment_plays_an_episode_is_fixed_beforehand():
     assert sorted(seen) == [(0, 0), (0, 2), (0, 4), (1, 1), (1, 3)]
 
 
+class Diverging(Scripted):
+    """An episode of one entry is over at its reset."""
+
+    def _now(self, reward: float) -> Step:
+        step = super()._now(reward)
+        return step._replace(truncated=step.truncated or len(self._successes) == 1)
+
+
+def test_an_episode_that_is_over_at_its_reset_counts_as_one():
+    scripts: list[Script] = [((False,), False), ((False, True), False), ((True,), False), ((False,), False)]
+    with Local(Local.Settings(processes=0), None, size=2, build=lambda _: Diverging(scripts)) as orchestrator:
+        result = play_episodes(orchestrator, Echo(), range(4))
+    assert result.lengths == (0, 1, 0, 0)
+    assert result.end == (False, True, True, False)
+
+
 def test_a_test_without_episodes_is_refused():
     with (
         Local(Local.Settings(processes=0), SCRIPTS, build=Scripted) as orchestrator,

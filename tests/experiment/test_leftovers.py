@@ -165,10 +165,12 @@ INNER: dict[str, Callable[[dict[str, Any]], object]] = {
     ),
     "no episodes": lambda parts: parts["training"].pop("running"),
     "an infinite count": lambda parts: parts["training"].update(updates=float("inf")),
+    "a count of more than 64 bits": lambda parts: parts["training"].update(updates=10**30),
     "a text for a count": lambda parts: parts["training"].update(learning_since="now"),
     "a list for a generator": lambda parts: parts["training"].update(warmup=[1]),
     "no table": lambda parts: parts["buffer"]["storage"].pop("table"),
     "a text for a share": lambda parts: parts["buffer"]["storage"].update(share="half"),
+    "a number for the noise": lambda parts: parts["agent"]["noise"].update(memory=5.0),
     "no optimisers": lambda parts: parts["agent"].pop("optimisers"),
 }
 

@@ -6,6 +6,7 @@ import numpy as np
 import pytest
 from hypothesis import given
 from hypothesis import strategies as st
+from support.training_parts import Counter
 
 from karolos.environments.toy import Toy
 from karolos.orchestrator import auto
@@ -55,6 +56,29 @@ def test_what_was_measured_and_chosen_is_told_and_measured_once(monkeypatch):
     monkeypatch.setattr(auto, "probe", lambda *_: pytest.fail("measured twice"))
     with Auto(SETTINGS, TOY, build=Toy) as again:
         assert again.describe() == described
+
+
+class Unsteady(Counter):
+    """Fails at a reset with seed 7, is over at once after one with seed 5, and refuses to step before a reset."""
+
+    def reset(self, seed):
+        if seed == 7:
+            raise ZeroDivisionError("it broke at a reset")
+        step = super().reset(seed)
+        self.over = seed == 5
+        return step._replace(truncated=self.over, diverged=self.over)
+
+    def step(self, action):
+        assert not self.over
+        step = super().step(action)
+        self.over = step.terminated or step.truncated
+        return step
+
+
+def test_the_probe_survives_environments_that_fail_or_are_over_at_a_reset():
+    settings = Local.Settings(processes=0, environments=3, failures=1)
+    with Local(settings, None, build=lambda _: Unsteady()) as orchestrator:
+        assert auto.steps_per_second(orchestrator, 0.02) > 0
 
 
 @given(st.lists(st.tuples(st.integers(0, 8), st.integers(1, 4), st.floats(1, 1e5)), min_size=1))
