@@ -66,6 +66,22 @@ def below(root: Path, name: str) -> Path:
     return path
 
 
+NETWORK_SHARES = ("nfs", "nfs4", "cifs", "smb3", "smbfs", "fuse.sshfs")
+"""Types of file systems whose locks cannot be trusted."""
+
+
+def network_share(path: Path, mounts: Path = Path("/proc/self/mounts")) -> str | None:
+    """The type of the network share that contains a path; None if it is on a disk of this machine, or unknown."""
+    try:
+        lines = [line.split() for line in mounts.read_text("utf-8").splitlines()]
+    except OSError:
+        return None  # this system has no such file
+    resolved = path.resolve()
+    found = {len(line[1]): line[2] for line in lines if resolved.is_relative_to(line[1].replace("\\040", " "))}
+    kind = found[max(found)] if found else ""
+    return kind if kind in NETWORK_SHARES else None
+
+
 def sync_folder(folder: Path) -> None:
     """Write the names in a folder to the disk. Windows does it without a call."""
     if sys.platform != "win32":

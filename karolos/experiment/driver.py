@@ -10,9 +10,9 @@ from typing import Any, Literal
 
 from ..core.launcher import Ended, Launcher
 from ..errors import StoreError
-from ..files import new_lines, read_object, write_whole
+from ..files import new_lines, read_object, write_json, write_whole
 from ..launchers.local import Local
-from ..records import RunFolder
+from ..records import RunFolder, provenance
 from ..records.decode import from_json
 from ..records.results import TestResult, decode_test
 from ..records.run_records import UNFINISHED, RunSummary
@@ -194,6 +194,7 @@ class Driver:
         folder = folder or create(self._runs, job.spec, seed, self._text)
         folder.release()
         folder.stop.unlink(missing_ok=True)  # of an earlier process
+        write_json(folder.launch, {"versions": provenance.versions(), "source": provenance.source()})
         job.read_tests(seed, folder)
         self._active[folder.path.resolve()] = Follower(job, seed, folder, RunIndex(self._url, folder))
         self._launcher.start(folder.path.resolve())

@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import json
 import os
+import platform
 import sys
 from contextlib import suppress
 from dataclasses import asdict
@@ -11,8 +12,8 @@ from pathlib import Path
 from typing import Any
 
 from ..errors import KarolosError, MachineError
-from ..files import write_whole
-from ..records import RunFolder
+from ..files import read_object, write_json, write_whole
+from ..records import RunFolder, provenance
 from ..records.run_records import RunSummary
 from ..spec import spec_from_dict
 from .events import Listener, RunAdvanced, RunBusy, RunEvent
@@ -59,6 +60,14 @@ def execute_folder(path: Path, cores: int, driver: int | None = None) -> str | N
         folder = RunFolder.open(path)
         with folder, stop_on_signals(file=folder.stop, driver=driver) as stop:
             folder.lock(LOCK_SECONDS)
+            launch = read_object(folder.launch) or {}
+            if launch and (differing := provenance.differing(launch)):
+                raise MachineError(
+                    f"{platform.node()} would run other software: {'; '.join(differing)}",
+                    where=folder.id,
+                    hint="install the same on all machines",
+                )
+            write_json(folder.launch, launch | {"host": platform.node()})
             if folder.state().state != "finished" and not stop.requested:
                 execute(folder, None, _progress_writer(folder), stop, beside=cores >= 2)
             folder.progress.unlink(missing_ok=True)

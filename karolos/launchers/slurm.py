@@ -132,5 +132,6 @@ def _slurm(*command: str) -> str:
         raise MachineError(f"{command[0]} is not installed", hint="run on a machine that submits to Slurm") from error
     if done.returncode:
         refused = UsageError if command[0] == "sbatch" else MachineError
-        raise refused(f"{command[0]}: {done.stderr.strip() or done.stdout.strip()}", hint="see launcher.* in the spec")
+        first = next(iter((done.stderr.strip() or done.stdout.strip()).splitlines()), "it failed")
+        raise refused(first, hint="see launcher.* in the spec")
     return done.stdout

@@ -15,12 +15,13 @@
     transfers.jsonl one line per test of its policy under changed settings
     labels.json     tags and note
     progress.json   how far it is, while a launcher's process executes it
+    launch.json     host of that process, and the software it has to have: that of the process that started it
     stop            why that process has to stop, written by the process that follows the run
     lock            held by the process that runs it, for as long as it lives
 
-Only the process that holds the lock writes, except stop, and transfers.jsonl and labels.json, which have their own
-locks. The state `lost` is never written: it means that the run has begun and not ended, and no process holds the lock.
-A run that is `created` waits for its start.
+Only the process that holds the lock writes, except stop and launch.json, and except transfers.jsonl and labels.json,
+which have their own locks. The state `lost` is never written: it means that the run has begun and not ended, and no
+process holds the lock. A run that is `created` waits for its start.
 """
 
 from .run_folder import RunFolder, paths, scan

@@ -2,16 +2,20 @@
 
 from __future__ import annotations
 
+import hashlib
 import os
 import platform
 import re
 import subprocess
 import sys
 import tempfile
+from collections.abc import Mapping
 from dataclasses import dataclass
 from functools import cache
 from importlib import metadata
+from importlib.util import find_spec
 from pathlib import Path
+from typing import Any
 
 GIT_SECONDS = 10.0
 """Time limit of one call of git; the run goes on without its answer."""
@@ -65,6 +69,31 @@ def versions() -> dict[str, str]:
         except metadata.PackageNotFoundError:
             found[name] = "not installed"
     return found
+
+
+@cache
+def source() -> str:
+    """SHA-256 (hex) of the source of karolos and of every installed plugin's package."""
+    packages = {"karolos", "karolos_cli"}
+    for distribution in metadata.distributions():
+        points = distribution.entry_points
+        packages |= {point.module.partition(".")[0] for point in points if point.group.startswith(_GROUPS)}
+    digest = hashlib.sha256()
+    for package in sorted(packages):
+        spec = find_spec(package)
+        folders = (spec.submodule_search_locations or (spec.origin or "",)) if spec else ()
+        for folder in map(Path, folders):
+            for path in sorted(folder.rglob("*.py")) if folder.is_dir() else [folder]:
+                digest.update(f"{package} {path.relative_to(folder)}\n".encode() + path.read_bytes())
+    return digest.hexdigest()
+
+
+def differing(launched: Mapping[str, Any]) -> list[str]:
+    """How the software of this process differs from that of the process that launched it (`versions` and `source`)."""
+    other, own = launched.get("versions", {}), versions()
+    names = [name for name in sorted({*other, *own}) if other.get(name) != own.get(name)]
+    found = [f"{name} is {own.get(name, 'missing')} here and {other.get(name, 'missing')} there" for name in names]
+    return found or (["the source of karolos or a plugin is another one"] if launched.get("source") != source() else [])
 
 
 def kind_of_machine() -> str:

@@ -50,6 +50,7 @@ class RunFolder:
         self.tensorboard = path / "tensorboard"
         self.progress = path / "progress.json"
         self.stop = path / "stop"
+        self.launch = path / "launch.json"
         self._lock = FileLock(path / "lock")
         self._run: dict[str, Any] = {}
         self._locked_at: float | None = None
@@ -154,6 +155,7 @@ class RunFolder:
         self._run |= {
             "experiment": experiment,
             "versions": provenance.versions(),
+            "source": provenance.source(),
             "machine": provenance.kind_of_machine(),
             "command": provenance.command_line(),
             "git": {"commit": code.commit, "dirty": code.dirty, "untracked": list(code.untracked)} if code else None,

@@ -19,7 +19,7 @@ from sqlalchemy.exc import ArgumentError, DBAPIError, NoSuchModuleError
 from sqlalchemy.pool import NullPool
 
 from ..errors import StoreError
-from ..files import FileLock
+from ..files import FileLock, network_share
 from ..files import writing as writing_file
 from ..records.provenance import redact
 from .tables import SCHEMA, SCHEMA_VERSION, TABLES
@@ -65,6 +65,12 @@ class Database:
         self.url = _parse_url(url)
         self._path = _sqlite_file(self.url)
         self.home = self._path.resolve().parent if self._path else None
+        if self.home and (share := network_share(self.home)):
+            raise StoreError(
+                f"SQLite loses data on a network share ({share})",
+                where=self.name,
+                hint="keep the runs there, and name a file of this machine or PostgreSQL with --database",
+            )
         self._timeout = timeout
         self.engine = _make_engine(self.url, timeout)
         self._readers = self.engine.execution_options(**{_READ: True})

@@ -2,6 +2,8 @@
 
 from __future__ import annotations
 
+import json
+import platform
 from pathlib import Path
 from typing import Any
 
@@ -23,6 +25,8 @@ from karolos.experiment.experiment import Experiment
 from karolos.experiment.run_index import RunIndex
 from karolos.experiment.signals import StopRequest
 from karolos.experiment.worker import execute_folder
+from karolos.files import write_json
+from karolos.records import provenance
 from karolos.spec import Spec, spec_from_dict
 from karolos.store import Store, check
 
@@ -124,6 +128,20 @@ def test_a_damaged_folder_is_a_problem_and_not_an_end(tmp_path: Path) -> None:
     (folder.path / "resolved.json").unlink()
     assert "name" in str(execute_folder(folder.path, 1))
     assert "not a run folder" in str(execute_folder(tmp_path / "missing", 1))
+
+
+def test_a_process_with_other_software_refuses_and_says_what_differs(tmp_path: Path) -> None:
+    folder = create(tmp_path, toy(), 0, None)
+    folder.release()
+    launch = {"versions": provenance.versions(), "source": provenance.source()}
+    write_json(folder.launch, launch | {"versions": launch["versions"] | {"torch": "1.0"}})
+    assert "torch is " in (problem := str(execute_folder(folder.path, 1)))
+    assert "1.0 there" in problem
+    write_json(folder.launch, launch | {"source": "0"})
+    assert "the source of karolos or a plugin is another one" in str(execute_folder(folder.path, 1))
+    write_json(folder.launch, launch)
+    assert execute_folder(folder.path, 1) is None
+    assert json.loads(folder.launch.read_text())["host"] == platform.node()
 
 
 def test_the_follower_reports_only_what_is_new_and_whole(tmp_path: Path) -> None:

@@ -214,3 +214,9 @@ def test_sixteen_processes_make_the_database_at_once_and_lose_nothing(tmp_path: 
             runs = store.runs(where="not seed = 99")
             assert {(run.seed, run.state, run.steps) for run in runs} == {(seed, "finished", 5) for seed in range(16)}
             assert all(len(tests) == 5 for tests in store.tests_of([run.run for run in runs]).values())
+
+
+def test_sqlite_on_a_network_share_is_refused(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
+    monkeypatch.setattr("karolos.store.database.network_share", lambda path: "nfs4")
+    with pytest.raises(StoreError, match=r"SQLite loses data on a network share \(nfs4\)"):
+        Store(Store.default_url(tmp_path))
