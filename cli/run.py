@@ -56,7 +56,7 @@ def run(
     Each run writes a folder in the runs folder and an entry in the database. Ctrl-C finishes the step, writes a
     checkpoint and stops the run. A second Ctrl-C ends it at once.
     """
-    if jobs == 1:
+    if jobs in (None, 1) and on is None:
         _start_workers(spec, overrides or ())
     from karolos.spec import load_spec
 

@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import os
+import time
 from collections.abc import Callable, Mapping, Sequence
 from dataclasses import dataclass, field
 from pathlib import Path
@@ -40,6 +41,8 @@ if TYPE_CHECKING:
 app = typer.Typer(
     name="runs", help="List, show, label and remove runs; write them to an archive and read one.", no_args_is_help=True
 )
+WATCH_SECONDS = 2.0
+"""Time between two tables of `runs list --watch`."""
 LabelledRun = Annotated[str, typer.Argument(metavar="RUN", help=MANY_HELP, autocompletion=complete_run)]
 
 
@@ -57,12 +60,18 @@ def list_runs(
     limit: Annotated[int | None, typer.Option(min=1, help="Only this number of runs, the newest.")] = None,
     trials: Annotated[bool, typer.Option("--trials", help="List the runs of sweeps' trials, too.")] = False,
     trash: Annotated[bool, typer.Option("--trash", help="List the runs in the trash instead.")] = False,
+    watch: Annotated[
+        bool, typer.Option("--watch", help="Show what runs where, until Ctrl-C or until no run waits or runs.")
+    ] = False,
     columns: Annotated[
         str | None,
         typer.Option(metavar="NAME,...", help="Only these columns: run, success_end, agent.learning_rate, ..."),
     ] = None,
 ) -> None:
     """List runs, the newest first."""
+    if watch:
+        _watch(runs)
+        return
     if trash:
         if where or state or csv:
             hint = "`karolos runs restore RUN` brings a run back"
@@ -104,6 +113,29 @@ def _columns(store: Store, found: Sequence[RunSummary], columns: str) -> list[di
     if not names:
         raise UsageError("--columns names no column", hint="e.g. --columns run,success_end,agent.learning_rate")
     return column_values(store, found, names)
+
+
+def _watch(runs: Path) -> None:
+    """Print a table of the runs that wait or run, with their machine and progress, until there are none."""
+    from rich.console import Console
+
+    from karolos.files import read_object
+    from karolos.records import RunFolder, scan
+    from karolos.report.tables import Table
+
+    while True:
+        rows = []
+        for folder in scan(runs):
+            if isinstance(folder, RunFolder) and (state := folder.state()).unfinished:
+                host = (read_object(folder.launch) or {}).get("host", "-") if state.state == "running" else "-"
+                steps = ((read_object(folder.progress) or {}).get("RunAdvanced") or {}).get("steps", state.steps)
+                rows.append([folder.id, state.state, str(host), f"{steps:,}"])
+        Console().clear()  # does nothing in a pipe
+        if not rows:
+            say(f"nothing runs in {runs}")
+            return
+        print_table(Table(["run", "state", "machine", "steps"], rows))
+        time.sleep(WATCH_SECONDS)
 
 
 def _list_trash(runs: Path, *, json: bool) -> None:

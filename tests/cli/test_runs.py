@@ -196,3 +196,25 @@ def test_listing_imports_neither_torch_nor_pybullet(runs: Path) -> None:
         "assert not heavy, heavy\n"
     )
     subprocess.run([sys.executable, "-c", script, str(runs)], check=True, capture_output=True)
+
+
+def test_watch_shows_what_runs_where_until_nothing_runs(runs: Path, monkeypatch: pytest.MonkeyPatch) -> None:
+    folder = RunFolder.create(runs, "reach", 7)
+    folder.describe({}, experiment="e")
+    folder.set_state("running", steps=100)
+    folder.launch.write_text('{"host": "node-3"}')
+    folder.progress.write_text('{"RunAdvanced": {"steps": 1234}}')
+
+    def end(seconds: float) -> None:
+        folder.set_state("finished")
+        folder.release()
+
+    monkeypatch.setattr("karolos_cli.runs.time.sleep", end)
+    shown = call("list", "--runs", runs, "--watch")
+    assert [word for word in shown.stdout.split() if word in (folder.id, "running", "node-3", "1,234")] == [
+        folder.id,
+        "running",
+        "node-3",
+        "1,234",
+    ]
+    assert "nothing runs" in shown.stderr
