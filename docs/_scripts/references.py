@@ -10,6 +10,7 @@ from __future__ import annotations
 import shutil
 import sys
 from collections.abc import Iterator
+from functools import cache
 from itertools import product
 from pathlib import Path
 from tempfile import TemporaryDirectory
@@ -19,7 +20,7 @@ from karolos.errors import KarolosError
 from karolos.records import RunFolder, paths
 from karolos.report.comparison_tables import estimate, improvement
 from karolos.report.tables import count, duration
-from karolos.spec import Spec, load_spec, spec_from_dict
+from karolos.spec import load_spec, spec_from_dict
 from karolos.statistics.aggregates import median_reaching
 from karolos.store import Store, reindex
 
@@ -40,12 +41,18 @@ TARGETS = {
 """Task, as in the name of a spec -> the least `end` of every seed, and the most seconds to .95 (median)."""
 
 
-def shipped_spec(folder: RunFolder) -> Spec:
-    """The spec that the command of a run means today: the shipped file with the command's overrides."""
+def command(folder: RunFolder) -> tuple[str, tuple[str, ...]]:
+    """The spec file and the settings that a run's command changes, its name and seeds left out."""
     words = folder.description().get("command") or []
     if words[1:2] != ["run"] or len(words) < 3 or not (ROOT / words[2]).is_relative_to(ROOT / "specs"):
         raise KarolosError(f"its command is not `karolos run specs/...`, but {' '.join(words)}")
-    return load_spec(ROOT / words[2], [word for word in words[3:] if "=" in word and not word.startswith("-")])
+    return words[2], tuple(word for word in words[3:] if "=" in word and not word.startswith(("-", "name=", "seeds=")))
+
+
+@cache
+def shipped_hash(path: str, changed: tuple[str, ...]) -> str:
+    """The hash of a spec as it ships, with some settings changed."""
+    return load_spec(ROOT / path, changed).hash()
 
 
 def faults(folder: RunFolder) -> Iterator[str]:
@@ -60,8 +67,11 @@ def faults(folder: RunFolder) -> Iterator[str]:
     if not git or git["dirty"]:
         yield "its code is not that of a commit"
     try:
-        if spec_from_dict(record.spec).hash() != shipped_spec(folder).hash():
+        path, changed = command(folder)
+        if spec_from_dict(record.spec).hash() != shipped_hash(path, changed):
             yield "its spec is not the one that ships"
+        if changed and _is_shipped(record.summary.name):
+            yield f"its settings are changed, but it is called {record.summary.name}"
     except KarolosError as error:
         yield f"its spec is not the one that ships: {error}"
 
@@ -154,9 +164,8 @@ def _variants(found: dict[str, Contender], names: list[str]) -> str:
     columns = ["variant", "of", "changed", "seeds", "`end`, mean", "steps to .95", "better than the shipped spec"]
     rows = []
     for name in names:
-        words = RunFolder.open(found[name].runs[0].summary.folder).description()["command"]
-        base = Path(words[2]).stem
-        changed = [word for word in words[3:] if "=" in word and not word.startswith(("-", "name=", "seeds="))]
+        path, changed = command(RunFolder.open(found[name].runs[0].summary.folder))
+        base = Path(path).stem
         both: Comparison = compare([found[one] for one in (base, name) if one in found])
         better = improvement(both.scores[1].improvement) if len(both.scores) > 1 else "-"
         steps = count(median_reaching([run.summary.steps_to_95 for run in found[name].runs]))
