@@ -213,8 +213,8 @@ def main() -> None:
     elif verb == "tables":
         for page, text in pages().items():
             page.write_text(text, encoding="utf-8")
-    else:
-        sys.exit("\n".join(problems()))
+    elif found := problems():
+        sys.exit("\n".join(found))
 
 
 if __name__ == "__main__":
