@@ -39,6 +39,8 @@ class Place(NamedTuple):
     tool_step: float
     """The distance in m that the tool can move per control step along every axis."""
     workspace: Box
+    tool: Vector
+    """Position of the tool at home in m."""
 
     @property
     def edge(self) -> float:
@@ -47,9 +49,14 @@ class Place(NamedTuple):
 
     @property
     def room(self) -> float:
-        """Volume in m3 of the workspace as far as tasks use it; half of it counts if it does not reach the floor."""
-        edges = np.subtract(self.workspace.high, self.workspace.low)
-        return float(np.prod(np.minimum(edges, GOALS))) * (1.0 if self.workspace.low[2] < 0.05 else 0.5)
+        """Volume in m3 of the workspace as far as tasks use it.
+
+        Half of it counts if the workspace does not reach the floor, and half if the tool at home cannot move by four
+        steps to every side.
+        """
+        low, high = np.array(self.workspace.low), np.array(self.workspace.high)
+        free = min((self.tool - low).min(), (high - self.tool).min()) > 4 * self.tool_step
+        return float(np.prod(np.minimum(high - low, GOALS))) * (0.5 if low[2] > 0.05 else 1.0) * (1.0 if free else 0.5)
 
 
 class Poses:
@@ -93,7 +100,7 @@ class Poses:
                 x, y, z = (self.length * place).tolist()
                 for home in self._homes((x, y, z), draws):
                     step = min(largest_step, self._tool_step(home))
-                    found = Place(home, step, self._workspace(home, step))
+                    found = Place(home, step, self._workspace(home, step), self.chain.forward(home).tool.position)
                     best = found if best is None or found.room > 1.1 * best.room else best
             if best is not None and best.room > 0.9 * GOALS**3:
                 break
@@ -153,7 +160,7 @@ class Poses:
         inverse = np.abs(np.linalg.pinv(self.chain.jacobian(self.chain.forward(home)))[:, :3])
         return float(np.floor(1000 * SPEED / 24 / (inverse / self.speeds[:, None]).max()) / 1000)
 
-    def _workspace(self, home: Sequence[float], tool_step: float) -> Box:
+    def _workspace(self, home: tuple[float, ...], tool_step: float) -> Box:
         """A box around home that the tool reaches pointing down, down to the floor.
 
         It grows face by face from home, to at most 40 % of the arm's length ahead and 60 % across. Of a box that grows
@@ -161,7 +168,8 @@ class Poses:
         """
         sides, ahead = [(0, 1), (1, 1)], [(0, 0), (1, 0), (1, 2)]
         boxes = [self._grown(home, tool_step, phases) for phases in ([[*sides, *ahead]], [sides, ahead])]
-        return max(boxes, key=lambda box: Place((), 0.0, box).room)
+        tool = self.chain.forward(home).tool.position
+        return max(boxes, key=lambda box: Place(home, tool_step, box, tool).room)
 
     def _grown(self, home: Sequence[float], tool_step: float, phases: Sequence[Sequence[tuple[int, int]]]) -> Box:
         """A box whose faces (side, axis) grow phase by phase, after the lower one has grown to the floor."""

@@ -160,8 +160,7 @@ def propose(path: Path, tool: str | None = None) -> Proposal:
             where=str(path),
             hint="choose the tool with --tool LINK; the base stands on the floor with its z axis upwards",
         )
-    home, tool_step, box = best
-    start = poses.chain.forward(home).tool.position
+    home, tool_step, box, start = best
     notes.append(f"home: tool at {_metres(start)} m, pointing down; by inverse kinematics, far from joint limits")
     notes.append(f"workspace: {_metres(box.low)} to {_metres(box.high)} m; the tool reaches it pointing down")
     if tool_step < TOOL_STEP:
