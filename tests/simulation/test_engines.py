@@ -292,6 +292,7 @@ def test_the_default_engine_is_pybullet_where_it_is_installed(monkeypatch: pytes
 def test_a_spec_with_an_engine_that_is_not_installed_is_refused_with_its_place(
     tmp_path: Path, monkeypatch: pytest.MonkeyPatch
 ) -> None:
+    pytest.importorskip("torch")
     monkeypatch.setitem(engines.MODULES, "mujoco", "a_module_that_nobody_has")
     path = tmp_path / "one.yaml"
     path.write_text("robot: panda\ntask: reach\nagent: sac\nenvironment:\n  name: robot_task\n  engine: mujoco\n")
@@ -303,6 +304,7 @@ def test_a_spec_with_an_engine_that_is_not_installed_is_refused_with_its_place(
 
 
 def test_the_engine_is_part_of_an_experiments_identity() -> None:
+    pytest.importorskip("torch")
     parts = {"name": "x", "robot": "panda", "task": "reach", "agent": "sac"}
     one, same, other = (
         spec_from_dict({**parts, "environment": environment})
