@@ -33,7 +33,8 @@ def play(
         str,
         typer.Argument(
             metavar="RUN",
-            help=f"{RUN_HELP} Or the name of a policy that ships with karolos: panda_reach. With --expert a SPEC.yaml.",
+            help=f"{RUN_HELP} Or the name of a policy that ships with karolos: panda_reach, panda_pick. With --expert "
+            "a SPEC.yaml.",
             autocompletion=complete_run,
         ),
     ],
