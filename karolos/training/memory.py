@@ -52,14 +52,15 @@ def check_memory(spec: Spec, signature: Signature, jobs: int = 1) -> None:
 def _needs(spec: Spec, signature: Signature) -> Iterator[Need]:
     """Estimates of what certainly needs memory. Settings of plugins count where karolos's own have them."""
     agent, buffer, layout = spec.agent.settings, spec.buffer.settings, spec.orchestrator.settings
-    size, row = getattr(layout, "size", 1), row_layout(signature).size * NUMBER
-    processes = getattr(layout, "processes", 0)
+    size, row = _amount(layout, "size", 1), row_layout(signature).size * NUMBER
+    processes = _amount(layout, "processes")
     workers = f"training and testing with {processes} worker processes each"
     yield Need(2 * processes * WORKER, workers, "orchestrator.processes")
     actions = 2 * size * signature.max_steps * signature.action.size * NUMBER  # and a copy in a checkpoint
     episodes = f"the actions of {size:,} running episodes of up to {signature.max_steps:,} steps"
     yield Need(actions, episodes, "orchestrator.environments")
     hidden = getattr(agent, "hidden", ())
+    hidden = hidden if isinstance(hidden, tuple) else ()
     inputs = signature.observation.size + signature.desired_goal.size + signature.action.size
     weights = sum((before + 1) * after for before, after in pairwise((inputs, *hidden, 1)))
     on_policy = load("agents", spec.agent.name).on_policy
@@ -67,17 +68,23 @@ def _needs(spec: Spec, signature: Signature) -> Iterator[Need]:
     arrays = FEW_ARRAYS if on_policy or isinstance(signature.action, Discrete) else ARRAYS
     yield Need(arrays * weights * NUMBER, f"an agent with networks of {layers} units", "agent.hidden")
     if on_policy:
-        rollout = getattr(buffer, "rollout", 0)
+        rollout = _amount(buffer, "rollout")
         yield Need(rollout * size * row, f"a rollout of {rollout:,} steps of {size:,} environments", "buffer.rollout")
         return
     if spec.demonstrations is not None:
         count = spec.demonstrations.episodes
         demonstrations = f"a buffer for {count:,} demonstrations of up to {signature.max_steps:,} steps"
         yield Need(2 * count * signature.max_steps * row, demonstrations, "demonstrations.episodes")
-    capacity, batch = getattr(buffer, "capacity", 0), spec.training.batch_size
+    capacity, batch = _amount(buffer, "capacity"), spec.training.batch_size
     filled = 2 * min(capacity, spec.training.steps)  # a checkpoint copies what is stored
     yield Need(max(capacity, filled) * row, f"a buffer of {capacity:,} transitions", "buffer.capacity")
     yield Need(batch * (row + 2 * NUMBER * sum(hidden)), f"a batch of {batch:,} transitions", "training.batch_size")
+
+
+def _amount(settings: object, name: str, default: int = 0) -> int:
+    """A setting that is a number; the default if a part of another package means something else by the name."""
+    value = getattr(settings, name, default)
+    return value if isinstance(value, int) else default
 
 
 def machine_memory() -> int | None:

@@ -181,6 +181,7 @@ def test_check_names_every_kind_of_difference(tmp_path: Path) -> None:
         world = World(tmp_path, store)
         for _ in range(6):
             world.apply("run", "a", 0.001, "1.0")
+            world.apply("state", -1, "finished")  # a run that waits for its start is read from its folder
         unknown, gone, stale, untested, labelled, torn = world.folders
         store.remove_runs([unknown.id])
         gone.path.rename(tmp_path / "elsewhere.removed")

@@ -55,11 +55,12 @@ def killed(tmp_path_factory) -> SweepOutcome:
         process.kill()
     assert process.returncode == -signal.SIGKILL
     assert 2 <= len(trials.read_text().splitlines()) < TRIALS
-    lost = []
+    lost: list[int] = []
+    others = set(child_processes())  # of earlier tests
 
     def kill(event: object) -> None:
         if isinstance(event, TrialBegan) and not lost:
-            lost.extend(child_processes())  # none at the first trial
+            lost.extend(set(child_processes()) - others)  # none at the first trial
             for process in lost:
                 os.kill(process, signal.SIGKILL)
 
