@@ -33,6 +33,8 @@ def combinations() -> Iterator[tuple[str, dict[str, Any]]]:
                     options = {"hindsight": hindsight} if hindsight else {}
                     options |= {"n_step": n_step} if n_step > 1 else {}
                     options |= {"capacity": 10_000} if "capacity" in known else {}
+                    if agent in ("td3", "ddpg") and len(options) == 2:
+                        continue  # sac and dqn show each option alone
                     yield agent, {"name": buffer, **options}
 
 
@@ -85,4 +87,4 @@ def test_it_learns(combination: tuple[str, dict[str, Any]]) -> None:
 
 def test_every_agent_that_ships_is_there() -> None:
     assert set(SHIPPED) <= set(names("agents"))
-    assert len(list(combinations())) >= 4 * 2 * 2 * 2 + 1
+    assert len(list(combinations())) >= 2 * 2 * 4 + 2 * 2 * 2 + 1
