@@ -8,6 +8,7 @@ from pathlib import Path
 from typing import Any
 
 import pytest
+from support import toy_runs
 from support.fake_launcher import FakeLauncher
 
 from karolos.experiment.driver import Driver, Existing, Feed, Follower, Job, create
@@ -30,13 +31,8 @@ from karolos.records import provenance
 from karolos.spec import Spec, spec_from_dict
 from karolos.store import Store, check
 
-TOY: dict[str, Any] = {
-    "name": "toy",
-    "environment": "toy",
-    "agent": {"name": "sac", "hidden": [8]},
-    "buffer": {"name": "uniform", "capacity": 1000},
-    "orchestrator": {"processes": 0, "environments": 2},
-    "training": {"steps": 40, "batch_size": 8, "replay_ratio": 4, "warmup_episodes": 2},
+TOY = toy_runs.TOY | {
+    "training": toy_runs.TOY["training"] | {"steps": 40},
     "testing": {"interval": 20, "episodes": 2},
 }
 

@@ -8,6 +8,7 @@ from pathlib import Path
 from typing import Any
 
 import pytest
+from support import toy_runs
 
 from karolos.evaluation.policies import load_agent
 from karolos.evaluation.testing import play_episodes, test_seeds
@@ -20,13 +21,8 @@ from karolos.spec import spec_from_dict
 from karolos.store import Store, reindex
 from karolos.training.assembly import make_orchestrator
 
-TOY: dict[str, Any] = {
-    "name": "toy",
-    "environment": "toy",
-    "agent": {"name": "sac", "hidden": [8]},
-    "buffer": {"name": "uniform", "capacity": 1000},
-    "orchestrator": {"processes": 0, "environments": 2},
-    "training": {"steps": 120, "batch_size": 8, "replay_ratio": 4, "warmup_episodes": 2},
+TOY = toy_runs.TOY | {
+    "training": toy_runs.TOY["training"] | {"steps": 120},
     "testing": {"interval": 20, "episodes": 4, "final_episodes": 9, "seed": 3},
 }
 

@@ -12,6 +12,7 @@ from pathlib import Path
 from typing import Any
 
 import pytest
+from support.toy_runs import TOY
 
 from karolos import checkpoint
 from karolos.errors import KarolosError, RunError, UsageError
@@ -22,15 +23,6 @@ from karolos.records import RunFolder, scan
 from karolos.records.run_folder import remove_lost_leftovers
 from karolos.store import Store
 
-TOY: dict[str, Any] = {
-    "name": "toy",
-    "environment": "toy",
-    "agent": {"name": "sac", "hidden": [8]},
-    "buffer": {"name": "uniform", "capacity": 1000},
-    "orchestrator": {"processes": 0, "environments": 2},
-    "training": {"steps": 80, "batch_size": 8, "replay_ratio": 4, "warmup_episodes": 2},
-    "testing": {"interval": 40, "episodes": 2},
-}
 KILLED = """
 import os
 from karolos.experiment.events import RunTested

@@ -7,9 +7,9 @@ import signal
 import subprocess
 import sys
 from pathlib import Path
-from typing import Any
 
 import pytest
+from support.toy_runs import TOY
 
 from karolos.errors import RunError
 from karolos.experiment.events import RunAdvanced, RunEnded, RunStarted, RunWarned
@@ -17,15 +17,6 @@ from karolos.experiment.experiment import Experiment
 from karolos.records import RunFolder
 from karolos.store import Store, check, reindex
 
-TOY: dict[str, Any] = {
-    "name": "toy",
-    "environment": "toy",
-    "agent": {"name": "sac", "hidden": [8]},
-    "buffer": {"name": "uniform", "capacity": 1000},
-    "orchestrator": {"processes": 0, "environments": 2},
-    "training": {"steps": 80, "batch_size": 8, "replay_ratio": 4, "warmup_episodes": 2},
-    "testing": {"interval": 40, "episodes": 2},
-}
 SCRIPT = """
 from karolos.experiment.experiment import Experiment
 outcome = Experiment({spec!r}).run({runs!r}, jobs=2, check=False, listener=lambda event: print(event))
