@@ -89,10 +89,11 @@ def read(path: Path) -> Element:
     """The <robot> element of a URDF. Raises PluginError when the file is missing or not a URDF."""
     try:
         root = ElementTree.parse(path).getroot()
+    # `from None`: the line says it all, and the command line prints the traceback of a cause.
     except OSError as error:
-        raise PluginError(f"cannot read {path.name}: {error.strerror}", where=str(path.parent)) from error
+        raise PluginError(f"cannot read {path.name}: {error.strerror}", where=str(path.parent)) from None
     except ElementTree.ParseError as error:
-        raise PluginError(f"not an XML file: {error}", where=str(path), hint="a robot needs a valid URDF") from error
+        raise PluginError(f"not an XML file: {error}", where=str(path), hint="a robot needs a valid URDF") from None
     if any("ros.org/wiki/xacro" in element.tag for element in root):
         hint = f"expand it first: xacro {path.name} > robot.urdf"
         raise PluginError("macros of xacro, which are not expanded", where=str(path), hint=hint)
