@@ -23,7 +23,8 @@ import time
 from contextlib import suppress
 from pathlib import Path
 
-from karolos.benchmarks.survival import differences_of
+from karolos import checkpoint
+from karolos.plugins.contracts.case import state_differences
 from karolos.records import RunFolder
 from karolos.store import Store
 
@@ -149,6 +150,30 @@ def torture(spec: Path, runs: Path, kills: int, draw: random.Random) -> int:
         if found:
             raise SystemExit(1)
     return compared
+
+
+def differences_of(folder: RunFolder, reference: RunFolder, database: str) -> list[str]:
+    """Differences between a run and an undisturbed one of the same spec and seed, except the seconds they took.
+
+    Args:
+        folder: of the run.
+        reference: folder of the undisturbed run.
+        database: URL of the index that holds the run.
+    """
+    one, other = (checkpoint.load(run.checkpoints, "last")[0] for run in (folder, reference))
+    found = state_differences(one, other, ignore=frozenset({"seconds"}), path="last")
+    tests = [(test.steps, test.any, test.end, test.returns) for test in folder.tests()]
+    if tests != [(test.steps, test.any, test.end, test.returns) for test in reference.tests()]:
+        found.append("tests.jsonl")
+    if (folder.path / "episodes.jsonl").read_text() != (reference.path / "episodes.jsonl").read_text():
+        found.append("episodes.jsonl")
+    with Store(database) as store:
+        stored = [(test.steps, test.any, test.end) for test in store.tests(folder.id)]
+        if stored != [(test.steps, sum(test.any), sum(test.end)) for test in folder.tests()]:
+            found.append(f"tests in the database: {stored}")
+        if store.find(folder.id) != folder.summary():
+            found.append("the run's row in the database")
+    return found
 
 
 def main() -> None:

@@ -13,9 +13,8 @@ from pathlib import Path
 from typing import Any
 
 import pytest
-from kill_resume import TOY, torture
+from kill_resume import TOY, differences_of, torture
 
-from karolos.benchmarks.survival import differences_of
 from karolos.experiment.events import RunAdvanced, RunWarned
 from karolos.experiment.experiment import Experiment, resume_run
 from karolos.records import RunFolder
@@ -95,6 +94,18 @@ def test_a_run_whose_workers_are_killed_reaches_what_an_undisturbed_one_reaches(
     assert len(told) == len(killer.warnings)
     assert not [child for child in multiprocessing.active_children() if child.name.startswith("worker")]
     assert shared_memory() <= before
+
+
+def test_the_comparison_sees_that_runs_of_two_seeds_differ(tmp_path: Path) -> None:
+    short = LEARNS | {"training": LEARNS["training"] | {"steps": 200}, "testing": {"interval": 100, "episodes": 2}}
+    folders = []
+    for seed in (0, 1):
+        (run,) = Experiment(short | {"seeds": [seed]}).run(tmp_path / str(seed)).runs
+        folders.append(RunFolder.open(run.folder))
+    found = differences_of(folders[0], folders[1], Store.default_url(tmp_path / "0"))
+    assert any(path.startswith("last.agent.critic") for path in found)
+    assert "episodes.jsonl" in found
+    assert differences_of(folders[0], folders[0], Store.default_url(tmp_path / "0")) == []
 
 
 def shared_memory() -> set[str]:
