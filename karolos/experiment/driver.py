@@ -243,8 +243,11 @@ class Driver:
         job, seed, folder = active.job, active.seed, active.folder
         folder.stop.unlink(missing_ok=True)
         summary, problem = folder.summary(), ended.problem
-        if ended.died and summary.state not in (*UNFINISHED, "lost"):
-            problem = None  # the run had come to its end
+        has_begun = folder.state() != active.before
+        if (refusal := (read_object(folder.launch) or {}).get("problem")) is not None:
+            problem = str(refusal)  # another process would refuse as well
+        elif ended.died and (summary.state not in (*UNFINISHED, "lost") if has_begun else job.halted):
+            problem = None  # the run has come to its end
         elif ended.died and not job.halted:
             job.deaths[seed] = job.deaths.get(seed, 0) + 1
             if job.deaths[seed] <= self._retries:
@@ -274,6 +277,8 @@ class Follower:
         self.job, self.seed, self.folder, self.index = job, seed, folder, index
         self._ends = {name: new_lines(folder.path / name, 0)[1] for name in ("events.jsonl", "tests.jsonl")}
         self._progress = read_object(folder.progress) or {}
+        self.before = folder.state()
+        """The state before its process begins."""
         self.failure: tuple[str | None, str | None] = (None, None)
         """The error of the run and its traceback, if it failed."""
 

@@ -56,11 +56,13 @@ def execute_folder(path: Path, cores: int, driver: int | None = None) -> str | N
         cores: number of cores for the run.
         driver: id of the process with whose end the run stops.
     """
+    folder = None
     try:
         folder = RunFolder.open(path)
         with folder, stop_on_signals(file=folder.stop, driver=driver) as stop:
             folder.lock(LOCK_SECONDS)
             launch = read_object(folder.launch) or {}
+            launch.pop("problem", None)  # of an earlier process
             if launch and (differing := provenance.differing(launch)):
                 raise MachineError(
                     f"{platform.node()} would run other software: {'; '.join(differing)}",
@@ -72,6 +74,9 @@ def execute_folder(path: Path, cores: int, driver: int | None = None) -> str | N
                 execute(folder, None, _progress_writer(folder), stop, beside=cores >= 2)
             folder.progress.unlink(missing_ok=True)
     except KarolosError as error:
+        if folder is not None:
+            with suppress(MachineError):
+                write_json(folder.launch, (read_object(folder.launch) or {}) | {"problem": str(error)})
         return str(error)
     return None
 

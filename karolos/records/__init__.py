@@ -15,7 +15,7 @@
     transfers.jsonl one line per test of its policy under changed settings
     labels.json     tags and note
     progress.json   how far it is, while a launcher's process executes it
-    launch.json     host of that process, and the software it has to have: that of the process that started it
+    launch.json     host of that process, the software that it must have, and why it refused (`problem`)
     stop            why that process has to stop, written by the process that follows the run
     lock            held by the process that runs it, for as long as it lives
 

@@ -99,6 +99,37 @@ def test_a_lost_run_stops_the_others_of_a_job_whose_runs_belong_together(tmp_pat
     assert len(launcher.started) == 1
 
 
+@pytest.fixture
+def stopped(tmp_path: Path) -> Path:
+    """A runs folder with a run that was stopped, and the reason."""
+    with create(tmp_path, toy(), 0, None) as folder:
+        folder.set_state("stopped")
+        folder.event("stopped", steps=0, reason="SIGUSR1")
+    return tmp_path
+
+
+def test_a_stopped_run_whose_process_dies_before_it_resumes_is_not_at_an_end(stopped: Path) -> None:
+    job, launcher = Job(toy()), FakeLauncher(True, False)
+    drive(stopped, launcher, Feed(job), existing="resume", retries=1)
+    assert len(launcher.started) == 2
+    assert job.finished
+
+
+@pytest.mark.parametrize("blind", [False, True])
+def test_a_process_that_refuses_to_resume_a_stopped_run_says_why(
+    stopped: Path, monkeypatch: pytest.MonkeyPatch, blind: bool
+) -> None:
+    job, launcher = Job(toy()), FakeLauncher(blind=blind)
+    monkeypatch.setattr(provenance, "differing", lambda _: ["torch is 1.0 here"])
+    events = drive(stopped, launcher, Feed(job), existing="resume", retries=3)
+    assert len(launcher.started) == 1, "it would refuse again"
+    assert "would run other software: torch is 1.0 here" in (job.error or "")
+    assert [event.error for event in events if isinstance(event, RunEnded)] == [job.error]
+    monkeypatch.undo()
+    drive(stopped, FakeLauncher(blind=blind), Feed(job := Job(toy())), existing="resume")
+    assert (job.finished, job.error) == (True, None)
+
+
 @pytest.mark.parametrize(("existing", "started"), [("ignore", 2), ("skip", 1), ("resume", 1)])
 def test_existing_runs_are_used_as_asked(tmp_path: Path, existing: Existing, started: int) -> None:
     drive(tmp_path, FakeLauncher(), Feed(Job(toy())))

@@ -10,10 +10,14 @@ from karolos.experiment.worker import execute_folder
 
 
 class FakeLauncher(Launcher):
-    """Each entry of `deaths` is for a started run: True if its process dies before it begins."""
+    """Each entry of `deaths` is for a started run: True if its process dies before it begins.
 
-    def __init__(self, *deaths: bool) -> None:
+    A `blind` launcher knows only that a process has ended, as Slurm's does.
+    """
+
+    def __init__(self, *deaths: bool, blind: bool = False) -> None:
         self.deaths = deque(deaths)
+        self.blind = blind
         self.started: list[Path] = []
         self.closed: bool | None = None
         self._ended: deque[Ended] = deque()
@@ -26,7 +30,8 @@ class FakeLauncher(Launcher):
         if self.deaths and self.deaths.popleft():
             self._ended.append(Ended(folder, "its process died", died=True))
         else:
-            self._ended.append(Ended(folder, execute_folder(folder, 1)))
+            problem = execute_folder(folder, 1)
+            self._ended.append(Ended(folder, "its job ended", died=True) if self.blind else Ended(folder, problem))
 
     def wait(self, seconds: float) -> Ended | None:
         return self._ended.popleft() if self._ended else None
