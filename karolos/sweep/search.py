@@ -92,7 +92,9 @@ class Search:
             raise UsageError(f"jobs is {jobs}", hint="use at least 1")
         root = Path(runs)
         url = database or Store.default_url(root)
-        check_parts(self.spec)
+        note = check_parts(self.spec)
+        if note is not None:
+            listener(RunWarned(self.spec.name, note))
         RunFolder.check_writable(root)
         base = pinned(self.spec.model_copy(update={"launcher": None}), root)
         folder = SweepFolder(self.folder(root), self.spec, self.asked)

@@ -52,7 +52,7 @@ def check_parts(spec: Spec, jobs: int = 1) -> str | None:
     """Build the spec's parts once, so that parts that do not fit are refused before anything runs.
 
     Builds one environment, the agent and the buffer, and discards them. A world is simulated only if an expert is
-    needed. Returns a note if a run of the spec may make no gradient update.
+    needed. Returns a note if a run of the spec may make no gradient update, or a sweep's objective may say nothing.
 
     Args:
         spec: to check.
@@ -75,7 +75,7 @@ def check_parts(spec: Spec, jobs: int = 1) -> str | None:
             _check_amounts(spec)
             _check_imitation(spec)
             _check_demonstrations(spec, environment, buffer)
-            return _without_updates(spec, signature.max_steps)
+            return _without_updates(spec, signature.max_steps) or _without_success(spec, signature)
         finally:
             environment.close()
 
@@ -170,6 +170,14 @@ def _without_updates(spec: Spec, max_steps: int) -> str | None:
         f"a run may make no update: {amounts.warmup_episodes} warm-up episodes take up to {warmup} steps, and "
         f"training.steps is {amounts.steps}"
     )
+
+
+def _without_success(spec: Spec, signature: Signature) -> str | None:
+    """Why the objective of the spec's sweep may be the same for all trials; None if it is well-defined."""
+    undefined = [] if spec.sweep is None else [name for name in spec.sweep.objectives if name != "return"]
+    if signature.has_success or not undefined:
+        return None
+    return f"the environment defines no success, so {undefined[0]} may stay 0: set sweep.objective=return"
 
 
 def _is_set(spec: Spec, name: str) -> bool:

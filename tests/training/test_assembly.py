@@ -238,3 +238,12 @@ def test_only_an_agent_with_an_imitation_term_imitates_relabelled_transitions() 
     check_parts(spec_from_dict({**parts, "agent": {"name": "sac", "imitation": 1.0}}))
     with pytest.raises(KarolosError, match="no imitation term, so it cannot imitate relabelled"):
         check_parts(spec_from_dict({**parts, "agent": {"name": "sac"}}))
+
+
+def test_a_sweep_for_success_where_none_is_defined_is_noted() -> None:
+    spec = {"name": "sweep", "environment": {"name": "gymnasium", "id": "Pendulum-v1"}, "agent": "sac"}
+    sweep = {"space": {"agent.learning_rate": {"float": [1e-4, 1e-3]}}, "trials": 1}
+    note = check_parts(spec_from_dict(spec | {"sweep": sweep}))
+    assert note == "the environment defines no success, so success_end may stay 0: set sweep.objective=return"
+    assert check_parts(spec_from_dict(spec | {"sweep": sweep | {"objective": "return"}})) is None
+    assert check_parts(spec_from_dict(spec)) is None
