@@ -11,10 +11,11 @@ from numpy.typing import NDArray
 from pydantic import Field as Setting
 from torch import Tensor
 
-from ..core import Discrete, FloatArray, Signature
+from ..core import Discrete, FloatArray, Signature, State
 from ..core.deployed import Deployed
 from ..core.seeding import SeedTree
 from ..errors import UsageError
+from .backprop import Tape
 from .critics import Critic, critic_metrics, value_bounds
 from .device import PRECISION_MEANS, Precision, uses_bfloat16
 from .networks import MLP, Shape, deployed
@@ -39,6 +40,12 @@ class ActorCriticSettings(OptimiserSettings):
         ge=0,
         description="weight of the squared distance to demonstrated actions that the critics prefer; with "
         "buffer.hindsight.imitate also to actions whose transition got a new goal",
+    )
+    policy_average: float = Setting(
+        1.0,
+        gt=0,
+        le=1,
+        description="step, per policy update, of the average of the policy that acts in tests; 1: the policy itself",
     )
     precision: Precision = Setting("auto", description=PRECISION_MEANS)
 
@@ -79,6 +86,12 @@ class ActorCritic(TorchAgent):
         generator = torch.Generator().manual_seed(seeds.child("weights").integer())
         shape = Shape((inputs, *settings.hidden, policy_columns * actions), bfloat16=bfloat16)
         self.policy = MLP(shape, generator, device)
+        self.average = self.policy
+        """Acts without exploration. An average over updates errs less than each policy in it (Polyak and Juditsky 1992,
+        "Acceleration of Stochastic Approximation by Averaging")."""
+        if settings.policy_average < 1:
+            self.average = self.policy.copy()
+            self.stored = (*self.stored, "average")
         sizes = (inputs + actions, *settings.hidden, critic_kind.columns)
         shape = Shape(sizes, members=members, layer_norm=settings.layer_norm, bfloat16=bfloat16)
         self.critic = MLP(shape, generator, device)
@@ -104,9 +117,9 @@ class ActorCritic(TorchAgent):
     ) -> FloatArray:
         """Actions (n, a) in [-1, 1] for observations (n, o) and goals (n, g)."""
         inputs = network_input(observation, desired_goal, self.normaliser, self.device)
-        output = self.policy(inputs, exact=True)
         if not explore:
-            return to_array(torch.tanh(output[:, : self.actions]))
+            return to_array(torch.tanh(self.average(inputs, exact=True)[:, : self.actions]))
+        output = self.policy(inputs, exact=True)
         action = self.explore(output, self.noise.draw(inputs, self.generator, environments))
         return to_array(_some_random(action, self.settings.random_actions, self.generator))
 
@@ -126,9 +139,24 @@ class ActorCritic(TorchAgent):
         mean = self.critic_kind.mean
         return critic_metrics(loss, mean(outputs), mean(targets), report=report) | norm
 
+    def optimise_policy(self, gradient: Tensor, tapes: list[Tape], update: int, *, report: bool) -> dict[str, Any]:
+        """One gradient step of the policy with the gradient by its output. Returns metrics."""
+        self.policy.backward(gradient, tapes)
+        optimiser = self.optimisers["policy"]
+        metrics = optimiser.step(self.policy.gradient, "policy_gradient_norm", update=update, report=report)
+        if self.average is not self.policy:
+            self.average.follow(self.policy, self.settings.policy_average)
+        return metrics
+
+    def start_from(self, state: State) -> None:
+        """As `Agent.start_from`; the policy begins as the one that acts in the other agent's tests."""
+        super().start_from({**state, "policy": state.get("average", state["policy"])})
+        if self.average is not self.policy:
+            self.average.vector.copy_(self.policy.vector.detach())
+
     def deployed(self) -> Deployed:
         """The mean of the policy, squashed by tanh."""
-        return deployed(self.policy, self.normaliser, "tanh", columns=slice(self.actions))
+        return deployed(self.average, self.normaliser, "tanh", columns=slice(self.actions))
 
 
 def imitation_loss(action: Tensor, preferred: Tensor, batch: TensorBatch) -> tuple[Tensor, Tensor]:

@@ -33,7 +33,7 @@ class DDPG(ActorCritic):
         random_actions: float = Setting(0.3, ge=0, le=1, description="share of exploring actions drawn uniformly")
 
     learned: ClassVar[tuple[str, ...]] = ("policy", "critic", "target_policy", "target", "normaliser")
-    stored: ClassVar[tuple[str, ...]] = (*learned, "noise", "updates")
+    stored: tuple[str, ...] = (*learned, "noise", "updates")
     critics: ClassVar[int] = 1
 
     def __init__(self, settings: Any, signature: Signature, seeds: SeedTree, device: str = "cpu") -> None:
@@ -96,9 +96,7 @@ class DDPG(ActorCritic):
             demonstrated = self.critic.forward(torch.cat((batch.input, batch.action), 1), first=True)[0][0, :, 0]
             metrics["imitation_loss"], gradient = imitation_loss(action, demonstrated > value, batch)
             action_gradient.add_(gradient, alpha=settings.imitation)
-        self.policy.backward(policy_gradient(action, action_gradient), tapes)
-        optimiser = self.optimisers["policy"]
-        return metrics | optimiser.step(self.policy.gradient, "policy_gradient_norm", update=update, report=report)
+        return metrics | self.optimise_policy(policy_gradient(action, action_gradient), tapes, update, report=report)
 
 
 def policy_loss(value: Tensor, weight: Tensor) -> Tensor:

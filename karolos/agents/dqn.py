@@ -65,7 +65,7 @@ class DQN(TorchAgent):
 
     on_policy: ClassVar[bool] = False
     learned: ClassVar[tuple[str, ...]] = ("network", "target", "normaliser")
-    stored: ClassVar[tuple[str, ...]] = (*learned, "explored", "updates")
+    stored: tuple[str, ...] = (*learned, "explored", "updates")
 
     def __init__(self, settings: DQN.Settings, signature: Signature, seeds: SeedTree, device: str = "cpu") -> None:
         self._actions = _require_discrete(signature)

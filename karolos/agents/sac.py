@@ -55,7 +55,7 @@ class SAC(ActorCritic):
             return self
 
     learned: ClassVar[tuple[str, ...]] = ("policy", "critic", "target", "normaliser", "log_temperature")
-    stored: ClassVar[tuple[str, ...]] = ("policy", "critic", "target", "normaliser", "noise", "log_temperature")
+    stored: tuple[str, ...] = ("policy", "critic", "target", "normaliser", "noise", "log_temperature")
 
     def __init__(self, settings: SAC.Settings, signature: Signature, seeds: SeedTree, device: str = "cpu") -> None:
         kind = QuantileCritic(settings.critic) if settings.critic else ValueCritic()
@@ -158,10 +158,7 @@ class SAC(ActorCritic):
             )
             metrics["imitation_loss"], mode_gradient = imitation_loss(mode, demonstrated > current, batch)
             gradient[:, : self.actions] += settings.imitation * mode_gradient * (1 - mode.square())
-        self.policy.backward(gradient, tapes)
-        metrics |= self.optimisers["policy"].step(
-            self.policy.gradient, "policy_gradient_norm", update=update, report=report
-        )
+        metrics |= self.optimise_policy(gradient, tapes, update, report=report)
         if report:
             metrics["policy_loss"] = policy_loss(value, log_probabilities, temperature, batch.weight)
             metrics["action_saturation"] = saturation(own.action)

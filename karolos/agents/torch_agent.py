@@ -2,8 +2,6 @@
 
 from __future__ import annotations
 
-from typing import ClassVar
-
 import torch
 from torch import Tensor
 
@@ -14,7 +12,7 @@ from .optimisation import Adam
 class TorchAgent(Agent[Experience]):
     """An agent whose state consists of the attributes in `stored`, its optimisers and its generator."""
 
-    stored: ClassVar[tuple[str, ...]]
+    stored: tuple[str, ...]
     """Attributes that learning or acting depends on: tensors, counters, and parts with `state` and `load_state`."""
     optimisers: dict[str, Adam]
     generator: torch.Generator

@@ -148,7 +148,7 @@ def test_learns_the_best_action_of_a_bandit() -> None:
     assert np.abs(actions - 0.5).mean() < 0.15
 
 
-@pytest.mark.parametrize("settings", [{}, {"layer_norm": True, "precision": "bfloat16"}])
+@pytest.mark.parametrize("settings", [{}, {"layer_norm": True, "precision": "bfloat16", "policy_average": 0.1}])
 def test_learning_goes_on_bit_for_bit_in_a_fresh_agent(settings: dict[str, Any]) -> None:
     whole, first, second = make(**settings), make(**settings), make(seed=7, **settings)
     for seed in range(12):
@@ -226,3 +226,27 @@ def test_the_policy_and_its_temperature_wait_for_the_critics_as_often_as_asked()
         changed.append([not torch.equal(one, other) for one, other in zip(before, now, strict=True)])
     learned, waited = [True, True, True], [False, False, True]
     assert changed == [learned, waited, waited, learned, waited, waited]
+
+
+def test_the_average_policy_acts_in_tests_and_the_policy_itself_explores() -> None:
+    agent = make(policy_average=0.25)
+    expected = agent.policy.vector.clone()
+    for seed in range(4):
+        agent.learn(batch(16, signature(), seed))
+        expected.lerp_(agent.policy.vector, 0.25)
+    torch.testing.assert_close(agent.average.vector, expected)
+    assert not torch.equal(agent.average.vector, agent.policy.vector)
+    alike = make(seed=5)
+    alike.start_from(agent.state())
+    torch.testing.assert_close(alike.policy.vector, expected)
+    acted = agent.act(*_seen(0), explore=False)
+    np.testing.assert_array_equal(acted, alike.act(*_seen(0), explore=False))
+    agent.average.vector.zero_()
+    np.testing.assert_array_equal(agent.act(*_seen(0), explore=False), 0)
+    assert np.abs(agent.act(*_seen(0), explore=True)).min() > 0
+
+
+def test_a_run_that_starts_from_another_starts_its_average_there_too() -> None:
+    source, agent = make(seed=3), make(policy_average=0.25)
+    agent.start_from(source.state())
+    np.testing.assert_array_equal(agent.act(*_seen(0), explore=False), source.act(*_seen(0), explore=False))
