@@ -11,6 +11,7 @@ from pathlib import Path
 import pytest
 
 from karolos.errors import KarolosError
+from karolos.export.shipped import shipped_names
 from karolos.records import paths
 
 ROOT = Path(__file__).parents[1]
@@ -27,6 +28,13 @@ def test_tables_reference_runs_and_shipped_specs_agree() -> None:
 def test_every_pair_of_robot_and_task_has_a_spec() -> None:
     for robot, task in product(SCRIPT["ROBOTS"], SCRIPT["TARGETS"]):
         assert (ROOT / "specs" / f"{robot}_{task}.yaml").is_file()
+
+
+def test_films_show_the_policies_that_ship_and_else_experts() -> None:
+    films = runpy.run_path(str(ROOT / "docs" / "_scripts" / "films.py"))
+    for name in films["specs"]():
+        expected = ("policy", films["sha256"](name)) if name in shipped_names() else ("expert", "")
+        assert films["player_of"](films["FILMS"] / f"{name}.gif") == expected, f"run: docs/_scripts/films.py {name}"
 
 
 def test_reference_runs_are_small_and_hold_no_weights() -> None:

@@ -83,21 +83,30 @@ class RunSummary:
     """One run in one row. The first ten fields are what scripts rely on, in this order.
 
     Success and return are of the final test's policy `last`; before it, of the last test (None before the first).
-    Success is None as well if the environment does not define it. *_to_95 are of the first test with `end` success
-    >= .95, *_to_95_any of the first with `any` success >= .95.
+    Success is None as well if the environment does not define it.
     """
 
     run: str
+    """Id: the name of the folder."""
     experiment: str
+    """Hash of the settings that results depend on."""
     seed: int
     state: str
+    """created, running, finished, failed, stopped or lost."""
     steps: int
+    """Environment steps of training."""
     seconds: float
+    """Wall-clock seconds of collecting and learning."""
     success_any: float | None
+    """Share of episodes that reached the goal at some step."""
     success_end: float | None
+    """Share of episodes that reached the goal at the last step."""
     steps_to_95: int | None
+    """Environment steps until the first test with `success_end` >= .95."""
     seconds_to_95: float | None
+    """Seconds until then."""
     name: str
+    """Of the experiment."""
     episodes: int | None
     """Episodes of the test that success and return are of: success_any * episodes is a whole number."""
     environment: str | None
@@ -105,8 +114,11 @@ class RunSummary:
     task: str | None
     agent: str | None
     attempt: int
+    """How often the run was started or resumed."""
     error: str | None
+    """Why it failed."""
     created: str
+    """Time in UTC, ISO 8601."""
     updated: str
     folder: str
     tags: tuple[str, ...] = ()
@@ -117,10 +129,12 @@ class RunSummary:
     final: bool = False
     """Whether success is that of the final test."""
     best_steps: int | None = None
-    """Environment steps of the policy `best`, and its success in the final test; None before it."""
+    """Environment steps of the policy `best`; None before the final test."""
     best_any: float | None = None
+    """Success of the policy `best` in the final test."""
     best_end: float | None = None
     steps_to_95_any: int | None = None
+    """Environment steps until the first test with `success_any` >= .95."""
     seconds_to_95_any: float | None = None
     total_seconds: float = 0.0
     """Wall-clock seconds from start to end, of all attempts: `seconds`, tests, checkpoints and everything else."""

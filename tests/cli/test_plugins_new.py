@@ -1,4 +1,4 @@
-"""`karolos plugins new`: its package works, is tested, and is the one that docs/extending.md and examples/ show."""
+"""`karolos plugins new`: its package works, is tested, and is the one that docs/ and examples/ show."""
 
 from __future__ import annotations
 
@@ -72,10 +72,10 @@ def test_the_agent_in_examples_is_the_starter(tmp_path):
             assert (example / path).read_text() == Path(line).read_text(), path
 
 
-def test_the_code_in_the_guide_is_that_of_the_starters(packages):
-    text = (ROOT / "docs" / "extending.md").read_text()
-    blocks = re.findall(r"<!-- from (\w+) (\w+): (\S+) -->\n```\w+\n(.*?)```", text, re.DOTALL)
-    assert len(blocks) == text.count("```") // 2, "every block of code says where it is from"
+def test_the_code_in_the_guides_is_that_of_the_starters(packages):
+    pages = [(ROOT / "docs" / f"{name}.md").read_text() for name in ("extending", "own_task", "own_agent")]
+    blocks = re.findall(r"<!-- from (\w+) (\w+): (\S+) -->\n```\w+\n(.*?)```", "".join(pages), re.DOTALL)
+    assert len(re.findall(r"^```(?:python|toml)$", pages[0], re.MULTILINE)) == pages[0].count("<!-- from")
     assert {kind for kind, *_ in blocks} == set(STARTERS)
     for kind, name, path, code in blocks:
         assert name == STARTERS[kind]

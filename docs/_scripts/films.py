@@ -1,0 +1,88 @@
+"""Films of the gallery: docs/films/<spec>.gif, of the policy that ships for a spec or of the scripted expert.
+
+python docs/_scripts/films.py [SPEC...]   make these films, or all
+"""
+
+from __future__ import annotations
+
+import hashlib
+import sys
+from itertools import product
+from pathlib import Path
+
+import numpy as np
+from PIL import Image
+
+from karolos.evaluation.playing import play
+from karolos.evaluation.policies import load_expert
+from karolos.export import shipped
+from karolos.report.video import with_caption
+from karolos.spec import load_spec
+
+ROOT = Path(__file__).parents[2]
+FILMS = ROOT / "docs" / "films"
+SIZE = (288, 216)
+SCALE = 2
+"""Pictures are drawn larger and made smaller, which smooths edges."""
+EVERY, HOLD, EPISODES, COLOURS = 2, 8, 2, 96
+"""Control steps per picture, pictures of the end of an episode, episodes, colours."""
+
+
+def specs() -> list[str]:
+    """The specs that have a film: one of each pair, and those whose policy ships."""
+    pairs = [f"{robot}_{task}" for robot, task in product(("panda", "ur5", "iiwa"), ("reach", "push", "pick", "throw"))]
+    return sorted({*pairs, *shipped.shipped_names()})
+
+
+def sha256(name: str) -> str:
+    """Of a policy that ships, in hexadecimal digits."""
+    return hashlib.sha256((shipped.FOLDER / name / "policy.npz").read_bytes()).hexdigest()
+
+
+def player_of(film: Path) -> tuple[str, str]:
+    """Who plays in a film, as its comment says: "policy" and the sha256 of policy.npz, or "expert" and ""."""
+    comment = Image.open(film).info["comment"].decode()
+    by, _, digest = comment.partition(" ")
+    return by, digest
+
+
+def make(name: str) -> Path:
+    """Film a spec's test episodes."""
+    if name in shipped.shipped_names():
+        spec, environment, policy = shipped.load_shipped(name)
+        comment = f"policy {sha256(name)}"
+    else:
+        spec = load_spec(ROOT / "specs" / f"{name}.yaml")
+        environment, policy = load_expert(spec, window=False)
+        comment = "expert"
+    pictures = []
+    try:
+        for moment in play(environment, policy, episodes=EPISODES, seed=spec.testing.seed):
+            if moment.step % EVERY and not moment.over:
+                continue
+            large = Image.fromarray(environment.render(SCALE * SIZE[0], SCALE * SIZE[1]))
+            small = np.asarray(large.resize(SIZE, Image.Resampling.LANCZOS))
+            text = "success" if moment.success else ""
+            small = with_caption(small, text, success=moment.success, failed=moment.over and not moment.success)
+            pictures += [Image.fromarray(small)] * (HOLD if moment.over else 1)
+    finally:
+        environment.close()
+    palette = _palette(pictures)
+    frames = [picture.quantize(palette=palette, dither=Image.Dither.NONE) for picture in pictures]
+    FILMS.mkdir(exist_ok=True)
+    film = FILMS / f"{name}.gif"
+    milliseconds = round(1000 * EVERY / environment.rate)
+    frames[0].save(film, save_all=True, append_images=frames[1:], duration=milliseconds, loop=0, comment=comment)
+    return film
+
+
+def _palette(pictures: list[Image.Image]) -> Image.Image:
+    """Colours for all pictures. Each colour counts once, so that small objects keep theirs."""
+    seen = np.unique(np.concatenate([np.asarray(one).reshape(-1, 3) >> 2 for one in pictures[::8]]), axis=0) << 2
+    return Image.fromarray(seen[None].astype(np.uint8)).quantize(COLOURS)
+
+
+if __name__ == "__main__":
+    for one in sys.argv[1:] or specs():
+        path = make(one)
+        print(f"{path.name}: {path.stat().st_size / 1000:.0f} kB")

@@ -1,0 +1,35 @@
+"""Sphinx: the site is built by `make -C docs html`; pages that scripts write are made first."""
+
+from __future__ import annotations
+
+import sys
+from pathlib import Path
+
+from sphinx.application import Sphinx
+
+import karolos
+
+HERE = Path(__file__).parent
+sys.path.insert(0, str(HERE / "_scripts"))
+
+project = "karolos"
+version = release = karolos.__version__
+extensions = ["myst_parser", "sphinx.ext.autodoc", "sphinx.ext.napoleon"]
+exclude_patterns = ["_build", "_scripts"]
+default_role = "code"
+myst_heading_anchors = 4
+autodoc_member_order = "bysource"
+autodoc_typehints_format = "short"
+autodoc_type_aliases = {name: name for name in ("ArrayLike", "Listener", "Array", "FloatArray", "BoolArray")}
+smartquotes = False
+html_theme = "furo"
+html_title = f"karolos {release}"
+html_copy_source = False
+html_show_sphinx = html_show_copyright = False
+
+
+def setup(app: Sphinx) -> None:
+    """Write the generated pages before Sphinx looks for pages."""
+    import pages  # noqa: PLC0415
+
+    app.connect("builder-inited", lambda _: pages.write(HERE / "generated"))
