@@ -24,7 +24,8 @@ def check(
 ) -> None:
     """Check specs and print every problem as file:line:column: key: what is wrong.
 
-    The parts of a valid spec are created once to see whether they fit together. Nothing is trained.
+    The parts of a valid spec are created once to see whether they fit together, and those of each variant of a
+    transfer. Nothing is trained.
     Exit code 0: all specs are valid; 2: one is invalid; 3: one names a broken plugin.
     """
     from karolos.errors import KarolosError, SpecError, UsageError
@@ -43,6 +44,10 @@ def check(
             from karolos.training.assembly import check_parts  # not for an invalid spec: it takes half a second
 
             note = check_parts(spec)
+            if spec.transfer is not None:
+                from karolos.experiment.transfer import Matrix
+
+                Matrix(spec).check()
         except SpecError as error:
             worst = max(worst, error.exit_code)
             found = [_row(path, problem.where, problem.path, problem.what, problem.hint) for problem in error.problems]

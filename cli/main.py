@@ -25,7 +25,8 @@ from .output import say
 from .play import play
 from .run import execute, resume, run
 from .sweep import sweep
-from .test import transfer
+from .test import transfer as test
+from .transfer import transfer
 
 OBJECTS_PER_COLLECTION = 50_000
 """New objects before Python looks for garbage. With Python's default a short command spends an eighth of its time on
@@ -76,7 +77,8 @@ app.command()(sweep)
 app.add_typer(sweeps.app, cls=Commands)
 app.command()(compare)
 app.command()(diff)
-app.command("test")(transfer)
+app.command("test")(test)
+app.command()(transfer)
 app.command()(play)
 app.command()(export)
 app.command()(board)

@@ -34,6 +34,7 @@ from karolos.report.figures import save
 from karolos.report.tables import setting
 from karolos.spec.model import Demonstrations, Spec, Testing, Training
 from karolos.spec.sweep import Sweep
+from karolos.spec.transfer import Transfer
 from karolos.store import tables
 
 ROOT = Path(__file__).parents[2]
@@ -163,7 +164,7 @@ def spec_keys() -> str:
     text = "# Keys of a spec\n\nA part is a name or a mapping with `name` and the plugin's settings.\n\n"
     top = [(_code(name), field.description or "") for name, field in Spec.model_fields.items()]
     text += table(["key", "what"], [("`extends`", "specs that this one changes, relative to it"), *top])
-    for model in (Training, Testing, Demonstrations, Sweep):
+    for model in (Training, Testing, Demonstrations, Sweep, Transfer):
         text += f"## {model.__name__.lower()}\n\n{inspect.getdoc(model) or ''}\n\n{_settings_table(model)}"
     return text
 

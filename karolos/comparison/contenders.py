@@ -165,15 +165,26 @@ def _load(store: Store, run: RunSummary, tests: tuple[TestCounts, ...]) -> Compa
         with suppress(RunError):  # a damaged folder; the index has everything that a comparison needs
             folder = RunFolder.open(run.folder)
             about, spec, rate = folder.description(), folder.spec(), _updates_per_second(folder.checkpoints)
-    git = about.get("git") or {}
     return ComparedRun(
         summary=run,
         tests=tests,
         spec=spec or store.spec(run.experiment),
         versions=about.get("versions") or store.versions(run.run),
-        commit=f"{git['commit'][:8]}{'+' if git.get('dirty') else ''}" if git.get("commit") else None,
+        commit=_commit(about),
         updates_per_second=rate,
     )
+
+
+def compared(folder: RunFolder) -> ComparedRun:
+    """The run in a folder, without the store."""
+    record, about = folder.record(), folder.description()
+    rate = _updates_per_second(folder.checkpoints)
+    return ComparedRun(record.summary, record.tests, record.spec, record.versions or {}, _commit(about), rate)
+
+
+def _commit(about: Mapping[str, Any]) -> str | None:
+    git = about.get("git") or {}
+    return f"{git['commit'][:8]}{'+' if git.get('dirty') else ''}" if git.get("commit") else None
 
 
 def _updates_per_second(checkpoints: Path) -> float | None:

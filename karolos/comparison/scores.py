@@ -6,7 +6,8 @@ test.
 
 from __future__ import annotations
 
-from collections.abc import Mapping, Sequence
+import math
+from collections.abc import Callable, Mapping, Sequence
 from dataclasses import asdict, dataclass
 from typing import Any, Literal, get_args
 
@@ -184,15 +185,19 @@ def _scores(
         [density] = success_densities(store, contender.experiment, metric, {steps: reported[metric]}, reported=True)
         over_steps = densities(contender, metric, store)
 
+    def of_metric(values: Sequence[float], kind: Metric, statistic: aggregates.Statistic, name: str) -> Estimate:
+        found = estimate([values], statistic, tree.child(name), None if kind == "return" else runs[0].episodes)
+        return found or Estimate(math.nan, math.nan, math.nan, "none")
+
     def mean(of: Sequence[float | None], kind: Metric, name: str) -> Estimate | None:
         known = [value for value in of if value is not None]
-        return _estimate(known, runs, kind, aggregates.mean, tree.child(name)) if len(known) == len(of) else None
+        return of_metric(known, kind, aggregates.mean, name) if len(known) == len(of) else None
 
     return Scores(
         any=mean(reported["any"], "any", "any") if contender.has_success else None,
         end=mean(reported["end"], "end", "end") if contender.has_success else None,
-        returns=_estimate(reported["return"], runs, "return", aggregates.mean, tree.child("return")),
-        iqm=_estimate(reported[metric], runs, metric, aggregates.iqm, tree.child("iqm")),
+        returns=of_metric(reported["return"], "return", aggregates.mean, "return"),
+        iqm=of_metric(reported[metric], metric, aggregates.iqm, "iqm"),
         best_end=mean([run.summary.best_end for run in runs], "end", "best"),
         best_return=mean([run.summary.best_return for run in runs], "return", "best_return"),
         reaching=() if metric == "return" else tuple(_reaching(runs, metric, ratio) for ratio in RATIOS),
@@ -205,24 +210,37 @@ def _scores(
     )
 
 
-def _estimate(
-    values: Sequence[float],
-    runs: Sequence[ComparedRun],
-    metric: Metric,
-    statistic: aggregates.Statistic,
+def estimate(
+    rows: Sequence[Sequence[float]],
+    statistic: Callable[..., NDArray[np.float64]],
     tree: SeedTree,
-) -> Estimate:
-    """A statistic of one value per run, with the kind of interval that the number of seeds allows."""
-    middle = float(statistic(np.array(values)))
-    if len(runs) == 1 and metric == "return":
+    episodes: int | None = None,
+) -> Estimate | None:
+    """A statistic of one or several values per run, with the kind of interval that the number of seeds allows.
+
+    Args:
+        rows: values of the runs (n,) each, paired by the run.
+        statistic: of arrays (..., n), as many as rows, to (...).
+        tree: of the bootstrap's random numbers.
+        episodes: if the value of a single run is a success ratio: of how many.
+
+    Returns:
+        None if the statistic is not finite.
+    """
+    table = np.array(rows, float)
+    middle, seeds = float(statistic(*table)), table.shape[1]
+    if not np.isfinite(middle):
+        return None
+    if seeds == 1 and episodes:
+        return Estimate(middle, *wilson(round(middle * episodes), episodes), "wilson")
+    if seeds == 1:
         return Estimate(middle, middle, middle, "none")
-    if len(runs) == 1:
-        episodes = runs[0].episodes
-        return Estimate(middle, *wilson(round(values[0] * episodes), episodes), "wilson")
-    found = aggregates.interval(values, statistic, tree.generator())
+    found = aggregates.paired_interval(list(table), statistic, tree.generator())
     if found is None:
-        return Estimate(middle, min(values), max(values), "range")
-    usual = aggregates.reliability(len(values)) == "usual"
+        each = statistic(*table[:, :, None])  # of each seed alone
+        each = each[np.isfinite(each)]
+        return Estimate(middle, float(each.min(initial=middle)), float(each.max(initial=middle)), "range")
+    usual = aggregates.reliability(seeds) == "usual"
     return Estimate(middle, *found, "bootstrap" if usual else "approximate")
 
 

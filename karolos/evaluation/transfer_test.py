@@ -33,6 +33,7 @@ def transfer_test(
     seed: int | None = None,
     randomize: bool = False,
     on_failure: Callable[[Failure], object] = lambda _: None,
+    on_round: Callable[[int], object] = lambda _: None,
 ) -> TransferResult:
     """Play test episodes of a run's policy under its spec with overrides, and write the result into the run's folder.
 
@@ -47,6 +48,7 @@ def transfer_test(
         seed: root of the episodes' seeds; by default that of the final test, on whose episodes nothing was chosen.
         randomize: whether to draw the spec's `randomization` at each reset.
         on_failure: is called with each failure of an environment, whose episode is then played again.
+        on_round: as for `play_episodes`; nothing is written if it raises an error.
 
     Raises:
         SpecError: an override is not valid.
@@ -75,6 +77,7 @@ def transfer_test(
                 steps=saved.steps,
                 seconds=saved.seconds,
                 on_failure=on_failure,
+                on_round=on_round,
             )
 
     started = time.perf_counter()

@@ -71,7 +71,7 @@ def find(spec: Spec, runs: Path) -> Start | None:
     except RunError as error:
         raise UsageError(f"{run!r}: {error.what}", where=WHERE, hint=error.hint) from error
     source = spec_from_dict(folder.spec())
-    _check_agents(spec, source)
+    check_agents(spec, source)
     _check_layouts(signature_of(spec), signature_of(source))
     name = settings.start_checkpoint
     parts, meta = checkpoint.load(folder.checkpoints, name)
@@ -96,7 +96,8 @@ def apply(start: Start, agent: Agent) -> None:
         raise UsageError(error.what, where=WHERE, hint=error.hint) from error
 
 
-def _check_agents(spec: Spec, source: Spec) -> None:
+def check_agents(spec: Spec, source: Spec) -> None:
+    """Raise a UsageError if the spec's agent has another kind or shape than that of the source."""
     if spec.agent.name != source.agent.name:
         raise UsageError(
             f"the agent is {spec.agent.name}, and the run's agent is {source.agent.name}",

@@ -59,15 +59,20 @@ def write_page(comparison: Comparison, drawings: Sequence[Drawing], path: Path) 
 
 
 def page(comparison: Comparison, drawings: Sequence[Drawing]) -> str:
-    """The page as text, with the figures of the comparison in it.
-
-    Its security policy allows the style sheet inside it, named by its hash, and pictures inside it; nothing else.
-    """
+    """The page as text, with the figures of the comparison in it."""
     labels = [contender.label for contender in comparison.contenders]
     title = f"{' and '.join(labels) if len(labels) < 3 else f'{labels[0]} and {len(labels) - 1} others'} compared"
     hidden = (f"body:has(#show-{k}:not(:checked)) .series-{k}{{display:none}}\n" for k in range(len(labels)))
-    style = Markup(_STYLE + "".join(hidden))
-    digest = base64.b64encode(hashlib.sha256(style.encode()).digest()).decode()
+    return document(title, _sections(comparison, drawings), "".join(hidden))
+
+
+def document(title: str, sections: Iterable[Markup | None], style: str = "") -> str:
+    """An HTML file of sections below a title, with further rules of style.
+
+    Its security policy allows the style sheet inside it, named by its hash, and pictures inside it; nothing else.
+    """
+    sheet = Markup(_STYLE + style)
+    digest = base64.b64encode(hashlib.sha256(sheet.encode()).digest()).decode()
     policy = f"default-src 'none'; style-src 'sha256-{digest}'; img-src data:; base-uri 'none'; form-action 'none'"
     head = tag(
         "head",
@@ -76,9 +81,9 @@ def page(comparison: Comparison, drawings: Sequence[Drawing]) -> str:
         tag("meta", name="viewport", content="width=device-width, initial-scale=1"),
         tag("meta", name="referrer", content="no-referrer"),
         tag("title", title),
-        tag("style", style),
+        tag("style", sheet),
     )
-    body = tag("body", tag("h1", title), *_sections(comparison, drawings))
+    body = tag("body", tag("h1", title), *sections)
     return f"<!doctype html>\n{tag('html', head, body, lang='en')}\n"
 
 
@@ -87,18 +92,18 @@ def _sections(comparison: Comparison, drawings: Sequence[Drawing]) -> list[Marku
     learning, seeds, density = drawings[:2], drawings[2:4], drawings[4:]
     return [
         tag("p", f"{sum(len(one.runs) for one in comparison.contenders)} runs, karolos {__version__}."),
-        _list("warnings", comparison.warnings) if comparison.warnings else None,
+        items("warnings", comparison.warnings) if comparison.warnings else None,
         _legend(labels),
         tag("h2", "Learning"),
-        _figures(learning),
+        figure_grid(learning),
         tag("h2", "In numbers"),
         _contenders_table(scores_table(comparison)),
-        _list("notes", explanations(comparison)),
+        items("notes", explanations(comparison)),
         tag("h2", "Settings that differ") if len(labels) > 1 else None,
         _contenders_table(parameters_table(comparison)) if comparison.parameters else None,
         tag("p", "The specs are the same.") if len(labels) > 1 and not comparison.parameters else None,
         tag("h2", "Seeds"),
-        _figures(seeds),
+        figure_grid(seeds),
         tag("h2", "Density of the success ratio over training"),
         tag(
             "p",
@@ -108,13 +113,14 @@ def _sections(comparison: Comparison, drawings: Sequence[Drawing]) -> list[Marku
             if density
             else f"{'Returns have' if comparison.metric == 'return' else 'A single seed has'} no density.",
         ),
-        _figures(density),
+        figure_grid(density),
         tag("h2", "Runs"),
         _runs_table(comparison),
     ]
 
 
-def _list(kind: str, lines: Iterable[str]) -> Markup:
+def items(kind: str, lines: Iterable[str]) -> Markup:
+    """A list of lines; kind: notes or warnings."""
     return tag("ul", *(tag("li", line) for line in lines), class_=kind)
 
 
@@ -136,7 +142,8 @@ def _swatch(series: int) -> Markup:
     return tag("svg", line, viewBox="0 0 26 10", class_="swatch")
 
 
-def _figures(drawings: Sequence[Drawing]) -> Markup:
+def figure_grid(drawings: Sequence[Drawing]) -> Markup:
+    """Figures side by side, as many as fit."""
     figures = []
     for drawing in drawings:
         series = None if drawing.series is None else f"series-{drawing.series}"
@@ -178,6 +185,12 @@ def _runs_table(comparison: Comparison) -> Markup:
         for (series, _), (name, *cells) in zip(runs, table.rows, strict=True)
     ]
     return _table([tag("th", name, scope="col") for name in table.columns], rows)
+
+
+def plain_table(table: Table) -> Markup:
+    """A table whose first column names the rows."""
+    head = [tag("th", name, scope="col") for name in table.columns]
+    return _table(head, [tag("tr", tag("th", name, scope="row"), *map(_cell, cells)) for name, *cells in table.rows])
 
 
 def _cell(text: str) -> Markup:

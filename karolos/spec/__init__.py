@@ -1,10 +1,11 @@
 """Specs: from YAML or a dictionary to a validated, frozen and hashed description of an experiment."""
 
-from .load import load_spec, spec_from_dict, spec_of_trial
+from .load import load_spec, spec_from_dict, spec_of_trial, spec_of_variant
 from .merge import parse_settings
 from .model import Spec, Testing, Training
 from .parts import Part, Recipe
 from .sweep import Sweep
+from .transfer import Transfer
 from .yaml_text import to_yaml
 
 __all__ = [
@@ -14,9 +15,11 @@ __all__ = [
     "Sweep",
     "Testing",
     "Training",
+    "Transfer",
     "load_spec",
     "parse_settings",
     "spec_from_dict",
     "spec_of_trial",
+    "spec_of_variant",
     "to_yaml",
 ]

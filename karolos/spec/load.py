@@ -11,7 +11,19 @@ from ..errors import PluginError
 from ..registry import singular
 from .checks import ROBOT_TASK
 from .files import SpecFiles
-from .merge import DEFAULTS, PARTS, RANDOMIZATION, SWEEP, merged, normalised, override_trees, with_shared_settings
+from .merge import (
+    DEFAULTS,
+    PARTS,
+    RANDOMIZATION,
+    SWEEP,
+    TRANSFER,
+    merged,
+    nested,
+    normalised,
+    override_trees,
+    segments,
+    with_shared_settings,
+)
 from .model import NAME, Spec
 from .nodes import DEFAULT, Located, Mark, Node, from_plain, leaves, refuse
 from .problems import validate
@@ -69,9 +81,36 @@ def spec_of_trial(base: Spec, drawn: Mapping[str, Any], name: str, seeds: tuple[
     return _resolve(trial_spec(base, drawn, name, seeds, source), [], [], None)
 
 
+def spec_of_variant(base: Spec, variant: str, name: str, seeds: tuple[int, ...], *, fine_tune: bool = False) -> Spec:
+    """The spec of the runs of one variant of a transfer, changed as overrides would change it.
+
+    Args:
+        base: the spec that has the transfer.
+        variant: of the transfer.
+        name: of the runs.
+        seeds: on which it is run.
+        fine_tune: whether to change the settings of fine-tuning as well.
+
+    Raises:
+        SpecError: the settings are incompatible; reported where they are set.
+    """
+    transfer = base.transfer
+    assert transfer is not None  # only such a spec has variants
+    tree = from_plain({**base.alone().dump(), "name": name, "seeds": list(seeds)}, Mark(f"variant {variant}"))
+    changes = {transfer.place(variant): transfer.settings[variant]}
+    if fine_tune:
+        changes["transfer.fine_tune"] = transfer.fine_tune
+    for place, settings in changes.items():
+        for key, value in settings.items():
+            mark = Mark(base.origins.get(f"{place}.{key}", base.origins.get(place, place)))
+            tree = merged(tree, with_shared_settings(tree, nested(segments(key), from_plain(value, mark))))
+    return _resolve(tree, [], [], None)
+
+
 def _without_nulls(node: Node, path: tuple[str, ...] = ()) -> Node:
     """The tree without nulls, so that a spec can remove inherited values. Nulls within a part are settings."""
-    if node.mapping is None or path not in ((), (RANDOMIZATION,), (SWEEP,), (SWEEP, "space")):
+    removable = ((), (RANDOMIZATION,), (SWEEP,), (SWEEP, "space"), (TRANSFER,), (TRANSFER, "variants"))
+    if node.mapping is None or path not in removable:
         return node
     entries = {
         key: _without_nulls(entry, (*path, key))

@@ -24,6 +24,7 @@ DEFAULTS = {"environment": "robot_task", "buffer": "uniform", "orchestrator": "l
 """The plugins of parts that a spec may leave out; `robot_task` needs a robot and a task."""
 RANDOMIZATION = "randomization"
 SWEEP = "sweep"
+TRANSFER = "transfer"
 
 
 def is_part(path: tuple[str, ...]) -> bool:
@@ -129,12 +130,15 @@ def _in_value(problem: Located, key: str) -> Located:
 
 
 def segments(key: str) -> list[str]:
-    """The keys of a dotted path. Keys below `randomization` (task.gravity) and `sweep.space` contain dots."""
+    """The keys of a dotted path. Keys of `randomization` (task.gravity), `sweep.space` and `transfer` contain dots."""
     path = key.split(".")
     if path[0] == RANDOMIZATION and len(path) > 2:
         path[1:3] = [".".join(path[1:3])]
     if path[:2] == [SWEEP, "space"] and len(path) > 3:
         path[2:] = [".".join(path[2:])]
+    depth = {"fine_tune": 2, "variants": 3}.get("".join(path[1:2])) if path[0] == TRANSFER else None
+    if depth is not None and len(path) > depth:
+        path[depth:] = [".".join(path[depth:])]
     return path
 
 

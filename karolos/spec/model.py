@@ -24,6 +24,7 @@ from .parts import (
     TaskPart,
 )
 from .sweep import Seed, Sweep
+from .transfer import Transfer
 
 NAME = r"^[A-Za-z0-9][A-Za-z0-9._-]{0,63}$"
 """Names are used as folder names: at most 64 letters, digits, dots, underscores and hyphens."""
@@ -189,6 +190,7 @@ class Spec(Settings):
     testing: Testing = Setting(default_factory=Testing, description="how often and on what the agent is tested")
 
     sweep: Sweep | None = Setting(None, description="a search for good settings, which `karolos sweep` carries out")
+    transfer: Transfer | None = Setting(None, description="a matrix of transfers, which `karolos transfer` carries out")
 
     _origins: dict[str, str] = PrivateAttr(default_factory=dict)
 
@@ -202,13 +204,14 @@ class Spec(Settings):
         return {key: value for key, value in self.model_dump(mode="json").items() if value is not None}
 
     def alone(self) -> Spec:
-        """This spec without what is not a run's own: sweep and launcher."""
-        return self.model_copy(update={"sweep": None, "launcher": None})
+        """This spec without what is not a run's own: sweep, transfer and launcher."""
+        return self.model_copy(update={"sweep": None, "transfer": None, "launcher": None})
 
     def hash(self) -> str:
         """SHA-256 (hex) of the settings that results depend on. Specs with the same hash are one experiment.
 
-        Excludes name, seeds, sweep, launcher, device, threads and settings that a plugin's `Settings.identity()` omits.
+        Excludes name, seeds, sweep, transfer, launcher, device, threads and settings that a plugin's
+        `Settings.identity()` omits.
         """
         parts: dict[str, Part | None] = {key: getattr(self, key) for key in PARTS}
         identity = {
@@ -218,7 +221,7 @@ class Spec(Settings):
             "training": self.training.identity(),
             "testing": self.testing.identity(),
         }
-        for key in ("name", "seeds", "sweep", "launcher"):
+        for key in ("name", "seeds", "sweep", "transfer", "launcher"):
             identity.pop(key, None)
         text = json.dumps(identity, sort_keys=True, separators=(",", ":"))
         return hashlib.sha256(text.encode()).hexdigest()

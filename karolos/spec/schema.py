@@ -9,9 +9,10 @@ from pydantic.errors import PydanticUserError
 
 from ..errors import PluginError
 from ..registry import load, names, singular
-from .merge import PARTS, RANDOMIZATION, SWEEP
+from .merge import PARTS, RANDOMIZATION, SWEEP, TRANSFER
 from .model import NAME, PARAMETER, Demonstrations, Spec, Testing, Training
 from .sweep import Sweep
+from .transfer import Transfer
 
 DIALECT = "https://json-schema.org/draft/2020-12/schema"
 Schema = dict[str, Any]
@@ -41,6 +42,7 @@ def spec_schema() -> tuple[Schema, list[PluginError]]:
         "training": _settings(Training, "training", definitions),
         "testing": _settings(Testing, "testing", definitions),
         SWEEP: _settings(Sweep, SWEEP, definitions),
+        TRANSFER: _settings(Transfer, TRANSFER, definitions),
     }
     for key, field in Spec.model_fields.items():
         properties[key] = {"description": field.description, **properties[key]}

@@ -48,8 +48,24 @@ def reliability(seeds: int) -> Literal["none", "approximate", "usual"]:
 
 def interval(values: ArrayLike, statistic: Statistic, generator: Generator) -> tuple[float, float] | None:
     """95 % percentile bootstrap interval of a statistic of the seeds' values (n,); None for fewer than 5 seeds."""
-    found = band(np.asarray(values, float)[None], statistic, generator)
-    return None if found is None else (float(found[0][0]), float(found[1][0]))
+    return paired_interval([values], statistic, generator)
+
+
+def paired_interval(
+    rows: Sequence[ArrayLike], statistic: Callable[..., _Floats], generator: Generator
+) -> tuple[float, float] | None:
+    """As `interval`, of a statistic of several values per seed: rows (n,) each, whose seeds are drawn together.
+
+    Resamples without a finite value are left out.
+    """
+    table = np.asarray(rows, float)
+    seeds = table.shape[-1]
+    if reliability(seeds) == "none":
+        return None
+    drawn = generator.integers(0, seeds, (RESAMPLES, seeds))
+    found = statistic(*(row[drawn] for row in table))
+    low, high = np.quantile(found[np.isfinite(found)], LEVELS)
+    return float(low), float(high)
 
 
 def band(values: ArrayLike, statistic: Statistic, generator: Generator) -> tuple[_Floats, _Floats] | None:

@@ -1,0 +1,88 @@
+"""`karolos transfer`: policies between robots, engines and other settings."""
+
+from __future__ import annotations
+
+from pathlib import Path
+from typing import TYPE_CHECKING, Annotated
+
+import typer
+
+from .arguments import Database, Json, On, Overrides, Quiet, Runs, TimeLimit, seconds, with_launcher
+from .output import print_rows, print_table, say, warn
+
+if TYPE_CHECKING:
+    from karolos.comparison.transfer import TransferReport
+
+
+def transfer(
+    spec: Annotated[Path, typer.Argument(metavar="SPEC", help="A YAML spec with a transfer.")],
+    overrides: Overrides = None,
+    runs: Runs = Path("runs"),
+    database: Database = None,
+    jobs: Annotated[
+        int | None,
+        typer.Option(min=1, help="Runs at the same time, each in its own process. Default: 1, or all with --on."),
+    ] = None,
+    resume: Annotated[
+        bool, typer.Option("--resume", help="Continue a matrix that has begun; nothing is run twice.")
+    ] = False,
+    out: Annotated[
+        Path | None,
+        typer.Option(metavar="FOLDER", help="Also write every figure as SVG, PDF and PNG into this folder."),
+    ] = None,
+    on: On = None,
+    time_limit: TimeLimit = None,
+    quiet: Quiet = False,
+    json: Json = False,
+) -> None:
+    """Train on every variant of SPEC's transfer, test the policies on the others, and fine-tune them there.
+
+    Prints a matrix of sources and targets for each metric, and writes a page with heat maps and learning curves,
+    transfers/NAME/report.html in the runs folder. The runs are ordinary runs: NAME-SOURCE, NAME-SOURCE-to-TARGET.
+    """
+    from karolos.spec import load_spec
+
+    found = load_spec(spec, with_launcher(overrides, on))
+    from karolos.experiment.transfer import Matrix
+
+    from .display import Plain
+    from .display import Quiet as Silent
+
+    with Silent() if quiet else Plain() as display:
+        outcome = Matrix(found, text=spec.read_text("utf-8")).run(
+            runs,
+            database=database,
+            jobs=jobs,
+            resume=resume,
+            time_limit=seconds(time_limit),
+            listener=display,
+            say=(lambda _: None) if quiet else say,
+        )
+    if outcome.stop_code:
+        say(f"{found.name} is stopped: the same command with --resume continues it")
+        raise typer.Exit(outcome.exit_code)
+    from karolos.comparison.transfer import transfer_report
+    from karolos.report.transfer import write_report
+
+    report = transfer_report(outcome)
+    for warning in report.warnings:
+        warn(warning)
+    if json:
+        print_rows(report.rows(), json=True)
+    elif not quiet:
+        _print_report(report)
+    page = outcome.folder / "report.html"
+    write_report(report, page, out)
+    if not quiet:
+        say(f"wrote {page}")
+    raise typer.Exit(outcome.exit_code)
+
+
+def _print_report(report: TransferReport) -> None:
+    from karolos.report.transfer import known, matrix_table, notes, variants_table
+
+    for name in known(report):
+        print_table(matrix_table(report, name))
+    print_table(variants_table(report))
+    for line in notes(report):
+        print(f"  {line}")

@@ -1,0 +1,282 @@
+"""The numbers of a matrix of transfers. The seed is the unit, and source, target and fine-tuning are paired by it."""
+
+from __future__ import annotations
+
+from collections.abc import Callable, Iterable, Mapping, Sequence
+from dataclasses import asdict, dataclass
+from itertools import product
+from typing import Any
+
+import numpy as np
+from numpy.typing import NDArray
+
+from ..core.seeding import SeedTree
+from ..evaluation.playing import Score
+from ..experiment.transfer import Baselines, MatrixRuns, Pair
+from ..records import RunFolder
+from ..records.results import TestCounts
+from ..records.transfer_results import TransferResult
+from ..statistics import aggregates, transfer
+from ..statistics.intervals import wilson
+from .contenders import ComparedRun, Contender, compared
+from .curves import places
+from .scores import Comparison, Estimate, Reaching, compare, estimate
+
+METRICS = ("zero_shot", "retention", "fine_tuned", "jump_start", "asymptote", "time_ratio", "forward_transfer")
+"""The estimates of a cell."""
+
+
+@dataclass(frozen=True)
+class Cell:
+    """Transfer from a source to a target. An estimate is None without the runs or tests that it needs.
+
+    On the diagonal only `zero_shot` is known: the source's policies on their own variant.
+    """
+
+    source: str
+    target: str
+    zero_shot: Estimate | None = None
+    """Success of the source's policies on the target."""
+    retention: Estimate | None = None
+    """Zero-shot success by the success of the same policies on their own variant, same episodes."""
+    fine_tuned: Estimate | None = None
+    """Success after fine-tuning."""
+    jump_start: Estimate | None = None
+    """Fine-tuned minus scratch at the first step at which both have been tested."""
+    asymptote: Estimate | None = None
+    """Fine-tuned minus scratch, each at its own end."""
+    time_ratio: Estimate | None = None
+    """Steps to the threshold: median of fine-tuning by that of training from scratch."""
+    forward_transfer: Estimate | None = None
+    """Over the steps of fine-tuning."""
+    reaching: Reaching | None = None
+    """When fine-tuning reached the threshold."""
+    tests: Mapping[int, TestCounts] | None = None
+    """Seed -> zero-shot test."""
+    runs: Mapping[int, ComparedRun] | None = None
+    """Seed -> fine-tuned run."""
+
+
+@dataclass(frozen=True)
+class Variant:
+    """A source, which is also the training from scratch on a target."""
+
+    label: str
+    runs: Mapping[int, ComparedRun]
+    """Seed -> finished run."""
+    success: Estimate | None
+    """After its own training."""
+    reaching: Reaching | None
+    steps: float
+    """Environment steps of a run, mean over seeds: what a source costs."""
+    seconds: float
+    """Of collecting and learning."""
+    floor: Score
+    """Uniformly random actions."""
+    ceiling: Score | None
+    """The scripted expert."""
+
+
+@dataclass(frozen=True)
+class TransferReport:
+    """The numbers of a matrix."""
+
+    name: str
+    threshold: float
+    seeds: tuple[int, ...]
+    variants: tuple[Variant, ...]
+    cells: tuple[Cell, ...]
+    """Source by source, the diagonal included."""
+    learning: tuple[Comparison, ...]
+    """For each target: training from scratch and fine-tuning from each source."""
+    warnings: tuple[str, ...]
+
+    def rows(self) -> list[dict[str, Any]]:
+        """One JSON object per pair of source and target."""
+        by_label = {variant.label: variant for variant in self.variants}
+        return [self._row(cell, by_label[cell.source], by_label[cell.target]) for cell in self.cells]
+
+    def _row(self, cell: Cell, source: Variant, target: Variant) -> dict[str, Any]:
+        estimates = {name: (found := getattr(cell, name)) and asdict(found) for name in METRICS}
+        tests, runs = cell.tests or {}, cell.runs or {}
+        if estimates["zero_shot"]:
+            estimates["zero_shot"] |= _each(tests.values())
+        return {
+            "matrix": self.name,
+            "source": cell.source,
+            "target": cell.target,
+            "seeds": list(self.seeds),
+            **estimates,
+            "threshold": self.threshold,
+            "steps_to_threshold": _reaching_row(cell.reaching),
+            "scratch": _variant_row(target),
+            "floor": target.floor.success_end,
+            "ceiling": target.ceiling and target.ceiling.success_end,
+            "source_cost": {"steps": source.steps, "seconds": source.seconds},
+            "source_runs": [run.summary.run for run in source.runs.values()],
+            "fine_tuned_runs": [run.summary.run for run in runs.values()],
+            "warnings": list(self.warnings),
+        }
+
+
+def transfer_report(found: MatrixRuns) -> TransferReport:
+    """The numbers of the runs and tests of a matrix."""
+    settings = found.spec.transfer
+    assert settings is not None  # only such a spec has a matrix
+    tree = SeedTree(0).child("transfer")
+    scratch = {label: _compared(runs) for label, runs in found.sources.items()}
+    tuned = {pair: _compared(runs) for pair, runs in found.fine_tuned.items()}
+    cells = []
+    for source, target in product(scratch, repeat=2):
+        pair, leaf = (source, target), tree.child(source, target)
+        baseline = scratch[target] if "scratch" in settings.modes else {}
+        after = _fine_tuned(tuned.get(pair, {}), baseline, settings.threshold, leaf)
+        cells.append(Cell(source, target, **_zero_shot(found.zero_shot, pair, leaf), **after))
+    return TransferReport(
+        name=found.spec.name,
+        threshold=settings.threshold,
+        seeds=found.spec.seeds,
+        variants=tuple(
+            _variant(label, runs, found.baselines[label], settings.threshold, tree.child(label))
+            for label, runs in scratch.items()
+        ),
+        cells=tuple(cells),
+        learning=tuple(_learning(label, scratch[label], tuned) for label in scratch if scratch[label] and tuned),
+        warnings=tuple(found.problems),
+    )
+
+
+def _compared(runs: Mapping[int, RunFolder]) -> dict[int, ComparedRun]:
+    return {seed: compared(folder) for seed, folder in runs.items()}
+
+
+def _variant(
+    label: str, runs: Mapping[int, ComparedRun], baselines: Baselines, threshold: float, tree: SeedTree
+) -> Variant:
+    listed = list(runs.values())
+    return Variant(
+        label,
+        runs,
+        success=_reported(listed, tree),
+        reaching=_reaching(listed, threshold),
+        steps=float(np.mean([run.summary.steps for run in listed])) if listed else 0.0,
+        seconds=float(np.mean([run.summary.seconds for run in listed])) if listed else 0.0,
+        floor=baselines.floor,
+        ceiling=baselines.ceiling,
+    )
+
+
+def _reported(runs: Sequence[ComparedRun], tree: SeedTree) -> Estimate | None:
+    """Success of the last policies."""
+    if not runs:
+        return None
+    return estimate([[run.reported("end") for run in runs]], aggregates.mean, tree, runs[0].episodes)
+
+
+def _zero_shot(tests: Mapping[Pair, Mapping[int, TransferResult]], pair: Pair, tree: SeedTree) -> dict[str, Any]:
+    """The fields of a cell that tests of the source's policies give. On the diagonal they come from any target's."""
+    source, target = pair
+    own = {seed: test.own for (one, _), found in tests.items() if one == source for seed, test in found.items()}
+    counts = own if source == target else {seed: TestCounts.of(one.result) for seed, one in tests.get(pair, {}).items()}
+    if not counts:
+        return {}
+    ends = [count.success_end or 0.0 for count in counts.values()]
+    fields = {
+        "tests": counts,
+        "zero_shot": estimate([ends], aggregates.mean, tree.child("zero shot"), next(iter(counts.values())).episodes),
+    }
+    if source != target:
+        before = [own[seed].success_end or 0.0 for seed in counts]
+        fields["retention"] = estimate([ends, before], transfer.ratio_of_means, tree.child("retention"))
+    return fields
+
+
+def _fine_tuned(
+    runs: Mapping[int, ComparedRun], scratch: Mapping[int, ComparedRun], threshold: float, tree: SeedTree
+) -> dict[str, Any]:
+    """The fields of a cell that fine-tuning gives. Those that compare it use the seeds that both have."""
+    if not runs:
+        return {}
+    fields: dict[str, Any] = {
+        "runs": runs,
+        "fine_tuned": _reported(list(runs.values()), tree.child("fine tuned")),
+        "reaching": _reaching(list(runs.values()), threshold),
+    }
+    pairs = [(runs[seed], scratch[seed]) for seed in runs if seed in scratch]
+    if not pairs:
+        return fields
+    firsts, areas, ends = [], [], []
+    for tuned, baseline in pairs:
+        curves = [(places(run, "steps"), np.array(run.values("end"))) for run in (tuned, baseline)]
+        start, end = max(at[0] for at, _ in curves), min(at[-1] for at, _ in curves)
+        firsts.append([transfer.area_under_curve(*curve, start, start) for curve in curves])
+        areas.append([transfer.area_under_curve(*curve, start, max(start, end)) for curve in curves])
+        ends.append([tuned.reported("end"), baseline.reported("end")])
+    times = [[*_time(tuned, threshold), *_time(baseline, threshold)] for tuned, baseline in pairs]
+    statistics: dict[str, tuple[Any, Callable[..., Any]]] = {
+        "jump_start": (firsts, _difference),
+        "asymptote": (ends, _difference),
+        "forward_transfer": (areas, transfer.forward_transfer),
+        "time_ratio": (times, transfer.median_time_ratio),
+    }
+    for name, (rows, statistic) in statistics.items():
+        fields[name] = estimate(list(zip(*rows, strict=True)), statistic, tree.child(name))
+    return fields
+
+
+def _difference(values: NDArray[np.float64], baseline: NDArray[np.float64]) -> NDArray[np.float64]:
+    return aggregates.mean(values - baseline)
+
+
+def _time(run: ComparedRun, threshold: float) -> tuple[float, bool]:
+    """Steps at which a run reached the threshold, or at which it ended without; and whether it did."""
+    at = places(run, "steps").tolist()
+    reached = aggregates.first_reaching(run.values("end"), at, threshold)
+    return (at[-1], False) if reached is None else (reached, True)
+
+
+def _reaching(runs: Sequence[ComparedRun], threshold: float) -> Reaching | None:
+    """Kaplan-Meier medians of the runs."""
+    if not runs:
+        return None
+    times = [_time(run, threshold) for run in runs]
+    reached = [done for _, done in times]
+    seconds = [
+        float(np.interp(at, places(run, "steps"), places(run, "seconds")))
+        for run, (at, _) in zip(runs, times, strict=True)
+    ]
+    medians = [float(transfer.median_time(values, reached)) for values in ([at for at, _ in times], seconds)]
+    return Reaching(threshold, sum(reached), len(runs), *(one if np.isfinite(one) else None for one in medians))
+
+
+def _learning(
+    target: str, scratch: Mapping[int, ComparedRun], tuned: Mapping[Pair, Mapping[int, ComparedRun]]
+) -> Comparison:
+    """Training from scratch on a target, and fine-tuning there from each source."""
+    contenders = [Contender(f"{target} from scratch", tuple(scratch.values()))]
+    for (source, on), runs in tuned.items():
+        if on == target and runs:
+            contenders.append(Contender(f"from {source}", tuple(runs.values())))
+    return compare(contenders, "end")
+
+
+def _reaching_row(found: Reaching | None) -> dict[str, Any] | None:
+    return None if found is None else {"median": found.steps, "reached": found.reached, "of": found.seeds}
+
+
+def _variant_row(variant: Variant) -> dict[str, Any]:
+    """Training from scratch on a target."""
+    return {
+        "success_end": variant.success and asdict(variant.success),
+        "steps_to_threshold": _reaching_row(variant.reaching),
+        "runs": [run.summary.run for run in variant.runs.values()],
+    }
+
+
+def _each(tests: Iterable[TestCounts]) -> dict[str, Any]:
+    """Success of each seed's test with its Wilson interval."""
+    counts = list(tests)
+    return {
+        "each": [count.success_end for count in counts],
+        "wilson": [wilson(count.end or 0, count.episodes) for count in counts],
+    }

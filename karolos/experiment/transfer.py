@@ -1,0 +1,364 @@
+"""A matrix of transfers: trains every source, tests its policies on every target, and fine-tunes them there.
+
+The runs are ordinary runs. The run of a variant is a source of policies, and what training from scratch achieves on
+that variant as a target. runs/transfers/<name>/ holds what no run holds:
+    baselines.jsonl    success of random actions and of the scripted expert on each variant
+    lock               held by the process of the matrix
+"""
+
+from __future__ import annotations
+
+import json
+from collections.abc import Callable, Iterable, Iterator, Mapping
+from contextlib import contextmanager, suppress
+from dataclasses import asdict, dataclass, field, replace
+from itertools import permutations
+from pathlib import Path
+
+from .. import checkpoint
+from ..core import Environment
+from ..core.signature import SAME_LAYOUTS, layout_differences
+from ..errors import RunError, UsageError
+from ..evaluation.playing import Score, score
+from ..evaluation.policies import Policy, environment_of, expert_policy, random_policy, signature_of
+from ..evaluation.transfer_test import transfer_test
+from ..files import FileLock, append_lines, read_lines, writing
+from ..records import RunFolder, transfer_results
+from ..records.decode import from_json
+from ..records.transfer_results import TransferResult
+from ..spec import Spec, spec_from_dict, spec_of_variant
+from ..store import Store
+from ..training.assembly import check_parts, located
+from .driver import Driver, Feed, Job, make_launcher
+from .events import Listener
+from .resume import find_run
+from .signals import StopRequest, StopRequestedError, stop_on_signals
+from .start_from import check_agents, pinned
+
+FOLDER = "transfers"
+CHECKPOINT = "best"
+"""The policy of a source that is tested and fine-tuned."""
+BASELINE_EPISODES = 200
+"""Most episodes of the random policy and of the expert: the first ones of the final test."""
+LONGEST_NAME = 64
+
+Pair = tuple[str, str]
+"""Source and target."""
+
+
+@dataclass(frozen=True)
+class Baselines:
+    """Success on a variant without learning."""
+
+    floor: Score
+    """Of uniformly random actions."""
+    ceiling: Score | None
+    """Of the task's scripted expert; None without one."""
+
+
+@dataclass
+class MatrixRuns:
+    """The finished runs and tests of a matrix. After a stop or a failure some are missing."""
+
+    spec: Spec
+    folder: Path
+    """Of the matrix."""
+    sources: dict[str, dict[int, RunFolder]] = field(default_factory=dict)
+    """Variant -> seed -> its run."""
+    zero_shot: dict[Pair, dict[int, TransferResult]] = field(default_factory=dict)
+    """Pair -> seed -> test of the source's policy on the target."""
+    fine_tuned: dict[Pair, dict[int, RunFolder]] = field(default_factory=dict)
+    """Pair -> seed -> its run."""
+    baselines: dict[str, Baselines] = field(default_factory=dict)
+    """Variant -> success without learning."""
+    problems: list[str] = field(default_factory=list)
+    """Which runs are missing, and why."""
+    stop_code: int = 0
+
+    @property
+    def exit_code(self) -> int:
+        """0 if nothing is missing, else 1; after a stop 128 + signal, or 124 for the time limit."""
+        return self.stop_code or int(bool(self.problems))
+
+
+class Matrix:
+    """The matrix that a spec's `transfer` describes.
+
+    Args:
+        spec: with a transfer.
+        text: the text of the spec file, written into every run's folder.
+
+    Raises:
+        SpecError: the settings of a variant or of fine-tuning are invalid.
+        UsageError: the spec has no transfer, or its name is too long.
+    """
+
+    def __init__(self, spec: Spec, *, text: str | None = None) -> None:
+        if spec.transfer is None:
+            raise UsageError(
+                f"the spec {spec.name!r} has no transfer", hint="add e.g. transfer: {robots: [panda, ur5]}"
+            )
+        self.spec, self.transfer, self._text = spec, spec.transfer, text
+        labels = list(self.transfer.settings)
+        self.pairs = list(permutations(labels, 2))
+        longest = max((_name(spec, *pair) for pair in self.pairs), key=len)
+        if len(longest) > LONGEST_NAME:
+            raise UsageError(
+                f"runs would be called {longest}, which is longer than {LONGEST_NAME} characters",
+                where="name",
+                hint="give a shorter one (name=...)",
+            )
+        self.variants = {label: spec_of_variant(spec, label, _name(spec, label), spec.seeds) for label in labels}
+        self._tuned = {
+            label: spec_of_variant(spec, label, _name(spec, label), spec.seeds, fine_tune=True)
+            for label in labels
+            if "fine_tune" in self.transfer.modes
+        }
+        self.overrides = {
+            label: tuple(f"{key}={json.dumps(value)}" for key, value in settings.items())
+            for label, settings in self.transfer.settings.items()
+        }
+
+    def __str__(self) -> str:
+        """What the matrix consists of, in one line."""
+        count, steps = len(self.spec.seeds), self.spec.training.steps
+        parts = [f"{len(self.variants) * count} sources of {steps:,} steps"]
+        if "zero_shot" in self.transfer.modes:
+            testing = self.spec.testing
+            parts.append(f"{len(self.pairs) * count} tests of {testing.final_count or testing.episodes:,} episodes")
+        if self._tuned:
+            tuned = next(iter(self._tuned.values()))
+            parts.append(f"{len(self.pairs) * count} fine-tuned runs of {tuned.training.steps:,} steps")
+        return ", ".join(parts)
+
+    def check(self, jobs: int = 1) -> None:
+        """Raise an error for what cannot work, before anything runs. `jobs`: runs at the same time."""
+        with located(self.spec):
+            signatures = {}
+            for label, variant in self.variants.items():
+                check_parts(variant, jobs)
+                signatures[label] = signature_of(variant)
+                if not signatures[label].has_success:
+                    raise UsageError(
+                        "its environment does not define success, by which transfer is measured",
+                        where=self.transfer.place(label),
+                        hint="give environment.success_return, or another environment",
+                    )
+            for source, target in self.pairs:
+                if differences := layout_differences(signatures[target], signatures[source]):
+                    raise UsageError(
+                        f"a policy of {source} cannot act on {target}: {'; '.join(differences)}",
+                        where=self.transfer.place(target),
+                        hint=_layout_hint(self.variants.values()),
+                    )
+                self._check_overrides(source, target)
+            for label, tuned in self._tuned.items():
+                check_parts(tuned, jobs)
+                if "start_from" not in type(tuned.agent.settings).model_fields:
+                    raise UsageError(
+                        f"{tuned.agent.name} cannot start from another run",
+                        where="transfer.modes",
+                        hint="leave out fine_tune",
+                    )
+                check_agents(tuned, self.variants[label])
+
+    def _check_overrides(self, source: str, target: str) -> None:
+        """Raise a UsageError unless the target's settings turn the source's environment into the target's."""
+        changed = spec_from_dict(self.variants[source].dump(), self.overrides[target])
+        if changed.recipe(randomize=False) != self.variants[target].recipe(randomize=False):
+            raise UsageError(
+                f"the settings of {target} do not turn {source} into {target}",
+                where=self.transfer.place(target),
+                hint="give every variant the same settings, with the values that it has",
+            )
+
+    def run(
+        self,
+        runs: str | Path = "runs",
+        *,
+        database: str | None = None,
+        jobs: int | None = None,
+        resume: bool = False,
+        time_limit: float | None = None,
+        listener: Listener = lambda _: None,
+        say: Callable[[str], None] = lambda _: None,
+    ) -> MatrixRuns:
+        """Run what is missing of the matrix, and nothing twice.
+
+        Args:
+            runs: folder of the run folders; the matrix's own is `transfers/<name>` in it.
+            database: SQLAlchemy URL of the results database.
+            jobs: runs at the same time, each in its own process; None: one, or with another launcher than `local` as
+                many as it has room for.
+            resume: whether to continue a matrix that has begun.
+            time_limit: seconds after which to stop.
+            listener: is called with every RunEvent.
+            say: is called with a line for each test and phase.
+
+        Raises:
+            SpecError, UsageError: the matrix cannot work, or has begun and is not to be resumed.
+            RunError: a source has no checkpoint, or another process runs this matrix.
+            MachineError: the runs folder cannot be written, or processes cannot be started.
+            StoreError: the database cannot be used.
+        """
+        self.check(jobs or 1)
+        root = Path(runs)
+        RunFolder.check_writable(root)
+        url = database or Store.default_url(root)
+        Store(url).close()  # an unusable database is an error before anything is computed
+        found = MatrixRuns(self.spec, root / FOLDER / self.spec.name)
+        variants = {label: pinned(spec, root) for label, spec in self.variants.items()}
+        with (
+            _locked(found.folder),
+            stop_on_signals(time_limit=time_limit) as stop,
+            make_launcher(self.spec, jobs) as launcher,
+        ):
+            self._check_begun(variants, root, resume=resume)
+            say(f"{self.spec.name}: {self}")
+            driver = Driver(launcher, root, url, listener, existing="resume", text=self._text, retries=1)
+            sources = {label: Job(spec) for label, spec in variants.items()}
+            driver.run(Feed(*sources.values()), stop)
+            for label, job in sources.items():
+                found.sources[label] = _finished(job, found)
+            with suppress(StopRequestedError):
+                self._measure(found, stop, say)
+                tuned = dict(self._fine_tuning(found, root))
+                driver.run(Feed(*tuned.values()), stop)
+                for (pair, _), job in tuned.items():
+                    found.fine_tuned.setdefault(pair, {}).update(_finished(job, found))
+                if all(job.finished for job in [*sources.values(), *tuned.values()]):
+                    return found
+            found.stop_code = stop.exit_code
+        return found
+
+    def _check_begun(self, variants: Mapping[str, Spec], runs: Path, *, resume: bool) -> None:
+        """Raise an error if the matrix has begun and is not to be resumed, or if it cannot be resumed."""
+        begun = [
+            folder
+            for spec in variants.values()
+            for seed in spec.seeds
+            if (folder := find_run(runs, spec.name, spec.hash(), seed)) is not None
+        ]
+        finished = [folder for folder in begun if folder.state().state == "finished"]
+        if begun and not resume:
+            count = len(variants) * len(self.spec.seeds)
+            raise UsageError(
+                f"the matrix {self.spec.name} has begun: {len(finished)} of {count} sources are finished",
+                where=str(runs),
+                hint="--resume continues it and runs nothing twice; name=... begins another one",
+            )
+        for folder in finished:
+            _require_checkpoint(folder)
+
+    def _measure(self, found: MatrixRuns, stop: StopRequest, say: Callable[[str], None]) -> None:
+        """Test the sources on the targets, and measure the baselines. Raises StopRequestedError."""
+        stop.check()
+        for runs in found.sources.values():
+            for folder in runs.values():
+                _require_checkpoint(folder)
+        for source, target in self.pairs if "zero_shot" in self.transfer.modes else ():
+            tests = found.zero_shot.setdefault((source, target), {})
+            for seed, folder in found.sources[source].items():
+                tests[seed] = self._zero_shot(folder, self.overrides[target], stop)
+                result = tests[seed].result
+                say(f"{source} to {target}, seed {seed}: success end {result.success_end:.3f} of {result.episodes:,}")
+        for label, spec in self.variants.items():
+            found.baselines[label] = _baselines(spec, found.folder / "baselines.jsonl", stop)
+
+    def _zero_shot(self, folder: RunFolder, overrides: tuple[str, ...], stop: StopRequest) -> TransferResult:
+        """The test of a source's policy under other settings, from its folder if it was played already."""
+        testing = self.spec.testing
+        sha256 = checkpoint.digest(folder.checkpoints, CHECKPOINT, "agent")
+        wanted = (sha256, overrides, False, testing.final_seed, testing.final_count or testing.episodes)
+        for done in transfer_results.read(folder)[0]:
+            if (done.sha256, done.overrides, done.randomized, done.seed, done.result.episodes) == wanted:
+                return done
+        return transfer_test(folder, overrides, checkpoint=CHECKPOINT, on_round=lambda _: stop.check())
+
+    def _fine_tuning(self, found: MatrixRuns, runs: Path) -> Iterator[tuple[tuple[Pair, int], Job]]:
+        """A job for each pair and seed with a finished source."""
+        for source, target in self.pairs if self._tuned else ():
+            for seed, folder in found.sources[source].items():
+                name = _name(self.spec, source, target)
+                spec = self._tuned[target].model_copy(update={"name": name, "seeds": (seed,)})
+                start = {"start_from": folder.id, "start_checkpoint": CHECKPOINT}
+                agent = replace(spec.agent, settings=spec.agent.settings.model_copy(update=start))
+                yield ((source, target), seed), Job(pinned(spec.model_copy(update={"agent": agent}), runs))
+
+
+def _name(spec: Spec, source: str, target: str | None = None) -> str:
+    """The name of the runs of a source, or of its fine-tuning on a target."""
+    return f"{spec.name}-{source}" + (f"-to-{target}" if target is not None else "")
+
+
+def _layout_hint(variants: Iterable[Spec]) -> str:
+    """What to do about layouts that differ."""
+    joint = any(getattr(one.robot.settings, "control", None) == "joint" for one in variants if one.robot is not None)
+    return f"{'set robot.control=cartesian: ' if joint else ''}{SAME_LAYOUTS}"
+
+
+def _finished(job: Job, found: MatrixRuns) -> dict[int, RunFolder]:
+    """Seed -> finished run of a job. Notes the others, unless they were stopped."""
+    for summary in job.summaries.values():
+        if summary.error is not None:
+            found.problems.append(f"{summary.run} {summary.state}: {summary.error}")
+    return {
+        seed: RunFolder.open(job.summaries[seed].folder)
+        for seed in job.spec.seeds
+        if seed in job.summaries and job.summaries[seed].state == "finished"
+    }
+
+
+def _require_checkpoint(folder: RunFolder) -> None:
+    if CHECKPOINT not in checkpoint.names(folder.checkpoints):
+        raise RunError(
+            f"the source has no checkpoint {CHECKPOINT!r}",
+            where=folder.id,
+            hint=f"restore it, or remove the run (`karolos runs rm {folder.id}`) to train it again with --resume",
+        )
+
+
+@contextmanager
+def _locked(folder: Path) -> Iterator[None]:
+    """Make the matrix's folder, and lock it."""
+    with writing(folder):
+        folder.mkdir(parents=True, exist_ok=True)
+    lock = FileLock(folder / "lock")
+    if not lock.acquire():
+        raise RunError("another process runs this matrix", where=str(folder), hint="wait for it")
+    try:
+        yield
+    finally:
+        lock.release()
+
+
+def _baselines(spec: Spec, path: Path, stop: StopRequest) -> Baselines:
+    """Success of random actions and of the expert, from the file if they were measured already."""
+    episodes = min(spec.testing.final_count or spec.testing.episodes, BASELINE_EPISODES)
+    key = {"experiment": spec.hash(), "episodes": episodes}
+    for row in read_lines(path).rows:
+        if key.items() <= row.items() and (known := from_json(Baselines, row)) is not None:
+            return known
+    floor = _score(spec, random_policy, episodes, stop)
+    try:
+        ceiling = _score(spec, lambda environment, _: expert_policy(environment), episodes, stop)
+    except UsageError:  # there is no expert
+        ceiling = None
+    measured = Baselines(floor, ceiling)
+    append_lines(path, [key | asdict(measured)])
+    return measured
+
+
+def _score(spec: Spec, make: Callable[[Environment, int], Policy], episodes: int, stop: StopRequest) -> Score:
+    """Success of a policy on the first episodes of the final test. Raises StopRequestedError."""
+    environment, seed = environment_of(spec), spec.testing.final_seed
+    try:
+        policy = make(environment, seed)
+
+        def begin() -> None:
+            stop.check()
+            policy.begin()
+
+        return score(environment, Policy(policy.act, begin), episodes=episodes, seed=seed)
+    finally:
+        environment.close()

@@ -1,0 +1,231 @@
+"""A matrix of transfers as tables, heat maps and a page."""
+
+from __future__ import annotations
+
+import math
+from collections.abc import Callable, Sequence
+from dataclasses import dataclass
+from pathlib import Path
+
+import numpy as np
+
+from .. import __version__
+from ..comparison import ComparedRun, Estimate, Reaching
+from ..comparison.transfer import Cell, TransferReport, Variant
+from ..evaluation.playing import Score
+from ..files import write_whole
+from .comparison_figures import learning, write_figures
+from .comparison_tables import estimate
+from .figures import COLOURS, Drawing, look, short
+from .markup import Markup, tag
+from .page import document, figure_grid, items, plain_table
+from .tables import Columns, Table, count, duration, success
+
+
+@dataclass(frozen=True)
+class Metric:
+    """How an estimate of a cell is named, explained and shaded."""
+
+    title: str
+    meaning: str
+    neutral: float | None = None
+    """Value without shade; larger values are blue, smaller ones red. None: shades from 0 to 1."""
+    larger_is_better: bool = True
+
+
+METRICS = {
+    "zero_shot": Metric(
+        "Zero-shot success",
+        "the source's best policy on the target, on episodes of the final test, on which no policy was chosen; on the "
+        "diagonal on its own variant",
+    ),
+    "retention": Metric("Retention", "zero-shot success by the success of the same policies on their own variant"),
+    "fine_tuned": Metric(
+        "Success after fine-tuning", "the last policy of fine-tuning on the target, in its final test"
+    ),
+    "jump_start": Metric(
+        "Jump-start",
+        "success of fine-tuning minus that of training from scratch at the first step at which both have been tested "
+        "(Taylor and Stone 2009)",
+        neutral=0.0,
+    ),
+    "asymptote": Metric(
+        "Asymptote",
+        "success of fine-tuning minus that of training from scratch, each at its own end (Taylor and Stone 2009)",
+        neutral=0.0,
+    ),
+    "time_ratio": Metric(
+        "Time to threshold",
+        "steps of fine-tuning to the threshold by those from scratch: Kaplan-Meier medians over the seeds, runs that "
+        "never got there censored at their end; the steps of the source are not counted",
+        neutral=1.0,
+        larger_is_better=False,
+    ),
+    "forward_transfer": Metric(
+        "Forward transfer",
+        "(AUC - AUC of scratch) / (1 - AUC of scratch), mean success over the steps of fine-tuning that both were "
+        "tested in (Wolczyk et al. 2021, Continual World)",
+        neutral=0.0,
+    ),
+}
+
+
+def known(report: TransferReport) -> dict[str, Metric]:
+    """The metrics that at least one cell has."""
+    return {name: one for name, one in METRICS.items() if any(getattr(cell, name) for cell in report.cells)}
+
+
+def matrix_table(report: TransferReport, name: str) -> Table:
+    """One metric: a row per source, a column per target."""
+    labels = [variant.label for variant in report.variants]
+    cells = {(cell.source, cell.target): estimate(getattr(cell, name)) for cell in report.cells}
+    rows = [[source, *(cells[source, target] for target in labels)] for source in labels]
+    return Table(["from", *(f"to {label}" for label in labels)], rows, METRICS[name].title)
+
+
+def variants_table(report: TransferReport) -> Table:
+    """One row per variant: what it costs as a source, and what is possible on it as a target."""
+    columns: Columns[Variant] = {
+        "variant": lambda one: one.label,
+        "success from scratch": lambda one: estimate(one.success),
+        f"steps to {report.threshold:g}": lambda one: _reached(one.reaching),
+        "random policy": lambda one: _score(one.floor),
+        "expert": lambda one: _score(one.ceiling),
+        "steps of a source": lambda one: count(one.steps),
+        "its time": lambda one: duration(one.seconds),
+    }
+    return Table.of(report.variants, columns, "Variants")
+
+
+def cells_table(report: TransferReport) -> Table:
+    """One row per pair of different variants, all metrics."""
+    columns: Columns[Cell] = {"transfer": lambda cell: f"{cell.source} to {cell.target}"}
+    for name, metric in known(report).items():
+        columns[metric.title.lower()] = _column(name)
+    columns[f"steps to {report.threshold:g}"] = lambda cell: _reached(cell.reaching)
+    return Table.of((cell for cell in report.cells if cell.source != cell.target), columns)
+
+
+def notes(report: TransferReport) -> list[str]:
+    """What the numbers mean."""
+    lines = [f"{metric.title}: {metric.meaning}" for metric in known(report).values()]
+    seeds = len(report.seeds)
+    between = "95 % bootstrap interval over the paired seeds" if seeds >= 5 else "smallest and largest of the seeds"
+    lines.append(
+        f"in brackets: {between}"
+        if seeds > 1
+        else "one seed: 95 % Wilson intervals of its episodes, which say nothing about other seeds"
+    )
+    if any(cell.reaching for cell in report.cells):
+        lines.append(f"threshold: success at the end of {report.threshold:g} in a test; (k of n): runs that reached it")
+    lines.append("random policy, expert: what is possible without learning, with a 95 % Wilson interval")
+    return lines
+
+
+@look()
+def heat_map(report: TransferReport, name: str) -> Drawing:
+    """One metric, a row per source and a column per target; below zero-shot success the expert and random actions."""
+    from matplotlib.colors import LinearSegmentedColormap  # noqa: PLC0415  (takes half a second)
+
+    metric, labels = METRICS[name], [variant.label for variant in report.variants]
+    found = {(cell.source, cell.target): getattr(cell, name) for cell in report.cells}
+    rows = [(source, [_cell(found[source, target]) for target in labels]) for source in labels]
+    if name == "zero_shot":
+        rows.append(("expert", [_cell(variant.ceiling) for variant in report.variants]))
+        rows.append(("random", [_cell(variant.floor) for variant in report.variants]))
+    values = np.array([[value for value, _ in cells] for _, cells in rows])
+    shades, low, colours = values, 0, ["#ffffff", COLOURS[0]]
+    if metric.neutral is not None:
+        shades = np.clip(values - metric.neutral, -1, 1) * (1 if metric.larger_is_better else -1)
+        low, colours = -1, [COLOURS[1], *colours]
+    drawing = Drawing(f"transfer_{name}", metric.title, f"{metric.meaning[0].upper()}{metric.meaning[1:]}.")
+    axes, shading = drawing.axes, LinearSegmentedColormap.from_list("shades", colours)
+    axes.pcolormesh(np.ma.masked_invalid(shades), cmap=shading, vmin=low, vmax=1, edgecolors="#ffffff", linewidth=2)
+    for (row, column), shade in np.ndenumerate(shades):
+        label, (value, text) = rows[row][0], rows[row][1][column]
+        number, colour = "-" if np.isnan(value) else f"{value:.3f}", "#ffffff" if abs(shade) > 0.6 else "#1c1c1c"
+        drawn = axes.text(column + 0.5, row + 0.5, number, ha="center", va="center", color=colour)
+        drawing.part(drawn, "cell", f"{label} to {labels[column]}: {text}")
+    axes.set_xticks(np.arange(len(labels)) + 0.5, [short(label, 14) for label in labels])
+    axes.set_yticks(np.arange(len(rows)) + 0.5, [short(label, 14) for label, _ in rows])
+    axes.set(xlabel="to", ylabel="from")
+    axes.invert_yaxis()
+    axes.tick_params(length=0)
+    axes.spines[:].set_visible(False)
+    axes.set_facecolor("#f6f6f4")
+    return drawing
+
+
+@look()
+def transfer_figures(report: TransferReport) -> tuple[list[Drawing], list[Drawing]]:
+    """A heat map for each metric, and the learning curves on each target."""
+    curves: list[Drawing] = []
+    for variant, comparison in zip(report.variants, report.learning, strict=False):
+        drawing = learning(comparison, "steps")
+        drawing.name = f"learning_{len(curves)}"
+        drawing.axes.set_title(f"Learning on {short(variant.label)}", loc="left")
+        curves.append(drawing)
+    return [heat_map(report, name) for name in known(report)], curves
+
+
+def write_report(report: TransferReport, path: Path, figures: Path | None = None) -> None:
+    """Write the page, and the figures into a folder, if one is given. Raises MachineError if that fails."""
+    maps, curves = transfer_figures(report)
+    write_whole(path, page(report, maps, curves))
+    if figures is not None:
+        write_figures([*maps, *curves], figures)
+
+
+def page(report: TransferReport, maps: Sequence[Drawing], curves: Sequence[Drawing]) -> str:
+    """The page as text."""
+    sections: list[Markup | None] = [
+        tag("p", f"{len(report.seeds)} seeds, karolos {__version__}."),
+        items("warnings", report.warnings) if report.warnings else None,
+        figure_grid(maps),
+        tag("h2", "In numbers"),
+        plain_table(cells_table(report)),
+        items("notes", notes(report)),
+        tag("h2", "Sources and targets"),
+        plain_table(variants_table(report)),
+    ]
+    if curves:
+        sections += [tag("h2", "Learning"), figure_grid(curves)]
+    sections += [tag("h2", "Runs"), plain_table(_runs_table(report))]
+    return document(f"Transfer: {report.name}", sections)
+
+
+def _runs_table(report: TransferReport) -> Table:
+    """Every run and zero-shot test with its Wilson interval."""
+    rows: list[tuple[str, ...]] = []
+    for variant in report.variants:
+        rows += [(f"{variant.label}, from scratch", *_run_cells(run)) for run in variant.runs.values()]
+    for cell in report.cells:
+        name = f"{cell.source} to {cell.target}"
+        for seed, test in (cell.tests or {}).items():
+            rows.append((f"{name}, zero-shot", str(seed), success(test.success_end, test.episodes), "-", "-"))
+        rows += [(f"{name}, fine-tuned", *_run_cells(run)) for run in (cell.runs or {}).values()]
+    return Table(["what", "seed", "success end", "steps", "run"], rows)
+
+
+def _run_cells(run: ComparedRun) -> tuple[str, str, str, str]:
+    summary = run.summary
+    return str(summary.seed), success(run.reported("end"), run.episodes), count(summary.steps), summary.run
+
+
+def _cell(found: Estimate | Score | None) -> tuple[float, str]:
+    """Value, nan if it is unknown, and text."""
+    if found is None:
+        return math.nan, "-"
+    return (found.value, estimate(found)) if isinstance(found, Estimate) else (found.success_end, _score(found))
+
+
+def _column(name: str) -> Callable[[Cell], str]:
+    return lambda cell: estimate(getattr(cell, name))
+
+
+def _reached(found: Reaching | None) -> str:
+    return "-" if found is None else f"{count(found.steps)} ({found.reached} of {found.seeds})"
+
+
+def _score(score: Score | None) -> str:
+    return "-" if score is None else success(score.success_end, score.episodes)

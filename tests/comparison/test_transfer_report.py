@@ -1,0 +1,103 @@
+"""The report of a matrix: its numbers beside the tests in the run folders, and its page."""
+
+from __future__ import annotations
+
+import json
+import re
+
+import numpy as np
+import pytest
+from support.transfer_samples import run_matrix
+
+from karolos.comparison.transfer import TransferReport, transfer_report
+from karolos.experiment.transfer import MatrixRuns
+from karolos.report.transfer import cells_table, heat_map, matrix_table, notes, page, transfer_figures, variants_table
+from karolos.statistics.intervals import wilson
+
+
+@pytest.fixture(scope="module")
+def found(tmp_path_factory: pytest.TempPathFactory) -> MatrixRuns:
+    return run_matrix(tmp_path_factory.mktemp("runs"))[0]
+
+
+@pytest.fixture(scope="module")
+def report(found: MatrixRuns) -> TransferReport:
+    return transfer_report(found)
+
+
+def test_numbers_are_those_of_the_folders(found: MatrixRuns, report: TransferReport) -> None:
+    (cell,) = [one for one in report.cells if (one.source, one.target) == ("fast", "slow")]
+    tests = found.zero_shot["fast", "slow"]
+    zero = [tests[seed].result.success_end for seed in (0, 1)]
+    own = [tests[seed].own.success_end for seed in (0, 1)]
+    assert cell.zero_shot is not None
+    assert (cell.zero_shot.value, cell.zero_shot.low, cell.zero_shot.high) == (np.mean(zero), min(zero), max(zero))
+    if sum(map(float, own)):
+        assert cell.retention is not None
+        assert cell.retention.value == pytest.approx(np.mean(zero) / np.mean(own))
+    gains, ends, areas = [], [], []
+    for seed in (0, 1):
+        tuned, scratch = found.fine_tuned["fast", "slow"][seed], found.sources["slow"][seed]
+        curves = [{test.steps: test.success_end for test in run.tests()} for run in (tuned, scratch)]
+        assert [list(curve) for curve in curves] == [[20, 40, 60, 80], [40, 80, 120, 160]]
+        gains.append(curves[0][40] - curves[1][40])
+        finals = [run.final() for run in (tuned, scratch)]
+        ends.append(finals[0].last.success_end - finals[1].last.success_end)
+        areas.append([(curves[0][40] + 2 * curves[0][60] + curves[0][80]) / 4, (curves[1][40] + curves[1][80]) / 2])
+    tuned_area, scratch_area = np.mean(areas, axis=0)
+    assert cell.jump_start is not None
+    assert cell.asymptote is not None
+    assert cell.forward_transfer is not None
+    assert cell.jump_start.value == pytest.approx(np.mean(gains))
+    assert cell.asymptote.value == pytest.approx(np.mean(ends))
+    assert cell.forward_transfer.value == pytest.approx((tuned_area - scratch_area) / (1 - scratch_area))
+
+
+def test_the_diagonal_is_the_policy_at_home_and_has_nothing_to_compare(report: TransferReport) -> None:
+    own = [one for one in report.cells if one.source == one.target]
+    assert len(own) == 2
+    for cell in own:
+        assert cell.zero_shot is not None
+        assert (cell.retention, cell.fine_tuned, cell.forward_transfer) == (None, None, None)
+
+
+def test_rows_are_json_with_wilson_intervals_of_each_run_and_the_cost_of_the_source(report: TransferReport) -> None:
+    rows = json.loads(json.dumps(report.rows(), allow_nan=False))
+    assert [(row["source"], row["target"]) for row in rows] == [
+        (source, target) for source in ("fast", "slow") for target in ("fast", "slow")
+    ]
+    row = rows[1]
+    assert row["zero_shot"]["wilson"] == [list(wilson(round(10 * one), 10)) for one in row["zero_shot"]["each"]]
+    assert row["source_cost"]["steps"] == 160
+    assert row["steps_to_threshold"]["of"] == row["scratch"]["steps_to_threshold"]["of"] == 2
+    assert 0 <= row["floor"] <= 1
+    assert row["ceiling"] is None  # a toy has no expert
+
+
+def test_zero_shot_alone_needs_no_fine_tuning(tmp_path_factory: pytest.TempPathFactory) -> None:
+    overrides = ["transfer.modes=[zero_shot]", "transfer.fine_tune=null", "seeds=[0]", "training.steps=40"]
+    runs, started = run_matrix(tmp_path_factory.mktemp("runs"), *overrides)
+    assert started == ["line-fast", "line-slow"]
+    found = transfer_report(runs)
+    assert {one.zero_shot.kind for one in found.cells if one.zero_shot} == {"wilson"}
+    assert matrix_table(found, "zero_shot").columns == ["from", "to fast", "to slow"]
+    assert len(cells_table(found).rows) == 2
+    assert any("Wilson" in line for line in notes(found))
+    assert "Learning" not in page(found, *transfer_figures(found))
+
+
+def test_the_page_holds_a_heat_map_for_each_metric_and_every_run(report: TransferReport) -> None:
+    text = page(report, *transfer_figures(report))
+    for word in (
+        "Zero-shot success",
+        "Forward transfer",
+        "Learning on slow",
+        "Continual World",
+        "line-fast-to-slow-s1-",
+    ):
+        assert word in text
+    assert not re.search(r"<script|https?://(?!www\.w3\.org)", text)
+    drawing = heat_map(report, "zero_shot")
+    rows = [label.get_text() for label in drawing.axes.get_yticklabels()]
+    assert rows == ["fast", "slow", "expert", "random"]
+    assert len(variants_table(report).rows) == 2

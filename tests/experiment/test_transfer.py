@@ -1,0 +1,161 @@
+"""A matrix of transfers: what is run, what is refused, and that nothing is run twice."""
+
+from __future__ import annotations
+
+import os
+import shutil
+import signal
+import subprocess
+import sys
+import time
+from pathlib import Path
+
+import pytest
+from support.transfer_samples import LINE, line, run_matrix
+
+from karolos.comparison.transfer import transfer_report
+from karolos.errors import RunError, SpecError, UsageError
+from karolos.experiment.transfer import Matrix, MatrixRuns
+from karolos.records import RunFolder, transfer_results
+from karolos.spec import load_spec, spec_from_dict
+from karolos.store import Store, check
+
+TIMES = ("seconds", "source_runs", "fine_tuned_runs", "runs")
+
+
+@pytest.fixture(scope="module")
+def undisturbed(tmp_path_factory: pytest.TempPathFactory) -> MatrixRuns:
+    return run_matrix(tmp_path_factory.mktemp("runs"))[0]
+
+
+def numbers(found: MatrixRuns) -> list[object]:
+    """The rows of the report without times and ids of runs."""
+
+    def plain(value: object) -> object:
+        if isinstance(value, dict):
+            return {key: plain(one) for key, one in value.items() if key not in TIMES}
+        return value
+
+    return [plain(row) for row in transfer_report(found).rows()]
+
+
+def test_every_source_is_an_ordinary_run_and_fine_tuning_starts_from_its_best_policy(undisturbed: MatrixRuns) -> None:
+    assert undisturbed.exit_code == 0
+    sources, tuned = undisturbed.sources, undisturbed.fine_tuned
+    assert {label: list(runs) for label, runs in sources.items()} == {"fast": [0, 1], "slow": [0, 1]}
+    assert {pair: list(runs) for pair, runs in tuned.items()} == {("fast", "slow"): [0, 1], ("slow", "fast"): [0, 1]}
+    for (source, target), runs in tuned.items():
+        for seed, folder in runs.items():
+            (event,) = [one for one in folder.events() if one["event"] == "started_from"]
+            assert (event["run"], event["checkpoint"]) == (sources[source][seed].id, "best")
+            assert folder.spec()["environment"] == sources[target][seed].spec()["environment"]
+            assert (folder.description()["name"], folder.summary().steps) == (f"line-{source}-to-{target}", 80)
+            assert folder.description()["seed"] == seed
+    assert [test.steps for test in tuned["fast", "slow"][0].tests()] == [20, 40, 60, 80]
+    runs_folder = undisturbed.folder.parents[1]
+    with Store(Store.default_url(runs_folder)) as store:
+        assert len(store.runs()) == 8
+        assert list(check(store, runs_folder)) == []
+
+
+def test_zero_shot_tests_are_those_of_karolos_test(undisturbed: MatrixRuns) -> None:
+    folder, found = undisturbed.sources["fast"][1], undisturbed.zero_shot["fast", "slow"][1]
+    assert transfer_results.read(folder)[0] == (found,)
+    assert (found.overrides, found.checkpoint, found.seed) == (("environment.speed=0.15",), "best", 1_000_000)
+
+
+def test_a_finished_matrix_is_reported_again_without_a_run_or_a_test(undisturbed: MatrixRuns) -> None:
+    runs = undisturbed.folder.parents[1]
+    with pytest.raises(UsageError, match=r"matrix line has begun: 4 of 4 sources are finished; --resume continues"):
+        run_matrix(runs)
+    again, started = run_matrix(runs, resume=True)
+    assert started == []
+    assert len(transfer_results.read(again.sources["fast"][0])[0]) == 1
+    assert len((again.folder / "baselines.jsonl").read_text().splitlines()) == 2
+    assert numbers(again) == numbers(undisturbed)
+
+
+def test_a_matrix_killed_in_the_middle_and_resumed_reports_as_an_undisturbed_one(
+    undisturbed: MatrixRuns, tmp_path: Path
+) -> None:
+    code = "from pathlib import Path; from support.transfer_samples import run_matrix; run_matrix(Path('runs'))"
+    with subprocess.Popen(
+        [sys.executable, "-c", code],
+        cwd=tmp_path,
+        env={**os.environ, "PYTHONPATH": str(Path(__file__).parents[1])},
+        start_new_session=True,
+    ) as process:
+        deadline = time.monotonic() + 300
+        while not list(tmp_path.glob("runs/line-fast-to-slow-s1-*/tests.jsonl")):
+            assert process.poll() is None
+            assert time.monotonic() < deadline
+            time.sleep(0.01)
+        os.killpg(process.pid, signal.SIGKILL)
+    found, started = run_matrix(tmp_path / "runs", resume=True)
+    assert started in (["line-fast-to-slow", *["line-slow-to-fast"] * 2], ["line-slow-to-fast"] * 2)
+    assert numbers(found) == numbers(undisturbed)
+    assert len(list((tmp_path / "runs").glob("*/run.json"))) == 8
+
+
+def test_a_source_without_its_checkpoint_is_named_before_anything_runs(undisturbed: MatrixRuns, tmp_path: Path) -> None:
+    runs = shutil.copytree(undisturbed.folder.parents[1], tmp_path / "runs")
+    folder = RunFolder.open(runs / undisturbed.sources["slow"][1].path.name)
+    shutil.rmtree(folder.checkpoints / "best")
+    with pytest.raises(RunError, match=rf"^{folder.id}: the source has no checkpoint 'best'; .*karolos runs rm"):
+        run_matrix(runs, resume=True)
+
+
+@pytest.mark.parametrize(
+    ("overrides", "words"),
+    [
+        (["transfer={robots: [panda, ur5, panda], variants: null}"], ["names the robot panda twice"]),
+        (["transfer.variants.slow.environment.speed=0.3"], ["fast and slow have the same settings"]),
+        (["transfer.variants.slow=null"], ["needs two variants or more"]),
+        (["transfer.modes=[zero_shot]"], ["fine_tune is a budget that no mode uses"]),
+        (["transfer.modes=[scratch]", "transfer.fine_tune={}"], ["transfers nothing"]),
+        (
+            ["transfer.variants.slow.agent.discount=0.5"],
+            ["variant slow cannot change agent.discount, only robot, task"],
+        ),
+        (["transfer.fine_tune.testing.episodes=5"], ["fine_tune cannot change testing.episodes"]),
+    ],
+)
+def test_a_matrix_that_makes_no_sense_is_an_invalid_spec(overrides: list[str], words: list[str]) -> None:
+    with pytest.raises(SpecError) as caught:
+        line(*overrides)
+    assert len(caught.value.problems) == 1
+    assert all(word in str(caught.value) for word in words), caught.value
+
+
+def test_a_misspelt_setting_is_shown_where_it_stands(tmp_path: Path) -> None:
+    path = tmp_path / "line.yaml"
+    path.write_text(
+        "environment: toy\nagent: sac\ntransfer:\n  variants: {a: {environment.speed: 0.1}, b: {environment.sped: 2}}\n"
+    )
+    with pytest.raises(SpecError, match=r"line\.yaml:4:\d+: environment.sped: no such key; did you mean 'speed'\?"):
+        Matrix(load_spec(path))
+
+
+@pytest.mark.parametrize(
+    ("overrides", "words"),
+    [
+        (["transfer.variants.slow.environment.dimensions=2"], "a policy of fast cannot act on slow: observation is"),
+        (["transfer.fine_tune.agent.hidden=[8]"], "networks differ: agent.hidden is [8] here"),
+        (["name=" + 56 * "n"], "which is longer than 64 characters"),
+        (["transfer.variants.slow={environment.max_steps: 9, environment.speed: 0.15}"], "give every variant the same"),
+        (["transfer=null"], "has no transfer"),
+    ],
+)
+def test_what_cannot_work_is_refused_before_anything_runs(tmp_path: Path, overrides: list[str], words: str) -> None:
+    with pytest.raises(UsageError) as caught:
+        run_matrix(tmp_path / "runs", *overrides)
+    assert words in str(caught.value)
+    assert len(str(caught.value).splitlines()) == 1
+    assert not (tmp_path / "runs").exists()
+
+
+def test_joint_control_is_refused_in_one_line_that_says_what_could_be_done() -> None:
+    changes = {"robot": {"name": "panda", "control": "joint"}, "task": "reach", "environment": "robot_task"}
+    spec = spec_from_dict({**LINE, **changes, "transfer": {"robots": ["panda", "ur5"]}})
+    with pytest.raises(UsageError, match=r"policy of panda cannot act on ur5: .*set robot\.control=cartesian"):
+        Matrix(spec).check()

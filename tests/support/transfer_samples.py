@@ -1,0 +1,41 @@
+"""A transfer between two speeds of a point on a line, whose runs take a fraction of a second."""
+
+from __future__ import annotations
+
+from pathlib import Path
+from typing import Any
+
+import pytest
+
+from karolos.experiment.transfer import Matrix, MatrixRuns
+from karolos.spec import Spec, spec_from_dict
+from support.fake_launcher import FakeLauncher
+
+LINE: dict[str, Any] = {
+    "name": "line",
+    "seeds": [0, 1],
+    "environment": {"name": "toy", "dimensions": 1, "threshold": 0.2, "max_steps": 10},
+    "agent": {"name": "sac", "hidden": [16], "learning_rate": 1e-3, "discount": 0.9},
+    "buffer": {"capacity": 2000, "hindsight": {"strategy": "future"}},
+    "orchestrator": {"processes": 0, "environments": 4},
+    "training": {"steps": 160, "batch_size": 32, "replay_ratio": 16, "warmup_episodes": 4},
+    "testing": {"interval": 40, "episodes": 10},
+    "transfer": {
+        "variants": {"fast": {"environment.speed": 0.3}, "slow": {"environment.speed": 0.15}},
+        "fine_tune": {"training.steps": 80, "training.warmup_episodes": 0, "testing.interval": 20},
+        "threshold": 0.3,
+    },
+}
+
+
+def line(*overrides: str) -> Spec:
+    return spec_from_dict(LINE, overrides)
+
+
+def run_matrix(runs: Path, *overrides: str, resume: bool = False) -> tuple[MatrixRuns, list[str]]:
+    """The matrix executed in this process; also the names of the runs that were started."""
+    launcher = FakeLauncher()
+    with pytest.MonkeyPatch.context() as patch:
+        patch.setattr("karolos.experiment.transfer.make_launcher", lambda *_: launcher)
+        found = Matrix(line(*overrides)).run(runs, resume=resume)
+    return found, [folder.name.rpartition("-s")[0] for folder in launcher.started]
