@@ -10,6 +10,7 @@ from importlib.util import find_spec
 from pathlib import Path
 
 import pytest
+import typer
 from karolos_cli.main import app
 from support.commands import call
 from support.plugin_packages import install
@@ -20,8 +21,8 @@ from karolos.spec import load_spec
 
 ROOT = Path(__file__).parents[2]
 DOCS = ROOT / "docs"
-OWN = {"export.md", "extending.md"}
-"""Pages whose code other tests run: test_numpy_policy, test_plugins_new."""
+OWN = {"export.md"}
+"""Pages whose code another test runs: test_numpy_policy."""
 RUN = ("sh", "python", "yaml")
 OTHER = ("text", "toml", "{eval-rst}", "{toctree}")
 """Languages of blocks: `text` is output."""
@@ -151,3 +152,19 @@ def test_a_newcomer_needs_at_most_three_commands_to_a_trained_arm() -> None:
     found = list(commands(first))
     assert found[1].startswith("karolos run ")
     assert len(found) <= 3
+
+
+@pytest.mark.parametrize("page", [*PAGES, *(DOCS / name for name in OWN)], ids=lambda page: page.stem)
+def test_commands_in_sentences_exist_with_their_options(page: Path) -> None:
+    for inline in re.findall(r"`karolos ([^`]+)`", BLOCK.sub("", page.read_text(encoding="utf-8"))):
+        command, words = typer.main.get_command(app), inline.replace("|", " ").split()
+        while words and words[0] in getattr(command, "commands", {}):
+            command = command.commands[words.pop(0)]
+        assert command.name != "karolos" or words[0].startswith("-") or words[0].isupper(), inline
+        known = {option for one in command.params for option in (*one.opts, *one.secondary_opts)}
+        assert {word.strip("[]") for word in words if word.startswith(("-", "[-"))} <= known | {"--help"}, inline
+
+
+def test_links_of_the_readme_lead_somewhere() -> None:
+    for link in re.findall(r"\]\(([^)#]+)", (ROOT / "README.md").read_text(encoding="utf-8")):
+        assert (ROOT / link).exists(), link
