@@ -7,6 +7,7 @@ python docs/_scripts/references.py check        exit 1 if tables, reference runs
 
 from __future__ import annotations
 
+import json
 import shutil
 import sys
 from collections.abc import Iterator
@@ -14,10 +15,13 @@ from functools import cache
 from itertools import product
 from pathlib import Path
 from tempfile import TemporaryDirectory
+from typing import Any
 
-from karolos.comparison import Comparison, Contender, compare, gather
+from karolos.comparison import Comparison, Contender, Estimate, compare, gather
 from karolos.errors import KarolosError
+from karolos.experiment.transfer import Matrix
 from karolos.records import RunFolder, paths
+from karolos.records.decode import from_json
 from karolos.report.comparison_tables import estimate, improvement
 from karolos.report.tables import count, duration
 from karolos.spec import load_spec, spec_from_dict
@@ -26,6 +30,8 @@ from karolos.store import Store, reindex
 
 ROOT = Path(__file__).parents[2]
 REFERENCE = ROOT / "runs" / "reference"
+TRANSFERS = REFERENCE / "transfers"
+"""A folder per matrix, called as its spec: rows.jsonl, which --json printed, and the resolved spec of each variant."""
 FILES = ("spec.yaml", "resolved.json", "run.json", "state.json", "tests.jsonl", "final.jsonl", "labels.json")
 """What is kept of a run: no weights and no training episodes."""
 SHARED = "shared-machine"
@@ -109,7 +115,69 @@ def tables() -> dict[str, str]:
         "pairs": _overview(found),
         "reference runs": _results(found, [*pairs, *(name for name in others if _is_shipped(name))]),
         "variants": _variants(found, [name for name in others if not _is_shipped(name)]),
+        "transfers": "\n\n".join(_transfer(path) for path in sorted(TRANSFERS.glob("*"))) or "None yet.",
     }
+
+
+def _rows(path: Path) -> list[dict[str, Any]]:
+    return [json.loads(line) for line in (path / "rows.jsonl").read_text(encoding="utf-8").splitlines()]
+
+
+def _transfer(path: Path) -> str:
+    """The tables of one matrix: its pairs, and its variants."""
+    rows = _rows(path)
+    threshold = f"{rows[0]['threshold']:g}"
+    pairs = [
+        [
+            f"{row['source']} to {row['target']}",
+            *(_estimate(row[name]) for name in ("zero_shot", "retention", "fine_tuned", "jump_start")),
+            f"{_reached(row['steps_to_threshold'])} / {_reached(row['scratch']['steps_to_threshold'])}",
+            *(_estimate(row[name]) for name in ("time_ratio", "forward_transfer")),
+        ]
+        for row in rows
+        if row["source"] != row["target"]
+    ]
+    columns = ["transfer", "zero-shot", "retention", "fine-tuned", "jump-start"]
+    columns += [f"steps to {threshold}: fine-tuned / scratch", "ratio", "forward transfer"]
+    variants = [
+        [
+            row["target"],
+            _estimate(row["scratch"]["success_end"]),
+            _estimate(row["zero_shot"]),
+            *("-" if row[name] is None else f"{row[name]:.3f}" for name in ("floor", "ceiling")),
+            count(row["source_cost"]["steps"]),
+        ]
+        for row in rows
+        if row["source"] == row["target"]
+    ]
+    head = ["variant", "from scratch, last policy", "its best policy", "random", "expert", "steps of a source"]
+    seeds = len(rows[0]["seeds"])
+    return f"`{path.name}`, {seeds} seeds:\n\n{_markdown(columns, pairs)}\n\n{_markdown(head, variants)}"
+
+
+def _estimate(row: dict[str, Any] | None) -> str:
+    return estimate(row and from_json(Estimate, row))
+
+
+def _reached(row: dict[str, Any] | None) -> str:
+    return "-" if row is None else f"{count(row['median'])} ({row['reached']} of {row['of']})"
+
+
+def transfer_faults(path: Path) -> Iterator[str]:
+    """Why a matrix cannot be a reference, one line each."""
+    try:
+        variants = Matrix(load_spec(ROOT / "specs" / f"{path.name}.yaml")).variants
+        for label, variant in variants.items():
+            made_from = json.loads((path / f"{label}.json").read_text(encoding="utf-8"))
+            if spec_from_dict(made_from).hash() != variant.hash():
+                yield f"the spec of {label} is not the one that ships"
+    except (KarolosError, OSError) as error:
+        yield str(error)
+        return
+    rows = _rows(path)
+    if [(row["source"], row["target"]) for row in rows] != list(product(variants, repeat=2)):
+        yield "it does not hold every pair"
+    yield from (warning for row in rows for warning in row["warnings"])
 
 
 def _is_shipped(name: str) -> bool:
@@ -196,6 +264,7 @@ def pages() -> dict[Path, str]:
 def problems() -> list[str]:
     """What does not agree, one line each."""
     found = [f"{path.name}: {fault}" for path in paths(REFERENCE) for fault in faults(RunFolder.open(path))]
+    found += [f"{path.name}: {fault}" for path in TRANSFERS.glob("*") for fault in transfer_faults(path)]
     for page, text in pages().items():
         if page.read_text(encoding="utf-8") != text:
             found.append(f"{page.name} is not the generated one; run: python docs/_scripts/references.py tables")

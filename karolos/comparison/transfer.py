@@ -87,8 +87,8 @@ class TransferReport:
     variants: tuple[Variant, ...]
     cells: tuple[Cell, ...]
     """Source by source, the diagonal included."""
-    learning: tuple[Comparison, ...]
-    """For each target: training from scratch and fine-tuning from each source."""
+    learning: Mapping[str, Comparison]
+    """Target -> training from scratch and fine-tuning from each source."""
     warnings: tuple[str, ...]
 
     def rows(self) -> list[dict[str, Any]]:
@@ -141,7 +141,7 @@ def transfer_report(found: MatrixRuns) -> TransferReport:
             for label, runs in scratch.items()
         ),
         cells=tuple(cells),
-        learning=tuple(_learning(label, scratch[label], tuned) for label in scratch if scratch[label] and tuned),
+        learning={label: _learning(label, runs, tuned) for label, runs in scratch.items() if runs and tuned},
         warnings=tuple(found.problems),
     )
 
@@ -270,6 +270,7 @@ def _variant_row(variant: Variant) -> dict[str, Any]:
         "success_end": variant.success and asdict(variant.success),
         "steps_to_threshold": _reaching_row(variant.reaching),
         "runs": [run.summary.run for run in variant.runs.values()],
+        "experiment": next((run.summary.experiment for run in variant.runs.values()), None),
     }
 
 

@@ -298,10 +298,10 @@ def _layout_hint(variants: Iterable[Spec]) -> str:
 
 
 def _finished(job: Job, found: MatrixRuns) -> dict[int, RunFolder]:
-    """Seed -> finished run of a job. Notes the others, unless they were stopped."""
+    """Seed -> finished run of a job. Notes the others."""
     for summary in job.summaries.values():
-        if summary.error is not None:
-            found.problems.append(f"{summary.run} {summary.state}: {summary.error}")
+        if summary.state != "finished":
+            found.problems.append(": ".join(filter(None, (f"{summary.run} is {summary.state}", summary.error))))
     return {
         seed: RunFolder.open(job.summaries[seed].folder)
         for seed in job.spec.seeds

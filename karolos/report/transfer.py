@@ -160,10 +160,10 @@ def heat_map(report: TransferReport, name: str) -> Drawing:
 def transfer_figures(report: TransferReport) -> tuple[list[Drawing], list[Drawing]]:
     """A heat map for each metric, and the learning curves on each target."""
     curves: list[Drawing] = []
-    for variant, comparison in zip(report.variants, report.learning, strict=False):
+    for label, comparison in report.learning.items():
         drawing = learning(comparison, "steps")
         drawing.name = f"learning_{len(curves)}"
-        drawing.axes.set_title(f"Learning on {short(variant.label)}", loc="left")
+        drawing.axes.set_title(f"Learning on {short(label)}", loc="left")
         curves.append(drawing)
     return [heat_map(report, name) for name in known(report)], curves
 
