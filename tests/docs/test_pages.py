@@ -24,7 +24,7 @@ DOCS = ROOT / "docs"
 OWN = {"export.md"}
 """Pages whose code another test runs: test_numpy_policy."""
 RUN = ("sh", "python", "yaml")
-OTHER = ("text", "toml", "{eval-rst}", "{toctree}")
+OTHER = ("text", "toml", "{eval-rst}", "{figure}", "{toctree}")
 """Languages of blocks: `text` is output."""
 NOT_RUN = {"minutes", "hours", "cluster", "pandas", "stable-baselines3", "part"}
 """The second word of a block that is not run: how long it takes, what it needs, or `part` of a spec."""
