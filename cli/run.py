@@ -2,13 +2,16 @@
 
 from __future__ import annotations
 
+import os
+import sys
 from contextlib import suppress
 from pathlib import Path
 from typing import TYPE_CHECKING, Annotated, NoReturn
 
 import typer
 
-from karolos.errors import KarolosError, MachineError
+from karolos.errors import KarolosError, MachineError, UsageError
+from karolos.files import writing
 
 from .arguments import (
     Database,
@@ -26,8 +29,9 @@ from .arguments import (
 from .output import print_rows, print_table, say
 
 if TYPE_CHECKING:
-    from collections.abc import Sequence
+    from collections.abc import Callable, Sequence
 
+    from karolos.experiment.events import RunEvent
     from karolos.experiment.experiment import Outcome
 
 
@@ -47,6 +51,9 @@ def run(
     ] = False,
     if_needed: Annotated[bool, typer.Option("--if-needed", help="Skip seeds that are finished.")] = False,
     on: On = None,
+    detach: Annotated[
+        bool, typer.Option("--detach", help="Go on in the background; the output is in NAME.log in the runs folder.")
+    ] = False,
     time_limit: TimeLimit = None,
     quiet: Quiet = False,
     json: Json = False,
@@ -56,27 +63,75 @@ def run(
     Each run writes a folder in the runs folder and an entry in the database. Ctrl-C finishes the step, writes a
     checkpoint and stops the run. A second Ctrl-C ends it at once.
     """
-    if jobs in (None, 1) and on is None:
+    if jobs in (None, 1) and on is None and not detach:
         _start_workers(spec, overrides or ())
     from karolos.spec import load_spec
 
     found = load_spec(spec, with_launcher(overrides, on))
+    is_launched = _detached(runs / f"{found.name}.log") if detach else None
     from karolos.experiment.experiment import Experiment
 
     from .display import choose_display
 
     with choose_display(quiet=quiet) as display:
+
+        def listen(event: RunEvent) -> None:
+            if is_launched is not None:
+                is_launched()
+            display(event)
+
         outcome = Experiment(found).run(
             runs,
             database=database,
             jobs=jobs,
             existing="resume" if resume else "skip" if if_needed else "ignore",
             time_limit=seconds(time_limit),
-            listener=display,
+            listener=listen,
             text=spec.read_text("utf-8"),
             check=False,
         )
     report(outcome, runs, quiet=quiet, json=json)
+
+
+def _detached(log: Path) -> Callable[[], None]:
+    """Continue in a process without a terminal, which writes into the log.
+
+    The first process ends when the second calls what this returns, or with the exit code and output of the second if
+    that one ends before.
+
+    Raises:
+        UsageError: the system has no such processes.
+        MachineError: the log cannot be written.
+    """
+    if not hasattr(os, "fork"):
+        raise UsageError("this system cannot detach a process", where="--detach", hint="leave the option out")
+    with writing(log):
+        log.parent.mkdir(parents=True, exist_ok=True)
+        out = os.open(log, os.O_WRONLY | os.O_CREAT | os.O_APPEND, 0o666)
+        start = os.fstat(out).st_size
+    read, write = os.pipe()
+    process = os.fork()
+    if process == 0:
+        os.setsid()
+        for target, source in ((0, os.open(os.devnull, os.O_RDONLY)), (1, out), (2, out)):
+            os.dup2(source, target)
+        os.close(read)
+        ends = [write]
+
+        def is_launched() -> None:
+            if ends:
+                os.write(ends[0], b".")
+                os.close(ends.pop())
+
+        return is_launched
+    os.close(write)
+    if os.read(read, 1):
+        say(f"process {process} goes on, with its output in {log}; `kill {process}` stops it with checkpoints")
+        say("`karolos runs list --watch` shows the runs")
+        raise typer.Exit
+    _, status = os.waitpid(process, 0)
+    sys.stderr.write(log.read_bytes()[start:].decode(errors="replace"))
+    raise typer.Exit(os.waitstatus_to_exitcode(status))
 
 
 def _start_workers(spec: Path, overrides: Sequence[str]) -> None:

@@ -10,6 +10,7 @@ from __future__ import annotations
 from collections.abc import Callable
 from dataclasses import dataclass, field
 from functools import partial
+from importlib.util import find_spec
 from statistics import median
 from time import perf_counter, process_time
 from typing import TYPE_CHECKING, Any
@@ -19,6 +20,7 @@ import numpy as np
 from ..core import Orchestrator, random_actions
 from ..orchestrator.auto import PROBE_ROUNDS, Measured, choose, cores, process_counts, steps_per_second
 from ..orchestrator.local import Local
+from ..orchestrator.ray import Ray
 from ..registry import load
 from ..report.figures import BoxPlot
 from ..spec.parts import Part, Recipe
@@ -33,6 +35,8 @@ ASYNC_PEER, SYNC_PEER = "gymnasium AsyncVectorEnv", "gymnasium SyncVectorEnv"
 ONE_PROCESS, ONE_THREAD = "1 process", "1 thread"
 WAIT = 2e-3
 """Seconds that a step of the waiting environment takes, as a device or another program would."""
+RAY_WAITS = (3e-4, 1e-3, 3e-3, 1e-2)
+"""Seconds per step of the environments that actors of Ray step."""
 
 
 @dataclass(frozen=True)
@@ -80,6 +84,7 @@ def measure(robot: str = "panda", task: str = "reach", amounts: Amounts | None =
     _add_resets(report, recipe, f"{robot} {task}", layouts, amounts.more_resets, amounts.repeats)
     _add_steps(report, recipe, robot, task, amounts)
     _add_waiting(report, amounts)
+    _add_ray(report, amounts)
     return report
 
 
@@ -221,3 +226,34 @@ def _add_waiting(report: Report, amounts: Amounts) -> None:
         f"Threads speed up environments that wait for a device, a socket or another program: {amounts.threads} threads "
         f"make one that sleeps {1e3 * WAIT:g} ms a step {report.rows[-1].ratio:.1f} times as fast."
     )
+
+
+def _add_ray(report: Report, amounts: Amounts) -> None:
+    """Environments that wait, in one and in two actors of Ray, beside one process of this machine."""
+    if find_spec("ray") is None:
+        report.advice.append("Ray is not installed: environments on other machines are not measured.")
+        return
+    size = 2 * amounts.environments
+
+    def local(wait: float, _: int) -> float:
+        with Local(Local.Settings(processes=1), wait, size=size, build=Waiting) as made:
+            return steps_per_second(made, amounts.seconds)
+
+    def actors(workers: int, wait: float, _: int) -> float:
+        settings = Ray.Settings(workers=workers, environments=size // workers)
+        with Ray(settings, wait, build=Waiting) as made:
+            return steps_per_second(made, amounts.seconds)
+
+    pays: float | None = None
+    for wait in RAY_WAITS:
+        kinds = {0: partial(local, wait), 1: partial(actors, 1, wait), 2: partial(actors, 2, wait)}
+        rates = take_turns(kinds, turns=max(amounts.repeats // 4, 1))
+        case = f"waiting environment ({1e3 * wait:g} ms) x {size}"
+        report.rows.append(beside(NAME, f"{case}, 1 actor of Ray", rates[1], "steps/s", ONE_PROCESS, rates[0]))
+        report.rows.append(beside(NAME, f"{case}, 2 actors of Ray", rates[2], "steps/s", "1 actor of Ray", rates[1]))
+        if pays is None and median(rates[2]) > 1.5 * median(rates[0]):
+            pays = wait
+    steps = (
+        f"up to {1e3 * RAY_WAITS[-1]:g} ms a step are not" if pays is None else f"from {1e3 * pays:g} ms a step on are"
+    )
+    report.advice.append(f"{size} environments {steps} 1.5 times as fast in two actors of Ray as in one process.")

@@ -18,7 +18,18 @@ from ..records.results import TestResult, decode_test
 from ..records.run_records import UNFINISHED, RunSummary
 from ..registry import load
 from ..spec import Spec
-from .events import Listener, RunAdvanced, RunBusy, RunEnded, RunEvent, RunFinalTested, RunStarted, RunTested, RunWarned
+from .events import (
+    Listener,
+    RunAdvanced,
+    RunBusy,
+    RunEnded,
+    RunEvent,
+    RunFinalTested,
+    RunLaunched,
+    RunStarted,
+    RunTested,
+    RunWarned,
+)
 from .resume import find_run
 from .run_index import RunIndex
 from .signals import StopRequest
@@ -198,6 +209,7 @@ class Driver:
         job.read_tests(seed, folder)
         self._active[folder.path.resolve()] = Follower(job, seed, folder, RunIndex(self._url, folder))
         self._launcher.start(folder.path.resolve())
+        self._listener(RunLaunched(folder.id))
 
     def _follow(self, active: Follower, feed: Feed) -> None:
         for event in active.events():

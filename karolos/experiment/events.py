@@ -11,6 +11,13 @@ from ..records.results import TestResult
 
 
 @dataclass(frozen=True)
+class RunLaunched:
+    """A launcher has the run, which waits for its start. Runs of this process do not send it."""
+
+    run: str
+
+
+@dataclass(frozen=True)
 class RunStarted:
     """The run has its folder and begins to build environments and agent."""
 
@@ -83,7 +90,7 @@ class RunEnded:
     traceback: str | None = None
 
 
-RunEvent = RunStarted | RunAdvanced | RunBusy | RunTested | RunFinalTested | RunWarned | RunEnded
+RunEvent = RunLaunched | RunStarted | RunAdvanced | RunBusy | RunTested | RunFinalTested | RunWarned | RunEnded
 Listener = Callable[[RunEvent], None]
 
 

@@ -3,12 +3,13 @@
 from __future__ import annotations
 
 from collections.abc import Mapping
+from contextlib import ExitStack
 from dataclasses import dataclass
 from pathlib import Path
 from typing import Any
 
 from ..errors import RunError, UsageError
-from ..files import remove_temporary_leftovers
+from ..files import FileLock, remove_temporary_leftovers
 from ..orchestrator.auto import cores
 from ..records import RunFolder
 from ..records.archive import remove_unfinished_imports
@@ -111,7 +112,8 @@ class Experiment:
             check: whether to raise an error once all runs have ended, if one failed.
 
         Raises:
-            RunError: a run failed, and `check` is on.
+            RunError: a run failed, and `check` is on. Or another process has seeds of this experiment, and `existing`
+                is not "ignore".
             UsageError: the spec's parts do not fit together.
             MachineError: the runs folder cannot be written.
             StoreError: the database cannot be used.
@@ -130,7 +132,9 @@ class Experiment:
         Store(url).close()  # an unusable database is an error before anything is computed
         listener = listener or (print_progress if progress else lambda _: None)
         spec = pinned(self.spec.alone(), folder)
-        with stop_on_signals(time_limit=time_limit) as stop:
+        with ExitStack() as stack, stop_on_signals(time_limit=time_limit) as stop:
+            for seed in spec.seeds:
+                _claim(folder, spec, seed, existing, stack)
             if is_local and jobs == 1:
                 summaries = _run_here(spec, folder, url, listener, stop, existing=existing, text=text)
             else:
@@ -168,6 +172,26 @@ def resume_run(
         folder.lock()
         summary = execute(folder, url, listener or (lambda _: None), stop, beside=cores() >= 2)
     return Outcome((summary,), 1, stop.exit_code)
+
+
+def _claim(runs: Path, spec: Spec, seed: int, existing: Existing, stack: ExitStack) -> None:
+    """Let no other process run this seed as well, which would be a second copy of its run. Released by the stack.
+
+    Raises:
+        RunError: another process has claimed the seed, and its run is not finished.
+    """
+    lock = FileLock(runs / f".{spec.name}-{spec.hash()[:12]}-s{seed}.lock")
+    if lock.acquire():
+        stack.callback(lock.release)
+        stack.callback(lock.path.unlink, missing_ok=True)
+        return
+    found = find_existing(runs, spec, seed, existing)
+    if existing != "ignore" and (found is None or found.state().state != "finished"):
+        raise RunError(
+            f"another process runs seed {seed}, or has it waiting",
+            where=spec.name,
+            hint="`karolos runs list --watch` shows its runs; wait for it, or stop it first",
+        )
 
 
 def _run_here(

@@ -1,8 +1,7 @@
-"""Runs as tasks of a Ray cluster. This module alone imports Ray; the extra `ray` installs it."""
+"""Runs as tasks of a Ray cluster."""
 
 from __future__ import annotations
 
-import importlib
 import platform
 from pathlib import Path
 from typing import Any, ClassVar
@@ -13,6 +12,7 @@ from typing_extensions import override
 from ..core.launcher import Ended, Launcher
 from ..core.settings import Settings as BaseSettings
 from ..errors import MachineError, UsageError
+from ..orchestrator.ray import connect
 from .local import Worker
 
 _workers: list[Worker] = []
@@ -52,25 +52,16 @@ class Ray(Launcher):
         cpus: int = Setting(default=1, ge=1, description="cores of a run; with two or more, tests run beside training")
         gpus: float = Setting(default=0, ge=0, description="GPUs of a run; a fraction shares one")
         address: str | None = Setting(
-            default=None, description="of the cluster: HOST:PORT, ray://HOST:PORT or auto; null: RAY_ADDRESS, or none"
+            default=None,
+            description="HOST:PORT, ray://HOST:PORT, auto, or local to start one; null: the first there is",
         )
         max_retries: int = Setting(default=3, ge=0, description="how often a run is resumed after its machine was lost")
 
     poll_seconds: ClassVar[float] = 0.5
 
     def __init__(self, settings: Settings, jobs: int | None = None) -> None:
-        try:
-            self._ray: Any = importlib.import_module("ray")
-        except ImportError as error:
-            raise MachineError("Ray is not installed", hint="pip install 'karolos[ray]'") from error
+        self._ray, self._mine = connect(settings.address)
         ray, self._jobs = self._ray, jobs
-        self._mine = not ray.is_initialized()
-        if self._mine:
-            try:
-                ray.init(settings.address, log_to_driver=False, logging_level="ERROR", include_dashboard=None)
-            except (ConnectionError, RuntimeError, TimeoutError, ValueError) as error:
-                what = f"no Ray cluster answers at {settings.address}" if settings.address else "Ray does not start"
-                raise MachineError(f"{what}: {error}".splitlines()[0], hint="`ray status` shows a cluster") from error
         for resource, amount in (("CPU", settings.cpus), ("GPU", settings.gpus)):
             most = max((node["Resources"].get(resource, 0) for node in ray.nodes() if node["Alive"]), default=0)
             if amount > most:

@@ -109,10 +109,13 @@ class Worker:
         self.process.close()  # releases a file descriptor
 
     def error(self, what: str, hint: str) -> WorkerError:
-        """A WorkerError that names the worker and its environments."""
-        ids = self.environments
-        named = f"environments {ids[0]} to {ids[-1]}" if ids.size > 1 else f"environment {ids[0]}"
-        return WorkerError(f"{what}, with {named}", where=self.process.name, hint=hint)
+        return worker_error(what, hint, self.process.name, self.environments)
+
+
+def worker_error(what: str, hint: str, name: str, ids: Ids) -> WorkerError:
+    """A WorkerError that names the worker and its environments."""
+    named = f"environments {ids[0]} to {ids[-1]}" if ids.size > 1 else f"environment {ids[0]}"
+    return WorkerError(f"{what}, with {named}", where=name, hint=hint)
 
 
 def _cause_of_exit(code: int | None) -> tuple[str, str]:

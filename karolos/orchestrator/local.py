@@ -104,15 +104,12 @@ class Local(Orchestrator):
             raise ValueError(f"an orchestrator needs at least one environment, not {self.size}")
         self._layout = _layout(self.size, settings.processes or 1, settings.threads)
         self._settings = settings
-        self._backend: Backend | None
-        if settings.processes:
-            self._backend = WorkerPool(build, recipe, self._layout, settings.time_limit, settings.failures)
-        else:
-            self._backend = InProcess(build, recipe, self.size)
+        backend = self._start(build, recipe)
+        self._backend: Backend | None = backend
         # Close when this object is collected, and at exit before the interpreter waits for its child processes.
-        self._close = weakref.finalize(self, self._backend.close)
+        self._close = weakref.finalize(self, backend.close)
         atexit.register(self._close)
-        self.signature = self._backend.signature
+        self.signature = backend.signature
         self._action_size = self.signature.action.size
         self._busy = np.zeros(self.size, np.bool_)
         self._answered = np.zeros(self.size, np.bool_)
@@ -123,6 +120,13 @@ class Local(Orchestrator):
         self._pending = self._ready = 0
         self._groups: dict[bytes, Group] = {}
         self._all_ids = np.arange(self.size)
+
+    def _start(self, build: Build, recipe: Any) -> Backend:
+        """Start the workers."""
+        settings = self._settings
+        if settings.processes:
+            return WorkerPool(build, recipe, self._layout, settings.time_limit, settings.failures)
+        return InProcess(build, recipe, self.size)
 
     def reset(self, environments: EnvironmentIds, seeds: Sequence[int]) -> None:
         """Begin an episode in each of these environments, with its seed (0 .. 2**64 - 1). Does not wait.

@@ -157,12 +157,7 @@ class WorkerPool(Backend):
             self.signature = signature
             self._memory = SharedBytes(EnvironmentArrays.size(signature, self._size))
             self.arrays = EnvironmentArrays.over(self._memory.buffer, signature, self._size)
-        elif _widths(signature) != _widths(self.signature):
-            error = PluginError(
-                "environments from one recipe have different observations, goals or actions",
-                where="orchestrator",
-                hint="an environment's signature must depend on its settings alone",
-            )
+        elif (error := differing(signature, self.signature)) is not None:
             self._lose(channel.worker, answers, error)
             return
         with suppress(ConnectionError):  # the poller reports a worker that has ended
@@ -202,6 +197,17 @@ class WorkerPool(Backend):
         if self._memory is not None:
             self.arrays = EnvironmentArrays.private(self.signature, 0)  # a traceback may refer to the old arrays
             self._memory.close()
+
+
+def differing(signature: Signature, other: Signature) -> PluginError | None:
+    """The error of environments from one recipe that do not fit in the same arrays; None if they do."""
+    if _widths(signature) == _widths(other):
+        return None
+    return PluginError(
+        "environments from one recipe have different observations, goals or actions",
+        where="orchestrator",
+        hint="an environment's signature must depend on its settings alone",
+    )
 
 
 def _widths(signature: Signature) -> tuple[object, ...]:

@@ -94,7 +94,7 @@ def _serve(where: str, recipe: bytes, channel: Channel, size: int) -> None:
         executor.attach(EnvironmentArrays.over(buffer, signature, size), ids.start)
         while True:
             message = connection.recv_bytes()
-            connection.send_bytes(_execute(executor, message, where))
+            connection.send_bytes(execute(executor, message, where))
 
 
 def packed(command: bytes, ids: NDArray[np.int64]) -> bytes:
@@ -102,7 +102,7 @@ def packed(command: bytes, ids: NDArray[np.int64]) -> bytes:
     return command + ids.astype(np.uint32).tobytes()
 
 
-def _execute(executor: Executor, message: bytes, where: str) -> bytes:
+def execute(executor: Executor, message: bytes, where: str) -> bytes:
     """Run a message's command on each of its environments; returns the answer."""
     command = message[:1]
     errors: list[tuple[int, KarolosError]] = []

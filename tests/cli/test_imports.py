@@ -1,4 +1,4 @@
-"""Commands that only ask the index start fast: what they do not need is not imported."""
+"""Help and commands that only ask the index start fast: what they do not need is not imported."""
 
 from __future__ import annotations
 
@@ -19,6 +19,7 @@ HEAVY = (
     "onnx",
     "optuna",
     "pybullet",
+    "ray",
     "scipy",
     "sqlalchemy.orm",
     "sqlalchemy.dialects.postgresql",
@@ -42,13 +43,14 @@ print("imported:", *[name for name in heavy if name in sys.modules], file=sys.st
 @pytest.mark.parametrize(
     ("command", "more"),
     [
+        ("--help", []),
         ("runs list", []),
         ("runs list agent=sac --json", ["rich"]),
         ("runs list --csv", ["rich"]),
         ("sweeps list", ["rich"]),
     ],
 )
-def test_asking_the_index_imports_nothing_that_is_not_needed(tmp_path: Path, command: str, more: list[str]) -> None:
+def test_help_and_asking_the_index_import_nothing_that_is_not_needed(tmp_path: Path, command: str, more: list[str]) -> None:
     add_run(tmp_path, 0)
     code = CALL.format(heavy=[*HEAVY, *more])
     ended = subprocess.run(

@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import json
 import os
+import re
 import signal
 import subprocess
 import sys
@@ -173,3 +174,22 @@ def test_light_commands_import_neither_torch_nor_pybullet(home, arguments):
     )
     result = subprocess.run([sys.executable, "-c", code, *arguments], capture_output=True, text=True, check=False)
     assert result.stderr.splitlines()[-1] == "[]", result.stderr
+
+
+@pytest.mark.skipif(not hasattr(os, "fork"), reason="detaches as POSIX does")
+def test_a_detached_command_goes_on_and_no_second_copy_is_started_meanwhile(home):
+    refused = karolos("run", "toy.yaml", "unknown=1", "--detach")
+    assert (refused.returncode, "unknown" in refused.stderr) == (2, True)
+    detached = karolos("run", "toy.yaml", "training.steps=1000000", "--detach")
+    assert detached.returncode == 0
+    assert "goes on, with its output in runs/toy.log" in detached.stderr
+    process = int(detached.stderr.split()[1])
+    try:
+        again = karolos("run", "toy.yaml", "training.steps=1000000", "--resume")
+        assert (again.returncode, "another process runs seed 0" in again.stderr) == (1, True)
+    finally:
+        os.kill(process, signal.SIGTERM)
+    until, log = time.monotonic() + 60, home / "runs" / "toy.log"
+    while "s0 stopped" not in (text := re.sub(r"-\d{8}-\d{6}", "", log.read_text())) and time.monotonic() < until:
+        time.sleep(0.05)
+    assert "s0 stopped" in text

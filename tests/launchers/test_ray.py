@@ -1,67 +1,31 @@
-"""Runs on a Ray cluster, of which all machines are processes of this one."""
+"""What the Ray launcher refuses. tests/torture/test_ray_cluster.py has runs on several machines."""
 
 from __future__ import annotations
 
-import sys
-import threading
-import time
-from pathlib import Path
-from typing import Any
+import signal
 
 import pytest
 
 from karolos.errors import MachineError, UsageError
-from karolos.experiment.experiment import Experiment
-from karolos.launchers.ray import Ray
-from karolos.records import RunFolder
-from karolos.store import Store, check
-
-TOY: dict[str, Any] = {
-    "name": "toy",
-    "environment": "toy",
-    "agent": {"name": "sac", "hidden": [8]},
-    "orchestrator": {"processes": 0, "environments": 2},
-    "training": {"steps": 400, "batch_size": 8, "replay_ratio": 4, "warmup_episodes": 2},
-    "testing": {"interval": 100, "episodes": 2},
-}
+from karolos.launchers.ray import Ray, execute
 
 
-def test_without_ray_the_extra_is_named(monkeypatch: pytest.MonkeyPatch) -> None:
-    monkeypatch.setitem(sys.modules, "ray", None)
-    with pytest.raises(MachineError, match=r"Ray is not installed; pip install 'karolos\[ray\]'"):
-        Ray(Ray.Settings())
-
-
-def test_runs_of_two_machines_of_which_one_is_killed_equal_runs_of_this_process(tmp_path: Path) -> None:
+def test_more_cores_than_any_machine_has_are_refused_and_signals_stay_ours() -> None:
     pytest.importorskip("ray")
-    from ray.cluster_utils import Cluster
+    before = signal.getsignal(signal.SIGTERM)
+    with pytest.raises(
+        UsageError, match=r"launcher.cpus: a run needs 999 CPUs, and no machine"
+    ):
+        Ray(Ray.Settings(cpus=999, address="local"))
+    assert signal.getsignal(signal.SIGTERM) is before
 
-    cluster = Cluster(initialize_head=True, head_node_args={"num_cpus": 1})
-    second = cluster.add_node(num_cpus=2)
-    spec = TOY | {"seeds": list(range(6)), "launcher": {"name": "ray", "address": cluster.address}}
 
-    def kill() -> None:
-        until = time.monotonic() + 120
-        while len(list((tmp_path / "ray").glob("*/tests.jsonl"))) < 2 and time.monotonic() < until:
-            time.sleep(0.05)
-        cluster.remove_node(second, allow_graceful=False)
+def test_a_cluster_that_does_not_answer_is_named() -> None:
+    pytest.importorskip("ray")
+    for address in ("127.0.0.1:1", "ray://127.0.0.1:1"):
+        with pytest.raises(MachineError, match=f"no Ray cluster answers at {address}: .* refused"):
+            Ray(Ray.Settings(address=address))
 
-    killer = threading.Thread(target=kill)
-    try:
-        with pytest.raises(UsageError, match="needs 9 CPUs, and no machine of the cluster has more than 2"):
-            Ray(Ray.Settings(cpus=9, address=cluster.address))
-        killer.start()
-        outcome = Experiment(spec).run(tmp_path / "ray", check=False)
-        killer.join()
-    finally:
-        cluster.shutdown()
-    assert [(run.seed, run.state, run.error) for run in outcome.runs] == [(seed, "finished", None) for seed in range(6)]
-    assert len(list((tmp_path / "ray").glob("toy-*"))) == 6
-    with Store(Store.default_url(tmp_path / "ray")) as store:
-        assert list(check(store, tmp_path / "ray")) == []
-    here = Experiment(TOY | {"seeds": list(range(6))}).run(tmp_path / "here")
-    for one, other in zip(outcome.runs, here.runs, strict=True):
-        tests, same = (RunFolder.open(run.folder).tests() for run in (one, other))
-        assert [(test.steps, test.end, test.returns) for test in tests] == [
-            (test.steps, test.end, test.returns) for test in same
-        ]
+
+def test_a_machine_that_does_not_see_the_folder_says_so(tmp_path) -> None:
+    assert "cannot see" in str(execute(str(tmp_path / "runs" / "toy"), 1))

@@ -1,4 +1,4 @@
-"""What every layout of the local orchestrator keeps, with the toy environment."""
+"""What every layout of the local orchestrator keeps, and what Ray's actors keep, with the toy environment."""
 
 import numpy as np
 import pytest
@@ -8,6 +8,7 @@ from karolos.environments.toy import Toy
 from karolos.errors import RunError, WorkerError
 from karolos.orchestrator import start
 from karolos.orchestrator.local import Local
+from karolos.orchestrator.ray import Ray
 from karolos.registry import load
 from karolos.spec.parts import Part, Recipe
 
@@ -29,8 +30,14 @@ def make(name: str, *, size: int | None = SIZE) -> Local:
     return Local(settings, TOY, size=size, build=Toy)
 
 
-@pytest.fixture(params=list(LAYOUTS))
+@pytest.fixture(params=[*LAYOUTS, "ray"])
 def orchestrator(request, monkeypatch):
+    if request.param == "ray":
+        pytest.importorskip("ray")
+        settings = Ray.Settings(workers=2, environments=SIZE // 2, failures=0, address="local")
+        with Ray(settings, TOY, build=Toy) as made:
+            yield made
+        return
     if request.param == "spawned":
         monkeypatch.setattr(start, "START_METHOD", "spawn")
     with make(request.param) as made:
