@@ -50,7 +50,7 @@ print("imported:", *[name for name in heavy if name in sys.modules], file=sys.st
         ("sweeps list", ["rich"]),
     ],
 )
-def test_help_and_asking_the_index_import_nothing_that_is_not_needed(tmp_path: Path, command: str, more: list[str]) -> None:
+def test_help_and_the_index_import_only_what_they_need(tmp_path: Path, command: str, more: list[str]) -> None:
     add_run(tmp_path, 0)
     code = CALL.format(heavy=[*HEAVY, *more])
     ended = subprocess.run(

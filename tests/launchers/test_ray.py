@@ -13,9 +13,7 @@ from karolos.launchers.ray import Ray, execute
 def test_more_cores_than_any_machine_has_are_refused_and_signals_stay_ours() -> None:
     pytest.importorskip("ray")
     before = signal.getsignal(signal.SIGTERM)
-    with pytest.raises(
-        UsageError, match=r"launcher.cpus: a run needs 999 CPUs, and no machine"
-    ):
+    with pytest.raises(UsageError, match=r"launcher.cpus: a run needs 999 CPUs, and no machine"):
         Ray(Ray.Settings(cpus=999, address="local"))
     assert signal.getsignal(signal.SIGTERM) is before
 
