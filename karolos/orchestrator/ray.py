@@ -57,7 +57,8 @@ def connect(address: str | None) -> tuple[Any, bool]:
             what = f"no Ray cluster answers at {address}" if address else "Ray does not start"
             raise MachineError(f"{what}: {error}".splitlines()[0], hint="`ray status` shows a cluster") from error
         # Ray prints errors of its own on stdout, where rows for other programs go.
-        importlib.import_module("ray._private.worker").print_to_stdstream = lambda *_, **__: None
+        printer: Any = importlib.import_module("ray._private.worker")
+        printer.print_to_stdstream = lambda *_, **__: None
         if threading.current_thread() is threading.main_thread():
             signal.signal(signal.SIGTERM, on_terminate)  # Ray's handler would end this process at once
     return ray, is_new
@@ -243,8 +244,8 @@ class Actors(Backend):
             if not hasattr(self, "signature"):
                 self.signature = signature
                 self.arrays = EnvironmentArrays.private(signature, self._bounds[-1])
-            elif (error := differing(signature, self.signature)) is not None:
-                self._lose(worker, answers, error)
+            elif (different := differing(signature, self.signature)) is not None:
+                self._lose(worker, answers, different)
             now = monotonic()  # the time for commands that wait begins
             self._pending |= {
                 one: (worker, sent, now) for one, (who, sent, _) in self._pending.items() if who is worker
