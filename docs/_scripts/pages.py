@@ -27,6 +27,7 @@ from typer.testing import CliRunner
 
 from karolos.comparison import Contender, compare
 from karolos.export import shipped
+from karolos.plugins.inspection import inspect_robot, inspect_task
 from karolos.records import RunFolder, run_records
 from karolos.registry import KINDS, entries, load, singular
 from karolos.report.comparison_figures import learning
@@ -143,17 +144,35 @@ def parts(kind: str) -> str:
         if entry.distribution == "karolos":
             plugin = load(kind, entry.name)
             text += f"## {entry.name}\n\n{_prose(inspect.getdoc(plugin) or '')}\n\n{_settings_table(plugin.Settings)}"
+            text += _facts(kind, entry.name)
+    return text
+
+
+def _facts(kind: str, name: str) -> str:
+    """Tables of `karolos inspect`: joints and gripper of a robot, goals of a task, parameters for randomization."""
+    if kind not in ("robots", "tasks"):
+        return ""
+    found = inspect_robot(name, size=None) if kind == "robots" else inspect_task(name, size=None)
+    text = ""
+    for heading, rows in found.tables.items():
+        if rows and heading != "settings":
+            shown = [
+                [f"{round(cell, 4):g}" if isinstance(cell, float) else cell for cell in row.values()] for row in rows
+            ]
+            text += f"### {name}: {heading}\n\n{table(list(rows[0]), shown)}"
     return text
 
 
 def _prose(doc: str) -> str:
-    """A docstring as Markdown: sections become lists, and nothing in it is HTML."""
-    lines = []
+    """A docstring as Markdown: sections become lists, fixed headings begin a line, and nothing in it is HTML."""
+    lines: list[str] = []
     for line in doc.replace("<", "&lt;").splitlines():
         if line in ("Args:", "Raises:", "Returns:"):
             lines += ["", f"**{line[:-1]}**", ""]
         elif line.startswith("    ") and not line.startswith("     "):
             lines.append(f"* {line.strip()}")
+        elif re.match(r"[A-Z][a-z ]+: ", line) and lines and lines[-1]:
+            lines += ["", line]
         else:
             lines.append(line)
     return "\n".join(lines)

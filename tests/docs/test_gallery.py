@@ -1,0 +1,37 @@
+"""The gallery's pages show what stands in the reference runs."""
+
+from __future__ import annotations
+
+import json
+import re
+import runpy
+import sys
+from pathlib import Path
+
+import pytest
+
+from karolos.records import paths
+
+SCRIPTS = Path(__file__).parents[2] / "docs" / "_scripts"
+
+
+def test_success_in_a_page_is_that_of_the_final_episodes_of_its_runs(
+    tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    monkeypatch.syspath_prepend(SCRIPTS)
+    pages = runpy.run_path(str(SCRIPTS / "pages.py"))
+    written = pages["gallery"](tmp_path)
+    assert len(written) == 13, "an overview and twelve pairs"
+    ends: dict[str, list[float]] = {}
+    for run in paths(sys.modules["references"].REFERENCE):
+        last = json.loads((run / "final.jsonl").read_text().splitlines()[1])
+        ends.setdefault(json.loads((run / "run.json").read_text())["name"], []).append(sum(last["end"]) / 1000)
+    for specs in pages["TASKS"].values():
+        for robot in ("panda", "ur5", "iiwa"):
+            names = [f"{robot}_{spec}" for spec in specs]
+            [page] = [text for text in written.values() if f"\n## {names[0]}\n" in text]
+            for section, name in zip(re.split(r"^## ", page, flags=re.MULTILINE)[1:], names, strict=True):
+                found = ends.get(name)
+                assert ("There is no reference run" in section) == (found is None)
+                assert found is None or f"| {sum(found) / len(found):.3f} " in section
+                assert found is None or " ".join(f"{end:.3f}" for end in found) in section
