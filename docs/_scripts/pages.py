@@ -28,7 +28,9 @@ from typer.testing import CliRunner
 from karolos.comparison import Contender, compare
 from karolos.export import shipped
 from karolos.plugins.inspection import inspect_robot, inspect_task
-from karolos.records import RunFolder, run_records
+from karolos.records import RunFolder, paths, run_records
+from karolos.records.results import TestCounts
+from karolos.records.transfer_results import TransferResult
 from karolos.registry import KINDS, entries, load, singular
 from karolos.report.comparison_figures import learning
 from karolos.report.figures import save
@@ -224,6 +226,7 @@ EXAMPLES = (
     ("diff panda_reach-s0 ur5_reach-s0", "One row per difference."),
     ("plugins list robot", "One row per plugin."),
     ("plugins show buffer priority", "One row per setting."),
+    ("plugins check distribution uniform low=0 high=1", "One row per promise."),
     ("inspect robot panda --width 64 --height 48", "One row with all tables."),
     ("check specs/panda_reach.yaml", "One row per problem or note; without either one row that says so."),
 )
@@ -250,9 +253,20 @@ def json_rows() -> str:
         for command, about in EXAMPLES:
             lines = [line for line in _printed(command, runs, "--json").splitlines() if line.startswith("{")]
             row = json.dumps(_shortened(json.loads(lines[0])), indent=2).replace('"..."', "...")
-            text += f"## karolos {' '.join(command.split()[:2])}\n\n{about} `karolos {command} --json`:\n\n"
-            text += f"```text\n{row.replace(str(scratch), '')}\n```\n\n"
-    return text
+            words = command.split()[: 2 if command.startswith(("runs", "plugins", "inspect")) else 1]
+            text += f"## karolos {' '.join(words)}\n\n{about} `karolos {command} --json`:\n\n"
+            text += f"```text\n{row.replace(f'{scratch}/', '').replace(f'{ROOT}/', '')}\n```\n\n"
+    return text + _fields_of_a_transfer()
+
+
+def _fields_of_a_transfer() -> str:
+    """The names of the fields of `karolos test --json`; no reference run has been tested elsewhere."""
+    final = RunFolder.open(paths(references.REFERENCE)[0]).final()
+    assert final is not None
+    counts = TestCounts.of(final.last)
+    row = TransferResult("", "best", "", (), False, 0, 0.0, final.last, {}, counts).row()
+    names = ", ".join(f"`{name}`" for name in ("run", *row))
+    return f"## karolos test\n\nOne row with the fields {names}. `own` is the same test under the unchanged spec.\n"
 
 
 def _json_type(annotation: str) -> str:
@@ -274,7 +288,7 @@ def _printed(command: str, runs: Path, *options: str) -> str:
 def _shortened(value: Any, longest: int = 3) -> Any:
     """A JSON value whose lists and mappings of many entries are cut."""
     if isinstance(value, dict):
-        kept = list(value.items()) if len(value) <= 40 else list(value.items())[:longest]
+        kept = list(value.items()) if len(value) <= 60 else list(value.items())[:longest]
         return {key: _shortened(one) for key, one in kept} | ({} if len(kept) == len(value) else {"...": "..."})
     if isinstance(value, list) and len(value) > longest:
         return [*(_shortened(one) for one in value[:2]), "..."]
