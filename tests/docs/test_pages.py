@@ -21,8 +21,6 @@ from karolos.spec import load_spec
 
 ROOT = Path(__file__).parents[2]
 DOCS = ROOT / "docs"
-OWN = {"export.md"}
-"""Pages whose code another test runs: test_numpy_policy."""
 RUN = ("sh", "python", "yaml")
 OTHER = ("text", "toml", "{eval-rst}", "{figure}", "{toctree}")
 """Languages of blocks: `text` is output."""
@@ -79,7 +77,7 @@ def shrunk(words: list[str]) -> list[str]:
     return [*words, *TINY, *more]
 
 
-PAGES = [ROOT / "README.md", *sorted(page for page in DOCS.glob("*.md") if page.name not in OWN)]
+PAGES = [ROOT / "README.md", *sorted(DOCS.glob("*.md"))]
 
 
 @pytest.fixture
@@ -130,6 +128,8 @@ def run(command: str, folder: Path, monkeypatch: pytest.MonkeyPatch) -> None:
         monkeypatch.syspath_prepend(place)
         monkeypatch.setenv("PYTHONPATH", str(place))
         registry._installed.cache_clear()
+    elif words[0] == "cd":
+        monkeypatch.chdir(words[1])
     elif words[0] == "karolos":
         code, out, err = call(app, *shrunk(words[1:]))
         assert code == 0, f"{command}\n{out}{err}"
@@ -137,7 +137,7 @@ def run(command: str, folder: Path, monkeypatch: pytest.MonkeyPatch) -> None:
         assert command.startswith(IGNORED), f"a command that nothing runs: {command}"
 
 
-@pytest.mark.parametrize("page", [*PAGES, *(DOCS / name for name in OWN)], ids=lambda page: page.stem)
+@pytest.mark.parametrize("page", PAGES, ids=lambda page: page.stem)
 def test_code_is_marked(page: Path) -> None:
     """Each block says its language. What is not run says why. Indented blocks say neither."""
     text = page.read_text(encoding="utf-8")
@@ -154,7 +154,7 @@ def test_a_newcomer_needs_at_most_three_commands_to_a_trained_arm() -> None:
     assert len(found) <= 3
 
 
-@pytest.mark.parametrize("page", [*PAGES, *(DOCS / name for name in OWN)], ids=lambda page: page.stem)
+@pytest.mark.parametrize("page", PAGES, ids=lambda page: page.stem)
 def test_commands_in_sentences_exist_with_their_options(page: Path) -> None:
     for inline in re.findall(r"`karolos ([^`]+)`", BLOCK.sub("", page.read_text(encoding="utf-8"))):
         command, words = typer.main.get_command(app), inline.replace("|", " ").split()
