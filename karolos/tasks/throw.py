@@ -91,8 +91,7 @@ class Throw(CubeTask):
     Termination: when the cube touches the floor, thrown or put down; truncated after `max_steps`. With probability
     `end_at_release` already when the cube leaves the hand, at the landing that free flight computes; as a parameter of
     domain randomization in training alone. The computed landing is that of an undisturbed flight: a hand that touches
-    the cube again moves the true one by up to a decimetre. `sector` and `share` are parameters too: with targets beyond
-    those of the tests in training, the outermost targets of the tests are ordinary ones.
+    the cube again moves the true one by up to a decimetre.
 
     Reach and furthest throw follow from the speed limits of the joints, see `ThrowPlanner`. Horizontal distances from
     the robot's axis: panda .95 and 2.13 m, ur5 1.06 and 2.39 m, iiwa 1.08 and 1.73 m. Such throws turn the gripper, so
@@ -123,21 +122,14 @@ class Throw(CubeTask):
         self.goal = np.zeros(2, np.float32)
         self.goal_rule = Landing(settings.threshold, dense=settings.reward == "dense")
         self._gravity = GRAVITY
-        self._end_at_release, self._sector, self._share = settings.end_at_release, settings.sector, settings.share
+        self._end_at_release = settings.end_at_release
 
     @property
     def parameters(self) -> Mapping[str, RandomizedParameter]:
-        settings = self.settings
-        return {
-            **super().parameters,
-            "end_at_release": RandomizedParameter(
-                "1", settings.end_at_release, 0.0, 1.0, "probability that an episode ends at the release"
-            ),
-            "sector": RandomizedParameter("degrees", settings.sector, 1.0, 60.0, "of targets, to either side"),
-            "share": RandomizedParameter(
-                "1", settings.share, settings.share, 1.0, "largest distance of a target / furthest throw"
-            ),
-        }
+        probability = RandomizedParameter(
+            "1", self.settings.end_at_release, 0.0, 1.0, "probability that an episode ends at the release"
+        )
+        return {**super().parameters, "end_at_release": probability}
 
     @property
     def max_steps(self) -> int:
@@ -160,14 +152,16 @@ class Throw(CubeTask):
             (max(at - START_RANGE, a), min(at + START_RANGE, b)) for at, a, b in zip(robot.home, low, high, strict=True)
         ]
         self._starts = Box(*zip(*start, strict=True))
+        angle, far = radians(settings.sector), self.furthest
+        self._targets = Box((self.nearest * cos(angle), -far * sin(angle), 0.0), (far, far * sin(angle), 0.0))
 
     def build(self, world: World) -> None:
         super().build(world)
         self._marker = world.marker(self.settings.threshold, GOAL_COLOUR)
 
     def apply(self, world: World, name: str, value: float) -> None:
-        if name in ("end_at_release", "sector", "share"):
-            setattr(self, f"_{name}", value)
+        if name == "end_at_release":
+            self._end_at_release = value
             return
         if name == "gravity":
             self._gravity = value
@@ -179,17 +173,14 @@ class Throw(CubeTask):
         self._flight: Flight | None = None
         self._landing: tuple[float, float] | None = None
         self._status = 0.0
-        angle, far = radians(self._sector), self._share * self.planner.furthest
-        targets = Box((self.nearest * cos(angle), -far * sin(angle), 0.0), (far, far * sin(angle), 0.0))
-        target = sample_position(generator, targets, "the target", self._is_target)
+        target = sample_position(generator, self._targets, "the target", self._is_target)
         self.goal = target[:2].copy()
         self._marker.place((float(target[0]), float(target[1]), 0.0))
         self._ends_at_release = generator.uniform() < self._end_at_release
 
     def _is_target(self, position: FloatArray) -> bool:
         x, y, _ = position.tolist()
-        far = self._share * self.planner.furthest
-        return self.nearest <= hypot(x, y) <= far and degrees(abs(atan2(y, x))) <= self._sector
+        return self.nearest <= hypot(x, y) <= self.furthest and degrees(abs(atan2(y, x))) <= self.settings.sector
 
     def read(self) -> None:
         """Read the cube's state, and whether and where it landed since the last step."""
