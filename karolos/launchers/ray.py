@@ -3,7 +3,9 @@
 from __future__ import annotations
 
 import platform
+import socket
 from pathlib import Path
+from time import monotonic
 from typing import Any, ClassVar
 
 from pydantic import Field as Setting
@@ -15,6 +17,8 @@ from ..errors import MachineError, UsageError
 from ..orchestrator.ray import connect
 from .local import Worker
 
+CHECK_SECONDS, GONE_SECONDS = 5.0, 20.0
+"""Time between two looks whether the cluster is there, and time without it after which it is gone."""
 _workers: list[Worker] = []
 """The process that executes the runs of this Ray worker, one after another."""
 
@@ -75,6 +79,10 @@ class Ray(Launcher):
         self._task = ray.remote(execute).options(**options, retry_exceptions=[ChildProcessError])
         self._cores = settings.cpus
         self._active: dict[Any, Path] = {}
+        through_client = (settings.address or "").startswith("ray://")  # which raises a ConnectionError
+        self._head: str | None = None if through_client else ray.get_runtime_context().gcs_address
+        self._seen = monotonic()
+        """When the head of the cluster last accepted a connection."""
 
     @override
     def room(self, waiting: int) -> int:
@@ -90,6 +98,7 @@ class Ray(Launcher):
         try:
             done, _ = self._ray.wait(list(self._active), timeout=seconds) if self._active else ([], [])
             if not done:
+                self._check_cluster()
                 return None
             folder = self._active.pop(done[0])
             return Ended(folder, self._ray.get(done[0]))
@@ -98,7 +107,27 @@ class Ray(Launcher):
         except (errors.WorkerCrashedError, errors.ObjectLostError, errors.NodeDiedError) as error:
             return Ended(folder, f"its machine or process was lost: {error}".splitlines()[0], died=True)
         except (errors.RaySystemError, ConnectionError) as error:
-            raise MachineError("the Ray cluster is gone", hint="the same command with --resume continues") from error
+            raise self._gone() from error
+
+    def _check_cluster(self) -> None:
+        """Raise a MachineError if the cluster is gone. Ray itself would end this process after a minute."""
+        if self._head is None or monotonic() - self._seen < CHECK_SECONDS:
+            return
+        host, _, port = self._head.rpartition(":")
+        try:
+            socket.create_connection((host, int(port)), CHECK_SECONDS).close()
+            self._seen = monotonic()
+        except OSError as error:
+            if monotonic() - self._seen > GONE_SECONDS:
+                raise self._gone() from error
+
+    def _gone(self) -> MachineError:
+        self._active.clear()  # nothing can be cancelled
+        return MachineError(
+            "the Ray cluster is gone",
+            where=self._head,
+            hint="runs of living machines write checkpoints, and the same command with --resume continues",
+        )
 
     @override
     def close(self, *, kill: bool) -> None:

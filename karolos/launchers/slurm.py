@@ -25,9 +25,9 @@ folder=$(sed -n "$((SLURM_ARRAY_TASK_ID + 1))p" {list})
 run=$!
 trap 'kill -USR1 $run' USR1
 trap 'kill -TERM $run' TERM
-code=129  # a trapped signal ends a wait with such a code
-while [ "$code" -gt 128 ]; do wait $run; code=$?; done
-if [ "$code" = 0 ] && tail -n 1 "$folder/events.jsonl" | grep -q SIGUSR1; then
+while kill -0 $run 2>/dev/null; do wait $run; code=$?; done  # a trapped signal ends a wait
+killed=$((128 + $(kill -l USR1)))  # before the run began
+if [ "$code" = "$killed" ] || {{ [ "$code" = 0 ] && tail -n 1 "$folder/events.jsonl" | grep -q SIGUSR1; }}; then
     scontrol requeue "${{SLURM_ARRAY_JOB_ID}}_$SLURM_ARRAY_TASK_ID"
 fi
 """

@@ -55,7 +55,8 @@ def connect(address: str | None) -> tuple[Any, bool]:
             ray.init(address, log_to_driver=False, logging_level="ERROR", include_dashboard=None)
         except (OSError, RuntimeError, ValueError) as error:
             what = f"no Ray cluster answers at {address}" if address else "Ray does not start"
-            raise MachineError(f"{what}: {error}".splitlines()[0], hint="`ray status` shows a cluster") from error
+            hint = "`ray status` shows a cluster; one with a token needs RAY_AUTH_MODE=token"
+            raise MachineError(f"{what}: {error}".splitlines()[0], hint=hint) from error
         # Ray prints errors of its own on stdout, where rows for other programs go.
         printer: Any = importlib.import_module("ray._private.worker")
         printer.print_to_stdstream = lambda *_, **__: None

@@ -3,6 +3,10 @@
 from __future__ import annotations
 
 import signal
+import sys
+from pathlib import Path
+from types import SimpleNamespace
+from unittest.mock import MagicMock
 
 import pytest
 
@@ -27,3 +31,25 @@ def test_a_cluster_that_does_not_answer_is_named() -> None:
 
 def test_a_machine_that_does_not_see_the_folder_says_so(tmp_path) -> None:
     assert "cannot see" in str(execute(str(tmp_path / "runs" / "toy"), 1))
+
+
+def test_a_cluster_that_is_gone_is_an_error_before_ray_ends_the_process(monkeypatch: pytest.MonkeyPatch) -> None:
+    ray = MagicMock()
+    ray.nodes.return_value = [{"Alive": True, "Resources": {"CPU": 1.0}}]
+    ray.get_runtime_context().gcs_address = "127.0.0.1:1"
+    ray.wait.return_value = ([], [])
+    ray.exceptions = SimpleNamespace(
+        **{
+            f"{name}Error": type(name, (Exception,), {})
+            for name in ("RayTask", "WorkerCrashed", "ObjectLost", "NodeDied")
+        },
+        RaySystemError=OSError,
+    )
+    monkeypatch.setitem(sys.modules, "ray", ray)
+    monkeypatch.setattr("karolos.launchers.ray.CHECK_SECONDS", 0.0)
+    launcher = Ray(Ray.Settings())
+    launcher.start(Path("run"))
+    assert launcher.wait(0.0) is None
+    monkeypatch.setattr("karolos.launchers.ray.GONE_SECONDS", 0.0)
+    with pytest.raises(MachineError, match=r"127\.0\.0\.1:1: the Ray cluster is gone; .* --resume continues"):
+        launcher.wait(0.0)

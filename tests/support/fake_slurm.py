@@ -19,7 +19,9 @@ def start(task: str, script: str) -> None:
     environment = os.environ | {"SLURM_ARRAY_JOB_ID": number, "SLURM_ARRAY_TASK_ID": index}
     with (STATE.parent / f"{task}.out").open("a") as out:
         process = subprocess.Popen(["bash", script], env=environment, stdout=out, stderr=out, start_new_session=True)
-    (STATE / task).write_text(f"{process.pid} {script}")
+    written = STATE.parent / f"{task}.new"
+    written.write_text(f"{process.pid} {script}")
+    written.replace(STATE / task)
 
 
 def is_running(task: Path) -> bool:
