@@ -23,7 +23,7 @@ from ..errors import KarolosError, MachineError
 from .backend import Answers, Backend, Group
 from .channels import worker_error
 from .executor import FAILURES, RESET, Build, Executor, as_karolos_error, pack_errors
-from .local import MAX_ENVIRONMENTS, Limits, Local
+from .local import Limits, Local
 from .pool import BUILD_TIMEOUT, CHECK_INTERVAL, CLOSE_TIMEOUT, differing
 from .shared_memory import EnvironmentArrays
 from .start import pack_recipe
@@ -76,8 +76,8 @@ class Ray(Local):
     """
 
     class Settings(Limits):
-        workers: int = Setting(default=2, ge=1, le=1024, description="actors, spread over the machines of the cluster")
-        environments: int = Setting(default=4, ge=1, le=MAX_ENVIRONMENTS // 1024, description="environments per worker")
+        workers: int = Setting(default=2, ge=1, le=64, description="actors, spread over the machines of the cluster")
+        environments: int = Setting(default=4, ge=1, le=1024, description="environments per worker")
         address: str | None = Setting(
             default=None,
             description="HOST:PORT, ray://HOST:PORT, auto, or local to start one; null: the first there is",

@@ -46,13 +46,16 @@ def slurm(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> Path:
     return state
 
 
-def children(task: Path) -> list[str]:
-    """The processes that a task's script has started."""
+def process_of(task: Path) -> int | None:
+    """The run's process that a task's script has started."""
     try:
         script = task.read_text().split()[0]
-        return Path(f"/proc/{script}/task/{script}/children").read_text().split()
+        for child in Path(f"/proc/{script}/task/{script}/children").read_text().split():
+            if b"karolos_cli" in Path(f"/proc/{child}/cmdline").read_bytes():
+                return int(child)
     except (OSError, IndexError):
-        return []
+        pass  # it has not begun
+    return None
 
 
 @pytest.mark.skipif(sys.platform != "linux", reason="looks for processes in /proc")
@@ -63,9 +66,10 @@ def test_a_run_that_reaches_its_time_limit_is_queued_again_and_equals_an_undistu
 
     def reach_time_limit() -> None:
         until = time.monotonic() + 120
-        while not (found := children(slurm / "1_0")) and time.monotonic() < until:
+        while (process := process_of(slurm / "1_0")) is None and time.monotonic() < until:
             time.sleep(0.02)
-        os.kill(int(found[0]), signal.SIGUSR1)  # which kills it, because it has not begun
+        assert process is not None
+        os.kill(process, signal.SIGUSR1)  # which kills it, because it has not begun
         while not list(runs.glob("toy-s1-*/tests.jsonl")) and time.monotonic() < until:
             time.sleep(0.02)
         os.kill(int((slurm / "1_1").read_text().split()[0]), signal.SIGUSR1)
