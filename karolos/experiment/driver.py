@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 from collections import deque
-from collections.abc import Iterator
+from collections.abc import Iterator, Mapping
 from dataclasses import dataclass, field, replace
 from pathlib import Path
 from typing import Any, Literal
@@ -44,10 +44,12 @@ class Job:
     Args:
         spec: with its seeds.
         together: whether the failure of one run stops the others.
+        known: seed -> finished run that counts for it, whatever its name.
     """
 
     spec: Spec
     together: bool = False
+    known: Mapping[int, RunFolder] = field(default_factory=dict)
     tests: dict[int, dict[int, TestResult]] = field(default_factory=dict)
     """Seed -> steps -> test."""
     steps: dict[int, int] = field(default_factory=dict)
@@ -191,7 +193,7 @@ class Driver:
 
     def _enqueue(self, job: Job) -> None:
         for seed in job.spec.seeds:
-            found = find_existing(self._runs, job.spec, seed, self._existing)
+            found = job.known.get(seed) or find_existing(self._runs, job.spec, seed, self._existing)
             if found is not None and found.state().state == "finished":
                 job.read_tests(seed, found)
                 job.record(found.summary())

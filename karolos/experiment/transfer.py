@@ -23,7 +23,7 @@ from ..evaluation.playing import Score, score
 from ..evaluation.policies import Policy, environment_of, expert_policy, random_policy, signature_of
 from ..evaluation.transfer_test import transfer_test
 from ..files import FileLock, append_lines, read_lines, writing
-from ..records import RunFolder, transfer_results
+from ..records import RunFolder, scan, transfer_results
 from ..records.decode import from_json
 from ..records.transfer_results import TransferResult
 from ..spec import Spec, spec_from_dict, spec_of_variant
@@ -216,7 +216,7 @@ class Matrix:
             self._check_begun(variants, root, resume=resume)
             say(f"{self.spec.name}: {self}")
             driver = Driver(launcher, root, url, listener, existing="resume", text=self._text, retries=1)
-            sources = {label: Job(spec) for label, spec in variants.items()}
+            sources = {label: Job(spec, known=_trained(spec, root, say)) for label, spec in variants.items()}
             driver.run(Feed(*sources.values()), stop)
             for label, job in sources.items():
                 found.sources[label] = _finished(job, found)
@@ -307,6 +307,22 @@ def _finished(job: Job, found: MatrixRuns) -> dict[int, RunFolder]:
         for seed in job.spec.seeds
         if seed in job.summaries and job.summaries[seed].state == "finished"
     }
+
+
+def _trained(spec: Spec, runs: Path, say: Callable[[str], None]) -> dict[int, RunFolder]:
+    """Seed -> finished run of this experiment under another name, for seeds that have none under the variant's."""
+    found: dict[int, RunFolder] = {}
+    experiment = spec.hash()
+    for folder in scan(runs):
+        if isinstance(folder, RunError) or folder.description()["experiment"] != experiment:
+            continue
+        seed, is_finished = folder.description()["seed"], folder.state().state == "finished"
+        if seed not in spec.seeds or not is_finished or CHECKPOINT not in checkpoint.names(folder.checkpoints):
+            continue
+        if seed not in found and find_run(runs, spec.name, experiment, seed) is None:
+            found[seed] = folder
+            say(f"{folder.id} has the settings of {spec.name}: it is not trained again")
+    return found
 
 
 def _require_checkpoint(folder: RunFolder) -> None:

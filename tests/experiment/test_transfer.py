@@ -75,6 +75,20 @@ def test_a_finished_matrix_is_reported_again_without_a_run_or_a_test(undisturbed
     assert numbers(again) == numbers(undisturbed)
 
 
+def test_a_finished_run_of_another_name_with_the_settings_of_a_source_is_not_trained_again(
+    undisturbed: MatrixRuns, tmp_path: Path
+) -> None:
+    runs = tmp_path / "runs"
+    shutil.copytree(undisturbed.folder.parents[1], runs)
+    source = RunFolder.open(runs / undisturbed.sources["fast"][0].id)
+    other = source.path.rename(source.path.with_name(source.path.name.replace("line-fast", "other")))
+    (other / "run.json").write_text((other / "run.json").read_text().replace('"line-fast', '"other'))
+    found, started = run_matrix(runs, resume=True)
+    assert found.sources["fast"][0].id == other.name
+    assert found.sources["fast"][1].id == undisturbed.sources["fast"][1].id
+    assert (found.exit_code, started) == (0, [])
+
+
 def test_a_matrix_killed_in_the_middle_and_resumed_reports_as_an_undisturbed_one(
     undisturbed: MatrixRuns, tmp_path: Path
 ) -> None:
