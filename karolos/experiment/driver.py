@@ -209,7 +209,9 @@ class Driver:
         folder.stop.unlink(missing_ok=True)  # of an earlier process
         write_json(folder.launch, {"versions": provenance.versions(), "source": provenance.source()})
         job.read_tests(seed, folder)
-        self._active[folder.path.resolve()] = Follower(job, seed, folder, RunIndex(self._url, folder))
+        active = Follower(job, seed, folder, RunIndex(self._url, folder))
+        self._active[folder.path.resolve()] = active
+        self._update_index(active)  # on a cluster it may wait for long
         self._launcher.start(folder.path.resolve())
         self._listener(RunLaunched(folder.id))
 

@@ -65,6 +65,16 @@ def test_the_listener_hears_of_a_launched_run_what_it_hears_of_one_in_this_proce
     ]
 
 
+def test_a_run_that_waits_on_a_cluster_stands_in_the_index(tmp_path: Path) -> None:
+    class Waiting(FakeLauncher):
+        def start(self, folder: Path) -> None:
+            with Store(Store.default_url(tmp_path)) as store:
+                assert [(run.run, run.state) for run in store.runs()] == [(folder.name, "created")]
+            super().start(folder)
+
+    drive(tmp_path, Waiting(), Feed(Job(toy())))
+
+
 def test_only_the_driver_indexes_and_the_index_equals_the_folders(tmp_path: Path) -> None:
     job = Job(toy(seeds=[0, 1]))
     drive(tmp_path, FakeLauncher(), Feed(job))
