@@ -69,7 +69,7 @@ class Killer:
 @pytest.mark.skipif(not hasattr(signal, "SIGKILL"), reason="kills as POSIX does")
 def test_a_run_in_lockstep_whose_workers_are_killed_ends_bit_for_bit_like_an_undisturbed_one(tmp_path: Path) -> None:
     spec = LEARNS | {"training": LEARNS["training"] | {"steps": 800}, "testing": {"interval": 400, "episodes": 4}}
-    killer = Killer(interval=150)
+    killer = Killer(interval=50)  # of 800 steps; a fast run is heard of every 200
     (disturbed,) = Experiment(spec).run(tmp_path / "killed", listener=killer).runs
     (undisturbed,) = Experiment(spec).run(tmp_path / "whole").runs
     assert killer.killed >= 3
