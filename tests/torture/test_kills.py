@@ -15,6 +15,7 @@ from typing import Any
 import pytest
 from kill_resume import TOY, differences_of, torture
 
+from karolos.experiment import observer
 from karolos.experiment.events import RunAdvanced, RunWarned
 from karolos.experiment.experiment import Experiment, resume_run
 from karolos.records import RunFolder
@@ -39,6 +40,12 @@ LEARNS: dict[str, Any] = {
     "testing": {"interval": 1000, "episodes": 20},
 }
 """Undisturbed it reaches 1.0 within 1500 steps, in either mode."""
+
+
+@pytest.fixture
+def heard_always(monkeypatch: pytest.MonkeyPatch) -> None:
+    """A run is heard of after each round, however fast it is."""
+    monkeypatch.setattr(observer, "ADVANCE_SECONDS", 0.0)
 
 
 class Killer:
@@ -66,10 +73,11 @@ class Killer:
         self.killed += 1
 
 
+@pytest.mark.usefixtures("heard_always")
 @pytest.mark.skipif(not hasattr(signal, "SIGKILL"), reason="kills as POSIX does")
 def test_a_run_in_lockstep_whose_workers_are_killed_ends_bit_for_bit_like_an_undisturbed_one(tmp_path: Path) -> None:
     spec = LEARNS | {"training": LEARNS["training"] | {"steps": 800}, "testing": {"interval": 400, "episodes": 4}}
-    killer = Killer(interval=50)  # of 800 steps; a fast run is heard of every 200
+    killer = Killer(interval=150)
     (disturbed,) = Experiment(spec).run(tmp_path / "killed", listener=killer).runs
     (undisturbed,) = Experiment(spec).run(tmp_path / "whole").runs
     assert killer.killed >= 3
@@ -78,6 +86,7 @@ def test_a_run_in_lockstep_whose_workers_are_killed_ends_bit_for_bit_like_an_und
     assert differences_of(folder, reference, Store.default_url(tmp_path / "killed")) == []
 
 
+@pytest.mark.usefixtures("heard_always")
 @pytest.mark.skipif(not hasattr(signal, "SIGKILL"), reason="kills as POSIX does")
 @pytest.mark.parametrize("mode", ["lockstep", "async"])
 def test_a_run_whose_workers_are_killed_reaches_what_an_undisturbed_one_reaches(mode: str, tmp_path: Path) -> None:
