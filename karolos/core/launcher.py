@@ -1,4 +1,4 @@
-"""The interface of launchers, which start the processes of runs."""
+"""The interface of launchers, which start the processes of runs and of transfer tests."""
 
 from __future__ import annotations
 
@@ -8,7 +8,7 @@ from pathlib import Path
 from typing import ClassVar, NamedTuple
 
 COMMAND = (sys.executable, "-P", "-m", "karolos_cli", "_run")
-"""The command of a run's process. Its arguments are `--cores`, the number of cores for it, and the run's folder."""
+"""The command of a process. Its arguments are `--cores`, the number of cores, and the folder of a run or a test."""
 
 
 class Ended(NamedTuple):
@@ -29,7 +29,8 @@ class Launcher(ABC):
 
     Runs. A run is a folder that contains everything its process needs. The process is `COMMAND --cores N FOLDER`, or
     COMMAND without a folder, which imports libraries once and executes the folders that come on its stdin. A run that
-    has begun is resumed. All processes see the folder under the same path.
+    has begun is resumed. All processes see the folder under the same path. A test of a policy under other settings is a
+    folder as well, which is executed in the same way; for a launcher the two are equal.
 
     Results. A launcher reports only that a run has ended. Everything else stands in the run's folder: state.json,
     events.jsonl, tests.jsonl and progress.json.

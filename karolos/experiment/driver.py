@@ -207,7 +207,7 @@ class Driver:
         folder = folder or create(self._runs, job.spec, seed, self._text)
         folder.release()
         folder.stop.unlink(missing_ok=True)  # of an earlier process
-        write_json(folder.launch, {"versions": provenance.versions(), "source": provenance.source()})
+        write_json(folder.launch, provenance.software())
         job.read_tests(seed, folder)
         active = Follower(job, seed, folder, RunIndex(self._url, folder))
         self._active[folder.path.resolve()] = active

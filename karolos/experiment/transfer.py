@@ -3,6 +3,7 @@
 The runs are ordinary runs. The run of a variant is a source of policies, and what training from scratch achieves on
 that variant as a target. runs/transfers/<name>/ holds what no run holds:
     baselines.jsonl    success of random actions and of the scripted expert on each variant
+    tests/             what the processes of a launcher need for tests, while they are played
     lock               held by the process of the matrix
 """
 
@@ -17,13 +18,13 @@ from pathlib import Path
 
 from .. import checkpoint
 from ..core import Environment
+from ..core.launcher import Launcher
 from ..core.signature import SAME_LAYOUTS, layout_differences
 from ..errors import RunError, UsageError
 from ..evaluation.playing import Score, score
 from ..evaluation.policies import Policy, environment_of, expert_policy, random_policy, signature_of
-from ..evaluation.transfer_test import transfer_test
 from ..files import FileLock, append_lines, read_lines, writing
-from ..records import RunFolder, scan, transfer_results
+from ..records import RunFolder, scan
 from ..records.decode import from_json
 from ..records.transfer_results import TransferResult
 from ..spec import Spec, spec_from_dict, spec_of_variant
@@ -34,6 +35,7 @@ from .events import Listener
 from .resume import find_run
 from .signals import StopRequest, StopRequestedError, stop_on_signals
 from .start_from import check_agents, pinned
+from .transfer_tests import Request, play_tests
 
 FOLDER = "transfers"
 CHECKPOINT = "best"
@@ -221,7 +223,7 @@ class Matrix:
             for label, job in sources.items():
                 found.sources[label] = _finished(job, found)
             with suppress(StopRequestedError):
-                self._measure(found, stop, say)
+                self._measure(found, launcher, stop, say)
                 tuned = dict(self._fine_tuning(found, root))
                 driver.run(Feed(*tuned.values()), stop)
                 for (pair, _), job in tuned.items():
@@ -250,30 +252,37 @@ class Matrix:
         for folder in finished:
             _require_checkpoint(folder)
 
-    def _measure(self, found: MatrixRuns, stop: StopRequest, say: Callable[[str], None]) -> None:
+    def _measure(self, found: MatrixRuns, launcher: Launcher, stop: StopRequest, say: Callable[[str], None]) -> None:
         """Test the sources on the targets, and measure the baselines. Raises StopRequestedError."""
         stop.check()
-        for runs in found.sources.values():
-            for folder in runs.values():
-                _require_checkpoint(folder)
-        for source, target in self.pairs if "zero_shot" in self.transfer.modes else ():
-            tests = found.zero_shot.setdefault((source, target), {})
+        testing, played = self.spec.testing, dict[Request, TransferResult]()
+        count = testing.final_count or testing.episodes
+        cells: dict[Request, tuple[Pair, int]] = {}
+        for source, target in self.pairs:
             for seed, folder in found.sources[source].items():
-                tests[seed] = self._zero_shot(folder, self.overrides[target], stop)
-                result = tests[seed].result
-                say(f"{source} to {target}, seed {seed}: success end {result.success_end:.3f} of {result.episodes:,}")
+                _require_checkpoint(folder)
+                run, overrides = str(folder.path.resolve()), self.overrides[target]
+                cells[Request(run, CHECKPOINT, overrides, count, testing.final_seed)] = (source, target), seed
+
+        def heard(request: Request, test: TransferResult | None, problem: str | None) -> None:
+            (source, target), seed = cells[request]
+            cell = f"{source} to {target}, seed {seed}"
+            if test is None:
+                found.problems.append(f"the test of {cell}: {problem}")
+                return
+            played[request] = test
+            say(f"{cell}: success end {test.result.success_end:.3f} of {test.result.episodes:,}")
+
+        if "zero_shot" in self.transfer.modes:
+            folder_of = {request: f"{_name(self.spec, *pair)}-s{seed}" for request, (pair, seed) in cells.items()}
+            folders = ((found.folder / "tests" / name, request) for request, name in folder_of.items())
+            play_tests(folders, launcher, stop, heard)
+            for request, (pair, seed) in cells.items():  # in this order, whichever ended first
+                if request in played:
+                    found.zero_shot.setdefault(pair, {})[seed] = played[request]
+            stop.check()
         for label, spec in self.variants.items():
             found.baselines[label] = _baselines(spec, found.folder / "baselines.jsonl", stop)
-
-    def _zero_shot(self, folder: RunFolder, overrides: tuple[str, ...], stop: StopRequest) -> TransferResult:
-        """The test of a source's policy under other settings, from its folder if it was played already."""
-        testing = self.spec.testing
-        sha256 = checkpoint.digest(folder.checkpoints, CHECKPOINT, "agent")
-        wanted = (sha256, overrides, False, testing.final_seed, testing.final_count or testing.episodes)
-        for done in transfer_results.read(folder)[0]:
-            if (done.sha256, done.overrides, done.randomized, done.seed, done.result.episodes) == wanted:
-                return done
-        return transfer_test(folder, overrides, checkpoint=CHECKPOINT, on_round=lambda _: stop.check())
 
     def _fine_tuning(self, found: MatrixRuns, runs: Path) -> Iterator[tuple[tuple[Pair, int], Job]]:
         """A job for each pair and seed with a finished source."""

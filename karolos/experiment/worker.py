@@ -1,4 +1,4 @@
-"""The process of a run, which a launcher has started: it executes runs whose folders exist."""
+"""The process that a launcher has started: it executes the runs, and plays the tests, of folders that exist."""
 
 from __future__ import annotations
 
@@ -21,6 +21,7 @@ from .resume import newest_snapshot
 from .run import Run
 from .run_index import RunIndex
 from .signals import StopRequest, stop_on_signals
+from .transfer_tests import execute_test, is_test
 
 LOCK_SECONDS = 60.0
 """How long a run waits for an earlier process of the run, which writes a checkpoint and ends."""
@@ -49,13 +50,15 @@ def execute(folder: RunFolder, url: str | None, listener: Listener, stop: StopRe
 
 
 def execute_folder(path: Path, cores: int, driver: int | None = None) -> str | None:
-    """Execute the run of a folder that another process follows. Returns why it could not be executed.
+    """Execute the run or the test of a folder that another process follows. Returns why it could not be executed.
 
     Args:
         path: of the folder.
-        cores: number of cores for the run.
-        driver: id of the process with whose end the run stops.
+        cores: number of cores for a run.
+        driver: id of the process with whose end it stops.
     """
+    if is_test(path):
+        return execute_test(path, driver)
     folder = None
     try:
         folder = RunFolder.open(path)
@@ -63,12 +66,8 @@ def execute_folder(path: Path, cores: int, driver: int | None = None) -> str | N
             folder.lock(LOCK_SECONDS)
             launch = read_object(folder.launch) or {}
             launch.pop("problem", None)  # of an earlier process
-            if launch and (differing := provenance.differing(launch)):
-                raise MachineError(
-                    f"{platform.node()} would run other software: {'; '.join(differing)}",
-                    where=folder.id,
-                    hint="install the same on all machines",
-                )
+            if launch:
+                provenance.check_software(launch, folder.id)
             write_json(folder.launch, launch | {"host": platform.node()})
             if folder.state().state != "finished" and not stop.requested:
                 execute(folder, None, _progress_writer(folder), stop, beside=cores >= 2)
@@ -82,7 +81,7 @@ def execute_folder(path: Path, cores: int, driver: int | None = None) -> str | N
 
 
 def serve(cores: int) -> None:
-    """Execute the runs whose folders come on stdin, one a line; answer each on stdout when it has ended.
+    """Execute the runs and tests whose folders come on stdin, one a line; answer each on stdout when it has ended.
 
     The first answer says that libraries are imported. The others are what `execute_folder` returns, as JSON.
     """

@@ -24,8 +24,8 @@ _workers: list[Worker] = []
 
 
 def execute(folder: str, cores: int) -> str | None:
-    """Execute a run in a Ray worker. Returns why it could not be executed."""
-    if not Path(folder, "run.json").is_file():
+    """Execute a run or a test in a Ray worker. Returns why it could not be executed."""
+    if not Path(folder).is_dir():
         return f"{platform.node()} cannot see {folder}; use a runs folder that all machines share under this path"
     if not _workers:
         _workers.append(Worker(cores))

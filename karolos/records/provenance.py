@@ -17,6 +17,8 @@ from importlib.util import find_spec
 from pathlib import Path
 from typing import Any
 
+from ..errors import MachineError
+
 GIT_SECONDS = 10.0
 """Time limit of one call of git; the run goes on without its answer."""
 DIFF_BYTES = 1_000_000
@@ -88,12 +90,24 @@ def source() -> str:
     return digest.hexdigest()
 
 
-def differing(launched: Mapping[str, Any]) -> list[str]:
-    """How the software of this process differs from that of the process that launched it (`versions` and `source`)."""
+def software() -> dict[str, Any]:
+    """`versions` and `source` of this process."""
+    return {"versions": versions(), "source": source()}
+
+
+def check_software(launched: Mapping[str, Any], where: str) -> None:
+    """Raise a MachineError if this process has other software than the one that launched it, see `software`."""
     other, own = launched.get("versions", {}), versions()
     names = [name for name in sorted({*other, *own}) if other.get(name) != own.get(name)]
     found = [f"{name} is {own.get(name, 'missing')} here and {other.get(name, 'missing')} there" for name in names]
-    return found or (["the source of karolos or a plugin is another one"] if launched.get("source") != source() else [])
+    if not found and launched.get("source") != source():
+        found = ["the source of karolos or a plugin is another one"]
+    if found:
+        raise MachineError(
+            f"{platform.node()} would run other software: {'; '.join(found)}",
+            where=where,
+            hint="install the same on all machines",
+        )
 
 
 def kind_of_machine() -> str:

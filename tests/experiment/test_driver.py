@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import json
 import platform
+from importlib.metadata import version
 from pathlib import Path
 from typing import Any
 
@@ -130,10 +131,10 @@ def test_a_process_that_refuses_to_resume_a_stopped_run_says_why(
     stopped: Path, monkeypatch: pytest.MonkeyPatch, blind: bool
 ) -> None:
     job, launcher = Job(toy()), FakeLauncher(blind=blind)
-    monkeypatch.setattr(provenance, "differing", lambda _: ["torch is 1.0 here"])
+    monkeypatch.setattr(provenance, "software", lambda: {"versions": provenance.versions() | {"torch": "1.0"}})
     events = drive(stopped, launcher, Feed(job), existing="resume", retries=3)
     assert len(launcher.started) == 1, "it would refuse again"
-    assert "would run other software: torch is 1.0 here" in (job.error or "")
+    assert f"would run other software: torch is {version('torch')} here and 1.0 there" in (job.error or "")
     assert [event.error for event in events if isinstance(event, RunEnded)] == [job.error]
     monkeypatch.undo()
     drive(stopped, FakeLauncher(blind=blind), Feed(job := Job(toy())), existing="resume")

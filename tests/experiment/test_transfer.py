@@ -11,12 +11,14 @@ import time
 from pathlib import Path
 
 import pytest
+from support.fake_launcher import FakeLauncher
 from support.transfer_samples import LINE, line, run_matrix
 
 from karolos.comparison.transfer import transfer_report
 from karolos.errors import RunError, SpecError, UsageError
 from karolos.experiment.transfer import Matrix, MatrixRuns
-from karolos.records import RunFolder, transfer_results
+from karolos.experiment.transfer_tests import STOP
+from karolos.records import RunFolder, provenance, transfer_results
 from karolos.spec import load_spec, spec_from_dict
 from karolos.store import Store, check
 
@@ -109,6 +111,56 @@ def test_a_matrix_killed_in_the_middle_and_resumed_reports_as_an_undisturbed_one
     assert started in (["line-fast-to-slow", *["line-slow-to-fast"] * 2], ["line-slow-to-fast"] * 2)
     assert numbers(found) == numbers(undisturbed)
     assert len(list((tmp_path / "runs").glob("*/run.json"))) == 8
+
+
+@pytest.mark.parametrize("blind", [False, True])
+def test_a_test_whose_process_died_is_played_again_once(undisturbed: MatrixRuns, tmp_path: Path, blind: bool) -> None:
+    runs = shutil.copytree(undisturbed.folder.parents[1], tmp_path / "runs")
+    for seed in (0, 1):
+        (RunFolder.open(runs / undisturbed.sources["fast"][seed].id).path / transfer_results.FILE).unlink()
+    launcher = FakeLauncher(True, True, False, blind=blind)
+    found, started = run_matrix(runs, resume=True, launcher=launcher)
+    assert started == ["(line-fast-to-slow)"] * 3
+    assert [folder.name for folder in launcher.started] == [f"line-fast-to-slow-s{seed}" for seed in (0, 0, 1)]
+    assert found.problems == ["the test of fast to slow, seed 0: its process died"]
+    assert (list(found.zero_shot["fast", "slow"]), found.exit_code) == ([1], 1)
+    assert not (found.folder / "tests").exists()
+    found, started = run_matrix(runs, resume=True, launcher=FakeLauncher(blind=blind))
+    assert (started, found.exit_code) == (["(line-fast-to-slow)"], 0)
+    assert numbers(found) == numbers(undisturbed)
+
+
+def test_a_test_that_cannot_be_played_says_why(undisturbed: MatrixRuns, tmp_path: Path) -> None:
+    runs = shutil.copytree(undisturbed.folder.parents[1], tmp_path / "runs")
+    (RunFolder.open(runs / undisturbed.sources["slow"][0].id).path / transfer_results.FILE).unlink()
+    with pytest.MonkeyPatch.context() as patch:
+        patch.setattr(provenance, "software", lambda: {"versions": provenance.versions(), "source": "0"})
+        found, started = run_matrix(runs, resume=True, launcher=FakeLauncher(blind=True))
+    assert started == ["(line-slow-to-fast)"]
+    (problem,) = found.problems
+    assert problem.startswith("the test of slow to fast, seed 0: ")
+    assert "the source of karolos or a plugin is another one" in problem
+
+
+def test_a_stop_breaks_tests_off_and_nothing_is_written(undisturbed: MatrixRuns, tmp_path: Path) -> None:
+    runs = shutil.copytree(undisturbed.folder.parents[1], tmp_path / "runs")
+    results = [
+        RunFolder.open(runs / one.id).path / transfer_results.FILE for one in undisturbed.sources["fast"].values()
+    ]
+    for path in results:
+        path.unlink()
+
+    class Stopping(FakeLauncher):
+        def start(self, folder: Path) -> None:
+            (folder / STOP).write_text("stopped")
+            super().start(folder)
+            os.kill(os.getpid(), signal.SIGTERM)
+
+    found, started = run_matrix(runs, resume=True, launcher=Stopping())
+    assert (started, found.exit_code, found.problems) == (["(line-fast-to-slow)"], 143, [])
+    assert not any(path.exists() for path in results)
+    found, _ = run_matrix(runs, resume=True)
+    assert numbers(found) == numbers(undisturbed)
 
 
 def test_a_source_without_its_checkpoint_is_named_before_anything_runs(undisturbed: MatrixRuns, tmp_path: Path) -> None:

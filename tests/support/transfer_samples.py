@@ -32,10 +32,13 @@ def line(*overrides: str) -> Spec:
     return spec_from_dict(LINE, overrides)
 
 
-def run_matrix(runs: Path, *overrides: str, resume: bool = False) -> tuple[MatrixRuns, list[str]]:
-    """The matrix executed in this process; also the names of the runs that were started."""
-    launcher = FakeLauncher()
+def run_matrix(
+    runs: Path, *overrides: str, resume: bool = False, launcher: FakeLauncher | None = None
+) -> tuple[MatrixRuns, list[str]]:
+    """The matrix executed in this process; also the names of the runs, and of tests in brackets, that were started."""
+    launcher = launcher or FakeLauncher()
     with pytest.MonkeyPatch.context() as patch:
         patch.setattr("karolos.experiment.transfer.make_launcher", lambda *_: launcher)
         found = Matrix(line(*overrides)).run(runs, resume=resume)
-    return found, [folder.name.rpartition("-s")[0] for folder in launcher.started]
+    names = [(folder.name.rpartition("-s")[0], folder.parent.name == "tests") for folder in launcher.started]
+    return found, [f"({name})" if is_test else name for name, is_test in names]
