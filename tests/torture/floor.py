@@ -1,6 +1,6 @@
 """How deep policies that press, squeeze and strike bring the cube into the floor, and how fast it leaves the tool.
 
-    python tests/torture/floor.py --episodes 100
+    python tests/torture/floor.py --episodes 100 --engine bullet
 
 plays each policy with each pair of a robot and a task. A cube may be 5 mm deep, and while it falls also the distance
 that it falls in one physics step: contacts are found at the end of a step. It exits with 1 when a cube was deeper or
@@ -14,13 +14,14 @@ from __future__ import annotations
 import argparse
 import sys
 from collections.abc import Callable
-from typing import Any, NamedTuple
+from typing import Any, NamedTuple, get_args
 
 import numpy as np
 
 from karolos.core import Array
 from karolos.environments.robot_task import TIMESTEP, RobotTask
 from karolos.registry import load, names
+from karolos.simulation.engines import Engine
 
 DEEPEST = 0.005
 Policy = Callable[[RobotTask, int, np.random.Generator], Array]
@@ -93,8 +94,8 @@ class ToolSpeed:
         self._set_targets = robot._motors.substep
         robot._motors.substep = self._substep
 
-    def _substep(self, step: int) -> None:
-        self._set_targets(step)
+    def _substep(self, step: int, *of_engine: Any) -> None:
+        self._set_targets(step, *of_engine)
         robot = self._robot
         positions, velocities, *_ = zip(*robot.body.joints(range(robot.chain.size)), strict=True)
         speeds = [robot.chain.velocity(robot.forward(positions), velocities)]
@@ -146,13 +147,16 @@ def main() -> int:
     parser = argparse.ArgumentParser(description=__doc__)
     parser.add_argument("--episodes", type=int, default=100)
     parser.add_argument("--robots", nargs="*", default=names("robots"))
+    parser.add_argument("--engine", choices=get_args(Engine), default="bullet")
     arguments = parser.parse_args()
     failed = False
     for robot in arguments.robots:
         for task in names("tasks"):
             robot_class, task_class = load("robots", robot), load("tasks", task)
             environment = RobotTask(
-                RobotTask.Settings(), robot=robot_class(robot_class.Settings()), task=task_class(task_class.Settings())
+                RobotTask.Settings(engine=arguments.engine),
+                robot=robot_class(robot_class.Settings()),
+                task=task_class(task_class.Settings()),
             )
             for name, policy in POLICIES.items():
                 if task == "reach" and name in {"press", "sweep", "squeeze"}:
