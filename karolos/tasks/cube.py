@@ -40,6 +40,14 @@ class CubeSettings(BaseSettings):
     object_friction: float = Setting(1.0, ge=0, le=5, description="lateral friction coefficient of the cube")
 
 
+class NearSettings(CubeSettings):
+    """Settings of tasks whose episodes may start near the cube."""
+
+    start_near: float = Setting(
+        0.0, ge=0, le=1, description="probability that an episode starts with the gripper near the cube"
+    )
+
+
 class Cube:
     """A cube of a world: built once, placed at a reset, read after each step."""
 
@@ -69,10 +77,19 @@ class Cube:
         """
         if robot.gripper is None:
             raise PluginError("this robot has no gripper", where=type(robot).__name__, hint="a cube cannot be held")
+        self.place_with_tool(robot, position, position, 2 * self.half / robot.gripper.width, closing=True)
+
+    def place_with_tool(
+        self, robot: RobotView, position: Sequence[float], tool: Vector, opening: float, *, closing: bool = False
+    ) -> None:
+        """During a reset: put the cube there at rest, and the tool near it, with the gripper opened so far (0 to 1).
+
+        Raises PluginError where the tool cannot be there.
+        """
         # contacts of the previous episode's grip would warm-start the solver: the same episode would differ
         self.body.place((0.0, 0.0, LOST_DISTANCE))
         self._world.update_contacts()
-        robot.place_tool(position, 2 * self.half / robot.gripper.width, closing=True)
+        robot.place_tool(tool, opening, closing=closing)
         self.place(position, aligned(robot))
 
     def read(self) -> None:
@@ -162,6 +179,34 @@ class CubeTask(Task):
 
     def lost(self) -> bool:
         return self.cube.lost
+
+
+class NearTask(CubeTask):
+    """The part that tasks share whose episodes may start near the cube.
+
+    As a parameter of domain randomization `start_near` does so in training alone. There episodes begin at what an agent
+    has to learn, which it otherwise rarely meets (Florensa et al. 2017, Reverse Curriculum Generation).
+    """
+
+    settings: NearSettings
+
+    def build(self, world: World) -> None:
+        super().build(world)
+        self._start_near = self.settings.start_near
+
+    @property
+    def parameters(self) -> Mapping[str, RandomizedParameter]:
+        description = "probability that the gripper starts near the cube"
+        return {
+            **super().parameters,
+            "start_near": RandomizedParameter("1", self.settings.start_near, 0.0, 1.0, description),
+        }
+
+    def apply(self, world: World, name: str, value: float) -> None:
+        if name == "start_near":
+            self._start_near = value
+        else:
+            super().apply(world, name, value)
 
 
 def check_gripper(robot: RobotView, task: str, size: float) -> Gripper:

@@ -14,7 +14,7 @@ from ..core.seeding import Generator
 from ..randomization.randomization import RandomizedParameter
 from ..simulation.geometry import Vector
 from ..simulation.interface import Box, Expert, RobotView, World
-from .cube import CubeSettings, CubeTask, aligned, braking, check_gripper, drift, ground
+from .cube import NearSettings, NearTask, aligned, braking, check_gripper, drift, ground
 from .point_goal import PointGoal, PointGoalSettings, PointGoalTask, sample_position
 
 HEIGHT = 0.2
@@ -62,13 +62,14 @@ class StagedPick(PointGoal):
         return super().distance(achieved[..., :3], desired)
 
 
-class PickPlace(PointGoalTask, CubeTask):
+class PickPlace(PointGoalTask, NearTask):
     """What to do: grasp the cube and bring it to the goal, held by friction alone.
 
     What is randomised: cube and goal, uniformly in a square of .3 m in the middle of the workspace (`goals: workspace`:
     in all of it); 30 % of the goals lie on the floor, 70 % in the air up to .2 m; the cube is never at the goal at the
     start. With probability `start_grasped` an episode begins with the cube in the gripper; as a parameter of domain
-    randomization it does so in training alone, as half of the episodes in Andrychowicz et al. 2017.
+    randomization it does so in training alone, as half of the episodes in Andrychowicz et al. 2017. Of the others, with
+    probability `start_near` an episode begins with the open gripper around the cube or at most 8 cm above it.
 
     Observation: object_position (3, m), object_rotation (6, two columns of its matrix), object_velocity (3, m/s),
     object_angular_velocity (3, rad/s), object_from_tool (3, m).
@@ -80,7 +81,7 @@ class PickPlace(PointGoalTask, CubeTask):
     Termination: never; the episode is truncated after `max_steps`.
     """
 
-    class Settings(PointGoalSettings, CubeSettings):
+    class Settings(PointGoalSettings, NearSettings):
         reward: Literal["sparse", "dense"] = Setting("sparse", description="-1 until there, or staged in [-1, 0]")
         start_grasped: float = Setting(
             0.0, ge=0, le=1, description="probability that an episode starts with the cube in the gripper"
@@ -121,9 +122,14 @@ class PickPlace(PointGoalTask, CubeTask):
             super().apply(world, name, value)
 
     def reset(self, generator: Generator) -> None:
-        self.cube.place(sample_position(generator, self.ground, "the cube").tolist(), aligned(self._robot))
-        if generator.uniform() < self._start_grasped:
-            self.cube.put_in_gripper(self._robot, self.cube.position)
+        robot, (x, y, z) = self._robot, sample_position(generator, self.ground, "the cube").tolist()
+        grasped, start = self._start_grasped, generator.uniform()
+        if start < grasped:
+            self.cube.put_in_gripper(robot, (x, y, z))
+        elif start < grasped + (1 - grasped) * self._start_near:
+            self.cube.place_with_tool(robot, (x, y, z), (x, y, z + generator.uniform(GRIP_HEIGHT, ABOVE)), 1.0)
+        else:
+            self.cube.place((x, y, z), aligned(robot))
         self._sample_goal(generator, self.air if generator.uniform() < AIR_PROBABILITY else self.ground)
 
     def achieved(self) -> FloatArray:

@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from math import hypot
+from math import cos, hypot, pi, sin
 
 import numpy as np
 
@@ -10,18 +10,21 @@ from ..core import Field, FloatArray, Layout
 from ..core.seeding import Generator
 from ..simulation.geometry import Vector
 from ..simulation.interface import Expert, RobotView
-from .cube import LOST_DISTANCE, CubeSettings, CubeTask, aligned, braking, drift, ground
+from .cube import LOST_DISTANCE, NearSettings, NearTask, aligned, braking, drift, ground
 from .point_goal import PointGoalSettings, PointGoalTask, sample_position
 
 ROOM = 0.03
 """m between the side of the cube and the edge of the workspace, room for the gripper behind the cube."""
+NEAR = (0.055, 0.1)
+"""m between the centres of cube and tool at a start near the cube."""
 
 
-class Push(PointGoalTask, CubeTask):
+class Push(PointGoalTask, NearTask):
     """What to do: slide the cube to the goal on the floor and leave it there. The gripper stays closed.
 
     What is randomised: cube and goal, uniformly in a square of .3 m in the middle of the workspace (`goals: workspace`:
-    in all of it), at least 3 cm from its edges; the cube is never at the goal at the start.
+    in all of it), at least 3 cm from its edges; the cube is never at the goal at the start. With probability
+    `start_near` an episode begins with the gripper on the floor, 5.5 to 10 cm from the cube in any direction.
 
     Observation: object_position (3, m), object_rotation (6, two columns of its matrix), object_velocity (3, m/s),
     object_angular_velocity (3, rad/s), object_from_tool (3, m).
@@ -32,8 +35,8 @@ class Push(PointGoalTask, CubeTask):
     Termination: never; the episode is truncated after `max_steps`.
     """
 
-    class Settings(PointGoalSettings, CubeSettings):
-        """The settings of a point goal and of a cube."""
+    class Settings(PointGoalSettings, NearSettings):
+        """The settings of a point goal, of a cube, and of starts near it."""
 
     settings: Settings
     uses_gripper = False
@@ -47,8 +50,22 @@ class Push(PointGoalTask, CubeTask):
         self._fit_goal(self.ground, span=LOST_DISTANCE + 2 * robot.workspace.diagonal)
 
     def reset(self, generator: Generator) -> None:
-        self.cube.place(sample_position(generator, self.ground, "the cube").tolist(), aligned(self._robot))
+        position: Vector = tuple(sample_position(generator, self.ground, "the cube").tolist())
+        if generator.uniform() < self._start_near:
+            self.cube.place_with_tool(self._robot, position, self._near(position, generator), 0.0)
+        else:
+            self.cube.place(position, aligned(self._robot))
         self._sample_goal(generator, self.ground)
+
+    def _near(self, cube: Vector, generator: Generator) -> Vector:
+        """A random position of the tool on the floor, within the workspace, at which it does not touch the cube."""
+        (x, y, _), box = cube, self._robot.workspace
+        angle, distance = generator.uniform(-pi, pi), generator.uniform(*NEAR)
+        return (
+            min(max(x + distance * cos(angle), box.low[0]), box.high[0]),
+            min(max(y + distance * sin(angle), box.low[1]), box.high[1]),
+            box.low[2] + CLEARANCE,
+        )
 
     def achieved(self) -> FloatArray:
         return np.array(self.cube.position, np.float32)

@@ -80,6 +80,42 @@ def test_a_cube_that_starts_grasped_is_in_the_hand_and_is_lifted_with_it():
     assert apart < 0.02
 
 
+@pytest.mark.parametrize("robot", ["panda", "ur5", "iiwa"])
+@pytest.mark.parametrize(("task", "closest", "furthest"), [("push", 0.055, 0.1), ("pick_place", 0.006, 0.08)])
+def test_an_episode_that_starts_near_the_cube_does_not_touch_it(
+    robot: str, task: str, closest: float, furthest: float
+) -> None:
+    environment = made(task, robot, start_near=1.0)
+    tool, rest = environment.signature.observation.slice("tool_position"), np.zeros(environment.signature.action.size)
+    rest[3:] = 1.0  # an open gripper stays open
+    for seed in range(20):
+        start = environment.reset(seed)
+        distance = np.linalg.norm(start.achieved_goal[:3] - start.observation[tool])
+        assert closest - 0.002 < distance < furthest + 0.002
+        for _ in range(5):
+            step = environment.step(rest)
+        assert np.linalg.norm(step.achieved_goal[:3] - start.achieved_goal[:3]) < 1e-4
+        assert np.linalg.norm(step.observation[tool] - start.observation[tool]) < 0.002
+    again = environment.reset(19)
+    assert again.observation.tolist() == environment.reset(19).observation.tolist() == start.observation.tolist()
+    environment.close()
+
+
+@pytest.mark.parametrize(("grasped", "near", "expected"), [(0.0, 0.4, 0.4), (0.5, 0.4, 0.2), (1.0, 1.0, 0.0)])
+def test_start_near_is_the_share_of_the_episodes_that_do_not_start_grasped(
+    grasped: float, near: float, expected: float
+) -> None:
+    environment = made("pick_place", start_grasped=grasped, start_near=near)
+    opening = environment.signature.observation.slice("gripper_opening")
+    tool = environment.signature.observation.slice("tool_position")
+    starts = [environment.reset(seed) for seed in range(200)]
+    held = [start.observation[opening][0] < 0.6 for start in starts]
+    close = [np.linalg.norm((start.achieved_goal[:3] - start.observation[tool])[:2]) < 0.01 for start in starts]
+    assert np.mean(held) == pytest.approx(grasped, abs=0.08)
+    assert np.mean(close) - np.mean(held) == pytest.approx(expected, abs=0.08)
+    environment.close()
+
+
 def test_a_cube_wider_than_the_gripper_is_refused():
     with pytest.raises(KarolosError, match="does not go into the gripper"):
         made("pick_place", object_size=0.15)
