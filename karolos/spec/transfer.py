@@ -15,7 +15,7 @@ LABEL = r"^[A-Za-z0-9][A-Za-z0-9._-]{0,23}$"
 """Names of variants are parts of run folders."""
 VARIABLE = ("robot", "task", "environment")
 """Keys of a spec below which variants differ."""
-TUNABLE = ("agent", "buffer", "demonstrations", "training", "testing.interval")
+TUNABLE = ("agent", "buffer", "demonstrations", "training", "testing.interval", "testing.final_episodes")
 """Keys of a spec below which fine-tuning differs from training from scratch."""
 
 
