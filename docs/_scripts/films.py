@@ -24,8 +24,8 @@ FILMS = ROOT / "docs" / "films"
 SIZE = (288, 216)
 SCALE = 2
 """Pictures are drawn larger and made smaller, which smooths edges."""
-EVERY, HOLD, EPISODES, COLOURS = 2, 8, 2, 96
-"""Control steps per picture, pictures of the end of an episode, episodes, colours."""
+RATE, HOLD, EPISODES, COLOURS = 12, 8, 2, 96
+"""Pictures per second, pictures of the end of an episode, episodes, colours."""
 
 
 def specs() -> list[str]:
@@ -55,10 +55,10 @@ def make(name: str) -> Path:
         spec = load_spec(ROOT / "specs" / f"{name}.yaml")
         environment, policy = load_expert(spec, window=False)
         comment = "expert"
-    pictures = []
+    pictures, every = [], round(environment.rate / RATE)
     try:
         for moment in play(environment, policy, episodes=EPISODES, seed=spec.testing.seed):
-            if moment.step % EVERY and not moment.over:
+            if moment.step % every and not moment.over:
                 continue
             large = Image.fromarray(environment.render(SCALE * SIZE[0], SCALE * SIZE[1]))
             small = np.asarray(large.resize(SIZE, Image.Resampling.LANCZOS))
@@ -71,7 +71,7 @@ def make(name: str) -> Path:
     frames = [picture.quantize(palette=palette, dither=Image.Dither.NONE) for picture in pictures]
     FILMS.mkdir(exist_ok=True)
     film = FILMS / f"{name}.gif"
-    milliseconds = round(1000 * EVERY / environment.rate)
+    milliseconds = round(1000 * every / environment.rate)
     frames[0].save(film, save_all=True, append_images=frames[1:], duration=milliseconds, loop=0, comment=comment)
     return film
 
