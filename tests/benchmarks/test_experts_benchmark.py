@@ -11,7 +11,7 @@ from karolos.evaluation.testing import test_seeds as episode_seeds
 from karolos.plugins.inspection import pair
 from karolos.registry import names
 
-EPISODES, SEED = 60, 3
+EPISODES, SEED = 60, 0
 """In one of these episodes the Panda's expert misses."""
 
 
