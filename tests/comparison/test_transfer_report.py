@@ -77,7 +77,7 @@ def test_rows_are_json_with_wilson_intervals_of_each_run_and_the_cost_of_the_sou
 def test_zero_shot_alone_needs_no_fine_tuning(tmp_path_factory: pytest.TempPathFactory) -> None:
     overrides = ["transfer.modes=[zero_shot]", "transfer.fine_tune=null", "seeds=[0]", "training.steps=40"]
     runs, started = run_matrix(tmp_path_factory.mktemp("runs"), *overrides)
-    assert started == ["line-fast", "line-slow"]
+    assert started == ["line-fast", "line-slow", "(line-fast-to-slow)", "(line-slow-to-fast)"]
     found = transfer_report(runs)
     assert {one.zero_shot.kind for one in found.cells if one.zero_shot} == {"wilson"}
     assert matrix_table(found, "zero_shot").columns == ["from", "to fast", "to slow"]

@@ -21,7 +21,7 @@ from ..picture import Eye, Marker, draw
 from .body import Body
 from .motors import Motors
 from .renderer import Renderer
-from .simulation import CONTACT_IMPEDANCE, Simulation
+from .simulation import CONTACT_IMPEDANCE, OBJECT_IMPEDANCE, Simulation
 
 
 class World:
@@ -255,7 +255,7 @@ class World:
                 geomname2=opposite,
                 condim=3,
                 solref=self._simulation.stiff,
-                solimp=CONTACT_IMPEDANCE,
+                solimp=OBJECT_IMPEDANCE if one.free or other.free else CONTACT_IMPEDANCE,
             )
 
 
