@@ -21,8 +21,8 @@ app = Typer()
 app.command()(play)
 
 
-def test_a_reaching_a_pushing_and_a_picking_arm_ship() -> None:
-    assert {"panda_reach", "panda_push", "panda_pick"} <= set(shipped_names())
+def test_an_arm_ships_for_every_task() -> None:
+    assert {"panda_reach", "panda_push", "panda_pick", "panda_throw"} <= set(shipped_names())
 
 
 @pytest.mark.parametrize("name", shipped_names())
