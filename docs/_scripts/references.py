@@ -76,7 +76,7 @@ def faults(folder: RunFolder) -> Iterator[str]:
         path, changed = command(folder)
         if spec_from_dict(record.spec).hash() != shipped_hash(path, changed):
             yield "its spec is not the one that ships"
-        if changed and _is_shipped(record.summary.name):
+        if _is_shipped(record.summary.name) and shipped_hash(path, changed) != shipped_hash(path, ()):
             yield f"its settings are changed, but it is called {record.summary.name}"
     except KarolosError as error:
         yield f"its spec is not the one that ships: {error}"
