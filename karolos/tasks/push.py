@@ -15,7 +15,7 @@ from .point_goal import PointGoalSettings, PointGoalTask, sample_position
 
 ROOM = 0.03
 """m between the side of the cube and the edge of the workspace, room for the gripper behind the cube."""
-NEAR = (0.055, 0.1)
+NEAR = (0.055, 0.2)
 """m between the centres of cube and tool at a start near the cube."""
 
 
@@ -24,7 +24,7 @@ class Push(PointGoalTask, NearTask):
 
     What is randomised: cube and goal, uniformly in a square of .3 m in the middle of the workspace (`goals: workspace`:
     in all of it), at least 3 cm from its edges; the cube is never at the goal at the start. With probability
-    `start_near` an episode begins with the gripper on the floor, 5.5 to 10 cm from the cube in any direction.
+    `start_near` an episode begins with the gripper on the floor, 5.5 to 20 cm from the cube in any direction.
 
     Observation: object_position (3, m), object_rotation (6, two columns of its matrix), object_velocity (3, m/s),
     object_angular_velocity (3, rad/s), object_from_tool (3, m).
