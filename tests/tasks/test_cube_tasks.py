@@ -81,7 +81,7 @@ def test_a_cube_that_starts_grasped_is_in_the_hand_and_is_lifted_with_it():
 
 
 @pytest.mark.parametrize("robot", ["panda", "ur5", "iiwa"])
-@pytest.mark.parametrize(("task", "closest", "furthest"), [("push", 0.055, 0.1), ("pick_place", 0.006, 0.08)])
+@pytest.mark.parametrize(("task", "closest", "furthest"), [("push", 0.055, 0.2), ("pick_place", 0.006, 0.08)])
 def test_an_episode_that_starts_near_the_cube_does_not_touch_it(
     robot: str, task: str, closest: float, furthest: float
 ) -> None:
