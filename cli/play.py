@@ -33,16 +33,27 @@ def play(
         str,
         typer.Argument(
             metavar="RUN",
-            help=f"{RUN_HELP} Or the name of a policy that ships with karolos: panda_reach, panda_pick. With --expert "
+            help=f"{RUN_HELP} Or the name of a policy that ships with karolos: panda_reach, panda_throw. With --expert "
             "a SPEC.yaml.",
             autocompletion=complete_run,
         ),
     ],
+    overrides: Annotated[
+        list[str] | None,
+        typer.Argument(
+            metavar="[PATH=VALUE]...",
+            help="Settings to change, as for `karolos test`, e.g. robot=ur5 task.floor_friction=1. With --expert any "
+            "setting of the spec.",
+        ),
+    ] = None,
     expert: Annotated[bool, typer.Option("--expert", help="Play the expert of a spec's task instead.")] = False,
     out: Annotated[Path | None, typer.Option(metavar="FILE", help="Film to write: FILE.mp4 or FILE.gif.")] = None,
     episodes: Annotated[
         int | None, typer.Option(min=1, help="Episodes to play. Default: 1 for a film, 5 in a window.")
     ] = None,
+    failures: Annotated[
+        bool, typer.Option("--failures", help="Only episodes that fail: the first ones of 1,000.")
+    ] = False,
     checkpoint: Annotated[
         Literal["best", "last"] | None,
         typer.Option(help="The checkpoint to play. Default: best, or last if the run has no test yet."),
@@ -51,7 +62,6 @@ def play(
     height: Annotated[int, typer.Option(min=16, max=4096, help="Height of the film in pixels.")] = 480,
     runs: Runs = Path("runs"),
     database: Database = None,
-    record: Annotated[Path | None, typer.Option(hidden=True)] = None,
 ) -> None:
     """Play test episodes of a run's saved policy, of one that ships, or with --expert of the scripted one for a spec.
 
@@ -61,32 +71,37 @@ def play(
     """
     if width % 2 or height % 2:
         raise UsageError(f"a film of {width} x {height} pixels cannot be encoded", hint="use even numbers")
-    film = out or record
-    window = film is None and _has_display()
-    from karolos.evaluation.playing import play as play_episodes
-    from karolos.evaluation.policies import load_expert, load_player
+    changed = overrides or ()
+    window = out is None and _has_display()
+    from karolos.evaluation.changed_spec import load_player
+    from karolos.evaluation.playing import play as play_all
+    from karolos.evaluation.playing import play_failures
+    from karolos.evaluation.policies import load_expert
     from karolos.report.video import write_video
 
     if expert:
         from karolos.spec import load_spec
 
-        spec = load_spec(run)
-        target = _film(film or Path(f"{spec.name}.mp4"), window=window)
+        spec = load_spec(run, changed)
+        target = _film(out or Path(f"{spec.name}.mp4"), window=window)
         environment, policy = load_expert(spec, window=window)
     elif _ships(run, runs, database):
         from karolos.export.shipped import load_shipped
 
         if checkpoint is not None:
             raise UsageError(f"{run!r} ships with karolos and has no checkpoints", hint="leave out --checkpoint")
-        target = _film(film or Path(f"{run}.mp4"), window=window)
-        spec, environment, policy = load_shipped(run, window=window)
+        target = _film(out or Path(f"{run}.mp4"), window=window)
+        spec, environment, policy = load_shipped(run, changed, window=window)
     else:
         folder = open_run(run, runs, database)
-        target = _film(film or folder.path / "play.mp4", window=window)
-        spec, environment, policy = load_player(folder, checkpoint or _best_or_last(folder), window=window)
+        target = _film(out or folder.path / "play.mp4", window=window)
+        spec, environment, policy = load_player(folder, checkpoint or _best_or_last(folder), changed, window=window)
     count = episodes or (5 if window else 1)
-    moments = _report_episodes(play_episodes(environment, policy, episodes=count, seed=spec.testing.seed))
     try:
+        if failures and not environment.signature.has_success:
+            raise UsageError("this environment does not define success", hint="leave out --failures")
+        played = (play_failures if failures else play_all)(environment, policy, episodes=count, seed=spec.testing.seed)
+        moments = _report_episodes(_any(played))
         if window:
             for _ in moments:
                 time.sleep(1 / environment.rate)
@@ -105,6 +120,15 @@ def _film(target: Path, *, window: bool) -> Path:
     if not window:
         check_video_path(target)
     return target
+
+
+def _any(moments: Iterator[Moment]) -> Iterator[Moment]:
+    """Pass moments on. Raises UsageError if there are none."""
+    number = 0
+    for number, moment in enumerate(moments, 1):  # noqa: B007  (counts them)
+        yield moment
+    if not number:
+        raise UsageError("none of the first 1,000 episodes fails", hint="leave out --failures")
 
 
 def _ships(name: str, runs: Path, database: str | None) -> bool:
@@ -155,11 +179,12 @@ def _with_bar(moments: Iterator[Moment], episodes: int) -> Iterator[Moment]:
 
     columns = (TextColumn("recording episode {task.fields[episode]}"), BarColumn(), TimeRemainingColumn())
     with Progress(*columns, console=Console(stderr=True), transient=True) as bar:
-        task = bar.add_task("", total=episodes, episode=f"1/{episodes}")
+        task, done = bar.add_task("", total=episodes, episode=f"1/{episodes}"), 0
         for moment in moments:
             yield moment
-            part = 1.0 if moment.over else moment.step / moment.environment.signature.max_steps
-            bar.update(task, completed=moment.episode + part, episode=f"{moment.episode + 1}/{episodes}")
+            part = 0 if moment.over else moment.step / moment.environment.signature.max_steps
+            done += moment.over
+            bar.update(task, completed=done + part, episode=f"{min(done + 1, episodes)}/{episodes}")
 
 
 def _report_episodes(moments: Iterator[Moment]) -> Iterator[Moment]:

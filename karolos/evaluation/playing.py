@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+from collections import deque
 from collections.abc import Iterator
 from dataclasses import dataclass
 
@@ -48,16 +49,37 @@ class Score:
 def play(environment: Environment, policy: Policy, *, episodes: int, seed: int) -> Iterator[Moment]:
     """Play the first `episodes` test episodes of `seed`; with `testing.seed` these are the run's test episodes."""
     for episode, episode_seed in enumerate(test_seeds(seed, episodes)):
-        state = environment.reset(episode_seed)
-        policy.begin()
-        step, total = 0, 0.0
-        yield Moment(episode, step, bool(state.success), False, total, environment)
-        over = False
-        while not over:
-            state = environment.step(policy.act(state))
-            step, total = step + 1, total + float(state.reward)
-            over = bool(state.terminated or state.truncated)
-            yield Moment(episode, step, bool(state.success), over, total, environment)
+        yield from _play_one(environment, policy, episode, episode_seed)
+
+
+def play_failures(
+    environment: Environment, policy: Policy, *, episodes: int, seed: int, among: int = 1000
+) -> Iterator[Moment]:
+    """Play the first `episodes` failures among the first `among` test episodes of `seed`; the others are not shown.
+
+    A failure is played twice: nobody can know before its end that it is one.
+    """
+    found = 0
+    for episode, episode_seed in enumerate(test_seeds(seed, among)):
+        [end] = deque(_play_one(environment, policy, episode, episode_seed), maxlen=1)
+        if not end.success:
+            yield from _play_one(environment, policy, episode, episode_seed)
+            found += 1
+        if found == episodes:
+            return
+
+
+def _play_one(environment: Environment, policy: Policy, episode: int, seed: int) -> Iterator[Moment]:
+    state = environment.reset(seed)
+    policy.begin()
+    step, total = 0, 0.0
+    yield Moment(episode, step, bool(state.success), False, total, environment)
+    over = False
+    while not over:
+        state = environment.step(policy.act(state))
+        step, total = step + 1, total + float(state.reward)
+        over = bool(state.terminated or state.truncated)
+        yield Moment(episode, step, bool(state.success), over, total, environment)
 
 
 def score(environment: Environment, policy: Policy, *, episodes: int, seed: int) -> Score:

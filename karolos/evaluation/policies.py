@@ -167,22 +167,6 @@ def random_policy(environment: Environment, seed: int) -> Policy:
     return Policy(lambda _: np.asarray(random_actions(environment.signature, 1, generator)[0]))
 
 
-def load_player(folder: RunFolder, name: str = "best", *, window: bool = False) -> tuple[Spec, Environment, Policy]:
-    """The spec, one environment without randomization and the policy of a run's checkpoint.
-
-    Args:
-        folder: the run's.
-        name: `best` or `last`.
-        window: whether to show the world in a window.
-
-    Raises:
-        RunError: the checkpoint is missing or damaged.
-        MachineError: there is no display for the window.
-    """
-    saved = load_agent(folder, name)
-    return saved.spec, environment_of(saved.spec, window=window), saved.policy()
-
-
 def load_expert(spec: Spec, *, window: bool = False) -> tuple[Environment, Policy]:
     """One environment of the spec without randomization, and the expert of its task.
 
@@ -198,9 +182,12 @@ def load_expert(spec: Spec, *, window: bool = False) -> tuple[Environment, Polic
         raise
 
 
-def environment_of(spec: Spec, *, window: bool = False) -> Environment:
-    """One environment of the spec without randomization. Raises MachineError if there is no display for the window."""
-    recipe = spec.recipe(randomize=False)
+def environment_of(spec: Spec, *, randomize: bool = False, window: bool = False) -> Environment:
+    """One environment of the spec, with its randomization or without.
+
+    Raises MachineError if there is no display for the window.
+    """
+    recipe = spec.recipe(randomize=randomize)
     part = recipe.environment
     if not window:
         return build_environment(recipe)

@@ -6,22 +6,15 @@ import time
 from collections.abc import Callable, Sequence
 
 from ..core import Failure
-from ..core.signature import SAME_LAYOUTS, layout_differences
-from ..environments.build import build_environment
-from ..environments.robot_task import RobotTask
-from ..errors import UsageError
 from ..records import RunFolder, provenance, transfer_results
 from ..records.results import TestCounts, TestResult
 from ..records.run_records import timestamp
 from ..records.transfer_results import TransferResult
-from ..spec import Spec, spec_from_dict
-from ..spec.merge import RANDOMIZATION
-from ..training.assembly import located, make_orchestrator
-from .policies import SavedAgent, load_agent, signature_of
+from ..spec import Spec
+from ..training.assembly import make_orchestrator
+from .changed_spec import changed_spec
+from .policies import SavedAgent, load_agent
 from .testing import play_episodes, test_seeds
-
-CHANGEABLE = ("robot", "task", "environment", "randomization", "orchestrator")
-"""Keys of a spec that define the environment of a test. The other keys define the training."""
 
 
 def transfer_test(
@@ -42,7 +35,7 @@ def transfer_test(
 
     Args:
         folder: the run's.
-        overrides: `path.to.key=value`, each below one of CHANGEABLE; also a parameter's value, e.g. task.gravity=-5.
+        overrides: as for `changed_spec`.
         checkpoint: `best` or `last`.
         episodes: number of episodes; by default that of the final test, or of the run's tests without a final test.
         seed: root of the episodes' seeds; by default that of the final test, on whose episodes nothing was chosen.
@@ -59,11 +52,8 @@ def transfer_test(
     """
     from ..agents.device import use_threads  # noqa: PLC0415  (imports torch)
 
-    _check_keys(overrides)
     saved = load_agent(folder, checkpoint)
-    spec = _spec_of_test(saved.spec, overrides, randomize=randomize)
-    with located(spec):
-        _check_layouts(spec, saved, overrides)
+    spec = changed_spec(saved.spec, overrides, trained=saved.signature, randomize=randomize)
     seed = spec.testing.final_seed if seed is None else seed
     count = (spec.testing.final_count or spec.testing.episodes) if episodes is None else episodes
     use_threads(spec.training.threads or 1)  # as in training: sums in another order could change an episode
@@ -110,77 +100,3 @@ def _from_final_test(folder: RunFolder, saved: SavedAgent, seed: int, count: int
     policies = {final.last_sha256: final.last, final.best_sha256: final.best}
     own = policies.get(saved.sha256)
     return own.first(count) if own is not None and own.episodes >= count else None
-
-
-def _check_keys(overrides: Sequence[str]) -> None:
-    """Raise a UsageError for an override outside CHANGEABLE."""
-    for override in overrides:
-        root = _key(override).partition(".")[0]
-        if root not in CHANGEABLE:
-            hint = f"a test can change {', '.join(CHANGEABLE)}"
-            if root == "testing":
-                hint = "use --episodes and --seed"
-            raise UsageError(f"{override!r} is about training, not about the test", where="override", hint=hint)
-
-
-def _spec_of_test(saved: Spec, overrides: Sequence[str], *, randomize: bool) -> Spec:
-    """The spec of the test. Its `randomization` is what the test draws.
-
-    An override of a parameter that is not a setting, e.g. task.gravity=-5, replaces its distribution. Without
-    `randomize` these are the only distributions.
-    """
-    parameters = _parameters(saved, overrides)
-    own = [f"{RANDOMIZATION}.{text.strip()}" if _key(text) in parameters else text for text in overrides]
-    spec = spec_from_dict(saved.dump(), own)
-    _check_randomization(spec, overrides, randomize=randomize)
-    if randomize:
-        return spec
-    return spec.model_copy(update={RANDOMIZATION: {key: spec.randomization[key] for key in sorted(parameters)}})
-
-
-def _parameters(saved: Spec, overrides: Sequence[str]) -> set[str]:
-    """The keys of overrides that are parameters of the robot or task and not settings."""
-    names = [text for text in overrides if _key(text).removesuffix(".name") in ("robot", "task")]
-    spec = spec_from_dict(saved.dump(), names)
-    parts = (("robot", spec.robot), ("task", spec.task))
-    settings = {f"{key}.{name}" for key, part in parts if part for name in type(part.settings).model_fields}
-    environment = build_environment(spec.recipe(randomize=False))
-    declared = environment.declared if isinstance(environment, RobotTask) else {}
-    environment.close()
-    return {_key(text) for text in overrides} & set(declared) - settings
-
-
-def _key(override: str) -> str:
-    return override.partition("=")[0].strip()
-
-
-def _check_randomization(spec: Spec, overrides: Sequence[str], *, randomize: bool) -> None:
-    """Raise a UsageError if `randomize` has nothing to draw, or if `randomization` is given without it."""
-    if randomize and not spec.randomization:
-        raise UsageError(
-            "there is nothing to randomize",
-            where=RANDOMIZATION,
-            hint="add a distribution: randomization.task.gravity='{name: normal, mean: -9.81, std: 0.5}'",
-        )
-    if not randomize and any(override.strip().startswith(RANDOMIZATION) for override in overrides):
-        raise UsageError(
-            "randomization is off in a test",
-            where=RANDOMIZATION,
-            hint="turn it on with --randomize, or give one parameter a value, e.g. task.gravity=-5",
-        )
-
-
-def _check_layouts(spec: Spec, saved: SavedAgent, overrides: Sequence[str]) -> None:
-    differences = layout_differences(signature_of(spec, randomize=True), saved.signature)
-    if differences:
-        raise UsageError(
-            "the policy was trained with other observations, actions or goals: " + "; ".join(differences),
-            where=_changed(overrides),
-            hint=SAME_LAYOUTS,
-        )
-
-
-def _changed(overrides: Sequence[str]) -> str:
-    """The key of the first override that may have changed a layout."""
-    keys = map(_key, overrides)
-    return next((key for key in keys if key.partition(".")[0] in ("robot", "task", "environment")), "environment")

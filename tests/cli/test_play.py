@@ -112,12 +112,6 @@ def test_a_window_shows_the_episodes_at_the_pace_of_control(spec: Path, monkeypa
     assert [path.name for path in spec.parent.iterdir()] == [spec.name], "no film is written"
 
 
-def test_the_old_name_of_the_option_for_a_film_still_works(spec: Path, tmp_path: Path) -> None:
-    film = tmp_path / "film.gif"
-    assert call(app, str(spec), "--expert", "--record", str(film), "--width", "64", "--height", "48")[0] == 0
-    assert film.is_file()
-
-
 TOY = {
     "name": "toy",
     "environment": {"name": "toy", "max_steps": 7},
@@ -145,3 +139,37 @@ def test_a_run_without_a_best_checkpoint_plays_its_last_and_says_so(tmp_path: Pa
     code, _, err = call(app, str(folder), *film)
     assert code == 1
     assert "there is no checkpoint 'best'" in err
+
+
+def test_a_policy_is_played_under_changed_settings(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
+    monkeypatch.chdir(tmp_path)
+    film = ("--width", "64", "--height", "48", "--out", "film.gif")
+    lines = {}
+    for changed in ((), ("robot=ur5",), ("task.max_steps=3",), ("task.gravity=0",)):
+        code, out, err = call(app, "panda_reach", *changed, *film)
+        assert (code, out) == (0, "film.gif\n"), err
+        lines[changed] = err
+    assert lines[()].startswith("episode 1: success")
+    assert lines["robot=ur5",].startswith("episode 1: success after")
+    assert "after 3 steps" in lines["task.max_steps=3",]
+    assert lines["robot=ur5",] != lines[()]
+    code, _, err = call(app, "panda_reach", "agent.discount=0.9", *film)
+    assert code == 2
+    assert "is about training, not about the test" in err
+    code, _, err = call(app, "panda_reach", "robot.control=joint", *film)
+    assert code == 2
+    assert "the policy was trained with other observations, actions or goals" in err
+
+
+def test_failures_alone_are_played_and_called_by_their_numbers(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
+    monkeypatch.chdir(tmp_path)
+    film = ("--width", "64", "--height", "48", "--out", "film.gif", "--failures")
+    short = "task.max_steps=8"  # too few steps for the furthest goals
+    code, _, err = call(app, "panda_reach", short, *film, "--episodes", "3")
+    assert code == 0, err
+    assert [line.split(": ")[1].split(" after")[0] for line in err.splitlines()] == ["no success"] * 3
+    numbers = [int(line.split(":")[0].removeprefix("episode ")) for line in err.splitlines()]
+    assert numbers == sorted(numbers)
+    code, _, err = call(app, "panda_reach", short, *film[:-1], "--episodes", str(numbers[-1]))
+    every = [line for line in err.splitlines() if ": success" not in line]
+    assert [int(line.split(":")[0].removeprefix("episode ")) for line in every] == numbers

@@ -7,7 +7,7 @@ import pytest
 
 from karolos.core import Array, Environment, Field, Layout, Signature, Step
 from karolos.environments.toy import Toy
-from karolos.evaluation.playing import Score, play, score
+from karolos.evaluation.playing import Score, play, play_failures, score
 from karolos.evaluation.policies import Policy, random_policy
 from karolos.evaluation.testing import test_seeds
 from karolos.statistics.intervals import wilson
@@ -53,6 +53,13 @@ def test_success_is_counted_at_some_step_and_at_the_end_and_the_first_is_timed()
     assert (found.success_any, found.success_end) == (0.75, 0.5)
     assert found.steps == pytest.approx((2 + 3 + 1) / 3)
     assert (found.low, found.high) == wilson(2, 4)
+
+
+def test_failures_are_the_episodes_that_do_not_succeed_at_their_end() -> None:
+    marks = ["..x", ".x.", ".x.", ".x", "....", "....", ".."]  # a failure is played twice
+    played = list(play_failures(Scripted(marks), STILL, episodes=2, seed=0))
+    assert [(moment.episode, moment.step) for moment in played] == [(1, 0), (1, 1), (1, 2), *((3, n) for n in range(4))]
+    assert list(play_failures(Scripted(["..x", ".x"]), STILL, episodes=2, seed=0, among=2)) == []
 
 
 def test_a_policy_that_never_succeeds_has_no_time_of_success():

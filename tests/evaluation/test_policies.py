@@ -13,8 +13,9 @@ from karolos.core import Array
 from karolos.core.seeding import SeedTree
 from karolos.environments.toy import Toy
 from karolos.errors import MachineError, RunError, UsageError
+from karolos.evaluation.changed_spec import load_player
 from karolos.evaluation.playing import play
-from karolos.evaluation.policies import expert_policy, load_agent, load_expert, load_player, random_policy, signature_of
+from karolos.evaluation.policies import expert_policy, load_agent, load_expert, random_policy, signature_of
 from karolos.experiment.experiment import Experiment
 from karolos.records import RunFolder
 from karolos.registry import load

@@ -1,0 +1,134 @@
+"""A saved policy under changed settings: another robot, other physics, randomization."""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+
+from ..core import Environment, Signature
+from ..core.signature import SAME_LAYOUTS, layout_differences
+from ..environments.build import build_environment
+from ..environments.robot_task import RobotTask
+from ..errors import UsageError
+from ..records import RunFolder
+from ..spec import Spec, spec_from_dict
+from ..spec.merge import RANDOMIZATION
+from ..training.assembly import located
+from .policies import Policy, environment_of, load_agent, signature_of
+
+CHANGEABLE = ("robot", "task", "environment", "randomization", "orchestrator")
+"""Keys of a spec that define the environment of a test. The other keys define the training."""
+
+
+def changed_spec(saved: Spec, overrides: Sequence[str], *, trained: Signature, randomize: bool = False) -> Spec:
+    """The spec with overrides of its environment. Its `randomization` is what a test draws.
+
+    An override of a parameter that is not a setting, e.g. task.gravity=-5, replaces its distribution. Without
+    `randomize` these are the only distributions.
+
+    Args:
+        saved: of the run.
+        overrides: `path.to.key=value`, each below one of CHANGEABLE; also a parameter's value, e.g. task.gravity=-5.
+        trained: signature of the environment that the policy was trained in.
+        randomize: whether the distributions of the run stay.
+
+    Raises:
+        SpecError: an override is not valid.
+        UsageError: an override is about training, observations, actions or goals have another layout than in training,
+            or there is nothing to randomize.
+    """
+    _check_keys(overrides)
+    spec = _derived(saved, overrides, randomize=randomize)
+    with located(spec):
+        _check_layouts(spec, trained, overrides)
+    return spec
+
+
+def load_player(
+    folder: RunFolder, name: str = "best", overrides: Sequence[str] = (), *, window: bool = False
+) -> tuple[Spec, Environment, Policy]:
+    """The spec, one environment and the policy of a run's checkpoint.
+
+    Args:
+        folder: the run's.
+        name: `best` or `last`.
+        overrides: as for `changed_spec`. No other parameter is randomized.
+        window: whether to show the world in a window.
+
+    Raises:
+        SpecError: an override is not valid.
+        UsageError: an override is about training, or changes a layout.
+        RunError: the checkpoint is missing or damaged.
+        MachineError: there is no display for the window.
+    """
+    saved = load_agent(folder, name)
+    spec = changed_spec(saved.spec, overrides, trained=saved.signature)
+    return spec, environment_of(spec, randomize=True, window=window), saved.policy()
+
+
+def _check_keys(overrides: Sequence[str]) -> None:
+    """Raise a UsageError for an override outside CHANGEABLE."""
+    for override in overrides:
+        root = _key(override).partition(".")[0]
+        if root not in CHANGEABLE:
+            hint = f"a test can change {', '.join(CHANGEABLE)}"
+            if root == "testing":
+                hint = "use --episodes and --seed"
+            raise UsageError(f"{override!r} is about training, not about the test", where="override", hint=hint)
+
+
+def _derived(saved: Spec, overrides: Sequence[str], *, randomize: bool) -> Spec:
+    parameters = _parameters(saved, overrides)
+    own = [f"{RANDOMIZATION}.{text.strip()}" if _key(text) in parameters else text for text in overrides]
+    spec = spec_from_dict(saved.dump(), own)
+    _check_randomization(spec, overrides, randomize=randomize)
+    if randomize:
+        return spec
+    return spec.model_copy(update={RANDOMIZATION: {key: spec.randomization[key] for key in sorted(parameters)}})
+
+
+def _parameters(saved: Spec, overrides: Sequence[str]) -> set[str]:
+    """The keys of overrides that are parameters of the robot or task and not settings."""
+    names = [text for text in overrides if _key(text).removesuffix(".name") in ("robot", "task")]
+    spec = spec_from_dict(saved.dump(), names)
+    parts = (("robot", spec.robot), ("task", spec.task))
+    settings = {f"{key}.{name}" for key, part in parts if part for name in type(part.settings).model_fields}
+    environment = build_environment(spec.recipe(randomize=False))
+    declared = environment.declared if isinstance(environment, RobotTask) else {}
+    environment.close()
+    return {_key(text) for text in overrides} & set(declared) - settings
+
+
+def _key(override: str) -> str:
+    return override.partition("=")[0].strip()
+
+
+def _check_randomization(spec: Spec, overrides: Sequence[str], *, randomize: bool) -> None:
+    """Raise a UsageError if `randomize` has nothing to draw, or if `randomization` is given without it."""
+    if randomize and not spec.randomization:
+        raise UsageError(
+            "there is nothing to randomize",
+            where=RANDOMIZATION,
+            hint="add a distribution: randomization.task.gravity='{name: normal, mean: -9.81, std: 0.5}'",
+        )
+    if not randomize and any(override.strip().startswith(RANDOMIZATION) for override in overrides):
+        raise UsageError(
+            "randomization is off in a test",
+            where=RANDOMIZATION,
+            hint="turn it on with --randomize, or give one parameter a value, e.g. task.gravity=-5",
+        )
+
+
+def _check_layouts(spec: Spec, trained: Signature, overrides: Sequence[str]) -> None:
+    differences = layout_differences(signature_of(spec, randomize=True), trained)
+    if differences:
+        raise UsageError(
+            "the policy was trained with other observations, actions or goals: " + "; ".join(differences),
+            where=_changed(overrides),
+            hint=SAME_LAYOUTS,
+        )
+
+
+def _changed(overrides: Sequence[str]) -> str:
+    """The key of the first override that may have changed a layout."""
+    keys = map(_key, overrides)
+    return next((key for key in keys if key.partition(".")[0] in ("robot", "task", "environment")), "environment")
