@@ -98,10 +98,8 @@ def play(
         spec, environment, policy = load_player(folder, checkpoint or _best_or_last(folder), changed, window=window)
     count = episodes or (5 if window else 1)
     try:
-        if failures and not environment.signature.has_success:
-            raise UsageError("this environment does not define success", hint="leave out --failures")
         played = (play_failures if failures else play_all)(environment, policy, episodes=count, seed=spec.testing.seed)
-        moments = _report_episodes(_any(played))
+        moments = _report_episodes(played)
         if window:
             for _ in moments:
                 time.sleep(1 / environment.rate)
@@ -120,15 +118,6 @@ def _film(target: Path, *, window: bool) -> Path:
     if not window:
         check_video_path(target)
     return target
-
-
-def _any(moments: Iterator[Moment]) -> Iterator[Moment]:
-    """Pass moments on. Raises UsageError if there are none."""
-    number = 0
-    for number, moment in enumerate(moments, 1):  # noqa: B007  (counts them)
-        yield moment
-    if not number:
-        raise UsageError("none of the first 1,000 episodes fails", hint="leave out --failures")
 
 
 def _ships(name: str, runs: Path, database: str | None) -> bool:

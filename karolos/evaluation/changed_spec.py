@@ -72,7 +72,7 @@ def _check_keys(overrides: Sequence[str]) -> None:
         if root not in CHANGEABLE:
             hint = f"a test can change {', '.join(CHANGEABLE)}"
             if root == "testing":
-                hint = "use --episodes and --seed"
+                hint = "use --episodes; `karolos test` has --seed, too"
             raise UsageError(f"{override!r} is about training, not about the test", where="override", hint=hint)
 
 
@@ -114,7 +114,7 @@ def _check_randomization(spec: Spec, overrides: Sequence[str], *, randomize: boo
         raise UsageError(
             "randomization is off in a test",
             where=RANDOMIZATION,
-            hint="turn it on with --randomize, or give one parameter a value, e.g. task.gravity=-5",
+            hint="give one parameter a value, e.g. task.gravity=-5; `karolos test --randomize` draws as in training",
         )
 
 

@@ -7,6 +7,7 @@ from collections.abc import Iterator
 from dataclasses import dataclass
 
 from ..core import Environment
+from ..errors import UsageError
 from ..statistics.intervals import wilson
 from .policies import Policy
 from .testing import test_seeds
@@ -58,7 +59,11 @@ def play_failures(
     """Play the first `episodes` failures among the first `among` test episodes of `seed`; the others are not shown.
 
     A failure is played twice: nobody can know before its end that it is one.
+
+    Raises UsageError if the environment does not define success, or if none of these episodes fails.
     """
+    if not environment.signature.has_success:
+        raise UsageError("this environment does not define success", hint="leave out --failures")
     found = 0
     for episode, episode_seed in enumerate(test_seeds(seed, among)):
         [end] = deque(_play_one(environment, policy, episode, episode_seed), maxlen=1)
@@ -67,6 +72,8 @@ def play_failures(
             found += 1
         if found == episodes:
             return
+    if not found:
+        raise UsageError(f"none of the first {among:,} episodes fails", hint="leave out --failures")
 
 
 def _play_one(environment: Environment, policy: Policy, episode: int, seed: int) -> Iterator[Moment]:

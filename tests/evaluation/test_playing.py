@@ -7,6 +7,7 @@ import pytest
 
 from karolos.core import Array, Environment, Field, Layout, Signature, Step
 from karolos.environments.toy import Toy
+from karolos.errors import UsageError
 from karolos.evaluation.playing import Score, play, play_failures, score
 from karolos.evaluation.policies import Policy, random_policy
 from karolos.evaluation.testing import test_seeds
@@ -59,7 +60,8 @@ def test_failures_are_the_episodes_that_do_not_succeed_at_their_end() -> None:
     marks = ["..x", ".x.", ".x.", ".x", "....", "....", ".."]  # a failure is played twice
     played = list(play_failures(Scripted(marks), STILL, episodes=2, seed=0))
     assert [(moment.episode, moment.step) for moment in played] == [(1, 0), (1, 1), (1, 2), *((3, n) for n in range(4))]
-    assert list(play_failures(Scripted(["..x", ".x"]), STILL, episodes=2, seed=0, among=2)) == []
+    with pytest.raises(UsageError, match="none of the first 2 episodes fails"):
+        list(play_failures(Scripted(["..x", ".x"]), STILL, episodes=2, seed=0, among=2))
 
 
 def test_a_policy_that_never_succeeds_has_no_time_of_success():
