@@ -16,7 +16,9 @@ from .point_goal import PointGoalSettings, PointGoalTask, sample_position
 ROOM = 0.03
 """m between the side of the cube and the edge of the workspace, room for the gripper behind the cube."""
 NEAR = (0.055, 0.2)
-"""m between the centres of cube and tool at a start near the cube."""
+"""m between the centres of cube and tool at a start near the cube, along the floor."""
+ABOVE = 0.1
+"""m above the floor of the highest start near the cube."""
 
 
 class Push(PointGoalTask, NearTask):
@@ -24,7 +26,8 @@ class Push(PointGoalTask, NearTask):
 
     What is randomised: cube and goal, uniformly in a square of .3 m in the middle of the workspace (`goals: workspace`:
     in all of it), at least 3 cm from its edges; the cube is never at the goal at the start. With probability
-    `start_near` an episode begins with the gripper on the floor, 5.5 to 20 cm from the cube in any direction.
+    `start_near` an episode begins with the gripper 5.5 to 20 cm from the cube in any direction, half of the time on the
+    floor, else up to 10 cm above it.
 
     Observation: object_position (3, m), object_rotation (6, two columns of its matrix), object_velocity (3, m/s),
     object_angular_velocity (3, rad/s), object_from_tool (3, m).
@@ -58,13 +61,14 @@ class Push(PointGoalTask, NearTask):
         self._sample_goal(generator, self.ground)
 
     def _near(self, cube: Vector, generator: Generator) -> Vector:
-        """A random position of the tool on the floor, within the workspace, at which it does not touch the cube."""
+        """A random position of the tool beside the cube, within the workspace, at which it does not touch the cube."""
         (x, y, _), box = cube, self._robot.workspace
         angle, distance = generator.uniform(-pi, pi), generator.uniform(*NEAR)
+        above = max(0.0, generator.uniform(-ABOVE, ABOVE))
         return (
             min(max(x + distance * cos(angle), box.low[0]), box.high[0]),
             min(max(y + distance * sin(angle), box.low[1]), box.high[1]),
-            box.low[2] + CLEARANCE,
+            min(box.low[2] + CLEARANCE + above, box.high[2]),
         )
 
     def achieved(self) -> FloatArray:
