@@ -81,7 +81,7 @@ def test_a_cube_that_starts_grasped_is_in_the_hand_and_is_lifted_with_it():
 
 
 @pytest.mark.parametrize("robot", ["panda", "ur5", "iiwa"])
-@pytest.mark.parametrize(("task", "closest", "furthest"), [("push", 0.055, 0.2), ("pick_place", 0.006, 0.08)])
+@pytest.mark.parametrize(("task", "closest", "furthest"), [("push", 0.055, 0.224), ("pick_place", 0.006, 0.08)])
 def test_an_episode_that_starts_near_the_cube_does_not_touch_it(
     robot: str, task: str, closest: float, furthest: float
 ) -> None:
@@ -99,6 +99,16 @@ def test_an_episode_that_starts_near_the_cube_does_not_touch_it(
     again = environment.reset(19)
     assert again.observation.tolist() == environment.reset(19).observation.tolist() == start.observation.tolist()
     environment.close()
+
+
+def test_half_of_the_pushes_that_start_near_the_cube_start_above_the_floor():
+    environment = made("push", start_near=1.0)
+    tool = environment.signature.observation.slice("tool_position")
+    heights = np.array([environment.reset(seed).observation[tool][2] for seed in range(200)])
+    environment.close()
+    above = heights - heights.min()
+    assert np.mean(above > 0.005) == pytest.approx(0.5, abs=0.1)
+    assert 0.09 < above.max() <= 0.102
 
 
 @pytest.mark.parametrize(("grasped", "near", "expected"), [(0.0, 0.4, 0.4), (0.5, 0.4, 0.2), (1.0, 1.0, 0.0)])
