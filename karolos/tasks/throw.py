@@ -157,6 +157,7 @@ class Throw(CubeTask):
 
     def build(self, world: World) -> None:
         super().build(world)
+        world.release_in_motion()
         self._marker = world.marker(self.settings.threshold, GOAL_COLOUR)
 
     def apply(self, world: World, name: str, value: float) -> None:

@@ -288,3 +288,23 @@ def test_flight_time_solves_the_equation_of_free_fall(height: float, rise: float
     if height:
         assert height + rise * seconds - 9.81 / 2 * seconds**2 == pytest.approx(0, abs=1e-9)
     assert flight_time(height, 0.0, 0.0) in {0.0, 3.0}
+
+
+def test_nearly_the_same_throw_lands_nearly_at_the_same_point():
+    environment, generator, apart = made(end_at_release=1.0), np.random.default_rng(0), []
+    for seed in range(24):
+        actions = generator.uniform(-1, 1, (4, 8)).repeat(3, 0)  # the arm accelerates until the release and after it
+        actions[:, -1] = np.where(np.arange(12) < 7, -1, 1)
+        landings = []
+        for _ in range(5):
+            environment.reset(seed)
+            for action in actions + 0.0005 * generator.standard_normal(actions.shape):
+                step = environment.step(action.astype(np.float32))
+                if step.terminated:
+                    landings.append(step.achieved_goal[:2])
+                    break
+        if len(landings) == 5:
+            apart.append(np.linalg.norm(np.std(landings, axis=0)))
+    environment.close()
+    assert len(apart) >= 15
+    assert np.mean(apart) < 0.002  # m

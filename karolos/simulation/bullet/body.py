@@ -136,12 +136,12 @@ class Body:
         # erp: fraction of a difference corrected per substep; at .2 two fingers on an object differ by 2 mm, at 1 by .4
         self.api.changeConstraint(gear, gearRatio=-1, maxForce=1000.0, erp=1.0, physicsClientId=self.client)
 
-    def anchor_friction(self, link: int) -> None:
-        """Let static friction at this link hold positions, not only speeds.
+    def anchor_friction(self, link: int, *, on: bool) -> None:
+        """Let static friction at this link hold positions, or only speeds.
 
-        Without it the solver's rounding lets a held object creep by mm per s. The friction cone stays the same.
+        Without anchors the solver's rounding lets a held object creep by mm per s. The friction cone stays the same.
         """
-        self.api.changeDynamics(self.index, link, frictionAnchor=1, physicsClientId=self.client)
+        self.api.changeDynamics(self.index, link, frictionAnchor=int(on), physicsClientId=self.client)
 
     def inertia(self, link: int = -1) -> tuple[float, Vector]:
         """Mass in kg and the diagonal of the inertia in kg m2."""

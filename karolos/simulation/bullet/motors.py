@@ -14,6 +14,8 @@ FINGER_GAIN = 0.1
 """Fraction of the distance to its target that a finger asks for per physics step."""
 
 
+OPENS = 0.01
+"""How much wider the gripper must be told to be than it is to be opening."""
 STABLE = 0.5
 """Largest fraction of a joint's speed that its own damping removes per physics step. PyBullet integrates it explicitly:
 from 1 on a light wrist oscillates."""
@@ -54,7 +56,8 @@ class Motors:
             for link in pads:
                 body.limit_motor_speed(link, fingers.gripper.speed)
                 body.set_air_drag(0.0, link)
-                body.anchor_friction(link)
+                body.anchor_friction(link, on=True)
+            self._opening, self._opens, self._releases_in_motion = 0.0, False, False
             body.couple(*pads)
             self.set_pad_friction(fingers.gripper.pad_friction)
         self._masses = [(link, *body.inertia(link)) for link in (*joints, *pads)]
@@ -86,12 +89,18 @@ class Motors:
         for link in self.pads:
             self._body.set_friction(friction, link)
 
+    def release_in_motion(self) -> None:
+        """From now on friction lets go while the gripper opens, see `World.release_in_motion`."""
+        self._releases_in_motion = True
+
     def write(self, positions: Sequence[float], opening: float) -> None:
         self._begin = self._end = (0.0,) * self._size
         self._body.write_joints(self._arm, positions)
         if self._fingers is not None:
             finger = self._fingers.position(opening)
             self._body.write_joints(self.pads, [finger, finger])
+            self._opening = opening
+            self._anchor_unless(opens=False)
             self._drive_fingers(finger)
 
     def _drive_fingers(self, position: float) -> None:
@@ -99,9 +108,16 @@ class Motors:
         if self._fingers is not None:
             self._body.drive_position(self.pads[0], position, 2 * self._fingers.gripper.force, FINGER_GAIN)
 
+    def _anchor_unless(self, *, opens: bool) -> None:
+        if self._releases_in_motion and opens != self._opens:
+            self._opens = opens
+            for link in self.pads:
+                self._body.anchor_friction(link, on=not opens)
+
     def drive(self, begin: Sequence[float], end: Sequence[float], opening: float | None) -> None:
         self._begin, self._end = begin, end
         if self._fingers is not None and opening is not None:
+            self._anchor_unless(opens=opening > self._opening + OPENS)
             self._drive_fingers(self._fingers.position(opening))
 
     def substep(self, step: int) -> None:
@@ -114,7 +130,7 @@ class Motors:
         positions, velocities, _, _ = zip(*self._body.joints(self._joints), strict=True)
         opening = 0.0
         if self._fingers is not None:
-            opening = self._fingers.opening(positions[-1])
+            self._opening = opening = self._fingers.opening(positions[-1])
             positions, velocities = positions[:-1], velocities[:-1]
         if any(map(gt, map(abs, velocities), self._limits.velocity)):
             velocities = tuple(

@@ -205,6 +205,12 @@ class World(Protocol):
     def motors(self, body: Body, joints: Sequence[str], limits: JointLimits, fingers: Fingers | None) -> Motors:
         """The motors of a loaded arm. `joints`: the links that its joints move, from base to wrist."""
 
+    def release_in_motion(self) -> None:
+        """After `motors`: let objects leave a moving hand cleanly, so that nearly the same throw lands nearly there.
+
+        Deep contacts are corrected more slowly then.
+        """
+
     def box(self, size: Vector, mass: float, colour: Colour) -> Body:
         """Add a box with edges of `size` in m, without air drag; a mass of 0 kg makes it static."""
 

@@ -145,6 +145,9 @@ class World:
         self._simulation.restructure()
         return motors
 
+    def release_in_motion(self) -> None:
+        """Nothing to do: contacts have no memory here."""
+
     def box(self, size: Vector, mass: float, colour: Colour) -> Body:
         name = f"{len(self._bodies)}/box"
         half = [edge / 2 for edge in size]
