@@ -48,6 +48,7 @@ def test_a_policy_that_ships_is_that_of_a_reference_run_and_acts_as_its_agent_di
 def test_a_policy_that_ships_succeeds_where_it_did_in_its_final_test(name: str) -> None:
     described = read_object(FOLDER / name / "policy.json")
     assert described is not None
+    # the same episodes; numpy rounds otherwise than torch, and a throw at the edge of its target may miss then
     expected = float(np.mean(final_test(described["run"]).last.end[:20]))
     assert expected >= 0.8
     spec, environment, policy = load_shipped(name)

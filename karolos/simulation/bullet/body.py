@@ -139,7 +139,8 @@ class Body:
     def anchor_friction(self, link: int, *, on: bool) -> None:
         """Let static friction at this link hold positions, or only speeds.
 
-        Without anchors the solver's rounding lets a held object creep by mm per s. The friction cone stays the same.
+        Without anchors a held object creeps by mm per s: friction stops its speed in each physics step, and the hand
+        moves on along a circle. The friction cone stays the same.
         """
         self.api.changeDynamics(self.index, link, frictionAnchor=int(on), physicsClientId=self.client)
 

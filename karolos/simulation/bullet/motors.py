@@ -12,10 +12,8 @@ from .body import Body
 
 FINGER_GAIN = 0.1
 """Fraction of the distance to its target that a finger asks for per physics step."""
-
-
 OPENS = 0.01
-"""How much wider the gripper must be told to be than it is to be opening."""
+"""The gripper opens while its commanded opening (0 to 1) is larger than the measured one by more than this."""
 STABLE = 0.5
 """Largest fraction of a joint's speed that its own damping removes per physics step. PyBullet integrates it explicitly:
 from 1 on a light wrist oscillates."""
