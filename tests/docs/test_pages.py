@@ -16,7 +16,7 @@ from support.commands import call
 from support.plugin_packages import install
 
 from karolos import registry
-from karolos.records import paths
+from karolos.records import paths, provenance
 from karolos.spec import load_spec
 
 ROOT = Path(__file__).parents[2]
@@ -86,7 +86,13 @@ def folder(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> Iterator[Path]:
     shutil.copytree(ROOT / "specs", tmp_path / "specs")
     monkeypatch.chdir(tmp_path)
     yield tmp_path
-    registry._installed.cache_clear()
+    look_again()
+
+
+def look_again() -> None:
+    """Forget which plugins are installed, and their versions, which a run records and its worker compares."""
+    for cached in (registry._installed, provenance.versions, provenance.source):
+        cached.cache_clear()
 
 
 @pytest.mark.parametrize(
@@ -127,7 +133,7 @@ def run(command: str, folder: Path, monkeypatch: pytest.MonkeyPatch) -> None:
         place = folder if words[0] == "export" else install(folder / words[-1])
         monkeypatch.syspath_prepend(place)
         monkeypatch.setenv("PYTHONPATH", str(place))
-        registry._installed.cache_clear()
+        look_again()
     elif words[0] == "cd":
         monkeypatch.chdir(words[1])
     elif words[0] == "karolos":
