@@ -8,31 +8,44 @@ from ..core import Environment
 from ..errors import UsageError
 from ..registry import load
 from ..spec.parts import Part, Recipe
+from .robot_task import RobotTask
+from .varied import VariedRobotTask, is_setting, recipes
 
 
 def build_environment(recipe: Recipe) -> Environment:
     """The environment of a recipe; nothing is simulated before its first reset.
 
     Raises:
-        UsageError: a robot or task is missing, or given to an environment that takes none.
+        UsageError: a robot or task is missing, or given to an environment that takes none; randomization names what
+            cannot be drawn.
         PluginError: robot and task are incompatible, or a plugin fails to import.
     """
     part = recipe.environment
-    plugin = load(part.kind, part.name)
     if part.name != "robot_task":
         if recipe.robot or recipe.task or recipe.randomization:
             raise UsageError(f"environment {part.name!r} takes no robot, task or randomization", where="environment")
-        environment: Environment = plugin(part.settings)
+        environment: Environment = _instance(part)
         return environment
+    joined, distributions = _join(recipe), dict(recipe.randomization)
+    fixed = [name for name in distributions if name not in joined.declared and is_setting(recipe, name)]
+    live = {name: _instance(part) for name, part in distributions.items() if name not in fixed}
+    if not fixed:
+        joined.randomize(live)
+        return joined
+    variants = {values: _join(variant) for values, variant in recipes(recipe, fixed).items()}
+    for variant in variants.values():
+        variant.randomize(live)
+    return VariedRobotTask(variants, {name: _instance(distributions[name]) for name in fixed})
+
+
+def _join(recipe: Recipe) -> RobotTask:
+    """The recipe's robot with its task, nothing randomized."""
+    part = recipe.environment
     if recipe.robot is None or recipe.task is None:
         missing = "robot" if recipe.robot is None else "task"
         raise UsageError(f"no {missing} is given", where="environment", hint="robot_task joins a robot and a task")
-    joined: Environment = plugin(
-        part.settings,
-        robot=_instance(recipe.robot),
-        task=_instance(recipe.task),
-        randomization={name: _instance(distribution) for name, distribution in recipe.randomization},
-    )
+    plugin = load(part.kind, part.name)
+    joined: RobotTask = plugin(part.settings, robot=_instance(recipe.robot), task=_instance(recipe.task))
     return joined
 
 

@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 from collections.abc import Mapping
+from dataclasses import replace
 from math import isfinite
 from typing import Any, Literal
 
@@ -79,7 +80,6 @@ class RobotTask(Environment):
             **{f"task.{name}": parameter for name, parameter in task.parameters.items()},
         }
         """What randomization may change, by name with the part in front."""
-        self._randomization = Randomization(randomization or {}, self.declared)
         self._action_set = ActionSet(robot.action) if settings.actions == "discrete" else None
         self._terminates = type(task.goal_rule).terminated is not GoalRule.terminated
         self._drawn: list[float] = []
@@ -91,13 +91,18 @@ class RobotTask(Environment):
             achieved_goal=task.achieved_goal,
             desired_goal=task.desired_goal,
             goal_rule=task.goal_rule,
-            parameters=self._randomization.layout,
         )
+        self.randomize(randomization or {})
         self._name = f"{type(robot).__name__}{type(task).__name__}"
         self._shape = (robot.action.size,)
         self._world: World | None = None
         self._steps = task.max_steps  # no episode is running
         self._last: Step | None = None
+
+    def randomize(self, distributions: Mapping[str, Distribution]) -> None:
+        """Set what is drawn at each reset, by parameter ("task.gravity"). Raises UsageError for undeclared ones."""
+        self._randomization = Randomization(distributions, self.declared)
+        self.signature = replace(self.signature, parameters=self._randomization.layout)
 
     @property
     def world(self) -> World:

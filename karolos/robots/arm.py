@@ -77,6 +77,9 @@ class ArmSettings(Settings):
     reset_noise: float = Setting(
         0.02, ge=0, le=0.2, description="largest deviation of a joint from the home pose at a reset, rad"
     )
+    finger_opening: float = Setting(
+        0.0, ge=0, le=1, description="how far a gripper that the task does not use stands open: 0 closed, 1 open"
+    )
 
 
 @dataclass(frozen=True)
@@ -260,6 +263,9 @@ class Arm:
         if gripper and self.model.fingers is None:
             hint = "choose a task that needs no gripper"
             raise PluginError("this robot has no gripper", where=type(self).__name__, hint=hint)
+        if self.settings.finger_opening and gripper:
+            what = "the task moves the gripper, so it cannot be held open"
+            raise UsageError(what, where="robot.finger_opening", hint="set it to 0")
         self._fingers = self.model.fingers if gripper else None
         self._cartesian = (self.settings.control or ("cartesian" if points_down else "joint")) == "cartesian"
         self._yaws = self._cartesian and self.settings.yaw
@@ -300,7 +306,7 @@ class Arm:
         robot, carriers = self.model.description.robot, self.model.description.carriers
         fingers = self.model.fingers
         if fingers is not None and self._fingers is None:
-            robot = urdf.weld(robot, dict.fromkeys(fingers.joints, fingers.position(0.0)))
+            robot = urdf.weld(robot, dict.fromkeys(fingers.joints, fingers.position(self.settings.finger_opening)))
         self.world = world
         self.body = world.load(robot)
         links = {**self.body.links(), self._joints[0].parent: -1}
