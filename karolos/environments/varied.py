@@ -39,7 +39,7 @@ class VariedRobotTask(Environment):
     """
 
     def __init__(self, variants: Mapping[tuple[float, ...], RobotTask], distributions: Mapping[str, Choice]) -> None:
-        _check_alike([variant.signature for variant in variants.values()], list(distributions))
+        _check_alike({values: variant.signature for values, variant in variants.items()}, list(distributions))
         self._variants = variants
         self._distributions = distributions
         self._drawn, self._current = next(iter(variants.items()))
@@ -127,19 +127,22 @@ def _with(recipe: Recipe, values: Mapping[str, float]) -> Recipe:
     return recipe
 
 
-def _check_alike(signatures: Sequence[Signature], names: Sequence[str]) -> None:
-    first, *others = signatures
-    for other in others:
-        differences = layout_differences(other, first)
-        if not differences and _rules(other) != _rules(first):
-            differences = ["episodes have another length, or another rule of reward and success"]
-        if differences:
-            raise UsageError(
-                "a setting that is drawn must leave observations, actions, goals and rewards as they are: "
-                + "; ".join(differences),
-                where=", ".join(f"randomization.{name}" for name in names),
-                hint="give it one value, as a setting",
-            )
+def _check_alike(signatures: Mapping[tuple[float, ...], Signature], names: Sequence[str]) -> None:
+    first, signature = next(iter(signatures.items()))
+    for index, name in enumerate(names):
+        for values, other in signatures.items():
+            if any(values[at] != first[at] for at in range(len(names)) if at != index):
+                continue
+            differences = layout_differences(other, signature)
+            if not differences and _rules(other) != _rules(signature):
+                differences = ["episodes have another length, or another rule of reward and success"]
+            if differences:
+                raise UsageError(
+                    "a setting that is drawn must leave observations, actions, goals and rewards as they are: "
+                    + "; ".join(differences),
+                    where=f"randomization.{name}",
+                    hint=f"give it one value: {name}={values[index]:g}",
+                )
 
 
 def _rules(signature: Signature) -> tuple[Any, ...]:

@@ -1,0 +1,144 @@
+from __future__ import annotations
+
+from typing import Any, get_args
+
+import numpy as np
+import pytest
+from support.rig import part
+
+from karolos.core import Environment
+from karolos.environments.build import build_environment
+from karolos.environments.robot_task import RobotTask
+from karolos.environments.varied import VariedRobotTask
+from karolos.errors import UsageError
+from karolos.simulation.engines import Engine, installed
+from karolos.spec.parts import Part, Recipe
+
+SIZES = (0.04, 0.045, 0.05)
+ENGINES = [name for name in get_args(Engine) if installed(name)]
+
+
+def values(*listed: float) -> Part:
+    return part("distributions", "choice", values=listed)
+
+
+def recipe(
+    drawn: dict[str, Part], *, task: str = "push", robot: dict[str, Any] | None = None, **settings: Any
+) -> Recipe:
+    return Recipe(
+        part("environments", "robot_task", **settings),
+        part("robots", "ur5", **(robot or {})),
+        part("tasks", task),
+        tuple(sorted(drawn.items())),
+    )
+
+
+def build(drawn: dict[str, Part], **other: Any) -> Environment:
+    return build_environment(recipe(drawn, **other))
+
+
+def test_each_value_is_drawn_recorded_and_follows_from_the_seed() -> None:
+    made = build({"task.object_size": values(*SIZES), "task.object_mass": values(0.2)})
+    assert isinstance(made, VariedRobotTask)
+    assert made.signature.parameters.names == ("task.object_mass", "task.object_size")
+    seen = {}
+    for seed in range(12):
+        lowest = made.reset(seed).achieved_goal[2]
+        mass, size = made.parameters()
+        assert mass == np.float32(0.2)
+        assert lowest == pytest.approx(size / 2)  # the height of its centre
+        seen[seed] = size
+    assert set(seen.values()) == {np.float32(size) for size in SIZES}
+    for seed in reversed(range(12)):
+        made.reset(seed)
+        assert made.parameters()[1] == seen[seed]
+    made.close()
+
+
+@pytest.mark.parametrize("engine", ENGINES)
+def test_an_episode_is_that_of_the_environment_with_this_setting(engine: str) -> None:
+    made = build({"robot.finger_opening": values(0.0, 0.5)}, engine=engine)
+    alone = {opening: build({}, engine=engine, robot={"finger_opening": opening}) for opening in (0.0, 0.5)}
+    assert all(isinstance(one, RobotTask) for one in alone.values())
+    generator = np.random.default_rng(0)
+    drawn = set()
+    for seed in (*range(6), 0):
+        steps = [made.reset(seed)]
+        opening = float(made.parameters()[0])
+        drawn.add(opening)
+        expected = [alone[opening].reset(seed)]
+        for action in generator.uniform(-1, 1, (5, 3)).astype(np.float32):
+            steps.append(made.step(action))
+            expected.append(alone[opening].step(action))
+        for one, other in zip(steps, expected, strict=True):
+            np.testing.assert_array_equal(one.observation, other.observation)
+    assert drawn == {0.0, 0.5}
+    for one in (made, *alone.values()):
+        one.close()
+
+
+@pytest.mark.parametrize("engine", ENGINES)
+@pytest.mark.parametrize(("opening", "pushed"), [(0.0, False), (0.5, True)])
+def test_open_fingers_reach_further(engine: str, opening: float, *, pushed: bool) -> None:
+    made = build({}, engine=engine, robot={"finger_opening": opening})
+    assert isinstance(made, RobotTask)
+    made.reset(0)
+    robot, cube = made.robot, made.task.cube  # type: ignore[attr-defined]
+    x, y = 0.5, 0.0
+    # from the tool's centre along y: the closed fingers end at .6 cm, these open ones at 2.7, the cube begins at 2.2
+    cube.place_with_tool(robot, (x, y + 0.042, cube.half), (x, y, robot.workspace.low[2] + 0.004), 0.0)
+    for _ in range(3):
+        made.step(np.zeros(3, np.float32))
+    moved = abs(cube.position[1] - (y + 0.042)) > 0.002
+    assert moved == pushed
+    made.close()
+
+
+def test_the_expert_is_that_of_the_episode() -> None:
+    made = build({"task.object_size": values(0.04, 0.05)})
+    assert isinstance(made, VariedRobotTask)
+    successes = 0
+    for seed in range(6):
+        state, expert = made.reset(seed), made.expert()
+        expert.reset()
+        while not (state.terminated or state.truncated):
+            state = made.step(np.asarray(expert.act(), np.float32))
+        successes += bool(state.success)
+    assert successes >= 5
+    made.close()
+
+
+def test_a_parameter_that_is_a_setting_too_needs_no_other_world() -> None:
+    made = build({"task.start_near": values(0.0, 1.0)})
+    assert isinstance(made, RobotTask)
+    made.close()
+
+
+@pytest.mark.parametrize(
+    ("drawn", "message"),
+    [
+        (
+            {"task.object_size": part("distributions", "uniform", low=0.03, high=0.05)},
+            r"randomization\.task\.object_size: .* cannot be drawn by 'uniform'; list values",
+        ),
+        ({"robot.finger_opening": values(0, 2)}, r"robot\.finger_opening cannot be 2: .* less than or equal to 1"),
+        (
+            {"task.max_steps": values(10, 20), "robot.finger_opening": values(0, 0.5)},
+            r"randomization\.task\.max_steps: .* another length",
+        ),
+        ({"task.threshold": values(0.03, 0.05)}, "another rule of reward and success"),
+        (
+            {"task.object_size": values(*np.linspace(0.03, 0.05, 33).tolist())},
+            "these values make 33 worlds; at most 32",
+        ),
+        ({"task.object_colour": values(1)}, "no parameter is called 'task.object_colour'"),
+    ],
+)
+def test_what_cannot_be_drawn_is_refused(drawn: dict[str, Part], message: str) -> None:
+    with pytest.raises(UsageError, match=message):
+        build(drawn)
+
+
+def test_fingers_that_the_task_moves_cannot_be_held_open() -> None:
+    with pytest.raises(UsageError, match=r"robot\.finger_opening: the task moves the gripper"):
+        build({}, task="pick_place", robot={"finger_opening": 0.5})
