@@ -48,11 +48,6 @@ class VariedRobotTask(Environment):
         self.signature = replace(signature, parameters=signature.parameters + settings)
         self.rate = self._current.rate
 
-    @property
-    def divergences(self) -> int:
-        """Number of episodes truncated because the physics diverged."""
-        return sum(variant.divergences for variant in self._variants.values())
-
     def reset(self, seed: int) -> Step:
         # a separate generator: starts, goals and the other parameters are those of an episode without it
         generator = SeedTree(seed).child("settings").generator()
