@@ -21,8 +21,8 @@ from ..simulation.interface import Expert
 from ..spec.parts import Part, Recipe, validate_strictly
 from .robot_task import RobotTask
 
-MOST_WORLDS = 32
-"""Largest number of combinations of values, each of which takes a world of some megabytes."""
+MOST_WORLDS = 8
+"""Largest number of combinations of values. Each takes a world, which is 29 MB with PyBullet and 1.4 MB with MuJoCo."""
 
 
 class VariedRobotTask(Environment):
