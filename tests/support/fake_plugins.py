@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from typing import Any, Literal
+from typing import Any, ClassVar, Literal
 
 from pydantic import BaseModel, model_validator
 from pydantic import Field as Setting
@@ -49,6 +49,11 @@ class Reach(Fake):
 class RobotTask(Fake):
     class Settings(Settings):
         substeps: int = Setting(10, ge=1, description="physics steps per control step")
+
+    declared: ClassVar[dict[str, object]] = {}
+
+    def randomize(self, distributions: dict[str, object]) -> None:
+        assert not distributions
 
 
 class Point(Fake):
