@@ -148,7 +148,8 @@ class Robot(RobotView, Protocol):
             points_down: whether the tool points down during the task. If not, actions change joint positions unless
                 the settings say otherwise.
 
-        Raises PluginError when the task needs a gripper and the robot has none.
+        Raises PluginError when the task needs a gripper and the robot has none, UsageError when its settings contradict
+        the task.
         """
 
     def build(self, world: World) -> None: ...
