@@ -2,8 +2,8 @@
 
     python tests/torture/ray_cluster.py [--runs 40] [--nodes 3] [--seconds 30] [--steps 6000] [--folder DIR]
 
-The machines are processes of this one (ray.cluster_utils). A machine other than the head is killed as soon as two runs
-have tested, and again every so many seconds; another one takes its place. Each run is compared with an undisturbed one
+The machines are processes of this one (ray.cluster_utils). A machine other than the head is killed as soon as it executes
+a run that has tested, and again every so many seconds; another one takes its place. Each run is compared with an undisturbed one
 of the local launcher: weights, buffer, counters and generators, tests, episodes, and the database. Ends with 1 at a
 difference.
 """
@@ -11,12 +11,14 @@ difference.
 from __future__ import annotations
 
 import argparse
+import contextlib
 import random
 import subprocess
 import sys
 import tempfile
 import time
 from pathlib import Path
+from typing import Any
 
 from kill_resume import differences_of
 from ray.cluster_utils import Cluster
@@ -42,6 +44,31 @@ def karolos(*arguments: str) -> subprocess.Popen[bytes]:
     return subprocess.Popen([sys.executable, "-m", "karolos_cli", *arguments], stdout=subprocess.DEVNULL)
 
 
+def executes_tested_run(node: Any, folder: Path) -> bool:
+    """Whether a process of the machine holds the lock of a run that has tested and not ended."""
+    inodes = {
+        path.stat().st_ino
+        for path in folder.glob("*/lock")
+        if (path.parent / "tests.jsonl").exists() and RunFolder.open(path.parent).state().unfinished
+    }
+    # A line of a held lock: "1: FLOCK ADVISORY WRITE 4242 08:01:123456 0 EOF"; of one waited for: "1: -> FLOCK ..."
+    held = [line.split() for line in Path("/proc/locks").read_text().splitlines() if "->" not in line]
+    pids = {int(words[4]) for words in held if int(words[5].rpartition(":")[2]) in inodes}
+    machine = node.all_processes["raylet"][0].process.pid
+    return any(machine in ancestors(pid) for pid in pids)
+
+
+def ancestors(pid: int) -> list[int]:
+    """Parents of a process, the nearest first; none if it has ended."""
+    found = []
+    with contextlib.suppress(OSError):
+        while pid > 1:
+            # After the name in brackets: state and parent.
+            pid = int(Path(f"/proc/{pid}/stat").read_text().rpartition(")")[2].split()[1])
+            found.append(pid)
+    return found
+
+
 def torture(home: Path, runs: int, nodes: int, seconds: float, *, steps: int, kills: int | None = None) -> list[str]:
     """What differs from what is promised. `kills` is the largest number of kills."""
     home.mkdir(parents=True, exist_ok=True)
@@ -56,8 +83,10 @@ def torture(home: Path, runs: int, nodes: int, seconds: float, *, steps: int, ki
         process = karolos("run", str(spec), *settings, "--on", "ray", "--runs", str(folder), "--quiet")
         while process.poll() is None:
             is_due = killed != kills and time.monotonic() - last >= seconds
-            if is_due and len(list(folder.glob("*/tests.jsonl"))) >= 2:
-                cluster.remove_node(others.pop(draw.randrange(len(others))), allow_graceful=False)
+            busy = [node for node in others if executes_tested_run(node, folder)] if is_due else []
+            if busy:
+                others.remove(victim := draw.choice(busy))
+                cluster.remove_node(victim, allow_graceful=False)
                 killed, last = killed + 1, time.monotonic()
                 others.append(cluster.add_node(num_cpus=CPUS))
             time.sleep(0.05)
