@@ -2,10 +2,10 @@
 
     python tests/torture/ray_cluster.py [--runs 40] [--nodes 3] [--seconds 30] [--steps 6000] [--folder DIR]
 
-The machines are processes of this one (ray.cluster_utils). A machine other than the head is killed as soon as it executes
-a run that has tested, and again every so many seconds; another one takes its place. Each run is compared with an undisturbed one
-of the local launcher: weights, buffer, counters and generators, tests, episodes, and the database. Ends with 1 at a
-difference.
+The machines are processes of this one (ray.cluster_utils). A machine other than the head is killed as soon as it
+executes a run that has tested, and again every so many seconds; another one takes its place. Each run is compared with
+an undisturbed one of the local launcher: weights, buffer, counters and generators, tests, episodes, and the database.
+Ends with 1 at a difference.
 """
 
 from __future__ import annotations
