@@ -17,7 +17,7 @@ from ..errors import UsageError
 from ..randomization.distribution import Distribution
 from ..randomization.randomization import Randomization
 from ..simulation.engines import Engine, check_engine, default_engine, make_world
-from ..simulation.interface import Expert, Robot, Task, World
+from ..simulation.interface import Camera, Expert, Robot, Task, World
 from .action_set import ActionSet, action_index
 
 TIMESTEP = 1 / 240
@@ -105,6 +105,12 @@ class RobotTask(Environment):
         self.signature = replace(self.signature, parameters=self._randomization.layout)
 
     @property
+    def camera(self) -> Camera:
+        """Where pictures are taken from: the task's camera, which moves with the robot's base."""
+        x, y, z = (own + base for own, base in zip(self.task.camera.target, self.robot.base, strict=True))
+        return replace(self.task.camera, target=(x, y, z))
+
+    @property
     def world(self) -> World:
         """The physics world, built at the first access."""
         if self._world is None:
@@ -113,7 +119,7 @@ class RobotTask(Environment):
                 substeps=self.settings.substeps,
                 timestep=TIMESTEP,
                 window=self.settings.window,
-                camera=self.task.camera,
+                camera=self.camera,
             )
             self.robot.build(self._world)
             self.task.build(self._world)
@@ -216,7 +222,7 @@ class RobotTask(Environment):
         return np.array(self._drawn, np.float32)
 
     def render(self, width: int = 640, height: int = 480) -> Array:
-        return self.world.render(width, height, self.task.camera)
+        return self.world.render(width, height, self.camera)
 
     def close(self) -> None:
         self._steps = self.signature.max_steps  # no episode is running

@@ -77,6 +77,10 @@ class ArmSettings(Settings):
     reset_noise: float = Setting(
         0.02, ge=0, le=0.2, description="largest deviation of a joint from the home pose at a reset, rad"
     )
+    base: Literal["origin", "centred"] = Setting(
+        "origin",
+        description="what is at the origin of the world: the robot's base, or (centred) the middle of its workspace",
+    )
     finger_opening: float = Setting(
         0.0, ge=0, le=1, description="how far a gripper that the task does not use stands open: 0 closed, 1 open"
     )
@@ -87,7 +91,7 @@ class ArmModel:
     """The numbers of one arm; limits, efforts and speeds of the joints come from its URDF.
 
     The revolute and continuous joints of the URDF that are not locked are the arm: a serial chain from its base. The
-    base is the link without a joint above it; its frame is that of the world, whose floor is z = 0.
+    base is the link without a joint above it. Positions are those in its frame, with z = 0 on the floor.
     """
 
     urdf: Path
@@ -114,8 +118,13 @@ class ArmModel:
         return urdf.load(self.urdf, tuple(sorted(self.locked.items())), fingers)
 
 
+def _difference(point: Vector, origin: Vector) -> Vector:
+    (x, y, z), (a, b, c) = point, origin
+    return x - a, y - b, z - c
+
+
 def _check_model(model: ArmModel, arm: Sequence[Joint], home: Vector) -> None:
-    """Refuse a model that does not fit its URDF. `home`: position of the tool at home in m.
+    """Refuse a model that does not fit its URDF. `home`: position of the tool at home in the base's frame, in m.
 
     Raises PluginError for a home outside the limits or the workspace, for fingers and links that the URDF lacks, and
     for sliding joints that nothing moves.
@@ -216,13 +225,16 @@ class Arm:
                 where="robot.acceleration",
                 hint="leave it out; joints then change their speed by its limit in 1/24 s at the most",
             )
-        self.chain = Chain(self._joints, (np.array(model.tool), urdf.rotation_matrix(*model.tool_rpy)))
+        middle_x, middle_y, _ = model.workspace.centre
+        self.base: Vector = (-middle_x, -middle_y, 0.0) if settings.base == "centred" else (0.0, 0.0, 0.0)
+        tool = np.array(model.tool), urdf.rotation_matrix(*model.tool_rpy)
+        self.chain = Chain(self._joints, tool, self.base)
+        self.workspace = model.workspace.moved(self.base)
         self._configuration = self.chain.forward(model.home)
         pose = self._configuration.tool
         self.home = pose.position
         self.home_yaw = atan2(pose.x[1], pose.x[0])
-        _check_model(model, self._joints, self.home)
-        self.workspace = model.workspace
+        _check_model(model, self._joints, _difference(pose.position, self.base))
         self.reset_noise = settings.reset_noise
         self._fingers = model.fingers
         self._values = {name: parameter.nominal for name, parameter in PARAMETERS.items()}
@@ -308,7 +320,7 @@ class Arm:
         if fingers is not None and self._fingers is None:
             robot = urdf.weld(robot, dict.fromkeys(fingers.joints, fingers.position(self.settings.finger_opening)))
         self.world = world
-        self.body = world.load(robot)
+        self.body = world.load(robot, position=self.base)
         links = {**self.body.links(), self._joints[0].parent: -1}
         named = [(carriers[first], carriers[second]) for first, second in self.model.self_collisions]
         # a welded finger has no link

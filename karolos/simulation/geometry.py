@@ -32,6 +32,10 @@ class Box:
             low - margin <= value <= high + margin for low, value, high in zip(self.low, point, self.high, strict=True)
         )
 
+    def moved(self, by: Vector) -> Box:
+        (a, b, c), (d, e, f), (x, y, z) = self.low, self.high, by
+        return Box((a + x, b + y, c + z), (d + x, e + y, f + z))
+
     def middle(self, edges: Vector) -> Box:
         """The box with these edge lengths around the same centre, cut to this box."""
         half = [min(edge, high - low) / 2 for edge, low, high in zip(edges, self.low, self.high, strict=True)]

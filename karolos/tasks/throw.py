@@ -153,7 +153,8 @@ class Throw(CubeTask):
         ]
         self._starts = Box(*zip(*start, strict=True))
         angle, far = radians(settings.sector), self.furthest
-        self._targets = Box((self.nearest * cos(angle), -far * sin(angle), 0.0), (far, far * sin(angle), 0.0))
+        targets = Box((self.nearest * cos(angle), -far * sin(angle), 0.0), (far, far * sin(angle), 0.0))
+        self._targets = targets.moved((*planner.axis, 0.0))
 
     def build(self, world: World) -> None:
         super().build(world)
@@ -180,7 +181,7 @@ class Throw(CubeTask):
         self._ends_at_release = generator.uniform() < self._end_at_release
 
     def _is_target(self, position: FloatArray) -> bool:
-        x, y, _ = position.tolist()
+        x, y = (at - axis for at, axis in zip(position.tolist(), self.planner.axis, strict=False))
         return self.nearest <= hypot(x, y) <= self.furthest and degrees(abs(atan2(y, x))) <= self.settings.sector
 
     def read(self) -> None:
@@ -336,6 +337,7 @@ class ThrowPlanner:
         height: of the object's centre above the floor when it has landed, in m.
 
     Attributes:
+        axis: x and y of the robot's axis, that of the base joint, in m.
         reach: the largest horizontal distance of the tool from the robot's axis, in m.
         furthest: the largest landing distance from that axis, in m.
 
@@ -384,9 +386,10 @@ class ThrowPlanner:
             normal = axes[horizontal[0]]
             ahead = np.cross((0.0, 0.0, 1.0), normal)  # turning about the normal lifts what is ahead
             self._base = int(vertical[0])
-            self._centre = origins[self._base, :2]
+            x, y = origins[self._base, :2].tolist()
+            self.axis = x, y
             tool = np.array(home.tool.position)
-            if (tool[:2] - self._centre) @ ahead[:2] < 0:
+            if (tool[:2] - self.axis) @ ahead[:2] < 0:
                 normal, ahead = -normal, -ahead
             self._swinging = horizontal[np.abs(axes[horizontal] @ normal) > 0.999]
         if not (vertical.size and horizontal.size and vertical[0] < horizontal[0] and self._swinging.size >= 2):
@@ -399,9 +402,9 @@ class ThrowPlanner:
         self._base_sign = float(np.sign(axes[self._base, 2]))
         self._signs = axes[self._swinging] @ normal
         points = np.vstack([origins[self._swinging], tool])
-        planar = (points[:, :2] - self._centre) @ ahead[:2] + 1j * points[:, 2]
+        planar = (points[:, :2] - self.axis) @ ahead[:2] + 1j * points[:, 2]
         self._first, self._segments = planar[0], np.diff(planar)
-        self._offset = float((tool[:2] - self._centre) @ normal[:2])
+        self._offset = float((tool[:2] - self.axis) @ normal[:2])
         """Distance in m of the plane from the axis of the base joint."""
         self._azimuth = atan2(ahead[1], ahead[0])
         # the pads face along the tool's y axis: a wrist turns them to face across the plane, out of the object's way
@@ -498,7 +501,7 @@ class ThrowPlanner:
         release, velocities = self._home.copy(), np.zeros_like(self._home)
         velocities[self._swinging] = self._velocities * speed
         release[self._swinging] = self._release + time * self._velocities * speed
-        turn = atan2(y - self._centre[1], x - self._centre[0]) - self._azimuth + atan2(self._offset, distance)
+        turn = atan2(y - self.axis[1], x - self.axis[0]) - self._azimuth + atan2(self._offset, distance)
         release[self._base] += atan2(sin(turn), cos(turn)) * self._base_sign
         if self._wrist is not None:
             release[self._wrist] += self._wrist_turn
@@ -506,7 +509,7 @@ class ThrowPlanner:
 
     def distance_along(self, x: float, y: float) -> float:
         """Distance in m of x, y from the robot's axis along the plane of a throw that passes over it."""
-        distance = hypot(x - self._centre[0], y - self._centre[1])
+        distance = hypot(x - self.axis[0], y - self.axis[1])
         return float(max(distance * distance - self._offset**2, 0.0) ** 0.5)
 
     def landing_of(self, positions: Array, velocities: Array) -> Array:

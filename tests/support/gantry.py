@@ -28,6 +28,7 @@ class Gantry:
     limits = JointLimits((0.3, -0.2, 0.05), (0.6, 0.2, 0.35), (0.5,) * 3, (100.0,) * 3)
     gripper: Gripper | None = None
     home: Vector = (0.45, 0.0, 0.2)
+    base = (0.0, 0.0, 0.0)
     home_yaw = 0.0
     home_joints: tuple[float, ...] = home
     reset_noise = 0.01

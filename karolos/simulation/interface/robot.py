@@ -19,6 +19,10 @@ class RobotView(Protocol):
     """Everything that a task or a scripted expert may know of a robot."""
 
     @property
+    def base(self) -> Vector:
+        """Position of its base in the world, in m."""
+
+    @property
     def workspace(self) -> Box:
         """Region that the tool reaches while it points down, each point to within 5 mm."""
 
