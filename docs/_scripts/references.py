@@ -20,6 +20,7 @@ from typing import Any
 from karolos.comparison import Comparison, Contender, Estimate, compare, gather
 from karolos.errors import KarolosError
 from karolos.experiment.transfer import Matrix
+from karolos.files import write_json
 from karolos.records import RunFolder, paths
 from karolos.records.decode import from_json
 from karolos.report.comparison_tables import estimate, improvement
@@ -96,6 +97,15 @@ def add(path: Path) -> Path:
         if (path / name).exists():
             shutil.copy(path / name, target)
     return target
+
+
+def identify() -> None:
+    """Write the hash that today's code gives the spec of each run: a setting that is added later changes all hashes."""
+    for path in paths(REFERENCE):
+        folder = RunFolder.open(path)
+        about, current = folder.description(), spec_from_dict(folder.spec()).hash()
+        if about["experiment"] != current:
+            write_json(path / "run.json", {**about, "experiment": current})
 
 
 def contenders() -> dict[str, Contender]:
@@ -280,6 +290,7 @@ def main() -> None:
             except KarolosError as error:
                 sys.exit(str(error))
     elif verb == "tables":
+        identify()
         for page, text in pages().items():
             page.write_text(text, encoding="utf-8")
     elif found := problems():
