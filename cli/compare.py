@@ -40,6 +40,15 @@ def compare(
             "Default: end, or return where the environment defines no success."
         ),
     ] = None,
+    at: Annotated[
+        int | None,
+        typer.Option(
+            metavar="STEPS",
+            min=1,
+            help="Compare the runs as they were at their tests nearest to so many environment steps, e.g. shorter runs "
+            "with longer ones. Default: at their ends.",
+        ),
+    ] = None,
     label: Annotated[
         list[str] | None,
         typer.Option(metavar="NAME", help="Name of an experiment in tables and figures; once for each, in order."),
@@ -71,7 +80,7 @@ def compare(
         selected = [select(store, selector) for selector in experiments]
         labels = _chosen(label, experiments) if label else _labels(experiments, selected)
         contenders = [gather(store, found, label) for found, label in zip(selected, labels, strict=True)]
-        comparison = compare_contenders(contenders, metric, store)
+        comparison = compare_contenders(contenders, metric, store, at=at)
     for warning in comparison.warnings:
         warn(warning)
     if json:

@@ -239,16 +239,29 @@ def _success(one: Contender | None, *, short: bool = False) -> str:
 
 
 def _variants(found: dict[str, Contender], names: list[str]) -> str:
-    columns = ["variant", "of", "changed", "seeds", "`end`, mean", "steps to .95", "better than the shipped spec"]
+    """Each variant beside the shipped spec: final tests, or of a variant with fewer steps tests at its last step."""
+    columns = ["variant", "of", "changed", "seeds", "at steps", "`end`, mean", "of the shipped spec", "better than it"]
     rows = []
     for name in names:
         path, changed = command(RunFolder.open(found[name].runs[0].summary.folder))
         base = Path(path).stem
-        both: Comparison = compare([found[one] for one in (base, name) if one in found])
-        better = improvement(both.scores[1].improvement) if len(both.scores) > 1 else "-"
-        steps = count(median_reaching([run.summary.steps_to_95 for run in found[name].runs]))
-        seeds = str(len(found[name].runs))
-        rows.append([f"`{name}`", f"`{base}`", f"`{' '.join(changed)}`", seeds, _success(found[name]), steps, better])
+        if base not in found:
+            continue
+        steps = next((int(word.partition("=")[2]) for word in changed if word.startswith("training.steps=")), None)
+        both: Comparison = compare([found[base], found[name]], at=steps)
+        shipped, variant = both.scores
+        rows.append(
+            [
+                f"`{name}`",
+                f"`{base}`",
+                f"`{' '.join(word for word in changed if not word.startswith('training.steps='))}`",
+                str(len(found[name].runs)),
+                count(variant.steps),
+                estimate(variant.end),
+                estimate(shipped.end),
+                improvement(variant.improvement),
+            ]
+        )
     return _markdown(columns, rows) if rows else "None yet."
 
 

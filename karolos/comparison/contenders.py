@@ -6,7 +6,7 @@ import math
 import os
 from collections.abc import Mapping, Sequence
 from contextlib import suppress
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from pathlib import Path
 from typing import Any, Literal
 
@@ -64,6 +64,36 @@ class ComparedRun:
     def finished(self) -> bool:
         return self.summary.state == "finished"
 
+    def at(self, steps: int) -> ComparedRun:
+        """The run as it was at its test nearest to this number of environment steps.
+
+        Raises UsageError if that is more than a tenth away.
+        """
+        nearest = min(self.tests, key=lambda test: abs(test.steps - steps))
+        if abs(nearest.steps - steps) > steps / 10:
+            raise UsageError(
+                f"{self.summary.run} has no test near {steps:,} steps",
+                where="--at",
+                hint=f"its nearest is at {nearest.steps:,}; name a number of steps at which all runs were tested",
+            )
+        tests = tuple(test for test in self.tests if test.steps <= nearest.steps)
+        summary = replace(
+            self.summary,
+            state="finished",
+            steps=nearest.steps,
+            seconds=nearest.seconds,
+            success_any=None if nearest.any is None else nearest.any / nearest.episodes,
+            success_end=None if nearest.end is None else nearest.end / nearest.episodes,
+            mean_return=nearest.mean_return,
+            episodes=nearest.episodes,
+            final=False,
+            best_steps=None,
+            best_any=None,
+            best_end=None,
+            best_return=None,
+        )
+        return replace(self, summary=summary, tests=tests)
+
 
 @dataclass(frozen=True)
 class Contender:
@@ -87,6 +117,13 @@ class Contender:
     @property
     def experiment(self) -> str:
         return self.runs[0].summary.experiment
+
+    def at(self, steps: int) -> Contender:
+        """Its runs as they were at their tests nearest to this number of environment steps.
+
+        Raises UsageError if one was not tested near it.
+        """
+        return replace(self, runs=tuple(run.at(steps) for run in self.runs))
 
     @property
     def spec(self) -> Mapping[str, Any]:

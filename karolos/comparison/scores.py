@@ -105,6 +105,8 @@ class Comparison:
     parameters: Mapping[str, tuple[Any, ...]]
     """Key path -> the value in each contender's spec, MISSING if the key is missing; only settings that differ."""
     warnings: tuple[str, ...]
+    at: int | None = None
+    """Environment steps at which the runs are compared; None: at their ends."""
 
     def rows(self) -> list[dict[str, Any]]:
         """One JSON object per contender."""
@@ -125,6 +127,7 @@ class Comparison:
             "seeds": [run.summary.seed for run in runs],
             "runs": [run.summary.run for run in runs],
             "metric": self.metric,
+            "at": self.at,
             "success_any": scores.any and asdict(scores.any) | {"seeds": [run.reported("any") for run in runs]},
             "success_end": scores.end and asdict(scores.end) | {"seeds": [run.reported("end") for run in runs]},
             "mean_return": asdict(scores.returns) | {"seeds": [run.reported("return") for run in runs]},
@@ -145,17 +148,26 @@ class Comparison:
         }
 
 
-def compare(contenders: Sequence[Contender], metric: Metric | None = None, store: Store | None = None) -> Comparison:
+def compare(
+    contenders: Sequence[Contender],
+    metric: Metric | None = None,
+    store: Store | None = None,
+    *,
+    at: int | None = None,
+) -> Comparison:
     """The numbers of all contenders. Improvements are relative to the first.
 
     Args:
         contenders: what to compare.
         metric: of curves, thresholds and improvements; by default `end`, or `return` if the success of one is unknown.
         store: keeps the densities; without one they are computed.
+        at: environment steps; the runs are compared as they were at their tests nearest to them.
 
     Raises:
-        UsageError: success is to be compared, and that of a contender is unknown.
+        UsageError: success is to be compared, and that of a contender is unknown; a run has no test near `at`.
     """
+    if at is not None:
+        contenders, store = [contender.at(at) for contender in contenders], None
     unknown = [contender.label for contender in contenders if not contender.has_success]
     if unknown and metric in ("any", "end"):
         raise UsageError(
@@ -170,7 +182,7 @@ def compare(contenders: Sequence[Contender], metric: Metric | None = None, store
         for place, contender in enumerate(contenders)
     )
     parameters = differences([without_seeds(contender.spec) for contender in contenders])
-    return Comparison(metric, tuple(contenders), scores, parameters, cautions(contenders))
+    return Comparison(metric, tuple(contenders), scores, parameters, cautions(contenders), at)
 
 
 def _scores(

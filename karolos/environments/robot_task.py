@@ -10,7 +10,7 @@ from typing import Any, Literal
 import numpy as np
 from pydantic import Field as Setting
 
-from ..core import Array, Environment, FloatArray, GoalRule, Signature, Step
+from ..core import Array, Environment, FloatArray, GoalRule, Layout, Signature, Step
 from ..core import Settings as BaseSettings
 from ..core.seeding import SeedTree
 from ..errors import UsageError
@@ -38,7 +38,8 @@ class RobotTask(Environment):
 
     Raises:
         PluginError: robot and task are incompatible.
-        UsageError: `randomization` names a parameter that neither declares, or the engine is not installed.
+        UsageError: `randomization` names a parameter that neither declares, `omit` a field that there is not, or the
+            engine is not installed.
     """
 
     class Settings(BaseSettings):
@@ -51,6 +52,9 @@ class RobotTask(Environment):
         )
         actions: Literal["continuous", "discrete"] = Setting(
             "continuous", description="discrete: one full step along each action axis in both directions, and nothing"
+        )
+        omit: tuple[str, ...] = Setting(
+            (), description="fields to leave out of the observation, e.g. [object_velocity]"
         )
         window: bool = Setting(False, description="show the world in a window; needs a display")
 
@@ -83,8 +87,20 @@ class RobotTask(Environment):
         self._action_set = ActionSet(robot.action) if settings.actions == "discrete" else None
         self._terminates = type(task.goal_rule).terminated is not GoalRule.terminated
         self._drawn: list[float] = []
+        full = robot.observation + task.observation
+        kept = tuple(field for field in full.fields if field.name not in settings.omit)
+        if unknown := sorted(set(settings.omit) - set(full.names)):
+            raise UsageError(
+                f"no observation is called {', '.join(unknown)}",
+                where="environment.omit",
+                hint=f"there are {', '.join(full.names)}",
+            )
+        if not kept:
+            raise UsageError("nothing would be observed", where="environment.omit", hint="leave out less")
+        self._columns = np.concatenate([np.arange(full.size)[full.slice(field.name)] for field in kept])
+        self._omits = len(kept) < len(full.fields)
         self.signature = Signature(
-            observation=robot.observation + task.observation,
+            observation=Layout(kept),
             action=self._action_set.actions if self._action_set else robot.action,
             max_steps=task.max_steps,
             reward_range=task.goal_rule.reward_range,
@@ -193,7 +209,8 @@ class RobotTask(Environment):
         values = self.robot.observe() + self.task.observe()
         if not isfinite(sum(values)) or self.task.lost():
             return None
-        return np.array(values, np.float32)
+        observed = np.array(values, np.float32)
+        return observed[self._columns] if self._omits else observed
 
     def _diverged(self) -> Step:
         """End the episode with the last finite state. The next reset builds a new world."""

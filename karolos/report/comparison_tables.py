@@ -68,6 +68,8 @@ def explanations(comparison: Comparison) -> list[str]:
     final = [run.summary.final for contender in comparison.contenders for run in contender.runs]
     what = "success and return are those" if any(one.end for one in scores) else "the return is that"
     lines = [f"{what} of {_reported_test(final)}; the unit is the seed"]
+    if comparison.at is not None:
+        lines.append(f"the runs are compared as they were at their tests nearest to {comparison.at:,} steps")
     if any(one.best_end or one.best_return for one in scores):
         lines.append("best: the policy of the best test, in the final test, whose episodes it was not chosen on")
     if "bootstrap" in kinds:

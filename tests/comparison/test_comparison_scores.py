@@ -52,6 +52,22 @@ def test_steps_and_time_to_a_ratio_are_medians_with_those_that_never_got_there_c
     assert (most.ratio, most.reached, most.seeds, most.steps, most.seconds) == (0.9, 3, 5, 3000, 30)
 
 
+def test_runs_are_compared_at_a_number_of_steps() -> None:
+    long, short = contender("a", FIVE), contender("b", [[0, 60], [0, 70]])
+    compared = compare([long, short], "any", at=2050)
+    assert [scores.any.value for scores in compared.scores] == [pytest.approx(0.34), pytest.approx(0.65)]
+    assert [scores.steps for scores in compared.scores] == [2000, 2000]
+    assert compared.scores[0].best_end is None
+    assert compared.scores[0].reaching[1].reached == 0
+    assert not any("ended at different steps" in warning for warning in compared.warnings)
+    assert [row["at"] for row in compared.rows()] == [2050, 2050]
+
+
+def test_steps_far_from_every_test_of_a_run_are_refused() -> None:
+    with pytest.raises(UsageError, match=r"--at: .* has no test near 3,000 steps; its nearest is at 2,000"):
+        compare([contender("a", FIVE), contender("b", [[0, 60]])], "any", at=3000)
+
+
 def test_ratio_that_half_of_the_seeds_never_reach_has_no_median() -> None:
     [scores] = compare([contender("a", [[90], [90], [0], [0]])], "any").scores
     assert [(one.reached, one.steps, one.seconds) for one in scores.reaching] == [(2, None, None)] * 2

@@ -160,3 +160,33 @@ def test_camera_shows_every_goal_and_the_robot(robot: str, task: str) -> None:
     assert np.abs(right / ahead / view.edge * 480 / 640).max() < 0.9
     assert np.abs(up / ahead / view.edge).max() < 0.9
     made.close()
+
+
+def throwing(*omit: str) -> RobotTask:
+    made = build_environment(
+        Recipe(part("environments", "robot_task", omit=omit), part("robots", "ur5"), part("tasks", "throw"))
+    )
+    assert isinstance(made, RobotTask)
+    return made
+
+
+def test_fields_are_left_out_of_the_observation() -> None:
+    whole, made = throwing(), throwing("landing_if_released", "gripper_opening")
+    fields = [field for field in whole.signature.observation.names if field not in made.settings.omit]
+    assert made.signature.observation.names == tuple(fields)
+    steps = [one.reset(3) for one in (whole, made)]
+    for _ in range(3):
+        for field in fields:
+            columns = [one.signature.observation.slice(field) for one in (whole, made)]
+            np.testing.assert_array_equal(steps[1].observation[columns[1]], steps[0].observation[columns[0]])
+        assert steps[1].observation.shape == (made.signature.observation.size,)
+        steps = [one.step(np.full(7, 0.3)) for one in (whole, made)]
+    whole.close()
+    made.close()
+
+
+def test_field_that_there_is_not_or_every_field_cannot_be_left_out() -> None:
+    with pytest.raises(UsageError, match=r"environment\.omit: no observation is called landing; .*tool_position"):
+        throwing("landing")
+    with pytest.raises(UsageError, match=r"environment\.omit: nothing would be observed"):
+        throwing(*throwing().signature.observation.names)
