@@ -8,6 +8,7 @@ from math import isfinite
 from typing import Any, Literal
 
 import numpy as np
+from numpy.typing import NDArray
 from pydantic import Field as Setting
 
 from ..core import Array, Environment, FloatArray, GoalRule, Layout, Signature, Step
@@ -97,8 +98,10 @@ class RobotTask(Environment):
             )
         if not kept:
             raise UsageError("nothing would be observed", where="environment.omit", hint="leave out less")
-        self._columns = np.concatenate([np.arange(full.size)[full.slice(field.name)] for field in kept])
-        self._omits = len(kept) < len(full.fields)
+        self._columns: NDArray[np.intp] | None = None
+        """Those of the full observation that are kept; None: all."""
+        if settings.omit:
+            self._columns = np.concatenate([np.arange(full.size)[full.slice(field.name)] for field in kept])
         self.signature = Signature(
             observation=Layout(kept),
             action=self._action_set.actions if self._action_set else robot.action,
@@ -210,7 +213,7 @@ class RobotTask(Environment):
         if not isfinite(sum(values)) or self.task.lost():
             return None
         observed = np.array(values, np.float32)
-        return observed[self._columns] if self._omits else observed
+        return observed if self._columns is None else observed[self._columns]
 
     def _diverged(self) -> Step:
         """End the episode with the last finite state. The next reset builds a new world."""

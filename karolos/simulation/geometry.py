@@ -33,6 +33,7 @@ class Box:
         )
 
     def moved(self, by: Vector) -> Box:
+        """The box, moved by so many m along each axis."""
         (a, b, c), (d, e, f), (x, y, z) = self.low, self.high, by
         return Box((a + x, b + y, c + z), (d + x, e + y, f + z))
 
