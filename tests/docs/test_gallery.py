@@ -24,6 +24,8 @@ def test_success_in_a_page_is_that_of_the_final_episodes_of_its_runs(
     assert len(written) == 13, "an overview and twelve pairs"
     ends: dict[str, list[float]] = {}
     for run in paths(sys.modules["references"].REFERENCE):
+        if not (run / "final.jsonl").exists():  # a variant that trains less, which is on no page
+            continue
         last = json.loads((run / "final.jsonl").read_text().splitlines()[1])
         ends.setdefault(json.loads((run / "run.json").read_text())["name"], []).append(
             sum(last["end"]) / len(last["end"])
