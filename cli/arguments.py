@@ -10,7 +10,7 @@ from typing import TYPE_CHECKING, Annotated, Literal
 
 import typer
 
-from karolos.errors import UsageError
+from karolos.errors import NoSuchRunError, UsageError
 
 from .completion import complete_run, complete_setting
 from .output import say, warn
@@ -183,10 +183,10 @@ def is_spec(selector: str) -> bool:
 
 
 def existing_store(selector: str, runs: Path, database: str | None) -> Store:
-    """The index. Raises UsageError if there are no runs that the selector could mean."""
+    """The index. Raises NoSuchRunError if there are no runs that the selector could mean."""
     store = open_store(runs, database)
     if store is None:
-        raise UsageError(
+        raise NoSuchRunError(
             f"{selector!r} means no run: there are no runs in {runs} yet", hint="`karolos run SPEC` makes one"
         )
     return store

@@ -11,7 +11,7 @@ from typing import TYPE_CHECKING, Annotated, Literal
 
 import typer
 
-from karolos.errors import UsageError
+from karolos.errors import NoSuchRunError, UsageError
 
 from .arguments import RUN_HELP, Database, Runs, open_run, open_store
 from .completion import complete_run
@@ -93,7 +93,7 @@ def play(
         target = _film(out or Path(f"{run}.mp4"), window=window)
         spec, environment, policy = load_shipped(run, changed, window=window)
     else:
-        folder = open_run(run, runs, database)
+        folder = _open(run, runs, database)
         target = _film(out or folder.path / "play.mp4", window=window)
         spec, environment, policy = load_player(folder, checkpoint or _best_or_last(folder), changed, window=window)
     count = episodes or (5 if window else 1)
@@ -131,6 +131,18 @@ def _ships(name: str, runs: Path, database: str | None) -> bool:
         return True
     with store:
         return not store.runs(name=name)
+
+
+def _open(name: str, runs: Path, database: str | None) -> RunFolder:
+    """The folder of a run. Raises UsageError if there is none, which names the policies that ship, too."""
+    from karolos.export.shipped import shipped_names
+    from karolos.registry import alternatives
+
+    try:
+        return open_run(name, runs, database)
+    except NoSuchRunError as error:
+        shipped = alternatives(name, shipped_names(), what="policies that ship")
+        raise UsageError(error.what, hint=f"{shipped}; `karolos runs list` shows the runs") from error
 
 
 def _best_or_last(folder: RunFolder) -> str:

@@ -49,6 +49,10 @@ class UsageError(KarolosError):
     exit_code = 2
 
 
+class NoSuchRunError(UsageError):
+    """A selector that means no run."""
+
+
 @dataclass(frozen=True)
 class Problem:
     """One mistake in a spec; `where` is its file:line:column, or its override."""

@@ -8,7 +8,7 @@ from pathlib import Path
 
 import sqlalchemy
 
-from ..errors import UsageError
+from ..errors import NoSuchRunError, UsageError
 from ..records.run_records import RunSummary
 from ..registry import closest
 from .database import Database
@@ -37,7 +37,8 @@ def select(database: Database, selector: str, *, all_prefixed: bool = False) -> 
         all_prefixed: return every run that rule 5 finds, for `only` to refuse.
 
     Raises:
-        UsageError: it means no run, or is the beginning of several ids or hashes.
+        NoSuchRunError: it means no run.
+        UsageError: it is the beginning of several ids or hashes.
     """
     last = _LAST.fullmatch(selector)
     if last:
@@ -46,7 +47,7 @@ def select(database: Database, selector: str, *, all_prefixed: bool = False) -> 
         if not newest:
             raise UsageError("there are no runs yet", hint="`karolos run SPEC` makes one")
         if len(newest) <= back:
-            raise UsageError(f"{selector!r} means no run", hint=f"there are {len(newest)}, from @last on")
+            raise NoSuchRunError(f"{selector!r} means no run", hint=f"there are {len(newest)}, from @last on")
         return newest[-1:]
     identity = Path(selector).name
     if identity:
@@ -62,7 +63,7 @@ def select(database: Database, selector: str, *, all_prefixed: bool = False) -> 
             return found if all_prefixed else (only(selector, found),)
     like = closest(identity, [row.name for row in database.fetch(sqlalchemy.select(RUNS.c.name).distinct())])
     hint = "`karolos runs list` shows them; @last is the newest"
-    raise UsageError(f"{selector!r} means no run", hint=f"did you mean {like!r}? {hint}" if like else hint)
+    raise NoSuchRunError(f"{selector!r} means no run", hint=f"did you mean {like!r}? {hint}" if like else hint)
 
 
 def only(selector: str, found: Sequence[RunSummary]) -> RunSummary:

@@ -67,3 +67,14 @@ def test_play_shows_a_policy_that_ships_without_any_run(tmp_path: Path, monkeypa
     code, _, err = call(app, "panda_reach", *film, "--checkpoint", "best")
     assert code == 2
     assert "'panda_reach' ships with karolos and has no checkpoints" in err
+
+
+def test_an_unknown_name_is_refused_with_the_policies_that_ship(
+    tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    monkeypatch.chdir(tmp_path)
+    code, _, err = call(app, "panda_pik")
+    assert code == 2
+    assert "'panda_pik' means no run" in err
+    assert "did you mean 'panda_pick'?" in err
+    assert all(name in err for name in shipped_names())
