@@ -1,26 +1,22 @@
-"""Films of the gallery: docs/films/<spec>.gif, of the policy that ships for a spec or of the scripted expert.
+"""Films of the gallery: docs/films/<spec>.gif, of each policy that ships.
 
-python docs/_scripts/films.py [SPEC...]   make these films, or all
+python docs/_scripts/films.py [NAME...]   make these films, or all
 """
 
 from __future__ import annotations
 
 import hashlib
 import sys
-from itertools import product
 from pathlib import Path
 
 import numpy as np
 from PIL import Image
 
 from karolos.evaluation.playing import play
-from karolos.evaluation.policies import load_expert
 from karolos.export import shipped
 from karolos.report.video import with_caption
-from karolos.spec import load_spec
 
-ROOT = Path(__file__).parents[2]
-FILMS = ROOT / "docs" / "films"
+FILMS = Path(__file__).parents[1] / "films"
 SIZE = (288, 216)
 SCALE = 2
 """Pictures are drawn larger and made smaller, which smooths edges."""
@@ -28,33 +24,19 @@ RATE, HOLD, EPISODES, COLOURS = 12, 8, 2, 96
 """Pictures per second, pictures of the end of an episode, episodes, colours."""
 
 
-def specs() -> list[str]:
-    """The specs that have a film: one of each pair, and those whose policy ships."""
-    pairs = [f"{robot}_{task}" for robot, task in product(("panda", "ur5", "iiwa"), ("reach", "push", "pick", "throw"))]
-    return sorted({*pairs, *shipped.shipped_names()})
-
-
 def sha256(name: str) -> str:
     """Of a policy that ships, in hexadecimal digits."""
     return hashlib.sha256((shipped.FOLDER / name / "policy.npz").read_bytes()).hexdigest()
 
 
-def player_of(film: Path) -> tuple[str, str]:
-    """Who plays in a film, as its comment says: "policy" and the sha256 of policy.npz, or "expert" and ""."""
-    comment = Image.open(film).info["comment"].decode()
-    by, _, digest = comment.partition(" ")
-    return by, digest
+def played_in(film: Path) -> str:
+    """The sha256 of the policy.npz that plays in a film, as its comment says."""
+    return Image.open(film).info["comment"].decode().removeprefix("policy ")
 
 
 def make(name: str) -> Path:
-    """Film a spec's test episodes."""
-    if name in shipped.shipped_names():
-        spec, environment, policy = shipped.load_shipped(name)
-        comment = f"policy {sha256(name)}"
-    else:
-        spec = load_spec(ROOT / "specs" / f"{name}.yaml")
-        environment, policy = load_expert(spec, window=False)
-        comment = "expert"
+    """Film the test episodes of a policy that ships."""
+    spec, environment, policy = shipped.load_shipped(name)
     pictures, every = [], round(environment.rate / RATE)
     try:
         for moment in play(environment, policy, episodes=EPISODES, seed=spec.testing.seed):
@@ -71,7 +53,7 @@ def make(name: str) -> Path:
     frames = [picture.quantize(palette=palette, dither=Image.Dither.NONE) for picture in pictures]
     FILMS.mkdir(exist_ok=True)
     film = FILMS / f"{name}.gif"
-    milliseconds = round(1000 * every / environment.rate)
+    milliseconds, comment = round(1000 * every / environment.rate), f"policy {sha256(name)}"
     frames[0].save(film, save_all=True, append_images=frames[1:], duration=milliseconds, loop=0, comment=comment)
     return film
 
@@ -83,6 +65,6 @@ def _palette(pictures: list[Image.Image]) -> Image.Image:
 
 
 if __name__ == "__main__":
-    for one in sys.argv[1:] or specs():
+    for one in sys.argv[1:] or shipped.shipped_names():
         path = make(one)
         print(f"{path.name}: {path.stat().st_size / 1000:.0f} kB")

@@ -20,7 +20,7 @@ from typing import Any
 import references
 import typer
 import yaml
-from films import FILMS, player_of
+from films import FILMS, played_in
 from karolos_cli.main import app
 from karolos_cli.plugins import _settings
 from typer.testing import CliRunner
@@ -299,9 +299,9 @@ def gallery(folder: Path) -> dict[str, str]:
     """An overview and a page for each pair of robot and task; figures are written into `folder`."""
     found = references.contenders()
     overview = (
-        "# Gallery\n\nEvery robot with every task. A film shows a policy that ships with karolos, or the scripted "
-        "expert where none ships. The number is success at the end of 1,000 episodes that nothing was chosen on, mean "
-        "over the seeds of the [reference runs](../../results.md).\n\n"
+        "# Gallery\n\nEvery robot with every task. Films show policies that ship with karolos. The number is "
+        "success at the end of 1,000 episodes that nothing was chosen on, mean over the seeds of the "
+        "[reference runs](../../results.md).\n\n"
     )
     overview += f"| {' | '.join(['', *references.ROBOTS])} |\n|{' --- |' * (1 + len(references.ROBOTS))}\n"
     pages: dict[str, str] = {}
@@ -331,25 +331,18 @@ def _end(one: Contender) -> float:
 
 def _film(names: Sequence[str]) -> str:
     """The name of the film that is shown for these specs: of the first whose policy ships."""
-    return next((name for name in names if name in shipped.shipped_names()), names[0])
+    return next(name for name in names if name in shipped.shipped_names())
 
 
 def _pair(robot: str, task: str, names: Sequence[str], found: dict[str, Contender], folder: Path) -> str:
     film = _film(names)
-    by, sha256 = player_of(FILMS / f"{film}.gif")
-    text = f"# {robot}: {task}\n\n![{robot} {task}](../../films/{film}.gif)\n\n"
-    if by == "policy":
-        policy = f"../../../karolos/export/policies/{film}"
-        text += (
-            f"The film shows the policy `{film}` that ships with karolos, in test episodes of its run. `karolos play "
-            f"{film}` plays it. Files: [policy.npz]({policy}/policy.npz), [policy.json]({policy}/policy.json); sha256 "
-            f"`{sha256[:16]}`.\n\n"
-        )
-    else:
-        text += (
-            "The film shows the scripted expert. No trained policy of this pair ships with karolos. "
-            f"`karolos play specs/{film}.yaml --expert` plays it.\n\n"
-        )
+    policy = f"../../../karolos/export/policies/{film}"
+    text = (
+        f"# {robot}: {task}\n\n![{robot} {task}](../../films/{film}.gif)\n\n"
+        f"The film shows the policy `{film}` that ships with karolos, in test episodes of its run. `karolos play "
+        f"{film}` plays it. Files: [policy.npz]({policy}/policy.npz), [policy.json]({policy}/policy.json); sha256 "
+        f"`{played_in(FILMS / f'{film}.gif')[:16]}`.\n\n"
+    )
     return text + "".join(_of_spec(name, found.get(name), folder) for name in names)
 
 

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+from itertools import product
 from pathlib import Path
 
 import numpy as np
@@ -23,8 +24,9 @@ app = Typer()
 app.command()(play)
 
 
-def test_an_arm_ships_for_every_task() -> None:
-    assert {"panda_reach", "panda_push", "panda_pick", "panda_throw"} <= set(shipped_names())
+def test_a_policy_ships_for_every_pair_of_robot_and_task() -> None:
+    pairs = product(("panda", "ur5", "iiwa"), ("reach", "push", "pick", "throw"))
+    assert {f"{robot}_{task}" for robot, task in pairs} == set(shipped_names())
 
 
 def final_test(run: object) -> FinalTest[TestResult]:
