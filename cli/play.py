@@ -142,7 +142,7 @@ def _open(name: str, runs: Path, database: str | None) -> RunFolder:
         return open_run(name, runs, database)
     except NoSuchRunError as error:
         shipped = alternatives(name, shipped_names(), what="policies that ship")
-        raise UsageError(error.what, hint=f"{shipped}; {error.hint}") from error
+        raise UsageError(error.what, hint=f"{error.hint}; {shipped}") from error
 
 
 def _best_or_last(folder: RunFolder) -> str:
