@@ -27,8 +27,6 @@ LONGEST_FLIGHT = 3.0
 """Seconds that a flight is followed at the most; no robot throws higher than for 2."""
 FLIGHT_STEPS = 100
 """Steps in which the floor is looked for along a whole flight."""
-START_RANGE = 0.05
-"""m along each axis around the home position within which the tool starts."""
 FLOOR_CONTACT = 0.002
 """m above the floor below which a corner of the cube counts as touching it."""
 BOUNCE = 0.08
@@ -75,9 +73,9 @@ class Landing(GoalRule):
 class Throw(CubeTask):
     """What to do: throw the cube, which starts in the gripper, so that it comes down on the target.
 
-    What is randomised: the tool's start, within 5 cm of the home position along each axis, and the target: on the floor
-    in front of the robot within `sector` degrees to either side, beyond the arm's reach by at least `threshold` and
-    nearer than `share` of the furthest throw.
+    What is randomised: the tool's start, within `start_range` of the home position along each axis, and the target: on
+    the floor in front of the robot within `sector` degrees to either side, beyond the arm's reach by at least
+    `threshold` and nearer than `share` of the furthest throw.
 
     Observation: object_position (3, m), object_rotation (6, two columns of its matrix), object_velocity (3, m/s),
     object_angular_velocity (3, rad/s), object_from_tool (3, m), landing_if_released (2, m) and time_of_flight (1, s):
@@ -105,6 +103,7 @@ class Throw(CubeTask):
         share: float = Setting(0.85, gt=0, le=1, description="largest distance of a target / furthest throw")
         sector: float = Setting(30.0, gt=0, le=60, description="of targets, to either side of straight ahead, degrees")
         max_steps: int = Setting(75, ge=1, le=100_000, description="control steps per episode")
+        start_range: float = Setting(0.05, ge=0, le=0.5, description="of the tool about home along each axis, m")
         end_at_release: float = Setting(
             0.0, ge=0, le=1, description="probability that an episode ends at the release, its landing computed"
         )
@@ -129,7 +128,10 @@ class Throw(CubeTask):
         probability = RandomizedParameter(
             "1", self.settings.end_at_release, 0.0, 1.0, "probability that an episode ends at the release"
         )
-        return {**super().parameters, "end_at_release": probability}
+        start = RandomizedParameter(
+            "m", self.settings.start_range, 0.0, 0.5, "of the tool about home along each axis, within the workspace"
+        )
+        return {**super().parameters, "end_at_release": probability, "start_range": start}
 
     @property
     def max_steps(self) -> int:
@@ -147,14 +149,19 @@ class Throw(CubeTask):
                 where="task.share",
                 hint="a larger share or robot.joint_step leaves more, a smaller task.threshold too",
             )
-        low, high = robot.workspace.low, robot.workspace.high
-        start = [
-            (max(at - START_RANGE, a), min(at + START_RANGE, b)) for at, a, b in zip(robot.home, low, high, strict=True)
-        ]
-        self._starts = Box(*zip(*start, strict=True))
+        self._starts = self._start_within(settings.start_range)
         angle, far = radians(settings.sector), self.furthest
         targets = Box((self.nearest * cos(angle), -far * sin(angle), 0.0), (far, far * sin(angle), 0.0))
         self._targets = targets.moved((*planner.axis, 0.0))
+
+    def _start_within(self, metres: float) -> Box:
+        """Where the tool starts: at most this far from home along each axis, within the workspace."""
+        home, workspace = self._robot.home, self._robot.workspace
+        ranges = [
+            (max(at - metres, low), min(at + metres, high))
+            for at, low, high in zip(home, workspace.low, workspace.high, strict=True)
+        ]
+        return Box(*zip(*ranges, strict=True))
 
     def build(self, world: World) -> None:
         super().build(world)
@@ -164,6 +171,9 @@ class Throw(CubeTask):
     def apply(self, world: World, name: str, value: float) -> None:
         if name == "end_at_release":
             self._end_at_release = value
+            return
+        if name == "start_range":
+            self._starts = self._start_within(value)
             return
         if name == "gravity":
             self._gravity = value

@@ -9,6 +9,7 @@ from support.rig import expert_episode, part
 from karolos.environments.build import build_environment
 from karolos.environments.robot_task import RobotTask
 from karolos.errors import KarolosError, UsageError
+from karolos.randomization.choice import Choice
 from karolos.spec.parts import Recipe
 from karolos.tasks.throw import Throw, flight_time
 
@@ -278,6 +279,23 @@ def test_an_episode_may_end_at_the_release_with_the_landing_that_follows(robot: 
             np.testing.assert_array_equal(one.observation, other.observation)
     whole.close()
     short.close()
+
+
+@pytest.mark.parametrize("robot", ROBOTS)
+@pytest.mark.parametrize("metres", [0.0, 0.05, 0.25])
+def test_throws_start_as_far_from_home_as_the_setting_or_the_parameter_says(robot: str, metres: float) -> None:
+    fixed, drawn = made(robot, start_range=metres), made(robot)
+    drawn.randomize({"task.start_range": Choice(Choice.Settings(values=(metres,)))})
+    starts = [[fixed.reset(seed) and fixed.robot.tool_position for seed in range(24)]]
+    starts += [[drawn.reset(seed) and drawn.robot.tool_position for seed in range(24)]]
+    np.testing.assert_array_equal(*starts)
+    home, workspace = np.array(fixed.robot.home), fixed.robot.workspace
+    low, high = np.maximum(home - metres, workspace.low), np.minimum(home + metres, workspace.high)
+    assert (np.array(starts[0]) > low - 0.02).all()  # m; joints start with a small error
+    assert (np.array(starts[0]) < high + 0.02).all()
+    assert (np.ptp(starts[0], 0) >= 0.6 * (high - low)).all()
+    for environment in (fixed, drawn):
+        environment.close()
 
 
 @pytest.mark.parametrize("height", [0.0, 0.3])
