@@ -45,6 +45,17 @@ def test_reference_runs_are_small_and_hold_no_weights() -> None:
     assert sum(path.stat().st_size for path in files) < MOST_BYTES
 
 
+def test_reference_runs_name_no_place_on_a_machine() -> None:
+    for path in paths(REFERENCE):
+        words = json.loads((path / "run.json").read_text(encoding="utf-8"))["command"]
+        assert not [word for word in words if Path(word).is_absolute() or word.startswith(("~", "--runs"))], path.name
+
+
+def test_a_command_is_kept_without_its_folder_and_database() -> None:
+    words = ["karolos", "run", "specs/a.yaml", "--runs", "/tmp/a", "seeds=[0]", "--database=sqlite:///b", "--quiet"]
+    assert SCRIPT["portable"](words) == ["karolos", "run", "specs/a.yaml", "seeds=[0]", "--quiet"]
+
+
 def test_a_run_of_another_spec_or_without_its_final_test_is_refused(tmp_path: Path) -> None:
     run = shutil.copytree(paths(REFERENCE)[0], tmp_path / "run")
     resolved = json.loads((run / "resolved.json").read_text())

@@ -38,7 +38,7 @@ FILES = ("spec.yaml", "resolved.json", "run.json", "state.json", "tests.jsonl", 
 SHARED = "shared-machine"
 """Tag of runs that shared their machine with other work: their times are upper limits."""
 SHORTER = ("training.steps=", "testing.final_episodes=")
-"""Settings of variants that train for less than the shipped spec."""
+"""Settings of variants that train for less than the shipped spec or are not tested at the end."""
 ROBOTS = ("panda", "ur5", "iiwa")
 TARGETS = {
     "reach": (0.99, 15),
@@ -58,9 +58,9 @@ def command(folder: RunFolder) -> tuple[str, tuple[str, ...]]:
     return words[2], tuple(word for word in words[3:] if "=" in word and not word.startswith(("-", "name=", "seeds=")))
 
 
-def _steps(changed: tuple[str, ...]) -> int | None:
-    """The steps of a variant that trains for less than the shipped spec: it is compared in tests, not in final ones."""
-    return next((int(word.partition("=")[2]) for word in changed if word.startswith("training.steps=")), None)
+def _steps(path: str, changed: tuple[str, ...]) -> int | None:
+    """The steps of a variant that is compared in tests, not in final ones: it trains for less or has no final test."""
+    return load_spec(ROOT / path, changed).training.steps if any(word.startswith(SHORTER) for word in changed) else None
 
 
 @cache
@@ -80,7 +80,7 @@ def faults(folder: RunFolder) -> Iterator[str]:
     try:
         path, changed = command(folder)
         final = folder.final()
-        if _steps(changed) is None and (final is None or final.best is None or final.last.episodes < 1000):
+        if _steps(path, changed) is None and (final is None or final.best is None or final.last.episodes < 1000):
             yield "it has no final test of last and best with 1,000 episodes"
         if spec_from_dict(record.spec).hash() != shipped_hash(path, changed):
             yield "its spec is not the one that ships"
@@ -103,7 +103,17 @@ def add(path: Path) -> Path:
     for name in FILES:
         if (path / name).exists():
             shutil.copy(path / name, target)
+    write_json(target / "run.json", {**about, "command": portable(about["command"])})
     return target
+
+
+def portable(words: list[str]) -> list[str]:
+    """A command without the folder and the database that its run went to: places on one machine."""
+    kept, left_out = [], ("--runs", "--database")
+    for before, word in zip(["", *words], words, strict=False):
+        if before not in left_out and word.partition("=")[0] not in left_out:
+            kept.append(word)
+    return kept
 
 
 def identify() -> None:
@@ -249,7 +259,7 @@ def _variants(found: dict[str, Contender], names: list[str]) -> str:
         base = Path(path).stem
         if base not in found:
             continue
-        both: Comparison = compare([found[base], found[name]], at=_steps(changed))
+        both: Comparison = compare([found[base], found[name]], at=_steps(path, changed))
         shipped, variant = both.scores
         rows.append(
             [
