@@ -31,6 +31,7 @@ class Choice(Distribution):
 
     def __init__(self, settings: Choice.Settings) -> None:
         super().__init__(settings)
+        self.listed = settings.values
         total = sum(settings.weights or ())
         self._probabilities = [weight / total for weight in settings.weights] if settings.weights else None
 

@@ -28,29 +28,46 @@ class RandomizedParameter:
     """Values outside [low, high] are never applied."""
     description: str = ""
 
+    @property
+    def allowed(self) -> str:
+        """What may be written, for a message."""
+        return f"allowed is {self.low:g} to {self.quantity(self.high)}"
+
+    def quantity(self, value: float) -> str:
+        """The value with its unit, for a message; a pure number has none."""
+        return f"{value:g}" if self.unit == "1" else f"{value:g} {self.unit}"
+
 
 class Randomization:
     """The parameters that are drawn at each reset, and their distributions.
 
-    A value outside the range that the parameter declares is drawn again, so the distribution is truncated.
+    A value outside the range that the parameter declares is drawn again, so the distribution is truncated; one that is
+    listed (a constant, a choice) is refused.
 
     Args:
         distributions: by name of the parameter with its part in front, e.g. "task.gravity".
         declared: the parameters of robot and task, by the same names.
 
     Raises:
-        UsageError: a parameter that neither robot nor task declares.
+        UsageError: a parameter that neither robot nor task declares, or a listed value outside its range.
         RunError: a distribution that misses the allowed range.
     """
 
     def __init__(self, distributions: Mapping[str, Distribution], declared: Mapping[str, RandomizedParameter]) -> None:
-        for name in distributions:
+        for name, distribution in distributions.items():
             if name not in declared:
                 raise UsageError(
                     f"no parameter is called {name!r}",
                     where=f"randomization.{name}",
                     hint=alternatives(name, sorted(declared), what="declared"),
                 )
+            for value in distribution.listed:
+                if not declared[name].low <= value <= declared[name].high:
+                    raise UsageError(
+                        f"{declared[name].quantity(value)} lies outside the allowed range",
+                        where=f"randomization.{name}",
+                        hint=declared[name].allowed,
+                    )
         self._drawn = tuple((name, distributions[name], declared[name]) for name in sorted(distributions))
         self.layout = Layout(tuple(Field(name, 1, parameter.unit) for name, _, parameter in self._drawn))
         """The parameters in the order of the values that `draw` returns."""
@@ -67,7 +84,7 @@ class Randomization:
             if parameter.low <= value <= parameter.high:
                 return value
         raise RunError(
-            f"{ATTEMPTS} values in a row lie outside the allowed range, the last one {value:g} {parameter.unit}",
+            f"{ATTEMPTS} values in a row lie outside the allowed range, the last one {parameter.quantity(value)}",
             where=f"randomization.{name}",
-            hint=f"allowed is {parameter.low:g} to {parameter.high:g} {parameter.unit}",
+            hint=parameter.allowed,
         )

@@ -83,8 +83,14 @@ def test_values_outside_the_declared_range_are_drawn_again() -> None:
 
 
 def test_distribution_that_always_misses_is_a_named_error() -> None:
-    with pytest.raises(RunError, match=r"randomization.robot.link_mass.*allowed is 0.5 to 2 1"):
+    with pytest.raises(RunError, match=r"randomization.robot.link_mass.*allowed is 0.5 to 2$"):
         Randomization({"robot.link_mass": Uniform(Uniform.Settings(low=5.0, high=6.0))}, DECLARED)
+
+
+@pytest.mark.parametrize("values", [(5.0,), (1.0, 5.0)])
+def test_listed_value_outside_the_range_is_refused_not_left_out(values: tuple[float, ...]) -> None:
+    with pytest.raises(UsageError, match=r"robot.link_mass: 5 lies outside the allowed range; allowed is 0.5 to 2$"):
+        Randomization({"robot.link_mass": Choice(Choice.Settings(values=values))}, DECLARED)
 
 
 def test_undeclared_parameter_names_the_closest_and_what_is_declared() -> None:
