@@ -25,6 +25,7 @@ from ..randomization.randomization import RandomizedParameter
 from ..simulation import urdf
 from ..simulation.geometry import Vector
 from ..simulation.interface import Body, Box, Fingers, Gripper, JointLimits, World
+from ..simulation.interface.engine import OPENS
 from ..simulation.kinematics import Chain, Configuration
 from ..simulation.urdf import Description, Joint
 from .joint_control import JointControl
@@ -80,6 +81,11 @@ class ArmSettings(Settings):
     base: Literal["origin", "centred"] = Setting(
         "origin",
         description="what is at the origin of the world: the robot's base, or (centred) the middle of its workspace",
+    )
+    timed_release: bool = Setting(
+        False,
+        description="whether a gripper that starts to open does so later in the control step the less it is told to "
+        "open; false: at the beginning of the step",
     )
     finger_opening: float = Setting(
         0.0, ge=0, le=1, description="how far a gripper that the task does not use stands open: 0 closed, 1 open"
@@ -202,7 +208,8 @@ class Arm:
     joint_velocities (n, rad/s).
     Action, each number in [-1, 1]: tool_position_change (3, in units of `tool_step`), with `yaw` yaw_change (1, in
     units of `yaw_step`); with joint control instead joint_changes (n, in units of the joint step); with a gripper
-    gripper_opening (1, -1 closed to 1 open).
+    gripper_opening (1, -1 closed to 1 open). With `timed_release` a gripper that holds something and is told to open
+    lets go within the control step, the later the less the action exceeds the opening that it has.
     """
 
     Settings: ClassVar[type[ArmSettings]]
@@ -242,6 +249,7 @@ class Arm:
         self._velocities: Sequence[float] = (0.0,) * len(model.home)
         self._delayed: deque[list[float]] = deque()
         self.opening_command = 0.0
+        self._opens = False
         self.tool_position: Vector = self.home
         self.observed_tool_position: Vector = self.home
         self.tool_velocity: Vector = (0.0, 0.0, 0.0)
@@ -355,6 +363,7 @@ class Arm:
         self._control.reset(positions)
         self._motors.write(positions, opening)
         self.opening_command = command
+        self._opens = False
         # until the first delayed action takes effect the arm rests and the gripper keeps its command
         rest = [0.0] * self.action.size
         if self._fingers is not None:
@@ -409,7 +418,21 @@ class Arm:
         opening = None if self._fingers is None else 0.5 + 0.5 * values[-1]
         self.opening_command = opening or 0.0
         end = self._control.ramp(self._positions, self._velocities, changes)
-        self._motors.drive(self._velocities, end, opening)
+        if opening is None or not self.settings.timed_release:
+            self._motors.drive(self._velocities, end, opening)
+        else:
+            self._motors.drive(self._velocities, end, *self._timed(opening))
+
+    def _timed(self, opening: float) -> tuple[float, float]:
+        """What the gripper is told in this control step, and the fraction of the step after which it is.
+
+        A release late in one step is nearly one at the beginning of the next: what it does to the object is continuous
+        in the actions, where a release at the beginning of a step jumps from step to step.
+        """
+        opened, self._opens = self._opens, opening > self.opening + OPENS
+        if opened or not self._opens:
+            return opening, 0.0
+        return 1.0, (1 - opening) / (1 - self.opening)
 
     def _yaw(self) -> float:
         """Current yaw of the tool's x axis, in rad."""

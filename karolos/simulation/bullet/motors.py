@@ -7,13 +7,11 @@ from operator import gt
 
 import numpy as np
 
-from ..interface.engine import Fingers, JointLimits
+from ..interface.engine import OPENS, Fingers, JointLimits
 from .body import Body
 
 FINGER_GAIN = 0.1
 """Fraction of the distance to its target that a finger asks for per physics step."""
-OPENS = 0.01
-"""The gripper opens while its commanded opening (0 to 1) is larger than the measured one by more than this."""
 STABLE = 0.5
 """Largest fraction of a joint's speed that its own damping removes per physics step. PyBullet integrates it explicitly:
 from 1 on a light wrist oscillates."""
@@ -56,6 +54,7 @@ class Motors:
                 body.set_air_drag(0.0, link)
                 body.anchor_friction(link, on=True)
             self._opening, self._opens, self._releases_in_motion = 0.0, False, False
+            self._command, self._moves_at = 0.0, 0
             body.couple(*pads)
             self.set_pad_friction(fingers.gripper.pad_friction)
         self._masses = [(link, *body.inertia(link)) for link in (*joints, *pads)]
@@ -97,7 +96,7 @@ class Motors:
         if self._fingers is not None:
             finger = self._fingers.position(opening)
             self._body.write_joints(self.pads, [finger, finger])
-            self._opening = opening
+            self._opening, self._moves_at = opening, 0
             self._anchor_unless(opens=False)
             self._drive_fingers(finger)
 
@@ -112,14 +111,22 @@ class Motors:
             for link in self.pads:
                 self._body.anchor_friction(link, on=not opens)
 
-    def drive(self, begin: Sequence[float], end: Sequence[float], opening: float | None) -> None:
+    def drive(self, begin: Sequence[float], end: Sequence[float], opening: float | None, wait: float = 0.0) -> None:
         self._begin, self._end = begin, end
         if self._fingers is not None and opening is not None:
+            self._command, self._moves_at = opening, int(wait * len(self._fractions))
+            if not self._moves_at:
+                self._move_fingers(opening)
+
+    def _move_fingers(self, opening: float) -> None:
+        if self._fingers is not None:
             self._anchor_unless(opens=opening > self._opening + OPENS)
             self._drive_fingers(self._fingers.position(opening))
 
     def substep(self, step: int) -> None:
         """Set the target speeds of physics step number `step` of the control step: those at its end."""
+        if self._fingers is not None and 0 < self._moves_at == step:
+            self._move_fingers(self._command)
         fraction = self._fractions[step]
         speeds = [first + fraction * (last - first) for first, last in zip(self._begin, self._end, strict=True)]
         self._body.drive_speeds(self._arm, speeds, self._torques, self._gains)

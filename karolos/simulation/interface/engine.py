@@ -17,6 +17,8 @@ GRAVITY = -9.81
 """m/s2 along z."""
 FLOOR_FRICTION = 0.5
 """Lateral friction coefficient of the floor. A contact has the product of the coefficients of its two bodies."""
+OPENS = 0.01
+"""The gripper opens while its commanded opening (0 to 1) is larger than the measured one by more than this."""
 Colour = tuple[float, float, float, float]
 """Red, green, blue, opacity in [0, 1]."""
 
@@ -167,11 +169,12 @@ class Motors(Protocol):
     def write(self, positions: Sequence[float], opening: float) -> None:
         """Put the joints (n,) in rad and the gripper there at rest; the motors hold the arm still."""
 
-    def drive(self, begin: Sequence[float], end: Sequence[float], opening: float | None) -> None:
+    def drive(self, begin: Sequence[float], end: Sequence[float], opening: float | None, wait: float = 0.0) -> None:
         """Set the target speeds of the next control step: from `begin` to `end` (n,) in rad/s, linear in time.
 
         After k of n physics steps a joint's target speed is begin + k / n (end - begin).
-        `opening` of the gripper is in [0, 1]; None leaves the gripper out.
+        `opening` of the gripper is in [0, 1]; None leaves the gripper out. It takes effect when the fraction `wait` of
+        the control step, in [0, 1) and rounded down to a physics step, is over; until then the gripper does as before.
         """
 
     def read(self) -> tuple[Sequence[float], Sequence[float], float]:

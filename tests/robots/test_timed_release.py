@@ -1,0 +1,73 @@
+"""A release within a control step: when the gripper opens, on both engines."""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+
+import numpy as np
+import pytest
+from support.rig import part
+
+from karolos.core import Array
+from karolos.environments.build import build_environment
+from karolos.environments.robot_task import RobotTask
+from karolos.spec.parts import Recipe
+
+
+@pytest.fixture(params=["bullet", "mujoco"])
+def engine(request: pytest.FixtureRequest) -> str:
+    if request.param == "mujoco":
+        pytest.importorskip("mujoco")
+    return str(request.param)
+
+
+def made(engine: str = "bullet", *, timed: bool = True, robot: str = "ur5") -> RobotTask:
+    environment = build_environment(
+        Recipe(
+            part("environments", "robot_task", engine=engine),
+            part("robots", robot, timed_release=timed),
+            part("tasks", "throw", end_at_release=1.0),
+        )
+    )
+    assert isinstance(environment, RobotTask)
+    return environment
+
+
+def swing(environment: RobotTask, commands: Sequence[float]) -> Array:
+    """Where the cube lands (2,) when the arm swings and the gripper is told that, one command a step, closed before."""
+    environment.reset(0)
+    for command in [-1.0] * 4 + [*commands] + [1.0] * 10:
+        action = np.zeros(environment.signature.action.size, np.float32)
+        action[0], action[-1] = 1.0, command
+        step = environment.step(action)
+        if step.terminated:
+            return step.achieved_goal[:2]
+    raise AssertionError("nothing was thrown")
+
+
+def test_the_gripper_opens_later_in_the_step_the_less_it_is_told_to_open(engine: str) -> None:
+    environment = made(engine)
+    environment.reset(0)
+    held = 2 * environment.robot.opening - 1
+    early, late = swing(environment, [1.0]), swing(environment, [-1.0, 1.0])
+    step = late - early
+    assert np.linalg.norm(step) > 0.05, "the swing is so fast that a step matters"  # m
+    along = [
+        float((swing(environment, [held + share * (1 - held)]) - early) @ step / (step @ step))
+        for share in (0.85, 0.65, 0.45, 0.25, 0.05)  # a control step has 10 physics steps
+    ]
+    assert along == pytest.approx([0.1, 0.3, 0.5, 0.7, 0.9], abs=0.05)
+    environment.close()
+
+
+def test_an_episode_forgets_the_release_of_the_one_before(engine: str) -> None:
+    environment = made(engine)
+    first = swing(environment, [0.3])
+    assert np.array_equal(swing(environment, [0.3]), first)
+    environment.close()
+
+
+def test_without_it_the_gripper_opens_at_the_beginning_of_the_step(engine: str) -> None:
+    environment = made(engine, timed=False)
+    assert swing(environment, [0.3]) == pytest.approx(swing(environment, [1.0]), abs=1e-3)
+    environment.close()
