@@ -21,11 +21,11 @@ def engine(request: pytest.FixtureRequest) -> str:
     return str(request.param)
 
 
-def made(engine: str = "bullet", *, timed: bool = True, robot: str = "ur5") -> RobotTask:
+def made(engine: str = "bullet", *, timed: bool = True) -> RobotTask:
     environment = build_environment(
         Recipe(
             part("environments", "robot_task", engine=engine),
-            part("robots", robot, timed_release=timed),
+            part("robots", "ur5", timed_release=timed),
             part("tasks", "throw", end_at_release=1.0),
         )
     )
