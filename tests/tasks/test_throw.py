@@ -11,7 +11,8 @@ from karolos.environments.robot_task import RobotTask
 from karolos.errors import KarolosError, UsageError
 from karolos.randomization.choice import Choice
 from karolos.spec.parts import Recipe
-from karolos.tasks.throw import Throw, flight_time
+from karolos.tasks.flight import flight_time
+from karolos.tasks.throw import Throw
 
 ROBOTS = ["panda", "ur5", "iiwa"]
 REACH_AND_FURTHEST = {"panda": (0.95, 2.13), "ur5": (1.06, 2.39), "iiwa": (1.08, 1.73)}

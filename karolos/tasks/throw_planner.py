@@ -1,0 +1,247 @@
+"""Plans throws by kinematics: how far an arm throws, and the motion of its joints for a target."""
+
+from __future__ import annotations
+
+from collections.abc import Callable
+from itertools import product
+from math import atan2, cos, hypot, pi, sin
+from typing import NamedTuple
+
+import numpy as np
+
+from ..core import Array
+from ..errors import UsageError
+from ..simulation.interface import RobotView
+from ..simulation.interface.engine import GRAVITY
+
+RUN_UP = 0.4
+"""Seconds at constant speed before the release, in which the arm accelerates to that speed."""
+FOLLOW_THROUGH = 0.15
+"""Seconds at constant speed after the release, in which the gripper opens."""
+FLOOR_CLEARANCE = 0.12
+"""Smallest height in m of the tool and of the swinging joints above the floor."""
+BASE_CLEARANCE = 0.2
+"""Smallest distance in m of the tool from the axis of the base joint while it is lower than .2 m above the first
+swinging joint: there the arm's base stands."""
+UNFOLDED = 0.4
+"""Smallest distance of the tool from the first swinging joint as a fraction of the largest, so that the hand does not
+meet the upper arm."""
+GRID_POINTS = 9
+"""Of the search along each joint; the grid then closes in on the best point."""
+GRID_ROUNDS = 5
+SLOWEST = 0.3
+"""Slowest throw as a fraction of the full speed."""
+
+
+class ThrowPlan(NamedTuple):
+    """The motion for one target; all joints of the arm, in rad and rad/s."""
+
+    release: tuple[float, ...]
+    """Joint positions at which the object leaves."""
+    velocities: tuple[float, ...]
+    """Joint velocities during the whole throw."""
+
+
+def landing_distance(position: Array, velocity: Array, height: float) -> Array:
+    """Horizontal position in m at which free fall from `position` reaches `height`.
+
+    Complex numbers: the real part is horizontal, the imaginary part the height; m and m/s. There is no air drag.
+    """
+    rise = velocity.imag
+    drop = np.maximum(position.imag - height, 0.0)
+    seconds = (rise + np.sqrt(rise * rise - 2 * GRAVITY * drop)) / -GRAVITY
+    distance: Array = position.real + velocity.real * seconds
+    return distance
+
+
+class ThrowPlanner:
+    """Plans throws by kinematics alone: the furthest throw of a robot, and from it the throw at any nearer target.
+
+    A throw turns the joints whose axes are horizontal and parallel ("swinging joints"), so that the tool moves in one
+    vertical plane, each at a constant speed within its limit; the base joint turns that plane towards the target. The
+    release is where the landing distance has its maximum along the motion: there an early or late opening matters
+    least. Slower motions throw less far.
+
+    Args:
+        height: of the object's centre above the floor when it has landed, in m.
+
+    Attributes:
+        axis: x and y of the robot's axis, that of the base joint, in m.
+        reach: the largest horizontal distance of the tool from the robot's axis, in m.
+        furthest: the largest landing distance from that axis, in m.
+
+    Raises:
+        UsageError: no joint turns a vertical plane with two swinging joints in it, or actions do not turn joints.
+    """
+
+    def __init__(self, robot: RobotView, height: float) -> None:
+        if not robot.turns_joints:
+            raise UsageError(
+                "cartesian control keeps the gripper pointing down and within the workspace, and no throw from there "
+                "lands beyond the arm's reach",
+                where="robot.control",
+                hint="set robot.control: joint, which throws with the speed of every joint",
+            )
+        self._robot = robot
+        self._height = height
+        self._find_joints()
+        limits = robot.limits
+        self._home = np.array(robot.home_joints)
+        speed = np.minimum(limits.velocity, np.array(robot.joint_step) / robot.period)
+        # a joint that can make several turns is used from -pi to pi
+        low = np.maximum(limits.lower, self._home - pi)
+        high = np.minimum(limits.upper, self._home + pi)
+        self._low, self._high, self._speed = low[self._swinging], high[self._swinging], speed[self._swinging]
+        planar, self._span = self._search_reach()
+        self.reach = hypot(planar, self._offset)
+        self._release, self._velocities = self._search_throw()
+        # landing distance and time of release of slower throws
+        self._speeds = np.linspace(SLOWEST, 1.0, 71)
+        times = np.linspace(-RUN_UP / 2, FOLLOW_THROUGH, 46)
+        distances = np.stack([self._distances(speed, times) for speed in self._speeds])
+        self._release_times = times[distances.argmax(1)]
+        self._landings = np.maximum.accumulate(distances.max(1))
+        self.furthest = hypot(float(self._landings[-1]), self._offset)
+
+    def _find_joints(self) -> None:
+        """Find the base joint, the swinging joints and the wrist from their axes at the home pose."""
+        robot = self._robot
+        home = robot.forward(robot.home_joints)
+        joints = np.array(home.axes).reshape(-1, 6)
+        origins, axes = joints[:, :3], joints[:, 3:]
+        vertical = np.flatnonzero(np.abs(axes[:, 2]) > 0.999)
+        horizontal = np.flatnonzero(np.abs(axes[:, 2]) < 0.001)
+        if vertical.size and horizontal.size:
+            normal = axes[horizontal[0]]
+            ahead = np.cross((0.0, 0.0, 1.0), normal)  # turning about the normal lifts what is ahead
+            self._base = int(vertical[0])
+            x, y = origins[self._base, :2].tolist()
+            self.axis = x, y
+            tool = np.array(home.tool.position)
+            if (tool[:2] - self.axis) @ ahead[:2] < 0:
+                normal, ahead = -normal, -ahead
+            self._swinging = horizontal[np.abs(axes[horizontal] @ normal) > 0.999]
+        if not (vertical.size and horizontal.size and vertical[0] < horizontal[0] and self._swinging.size >= 2):
+            raise UsageError(
+                "no throw can be planned for this arm: at the home pose no joint turns about the vertical with two "
+                "horizontal, parallel joints after it",
+                where="robot",
+                hint="choose another robot, or another task",
+            )
+        self._base_sign = float(np.sign(axes[self._base, 2]))
+        self._signs = axes[self._swinging] @ normal
+        points = np.vstack([origins[self._swinging], tool])
+        planar = (points[:, :2] - self.axis) @ ahead[:2] + 1j * points[:, 2]
+        self._first, self._segments = planar[0], np.diff(planar)
+        self._offset = float((tool[:2] - self.axis) @ normal[:2])
+        """Distance in m of the plane from the axis of the base joint."""
+        self._azimuth = atan2(ahead[1], ahead[0])
+        # the pads face along the tool's y axis: a wrist turns them to face across the plane, out of the object's way
+        self._wrist = int(vertical[-1]) if vertical[-1] > self._swinging[-1] else None
+        y = home.tool.y
+        error = atan2(normal[0] * y[1] - normal[1] * y[0], normal[0] * y[0] + normal[1] * y[1])
+        error = (error + pi / 2) % pi - pi / 2  # either pad may be on either side
+        self._wrist_turn = -error * float(np.sign(axes[self._wrist, 2])) if self._wrist is not None else 0.0
+
+    def _points(self, positions: Array) -> Array:
+        """(..., k + 1) complex: the swinging joints and the tool in their plane, at joint positions (..., k)."""
+        angles = np.cumsum((positions - self._home[self._swinging]) * self._signs, -1)
+        segments = self._segments * np.exp(1j * angles)
+        first = np.broadcast_to(self._first, (*segments.shape[:-1], 1))
+        return np.concatenate([first, self._first + np.cumsum(segments, -1)], -1)
+
+    def _velocity(self, points: Array, velocities: Array) -> Array:
+        """(...) complex: velocity of the tool in m/s at joint velocities (..., k)."""
+        tool = points[..., -1:]
+        velocity: Array = (1j * (tool - points[..., :-1]) * velocities * self._signs).sum(-1)
+        return velocity
+
+    def _search(self, objective: Callable[[Array], Array], low: Array, high: Array) -> tuple[Array, float]:
+        """Joint positions (k,) of the maximum of `objective` between `low` and `high`, and the maximum.
+
+        A grid search that closes in on the best point.
+        """
+        best, maximum = (low + high) / 2, -np.inf
+        begin, end = low, high
+        for _ in range(GRID_ROUNDS):
+            axes = [np.linspace(a, b, GRID_POINTS) for a, b in zip(begin, end, strict=True)]
+            grid = np.stack(np.meshgrid(*axes, indexing="ij"), -1).reshape(-1, low.size)
+            values = objective(grid)
+            index = int(values.argmax())
+            if values[index] > maximum:
+                best, maximum = grid[index], float(values[index])
+            step = (end - begin) / (GRID_POINTS - 1)
+            begin, end = np.maximum(best - 1.5 * step, low), np.minimum(best + 1.5 * step, high)
+        return best, maximum
+
+    def _search_reach(self) -> tuple[float, float]:
+        """The largest horizontal distance of the tool from the axis, and its largest distance from the first joint."""
+        planar = self._search(lambda positions: self._points(positions)[:, -1].real, self._low, self._high)[1]
+        span = self._search(lambda positions: abs(self._points(positions)[:, -1] - self._first), self._low, self._high)
+        return planar, span[1]
+
+    def _search_throw(self) -> tuple[Array, Array]:
+        """Joint positions at the release and joint velocities of the furthest throw."""
+        best: tuple[float, Array, Array] | None = None
+        for signs in product((-1.0, 1.0), repeat=self._swinging.size):
+            velocities = self._speed * signs
+            before, after = velocities * RUN_UP, velocities * FOLLOW_THROUGH
+            low = np.maximum(self._low, np.maximum(self._low + before, self._low - after))
+            high = np.minimum(self._high, np.minimum(self._high + before, self._high - after))
+            if (low > high).any():
+                continue
+
+            def objective(positions: Array, velocities: Array = velocities) -> Array:
+                points = self._points(positions)
+                distance = landing_distance(points[:, -1], self._velocity(points, velocities), self._height)
+                return np.where(self._collision_free(positions, velocities), distance, -np.inf)
+
+            positions, distance = self._search(objective, low, high)
+            if np.isfinite(distance) and (best is None or distance > best[0]):
+                best = distance, positions, velocities
+        if best is None:
+            raise UsageError("this arm has no room to swing", where="robot", hint="choose another robot")
+        return best[1], best[2]
+
+    def _collision_free(self, release: Array, velocities: Array) -> Array:
+        """Whether throws (m, k) stay clear of the floor and the arm itself, on the way to their start too."""
+        start, home = release - velocities * RUN_UP, self._home[self._swinging]
+        middle, end = release - velocities * RUN_UP / 2, release + velocities * FOLLOW_THROUGH
+        free = np.ones(len(release), np.bool_)
+        for positions in (start, (2 * start + home) / 3, middle, release, end):
+            points = self._points(positions)
+            tool = points[:, -1]
+            free &= (points[:, 1:].imag > FLOOR_CLEARANCE).all(1)
+            free &= (tool.real > BASE_CLEARANCE) | (tool.imag > self._first.imag + BASE_CLEARANCE)
+            free &= abs(tool - self._first) > UNFOLDED * self._span
+        return free
+
+    def _distances(self, speed: float, times: Array) -> Array:
+        """Landing distances for releases at `times` in s along a throw at this fraction of the full speed."""
+        velocities = self._velocities * speed
+        points = self._points(self._release + np.multiply.outer(times, velocities))
+        return landing_distance(points[:, -1], self._velocity(points, velocities), self._height)
+
+    def plan(self, x: float, y: float) -> ThrowPlan:
+        """The throw that lands at x, y in m, or as near as possible to a target out of range."""
+        distance = self.distance_along(x, y)
+        speed = float(np.interp(distance, self._landings, self._speeds))
+        time = float(np.interp(speed, self._speeds, self._release_times))
+        release, velocities = self._home.copy(), np.zeros_like(self._home)
+        velocities[self._swinging] = self._velocities * speed
+        release[self._swinging] = self._release + time * self._velocities * speed
+        turn = atan2(y - self.axis[1], x - self.axis[0]) - self._azimuth + atan2(self._offset, distance)
+        release[self._base] += atan2(sin(turn), cos(turn)) * self._base_sign
+        if self._wrist is not None:
+            release[self._wrist] += self._wrist_turn
+        return ThrowPlan(tuple(release.tolist()), tuple(velocities.tolist()))
+
+    def distance_along(self, x: float, y: float) -> float:
+        """Distance in m of x, y from the robot's axis along the plane of a throw that passes over it."""
+        distance = hypot(x - self.axis[0], y - self.axis[1])
+        return float(max(distance * distance - self._offset**2, 0.0) ** 0.5)
+
+    def landing_of(self, positions: Array, velocities: Array) -> Array:
+        """Landing distance in m along the plane of the throw, released at joint positions and velocities (..., n)."""
+        points = self._points(positions[..., self._swinging])
+        return landing_distance(points[..., -1], self._velocity(points, velocities[..., self._swinging]), self._height)
