@@ -16,7 +16,7 @@ from ..randomization.randomization import RandomizedParameter
 from ..simulation.interface import Box, Camera, Expert, RobotView, World
 from ..simulation.interface.engine import GRAVITY
 from .cube import FIELDS, CubeSettings, CubeTask, check_gripper
-from .flight import FLIGHT_STEPS, Flight, flight_time
+from .flight import FLIGHT_STEPS, Flight, flight_time, simulated_rise
 from .point_goal import GOAL_COLOUR, sample_position
 from .throw_planner import RUN_UP, ThrowPlanner
 
@@ -159,6 +159,7 @@ class Throw(CubeTask):
     def build(self, world: World) -> None:
         super().build(world)
         world.release_in_motion()
+        self._timestep = world.period / world.substeps
         self._marker = world.marker(self.settings.threshold, GOAL_COLOUR)
 
     def apply(self, world: World, name: str, value: float) -> None:
@@ -204,21 +205,27 @@ class Throw(CubeTask):
             self._status = -1.0 if held else 1.0
         self._flight = None if held else self._current_flight()
         if self._ends_at_release and self._flight is not None and not self._status:
-            seconds = flight_time(cube.position[2], cube.velocity[2], self._gravity)
+            seconds = flight_time(cube.position[2], self._rise, self._gravity)
             self._landing = self._flight.landing(seconds, steps=FLIGHT_STEPS)
             self._status = float(self._landing is not None)
 
     def observe(self) -> list[float]:
         values = super().observe()
         (x, y, z), (vx, vy, vz) = values[:3], values[9:12]
-        seconds = flight_time(z - self.cube.half, vz, self._gravity)
+        seconds = flight_time(z - self.cube.half, simulated_rise(vz, self._gravity, self._timestep), self._gravity)
         return [*values, x + vx * seconds, y + vy * seconds, seconds]
+
+    @property
+    def _rise(self) -> float:
+        """Of the cube in m/s, see `simulated_rise`."""
+        return simulated_rise(self.cube.velocity[2], self._gravity, self._timestep)
 
     def _current_flight(self) -> Flight:
         cube = self.cube
         a, b, c, d, e, f = cube.columns
         axes = (a, b, c), (d, e, f), (b * f - c * e, c * d - a * f, a * e - b * d)
-        return Flight(cube.position, cube.velocity, axes, cube.angular_velocity, cube.half, self._gravity)
+        x, y, _ = cube.velocity
+        return Flight(cube.position, (x, y, self._rise), axes, cube.angular_velocity, cube.half, self._gravity)
 
     def achieved(self) -> FloatArray:
         x, y = self._landing or self.cube.position[:2]
