@@ -36,8 +36,12 @@ INNER_FACE = 0.9
 """Smallest cosine between the normal of a contact and the axis along which the pads face each other."""
 PLACE_TOLERANCE = 5e-4
 """Largest error of `place_tool`, in m for the position and in rad for the orientation."""
+LARGEST_DAMPING = 5.0
+"""Upper bound of the parameter joint_damping in N m s/rad."""
+DAMPED = 0.4
+"""Largest fraction of a motor's torque that joint_damping takes at the top speed of its joint: a motor that lacks half
+its torque (joint_friction) reaches that speed. Beyond, PyBullet, which damps explicitly, lets light wrists run away."""
 PARAMETERS: Mapping[str, RandomizedParameter] = {
-    "joint_damping": RandomizedParameter("N m s/rad", 0.0, 0.0, 5.0, "viscous friction that is added to every joint"),
     "joint_friction": RandomizedParameter(
         "1", 0.0, 0.0, 0.5, "dry friction: fraction of its largest torque that every motor lacks"
     ),
@@ -295,11 +299,15 @@ class Arm:
 
     @property
     def parameters(self) -> Mapping[str, RandomizedParameter]:
+        limits = zip(self.limits.effort, self.limits.velocity, strict=True)
+        most = min(LARGEST_DAMPING, DAMPED * min(effort / speed for effort, speed in limits))
+        damping = RandomizedParameter("N m s/rad", 0.0, 0.0, most, "viscous friction that is added to every joint")
+        parameters = {"joint_damping": damping, **PARAMETERS}
         if self._fingers is None:
-            return PARAMETERS
+            return parameters
         nominal = self._fingers.gripper.pad_friction
         friction = RandomizedParameter("1", nominal, 0.0, 5.0, "lateral friction coefficient of the gripper's pads")
-        return {**PARAMETERS, "pad_friction": friction}
+        return {**parameters, "pad_friction": friction}
 
     @cached_property
     def observation(self) -> Layout:

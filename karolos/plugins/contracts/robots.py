@@ -192,10 +192,14 @@ def dry_friction_takes_its_fraction_of_the_largest_torques(one: Candidate) -> No
 
 
 def every_joint_reaches_its_speed(one: Candidate) -> None:
-    """In joint control each joint reaches between .9 and 1.05 of its speed."""
+    """In joint control each joint reaches between .9 and 1.05 of its speed, also with the largest joint_damping."""
     with reaching(one) as environment:
         robot = environment.robot
-        for joint, speed in enumerate(robot.limits.velocity):
+        environment.reset(0)  # builds the world
+        for damping, (joint, speed) in product(
+            (0.0, robot.parameters["joint_damping"].high), enumerate(robot.limits.velocity)
+        ):
+            robot.apply("joint_damping", damping)
             fastest = 0.0
             for direction in (-1.0, 1.0):  # one direction may be short, or lead into the floor
                 environment.reset(0)
@@ -203,10 +207,11 @@ def every_joint_reaches_its_speed(one: Candidate) -> None:
                 action[joint] = direction
                 for _ in range(12):
                     environment.step(action)
-                    fastest = max(fastest, abs(robot.joint_velocities[joint]))
+                    fastest = max(fastest, direction * robot.joint_velocities[joint])
             demand(
                 0.9 * speed < fastest < SPEED_TOLERANCE * speed,
-                f"joint {robot.limits.name(joint)} reaches {fastest:.3g} rad/s, its limit is {speed:.3g}",
+                f"joint {robot.limits.name(joint)} reaches {fastest:.3g} rad/s with joint_damping = {damping:g}, "
+                f"its limit is {speed:.3g}",
             )
 
 
