@@ -73,7 +73,8 @@ class TestResult:
         if any(part.distances is None for part in parts):
             names.remove("distances")
         lists: dict[str, Any] = {name: sum((getattr(part, name) for part in parts), ()) for name in names}
-        return replace(parts[0], **{"distances": None} | lists)
+        has_success = any(part.has_success for part in parts)  # an environment may show its first success late
+        return replace(parts[0], **{"distances": None, "has_success": has_success} | lists)
 
     def first(self, count: int) -> TestResult:
         """The result of the first `count` episodes."""
