@@ -8,7 +8,7 @@ A checkpoint is written beside the old one and takes its place by renaming. If t
 renames, `load` finds the old one in `.<name>.previous`.
 """
 
-from .folder import digest, load, names, read_meta, rename, save
+from .folder import digest, load, load_part, names, read_meta, rename, save
 from .manifest import CheckpointError, fitting
 from .state_file import pack_state, unpack_state
 
@@ -17,6 +17,7 @@ __all__ = [
     "digest",
     "fitting",
     "load",
+    "load_part",
     "names",
     "pack_state",
     "read_meta",

@@ -81,14 +81,17 @@ def load(folder: Path, name: str, only: Collection[str] | None = None) -> tuple[
     Raises:
         CheckpointError: it is missing, truncated, changed, from a newer karolos, or does not hold plain states.
     """
-    path = _find(folder, name)
-    before = _identity(path)
-    try:
-        return _load(path, only)
-    except CheckpointError:
-        if _identity(_find(folder, name)) == before:
-            raise
-    return load(folder, name, only)  # the run replaced it while it was read
+    parts, manifest = _load(folder, name, only)
+    return parts, manifest["meta"]
+
+
+def load_part(folder: Path, name: str, part: str) -> tuple[State, dict[str, Any], str]:
+    """Read one part of a checkpoint: the part, the checkpoint's meta, and the part's sha256 as `digest` gives it.
+
+    All three are of the same checkpoint, also where the run replaces it meanwhile. Raises as `load` does.
+    """
+    parts, manifest = _load(folder, name, (part,))
+    return parts[part], manifest["meta"], manifest["files"][part]["sha256"]
 
 
 def read_meta(folder: Path, name: str) -> dict[str, Any]:
@@ -119,7 +122,19 @@ def names(folder: Path) -> tuple[str, ...]:
     return tuple(sorted(name for name in found if PART.fullmatch(name)))
 
 
-def _load(path: Path, only: Collection[str] | None) -> tuple[dict[str, State], dict[str, Any]]:
+def _load(folder: Path, name: str, only: Collection[str] | None) -> tuple[dict[str, State], dict[str, Any]]:
+    """The parts of a checkpoint and its manifest."""
+    path = _find(folder, name)
+    before = _identity(path)
+    try:
+        return _read(path, only)
+    except CheckpointError:
+        if _identity(_find(folder, name)) == before:
+            raise
+    return _load(folder, name, only)  # the run replaced it while it was read
+
+
+def _read(path: Path, only: Collection[str] | None) -> tuple[dict[str, State], dict[str, Any]]:
     manifest = read_manifest(path)
     if lacking := set(only or ()) - set(manifest["files"]):
         raise damaged(path, f"it lacks {', '.join(sorted(lacking))}")
@@ -129,7 +144,7 @@ def _load(path: Path, only: Collection[str] | None) -> tuple[dict[str, State], d
         for part, facts in manifest["files"].items()
         if only is None or part in only
     }
-    return parts, manifest["meta"]
+    return parts, manifest
 
 
 def _remove_unused(folder: Path) -> None:

@@ -103,11 +103,11 @@ def load_agent(folder: RunFolder, name: str = "best") -> SavedAgent:
     if not resolved:
         raise RunError("resolved.json is missing or damaged", where=folder.id, hint="restore the folder from a copy")
     spec = spec_from_dict(resolved)
-    parts, meta = checkpoint.load(folder.checkpoints, name, only={"agent"})
+    state, meta, sha256 = checkpoint.load_part(folder.checkpoints, name, "agent")
     signature = signature_of(spec)
     agent: Agent = load("agents", spec.agent.name)(spec.agent.settings, signature, SeedTree(0), "cpu")
     try:
-        agent.load_state(parts["agent"])
+        agent.load_state(state)
         steps, seconds = int(meta["steps"]), float(meta["seconds"])
     except (ArithmeticError, AttributeError, LookupError, RuntimeError, TypeError, ValueError) as error:
         reason = (str(error).splitlines() or [""])[0]
@@ -116,7 +116,6 @@ def load_agent(folder: RunFolder, name: str = "best") -> SavedAgent:
             where=folder.id,
             hint="use another checkpoint of the run, or train again",
         ) from error
-    sha256 = checkpoint.digest(folder.checkpoints, name, "agent")
     return SavedAgent(spec, signature, agent, name, sha256, steps, seconds)
 
 

@@ -74,8 +74,7 @@ def find(spec: Spec, runs: Path) -> Start | None:
     check_agents(spec, source)
     _check_layouts(signature_of(spec), signature_of(source))
     name = settings.start_checkpoint
-    parts, meta = checkpoint.load(folder.checkpoints, name)
-    sha256 = checkpoint.digest(folder.checkpoints, name, "agent")
+    state, meta, sha256 = checkpoint.load_part(folder.checkpoints, name, "agent")
     if settings.start_sha256 not in (None, sha256):
         raise UsageError(
             f"checkpoint {name!r} of run {folder.id} is not the one this spec was first run with "
@@ -84,7 +83,7 @@ def find(spec: Spec, runs: Path) -> Start | None:
             hint="set agent.start_sha256=null to start from the present checkpoint, which is another experiment",
         )
     with checkpoint.fitting(str(folder.checkpoints / name)):
-        return Start(folder.id, name, sha256, int(meta["steps"]), parts["agent"])
+        return Start(folder.id, name, sha256, int(meta["steps"]), state)
 
 
 def apply(start: Start, agent: Agent) -> None:

@@ -32,6 +32,16 @@ def test_new_checkpoint_takes_the_place_of_the_old_one(tmp_path: Path) -> None:
     assert checkpoint.names(tmp_path) == ("best",)
 
 
+def test_a_part_comes_with_the_digest_of_the_checkpoint_that_it_was_read_from(whole: Path, tmp_path: Path) -> None:
+    parts, meta = load(tmp_path, "best")
+    for part in PARTS:
+        state, about, sha256 = checkpoint.load_part(tmp_path, "best", part)
+        assert same(state, parts[part])
+        assert (about, sha256) == (meta, checkpoint.digest(tmp_path, "best", part))
+    with pytest.raises(checkpoint.CheckpointError, match="it lacks other"):
+        checkpoint.load_part(tmp_path, "best", "other")
+
+
 @pytest.mark.parametrize("name", ["../x", "a/b", "", ".best", "Best"])
 def test_name_that_is_no_plain_one_is_refused(tmp_path: Path, name: str) -> None:
     with pytest.raises(ValueError, match="cannot name a checkpoint"):
