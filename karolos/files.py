@@ -235,9 +235,13 @@ def read_lines(path: Path) -> Lines:
 
 
 def new_lines(path: Path, start: int) -> tuple[list[dict[str, Any]], int]:
-    """The JSON objects of the complete lines from byte `start` on, and where they end. A missing file is empty."""
+    """The JSON objects of the complete lines from byte `start` on, and where they end. A missing file is empty.
+
+    A file that is shorter was cut there: what is written next is new.
+    """
     try:
         with path.open("rb") as file:
+            start = min(start, file.seek(0, os.SEEK_END))
             file.seek(start)
             whole, newline, _ = file.read().rpartition(b"\n")
     except OSError:

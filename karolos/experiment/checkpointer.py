@@ -64,11 +64,11 @@ class Checkpointer(RunObserver):
         """Write the tested agent as `best` if no earlier test is better."""
         rank = _rank(result)
         if rank >= self._best:  # of equal tests the later one, whose agent has learned longer
-            self._best = rank
             chosen_by = {"success_any": result.success_any, "success_end": result.success_end}
             if not result.has_success:
                 chosen_by = {"mean_return": result.mean_return}
-            self._write(BEST, {"agent": test.agent}, test, {"chosen_by": chosen_by})
+            if self._write(BEST, {"agent": test.agent}, test, {"chosen_by": chosen_by}):
+                self._best = rank
 
     def restore(self, training: Training, parts: Mapping[str, State]) -> list[DueTest]:
         """Continue from the parts of a checkpoint `last`; returns the tests that are still to be played.
@@ -90,6 +90,12 @@ class Checkpointer(RunObserver):
                 training.agent.load_state(state)
             training.buffer.load_state(parts["buffer"])
             training.load_state(parts["training"])
+        if training.collector.strayed:
+            self.warnings.add(
+                f"the running episodes of these environments were played again and ended elsewhere: "
+                f"{', '.join(map(str, training.collector.strayed))}",
+                "the run resumes, but not bit for bit: seeds and actions do not determine these episodes",
+            )
         results = {result.steps: result for result in self.folder.tests()}
         left = []
         for test in tests:
@@ -103,7 +109,6 @@ class Checkpointer(RunObserver):
         """Write `last`: what the run needs to resume bit for bit. The checkpoint before becomes `previous`."""
         if self._saved_at == (training.steps, len(self.pending)):
             return
-        self._saved_at = training.steps, len(self.pending)
         self.announce("checkpoint", 0, 1)
         parts = {
             "agent": training.agent.state(),
@@ -117,10 +122,12 @@ class Checkpointer(RunObserver):
         }
         with self.warnings.tolerated(MachineError, "the checkpoint before is kept"):
             checkpoint.rename(self.folder.checkpoints, LAST, PREVIOUS)
-        self._write(LAST, parts, training, {"episodes_bytes": self.folder.episodes_bytes()})
+        if self._write(LAST, parts, training, {"episodes_bytes": self.folder.episodes_bytes()}):
+            self._saved_at = training.steps, len(self.pending)
         self.announce("checkpoint", 1, 1)
 
-    def _write(self, name: str, parts: Mapping[str, State], at: Training | DueTest, more: Mapping[str, Any]) -> None:
+    def _write(self, name: str, parts: Mapping[str, State], at: Training | DueTest, more: Mapping[str, Any]) -> bool:
+        """Write a checkpoint; returns whether it is on the disk."""
         meta = {
             "experiment": self.experiment,
             "seed": self.seed,
@@ -131,6 +138,8 @@ class Checkpointer(RunObserver):
         }
         with self.warnings.tolerated(MachineError, f"the checkpoint {name!r} was not written; the one before is kept"):
             checkpoint.save(self.folder.checkpoints, name, parts, meta)
+            return True
+        return False
 
 
 def _rank(result: TestResult) -> tuple[float, ...]:

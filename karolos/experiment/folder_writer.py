@@ -43,6 +43,8 @@ class FolderWriter(RunObserver):
 
     @override
     def started(self) -> None:
+        if self.snapshot is not None and not self.exact:
+            self.folder.cut_tests(self.snapshot.meta["steps"])
         self._set_state("running")
         if self.snapshot is None:
             self.folder.event("started")

@@ -144,9 +144,10 @@ class Run:
 
     def _prepare(self, training: Training) -> bool:
         """Start or resume, and collect demonstrations that are missing. Returns False if a stop is requested."""
+        resumes = self.snapshot is not None and bool(self.snapshot.parts)
         if self.snapshot is not None:
             self._resume(training, self.snapshot)
-        if self.snapshot is None or not self.snapshot.parts:
+        if not resumes:
             self._start_from(training.agent)
             self._checkpointer.demonstrated = self.spec.demonstrations is None
         try:
@@ -190,6 +191,7 @@ class Run:
             self._warnings.add(warning, "the run resumes from the checkpoint before")
         if snapshot.parts:
             self._pending += self._checkpointer.restore(training, snapshot.parts)
+            snapshot.parts.clear()  # the run goes on for hours, and the buffer need not be in memory twice
         else:
             self._warnings.add("the run has no checkpoint", "it begins again")
 
@@ -251,12 +253,12 @@ class Run:
         seeds = test_seeds(settings.final_seed, settings.final_count)
         last = DueTest(training.steps, training.updates, training.seconds, training.agent.state(), seeds)
         best, last_sha256, best_sha256 = None, "", None
-        with self._warnings.tolerated(CheckpointError, "the final test of this checkpoint is missing"):
+        with self._warnings.tolerated(CheckpointError, "the final test does not say which checkpoint was `last`"):
             last_sha256 = checkpoint.digest(folder, LAST, "agent")
-            parts, meta = checkpoint.load(folder, BEST, only={"agent"})
-            best_sha256 = checkpoint.digest(folder, BEST, "agent")
+        with self._warnings.tolerated(CheckpointError, "the final test of this checkpoint is missing"):
+            agent, meta, best_sha256 = checkpoint.load_part(folder, BEST, "agent")
             amounts = int(meta["steps"]), int(meta["updates"]), float(meta["seconds"])
-            best = last if amounts[0] == training.steps else DueTest(*amounts, parts["agent"], seeds)
+            best = last if amounts[0] == training.steps else DueTest(*amounts, agent, seeds)
         tests.pending += [last] if best in (None, last) else [last, best]
         tests.activity = "final test"
         results = dict(tests.play_remaining())

@@ -29,7 +29,7 @@ class EventFile:
 
     Args:
         folder: is created if it is missing.
-        purge: TensorBoard hides the points after this step in older files; None: a new run.
+        purge: TensorBoard hides the points at this step and after it in older files; None: a new run.
 
     Raises:
         MachineError: from every method, when the file cannot be written.
@@ -78,7 +78,7 @@ class TensorBoardWriter(RunObserver):
 
     def __init__(self, folder: Path, warnings: RunWarnings, snapshot: Snapshot | None) -> None:
         self._folder, self._warnings = folder, warnings
-        self._purge = snapshot.meta["steps"] if snapshot else None
+        self._purge = snapshot.meta["steps"] + 1 if snapshot else None  # points at the checkpoint are not made again
         self._file: EventFile | None = None
         self._steps = self._updates = 0
         if snapshot is not None:

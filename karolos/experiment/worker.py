@@ -28,7 +28,7 @@ LOCK_SECONDS = 60.0
 
 
 def execute(folder: RunFolder, url: str | None, listener: Listener, stop: StopRequest, *, beside: bool) -> RunSummary:
-    """Execute the run of a folder, or resume it from its newest checkpoint if it has begun.
+    """Execute the run of a folder, or resume it from its newest checkpoint if it has begun. A finished run stays so.
 
     Args:
         folder: of the run, locked.
@@ -41,6 +41,8 @@ def execute(folder: RunFolder, url: str | None, listener: Listener, stop: StopRe
         RunError: no checkpoint can be used.
         SpecError: its resolved spec is damaged, or of another version.
     """
+    if folder.state().state == "finished":  # it may have been when the caller looked, before the lock was free
+        return folder.summary()
     spec, seed = spec_from_dict(folder.spec()), folder.description()["seed"]
     snapshot = newest_snapshot(folder) if folder.events() else None
     if snapshot is not None:
@@ -69,7 +71,7 @@ def execute_folder(path: Path, cores: int, driver: int | None = None) -> str | N
             if launch:
                 provenance.check_software(launch, folder.id)
             write_json(folder.launch, launch | {"host": platform.node()})
-            if folder.state().state != "finished" and not stop.requested:
+            if not stop.requested:
                 execute(folder, None, _progress_writer(folder), stop, beside=cores >= 2)
             folder.progress.unlink(missing_ok=True)
     except KarolosError as error:

@@ -222,6 +222,17 @@ class RunFolder:
         """Append a test's result; it is on the disk when this returns."""
         append_lines(self.path / "tests.jsonl", [encode_test(result)])
 
+    def cut_tests(self, steps: int) -> None:
+        """Remove the tests after this many steps: a run that does not resume bit for bit tests at other steps."""
+        path = self.path / "tests.jsonl"
+        if not path.exists():
+            return
+        with writing(path):
+            lines = path.read_bytes().splitlines(keepends=True)
+        kept = [line for line in lines if (test := count_test(line.rstrip())) is None or test.steps <= steps]
+        if len(kept) < len(lines):
+            write_whole(path, b"".join(kept).decode(errors="replace"))
+
     def tests(self) -> tuple[TestResult, ...]:
         """The tests in the order of their steps; of two at the same step the later written, as a resumed run makes.
 

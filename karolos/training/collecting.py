@@ -53,6 +53,8 @@ class Collector:
         self.started = False
         """Whether the environments have begun their first episodes."""
         self.steps = self.episodes = 0
+        self.strayed: tuple[int, ...] = ()
+        """Environments whose episodes, played again by `load_state`, gave another observation than they had."""
         self._running = Episodes(orchestrator, seeds, replay=at_least is None)
         self._latest = empty_steps(orchestrator)
         """The latest step of every environment."""
@@ -207,6 +209,7 @@ class Collector:
             "learning_since": self._learning_since,
             "warmup": generator_state(self._warmup),
             "running": self._running.state() if self.started else None,
+            "observation": self._latest.observation.copy(),
         }
 
     def load_state(self, state: State) -> None:
@@ -214,6 +217,10 @@ class Collector:
         if state["running"] is not None:
             self._running.load_state(state["running"], self._latest)
             self.started = True
+            if self._at_least is None:  # in async mode an episode may have begun without an observation
+                now, then = self._latest.observation, np.asarray(state["observation"])
+                same = (now == then) | (np.isnan(now) & np.isnan(then))
+                self.strayed = tuple(np.flatnonzero(~same.all(1)).tolist())
         self.steps, self.episodes = (int(np.int64(state[name])) for name in ("steps", "episodes"))
         since = state["learning_since"]
         self._learning_since = None if since is None else int(np.int64(since))

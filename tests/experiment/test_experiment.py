@@ -270,6 +270,24 @@ def test_a_checkpoint_that_finds_the_disk_full_costs_a_warning_not_the_run(tmp_p
     assert any("no space left" in warning and "'last' was not written" in warning for warning in warnings)
 
 
+def test_a_best_test_whose_checkpoint_was_not_written_keeps_no_later_one_from_being_written(tmp_path, monkeypatch):
+    save, failed = checkpoint.save, []
+
+    def full_once(folder, name, *content):
+        if name == "best" and not failed:
+            failed.append(name)
+            raise MachineError("no space left on the disk")
+        return save(folder, name, *content)
+
+    monkeypatch.setattr("karolos.checkpoint.save", full_once)
+    monkeypatch.setattr(
+        "karolos.experiment.checkpointer._rank", lambda result: (1 / result.steps,)
+    )  # the first is best
+    (folder,) = folders(Experiment(spec()).run(tmp_path))
+    assert failed
+    assert checkpoint.read_meta(folder.checkpoints, "best")["steps"] == folder.tests()[1].steps
+
+
 def test_a_database_that_fails_in_the_middle_costs_a_warning_not_the_run(tmp_path, monkeypatch):
     def locked(*_):
         raise StoreError("the database is locked")

@@ -10,6 +10,8 @@ from typing import Any
 import pytest
 from support import toy_runs
 
+from karolos import checkpoint
+from karolos.errors import MachineError
 from karolos.evaluation.policies import load_agent
 from karolos.evaluation.testing import play_episodes, test_seeds
 from karolos.experiment import pending_tests
@@ -80,6 +82,25 @@ def test_its_event_comes_once_it_is_written(tmp_path: Path) -> None:
     Experiment(TOY).run(tmp_path, listener=listen)
     [(told, written)] = seen
     assert told == written
+
+
+def test_the_best_policy_is_tested_where_the_last_could_not_be_saved(
+    tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    save = checkpoint.save
+
+    def full(folder: Path, name: str, *content: Any) -> Path:
+        if name == "last":
+            raise MachineError("no space left on the disk")
+        return save(folder, name, *content)
+
+    monkeypatch.setattr("karolos.checkpoint.save", full)
+    [summary] = Experiment(TOY).run(tmp_path).runs
+    final = RunFolder.open(summary.folder).final()
+    assert final is not None
+    assert final.best is not None
+    assert (final.last_sha256, bool(final.best_sha256)) == ("", True)
+    assert summary.best_steps == final.best.steps
 
 
 def test_no_final_test_without_final_episodes(tmp_path: Path) -> None:

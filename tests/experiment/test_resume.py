@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import shutil
 import signal
+from dataclasses import replace
 from pathlib import Path
 from typing import Any
 
@@ -12,8 +13,11 @@ from support.states import assert_same_runs
 
 from karolos import checkpoint
 from karolos.errors import RunError
+from karolos.experiment import worker
 from karolos.experiment.events import RunStarted, RunTested, RunWarned
 from karolos.experiment.experiment import Experiment, resume_run
+from karolos.experiment.resume import Snapshot, newest_snapshot
+from karolos.experiment.signals import StopRequest
 from karolos.records import RunFolder
 from karolos.simulation.engines import installed
 from karolos.store import Store
@@ -50,6 +54,16 @@ def stopping_at(steps: int):
 
     def tell(event: object) -> None:
         if isinstance(event, RunTested) and event.result.steps == steps:
+            signal.raise_signal(signal.SIGTERM)
+
+    return tell
+
+
+def stopping_from(steps: int):
+    """A listener that asks to stop after the first test at `steps` or later."""
+
+    def tell(event: object) -> None:
+        if isinstance(event, RunTested) and event.result.steps >= steps:
             signal.raise_signal(signal.SIGTERM)
 
     return tell
@@ -165,6 +179,59 @@ def test_finished_seeds_are_not_run_again(broken: RunFolder) -> None:
         assert outcome.exit_code == 0
         assert outcome.runs[0].run == broken.id
         assert [event.seed for event in events if isinstance(event, RunStarted)] == ([1] if existing == "skip" else [])
+
+
+def test_a_run_that_ended_while_it_was_looked_at_is_not_executed_again(broken: RunFolder) -> None:
+    go_on(broken)
+    before = broken.events()
+    with broken:
+        broken.lock()
+        url, stop = Store.default_url(broken.path.parent), StopRequest()
+        assert worker.execute(broken, url, pytest.fail, stop, beside=False).state == "finished"
+    assert broken.events() == before
+
+
+def test_the_checkpoint_that_a_run_resumed_from_is_not_kept_in_memory(
+    broken: RunFolder, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    snapshots = []
+
+    def newest(folder: RunFolder) -> Snapshot:
+        snapshots.append(newest_snapshot(folder))
+        assert snapshots[-1].parts["buffer"]
+        return snapshots[-1]
+
+    monkeypatch.setattr(worker, "newest_snapshot", newest)
+    go_on(broken)
+    assert [snapshot.parts for snapshot in snapshots] == [{}]
+
+
+def test_episodes_that_go_another_way_when_played_again_are_a_warning(tmp_path: Path) -> None:
+    spec = BASE | {
+        "environment": {"name": "gymnasium", "id": "support.goal_environments:Straying-v0", "flatten_goals": True},
+        "agent": SAC,
+        "testing": {"interval": 100, "episodes": 4, "final_episodes": 0},
+    }
+    Experiment(spec).run(tmp_path, listener=stopping_at(100))
+    events: list[object] = []
+    outcome = Experiment(spec).run(tmp_path, existing="resume", listener=events.append)
+    assert outcome.runs[0].state == "finished"
+    warnings = [event.warning for event in events if isinstance(event, RunWarned)]
+    assert any("ended elsewhere: 0, 1, 2, 3 (the run resumes, but not bit for bit" in warning for warning in warnings)
+
+
+def test_tests_that_an_asynchronous_run_makes_at_other_steps_are_removed(tmp_path: Path) -> None:
+    spec = BASE | CASES["sac, priority, hindsight"] | {"training": BASE["training"] | {"mode": "async"}}
+    stopped = only(Experiment(spec).run(tmp_path, listener=stopping_from(100)))
+    steps = checkpoint.read_meta(stopped.checkpoints, "last")["steps"]
+    kept = [test.steps for test in stopped.tests()]
+    stopped.add_test(replace(stopped.tests()[-1], steps=steps + 1))
+    done = only(Experiment(spec).run(tmp_path, existing="resume"))
+    left = [test.steps for test in done.tests()]
+    assert left[: len(kept)] == kept
+    assert steps + 1 not in left
+    with Store(Store.default_url(tmp_path)) as store:
+        assert [test.steps for test in store.tests(done.id)] == left
 
 
 def test_time_limit_stops_with_a_checkpoint(tmp_path: Path) -> None:

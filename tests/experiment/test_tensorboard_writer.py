@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import re
+import signal
 from pathlib import Path
 from typing import Any
 
@@ -10,6 +11,7 @@ import pytest
 from tensorboard.backend.event_processing.event_accumulator import EventAccumulator
 
 from karolos import checkpoint
+from karolos.experiment.events import RunTested
 from karolos.experiment.experiment import Experiment
 from karolos.records import RunFolder
 
@@ -52,6 +54,17 @@ def test_a_test_stands_at_the_step_at_which_it_was_made_and_says_what_the_folder
     found = [(test.steps, pytest.approx(test.success_any)) for test in folder.tests()]
     assert points(folder, "test/success_any") == found
     assert [step for step, _ in found] == [100, 200, 240]
+
+
+def test_a_run_that_was_resumed_has_the_points_of_one_that_was_not(folder: RunFolder, tmp_path: Path) -> None:
+    def stop(event: object) -> None:
+        if isinstance(event, RunTested) and event.result.steps == 200:
+            signal.raise_signal(signal.SIGTERM)
+
+    Experiment(TOY).run(tmp_path, listener=stop)
+    resumed = RunFolder.open(Experiment(TOY).run(tmp_path, existing="resume").runs[0].folder)
+    for name in ("test/success_any", "buffer/transitions"):
+        assert points(resumed, name) == points(folder, name)
 
 
 def test_between_two_tests_there_are_ten_points(folder: RunFolder) -> None:

@@ -49,6 +49,19 @@ class Ending(Point):
         return bool(np.linalg.norm(achieved_goal - desired_goal) < 0.15)
 
 
+class Straying(Point):
+    """Depends on how often it was reset, in whatever episode."""
+
+    resets = 0
+
+    def reset(self, *, seed: int | None = None, options: Any = None) -> tuple[Any, dict[str, Any]]:
+        super().reset(seed=seed)
+        Straying.resets += 1
+        self.place = np.clip(self.place + 1e-3 * Straying.resets, -1, 1)
+        return self.observe(), {}
+
+
 gymnasium.register("Point-v0", Point, max_episode_steps=20)
 gymnasium.register("Ending-v0", Ending, max_episode_steps=20)
 gymnasium.register("Endless-v0", Point)
+gymnasium.register("Straying-v0", Straying, max_episode_steps=20)
