@@ -3,14 +3,12 @@
 from __future__ import annotations
 
 import warnings
-from collections.abc import Iterator, Mapping, Sequence
+from collections.abc import Iterator, Sequence
 from contextlib import contextmanager
-from dataclasses import dataclass
 from pathlib import Path
 from typing import TYPE_CHECKING, Any
 from xml.etree import ElementTree
 
-from ..errors import UsageError
 from ..files import writing
 from .markup import Markup
 from .tables import clean
@@ -64,12 +62,6 @@ def look() -> Iterator[None]:
     with matplotlib.rc_context(LOOK), warnings.catch_warnings():
         warnings.filterwarnings("ignore", "Glyph .* missing from")  # a browser has fonts that matplotlib lacks
         yield
-
-
-def check_format(path: Path) -> None:
-    """Raise a UsageError unless the file's extension is that of a picture."""
-    if path.suffix not in FORMATS:
-        raise UsageError(f"{path.name} has no file extension of a picture", hint=f"let it end in {', '.join(FORMATS)}")
 
 
 def save(figure: Figure, path: Path) -> None:
@@ -202,33 +194,3 @@ class Drawing:
                 title = ElementTree.Element("title")
                 title.text = tooltip
                 element.insert(0, title)
-
-
-@dataclass(frozen=True)
-class BoxPlot:
-    """One set of axes: for each label the values of its box."""
-
-    title: str
-    x_label: str
-    y_label: str
-    values: Mapping[str, Sequence[float]]
-
-
-def write_box_plots(plots: Sequence[BoxPlot], path: Path) -> None:
-    """Write box plots side by side into a file, in the format of its extension.
-
-    Raises:
-        UsageError: the extension is not that of a picture.
-        MachineError: the file cannot be written.
-    """
-    check_format(path)
-    with look():
-        from matplotlib.figure import Figure  # noqa: PLC0415
-
-        figure = Figure(figsize=(5 * len(plots), 4), layout="constrained")
-        for axes, plot in zip(figure.subplots(1, len(plots), squeeze=False)[0], plots, strict=True):
-            axes.boxplot(list(plot.values.values()), tick_labels=list(plot.values))
-            axes.set(title=plot.title, xlabel=plot.x_label, ylabel=plot.y_label)
-            axes.set_ylim(bottom=0)
-            axes.grid(axis="y")
-        save(figure, path)
