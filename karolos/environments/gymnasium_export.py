@@ -11,7 +11,6 @@ from __future__ import annotations
 
 import copy
 import os
-import sys
 import time
 from collections.abc import Callable, Iterable, Mapping
 from dataclasses import dataclass, replace
@@ -38,7 +37,7 @@ Observation = dict[str, NDArray[np.float32]]
 
 def _render_modes() -> list[str]:
     """The modes that work on this machine. A window needs a display; `check_env` tries every listed mode."""
-    return ["human", "rgb_array"] if sys.platform != "linux" or os.environ.get("DISPLAY") else ["rgb_array"]
+    return ["human", "rgb_array"] if os.environ.get("DISPLAY") else ["rgb_array"]
 
 
 @dataclass(frozen=True)

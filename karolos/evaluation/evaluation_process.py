@@ -143,12 +143,12 @@ class EvaluationProcess:
 
 def _steps_itself(spec: Spec, layout: Mapping[str, Any]) -> bool:
     """Whether the process steps its environments itself: it would only wait for a single worker."""
-    return spec.orchestrator.name in ("local", "auto") and max(layout["processes"], 1) * layout["threads"] == 1
+    return spec.orchestrator.name == "local" and max(layout["processes"], 1) * layout["threads"] == 1
 
 
 def _make_orchestrator(spec: Spec, layout: Mapping[str, Any]) -> Orchestrator:
-    """The test environments in the layout of the run, without another probe."""
-    if spec.orchestrator.name not in ("local", "auto"):
+    """The test environments in the layout of the run."""
+    if spec.orchestrator.name != "local":
         return make_orchestrator(spec, randomize=False)
     settings: Any = spec.orchestrator.settings
     return Local(
@@ -168,8 +168,7 @@ def _serve(connection: Connection, resolved: dict[str, Any], layout: dict[str, A
     from ..agents.device import use_threads  # noqa: PLC0415  (imports torch)
 
     isolate()
-    if hasattr(os, "nice"):
-        os.nice(NICENESS)
+    os.nice(NICENESS)
     with connection, suppress(EOFError, ConnectionError):
         try:
             spec = spec_from_dict(resolved)

@@ -2,12 +2,11 @@
 
 from __future__ import annotations
 
-import os
 from collections.abc import Iterator
-from pathlib import Path
 
 from ..core import FLOAT_BYTES, MemoryNeed, Signature
 from ..errors import UsageError
+from ..machine import memory
 from ..registry import load
 from ..spec import Spec
 
@@ -23,8 +22,8 @@ def environments_of(spec: Spec) -> int:
 def check_memory(spec: Spec, signature: Signature, jobs: int = 1) -> None:
     """Raise a UsageError if `jobs` runs of the spec need more memory than this machine has."""
     needs = list(_needs(spec, signature))
-    needed, available = jobs * sum(need.bytes for need in needs), machine_memory()
-    if available is None or needed <= available:
+    needed, available = jobs * sum(need.bytes for need in needs), memory()
+    if needed <= available:
         return
     largest = max(needs, key=lambda need: need.bytes)
     what, hint = f"{largest.what} needs {_size(largest.bytes)} of memory", f"lower {largest.setting}"
@@ -51,36 +50,6 @@ def _needs(spec: Spec, signature: Signature) -> Iterator[MemoryNeed]:
         batch_size=amounts.batch_size,
         demonstrations=spec.demonstrations.episodes if spec.demonstrations is not None else 0,
     )
-
-
-def machine_memory() -> int | None:
-    """Bytes of memory that this process may use: the machine's, or the limit of its control group. None if unknown."""
-    if not hasattr(os, "sysconf"):
-        return None
-    limits = [os.sysconf("SC_PAGE_SIZE") * os.sysconf("SC_PHYS_PAGES")]
-    for file in _limit_files():
-        try:
-            limits.append(int(file.read_text()))
-        except (OSError, ValueError):  # "max": without a limit
-            continue
-    return min(limits)
-
-
-def _limit_files() -> Iterator[Path]:
-    """The files with the memory limits of this process's control groups (Linux)."""
-    try:
-        lines = Path("/proc/self/cgroup").read_text().splitlines()
-    except OSError:
-        return
-    for line in lines:
-        _, controllers, name = line.split(":", 2)
-        root, file = Path("/sys/fs/cgroup"), "memory.max"
-        if controllers == "memory":
-            root, file = root / "memory", "memory.limit_in_bytes"
-        elif controllers:
-            continue
-        own = root / name.lstrip("/")
-        yield from (folder / file for folder in (own, *own.parents) if root in (folder, *folder.parents))
 
 
 def _size(count: int) -> str:
