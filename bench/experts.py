@@ -3,7 +3,6 @@
 from __future__ import annotations
 
 import multiprocessing
-import os
 import sys
 from collections.abc import Iterator
 from concurrent.futures import ProcessPoolExecutor
@@ -16,6 +15,7 @@ from typer import Option
 from karolos.errors import KarolosError
 from karolos.evaluation.playing import score
 from karolos.evaluation.policies import expert_policy
+from karolos.machine import cores
 from karolos.plugins import inspection
 from karolos.registry import names
 from karolos.simulation.engines import Engine
@@ -29,7 +29,7 @@ def measure(
     episodes: Annotated[int, Option(min=1)] = 200,
     engine: Engine | None = None,
     seed: Annotated[int, Option(min=0)] = 0,
-    jobs: Annotated[int, Option(min=1)] = len(os.sched_getaffinity(0)),
+    jobs: Annotated[int, Option(min=1)] = cores(),
 ) -> Iterator[Row]:
     """Success at the end per pair, in their order, as soon as it is known. Both policies play the same test episodes.
 

@@ -7,7 +7,6 @@ vector environments on the same environments.
 
 from __future__ import annotations
 
-import os
 import sys
 from collections.abc import Callable, Iterator
 from functools import partial
@@ -21,6 +20,7 @@ import numpy as np
 from typer import Option
 
 from karolos.core import Array, Environment, Field, Layout, Orchestrator, Signature, Step, random_actions
+from karolos.machine import cores
 from karolos.orchestrator.local import Local
 from karolos.orchestrator.ray import Ray
 from karolos.spec import spec_from_dict
@@ -97,8 +97,7 @@ def measure(
 
 def process_counts() -> list[int]:
     """Numbers of processes to measure: 1, 2, 4 ... and one per core."""
-    cores = len(os.sched_getaffinity(0))
-    return sorted({*(2**power for power in range(cores.bit_length())), cores})
+    return sorted({*(2**power for power in range(cores().bit_length())), cores()})
 
 
 def _seconds_of_resets(recipe: Recipe, processes: int, threads: int, number: int, _: int) -> float:

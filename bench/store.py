@@ -7,7 +7,6 @@ from __future__ import annotations
 
 import json
 import multiprocessing
-import os
 import sqlite3
 import subprocess
 import sys
@@ -20,6 +19,7 @@ from itertools import repeat
 from pathlib import Path
 from statistics import median
 
+from karolos.machine import cores
 from karolos.records import RunFolder
 from karolos.records.provenance import versions
 from karolos.records.results import TestResult, encode_test
@@ -49,7 +49,7 @@ def measure(
     with tempfile.TemporaryDirectory(prefix="karolos-bench-") as place:
         folder = Path(place) / "runs"
         make_runs(folder, runs, tests, episodes)
-        url, jobs = database or Store.default_url(folder), len(os.sched_getaffinity(0))
+        url, jobs = database or Store.default_url(folder), cores()
         size = f"{runs:,} runs with {tests} tests of {episodes} episodes"
         with Store(url) as store:
             reading = seconds_of(lambda: _read_all(folder))
