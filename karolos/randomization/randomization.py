@@ -11,7 +11,7 @@ from ..core import Field, Layout
 from ..core.seeding import Generator
 from ..errors import RunError, UsageError
 from ..registry import alternatives
-from .distribution import Distribution
+from .distributions import Distribution
 
 ATTEMPTS = 100
 

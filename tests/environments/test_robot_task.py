@@ -8,9 +8,7 @@ from karolos.environments.build import build_environment
 from karolos.environments.robot_task import RobotTask
 from karolos.errors import UsageError
 from karolos.plugins.inspection import pair
-from karolos.randomization.distribution import Distribution
-from karolos.randomization.normal import Normal
-from karolos.randomization.uniform import Uniform
+from karolos.randomization.distributions import Distribution, Normal, Uniform
 from karolos.registry import names
 from karolos.robots.panda import Panda
 from karolos.simulation.picture import view_of

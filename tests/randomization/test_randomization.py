@@ -10,11 +10,8 @@ from pydantic import ValidationError
 
 from karolos.core.seeding import Generator
 from karolos.errors import RunError, UsageError
-from karolos.randomization.choice import Choice
-from karolos.randomization.log_uniform import LogUniform
-from karolos.randomization.normal import Normal
+from karolos.randomization.distributions import Choice, LogUniform, Normal, Uniform
 from karolos.randomization.randomization import Randomization, RandomizedParameter
-from karolos.randomization.uniform import Uniform
 
 DECLARED = {
     "task.gravity": RandomizedParameter("m/s2", -9.81, -20.0, 0.0),

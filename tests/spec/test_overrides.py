@@ -63,7 +63,7 @@ def test_empty_value_leaves_out(path):
         ("agent.discount=2", "override agent.discount=2: agent.discount: should be less than 1, not 2"),
         ("agnt.discount=2", "override agnt.discount=2: agnt: no such key; did you mean 'agent'?"),
         ("seeds=[0,1", "override seeds=[0,1: column 11: not valid YAML"),
-        ("seeds=[0, *x]", "override seeds=[0, *x]: column 11: no anchor &x"),
+        ("seeds=[0, *x]", "override seeds=[0, *x]: column 11: not valid YAML: found undefined alias 'x'"),
         (
             "training={steps: 1, steps: 2}",
             "override training={steps: 1, steps: 2}: column 21: duplicate key 'steps', first at",
