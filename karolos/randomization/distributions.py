@@ -29,7 +29,7 @@ class Distribution(ABC):
         """One value. All randomness comes from `generator`."""
 
 
-class Uniform(Distribution):
+class UniformDistribution(Distribution):
     """Values in [low, high), all equally likely."""
 
     class Settings(BaseSettings):
@@ -49,7 +49,7 @@ class Uniform(Distribution):
 class LogUniform(Distribution):
     """Values in [low, high] with uniformly distributed logarithm; both bounds are positive."""
 
-    class Settings(Uniform.Settings):
+    class Settings(UniformDistribution.Settings):
         low: float = Setting(gt=0, description="in the parameter's unit")
         high: float = Setting(gt=0, description="in the parameter's unit")
 
