@@ -18,7 +18,7 @@ import numpy as np
 from karolos.core import FloatArray, random_actions
 from karolos.environments.robot_task import RobotTask
 from karolos.plugins.inspection import pair
-from karolos.randomization.normal import Normal
+from karolos.randomization.distributions import Normal
 from karolos.simulation.engines import Engine
 
 from .side_by_side import Row, beside, require, seconds_of, take_turns
