@@ -7,14 +7,10 @@ import re
 
 import pytest
 from karolos_cli.display import Live
+from support.commands import Terminal
 
 from karolos.experiment.events import RunAdvanced, RunBusy, RunEnded, RunStarted, RunTested
 from karolos.records.results import TestResult
-
-
-class Terminal(io.StringIO):
-    def isatty(self) -> bool:
-        return True
 
 
 def test_bar_says_what_a_run_does_besides_training_and_the_time_left_with_tests() -> None:
@@ -56,7 +52,7 @@ def test_bar_fits_a_narrow_terminal(monkeypatch: pytest.MonkeyPatch) -> None:
         live(RunTested("run", TestResult(5000, 17.0, flags, flags, flags, (-7.5,) * 100, (50,) * 100)))
         live(RunBusy("run", "testing", 37, 100))
         live._bars.refresh()
-    text = re.sub(r"\x1b\[[0-9;?]*[A-Za-z]", "", screen.getvalue())
+    text = screen.text()
     line = next(line for line in text.splitlines() if "testing" in line)
     assert len(line) <= 80
     assert re.fullmatch(r"seed 0 [━╸╺]{12} 5296/6000 290 steps/s testing 37/100 end 1.00 0:00:03 left *", line), line
