@@ -65,8 +65,8 @@ OVERRIDES = (
     *("", "\x00=1", "name=" + "n" * 300, "a" * 4000 + "=1"),
     *re.split(
         r"  |\n",
-        """=  x  =1  a=b=c  .=1  agent  agent=  agent=null  agent.=1  agent..x=1  agent.name=  #=1  robot.name=[1]  seeds=[
-seeds={0}  seeds=[0,0]  seeds=1  training={}  training=null  extends=x.yaml  buffer.name=priority
+        """=  x  =1  a=b=c  .=1  agent  agent=  agent=null  agent.=1  agent..x=1  agent.name=  #=1  robot.name=[1]
+seeds=[  seeds={0}  seeds=[0,0]  seeds=1  training={}  training=null  extends=x.yaml  buffer.name=priority
 buffer.name=on_policy  agent.name=ppo  agent=dqn  environment=toy  task=throw
 environment={name: gymnasium, id: CartPole-v1}  environment={name: gymnasium, id: 'x:Y-v0'}  robot=null
 environment={name: gymnasium, id: CartPole-v1, kwargs: {x: 1}}  randomization.task.gravity=-5  task.gravity=-5
