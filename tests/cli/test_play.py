@@ -80,14 +80,6 @@ def test_what_cannot_be_filmed_is_refused(spec: Path, arguments: tuple[str, ...]
     assert message in err
 
 
-def test_a_spec_without_a_task_has_no_expert(tmp_path: Path) -> None:
-    path = tmp_path / "toy.yaml"
-    path.write_text("name: toy\nenvironment: toy\nagent: sac\n")
-    code, _, err = call(app, str(path), "--expert", "--out", str(tmp_path / "film.gif"))
-    assert code == 2
-    assert "there is no expert for this environment" in err
-
-
 def test_a_window_shows_the_episodes_at_the_pace_of_control(spec: Path, monkeypatch: pytest.MonkeyPatch) -> None:
     """PyBullet connects without a window here, and tells what the window would be asked for."""
     connect, opened, cameras, pauses = pybullet.connect, [], [], []
