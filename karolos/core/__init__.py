@@ -12,7 +12,7 @@ from .environment import Environment
 from .experience import Batch, Experience, Rollout, Step, Transitions
 from .goals import GoalRule
 from .layout import Discrete, Field, Layout
-from .orchestrator import Failure, Orchestrator, Received
+from .orchestrator import BuildEnvironment, Failure, Orchestrator, Received
 from .settings import AgentSettings, Settings
 from .signature import Signature, random_actions
 
@@ -23,6 +23,7 @@ __all__ = [
     "Batch",
     "BoolArray",
     "Buffer",
+    "BuildEnvironment",
     "Discrete",
     "Environment",
     "Experience",

@@ -12,6 +12,7 @@ import os
 from collections.abc import Iterator, Mapping
 from contextlib import suppress
 from dataclasses import dataclass
+from functools import partial
 from multiprocessing.connection import Connection
 from time import monotonic
 from typing import Any
@@ -19,6 +20,7 @@ from typing import Any
 from .. import checkpoint
 from ..core import Failure, Orchestrator, State
 from ..core.seeding import SeedTree
+from ..environments.build import build_environment
 from ..errors import WorkerError
 from ..orchestrator.executor import FAILURES
 from ..orchestrator.local import Local
@@ -151,16 +153,9 @@ def _make_orchestrator(spec: Spec, layout: Mapping[str, Any]) -> Orchestrator:
     if spec.orchestrator.name != "local":
         return make_orchestrator(spec, randomize=False)
     settings: Any = spec.orchestrator.settings
-    return Local(
-        Local.Settings(
-            processes=0 if _steps_itself(spec, layout) else layout["processes"],
-            threads=layout["threads"],
-            time_limit=settings.time_limit,
-            failures=settings.failures,
-        ),
-        spec.recipe(randomize=False),
-        size=layout["environments"],
-    )
+    if _steps_itself(spec, layout):
+        settings = settings.model_copy(update={"processes": 0})
+    return Local(settings, partial(build_environment, spec.recipe(randomize=False)))
 
 
 def _serve(connection: Connection, resolved: dict[str, Any], layout: dict[str, Any]) -> None:
