@@ -170,9 +170,9 @@ def test_a_worker_killed_while_it_builds_its_first_environments_is_replaced_with
     monkeypatch.setattr(processes, "start_worker", start_and_kill)
     if kills == 3:
         with pytest.raises(WorkerError, match="SIGKILL"):
-            make(ONE, failures=2)
+            make(ONE, "slow", failures=2)
         return
-    with make(ONE, failures=2) as orchestrator:
+    with make(ONE, "slow", failures=2) as orchestrator:
         reset(orchestrator)
         assert len(killed) == 2
 
