@@ -264,7 +264,7 @@ class WorkerPool(Backend):
         elif _widths(signature) != _widths(self.signature):
             error = PluginError(
                 "environments of one spec have different observations, goals or actions",
-                where="orchestrator",
+                setting="orchestrator",
                 hint="an environment's signature must depend on its settings alone",
             )
             self._lose(channel.worker, answers, error)

@@ -34,7 +34,7 @@ class ProcessPool(WorkerPool):
         except (OSError, EOFError) as error:
             raise MachineError(
                 f"worker process {number} of {len(self._layout)} cannot be started: {error}",
-                where="orchestrator",
+                setting="orchestrator",
                 hint="use fewer processes, or `processes: 0` to step environments in the main process",
             ) from error
 

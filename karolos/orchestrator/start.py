@@ -52,10 +52,10 @@ def pack_build(build: BuildEnvironment) -> bytes:
     try:
         data = pickle.dumps(build)
     except (pickle.PicklingError, AttributeError, TypeError) as error:
-        raise PluginError(f"cannot be sent to a worker process: {error}", where="environment", hint=hint) from error
+        raise PluginError(f"cannot be sent to a worker process: {error}", setting="environment", hint=hint) from error
     if "__main__" in _Modules(data).names:
         raise PluginError(
-            "is defined in the main script, which worker processes do not import", where="environment", hint=hint
+            "is defined in the main script, which worker processes do not import", setting="environment", hint=hint
         )
     return data
 
