@@ -45,7 +45,6 @@ def measure(
 
     Args:
         control: control mode of the robot; None: both.
-        engine: physics engine; None: the default.
         peers: measure Panda's tasks beside panda-gym's instead.
         seconds: time for all measurements together.
     """

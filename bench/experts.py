@@ -39,7 +39,6 @@ def measure(
     Args:
         pair: ROBOT/TASK; by default all that go together. Why the others do not is said.
         episodes: of each policy.
-        engine: physics engine; None: the default.
         seed: root of the episodes' seeds.
         jobs: processes, each measuring one pair at a time.
     """

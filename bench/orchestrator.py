@@ -20,11 +20,11 @@ import numpy as np
 from typer import Option
 
 from karolos.core import Array, Environment, Field, Layout, Orchestrator, Signature, Step, random_actions
+from karolos.environments.build import build_environment
 from karolos.machine import cores
 from karolos.orchestrator.local import Local
 from karolos.orchestrator.ray import Ray
 from karolos.spec import spec_from_dict
-from karolos.spec.parts import Recipe
 
 from .side_by_side import Row, beside, seconds_of, take_turns
 
@@ -35,6 +35,7 @@ RAY_WAITS = (3e-4, 1e-3, 3e-3, 1e-2)
 ROUNDS = 64
 """Rounds of random actions that are drawn before the measurement and then repeated."""
 AtLeastOne = Annotated[int, Option(min=1)]
+Build = Callable[[], Environment]
 
 
 class Waiting(Environment):
@@ -73,10 +74,10 @@ def measure(
         more_resets: in each layout of the experiment over threads, and of a second one over processes.
         repeats: turns of each layout; half as many where steps are counted.
         seconds: of stepping, in each layout and turn.
-        threads: at most.
         environments: per process, where steps are counted.
     """
-    recipe = spec_from_dict({"robot": robot, "task": task, "agent": "sac"}).recipe(randomize=False)
+    spec = spec_from_dict({"robot": robot, "task": task, "agent": "sac"})
+    build = partial(build_environment, spec.recipe(randomize=False))
     counts = process_counts()
     over_processes = [(count, 1) for count in counts]
     over_threads = [(counts[-1], each) for each in range(1, threads + 1)]
@@ -85,12 +86,12 @@ def measure(
         (over_processes, more_resets, "1 process"),
         (over_threads, more_resets, "1 thread"),
     ):
-        contestants = {layout: partial(_seconds_of_resets, recipe, *layout, number) for layout in layouts}
+        contestants = {layout: partial(_seconds_of_resets, build, *layout, number) for layout in layouts}
         times = take_turns(contestants, turns=repeats)
         for layout, found in times.items():
             case = f"{robot} {task} {number} resets, {layout[0]} processes x {layout[1]} threads"
             yield beside(case, found, "s", peer, times[layouts[0]])
-    yield from _steps(recipe, f"{robot} {task}", environments, seconds, max(repeats // 2, 1))
+    yield from _steps(build, f"{robot} {task}", environments, seconds, max(repeats // 2, 1))
     yield from _waiting(threads, seconds)
     yield from _ray(2 * environments, seconds, max(repeats // 4, 1))
 
@@ -100,9 +101,9 @@ def process_counts() -> list[int]:
     return sorted({*(2**power for power in range(cores().bit_length())), cores()})
 
 
-def _seconds_of_resets(recipe: Recipe, processes: int, threads: int, number: int, _: int) -> float:
+def _seconds_of_resets(build: Build, processes: int, threads: int, number: int, _: int) -> float:
     """Seconds for a number of resets; each environment that is ready gets the next."""
-    with Local(Local.Settings(processes=processes, threads=threads, environments=1), recipe) as orchestrator:
+    with Local(Local.Settings(processes=processes, threads=threads, environments=1), build) as orchestrator:
 
         def reset(number: int) -> None:
             ready, begun, ended = np.arange(min(orchestrator.size, number)), 0, 0
@@ -137,13 +138,13 @@ def steps_per_second(orchestrator: Orchestrator, seconds: float, at_least: int |
     return rate
 
 
-def _steps(recipe: Recipe, what: str, environments: int, seconds: float, turns: int) -> Iterator[Row]:
+def _steps(build: Build, what: str, environments: int, seconds: float, turns: int) -> Iterator[Row]:
     """Steps per second over processes, in lockstep and asynchronously, beside gymnasium's vector environments."""
     counts = process_counts()
     costs: dict[int, list[float]] = {}
 
     def rate(count: int, mode: str, _: int) -> float:
-        with Local(Local.Settings(processes=count, environments=environments), recipe) as orchestrator:
+        with Local(Local.Settings(processes=count, environments=environments), build) as orchestrator:
             at_least = None if mode == "lockstep" else max(orchestrator.size // 2, 1)
             steps_per_second(orchestrator, 0.0, at_least)  # a world's first reset loads it
             wall, cpu = perf_counter(), process_time()
@@ -192,7 +193,8 @@ def _waiting(threads: int, seconds: float) -> Iterator[Row]:
     """Environments that wait, which threads speed up."""
 
     def rate(number: int, _: int) -> float:
-        with Local(Local.Settings(processes=1, threads=number), WAIT, size=2 * threads, build=Waiting) as made:
+        layout = Local.Settings(processes=1, threads=number, environments=2 * threads // number)
+        with Local(layout, partial(Waiting, WAIT)) as made:
             return steps_per_second(made, seconds)
 
     rates = take_turns({number: partial(rate, number) for number in range(1, threads + 1)}, turns=1)
@@ -210,7 +212,7 @@ def _ray(size: int, seconds: float, turns: int) -> Iterator[Row]:
     def rate(workers: int, wait: float, _: int) -> float:
         kind: Any = Ray if workers else Local
         settings = {"workers": workers, "environments": size // workers} if workers else {"environments": size}
-        with kind(kind.Settings(**settings), wait, build=Waiting) as made:
+        with kind(kind.Settings(**settings), partial(Waiting, wait)) as made:
             return steps_per_second(made, seconds)
 
     for wait in RAY_WAITS:

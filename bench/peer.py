@@ -29,7 +29,6 @@ def measure(*, spec: Path, seeds: int = 5, steps: int | None = None) -> Iterator
 
     Args:
         spec: file whose name peers.yaml has; determines environment and episodes.
-        seeds: number of runs.
         steps: of the peer; by default those of the spec.
 
     Raises UsageError for another spec, MachineError where stable-baselines3 is missing.

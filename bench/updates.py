@@ -54,8 +54,6 @@ def measure(
 
     Args:
         only: names of agents; by default sac, td3, ddpg and dqn.
-        threads: number of CPU threads.
-        device: where the agents learn.
         peers: also time the same algorithms of stable-baselines3 and SBX, where they are installed.
         seconds: for all measurements together.
 
