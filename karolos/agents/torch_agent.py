@@ -3,13 +3,14 @@
 from __future__ import annotations
 
 import math
-from collections.abc import Callable, Mapping
-from typing import Any
+from collections.abc import Callable, Iterator, Mapping
+from itertools import pairwise
+from typing import Any, ClassVar
 
 import torch
 from torch import Tensor
 
-from ..core import Agent, Batch, Experience, FloatArray, Signature, State
+from ..core import FLOAT_BYTES, Agent, Batch, Experience, FloatArray, MemoryNeed, Signature, State
 from ..core.deployed import Deployed, Layer, Output
 from ..core.seeding import SeedTree
 from .inputs import INPUT_CLIP, Normaliser, TensorBatch, tensor_batch, to_array
@@ -44,6 +45,8 @@ class TorchAgent(Agent[Experience]):
     stored: tuple[str, ...]
     """Attributes that learning or acting depends on: tensors, counters, and parts with `state` and `load_state`."""
     optimisers: dict[str, Adam]
+    arrays: ClassVar[int] = 8
+    """Arrays of the size of a network that it holds: parameters, targets, gradients, moments of Adam. Measured."""
 
     def __init__(
         self, settings: Any, signature: Signature, seeds: SeedTree, device: str, *, input_clip: float = INPUT_CLIP
@@ -105,6 +108,16 @@ class TorchAgent(Agent[Experience]):
         shift, scale = (to_array(part).copy() for part in (self.normaliser.shift, self.normaliser.scale))
         epsilon = LAYER_NORM_EPSILON if network.shape.layer_norm else None
         return Deployed(shift, scale, self.normaliser.clip, tuple(layers), output, epsilon)
+
+    @classmethod
+    def memory(cls, settings: Any, signature: Signature, batch_size: int) -> Iterator[MemoryNeed]:
+        inputs = signature.observation.size + signature.desired_goal.size + signature.action.size
+        weights = sum((before + 1) * after for before, after in pairwise((inputs, *settings.hidden, 1)))
+        what = f"an agent with networks of {' x '.join(map(str, settings.hidden))} units"
+        yield MemoryNeed(cls.arrays * weights * FLOAT_BYTES, what, "agent.hidden")
+        if not cls.on_policy:
+            activations = 2 * batch_size * sum(settings.hidden) * FLOAT_BYTES
+            yield MemoryNeed(activations, f"a batch of {batch_size:,} transitions", "training.batch_size")
 
     def state(self) -> State:
         """Everything that learning and acting depend on."""
