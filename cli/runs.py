@@ -34,7 +34,7 @@ if TYPE_CHECKING:
     from karolos.records import RunFolder
     from karolos.records.final_test import FinalTest
     from karolos.records.results import TestCounts, TestResult
-    from karolos.records.run_records import RunSummary
+    from karolos.records.run_records import RunRecord, RunSummary
     from karolos.records.transfer_results import TransferResult
     from karolos.store import Store
 
@@ -264,7 +264,7 @@ def restore(
 
 @app.command("export")
 def export_runs(
-    file: Annotated[Path, typer.Argument(metavar="FILE", help="A new .tar.gz or .zip.")],
+    file: Annotated[Path, typer.Argument(metavar="FILE", help="A new .tar.gz.")],
     run: ManyRuns = None,
     where: Where = None,
     checkpoints: Annotated[bool, typer.Option(help="Include the checkpoints, which can be large.")] = True,
@@ -283,7 +283,7 @@ def export_runs(
 
 @app.command("import")
 def import_runs(
-    files: Annotated[list[Path], typer.Argument(metavar="FILE...", help="A .tar.gz or .zip.")],
+    files: Annotated[list[Path], typer.Argument(metavar="FILE...", help="A .tar.gz.")],
     most: Annotated[float, typer.Option("--most", min=0, help="Most gigabytes that an archive may unpack to.")] = 64.0,
     runs: Runs = Path("runs"),
     database: Database = None,
@@ -293,18 +293,20 @@ def import_runs(
     from karolos.records import archive
 
     runs.mkdir(parents=True, exist_ok=True)
-    summaries = []
+    imported: list[RunRecord] = []
     with open_or_make_store(runs, database) as store:
+
+        def enter(records: Sequence[RunRecord]) -> None:
+            if known := store.runs(ids=[record.summary.run for record in records]):
+                raise UsageError(f"the run {known[0].run} exists already", hint="`karolos runs rm` removes it")
+            store.add_records(records)
+
         for file in files:
-            imported = archive.import_runs(
-                file, runs, most_bytes=int(most * 1e9), known=lambda run: bool(store.runs(ids=[run]))
-            )
-            store.add_records([one.folder.record() for one in imported])
-            summaries += [one.folder.summary() for one in imported]
-            for one in imported:
-                for problem in one.problems:
-                    warn(f"{one.folder.id}: {problem}")
-    print_rows([summary.row() for summary in summaries], json=json, line="{run}")
+            imported += archive.import_runs(file, runs, most_bytes=int(most * 1e9), enter=enter)
+    for record in imported:
+        for problem in record.problems:
+            warn(f"{record.summary.run}: {problem}")
+    print_rows([record.summary.row() for record in imported], json=json, line="{run}")
 
 
 @dataclass(frozen=True)
@@ -343,7 +345,7 @@ class _View:
 
 
 def _test_row(test: TestCounts) -> dict[str, Any]:
-    return {"steps": test.steps, "seconds": test.seconds, **test.row(), "solved_at_reset": test.reset}
+    return {"steps": test.steps, "seconds": test.seconds, **test.row(), "solved_at_reset": test.solved_at_reset}
 
 
 def _final_row(final: FinalTest[TestResult]) -> dict[str, Any]:
@@ -378,8 +380,8 @@ def _from_folder(summary: RunSummary) -> _View:
 
 def _from_index(store: Store, summary: RunSummary) -> _View:
     """What the index has of a run whose folder is missing."""
-    problems = [f"the run folder is missing: {summary.folder}"]
-    return _View(summary, store.tests(summary.run), store.spec(summary.experiment), problems)
+    (record,) = store.records([summary])
+    return _View(summary, record.tests, record.spec, [f"the run folder is missing: {summary.folder}"])
 
 
 def _checkpoints(folder: RunFolder) -> tuple[list[dict[str, Any]], list[str]]:
