@@ -5,7 +5,7 @@ from __future__ import annotations
 import os
 import time
 from collections.abc import Callable, Mapping, Sequence
-from dataclasses import dataclass, field
+from dataclasses import dataclass, field, replace
 from pathlib import Path
 from typing import TYPE_CHECKING, Annotated, Any
 
@@ -152,7 +152,11 @@ def show(run: OneRun, runs: Runs = Path("runs"), database: Database = None, json
     """Show a run: state, tests with 95 % intervals, spec, checkpoints, versions, command and git commit."""
     store, summary = find_run(run, runs, database)
     with store:
-        view = _from_folder(summary) if os.path.isdir(summary.folder) else _from_index(store, summary)
+        if os.path.isdir(summary.folder):
+            view = _from_folder(summary.folder)
+        else:
+            problem = f"the run folder is missing: {summary.folder}"
+            view = _View(replace(store.records([summary])[0], problems=(problem,)))
     if json:
         print_rows([view.row()], json=True)
     else:
@@ -313,16 +317,13 @@ def import_runs(
 class _View:
     """Everything known about one run."""
 
-    summary: RunSummary
-    tests: Sequence[TestCounts]
-    spec: Mapping[str, Any]
-    problems: Sequence[str]
-    checkpoints: Sequence[Mapping[str, Any]] = ()
+    record: RunRecord
     results: Sequence[TestResult] = ()
     """The tests episode by episode, as far as the folder has them."""
     final: FinalTest[TestResult] | None = None
     transfers: Sequence[TransferResult] = ()
     """Tests under changed settings (`karolos test`)."""
+    checkpoints: Sequence[Mapping[str, Any]] = ()
     about: Mapping[str, Any] = field(default_factory=dict)
     """Versions, machine, command and git commit."""
 
@@ -331,15 +332,14 @@ class _View:
 
         known = [result for result in self.results if result.distances]
         near = {one.steps: {"within_m": {f"{far:g}": one.within(far) for far in WITHIN}} for one in known}
-        tests = [_test_row(test) | near.get(test.steps, {}) for test in self.tests]
         return {
-            **self.summary.row(),
-            "tests": tests,
+            **self.record.summary.row(),
+            "tests": [_test_row(test) | near.get(test.steps, {}) for test in self.record.tests],
             "final_test": None if self.final is None else _final_row(self.final),
             "transfers": [transfer.row() for transfer in self.transfers],
-            "checkpoints": list(self.checkpoints),
-            "problems": list(self.problems),
-            "spec": self.spec,
+            "checkpoints": self.checkpoints,
+            "problems": self.record.problems,
+            "spec": self.record.spec,
             **self.about,
         }
 
@@ -357,31 +357,21 @@ def _final_row(final: FinalTest[TestResult]) -> dict[str, Any]:
     }
 
 
-def _from_folder(summary: RunSummary) -> _View:
+def _from_folder(path: str) -> _View:
     from karolos.records import RunFolder, transfer_results
 
-    folder = RunFolder.open(summary.folder)
-    record = folder.record()
+    folder = RunFolder.open(path)
+    record, description = folder.record(), folder.description()
     checkpoints, damaged = _checkpoints(folder)
-    description = folder.description()
     transfers, unreadable = transfer_results.read(folder)
     return _View(
-        summary=record.summary,
-        tests=record.tests,
-        spec=record.spec,
-        problems=(*record.problems, *damaged, *unreadable),
-        checkpoints=checkpoints,
-        results=folder.tests(),
-        transfers=transfers,
-        final=folder.final(),
-        about={key: description.get(key) for key in ("versions", "machine", "command", "git")},
+        replace(record, problems=(*record.problems, *damaged, *unreadable)),
+        folder.tests(),
+        folder.final(),
+        transfers,
+        checkpoints,
+        {key: description.get(key) for key in ("versions", "machine", "command", "git")},
     )
-
-
-def _from_index(store: Store, summary: RunSummary) -> _View:
-    """What the index has of a run whose folder is missing."""
-    (record,) = store.records([summary])
-    return _View(summary, record.tests, record.spec, [f"the run folder is missing: {summary.folder}"])
 
 
 def _checkpoints(folder: RunFolder) -> tuple[list[dict[str, Any]], list[str]]:
@@ -401,7 +391,7 @@ def _print_view(view: _View) -> None:
     from karolos.records.results import TestCounts
     from karolos.report.tables import duration, facts_table, flatten, run_state, table_of_tests, transfers_table
 
-    run, about = view.summary, view.about
+    run, about = view.record.summary, view.about
     git = about.get("git") or {}
     commit = f"{git.get('commit', '')[:12]}{' with changes (code.diff)' if git.get('dirty') else ''}" if git else None
     solved = None if run.steps_to_95 is None else f"{run.steps_to_95:,} steps, {duration(run.seconds_to_95)}"
@@ -424,8 +414,8 @@ def _print_view(view: _View) -> None:
         "versions": ", ".join(f"{name} {version}" for name, version in (about.get("versions") or {}).items()) or None,
     }
     print_table(facts_table(facts))
-    if view.tests:
-        print_table(table_of_tests(view.tests, view.results, title="tests"))
+    if view.record.tests:
+        print_table(table_of_tests(view.record.tests, view.results, title="tests"))
     else:
         print("\nno tests yet")
     if view.final is not None:
@@ -434,6 +424,6 @@ def _print_view(view: _View) -> None:
         print_table(table_of_tests(map(TestCounts.of, policies), policies, title=title))
     if view.transfers:
         print_table(transfers_table(view.transfers, title="tests under changed settings"))
-    print_table(facts_table(dict(flatten(view.spec)), title="spec"))
-    for problem in view.problems:
+    print_table(facts_table(dict(flatten(view.record.spec)), title="spec"))
+    for problem in view.record.problems:
         warn(problem)
