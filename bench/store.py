@@ -13,7 +13,7 @@ import sys
 import tempfile
 from collections.abc import Callable, Iterator
 from concurrent.futures import ProcessPoolExecutor
-from dataclasses import replace
+from dataclasses import asdict, replace
 from functools import partial
 from itertools import repeat
 from pathlib import Path
@@ -80,7 +80,8 @@ def _writing(place: Path, writers: int, database: str | None) -> Row:
     url = database or Store.default_url(folder)
     with Store(url) as store:
         for index, path in enumerate(sorted(folder.glob("store-*"))):
-            store.add_run(replace(RunFolder.open(path).summary(), run=f"writer-{index}"), SPEC)
+            record = RunFolder.open(path).record()
+            store.add_records([replace(record, summary=replace(record.summary, run=f"writer-{index}"))])
     case, rate = f"{writers} processes that write at once", writers * WRITES / _together(_write, url, writers)
     if database is not None:
         return Row(case, rate, "transactions/s")
@@ -130,7 +131,7 @@ def make_runs(folder: Path, runs: int, tests: int, episodes: int) -> None:
         run |= {"created": f"2026-01-01T00:00:00.{index:06}Z", "versions": software}
         state = RunState("finished", tests * 1000, tests * 10.0, 1, None, f"2026-01-01T01:00:00.{index:06}Z")
         resolved = spec | {"agent": spec["agent"] | {"learning_rate": 1e-4 * (1 + experiment % 97)}}
-        for file, value in (("resolved.json", resolved), ("run.json", run), ("state.json", state.to_row())):
+        for file, value in (("resolved.json", resolved), ("run.json", run), ("state.json", asdict(state))):
             (path / file).write_text(json.dumps(value, indent=2))
         (path / "tests.jsonl").write_text(curves[index % len(curves)])
         (path / "events.jsonl").write_text('{"time":"2026-01-01T00:00:00.000000Z","event":"started"}\n')
