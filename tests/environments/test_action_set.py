@@ -12,7 +12,7 @@ import pytest
 from gymnasium.utils.env_checker import check_env
 from support.rig import part
 
-import karolos.environments.gymnasium_export  # noqa: F401  (registers the ids)
+import karolos.gym  # noqa: F401  (registers the ids)
 from karolos.core import Discrete, Field, Layout
 from karolos.environments.action_set import ActionSet, action_index
 from karolos.environments.build import build_environment
