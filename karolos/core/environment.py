@@ -69,7 +69,7 @@ class Environment(ABC):
 
     def expert(self) -> Expert:
         """The scripted policy of the running episode. Raises UsageError if there is none."""
-        raise UsageError("there is no expert for this environment", where="environment", hint="tasks have experts")
+        raise UsageError("there is no expert for this environment", setting="environment", hint="tasks have experts")
 
     def render(self, width: int = 640, height: int = 480) -> NDArray[np.uint8]:
         """An image of the current state: (height, width, 3). Raises NotImplementedError without rendering."""

@@ -75,7 +75,7 @@ def collect_demonstrations(
             if len(episodes) == settings.episodes:
                 break
         else:
-            raise RunError("most demonstrations diverge", where="demonstrations", hint="lower demonstrations.noise")
+            raise RunError("most demonstrations diverge", setting="demonstrations", hint="lower demonstrations.noise")
     finally:
         environment.close()
     return Demonstrations(tuple(episodes), successes / len(episodes), time.perf_counter() - started)
@@ -86,7 +86,7 @@ def demonstrating_expert(environment: Environment) -> Expert:
     try:
         return environment.expert()
     except UsageError as error:
-        raise UsageError(error.what, where="demonstrations", hint="remove demonstrations") from error
+        raise UsageError(error.what, setting="demonstrations", hint="remove demonstrations") from error
 
 
 def _play(

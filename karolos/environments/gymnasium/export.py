@@ -53,7 +53,7 @@ class GoalEnv(gymnasium.Env[Observation, NDArray[np.float32]]):
     ) -> None:
         signature = environment.signature
         if signature.goal_rule is None:
-            raise UsageError("the environment has no goals", where="environment")
+            raise UsageError("the environment has no goals", setting="environment")
         self.render_mode = render_mode
         self._size = (width, height)
         self.metadata = {**type(self).metadata, "render_fps": environment.rate}
@@ -199,4 +199,4 @@ def _valid(where: str, validate: Callable[[Any], Any], value: Any) -> Any:
     except ValidationError as error:
         first = error.errors()[0]
         path = ".".join([where, *map(str, first["loc"])])
-        raise UsageError(f"{first['msg']}, not {first['input']!r}", where=path) from error
+        raise UsageError(f"{first['msg']}, not {first['input']!r}", setting=path) from error
