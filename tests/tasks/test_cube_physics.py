@@ -24,7 +24,7 @@ def slide(**values: float) -> float:
     cube = environment.task.cube
     cube.place((-0.6, 0.0, cube.half))
     world = environment.world
-    world.api.resetBaseVelocity(cube.body.index, (0.0, SPEED, 0.0), (0.0, 0.0, 0.0), physicsClientId=world.client)
+    world.api.resetBaseVelocity(cube.body.index, (0.0, SPEED, 0.0), (0.0, 0.0, 0.0))
     for _ in range(40):
         environment.step(np.zeros(3))
     environment.close()
