@@ -16,7 +16,7 @@ from ..core import Array, Environment, Expert, Field, FloatArray, Layout, Signat
 from ..core.seeding import SeedTree
 from ..core.signature import layout_differences
 from ..errors import UsageError
-from ..randomization.choice import Choice
+from ..randomization.distributions import Choice
 from ..spec.parts import Part, Recipe, validate_strictly
 from .robot_task import RobotTask
 

@@ -12,7 +12,7 @@ from ..core import Environment, Expert, FloatArray, Step, Transitions
 from ..core.seeding import Generator, SeedTree
 from ..environments.build import build_environment
 from ..errors import RunError, UsageError
-from ..spec.model import Demonstrations as DemonstrationSettings
+from ..spec.model import DemonstrationSettings
 from ..spec.parts import Recipe
 
 

@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 from collections.abc import Iterator
+from functools import partial
 from typing import Any
 
 import gymnasium
@@ -12,6 +13,7 @@ from support.rig import made, recipe
 
 from karolos.core import Discrete, Field, Layout
 from karolos.environments.action_set import ActionSet, action_index
+from karolos.environments.build import build_environment
 from karolos.environments.robot_task import RobotTask
 from karolos.errors import UsageError
 from karolos.evaluation.policies import load_expert
@@ -105,9 +107,8 @@ def test_an_index_is_found_in_any_form_it_travels_in() -> None:
 def test_workers_take_the_set_and_give_the_same_episode_as_the_environment_itself() -> None:
     bare = discrete()
     expected = [bare.reset(5), *(bare.step(np.array(index)) for index in (0, 6, 3))]
-    with Local(
-        Local.Settings(processes=1, environments=1), recipe("reach", environment={"actions": "discrete"})
-    ) as orchestrator:
+    build = partial(build_environment, recipe("reach", environment={"actions": "discrete"}))
+    with Local(Local.Settings(processes=1, environments=1), build) as orchestrator:
         assert orchestrator.signature.action == bare.signature.action
         orchestrator.reset([0], [5])
         found = [orchestrator.receive().step]
