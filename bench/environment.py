@@ -124,7 +124,7 @@ def _beside_panda_gym(seconds: float) -> Iterator[Row]:
     require("panda_gym", hint="pip install --no-deps panda-gym")
     import panda_gym  # type: ignore[import-not-found]  # noqa: F401, PLC0415  (registers its environments)
 
-    from karolos.environments import gymnasium_export  # noqa: F401, PLC0415  (registers karolos's environments)
+    from karolos import gym  # noqa: F401, PLC0415  (registers karolos's environments)
 
     def rate(environment: Any, seed: int) -> float:
         generator = np.random.Generator(np.random.PCG64(seed))

@@ -172,7 +172,7 @@ def _peer_steps(pair: list[str], processes: int, environments: int, seconds: flo
     """Steps per second of gymnasium's vector environment; its processes have one environment each."""
     from gymnasium.vector import AsyncVectorEnv, SyncVectorEnv  # noqa: PLC0415  (takes a while)
 
-    from karolos.environments.gymnasium_export import RobotTaskEnv  # noqa: PLC0415
+    from karolos.environments.gymnasium.export import RobotTaskEnv  # noqa: PLC0415
 
     make, forked = partial(RobotTaskEnv, *pair), partial(AsyncVectorEnv, context="forkserver")
     together: Any = forked([make] * processes) if processes else SyncVectorEnv([make] * environments)

@@ -15,7 +15,7 @@ import numpy as np
 import yaml
 
 from karolos.environments.build import build_environment
-from karolos.environments.gymnasium_export import GoalEnv
+from karolos.environments.gymnasium.export import GoalEnv
 from karolos.errors import UsageError
 from karolos.spec import Spec, load_spec
 
