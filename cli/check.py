@@ -50,10 +50,10 @@ def check(
                 Matrix(spec).check()
         except SpecError as error:
             worst = max(worst, error.exit_code)
-            found = [_row(path, problem.where, problem.path, problem.what, problem.hint) for problem in error.problems]
+            found = [_row(path, str(one.where), one.setting, one.what, one.hint) for one in error.problems]
         except KarolosError as error:
             worst = max(worst, error.exit_code)
-            found = [_row(path, error.where, "", error.what, error.hint)]
+            found = [_row(path, error.where, error.setting or "", error.what, error.hint)]
         if json:
             print_rows(found or [_row(path, str(path), "", None, note)], json=True)
             continue

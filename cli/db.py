@@ -70,6 +70,6 @@ def _existing(runs: Path, database: str | None) -> str:
 
 
 def _cores() -> int:
-    from karolos.orchestrator.auto import cores
+    from karolos.machine import cores
 
     return cores()

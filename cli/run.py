@@ -10,7 +10,7 @@ from typing import TYPE_CHECKING, Annotated, NoReturn
 
 import typer
 
-from karolos.errors import KarolosError, MachineError, UsageError
+from karolos.errors import KarolosError, MachineError
 from karolos.files import writing
 
 from .arguments import (
@@ -100,11 +100,8 @@ def _detached(log: Path) -> Callable[[], None]:
     that one ends before.
 
     Raises:
-        UsageError: the system has no such processes.
         MachineError: the log cannot be written.
     """
-    if not hasattr(os, "fork"):
-        raise UsageError("this system cannot detach a process", where="--detach", hint="leave the option out")
     with writing(log):
         log.parent.mkdir(parents=True, exist_ok=True)
         out = os.open(log, os.O_WRONLY | os.O_CREAT | os.O_APPEND, 0o666)

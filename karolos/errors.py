@@ -8,6 +8,7 @@ from __future__ import annotations
 
 from collections.abc import Sequence
 from dataclasses import dataclass
+from typing import Any
 
 
 class KarolosError(Exception):
@@ -15,25 +16,41 @@ class KarolosError(Exception):
 
     Args:
         what: what is wrong, in one line.
-        where: the file:line:column, key path, run or plugin.
+        where: the file:line:column, run or folder.
+        setting: the key path of the setting that causes it, e.g. "buffer.capacity".
+        plugin: kind and name of the plugin that causes it, e.g. ("robots", "panda").
         hint: what is allowed, or what to do.
     """
 
     exit_code = 1
 
-    def __init__(self, what: str, *, where: str | None = None, hint: str | None = None) -> None:
+    def __init__(
+        self,
+        what: str,
+        *,
+        where: str | None = None,
+        setting: str | None = None,
+        plugin: tuple[str, str] | None = None,
+        hint: str | None = None,
+    ) -> None:
         super().__init__(what)
         self.what = what
         self.where = where
+        self.setting = setting
+        self.plugin = plugin
         self.hint = hint
 
     def __str__(self) -> str:
-        line = f"{self.where}: {self.what}" if self.where else self.what
-        return f"{line}; {self.hint}" if self.hint else line
+        return _line(self.where, self.setting, self.what, self.hint)
 
     def __reduce__(self) -> tuple[object, ...]:
         """Pickle all attributes: an error may cross a process boundary."""
         return _rebuild, (type(self), self.__dict__.copy())
+
+
+def _line(where: object, setting: str | None, what: str, hint: str | None) -> str:
+    line = ": ".join(str(part) for part in (where, setting, what) if part)
+    return f"{line}; {hint}" if hint else line
 
 
 def _rebuild(kind: type[KarolosError], attributes: dict[str, object]) -> KarolosError:
@@ -55,16 +72,16 @@ class NoSuchRunError(UsageError):
 
 @dataclass(frozen=True)
 class Problem:
-    """One mistake in a spec; `where` is its file:line:column, or its override."""
+    """One mistake in a spec."""
 
-    where: str
-    path: str
+    where: Any
+    """Its position: str() gives file:line:column, or the override."""
+    setting: str
     what: str
     hint: str | None = None
 
     def __str__(self) -> str:
-        line = f"{self.where}: {self.path}: {self.what}" if self.path else f"{self.where}: {self.what}"
-        return f"{line}; {self.hint}" if self.hint else line
+        return _line(self.where, self.setting, self.what, self.hint)
 
 
 class SpecError(KarolosError):
@@ -102,6 +119,6 @@ class RunError(KarolosError):
 class WorkerError(RunError):
     """An exception inside a worker process. `traceback` is the worker's own, as text."""
 
-    def __init__(self, what: str, *, where: str | None = None, hint: str | None = None, traceback: str = "") -> None:
-        super().__init__(what, where=where, hint=hint)
+    def __init__(self, what: str, *, traceback: str = "", **place: Any) -> None:
+        super().__init__(what, **place)
         self.traceback = traceback

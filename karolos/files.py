@@ -7,11 +7,11 @@ from __future__ import annotations
 
 import contextlib
 import errno
+import fcntl
 import json
 import os
 import re
 import shutil
-import sys
 import tempfile
 import time
 from collections.abc import Iterable, Iterator, Mapping
@@ -19,11 +19,6 @@ from pathlib import Path
 from typing import Any, NamedTuple
 
 from .errors import MachineError, UsageError
-
-if sys.platform == "win32":
-    import msvcrt
-else:
-    import fcntl
 
 _FULL = frozenset({errno.ENOSPC, errno.EDQUOT, errno.EFBIG})
 _FORBIDDEN = frozenset({errno.EACCES, errno.EPERM, errno.EROFS})
@@ -83,25 +78,22 @@ def network_share(path: Path, mounts: Path = Path("/proc/self/mounts")) -> str |
 
 
 def sync_folder(folder: Path) -> None:
-    """Write the names in a folder to the disk. Windows does it without a call."""
-    if sys.platform != "win32":
-        descriptor = os.open(folder, os.O_RDONLY)
-        try:
-            os.fsync(descriptor)
-        finally:
-            os.close(descriptor)
+    """Write the names in a folder to the disk."""
+    descriptor = os.open(folder, os.O_RDONLY)
+    try:
+        os.fsync(descriptor)
+    finally:
+        os.close(descriptor)
 
 
 def is_alive(process: int) -> bool:
-    """Whether a process of this machine has this id; always true on Windows, which has no harmless way to ask."""
-    if sys.platform == "win32":
-        return True
+    """Whether a process of this machine has this id."""
     try:
         os.kill(process, 0)
     except (ProcessLookupError, OverflowError):
         return False
-    except PermissionError:
-        return True
+    except PermissionError:  # it belongs to somebody else
+        pass
     return True
 
 
@@ -118,7 +110,7 @@ def remove_leftovers(folder: Path, pattern: str) -> None:
             if not found or is_alive(int(found[1])):
                 continue
             with contextlib.suppress(OSError):
-                if hasattr(os, "getuid") and entry.stat(follow_symlinks=False).st_uid != os.getuid():
+                if entry.stat(follow_symlinks=False).st_uid != os.getuid():
                     continue
                 if entry.is_dir(follow_symlinks=False):
                     shutil.rmtree(entry.path, ignore_errors=True)
@@ -183,7 +175,7 @@ def append_lines(path: Path, rows: Iterable[Mapping[str, Any]]) -> None:
     """
     lines = "".join(json.dumps(row, separators=(",", ":"), allow_nan=False) + "\n" for row in rows).encode()
     with writing(path):
-        descriptor = os.open(path, os.O_RDWR | os.O_CREAT | os.O_APPEND | getattr(os, "O_BINARY", 0), 0o666)
+        descriptor = os.open(path, os.O_RDWR | os.O_CREAT | os.O_APPEND, 0o666)
         try:
             end = _cut_torn_line(descriptor)
             try:
@@ -346,10 +338,7 @@ def locked(path: Path) -> Iterator[None]:
 
 def _try_lock(descriptor: int, *, exclusive: bool) -> bool:
     try:
-        if sys.platform == "win32":
-            msvcrt.locking(descriptor, msvcrt.LK_NBLCK, 1)
-        else:
-            fcntl.flock(descriptor, (fcntl.LOCK_EX if exclusive else fcntl.LOCK_SH) | fcntl.LOCK_NB)
+        fcntl.flock(descriptor, (fcntl.LOCK_EX if exclusive else fcntl.LOCK_SH) | fcntl.LOCK_NB)
     except OSError as error:
         if error.errno in {errno.EWOULDBLOCK, errno.EAGAIN, errno.EACCES, errno.EDEADLK}:
             return False

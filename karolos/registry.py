@@ -7,10 +7,10 @@ party's. Its settings are a nested pydantic model called `Settings`.
 from __future__ import annotations
 
 import importlib.metadata
-from collections.abc import Iterable
+from collections.abc import Callable, Iterable
 from dataclasses import dataclass
 from difflib import get_close_matches
-from functools import cache
+from functools import cache, partial
 from typing import Any
 
 from .errors import PluginError, UsageError
@@ -21,8 +21,8 @@ NEEDED = {
     "robots": ("prepare", "build", "apply", "reset", "act", "read", "observe"),
     "tasks": ("fit", "build", "reset", "observe", "achieved"),
     "environments": ("reset", "step", "close"),
-    "agents": ("on_policy", "act", "learn", "state", "load_state"),
-    "buffers": ("on_policy", "add", "cut", "sample", "state", "load_state"),
+    "agents": ("on_policy", "act", "learn", "check", "memory", "state", "load_state"),
+    "buffers": ("on_policy", "add", "cut", "sample", "memory", "state", "load_state"),
     "distributions": ("draw",),
     "orchestrators": ("reset", "step", "receive", "close"),
     "launchers": ("room", "start", "wait", "close"),
@@ -98,7 +98,8 @@ def find(kind: str, name: str) -> PluginEntry:
         )
     if len(found) > 1:
         claims = " and ".join(entry.distribution for entry in found)
-        raise PluginError(f"{singular(kind)} {name!r} is claimed by {claims}", hint="uninstall one of them")
+        what = f"{singular(kind)} {name!r} is claimed by {claims}"
+        raise PluginError(what, plugin=(kind, name), hint="uninstall one of them")
     return found[0]
 
 
@@ -117,34 +118,29 @@ def _installed() -> tuple[PluginEntry, ...]:
 def _load(entry: PluginEntry) -> Any:
     point = importlib.metadata.EntryPoint(entry.name, entry.target, f"karolos.{entry.kind}")
     where = f"{singular(entry.kind)} {entry.name!r} of {entry.distribution} {entry.version}"
+    broken = partial(PluginError, where=where, plugin=(entry.kind, entry.name))
     try:
         plugin = point.load()
     except Exception as error:  # a plugin's module may raise anything; the cause keeps its traceback
         text = (str(error).splitlines() or [""])[0]
-        raise PluginError(
-            f"does not import: {type(error).__name__}: {text}",
-            where=where,
-            hint=f"repair {entry.target}, or uninstall {entry.distribution}",
-        ) from error
-    _check(plugin, entry.kind, where)
+        hint = f"repair {entry.target}, or uninstall {entry.distribution}"
+        raise broken(f"does not import: {type(error).__name__}: {text}", hint=hint) from error
+    _check(plugin, entry.kind, broken)
     return plugin
 
 
-def _check(plugin: object, kind: str, where: str) -> None:
+def _check(plugin: object, kind: str, broken: Callable[..., PluginError]) -> None:
     from pydantic import BaseModel  # noqa: PLC0415  (30 ms that listing names does not need)
 
     settings = getattr(plugin, "Settings", None)
     if not isinstance(plugin, type):
-        raise PluginError("is not a class", where=where, hint="the entry point must name the plugin's class")
+        raise broken("is not a class", hint="the entry point must name the plugin's class")
     if not (isinstance(settings, type) and issubclass(settings, BaseModel)):
-        raise PluginError("has no settings", where=where, hint="nest a pydantic model called Settings in the class")
+        raise broken("has no settings", hint="nest a pydantic model called Settings in the class")
     if "name" in settings.model_fields:
-        raise PluginError("has a setting called 'name'", where=where, hint="a spec's `name` says which plugin; rename")
+        raise broken("has a setting called 'name'", hint="a spec's `name` says which plugin; rename")
     abstract: frozenset[str] = getattr(plugin, "__abstractmethods__", frozenset())
     lacking = sorted({*abstract, *(name for name in NEEDED[kind] if not hasattr(plugin, name))})
     if lacking:
-        raise PluginError(
-            f"{plugin.__name__} is no {singular(kind)}: it lacks {', '.join(lacking)}",
-            where=where,
-            hint=f"a {singular(kind)} has {', '.join(NEEDED[kind])}",
-        )
+        what = f"{plugin.__name__} is no {singular(kind)}: it lacks {', '.join(lacking)}"
+        raise broken(what, hint=f"a {singular(kind)} has {', '.join(NEEDED[kind])}")

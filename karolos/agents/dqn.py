@@ -64,6 +64,7 @@ class DQN(TorchAgent):
             return self
 
     on_policy: ClassVar[bool] = False
+    shaping: ClassVar[tuple[str, ...]] = ("hidden", "layer_norm", "dueling")
     learned: ClassVar[tuple[str, ...]] = ("network", "target", "normaliser")
     stored: tuple[str, ...] = (*learned, "explored", "updates")
 
@@ -204,6 +205,6 @@ def _require_discrete(signature: Signature) -> int:
     raise UsageError(
         f"dqn chooses one of a set of discrete actions, and this environment takes {signature.action.size} "
         "continuous numbers",
-        where="agent",
+        setting="agent",
         hint="a robot has such a set with environment.actions=discrete; elsewhere choose sac, td3, ddpg or ppo",
     )

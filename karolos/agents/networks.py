@@ -221,7 +221,7 @@ class MLP:
         if stored != own:
             raise UsageError(
                 f"the stored network has parameters {_words(stored)}, and this one {_words(own)}",
-                where="agent",
+                setting="agent",
                 hint="load it with the spec it was trained with",
             )
         for name, view in self.named.items():

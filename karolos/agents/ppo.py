@@ -15,7 +15,7 @@ from numpy.typing import NDArray
 from pydantic import Field as Setting
 from torch import Tensor
 
-from ..core import Discrete, FloatArray, Rollout, Signature, State
+from ..core import Buffer, Discrete, FloatArray, Rollout, Signature, State
 from ..core.deployed import Deployed
 from ..core.seeding import SeedTree
 from ..errors import UsageError
@@ -83,6 +83,7 @@ class PPO(TorchAgent[Rollout]):
         std: float = Setting(1.0, gt=0, description="standard deviation of continuous actions at the start")
 
     on_policy: ClassVar[bool] = True
+    shaping: ClassVar[tuple[str, ...]] = ("hidden",)
     learned: ClassVar[tuple[str, ...]] = ("policy", "distribution", "value", "normaliser")
     stored = learned
 
@@ -202,14 +203,23 @@ class PPO(TorchAgent[Rollout]):
         observation, goal = (rows.reshape(count, rows.shape[2]) for rows in (observation, goal))
         return network_input(observation, goal, self.normaliser, self.device)
 
-    def _minibatches(self, count: int) -> Iterator[Tensor]:
-        """Rows of each update: every epoch uses each row once, in an order of its own."""
+    def check(self, buffer: Buffer[Any], *, demonstrations: bool) -> None:
+        """Raise a UsageError if a rollout has fewer transitions than there are minibatches."""
+        super().check(buffer, demonstrations=demonstrations)
+        if buffer.capacity is not None:
+            self._check_rollout(buffer.capacity)
+
+    def _check_rollout(self, count: int) -> None:
         if count < self.settings.minibatches:
             raise UsageError(
                 f"a rollout of {count} transitions cannot be split into {self.settings.minibatches} minibatches",
-                where="agent.minibatches",
+                setting="agent.minibatches",
                 hint="raise buffer.rollout, or lower agent.minibatches",
             )
+
+    def _minibatches(self, count: int) -> Iterator[Tensor]:
+        """Rows of each update: every epoch uses each row once, in an order of its own."""
+        self._check_rollout(count)
         for _ in range(self.settings.epochs):
             order = torch.randperm(count, generator=self.generator, device=self.device)
             yield from order.tensor_split(self.settings.minibatches)

@@ -54,6 +54,7 @@ class SAC(ActorCritic):
                 raise ValueError(f"temperature {self.temperature} is below temperature_min {self.temperature_min}")
             return self
 
+    shaping: ClassVar[tuple[str, ...]] = (*ActorCritic.shaping, "critic")
     learned: ClassVar[tuple[str, ...]] = ("policy", "critic", "target", "normaliser", "log_temperature")
     stored: tuple[str, ...] = ("policy", "critic", "target", "normaliser", "noise", "log_temperature")
 

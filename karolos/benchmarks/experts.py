@@ -11,7 +11,7 @@ from itertools import product
 from ..errors import KarolosError
 from ..evaluation.playing import score
 from ..evaluation.policies import expert_policy
-from ..orchestrator.auto import cores
+from ..machine import cores
 from ..plugins.inspection import floor, pair
 from ..registry import names
 from ..simulation.engines import Engine

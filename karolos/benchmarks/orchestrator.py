@@ -17,14 +17,15 @@ from typing import TYPE_CHECKING, Any
 
 import numpy as np
 
-from ..core import Orchestrator, random_actions
-from ..orchestrator.auto import PROBE_ROUNDS, Measured, choose, cores, process_counts, steps_per_second
+from ..core import Orchestrator
+from ..machine import cores
 from ..orchestrator.local import Local
 from ..orchestrator.ray import Ray
 from ..registry import load
 from ..report.figures import BoxPlot
 from ..spec.parts import Part, Recipe
 from .side_by_side import Row, beside, take_turns
+from .stepping import ROUNDS_OF_ACTIONS, rounds_of_actions, steps_per_second
 from .waiting import Waiting
 
 if TYPE_CHECKING:
@@ -75,7 +76,7 @@ def measure(robot: str = "panda", task: str = "reach", amounts: Amounts | None =
     """
     amounts = amounts or Amounts()
     recipe = Recipe(_part("environments", "robot_task"), _part("robots", robot), _part("tasks", task))
-    counts = list(process_counts(cores()))
+    counts = process_counts()
     report = Report()
     for resets in (amounts.resets, amounts.more_resets):
         layouts = [(count, 1) for count in counts]
@@ -86,6 +87,11 @@ def measure(robot: str = "panda", task: str = "reach", amounts: Amounts | None =
     _add_waiting(report, amounts)
     _add_ray(report, amounts)
     return report
+
+
+def process_counts() -> list[int]:
+    """Numbers of processes to measure: 1, 2, 4 ... and one for each core."""
+    return [*(2**power for power in range(16) if 2**power < cores()), cores()]
 
 
 def _part(kind: str, name: str) -> Part:
@@ -127,7 +133,7 @@ def _seconds_for(orchestrator: Orchestrator, resets: int) -> float:
 
 def _add_steps(report: Report, recipe: Recipe, robot: str, task: str, amounts: Amounts) -> None:
     """Steps per second over processes, in lockstep and asynchronously, beside gymnasium's vector environments."""
-    counts = list(process_counts(cores()))
+    counts = process_counts()
     costs: dict[int, list[float]] = {count: [] for count in counts}
 
     def rate(count: int, mode: Callable[[Orchestrator, float], float], _: int) -> float:
@@ -157,10 +163,10 @@ def _add_steps(report: Report, recipe: Recipe, robot: str, task: str, amounts: A
     for count, cost in costs.items():
         report.rows.append(Row(NAME, f"parent's CPU time, {count} processes", 1e6 * median(cost), "us/step"))
     per_second = {count: median(rates[count, "lockstep"]) for count in (0, *counts)}
-    best = choose([Measured(count, 1, value) for count, value in per_second.items()])
+    best = max(counts, key=per_second.__getitem__)
     report.advice.append(
-        f"This machine ({cores()} cores) should use orchestrator.processes={best.processes}: {robot} {task} makes "
-        f"{best.steps_per_second:,.0f} steps/s, and {per_second[1]:,.0f} with one process."
+        f"This machine ({cores()} cores) should use orchestrator.processes={best}: {robot} {task} makes "
+        f"{per_second[best]:,.0f} steps/s, and {per_second[1]:,.0f} with one process."
     )
     report.advice.append("Threads do not speed PyBullet up: it holds Python's interpreter lock while it steps.")
 
@@ -168,8 +174,7 @@ def _add_steps(report: Report, recipe: Recipe, robot: str, task: str, amounts: A
 def asynchronous(orchestrator: Orchestrator, seconds: float) -> float:
     """Steps per second when half of the environments are enough to act on."""
     half = max(orchestrator.size // 2, 1)
-    generator = np.random.Generator(np.random.PCG64(0))
-    actions = [random_actions(orchestrator.signature, orchestrator.size, generator) for _ in range(PROBE_ROUNDS)]
+    actions = rounds_of_actions(orchestrator)
     orchestrator.reset(range(orchestrator.size), range(orchestrator.size))
     steps, started = 0, perf_counter()
     while steps == 0 or perf_counter() - started < seconds:
@@ -179,7 +184,7 @@ def asynchronous(orchestrator: Orchestrator, seconds: float) -> float:
         if over.any():
             orchestrator.reset(ready[over], (steps + ready[over]).tolist())
         if going.size:
-            orchestrator.step(going, actions[steps % PROBE_ROUNDS][: going.size])
+            orchestrator.step(going, actions[steps % ROUNDS_OF_ACTIONS][: going.size])
         steps += going.size
     rate = steps / (perf_counter() - started)
     orchestrator.receive()
@@ -200,11 +205,11 @@ def _peer_steps(robot: str, task: str, processes: int, amounts: Amounts, _: int)
         together = SyncVectorEnv([make] * amounts.environments)
     together.reset(seed=0)
     together.action_space.seed(0)
-    actions = [together.action_space.sample() for _ in range(PROBE_ROUNDS)]
+    actions = [together.action_space.sample() for _ in range(ROUNDS_OF_ACTIONS)]
     together.step(actions[0])
     steps, started = 0, perf_counter()
     while steps == 0 or perf_counter() - started < amounts.seconds:
-        together.step(actions[steps // together.num_envs % PROBE_ROUNDS])
+        together.step(actions[steps // together.num_envs % ROUNDS_OF_ACTIONS])
         steps += together.num_envs
     rate = steps / (perf_counter() - started)
     together.close()

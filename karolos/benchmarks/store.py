@@ -19,7 +19,7 @@ from statistics import median
 from time import perf_counter
 
 from ..errors import RunError
-from ..orchestrator.auto import cores
+from ..machine import cores
 from ..records import RunFolder
 from ..records.provenance import versions
 from ..records.results import TestResult, encode_test

@@ -19,12 +19,12 @@ from time import perf_counter
 from ..agents.device import use_threads
 from ..core import Array, FloatArray, Orchestrator, Received
 from ..core.seeding import SeedTree
-from ..orchestrator.auto import steps_per_second
 from ..spec import Spec
 from ..training.assembly import make_agent, make_buffer, make_orchestrator
 from ..training.training import Progress, Training
 from .end_to_end import EPISODES, INTERVAL, PEER, PEER_RECIPE, PEER_STEPS, Found, first_success, reach, require_peer
 from .side_by_side import Row, beside, take_turns
+from .stepping import steps_per_second
 
 NAME = "training"
 EPISODE = 50

@@ -54,14 +54,14 @@ class Hindsight:
         if signature.goal_rule is None:
             raise UsageError(
                 "hindsight needs an environment with goals",
-                where="buffer.hindsight",
+                setting="buffer.hindsight",
                 hint="remove buffer.hindsight, or choose an environment whose signature has a goal_rule",
             )
         if signature.achieved_goal.size < signature.desired_goal.size:
             raise PluginError(
                 f"the achieved goal has {signature.achieved_goal.size} columns and the desired goal "
                 f"{signature.desired_goal.size}; hindsight uses the first columns of the achieved goal as desired goal",
-                where="environment",
+                setting="environment",
                 hint="let achieved_goal begin with the columns of desired_goal",
             )
         self.settings = settings
@@ -86,13 +86,13 @@ class Hindsight:
         if wrong.size:
             raise PluginError(
                 f"the environment gave reward {reward[wrong[0]]:g}, its goal rule says {expected[wrong[0]]:g}",
-                where="environment",
+                setting="environment",
                 hint="compute the reward with the goal rule alone, or remove buffer.hindsight",
             )
         if np.any(self._rule.terminated(achieved, desired) & ~np.asarray(transitions.terminated, np.bool_)):
             raise PluginError(
                 "the environment continued although its goal rule says that the episode is terminated",
-                where="environment",
+                setting="environment",
                 hint="let the step's `terminated` include the goal rule's",
             )
 

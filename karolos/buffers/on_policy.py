@@ -2,16 +2,18 @@
 
 from __future__ import annotations
 
-from typing import ClassVar
+from collections.abc import Iterator
+from typing import Any, ClassVar
 
 import numpy as np
 from numpy.typing import NDArray
 from pydantic import Field as Setting
 
-from ..core import Buffer, Rollout, Signature, State, Transitions
+from ..core import FLOAT_BYTES, Buffer, MemoryNeed, Rollout, Signature, State, Transitions
 from ..core import Settings as BaseSettings
 from ..core.seeding import SeedTree
 from ..errors import RunError, UsageError
+from .storage import row_layout
 
 
 class OnPolicy(Buffer[Rollout]):
@@ -37,6 +39,7 @@ class OnPolicy(Buffer[Rollout]):
     ) -> None:
         self.settings = settings
         size = settings.rollout, environments
+        self.capacity = settings.rollout * environments
 
         def wide(columns: int) -> NDArray[np.float32]:
             return np.zeros((*size, columns), np.float32)
@@ -54,10 +57,18 @@ class OnPolicy(Buffer[Rollout]):
         self._count = np.zeros(environments, np.int64)
         """Transitions of each environment in this rollout."""
 
+    @classmethod
+    def memory(
+        cls, settings: OnPolicy.Settings, signature: Signature, *, environments: int, **_: Any
+    ) -> Iterator[MemoryNeed]:
+        size = settings.rollout * environments * row_layout(signature).size * FLOAT_BYTES
+        what = f"a rollout of {settings.rollout:,} steps of {environments:,} environments"
+        yield MemoryNeed(size, what, "buffer.rollout")
+
     def add(self, transitions: Transitions) -> None:
         """Store at most one transition of each environment. Raises RunError while a complete rollout is not sampled."""
         if len(self):
-            raise RunError("the rollout is complete and was not sampled", where="buffer")
+            raise RunError("the rollout is complete and was not sampled", setting="buffer")
         environments = transitions.environment
         places = self._count[environments], environments
         rows = self._rows
@@ -79,7 +90,7 @@ class OnPolicy(Buffer[Rollout]):
             ValueError: `size` is not the number of its transitions.
         """
         if not len(self):
-            raise RunError("the rollout is not complete yet", where="buffer", hint="add more transitions first")
+            raise RunError("the rollout is not complete yet", setting="buffer", hint="add more transitions first")
         if size != len(self):
             raise ValueError(f"a rollout is sampled as a whole: {len(self)} transitions, not {size}")
         rollout = self._rows
@@ -108,7 +119,7 @@ class OnPolicy(Buffer[Rollout]):
         if not fits or count.shape != self._count.shape:
             raise UsageError(
                 "the stored buffer has another number of environments, rollout or kind of transition",
-                where="buffer",
+                setting="buffer",
                 hint="resume with the spec the run was started with",
             )
         for name, array in self._rows._asdict().items():

@@ -122,7 +122,7 @@ class Priority(Replay):
         on_host = priorities.cpu() if hasattr(priorities, "cpu") else priorities
         errors = np.abs(np.asarray(on_host, np.float64))
         if not np.isfinite(errors).all():
-            raise RunError("a transition's error is not a number", where="buffer", hint="lower agent.learning_rate")
+            raise RunError("a transition's error is not a number", setting="buffer", hint="lower agent.learning_rate")
         slots, stored = self.storage.resolve(slot)
         numbers = (errors[stored] + self.settings.epsilon) ** self.settings.alpha
         self._tree[slots[stored]] = numbers

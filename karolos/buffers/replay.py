@@ -2,20 +2,20 @@
 
 from __future__ import annotations
 
-from collections.abc import Mapping, Sequence
+from collections.abc import Iterator, Mapping, Sequence
 from typing import ClassVar
 
 import numpy as np
 from numpy.typing import NDArray
 from pydantic import Field as Setting
 
-from ..core import Batch, Buffer, FloatArray, Signature, State, Transitions
+from ..core import FLOAT_BYTES, Batch, Buffer, FloatArray, MemoryNeed, Signature, State, Transitions
 from ..core import Settings as BaseSettings
 from ..core.seeding import SeedTree, generator_state, load_generator_state
 from ..errors import RunError
 from .hindsight import Hindsight
 from .n_step import NStep
-from .storage import Slots, Storage
+from .storage import Slots, Storage, row_layout
 
 
 class Replay(Buffer):
@@ -42,6 +42,8 @@ class Replay(Buffer):
         self, settings: Replay.Settings, signature: Signature, seeds: SeedTree, *, environments: int, discount: float
     ) -> None:
         n_step, hindsight = settings.n_step, settings.hindsight
+        self.capacity = settings.capacity
+        self.marks_relabelled = hindsight is not None and hindsight.imitate
         self.storage = Storage(signature, settings.capacity, environments)
         self._hindsight = Hindsight(hindsight, signature) if hindsight is not None else None
         self._n_step = NStep(n_step, discount, self.storage, signature.goal_rule) if n_step > 1 else None
@@ -49,6 +51,25 @@ class Replay(Buffer):
         self._discounts = np.zeros(0, np.float32)
         self._share: float | None = None
         self._generator = seeds.child("sample").generator()
+
+    @classmethod
+    def memory(
+        cls,
+        settings: Replay.Settings,
+        signature: Signature,
+        *,
+        environments: int,  # noqa: ARG003 (share the capacity)
+        steps: int,
+        batch_size: int,
+        demonstrations: int,
+    ) -> Iterator[MemoryNeed]:
+        row, capacity = row_layout(signature).size * FLOAT_BYTES, settings.capacity
+        stored = max(capacity, 2 * min(capacity, steps))  # a checkpoint copies what is stored
+        yield MemoryNeed(stored * row, f"a buffer of {capacity:,} transitions", "buffer.capacity")
+        yield MemoryNeed(batch_size * row, f"a batch of {batch_size:,} transitions", "training.batch_size")
+        shown = 2 * demonstrations * signature.max_steps
+        what = f"a buffer for {demonstrations:,} demonstrations of up to {signature.max_steps:,} steps"
+        yield MemoryNeed(shown * row, what, "demonstrations.episodes")
 
     def add(self, transitions: Transitions) -> None:
         """Store at most one transition of each environment.
@@ -92,7 +113,7 @@ class Replay(Buffer):
     def _require_transitions(self) -> None:
         """Raise a RunError while the buffer is empty."""
         if not len(self.storage):
-            raise RunError("the buffer is empty", where="buffer", hint="add transitions before sampling")
+            raise RunError("the buffer is empty", setting="buffer", hint="add transitions before sampling")
 
     def _batch(self, slots: Slots, weights: FloatArray, identifiers: Slots) -> Batch:
         """The transitions at these slots as a batch, partly with new goals; the next call overwrites the arrays.
@@ -111,7 +132,7 @@ class Replay(Buffer):
         elif self._discounts.size != slots.size:
             self._discounts = np.full(slots.size, self._discount, np.float32)
         demonstrated = self.storage.demonstrated(slots)
-        if self._hindsight is not None and self._hindsight.settings.imitate:
+        if self.marks_relabelled:
             demonstrated = np.zeros(slots.size, np.float32) if demonstrated is None else demonstrated
             demonstrated[relabelled] = 1
         return Batch(

@@ -82,7 +82,7 @@ class Storage:
             raise UsageError(
                 f"{capacity} transitions over {environments} environments leave {self.ring_size} for each,"
                 f" less than one episode of {signature.max_steps} steps",
-                where="buffer.capacity",
+                setting="buffer.capacity",
                 hint=f"set buffer.capacity to {environments * signature.max_steps} or more, or use fewer environments",
             )
         self.layout = row_layout(signature)
@@ -255,7 +255,7 @@ class Storage:
         if not fits or table.shape[0] != np.minimum(written, self.ring_size).sum():
             raise UsageError(
                 "the stored buffer has another number of environments, capacity or kind of transition",
-                where="buffer",
+                setting="buffer",
                 hint="resume with the spec the run was started with",
             )
         self._set_rings(len(written))

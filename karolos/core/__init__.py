@@ -12,11 +12,13 @@ from .environment import Environment
 from .experience import Batch, Experience, Rollout, Step, Transitions
 from .goals import GoalRule
 from .layout import Discrete, Field, Layout
+from .memory import FLOAT_BYTES, MemoryNeed
 from .orchestrator import Failure, Orchestrator, Received
 from .settings import AgentSettings, Settings
 from .signature import Signature, random_actions
 
 __all__ = [
+    "FLOAT_BYTES",
     "Agent",
     "AgentSettings",
     "Array",
@@ -31,6 +33,7 @@ __all__ = [
     "FloatArray",
     "GoalRule",
     "Layout",
+    "MemoryNeed",
     "Orchestrator",
     "Received",
     "Rollout",

@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 from abc import ABC, abstractmethod
-from collections.abc import Mapping
+from collections.abc import Iterable, Mapping
 from typing import TYPE_CHECKING, Any, ClassVar, Generic
 
 import numpy as np
@@ -13,9 +13,11 @@ from pydantic import BaseModel
 from ..errors import UsageError
 from .arrays import FloatArray, State
 from .experience import Experience
+from .memory import MemoryNeed
 from .signature import Signature
 
 if TYPE_CHECKING:
+    from .buffer import Buffer
     from .deployed import Deployed
     from .seeding import SeedTree
 
@@ -41,12 +43,36 @@ class Agent(ABC, Generic[Experience]):
     """Whether it learns from its own latest actions only (PPO), or also from old ones (replay)."""
     learned: ClassVar[tuple[str, ...]] = ()
     """Keys of its state with the learned weights, for `start_from`."""
+    shaping: ClassVar[tuple[str, ...]] = ()
+    """Settings that determine the shape or the meaning of the learned weights: `start_from` needs the same values."""
 
     discount: float
     """Discount factor per environment step. The loop gives it to the buffer."""
 
     @abstractmethod
     def __init__(self, settings: Any, signature: Signature, seeds: SeedTree, device: str = "cpu") -> None: ...
+
+    @classmethod
+    def memory(cls, settings: Any, signature: Signature, batch_size: int) -> Iterable[MemoryNeed]:  # noqa: ARG003
+        """The memory that an agent with these settings certainly needs; by default nothing is known."""
+        return ()
+
+    def check(self, buffer: Buffer[Any], *, demonstrations: bool) -> None:  # noqa: ARG002 (interface)
+        """Check before a run that the agent can learn from this buffer.
+
+        Args:
+            buffer: of the run, empty.
+            demonstrations: whether it will hold demonstrations.
+
+        Raises:
+            UsageError: the buffer marks relabelled transitions, which by default an agent does not imitate.
+        """
+        if buffer.marks_relabelled:
+            raise UsageError(
+                f"{type(self).__name__} has no imitation term, so it cannot imitate relabelled transitions",
+                setting="buffer.hindsight.imitate",
+                hint="set agent.imitation=1 (sac, td3, ddpg), or remove imitate",
+            )
 
     @abstractmethod
     def act(
@@ -111,7 +137,7 @@ class Agent(ABC, Generic[Experience]):
         if not self.learned:
             raise UsageError(
                 f"{type(self).__name__} cannot start from another run's agent",
-                where="agent.start_from",
+                setting="agent.start_from",
                 hint="set `learned` in its class",
             )
         self.load_state({**self.state(), **{key: state[key] for key in self.learned}})

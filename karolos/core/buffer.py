@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 from abc import ABC, abstractmethod
-from collections.abc import Mapping, Sequence
+from collections.abc import Iterable, Mapping, Sequence
 from typing import TYPE_CHECKING, Any, ClassVar, Generic
 
 import numpy as np
@@ -13,6 +13,7 @@ from pydantic import BaseModel
 from ..errors import UsageError
 from .arrays import FloatArray, State
 from .experience import Experience, Transitions
+from .memory import MemoryNeed
 from .signature import Signature
 
 if TYPE_CHECKING:
@@ -39,6 +40,10 @@ class Buffer(ABC, Generic[Experience]):
     """Settings of the spec's `buffer` part."""
     on_policy: ClassVar[bool]
     """Whether it returns rollouts (`Buffer[Rollout]`) or batches. Must be that of the agent."""
+    capacity: int | None = None
+    """Transitions that it can hold, or those of a whole rollout. None: unknown."""
+    marks_relabelled: bool = False
+    """Whether `Batch.demonstrated` marks relabelled transitions, too."""
 
     @abstractmethod
     def __init__(
@@ -53,6 +58,29 @@ class Buffer(ABC, Generic[Experience]):
             environments: number of environments; `Transitions.environment` is in 0 .. environments - 1.
             discount: per environment step.
         """
+
+    @classmethod
+    def memory(
+        cls,
+        settings: Any,  # noqa: ARG003 (interface)
+        signature: Signature,  # noqa: ARG003
+        *,
+        environments: int,  # noqa: ARG003
+        steps: int,  # noqa: ARG003
+        batch_size: int,  # noqa: ARG003
+        demonstrations: int,  # noqa: ARG003
+    ) -> Iterable[MemoryNeed]:
+        """The memory that a buffer with these settings certainly needs; by default nothing is known.
+
+        Args:
+            settings: an instance of `Settings`.
+            signature: of the environments.
+            environments: number of environments.
+            steps: environment steps of training.
+            batch_size: transitions per batch.
+            demonstrations: number of demonstrated episodes.
+        """
+        return ()
 
     @abstractmethod
     def add(self, transitions: Transitions) -> None:
@@ -84,7 +112,7 @@ class Buffer(ABC, Generic[Experience]):
         """
         raise UsageError(
             f"{type(self).__name__} does not support demonstrations",
-            where="demonstrations",
+            setting="demonstrations",
             hint="use a replay buffer, e.g. uniform, and an off-policy agent",
         )
 

@@ -23,7 +23,7 @@ def build_environment(recipe: Recipe) -> Environment:
     part = recipe.environment
     if part.name != "robot_task":
         if recipe.robot or recipe.task or recipe.randomization:
-            raise UsageError(f"environment {part.name!r} takes no robot, task or randomization", where="environment")
+            raise UsageError(f"environment {part.name!r} takes no robot, task or randomization", setting="environment")
         environment: Environment = _instance(part)
         return environment
     joined, distributions = _join(recipe), dict(recipe.randomization)
@@ -43,7 +43,7 @@ def _join(recipe: Recipe) -> RobotTask:
     part = recipe.environment
     if recipe.robot is None or recipe.task is None:
         missing = "robot" if recipe.robot is None else "task"
-        raise UsageError(f"no {missing} is given", where="environment", hint="robot_task joins a robot and a task")
+        raise UsageError(f"no {missing} is given", setting="environment", hint="robot_task joins a robot and a task")
     plugin = load(part.kind, part.name)
     joined: RobotTask = plugin(part.settings, robot=_instance(recipe.robot), task=_instance(recipe.task))
     return joined

@@ -99,7 +99,7 @@ class Gymnasium(Environment):
             steps = settings.max_steps or getattr(env.spec, "max_episode_steps", None) or _registered_steps(settings.id)
             if not steps:
                 raise UsageError(
-                    f"{settings.id} is registered without a largest number of steps", where="environment.max_steps"
+                    f"{settings.id} is registered without a largest number of steps", setting="environment.max_steps"
                 )
             goals: dict[str, Any] = {}
             self._rule: GymnasiumGoals | None = None
@@ -188,11 +188,11 @@ class Gymnasium(Environment):
 
     def render(self, width: int = 640, height: int = 480) -> Array:
         if self._env.render_mode != "rgb_array":
-            raise MachineError(f"{self.settings.id} draws no pictures", where=ID)
+            raise MachineError(f"{self.settings.id} draws no pictures", setting=ID)
         try:
             picture = np.asarray(self._env.render(), np.uint8)
         except Exception as error:  # a missing pygame or graphics card raises errors of any class
-            raise MachineError(f"{self.settings.id} cannot be drawn: {_line(error)}", where=ID) from error
+            raise MachineError(f"{self.settings.id} cannot be drawn: {_line(error)}", setting=ID) from error
         from PIL import Image  # noqa: PLC0415
 
         return np.asarray(Image.fromarray(picture).resize((width, height), Image.Resampling.BILINEAR))
@@ -222,13 +222,13 @@ def make_environment(settings: Gymnasium.Settings) -> Any:
     except KarolosError:
         raise
     except (gymnasium.error.DependencyNotInstalled, ImportError) as error:
-        raise MachineError(f"{settings.id} needs a missing library: {_line(error)}", where=ID) from error
+        raise MachineError(f"{settings.id} needs a missing library: {_line(error)}", setting=ID) from error
     except gymnasium.error.Error as error:
-        raise UsageError(_line(error), where=ID, hint="`python -m pip list` shows what could register it") from error
+        raise UsageError(_line(error), setting=ID, hint="`python -m pip list` shows what could register it") from error
     except Exception as error:  # the constructor is anybody's
         raise UsageError(
             f"{settings.id} cannot be made: {type(error).__name__}: {_line(error)}",
-            where="environment.kwargs" if settings.kwargs else ID,
+            setting="environment.kwargs" if settings.kwargs else ID,
         ) from error
     return env
 
@@ -247,16 +247,16 @@ def _observation(space: Any, settings: Gymnasium.Settings) -> Layout:
     if has_goals and not (settings.flatten_goals or settings.goals):
         raise UsageError(
             f"{settings.id} has goals, and nothing says what to do with them",
-            where="environment.goals",
+            setting="environment.goals",
             hint="goals: true keeps them for hindsight; flatten_goals: true takes them as observations",
         )
     if settings.goals and not has_goals:
         raise UsageError(
             f"{settings.id} has no goals: a goal environment observes a Dict with {' and '.join(GOALS)}",
-            where="environment.goals",
+            setting="environment.goals",
         )
     if not space.is_np_flattenable:
-        raise UsageError(f"its observations, {_line(space)}, cannot be laid out flat", where=ID)
+        raise UsageError(f"its observations, {_line(space)}, cannot be laid out flat", setting=ID)
     if isinstance(space, spaces.Dict):
         left_out = GOALS if settings.goals else ()
         sizes = {str(key): int(spaces.flatdim(part)) for key, part in space.spaces.items() if key not in left_out}
@@ -270,9 +270,9 @@ def _action(space: Any) -> Layout | Discrete:
     if isinstance(space, spaces.Discrete):
         return Discrete(tuple(str(space.start + index) for index in range(int(space.n))))
     if not isinstance(space, spaces.Box):
-        raise UsageError(f"its actions, {_line(space)}, are neither Box nor Discrete", where=ID)
+        raise UsageError(f"its actions, {_line(space)}, are neither Box nor Discrete", setting=ID)
     if not space.is_bounded():
-        raise UsageError(f"its actions, {_line(space)}, have no bounds to rescale to", where=ID)
+        raise UsageError(f"its actions, {_line(space)}, have no bounds to rescale to", setting=ID)
     return Layout((Field("action", int(np.prod(space.shape))),))
 
 

@@ -11,7 +11,6 @@ from __future__ import annotations
 
 import copy
 import os
-import sys
 import time
 from collections.abc import Callable, Iterable, Mapping
 from dataclasses import dataclass, replace
@@ -38,7 +37,7 @@ Observation = dict[str, NDArray[np.float32]]
 
 def _render_modes() -> list[str]:
     """The modes that work on this machine. A window needs a display; `check_env` tries every listed mode."""
-    return ["human", "rgb_array"] if sys.platform != "linux" or os.environ.get("DISPLAY") else ["rgb_array"]
+    return ["human", "rgb_array"] if os.environ.get("DISPLAY") else ["rgb_array"]
 
 
 @dataclass(frozen=True)
@@ -87,7 +86,7 @@ class GoalEnv(gymnasium.Env[Observation, NDArray[np.float32]]):
     ) -> None:
         signature = environment.signature
         if signature.goal_rule is None:
-            raise UsageError("the environment has no goals", where="environment")
+            raise UsageError("the environment has no goals", setting="environment")
         self.render_mode = render_mode
         self._size = (width, height)
         self.metadata = {**type(self).metadata, "render_fps": environment.rate}
@@ -315,7 +314,7 @@ def _checked(where: str, make: Any) -> Any:
     except ValidationError as error:
         first = error.errors()[0]
         path = ".".join([where, *map(str, first["loc"])])
-        raise UsageError(f"{first['msg']}, not {first['input']!r}", where=path) from error
+        raise UsageError(f"{first['msg']}, not {first['input']!r}", setting=path) from error
 
 
 def environment_ids() -> dict[str, tuple[str, str]]:

@@ -47,13 +47,13 @@ class GymnasiumGoals(GoalRule):
         spaces = [env.observation_space[goal] for goal in GOALS]
         for goal, space in zip(GOALS, spaces, strict=True):
             if not space.shape or (not np.issubdtype(space.dtype, np.number) and space.dtype != np.bool_):
-                raise UsageError(f"{goal} of {name}, {space}, is not an array of numbers", where=SETTING)
+                raise UsageError(f"{goal} of {name}, {space}, is not an array of numbers", setting=SETTING)
         self._shapes = [tuple(space.shape) for space in spaces]
         self._types = [space.dtype for space in spaces]
         if not callable(self._method("compute_reward")):
             raise UsageError(
                 f"{name} has no method compute_reward(achieved_goal, desired_goal, info), which hindsight needs",
-                where=SETTING,
+                setting=SETTING,
                 hint="flatten_goals: true takes the goals as observations",
             )
         self._by_method = goal_terminates is None and callable(self._method("compute_terminated"))
@@ -81,7 +81,7 @@ class GymnasiumGoals(GoalRule):
         does = "ends" if step.terminated else "does not end"
         raise PluginError(
             f"{self._name} {does} an episode that reaches its goal",
-            where="environment.goal_terminates",
+            setting="environment.goal_terminates",
             hint=f"set environment.goal_terminates={str(bool(step.terminated)).lower()}",
         )
 
@@ -141,21 +141,21 @@ class GymnasiumGoals(GoalRule):
             raise UsageError(
                 f"compute_reward of {self._name} does not take arrays of goals (n, a) and (n, d) and an empty info: "
                 f"{type(error).__name__}: {line}",
-                where=SETTING,
+                setting=SETTING,
                 hint="compute the rewards (n,) along the last axis, from the goals alone",
             ) from error
         wrong = np.flatnonzero(~np.isclose(given, found, rtol=1e-4, atol=1e-5))
         if wrong.size:
             raise UsageError(
                 f"{self._name} gave reward {given[wrong[0]]:g}, its compute_reward says {found[wrong[0]]:g}",
-                where=SETTING,
+                setting=SETTING,
                 hint="hindsight needs a reward that depends on the two goals alone",
             )
         if best is not None:
             if np.unique(given).size > 2 or np.ptp(best):
                 raise UsageError(
                     f"{self._name} has dense rewards, which do not say when the goal is reached",
-                    where="environment.success_reward",
+                    setting="environment.success_reward",
                     hint=f"give the reward of a step that reaches the goal; exactly at the goal it is {best[0] + 0:g}",
                 )
             self.success_reward = best[0] + np.float32(0)  # not -0
@@ -165,5 +165,5 @@ class GymnasiumGoals(GoalRule):
                 raise UsageError(
                     f"a reward of {reward:g} is{'' if success else ' not'} a success with success_reward "
                     f"{self.success_reward:g}, and {self._name} says the opposite",
-                    where="environment.success_reward",
+                    setting="environment.success_reward",
                 )

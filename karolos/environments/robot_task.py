@@ -93,11 +93,11 @@ class RobotTask(Environment):
         if unknown := sorted(set(settings.omit) - set(full.names)):
             raise UsageError(
                 f"no observation is called {', '.join(unknown)}",
-                where="environment.omit",
+                setting="environment.omit",
                 hint=f"there are {', '.join(full.names)}",
             )
         if not kept:
-            raise UsageError("nothing would be observed", where="environment.omit", hint="leave out less")
+            raise UsageError("nothing would be observed", setting="environment.omit", hint="leave out less")
         self._columns: NDArray[np.intp] | None = None
         """Those of the full observation that are kept; None: all."""
         if settings.omit:
@@ -229,13 +229,13 @@ class RobotTask(Environment):
         if self._action_set is not None:
             raise UsageError(
                 "experts give continuous actions, and this environment takes discrete ones",
-                where="environment.actions",
+                setting="environment.actions",
                 hint="set environment.actions=continuous",
             )
         _ = self.world  # an expert needs the world
         expert = self.task.expert()
         if expert is None:
-            raise UsageError(f"there is no expert for {self._name}", where="task")
+            raise UsageError(f"there is no expert for {self._name}", setting="task")
         return expert
 
     def parameters(self) -> FloatArray:

@@ -93,7 +93,7 @@ def recipes(recipe: Recipe, names: Sequence[str]) -> dict[tuple[float, ...], Rec
         if not isinstance(part.settings, Choice.Settings):
             raise UsageError(
                 f"{name} is fixed in a built world, so it cannot be drawn by {part.name!r}",
-                where=f"randomization.{name}",
+                setting=f"randomization.{name}",
                 hint="list values: {name: choice, values: [...]}; each has a world of its own",
             )
         lists.append(dict.fromkeys(part.settings.values))
@@ -101,7 +101,7 @@ def recipes(recipe: Recipe, names: Sequence[str]) -> dict[tuple[float, ...], Rec
     if len(combinations) > MOST_WORLDS:
         raise UsageError(
             f"these values make {len(combinations)} worlds",
-            where=", ".join(f"randomization.{name}" for name in names),
+            setting=", ".join(f"randomization.{name}" for name in names),
             hint=f"at most {MOST_WORLDS} are built in each environment; list fewer values",
         )
     return {values: _with(recipe, dict(zip(names, values, strict=True))) for values in combinations}
@@ -115,7 +115,7 @@ def _with(recipe: Recipe, values: Mapping[str, float]) -> Recipe:
             settings = validate_strictly(type(part.settings), {**part.settings.model_dump(mode="json"), field: value})
         except ValidationError as error:
             raise UsageError(
-                f"{name} cannot be {value:g}: {error.errors()[0]['msg']}", where=f"randomization.{name}"
+                f"{name} cannot be {value:g}: {error.errors()[0]['msg']}", setting=f"randomization.{name}"
             ) from error
         changed = Part(part.kind, part.name, settings)
         recipe = replace(recipe, robot=changed) if key == "robot" else replace(recipe, task=changed)
@@ -135,7 +135,7 @@ def _check_alike(signatures: Mapping[tuple[float, ...], Signature], names: Seque
                 raise UsageError(
                     "a setting that is drawn must leave observations, actions, goals and rewards as they are: "
                     + "; ".join(differences),
-                    where=f"randomization.{name}",
+                    setting=f"randomization.{name}",
                     hint=f"give it one value: {name}={values[index]:g}",
                 )
 

@@ -107,13 +107,13 @@ def _check_randomization(spec: Spec, overrides: Sequence[str], *, randomize: boo
     if randomize and not spec.randomization:
         raise UsageError(
             "there is nothing to randomize",
-            where=RANDOMIZATION,
+            setting=RANDOMIZATION,
             hint="add a distribution: randomization.task.gravity='{name: normal, mean: -9.81, std: 0.5}'",
         )
     if not randomize and any(override.strip().startswith(RANDOMIZATION) for override in overrides):
         raise UsageError(
             "randomization is off in a test",
-            where=RANDOMIZATION,
+            setting=RANDOMIZATION,
             hint="give one parameter a value, e.g. task.gravity=-5; `karolos test --randomize` draws as in training",
         )
 
@@ -123,7 +123,7 @@ def _check_layouts(spec: Spec, trained: Signature, overrides: Sequence[str]) -> 
     if differences:
         raise UsageError(
             "the policy was trained with other observations, actions or goals: " + "; ".join(differences),
-            where=_changed(overrides),
+            setting=_changed(overrides),
             hint=SAME_LAYOUTS,
         )
 

@@ -155,7 +155,7 @@ def signature_of(spec: Spec, *, randomize: bool = False) -> Signature:
 def expert_policy(environment: Environment) -> Policy:
     """The scripted expert of the environment's task. Raises UsageError if there is none."""
     if not isinstance(environment, RobotTask):
-        raise UsageError("there is no expert for this environment", where="environment", hint="tasks have experts")
+        raise UsageError("there is no expert for this environment", setting="environment", hint="tasks have experts")
     expert = environment.expert()
     return Policy(lambda _: np.asarray(expert.act(), np.float32), expert.reset)
 

@@ -11,7 +11,7 @@ from typing_extensions import override
 from .. import checkpoint
 from ..core import State
 from ..errors import MachineError
-from ..evaluation.evaluation_process import DueTest
+from ..evaluation.due_tests import DueTest
 from ..records import RunFolder
 from ..records.results import TestResult
 from ..training.training import Training

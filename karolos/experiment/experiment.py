@@ -10,7 +10,7 @@ from typing import Any
 
 from ..errors import RunError, UsageError
 from ..files import FileLock, remove_temporary_leftovers
-from ..orchestrator.auto import cores
+from ..machine import cores
 from ..records import RunFolder
 from ..records.archive import remove_unfinished_imports
 from ..records.run_folder import remove_lost_leftovers

@@ -9,7 +9,7 @@ from typing import Any
 from typing_extensions import override
 
 from ..errors import StoreError
-from ..evaluation.evaluation_process import DueTest
+from ..evaluation.due_tests import DueTest
 from ..records import RunFolder
 from ..records.final_test import FinalTest
 from ..records.results import TestCounts, TestResult

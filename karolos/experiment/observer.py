@@ -12,7 +12,7 @@ from typing_extensions import override
 
 from ..core import Failure
 from ..errors import KarolosError
-from ..evaluation.evaluation_process import DueTest
+from ..evaluation.due_tests import DueTest
 from ..records import RunFolder
 from ..records.final_test import FinalTest
 from ..records.results import TestResult

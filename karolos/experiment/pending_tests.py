@@ -1,37 +1,31 @@
-"""The tests of a run that are due: plays them here, or beside training in a process of their own."""
+"""The tests of a run that are due: plays them here, or beside training in a second process."""
 
 from __future__ import annotations
 
 import math
-import time
-from collections.abc import Callable, Iterator
-from dataclasses import replace
+from collections.abc import Iterator
+from dataclasses import dataclass, replace
+from time import perf_counter
 
-from ..core import Agent, Failure, Orchestrator
-from ..core.seeding import SeedTree
+from ..core import Failure
 from ..errors import WorkerError
-from ..evaluation.evaluation_process import DueTest, EvaluationProcess
-from ..evaluation.testing import play_episodes, test_seeds
+from ..evaluation.due_tests import DueTest, TestPlayer, TestProcess
+from ..evaluation.testing import test_seeds
 from ..records.results import TestResult
 from ..spec import Spec
-from ..training.assembly import make_agent
 from ..training.training import Training
 from .observer import Announce, RunWarnings
 from .signals import StopRequest
 
-PATIENCE = 1.0
-"""Seconds of testing in the run's own process before it considers a second process."""
-WORTHWHILE = 4.0
+MEASURED_SECONDS = 1.0
+"""Seconds of testing in the run's own process after which it considers a second process."""
+WORTHWHILE_SECONDS = 4.0
 """Seconds of testing left from which a second process is started: it needs about two seconds to start."""
-MANY_STEPS = 100_000
-"""Test steps left for which a second process is started at once. The fastest environments take 4 s for them."""
-MEASURED_ROUNDS = 20
-"""Rounds of warm-up from which the time per environment step is estimated."""
 PART_EPISODES = 24
 """Fewest episodes of a part of a test, which one process plays."""
 MAX_PENDING = 16
 """Tests that may wait, each with a copy of the agent's state. The run's own process plays those beyond."""
-MAX_LOSSES = 3
+MAX_LOST_PROCESSES = 3
 """Test processes that may be lost until tests are played in the run's own process only."""
 POLL_SECONDS = 0.1
 
@@ -40,18 +34,29 @@ class _AbandonedError(Exception):
     """A part that is played here breaks off; it stays pending."""
 
 
+@dataclass(eq=False)
+class _Part:
+    """Some episodes of a test, which one process plays."""
+
+    test: DueTest
+    """With the seeds of these episodes only."""
+    taken: bool = False
+    """Whether a process plays it or has played it."""
+    completed: int = 0
+    """Episodes."""
+    result: TestResult | None = None
+
+
 class PendingTests:
     """Plays the tests of a run in the order in which they are due.
 
-    The result of an episode depends on the agent's state and on its seed, not on where it is played. A second process
-    plays tests while this one trains, if they take long. Their number says so, or the time that warm-up needs per step,
-    or else the first tests, which this process begins. When training is over, both play what is left, in parts of some
-    episodes.
+    Where an episode is played does not change its result. The run's own process plays tests until they are long enough
+    for a second process, which then plays them while the first one trains. When training is over, both play what is
+    left, in parts of some episodes.
 
     Args:
         spec: of the run.
         training: is tested.
-        make_environments: makes the test environments of this process, when it plays its first test.
         pending: tests without a recorded result, in the order of their steps; `finished` removes tests.
         warnings: of the run.
         stop: a request abandons the test that is played here.
@@ -59,11 +64,10 @@ class PendingTests:
         beside: whether a second process may be started.
     """
 
-    def __init__(  # noqa: PLR0917  (all are needed, by one caller)
+    def __init__(
         self,
         spec: Spec,
         training: Training,
-        make_environments: Callable[[], Orchestrator],
         pending: list[DueTest],
         warnings: RunWarnings,
         stop: StopRequest,
@@ -71,75 +75,66 @@ class PendingTests:
         *,
         beside: bool,
     ) -> None:
-        self._spec, self._training, self._make_environments = spec, training, make_environments
+        self._spec, self._training, self.pending = spec, training, pending
         self._warnings, self._stop, self._announce = warnings, stop, announce
-        self._beside = beside
-        self._seeds = test_seeds(spec.testing.seed, spec.testing.episodes)
-        size = training.orchestrator.size
-        self._part_size = size * math.ceil(PART_EPISODES / size)
-        """A multiple of the environments, so that they are busy until the end of a part."""
-        self.pending = pending
-        self._parts: dict[DueTest, list[DueTest]] = {}
-        """The parts of pending tests."""
-        self._results: dict[DueTest, TestResult] = {}
-        """Of parts."""
-        self._completed: dict[DueTest, int] = {}
-        """Completed episodes of parts."""
-        self._here: DueTest | None = None
-        """The part that this process is playing."""
-        self._process: EvaluationProcess | None = None
-        self._losses = 0
-        self._environments: Orchestrator | None = None
-        self._agent: Agent | None = None
-        self._loaded: DueTest | None = None
-        """The latest part whose agent was loaded."""
-        self._warmed_up: tuple[int, float] | None = None
-        """Steps and seconds of training after the first round of warm-up; None: before it, or the run was resumed."""
-        self._spent = 0.0
-        """Seconds of testing in this process."""
-        self._played = 0
-        """Episodes that were completed in this time."""
-        self._seconds = 0.0
-        """Per episode of the latest part."""
-        self._sent = 0.0
-        """When the second process got its part."""
         self.activity = "testing"
         """For announcements."""
+        self._parts: dict[DueTest, list[_Part]] = {}
+        self._player = TestPlayer(spec)
+        self._process: TestProcess | None = None
+        self._part_beside: _Part | None = None
+        """The latest part that the second process has got."""
+        self._processes_left = MAX_LOST_PROCESSES if beside else 0
+        self._played, self._spent = 0, 0.0
+        """Episodes that were completed in this process, and the seconds that they took."""
 
     def add(self) -> None:
         """Add a test of the agent as it is, and play it here unless a second process plays tests."""
-        training, state = self._training, self._training.agent.state()
-        self.pending.append(DueTest(training.steps, training.updates, training.seconds, state, self._seeds))
-        while not self._stop.requested and (part := self._next()) is not None:
-            if self._process is not None and len(self.pending) <= MAX_PENDING:
+        training, testing = self._training, self._spec.testing
+        seeds = test_seeds(testing.seed, testing.episodes)
+        self.pending.append(DueTest(training.steps, training.updates, training.seconds, training.agent.state(), seeds))
+        while not self._stop.requested and (self._process is None or len(self.pending) > MAX_PENDING):
+            if (part := self._next()) is None:
                 break
             self._play(part)
         self.advance()
 
-    def advance(self) -> None:
-        """Receive what the second process has sent, and give it the next part. Does not wait."""
-        if self._process is not None:
-            self._receive(self._process, 0.0)
-        elif self._beside:
-            self._expect()
+    def advance(self, seconds: float = 0.0) -> None:
+        """Receive what the second process has sent, waiting at most so long, and give it the next part."""
+        process, part = self._process, self._part_beside
+        if process is None:
+            return
+        try:
+            for message in process.receive(seconds):
+                if isinstance(message, Failure):
+                    self._warnings.add_failure(message)
+                elif part is not None:
+                    self._record(part, message)
+        except WorkerError as error:
+            self._lose_process(str(error))
+        else:
+            if process.test is None and (next_part := self._next()) is not None:
+                next_part.taken, self._part_beside = True, next_part
+                process.start(next_part.test)
 
     def finished(self) -> Iterator[tuple[DueTest, TestResult]]:
         """Remove the tests that are over from `pending`; a test waits for those before it."""
-        while self.pending and all(part in self._results for part in self._parts_of(self.pending[0])):
+        while self.pending:
+            parts = self._parts_of(self.pending[0])
+            results = [part.result for part in parts if part.result is not None]
+            if len(results) < len(parts):
+                return
             test = self.pending.pop(0)
-            parts = self._parts.pop(test)
-            for part in parts:
-                self._completed.pop(part, None)
-            yield test, TestResult.joined([self._results.pop(part) for part in parts])
+            del self._parts[test]
+            yield test, TestResult.joined(results)
 
     def play_remaining(self) -> Iterator[tuple[DueTest, TestResult]]:
         """Play all pending tests, or as many as possible until a stop is requested."""
         while self.pending and not self._stop.requested:
-            part = self._next()
-            if part is not None:
+            if (part := self._next()) is not None:
                 self._play(part)
-            elif self._process is not None:
-                self._receive(self._process, POLL_SECONDS)
+            else:
+                self.advance(POLL_SECONDS)
             yield from self.finished()
 
     def seconds_left(self, training: float, steps: int) -> float:
@@ -149,135 +144,84 @@ class PendingTests:
             training: seconds of training left.
             steps: environment steps left.
         """
-        tests = self._seconds * self._episodes_left(steps)
+        tests = self._spent / max(self._played, 1) * self._episodes_left(steps)
         return training + (tests if self._process is None else max(tests - training, 0.0) / 2)
 
     def close(self) -> None:
         if self._process is not None:
             self._process.close()
             self._process = None
-        if self._environments is not None:
-            self._environments.close()
-            self._environments = None
+        self._player.close()
 
-    def _parts_of(self, test: DueTest) -> list[DueTest]:
+    def _parts_of(self, test: DueTest) -> list[_Part]:
         if test not in self._parts:
-            starts = range(0, len(test.seeds), self._part_size)
-            self._parts[test] = [replace(test, seeds=test.seeds[at : at + self._part_size]) for at in starts]
+            environments = self._training.orchestrator.size
+            size = environments * math.ceil(PART_EPISODES / environments)  # all of them are busy until its end
+            starts = range(0, len(test.seeds), size)
+            self._parts[test] = [_Part(replace(test, seeds=test.seeds[at : at + size])) for at in starts]
         return self._parts[test]
 
-    def _next(self) -> DueTest | None:
-        """The first part that nobody plays or has played."""
-        busy = (self._here, self._process.test if self._process else None)
+    def _next(self) -> _Part | None:
+        """The first part that no process plays or has played."""
         parts = (part for test in self.pending for part in self._parts_of(test))
-        return next((part for part in parts if part not in self._results and part not in busy), None)
+        return next((part for part in parts if not part.taken), None)
 
     def _episodes_left(self, steps: int) -> int:
         """Episodes of the pending tests, of those that the environment steps left make due, and of the final test."""
-        waiting = sum(
-            len(part.seeds) for test in self.pending for part in self._parts_of(test) if part not in self._results
-        )
+        parts = (part for test in self.pending for part in self._parts_of(test))
+        waiting = sum(len(part.test.seeds) for part in parts if part.result is None)
         testing = self._spec.testing
         final = testing.final_count if self.activity == "testing" else 0
         return waiting + math.ceil(steps / testing.interval) * testing.episodes + final
 
-    def _play(self, part: DueTest) -> None:
-        """Play a part in this process."""
-        if self._environments is None:
-            self._environments = self._make_environments()
-        if self._agent is None:
-            self._agent = make_agent(self._spec, self._environments.signature, SeedTree(0))
-        if self._loaded is None or self._loaded.agent is not part.agent:
-            self._agent.load_state(part.agent)
-            self._loaded = part
-        self._here, started = part, time.perf_counter()
+    def _play(self, part: _Part) -> None:
+        """Play a part in this process. Breaks off at a stop, and when the second process shall play it."""
+        started, spent, played = perf_counter(), self._spent, self._played
 
-        def on_round(episodes: int) -> None:
-            self._tell(part, episodes)
+        def on_round(completed: int) -> None:
+            self._record(part, completed)
+            self._spent, self._played = spent + perf_counter() - started, played + completed
             self.advance()
-            if self._stop.requested or self._leave_to_process(time.perf_counter() - started, episodes):
+            if self._stop.requested or (self._starts_process() and self._training.steps < self._spec.training.steps):
                 raise _AbandonedError
 
+        part.taken = True
         try:
-            self._results[part] = play_episodes(
-                self._environments,
-                self._agent,
-                part.seeds,
-                steps=part.steps,
-                seconds=part.seconds,
-                on_failure=self._warnings.add_failure,
-                on_round=on_round,
-            )
-            self._tell(part, len(part.seeds))
-            self._seconds = (time.perf_counter() - started) / len(part.seeds)
+            result = self._player.play(part.test, self._warnings.add_failure, on_round)
         except _AbandonedError:
-            pass
-        finally:
-            self._here = None
-            self._spent += time.perf_counter() - started
-            self._played += self._completed.get(part, 0)
+            part.taken = False
+        else:
+            self._record(part, result)
+            self._spent, self._played = spent + perf_counter() - started, played + result.episodes
 
-    def _tell(self, part: DueTest, completed: int) -> None:
-        """Announce the completed episodes of the test to which a part belongs."""
-        self._completed[part] = completed
-        test = next(test for test, parts in self._parts.items() if part in parts)
-        done = sum(self._completed.get(part, 0) for part in self._parts[test])
-        self._announce(self.activity, done, len(test.seeds))
+    def _record(self, part: _Part, news: int | TestResult) -> None:
+        """Record the completed episodes or the result of a part, and announce how far its test is."""
+        if isinstance(news, TestResult):
+            part.result = news
+        part.completed = news.episodes if isinstance(news, TestResult) else news
+        parts = next(parts for parts in self._parts.values() if part in parts)
+        done, total = sum(one.completed for one in parts), sum(len(one.test.seeds) for one in parts)
+        self._announce(self.activity, done, total)
 
-    def _expect(self) -> None:
-        """Start the second process before the first test if test steps are many, or slow in warm-up."""
-        training, max_steps = self._training, self._training.orchestrator.signature.max_steps
-        self._start_process(WORTHWHILE / MANY_STEPS * max_steps)
-        if self._process is None and training.collector.warming_up:
-            if self._warmed_up is None:
-                self._warmed_up = training.steps, training.seconds
-            steps, seconds = self._warmed_up
-            if training.steps - steps >= training.orchestrator.size * MEASURED_ROUNDS:
-                self._start_process((training.seconds - seconds) / (training.steps - steps) * max_steps)
-
-    def _leave_to_process(self, seconds: float, episodes: int) -> bool:
-        """Start the second process if the tests played here so far say that it is worthwhile.
-
-        Args:
-            seconds: spent on the part that is played here.
-            episodes: of it that are completed.
-
-        Returns:
-            Whether this process shall go on training and leave the part to the second one.
-        """
-        spent, played = self._spent + seconds, self._played + episodes
-        if self._process is not None or spent < PATIENCE:
+    def _starts_process(self) -> bool:
+        """Start the second process if the tests played here say that it is worthwhile. Returns whether it starts."""
+        if self._process is not None or not self._processes_left or self._spent < MEASURED_SECONDS:
             return False
-        return self._start_process(spent / max(played, 1)) and self._training.steps < self._spec.training.steps
-
-    def _start_process(self, seconds: float) -> bool:
-        """Start the second process if it is worthwhile for tests with this number of seconds per episode."""
-        steps = self._spec.training.steps - self._training.steps
-        if not self._beside or seconds * self._episodes_left(steps) < WORTHWHILE:
+        left = self._episodes_left(self._spec.training.steps - self._training.steps)
+        if self._spent / max(self._played, 1) * left < WORTHWHILE_SECONDS:
             return False
-        self._process = EvaluationProcess(self._spec, self._training.orchestrator.describe())
-        return True
-
-    def _receive(self, process: EvaluationProcess, timeout: float) -> None:
-        part = process.test
         try:
-            for message in process.receive(timeout):
-                if isinstance(message, Failure):
-                    self._warnings.add_failure(message)
-                elif isinstance(message, TestResult):
-                    if part is not None:
-                        self._results[part] = message
-                        self._seconds = (time.perf_counter() - self._sent) / len(part.seeds)
-                        self._tell(part, len(part.seeds))
-                elif part is not None:
-                    self._tell(part, message)
-        except WorkerError as error:
-            self._warnings.add(str(error), "its test is played again")
+            self._process = TestProcess(self._spec)
+        except OSError as error:
+            self._lose_process(f"the test process cannot start: {error}")
+        return self._process is not None
+
+    def _lose_process(self, problem: str) -> None:
+        self._warnings.add(problem, "its test is played again")
+        self._processes_left -= 1
+        if self._process is not None:
+            self._process.close()
             self._process = None
-            process.close()
-            self._losses += 1
-            self._beside = self._losses < MAX_LOSSES
-            return
-        if process.ready and process.test is None and (test := self._next()) is not None:
-            process.play(test)
-            self._sent = time.perf_counter()
+        if self._part_beside is not None and self._part_beside.result is None:
+            self._part_beside.taken = False
+        self._part_beside = None

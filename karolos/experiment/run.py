@@ -15,7 +15,7 @@ from ..core import Agent
 from ..core.schedules import Every
 from ..core.seeding import SeedTree
 from ..errors import KarolosError, WorkerError
-from ..evaluation.evaluation_process import DueTest
+from ..evaluation.due_tests import DueTest
 from ..evaluation.testing import test_seeds
 from ..records import RunFolder
 from ..records.final_test import FinalTest
@@ -126,7 +126,6 @@ class Run:
             tests = PendingTests(
                 spec,
                 training,
-                lambda: make_orchestrator(spec, randomize=False),
                 self._pending,
                 self._warnings,
                 self.stop,

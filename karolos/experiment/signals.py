@@ -106,11 +106,9 @@ def stop_on_signals(
         elif number == signal.SIGINT:
             raise KeyboardInterrupt
 
-    handled = [signal.SIGTERM, signal.SIGINT]
-    if hasattr(signal, "SIGHUP") and signal.getsignal(signal.SIGHUP) != signal.SIG_IGN:  # Windows does not have it
+    handled = [signal.SIGTERM, signal.SIGINT, signal.SIGUSR1]  # batch systems send SIGUSR1 before they kill
+    if signal.getsignal(signal.SIGHUP) != signal.SIG_IGN:
         handled.append(signal.SIGHUP)
-    if hasattr(signal, "SIGUSR1"):  # batch systems send it some time before they kill
-        handled.append(signal.SIGUSR1)
     before = {number: signal.signal(number, handle) for number in handled}
     try:
         yield request

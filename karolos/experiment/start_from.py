@@ -16,12 +16,11 @@ from ..core.signature import SAME_LAYOUTS, layout_differences
 from ..errors import RunError, UsageError
 from ..evaluation.policies import signature_of
 from ..records import RunFolder
+from ..registry import load
 from ..spec import Spec, spec_from_dict
 from ..training.assembly import located
 
-WHERE = "agent.start_from"
-SHAPING = ("hidden", "layer_norm", "critic", "dueling", "members")
-"""Settings of agents that determine the shapes and the meaning of their weights."""
+SETTING = "agent.start_from"
 
 
 @dataclass(frozen=True)
@@ -69,7 +68,7 @@ def find(spec: Spec, runs: Path) -> Start | None:
     try:
         folder = RunFolder.open(Path(run) if os.path.isdir(run) else runs / run)
     except RunError as error:
-        raise UsageError(f"{run!r}: {error.what}", where=WHERE, hint=error.hint) from error
+        raise UsageError(f"{run!r}: {error.what}", setting=SETTING, hint=error.hint) from error
     source = spec_from_dict(folder.spec())
     check_agents(spec, source)
     _check_layouts(signature_of(spec), signature_of(source))
@@ -79,7 +78,7 @@ def find(spec: Spec, runs: Path) -> Start | None:
         raise UsageError(
             f"checkpoint {name!r} of run {folder.id} is not the one this spec was first run with "
             f"(its agent has sha256 {sha256[:12]}..., not {settings.start_sha256[:12]}...)",
-            where=WHERE,
+            setting=SETTING,
             hint="set agent.start_sha256=null to start from the present checkpoint, which is another experiment",
         )
     with checkpoint.fitting(str(folder.checkpoints / name)):
@@ -92,7 +91,7 @@ def apply(start: Start, agent: Agent) -> None:
         with checkpoint.fitting(f"{start.run}, checkpoint {start.checkpoint}"):
             agent.start_from(start.state)
     except UsageError as error:
-        raise UsageError(error.what, where=WHERE, hint=error.hint) from error
+        raise UsageError(error.what, setting=SETTING, hint=error.hint) from error
 
 
 def check_agents(spec: Spec, source: Spec) -> None:
@@ -100,17 +99,17 @@ def check_agents(spec: Spec, source: Spec) -> None:
     if spec.agent.name != source.agent.name:
         raise UsageError(
             f"the agent is {spec.agent.name}, and the run's agent is {source.agent.name}",
-            where=WHERE,
+            setting=SETTING,
             hint=f"set agent.name={source.agent.name}, or name a run of {spec.agent.name}",
         )
-    own, other = spec.agent.dump(), source.agent.dump()
-    differing = [key for key in SHAPING if own.get(key) != other.get(key)]
+    own, theirs = spec.agent.dump(), source.agent.dump()
+    differing = [key for key in load("agents", spec.agent.name).shaping if own[key] != theirs[key]]
     if differing:
         raise UsageError(
             "the run's networks differ: "
-            + "; ".join(f"agent.{key} is {own.get(key)} here and {other.get(key)} in the run" for key in differing),
-            where=WHERE,
-            hint="set " + " ".join(f"agent.{key}={other.get(key)}" for key in differing),
+            + "; ".join(f"agent.{key} is {own[key]} here and {theirs[key]} in the run" for key in differing),
+            setting=SETTING,
+            hint="set " + " ".join(f"agent.{key}={theirs[key]}" for key in differing),
         )
 
 
@@ -119,6 +118,6 @@ def _check_layouts(signature: Signature, source: Signature) -> None:
     if differences:
         raise UsageError(
             "the run's agent has other observations, actions or goals: " + "; ".join(differences),
-            where=WHERE,
+            setting=SETTING,
             hint=SAME_LAYOUTS,
         )

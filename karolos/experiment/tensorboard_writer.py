@@ -13,7 +13,7 @@ import numpy as np
 from typing_extensions import override
 
 from ..errors import MachineError
-from ..evaluation.evaluation_process import DueTest
+from ..evaluation.due_tests import DueTest
 from ..files import writing
 from ..records.results import TestResult
 from ..training.episodes import Episode

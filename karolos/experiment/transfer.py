@@ -107,7 +107,7 @@ class Matrix:
         if len(longest) > LONGEST_NAME:
             raise UsageError(
                 f"runs would be called {longest}, which is longer than {LONGEST_NAME} characters",
-                where="name",
+                setting="name",
                 hint="give a shorter one (name=...)",
             )
         self.variants = {label: spec_of_variant(spec, label, _name(spec, label), spec.seeds) for label in labels}
@@ -143,14 +143,14 @@ class Matrix:
                 if not signatures[label].has_success:
                     raise UsageError(
                         "its environment does not define success, by which transfer is measured",
-                        where=self.transfer.place(label),
+                        setting=self.transfer.place(label),
                         hint="give environment.success_return, or another environment",
                     )
             for source, target in self.pairs:
                 if differences := layout_differences(signatures[target], signatures[source]):
                     raise UsageError(
                         f"a policy of {source} cannot act on {target}: {'; '.join(differences)}",
-                        where=self.transfer.place(target),
+                        setting=self.transfer.place(target),
                         hint=_layout_hint(self.variants.values()),
                     )
                 self._check_overrides(source, target)
@@ -159,7 +159,7 @@ class Matrix:
                 if "start_from" not in type(tuned.agent.settings).model_fields:
                     raise UsageError(
                         f"{tuned.agent.name} cannot start from another run",
-                        where="transfer.modes",
+                        setting="transfer.modes",
                         hint="leave out fine_tune",
                     )
                 check_agents(tuned, self.variants[label])
@@ -170,7 +170,7 @@ class Matrix:
         if changed.recipe(randomize=False) != self.variants[target].recipe(randomize=False):
             raise UsageError(
                 f"the settings of {target} do not turn {source} into {target}",
-                where=self.transfer.place(target),
+                setting=self.transfer.place(target),
                 hint="give every variant the same settings, with the values that it has",
             )
 

@@ -16,7 +16,7 @@ from typing_extensions import override
 from ..core.launcher import COMMAND, Ended, Launcher
 from ..core.settings import Settings as BaseSettings
 from ..errors import MachineError
-from ..orchestrator.auto import cores
+from ..machine import cores
 
 
 class Worker:
@@ -81,7 +81,7 @@ class Local(Launcher):
     def room(self, waiting: int) -> int:
         idle = [worker for worker in self._workers if worker.folder is None]
         for _ in range(min(self._jobs - len(self._workers), waiting - len(idle))):
-            worker = Worker(max(cores() // self._jobs, 1))
+            worker = Worker(cores(self._jobs))
             self._workers.append(worker)
             Thread(target=self._listen, args=(worker,), daemon=True).start()
         return sum(worker.ready for worker in idle)

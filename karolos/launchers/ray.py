@@ -72,7 +72,7 @@ class Ray(Launcher):
                 self.close(kill=False)
                 raise UsageError(
                     f"a run needs {amount:g} {resource}s, and no machine of the cluster has more than {most:g}",
-                    where=f"launcher.{resource.lower()}s",
+                    setting=f"launcher.{resource.lower()}s",
                     hint="lower it, or add a larger machine",
                 )
         options = {"num_cpus": settings.cpus, "num_gpus": settings.gpus, "max_retries": settings.max_retries}

@@ -130,5 +130,10 @@ def pack_errors(errors: list[tuple[int, KarolosError]]) -> bytes:
             portable.append((index, error))
         except Exception:  # a plugin's subclass of KarolosError may fail to pickle in any way
             text = "".join(traceback.format_exception(error))
-            portable.append((index, WorkerError(error.what, where=error.where, hint=error.hint, traceback=text)))
+            portable.append(
+                (
+                    index,
+                    WorkerError(error.what, where=error.where, setting=error.setting, hint=error.hint, traceback=text),
+                )
+            )
     return pickle.dumps(portable)

@@ -68,7 +68,7 @@ class WorkerPool(Backend):
         except (OSError, EOFError) as error:
             raise MachineError(
                 f"worker process {number} of {len(self._layout)} cannot be started: {error}",
-                where="orchestrator",
+                setting="orchestrator",
                 hint="use fewer processes, or `processes: 0` to step environments in the main process",
             ) from error
         for channel in worker.channels:
@@ -205,7 +205,7 @@ def differing(signature: Signature, other: Signature) -> PluginError | None:
         return None
     return PluginError(
         "environments from one recipe have different observations, goals or actions",
-        where="orchestrator",
+        setting="orchestrator",
         hint="an environment's signature must depend on its settings alone",
     )
 

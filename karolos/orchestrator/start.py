@@ -61,10 +61,10 @@ def pack_recipe(build: Build, recipe: Any) -> bytes:
     try:
         data = pickle.dumps((build, recipe))
     except (pickle.PicklingError, AttributeError, TypeError) as error:
-        raise PluginError(f"cannot be sent to a worker process: {error}", where="environment", hint=hint) from error
+        raise PluginError(f"cannot be sent to a worker process: {error}", setting="environment", hint=hint) from error
     if "__main__" in _modules(data):
         raise PluginError(
-            "is defined in the main script, which worker processes do not import", where="environment", hint=hint
+            "is defined in the main script, which worker processes do not import", setting="environment", hint=hint
         )
     return data
 

@@ -58,14 +58,14 @@ class Randomization:
             if name not in declared:
                 raise UsageError(
                     f"no parameter is called {name!r}",
-                    where=f"randomization.{name}",
+                    setting=f"randomization.{name}",
                     hint=alternatives(name, sorted(declared), what="declared"),
                 )
             for value in distribution.listed:
                 if not declared[name].low <= value <= declared[name].high:
                     raise UsageError(
                         f"{declared[name].quantity(value)} lies outside the allowed range",
-                        where=f"randomization.{name}",
+                        setting=f"randomization.{name}",
                         hint=declared[name].allowed,
                     )
         self._drawn = tuple((name, distributions[name], declared[name]) for name in sorted(distributions))
@@ -85,6 +85,6 @@ class Randomization:
                 return value
         raise RunError(
             f"{ATTEMPTS} values in a row lie outside the allowed range, the last one {parameter.quantity(value)}",
-            where=f"randomization.{name}",
+            setting=f"randomization.{name}",
             hint=parameter.allowed,
         )

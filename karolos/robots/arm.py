@@ -233,7 +233,7 @@ class Arm:
         if settings.acceleration == "sheet" and model.accelerations is None:
             raise UsageError(
                 f"the maker of {type(self).__name__} publishes no accelerations",
-                where="robot.acceleration",
+                setting="robot.acceleration",
                 hint="leave it out; joints then change their speed by its limit in 1/24 s at the most",
             )
         middle_x, middle_y, _ = model.workspace.centre
@@ -289,7 +289,7 @@ class Arm:
             raise PluginError("this robot has no gripper", where=type(self).__name__, hint=hint)
         if self.settings.finger_opening and gripper:
             what = "the task moves the gripper, so it cannot be held open"
-            raise UsageError(what, where="robot.finger_opening", hint="set it to 0")
+            raise UsageError(what, setting="robot.finger_opening", hint="set it to 0")
         self._fingers = self.model.fingers if gripper else None
         self._cartesian = (self.settings.control or ("cartesian" if points_down else "joint")) == "cartesian"
         self._yaws = self._cartesian and self.settings.yaw
@@ -523,7 +523,7 @@ class Arm:
         if self._cartesian:
             raise UsageError(
                 "cartesian control does not change joint positions",
-                where="robot.control",
+                setting="robot.control",
                 hint="set robot.control: joint",
             )
         return self._action([change / step for change, step in zip(changes, self.joint_step, strict=True)], opening)

@@ -28,7 +28,7 @@ def check_engine(engine: Engine) -> None:
     if not installed(engine):
         raise UsageError(
             f"the engine {engine} is not installed",
-            where="environment.engine",
+            setting="environment.engine",
             hint=f"pip install 'karolos[{engine}]', or choose another engine",
         )
 

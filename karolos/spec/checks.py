@@ -4,16 +4,16 @@ from __future__ import annotations
 
 from typing import Any
 
-from ..errors import PluginError, UsageError
+from ..errors import PluginError, Problem, UsageError
 from ..registry import closest, load
 from .model import Spec
-from .nodes import DEFAULT, Located, Node
+from .nodes import DEFAULT, Node
 
 ROBOT_TASK = "robot_task"
 """The environment that consists of a robot and a task."""
 
 
-def environment_problems(tree: Node) -> list[Located]:
+def environment_problems(tree: Node) -> list[Problem]:
     """Robot and task require each other, and the environment robot_task."""
     given = {key: node for key in ("robot", "task") if (node := tree.get(key)) is not None}
     missing = [key for key in ("robot", "task") if key not in given]
@@ -22,9 +22,9 @@ def environment_problems(tree: Node) -> list[Located]:
         if any(_misspelt(tree, key) for key in ("robot", "task", "environment")):
             return []  # validation reports the misspelt key, which may be the only problem
         if not given:
-            return [Located(tree.at, "", "has no environment", "give robot and task, or environment")]
+            return [Problem(tree.at, "", "has no environment", "give robot and task, or environment")]
         return [
-            Located(node.place, key, f"requires a {missing[0]}", f"add {missing[0]}") for key, node in given.items()
+            Problem(node.place, key, f"requires a {missing[0]}", f"add {missing[0]}") for key, node in given.items()
         ]
     name = _name(environment)
     if name is None:
@@ -32,17 +32,17 @@ def environment_problems(tree: Node) -> list[Located]:
     if name == ROBOT_TASK:
         missing = [key for key in missing if not _misspelt(tree, key)]
         what, hint = f"{ROBOT_TASK} requires a {' and a '.join(missing)}", f"add {' and '.join(missing)}"
-        return [Located(environment.place, "environment", what, hint)] if missing else []
+        return [Problem(environment.place, "environment", what, hint)] if missing else []
     what = f"requires environment {ROBOT_TASK}, not {name!r}"
-    problems = [Located(node.place, key, what, f"remove {key}, or write null") for key, node in given.items()]
+    problems = [Problem(node.place, key, what, f"remove {key}, or write null") for key, node in given.items()]
     drawn = tree.get("randomization")
     if drawn is not None and drawn.mapping:
         what = f"environment {name!r} has no robot or task to randomize"
-        problems.append(Located(drawn.place, "randomization", what, "remove it, or write null"))
+        problems.append(Problem(drawn.place, "randomization", what, "remove it, or write null"))
     return problems
 
 
-def pairing_problems(tree: Node) -> list[Located]:
+def pairing_problems(tree: Node) -> list[Problem]:
     """An on-policy agent needs an on-policy buffer, an off-policy agent a replay buffer."""
     agent_node, buffer_node = tree.get("agent"), tree.get("buffer")
     agent, buffer = _plugin("agents", agent_node), _plugin("buffers", buffer_node)
@@ -55,9 +55,9 @@ def pairing_problems(tree: Node) -> list[Located]:
     names = f"agent {_name(agent_node)!r}", f"buffer {_name(buffer_node)!r}"
     if wants:
         what = f"{names[0]} learns from its own latest actions only, {names[1]} replays old ones"
-        return [Located(place, "buffer", what, "name an on-policy buffer")]
+        return [Problem(place, "buffer", what, "name an on-policy buffer")]
     what = f"{names[0]} learns from replay, {names[1]} forgets all but the latest actions"
-    return [Located(place, "buffer", what, "name a replay buffer, e.g. uniform")]
+    return [Problem(place, "buffer", what, "name a replay buffer, e.g. uniform")]
 
 
 def _misspelt(tree: Node, key: str) -> bool:

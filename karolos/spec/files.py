@@ -10,7 +10,7 @@ from pathlib import Path
 from ..errors import KarolosError, Problem, SpecError
 from ..registry import PluginEntry, closest, find
 from .merge import DEFAULTS, PARTS, merged, normalised
-from .nodes import Located, Mark, Node, refuse, shown
+from .nodes import Mark, Node, refuse, shown
 from .yaml_text import MAX_CHARACTERS, BrokenTextError, read
 
 TREE = "specs"
@@ -29,9 +29,9 @@ class SpecFiles:
     """
 
     root: Path
-    problems: list[Located] = field(default_factory=list)
+    problems: list[Problem] = field(default_factory=list)
     """Problems after which reading can continue."""
-    broken: list[Located] = field(default_factory=list)
+    broken: list[Problem] = field(default_factory=list)
     """Problems that leave parts of the spec unknown, so that further checks would mislead."""
     count: int = 0
     _done: dict[Path, Node] = field(default_factory=dict)
@@ -60,10 +60,10 @@ class SpecFiles:
         node, problems = read(_text(path, Mark(name, rank=rank)), name, rank)
         self.problems.extend(problems)
         if node is None:
-            raise BrokenTextError(Located(start, "", "the file is empty", "give at least robot, task and agent"))
+            raise BrokenTextError(Problem(start, "", "the file is empty", "give at least robot, task and agent"))
         if node.mapping is None:
             raise BrokenTextError(
-                Located(node.at, "", "a spec is a mapping of keys to values", "begin with `robot: NAME`")
+                Problem(node.at, "", "a spec is a mapping of keys to values", "begin with `robot: NAME`")
             )
         entries = dict(node.mapping)
         extends = entries.pop("extends", None)
@@ -81,7 +81,7 @@ class SpecFiles:
         for target in targets:
             if not isinstance(target.value, str) or not target.value:
                 what = "should be a path, or a list of paths, relative to this file"
-                self.broken.append(Located(target.at, "extends", what))
+                self.broken.append(Problem(target.at, "extends", what))
         return [target for target in targets if isinstance(target.value, str) and target.value]
 
     def _base(self, target: Node, path: Path, name: str, above: tuple[Path, ...]) -> Node | None:
@@ -89,7 +89,7 @@ class SpecFiles:
         file = (path.parent / target.value.replace("\0", "?")).resolve()
         wrong = self._extends_problem(target.value, file, above)
         if wrong:
-            self.broken.append(Located(target.at, "extends", *wrong))
+            self.broken.append(Problem(target.at, "extends", *wrong))
             return None
         try:
             return self._load(file, os.path.normpath(os.path.join(os.path.dirname(name), target.value)), above)
@@ -157,10 +157,10 @@ def _text(path: Path, mark: Mark) -> str:
         with path.open("rb") as file:
             data = file.read(4 * MAX_CHARACTERS + 1)
         if len(data) > 4 * MAX_CHARACTERS:
-            raise BrokenTextError(Located(mark, "", f"longer than {MAX_CHARACTERS // 1024} kB"))
+            raise BrokenTextError(Problem(mark, "", f"longer than {MAX_CHARACTERS // 1024} kB"))
         return data.decode("utf-8-sig")
     except UnicodeDecodeError as error:
         at = Mark(mark.source, data[: error.start].count(b"\n") + 1, rank=mark.rank)
-        raise BrokenTextError(Located(at, "", "is not UTF-8 text", "save the file in UTF-8")) from None
+        raise BrokenTextError(Problem(at, "", "is not UTF-8 text", "save the file in UTF-8")) from None
     except OSError as error:
-        raise BrokenTextError(Located(mark, "", f"cannot be read: {error.strerror or error}")) from None
+        raise BrokenTextError(Problem(mark, "", f"cannot be read: {error.strerror or error}")) from None

@@ -7,8 +7,7 @@ from collections.abc import Iterable, Mapping
 from pathlib import Path
 from typing import Any
 
-from ..errors import PluginError
-from ..registry import singular
+from ..errors import PluginError, Problem
 from .checks import ROBOT_TASK
 from .files import SpecFiles
 from .merge import (
@@ -25,7 +24,7 @@ from .merge import (
     with_shared_settings,
 )
 from .model import NAME, Spec
-from .nodes import DEFAULT, Located, Mark, Node, from_plain, leaves, refuse
+from .nodes import DEFAULT, Mark, Node, from_plain, leaves, refuse
 from .problems import validate
 from .space import space_problems, trial_spec
 
@@ -49,14 +48,14 @@ def spec_from_dict(spec: Mapping[str, Any], overrides: Iterable[str] = ()) -> Sp
     """The spec in a dictionary. Raises as `load_spec` does, with "dict" as the position."""
     mark = Mark("dict")
     if "extends" in spec:
-        refuse([Located(mark, "extends", "a dictionary has no file to extend from", "load the file with load_spec")])
-    problems: list[Located] = []
+        refuse([Problem(mark, "extends", "a dictionary has no file to extend from", "load the file with load_spec")])
+    problems: list[Problem] = []
     trees = override_trees(overrides, 1, problems)
     refuse(problems)
     return _resolve(normalised(from_plain(spec, mark)), trees, [], None)
 
 
-def _resolve(tree: Node, overrides: Iterable[Node], problems: list[Located], stem: str | None) -> Spec:
+def _resolve(tree: Node, overrides: Iterable[Node], problems: list[Problem], stem: str | None) -> Spec:
     for override in overrides:
         tree = merged(tree, with_shared_settings(tree, override))
     tree = _with_defaults(_without_nulls(tree), stem)
@@ -144,14 +143,15 @@ def _described(given: dict[str, Node]) -> str:
 
 def _at_part(error: PluginError, tree: Node) -> PluginError:
     """The error of a broken plugin, at the first position in the spec that names it."""
-    kinds = {(key,): kind for key, kind in PARTS.items()}
     randomization = tree.get(RANDOMIZATION)
     drawn = (randomization and randomization.mapping) or {}
-    for path, kind in (kinds | {(RANDOMIZATION, key): "distributions" for key in drawn}).items():
+    kinds = {(key,): kind for key, kind in PARTS.items()} | {(RANDOMIZATION, key): "distributions" for key in drawn}
+    for path, kind in kinds.items():
         name = tree.get(*path, "name")
-        if name is not None and f"{singular(kind)} {name.value!r} " in f"{error.where} {error.what} ":
-            where = f"{name.at}: {'.'.join(path)}.name"
-            return PluginError(error.what, where=f"{where}: {error.where}" if error.where else where, hint=error.hint)
+        if name is not None and (kind, name.value) == error.plugin:
+            what = f"{error.where}: {error.what}" if error.where else error.what
+            setting = f"{'.'.join(path)}.name"
+            return PluginError(what, where=str(name.at), setting=setting, plugin=error.plugin, hint=error.hint)
     return error
 
 

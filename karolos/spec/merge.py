@@ -5,9 +5,9 @@ from __future__ import annotations
 from collections.abc import Iterable
 from typing import Any
 
-from ..errors import PluginError, UsageError
+from ..errors import PluginError, Problem, UsageError
 from ..registry import load
-from .nodes import Located, Mark, Node, refuse, shown
+from .nodes import Mark, Node, refuse, shown
 from .yaml_text import BrokenTextError, read
 
 PARTS = {
@@ -72,7 +72,7 @@ def _changes_name(below: Node, above: Node) -> bool:
     return old is not None and new is not None and old.value != new.value
 
 
-def override_trees(overrides: Iterable[str], rank: int, problems: list[Located]) -> list[Node]:
+def override_trees(overrides: Iterable[str], rank: int, problems: list[Problem]) -> list[Node]:
     """Each `path.to.key=value` as a tree to merge into the spec. Appends invalid overrides to `problems`."""
     trees = []
     for place, text in enumerate(overrides):
@@ -86,7 +86,7 @@ def override_trees(overrides: Iterable[str], rank: int, problems: list[Located])
 
 def parse_settings(overrides: Iterable[str]) -> dict[str, Any]:
     """Overrides `path.to.key=value` as one dictionary. Raises SpecError."""
-    problems: list[Located] = []
+    problems: list[Problem] = []
     tree = Node({}, Mark("settings"))
     for override in override_trees(overrides, 0, problems):
         tree = merged(tree, override)
@@ -95,22 +95,22 @@ def parse_settings(overrides: Iterable[str]) -> dict[str, Any]:
     return settings
 
 
-def _override(text: str, mark: Mark, problems: list[Located]) -> Node:
+def _override(text: str, mark: Mark, problems: list[Problem]) -> Node:
     key, equals, value = text.partition("=")
     if not equals:
-        raise BrokenTextError(Located(mark, "", "has no =", "write path.to.key=value, e.g. agent.learning_rate=1e-4"))
+        raise BrokenTextError(Problem(mark, "", "has no =", "write path.to.key=value, e.g. agent.learning_rate=1e-4"))
     path = segments(key.strip())
     if not all(path):
-        raise BrokenTextError(Located(mark, "", f"{shown(key)!r} is not a path of keys", "write path.to.key=value"))
+        raise BrokenTextError(Problem(mark, "", f"{shown(key)!r} is not a path of keys", "write path.to.key=value"))
     if path[0] == "extends":
-        raise BrokenTextError(Located(mark, "extends", "cannot be overridden", "put it into the spec file"))
+        raise BrokenTextError(Problem(mark, "extends", "cannot be overridden", "put it into the spec file"))
     try:
         node, value_problems = read(value, mark.source, mark.rank, lines=False)
     except BrokenTextError as broken:
         raise BrokenTextError(_in_value(broken.problem, key)) from None
     problems.extend(_in_value(problem, key) for problem in value_problems)
     if node is None and value.strip():
-        raise BrokenTextError(Located(mark, key, "the value is a comment", "put it in quotes: key='\"#...\"'"))
+        raise BrokenTextError(Problem(mark, key, "the value is a comment", "put it in quotes: key='\"#...\"'"))
     return nested(path, (node or Node(None, mark)).with_key(mark))
 
 
@@ -122,11 +122,11 @@ def nested(path: Iterable[str], value: Node) -> Node:
     return normalised(tree)
 
 
-def _in_value(problem: Located, key: str) -> Located:
+def _in_value(problem: Problem, key: str) -> Problem:
     """The problem with its column counted in the whole override instead of the value."""
-    mark = problem.mark
+    mark = problem.where
     column = f"column {len(key) + 1 + mark.column}: " if mark.column else ""
-    return Located(Mark(mark.source, rank=mark.rank), "", f"{column}{problem.what}", problem.hint)
+    return Problem(Mark(mark.source, rank=mark.rank), "", f"{column}{problem.what}", problem.hint)
 
 
 def segments(key: str) -> list[str]:

@@ -29,7 +29,7 @@ class Mark:
     """Index of the source, by which problems are sorted."""
 
     def __str__(self) -> str:
-        parts = [self.source, *(str(number) for number in (self.line, self.column) if number)]
+        parts = [shown(self.source), *(str(number) for number in (self.line, self.column) if number)]
         return ":".join(parts)
 
     @property
@@ -96,24 +96,11 @@ class Node:
             yield from node.walk()
 
 
-@dataclass(frozen=True)
-class Located:
-    """A problem and its position."""
-
-    mark: Mark
-    path: str
-    what: str
-    hint: str | None = None
-
-    def problem(self) -> Problem:
-        return Problem(shown(str(self.mark)), self.path, self.what, self.hint)
-
-
-def refuse(problems: Iterable[Located]) -> None:
+def refuse(problems: Iterable[Problem]) -> None:
     """Raise a SpecError with all problems, sorted by position, if there are any."""
-    ordered = sorted(dict.fromkeys(problems), key=lambda problem: problem.mark.order)
+    ordered = sorted(dict.fromkeys(problems), key=lambda problem: problem.where.order)
     if ordered:
-        raise SpecError([problem.problem() for problem in ordered])
+        raise SpecError(ordered)
 
 
 def shown(text: str) -> str:
@@ -136,16 +123,16 @@ def from_plain(value: object, mark: Mark) -> Node:
     Raises:
         SpecError: values that a spec cannot contain; carries all of them.
     """
-    problems: list[Located] = []
+    problems: list[Problem] = []
     node = _from_plain(value, mark, (), problems)
     refuse(problems)
     return node
 
 
-def _from_plain(value: object, mark: Mark, path: Path, problems: list[Located]) -> Node:
+def _from_plain(value: object, mark: Mark, path: Path, problems: list[Problem]) -> Node:
     plain: Any = None
     if len(path) > MAX_DEPTH:
-        problems.append(Located(mark, dotted(path), f"nested deeper than {MAX_DEPTH} levels"))
+        problems.append(Problem(mark, dotted(path), f"nested deeper than {MAX_DEPTH} levels"))
     elif value is None or isinstance(value, bool | str):
         plain = value
     elif isinstance(value, Real):  # numpy's numbers as well
@@ -156,12 +143,12 @@ def _from_plain(value: object, mark: Mark, path: Path, problems: list[Located]) 
             if isinstance(key, str):
                 plain[key] = _from_plain(entry, mark, (*path, key), problems)
             else:
-                problems.append(Located(mark, dotted(path), f"the key {shown(repr(key))} is not a string"))
+                problems.append(Problem(mark, dotted(path), f"the key {shown(repr(key))} is not a string"))
     elif isinstance(value, list | tuple):
         plain = [_from_plain(entry, mark, (*path, index), problems) for index, entry in enumerate(value)]
     else:
         what = f"a spec cannot contain a {type(value).__name__}"
-        problems.append(Located(mark, dotted(path), what, "use strings, numbers, lists and dictionaries"))
+        problems.append(Problem(mark, dotted(path), what, "use strings, numbers, lists and dictionaries"))
     return Node(plain, mark, mark)
 
 

@@ -8,12 +8,12 @@ from typing import Any, get_args
 
 from pydantic import BaseModel, ValidationError
 
-from ..errors import PluginError, UsageError
+from ..errors import PluginError, Problem, UsageError
 from ..registry import alternatives, closest, load
 from .checks import environment_problems, pairing_problems
 from .merge import PARTS, RANDOMIZATION, is_part
 from .model import Spec
-from .nodes import DEFAULT, Located, Mark, Node, Path, dotted, shown
+from .nodes import DEFAULT, Mark, Node, Path, dotted, shown
 from .parts import validate_strictly
 
 _WORDS = (
@@ -40,7 +40,7 @@ _UNSHOWN = ("value_error", "assertion_error", "unknown_name", "missing_name", "p
 """Errors whose message does not show the value."""
 
 
-def validate(tree: Node) -> tuple[Spec | None, list[Located]]:
+def validate(tree: Node) -> tuple[Spec | None, list[Problem]]:
     """The spec in a tree of nodes, None if it is invalid, and its problems.
 
     Raises:
@@ -53,7 +53,7 @@ def validate(tree: Node) -> tuple[Spec | None, list[Located]]:
         return None, [*problems, *_located_problems(error, tree)]
 
 
-def _located_problems(error: ValidationError, tree: Node) -> list[Located]:
+def _located_problems(error: ValidationError, tree: Node) -> list[Problem]:
     """One problem for each mistake, at its key or value."""
     errors: dict[Path, list[dict[str, Any]]] = {}
     union_paths: set[Path] = set()
@@ -100,7 +100,7 @@ def _untagged(tree: Node, location: Iterable[str | int], kind: str) -> tuple[Pat
     return path, tagged
 
 
-def _problem(tree: Node, path: Path, entries: list[dict[str, Any]]) -> Located:
+def _problem(tree: Node, path: Path, entries: list[dict[str, Any]]) -> Problem:
     """The problem at a path. Several errors at one path come from the members of a union and are joined by "or"."""
     kind = entries[0]["type"]
     place = _place(tree, path, kind, at_key="[key]" in entries[0]["loc"])
@@ -110,20 +110,20 @@ def _problem(tree: Node, path: Path, entries: list[dict[str, Any]]) -> Located:
         hint = alternatives(str(path[-1]), allowed) if allowed else None
         if len(path) == 2 and path[0] in ("robot", "task") and not closest(str(path[-1]), allowed):
             hint = f"{hint}; a parameter of the world is set as randomization: {{{text}: NUMBER}}"
-        return Located(place, text, "no such key", hint)
+        return Problem(place, text, "no such key", hint)
     if kind == "missing":
-        return Located(place, text, "is missing", AGENT_HINT if path == ("agent",) else None)
+        return Problem(place, text, "is missing", AGENT_HINT if path == ("agent",) else None)
     messages = list(dict.fromkeys(_reworded(entry["msg"]) for entry in entries))
     whats = [messages[0], *(message.removeprefix("should be ") for message in messages[1:])]
     what = " or ".join(whats)
     given = entries[0]["input"]
     if kind == "string_pattern_mismatch":
         what, hint = f"{shown(repr(given))} is not allowed", _pattern_hint(path)
-        return Located(place, text, what, hint)
+        return Problem(place, text, what, hint)
     node = tree.get(*path)
     if kind not in _UNSHOWN and node is not None:
         what = f"{what}, not {_written(node)}"
-    return Located(place, text, what, (entries[0].get("ctx") or {}).get("hint") or _near_choice(entries, given))
+    return Problem(place, text, what, (entries[0].get("ctx") or {}).get("hint") or _near_choice(entries, given))
 
 
 def _place(tree: Node, path: Path, kind: str, *, at_key: bool) -> Mark:

@@ -9,10 +9,11 @@ from collections.abc import Callable, Iterator, Mapping, Set
 from itertools import islice
 from typing import Any
 
+from ..errors import Problem
 from ..registry import alternatives
 from .merge import RANDOMIZATION, SWEEP, merged, nested, segments
 from .model import Spec
-from .nodes import Located, Mark, Node, from_plain
+from .nodes import Mark, Node, from_plain
 from .problems import validate
 from .sweep import Sweep, SweepParameter
 
@@ -56,7 +57,7 @@ def trial_spec(base: Spec, drawn: Mapping[str, Any], name: str, seeds: tuple[int
     return tree
 
 
-def space_problems(tree: Node, sweep: Sweep, complete: Callable[[Node], Node]) -> list[Located]:
+def space_problems(tree: Node, sweep: Sweep, complete: Callable[[Node], Node]) -> list[Problem]:
     """The problems of a sweep's search space.
 
     Args:
@@ -70,38 +71,38 @@ def space_problems(tree: Node, sweep: Sweep, complete: Callable[[Node], Node]) -
         return problems
     entries = {key: node for key, node in (tree.mapping or {}).items() if key != SWEEP}
     base = Node(entries, tree.at, tree.key)
-    wrong_values: dict[Located, None] = {}
+    wrong_values: dict[Problem, None] = {}
     refused: set[tuple[str, Any]] = set()
     for key in sorted(sweep.space, key=lambda one: len(_depends(sweep, one))):
         for value, probe in _probes(base, space, sweep, key, refused):
-            wrong = [probe] if isinstance(probe, Located) else validate(complete(probe))[1]
+            wrong = [probe] if isinstance(probe, Problem) else validate(complete(probe))[1]
             wrong_values.update(dict.fromkeys(_at_parameter(space[key], key, problem) for problem in wrong))
             if wrong:
                 refused.add((key, value))  # so that dependent parameters report no further problems
     return list(wrong_values)
 
 
-def _at_parameter(node: Node, key: str, problem: Located) -> Located:
+def _at_parameter(node: Node, key: str, problem: Problem) -> Problem:
     """The problem, moved to the parameter if its position is elsewhere."""
-    if any(problem.mark in (below.at, below.key) for below in node.walk()):
+    if any(problem.where in (below.at, below.key) for below in node.walk()):
         return problem
-    return Located(node.place, f"sweep.space.{key}", f"{problem.path}: {problem.what}", problem.hint)
+    return Problem(node.place, f"sweep.space.{key}", f"{problem.setting}: {problem.what}", problem.hint)
 
 
-def _wrong_keys(space: Node) -> Iterator[Located]:
+def _wrong_keys(space: Node) -> Iterator[Problem]:
     for key, node in (space.mapping or {}).items():
         path = f"sweep.space.{key}"
         first = key.partition(".")[0]
         fixed = next((why for prefix, why in FIXED.items() if key == prefix or key.startswith(f"{prefix}.")), None)
         if fixed is not None:
-            yield Located(node.place, path, f"cannot be searched: {fixed}", "remove it")
+            yield Problem(node.place, path, f"cannot be searched: {fixed}", "remove it")
         elif first not in SEARCHABLE:
-            yield Located(node.place, path, "no such setting", alternatives(first, SEARCHABLE))
+            yield Problem(node.place, path, "no such setting", alternatives(first, SEARCHABLE))
         elif not all(segments(key)):
-            yield Located(node.place, path, "is not a path of keys", "write e.g. agent.learning_rate")
+            yield Problem(node.place, path, "is not a path of keys", "write e.g. agent.learning_rate")
 
 
-def _wrong_conditions(space: Node, sweep: Sweep) -> Iterator[Located]:
+def _wrong_conditions(space: Node, sweep: Sweep) -> Iterator[Problem]:
     order = sweep.order()
     for key, parameter in sweep.space.items():
         for on, condition in parameter.when.items():
@@ -112,19 +113,19 @@ def _wrong_conditions(space: Node, sweep: Sweep) -> Iterator[Located]:
                 what = "is not a parameter of this sweep" if other is None else "is a range, not a choice"
                 names = [name for name, one in sweep.space.items() if one.choice is not None and name != key]
                 hint = alternatives(on, names) if names else "name a choice of this sweep"
-                yield Located(node.place, path, what, hint)
+                yield Problem(node.place, path, what, hint)
                 continue
             for unknown in sorted(other.accepted(condition).difference(other.labels)):
                 what = f"{on} is never {unknown!r}"
-                yield Located(node.at, path, what, alternatives(unknown, other.labels))
+                yield Problem(node.at, path, what, alternatives(unknown, other.labels))
         if key not in order:
             place = space[key]["when"].place
-            yield Located(place, f"sweep.space.{key}.when", "is a circle of conditions", "remove one of them")
+            yield Problem(place, f"sweep.space.{key}.when", "is a circle of conditions", "remove one of them")
 
 
 def _probes(
     base: Node, space: Node, sweep: Sweep, key: str, refused: Set[tuple[str, Any]]
-) -> Iterator[tuple[Any, Node | Located]]:
+) -> Iterator[tuple[Any, Node | Problem]]:
     """Values of a parameter (both ends, or all choices) with their specs, for all combinations it depends on.
 
     Skips choices in `refused`. Yields a problem instead of a spec if the parameter cannot be merged.
@@ -144,7 +145,7 @@ def _probes(
             off = next((name for name in reversed(above) if key.startswith(f"{name}.")), None)
             if off is not None:
                 what = f"{off} has no such setting when it is {drawn[off]!r}"
-                yield None, Located(space[key].place, f"sweep.space.{key}", what, f"add when: {{{off}: ...}}")
+                yield None, Problem(space[key].place, f"sweep.space.{key}", what, f"add when: {{{off}: ...}}")
                 continue
         values = parameter.labels if parameter.choice is not None else parameter.bounds
         for value in values:

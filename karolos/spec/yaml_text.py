@@ -13,7 +13,8 @@ from typing import Any, NoReturn
 
 import yaml
 
-from .nodes import MAX_DEPTH, Located, Mark, Node, Scalar, shown
+from ..errors import Problem
+from .nodes import MAX_DEPTH, Mark, Node, Scalar, shown
 
 MAX_CHARACTERS = 256 * 1024
 """Largest length of a file. PyYAML reads about 100 kB/s."""
@@ -35,7 +36,7 @@ _NAN = re.compile(r"\.(nan|NaN|NAN)")
 class BrokenTextError(Exception):
     """Reading the text cannot continue; carries the problem and its position."""
 
-    def __init__(self, problem: Located) -> None:
+    def __init__(self, problem: Problem) -> None:
         super().__init__(problem.what)
         self.problem = problem
 
@@ -61,7 +62,7 @@ def _number(text: str) -> int | float | None:
     return None
 
 
-def read(text: str, source: str, rank: int = 0, *, lines: bool = True) -> tuple[Node | None, list[Located]]:
+def read(text: str, source: str, rank: int = 0, *, lines: bool = True) -> tuple[Node | None, list[Problem]]:
     """The document in `text`, and the problems after which reading can continue.
 
     Args:
@@ -78,7 +79,7 @@ def read(text: str, source: str, rank: int = 0, *, lines: bool = True) -> tuple[
     """
     reader = _Reader(source, rank, lines)
     if len(text) > MAX_CHARACTERS:
-        raise BrokenTextError(Located(Mark(source, rank=rank), "", f"longer than {MAX_CHARACTERS // 1024} kB"))
+        raise BrokenTextError(Problem(Mark(source, rank=rank), "", f"longer than {MAX_CHARACTERS // 1024} kB"))
     try:
         events = yaml.parse(text, Loader=yaml.SafeLoader)
         return reader.document(events), reader.problems
@@ -86,9 +87,9 @@ def read(text: str, source: str, rank: int = 0, *, lines: bool = True) -> tuple[
         what = " ".join((error.problem or error.context or "cannot be read").split())
         hint = "indent with spaces" if "'\\t'" in what else None
         mark = error.problem_mark or error.context_mark
-        raise BrokenTextError(Located(reader.place(mark), "", f"not valid YAML: {what}", hint)) from None
+        raise BrokenTextError(Problem(reader.place(mark), "", f"not valid YAML: {what}", hint)) from None
     except yaml.reader.ReaderError as error:
-        raise BrokenTextError(Located(reader.offset(text, error), "", f"not valid YAML: {error.reason}")) from None
+        raise BrokenTextError(Problem(reader.offset(text, error), "", f"not valid YAML: {error.reason}")) from None
 
 
 @dataclass
@@ -96,7 +97,7 @@ class _Reader:
     source: str
     rank: int
     lines: bool
-    problems: list[Located] = field(default_factory=list)
+    problems: list[Problem] = field(default_factory=list)
     _anchors: dict[str, tuple[Node, int] | None] = field(default_factory=dict)
     """Anchor -> its node and the number of its values; None while reading it."""
     _count: int = 0
@@ -199,10 +200,10 @@ class _Reader:
         return self.place(event.start_mark) if self.lines else Mark(self.source, rank=self.rank)
 
     def _report(self, event: Any, what: str, hint: str | None = None) -> None:
-        self.problems.append(Located(self.place(event.start_mark), "", what, hint))
+        self.problems.append(Problem(self.place(event.start_mark), "", what, hint))
 
     def _fail(self, event: Any, what: str, hint: str | None = None) -> NoReturn:
-        raise BrokenTextError(Located(self.place(event.start_mark), "", what, hint))
+        raise BrokenTextError(Problem(self.place(event.start_mark), "", what, hint))
 
 
 def _is_empty(event: Any) -> bool:

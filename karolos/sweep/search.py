@@ -169,7 +169,7 @@ def _sweep_of(spec: Spec) -> Sweep:
     if len(spec.name) > LONGEST_NAME:
         raise UsageError(
             f"the name {spec.name!r} is longer than {LONGEST_NAME} characters; trials append to it",
-            where="name",
+            setting="name",
             hint="give a shorter one (name=...)",
         )
     return spec.sweep

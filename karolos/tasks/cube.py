@@ -222,7 +222,7 @@ def check_gripper(robot: RobotView, task: str, size: float) -> Gripper:
     if size > 0.9 * gripper.width:
         raise UsageError(
             f"a cube of {size:g} m does not go into the gripper",
-            where="task.object_size",
+            setting="task.object_size",
             hint=f"it opens {gripper.width:g} m; a tenth of that is needed as clearance",
         )
     return gripper
@@ -240,14 +240,14 @@ def ground(workspace: Box, goals: str, height: float, *, margin: float = 0.0) ->
     if not workspace.low[2] <= height <= workspace.high[2]:
         raise UsageError(
             f"the tool cannot be {height:g} m above the floor, where the object lies",
-            where="task.object_size",
+            setting="task.object_size",
             hint=f"its workspace is {workspace.low[2]:g} to {workspace.high[2]:g} m high",
         )
     x, y = (workspace.high[axis] - workspace.low[axis] - 2 * margin for axis in (0, 1))
     if min(x, y) <= 0:
         raise UsageError(
             f"no room is left around the object: {margin:g} m are needed on every side of it",
-            where="task.object_size",
+            setting="task.object_size",
             hint=f"the workspace is {x + 2 * margin:.2f} by {y + 2 * margin:.2f} m; take a smaller object",
         )
     box = workspace.middle((x, y, 1.0) if goals == "workspace" else (min(x, GROUND_EDGE), min(y, GROUND_EDGE), 1.0))

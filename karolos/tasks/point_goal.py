@@ -54,7 +54,7 @@ def check_threshold(threshold: float, box: Box) -> None:
     if 2 * threshold >= box.diagonal:
         raise UsageError(
             f"{threshold:g} m leaves no goal to reach",
-            where="task.threshold",
+            setting="task.threshold",
             hint=f"goals lie in a box with a diagonal of {box.diagonal:.2f} m; take a smaller threshold",
         )
 

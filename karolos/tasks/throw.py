@@ -139,7 +139,7 @@ class Throw(CubeTask):
             raise UsageError(
                 f"no target is left between {self.nearest:.2f} m, the arm's reach and the threshold, and "
                 f"{self.furthest:.2f} m, {settings.share:g} of the furthest throw",
-                where="task.share",
+                setting="task.share",
                 hint="a larger share or robot.joint_step leaves more, a smaller task.threshold too",
             )
         self._starts = self._start_within(settings.start_range)

@@ -79,7 +79,7 @@ class ThrowPlanner:
             raise UsageError(
                 "cartesian control keeps the gripper pointing down and within the workspace, and no throw from there "
                 "lands beyond the arm's reach",
-                where="robot.control",
+                setting="robot.control",
                 hint="set robot.control: joint, which throws with the speed of every joint",
             )
         self._robot = robot
@@ -125,7 +125,7 @@ class ThrowPlanner:
             raise UsageError(
                 "no throw can be planned for this arm: at the home pose no joint turns about the vertical with two "
                 "horizontal, parallel joints after it",
-                where="robot",
+                setting="robot",
                 hint="choose another robot, or another task",
             )
         self._base_sign = float(np.sign(axes[self._base, 2]))
@@ -200,7 +200,7 @@ class ThrowPlanner:
             if np.isfinite(distance) and (best is None or distance > best[0]):
                 best = distance, positions, velocities
         if best is None:
-            raise UsageError("this arm has no room to swing", where="robot", hint="choose another robot")
+            raise UsageError("this arm has no room to swing", setting="robot", hint="choose another robot")
         return best[1], best[2]
 
     def _collision_free(self, release: Array, velocities: Array) -> Array:

@@ -6,14 +6,14 @@ import math
 from collections.abc import Iterator
 from contextlib import contextmanager
 
-from ..core import Agent, Buffer, Environment, Orchestrator, Signature
+from ..core import Agent, Buffer, Orchestrator, Signature
 from ..core.seeding import SeedTree
 from ..environments.build import build_environment
 from ..errors import KarolosError, UsageError
 from ..registry import load
 from ..spec import Part, Spec
 from .demonstrations import demonstrating_expert
-from .memory import check_memory
+from .memory import check_memory, environments_of
 
 REPLAY_SETTINGS = {
     "batch_size": "remove it; agent.minibatches and buffer.rollout determine the size of a batch",
@@ -66,16 +66,18 @@ def check_parts(spec: Spec, jobs: int = 1) -> str | None:
         with _making("environment", spec.environment):
             environment = build_environment(spec.recipe(randomize=True))
         try:
-            signature, size = environment.signature, getattr(spec.orchestrator.settings, "size", 1)
+            signature, size = environment.signature, environments_of(spec)
             check_memory(spec, signature, jobs)
             with _making("agent", spec.agent):
                 agent = make_agent(spec, signature, SeedTree(0))
             with _making("buffer", spec.buffer):
                 buffer = make_buffer(spec, signature, SeedTree(0), environments=size, discount=agent.discount)
-            _check_amounts(spec)
-            _check_imitation(spec)
-            _check_demonstrations(spec, environment, buffer)
-            return _without_updates(spec, signature.max_steps) or _without_success(spec, signature)
+            _check_amounts(spec, agent, buffer)
+            agent.check(buffer, demonstrations=spec.demonstrations is not None)
+            if spec.demonstrations is not None:
+                buffer.add_demonstrations(())
+                demonstrating_expert(environment)
+            return _without_updates(spec, agent, buffer, signature.max_steps) or _without_success(spec, signature)
         finally:
             environment.close()
 
@@ -90,47 +92,32 @@ def _making(key: str, part: Part) -> Iterator[None]:
     except Exception as error:  # the constructor is anybody's
         reason = (str(error).splitlines() or [""])[0]
         raise UsageError(
-            f"{key} {part.name!r} cannot be made: {type(error).__name__}: {reason}", where=f"{key}.name"
+            f"{key} {part.name!r} cannot be made: {type(error).__name__}: {reason}", setting=f"{key}.name"
         ) from error
 
 
-def _check_imitation(spec: Spec) -> None:
-    """Raise a UsageError if relabelled transitions are to be imitated by an agent that does not imitate."""
-    if _imitates_relabelled(spec) and not getattr(spec.agent.settings, "imitation", 0):
-        raise UsageError(
-            f"{spec.agent.name} has no imitation term, so it cannot imitate relabelled transitions",
-            where="buffer.hindsight.imitate",
-            hint="set agent.imitation=1 (sac, td3, ddpg), or remove imitate",
-        )
-
-
-def _imitates_relabelled(spec: Spec) -> bool:
-    return bool(getattr(getattr(spec.buffer.settings, "hindsight", None), "imitate", False))
-
-
-def _check_amounts(spec: Spec) -> None:
+def _check_amounts(spec: Spec, agent: Agent, buffer: Buffer) -> None:
     """Raise a UsageError for an amount of training that the agent does not use or that is impossible."""
-    amounts = spec.training
-    size = getattr(spec.orchestrator.settings, "size", 1)
+    amounts, size = spec.training, environments_of(spec)
     if (amounts.at_least or 0) > size:
         raise UsageError(
             f"a batch of {amounts.at_least} environments is never ready, because there are {size}",
-            where="training.minimum_batch",
+            setting="training.minimum_batch",
             hint="lower it, or use more environments",
         )
-    if not load("agents", spec.agent.name).on_policy:
-        capacity = getattr(spec.buffer.settings, "capacity", amounts.batch_size)
-        if amounts.batch_size > capacity:
+    capacity = buffer.capacity
+    if not agent.on_policy:
+        if capacity is not None and amounts.batch_size > capacity:
             raise UsageError(
                 f"a batch of {amounts.batch_size} is larger than the buffer, which stores {capacity} transitions",
-                where="training.batch_size" if _is_set(spec, "batch_size") else "buffer.capacity",
+                setting="training.batch_size" if _is_set(spec, "batch_size") else "buffer.capacity",
                 hint="lower training.batch_size, or raise buffer.capacity",
             )
         return
     if amounts.mode == "async":
         raise UsageError(
             f"{spec.agent.name} learns from whole rollouts of its latest policy, so it waits for all environments",
-            where="training.mode",
+            setting="training.mode",
             hint="use lockstep, or an agent that learns from replay",
         )
     for name, hint in REPLAY_SETTINGS.items():
@@ -138,27 +125,18 @@ def _check_amounts(spec: Spec) -> None:
             raise UsageError(
                 f"{spec.agent.name} does not use {name}, which is {getattr(amounts, name):g}: it learns from its own"
                 " latest actions, as often as its own settings say",
-                where=f"training.{name}",
+                setting=f"training.{name}",
                 hint=hint,
             )
-    rollout = getattr(spec.buffer.settings, "rollout", 1) * size
-    minibatches = getattr(spec.agent.settings, "minibatches", 1)
-    if minibatches > rollout:
-        raise UsageError(
-            f"a rollout of {rollout} transitions cannot be split into {minibatches} minibatches",
-            where="agent.minibatches",
-            hint="raise buffer.rollout, or lower agent.minibatches",
-        )
 
 
-def _without_updates(spec: Spec, max_steps: int) -> str | None:
+def _without_updates(spec: Spec, agent: Agent, buffer: Buffer, max_steps: int) -> str | None:
     """Why a run whose episodes last `max_steps` makes no gradient update; None if it makes some."""
-    amounts, size = spec.training, getattr(spec.orchestrator.settings, "size", 1)
-    if load("agents", spec.agent.name).on_policy:
-        rollout = getattr(spec.buffer.settings, "rollout", 1) * size
-        if rollout <= amounts.steps:
+    amounts, size = spec.training, environments_of(spec)
+    if agent.on_policy:
+        if buffer.capacity is None or buffer.capacity <= amounts.steps:
             return None
-        return f"a run makes no update: a rollout takes {rollout} steps, and training.steps is {amounts.steps}"
+        return f"a run makes no update: a rollout takes {buffer.capacity} steps, and training.steps is {amounts.steps}"
     if spec.demonstrations is not None and spec.demonstrations.updates:
         return None
     if amounts.replay_ratio == 0:
@@ -185,30 +163,16 @@ def _is_set(spec: Spec, name: str) -> bool:
     return bool(getattr(spec.training, name) != type(spec.training).model_fields[name].default)
 
 
-def _check_demonstrations(spec: Spec, environment: Environment, buffer: Buffer) -> None:
-    """Raise a UsageError if demonstrations are impossible, or if the agent imitates demonstrations that are missing."""
-    if spec.demonstrations is not None:
-        buffer.add_demonstrations(())
-        demonstrating_expert(environment)
-    elif getattr(spec.agent.settings, "imitation", 0) > 0 and not _imitates_relabelled(spec):
-        raise UsageError(
-            "there are no demonstrations to imitate",
-            where="agent.imitation",
-            hint="add demonstrations: {episodes: 100}, set buffer.hindsight.imitate=true to imitate relabelled "
-            "transitions, or set agent.imitation=0",
-        )
-
-
 @contextmanager
 def located(spec: Spec) -> Iterator[None]:
     """Add to an error that names a setting where the setting was set: file:line:column, or the override."""
     try:
         yield
     except KarolosError as error:
-        origin = _origin(spec, error.where)
+        origin = _origin(spec, error.setting)
         if origin is None:
             raise
-        raise UsageError(f"{error.where}: {error.what}", where=origin, hint=error.hint) from error
+        raise UsageError(error.what, where=origin, setting=error.setting, hint=error.hint) from error
 
 
 def _origin(spec: Spec, path: str | None) -> str | None:

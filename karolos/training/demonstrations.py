@@ -78,7 +78,7 @@ def collect_demonstrations(
             if len(episodes) == settings.episodes:
                 break
         else:
-            raise RunError("most demonstrations diverge", where="demonstrations", hint="lower demonstrations.noise")
+            raise RunError("most demonstrations diverge", setting="demonstrations", hint="lower demonstrations.noise")
     finally:
         environment.close()
     return Demonstrations(tuple(episodes), successes / len(episodes), time.perf_counter() - started)
@@ -89,13 +89,13 @@ def demonstrating_expert(environment: Environment) -> Expert:
     if not isinstance(environment, RobotTask | VariedRobotTask):
         raise UsageError(
             "this environment has no expert that could give demonstrations",
-            where="demonstrations",
+            setting="demonstrations",
             hint="remove demonstrations, or name a robot and a task",
         )
     try:
         return environment.expert()
     except UsageError as error:
-        raise UsageError(error.what, where="demonstrations", hint="remove demonstrations") from error
+        raise UsageError(error.what, setting="demonstrations", hint="remove demonstrations") from error
 
 
 def _play(

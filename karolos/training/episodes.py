@@ -191,7 +191,7 @@ class Episodes:
             raise UsageError(
                 f"the stored run has {len(index)} environments with {actions.shape[-1]} action columns,"
                 f" and this one {len(self._index)} with {self._actions.shape[-1]}",
-                where="orchestrator",
+                setting="orchestrator",
                 hint="resume with the spec that the run was started with",
             )
         self._index[:] = index

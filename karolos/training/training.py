@@ -138,7 +138,7 @@ class Training:
             if not math.isfinite(value):
                 raise RunError(
                     f"{name} is {value} after {self.updates} updates ({self.steps} steps)",
-                    where="agent",
+                    setting="agent",
                     hint="lower agent.learning_rate, or check the rewards; the last checkpoint is still there",
                 )
         return means

@@ -254,7 +254,7 @@ def test_too_many_minibatches_for_a_rollout_are_refused_and_named() -> None:
     agent = made(of, minibatches=64)
     with pytest.raises(UsageError, match="32 transitions cannot be split into 64 minibatches") as refused:
         agent.learn(played(agent, of))
-    assert refused.value.where == "agent.minibatches"
+    assert refused.value.setting == "agent.minibatches"
 
 
 @pytest.mark.parametrize("bad", [{"discount": 1.0}, {"clip": 0}, {"epochs": 0}, {"trace_decay": 1.1}, {"std": 0}])

@@ -176,7 +176,6 @@ def test_light_commands_import_neither_torch_nor_pybullet(home, arguments):
     assert result.stderr.splitlines()[-1] == "[]", result.stderr
 
 
-@pytest.mark.skipif(not hasattr(os, "fork"), reason="detaches as POSIX does")
 def test_a_detached_command_goes_on_and_no_second_copy_is_started_meanwhile(home):
     refused = karolos("run", "toy.yaml", "unknown=1", "--detach")
     assert (refused.returncode, "unknown" in refused.stderr) == (2, True)

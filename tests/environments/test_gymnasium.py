@@ -105,7 +105,7 @@ def test_success_is_a_return_at_the_end(threshold: float, success: bool) -> None
 def test_what_cannot_work_is_one_clear_line_about_a_setting(settings: dict[str, Any], where: str) -> None:
     with pytest.raises(KarolosError) as caught:
         make(**settings)
-    assert caught.value.where == where
+    assert caught.value.setting == where
     assert "\n" not in str(caught.value)
 
 
@@ -196,7 +196,7 @@ def test_whether_a_goal_ends_an_episode_is_said_or_refused(ends: bool, said: boo
 
     with pytest.raises(PluginError, match="reaches its goal") as caught:
         go_to_the_goal()
-    assert caught.value.where == "environment.goal_terminates"
+    assert caught.value.setting == "environment.goal_terminates"
 
 
 @pytest.mark.parametrize("name", ["a:b:X", ":X", "x:", ""])

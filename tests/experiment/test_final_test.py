@@ -12,9 +12,9 @@ from support import toy_runs
 
 from karolos import checkpoint
 from karolos.errors import MachineError
+from karolos.evaluation import due_tests
 from karolos.evaluation.policies import load_agent
 from karolos.evaluation.testing import play_episodes, test_seeds
-from karolos.experiment import pending_tests
 from karolos.experiment.events import RunFinalTested
 from karolos.experiment.experiment import Experiment, Outcome, resume_run
 from karolos.records import RunFolder
@@ -124,7 +124,7 @@ def test_null_plays_as_many_episodes_as_a_test_and_is_the_same_experiment() -> N
 def test_a_run_killed_in_its_final_test_plays_it_on_resume(
     tmp_path: Path, outcome: Outcome, monkeypatch: pytest.MonkeyPatch
 ) -> None:
-    played = pending_tests.play_episodes
+    played = due_tests.play_episodes
 
     def killed(environments: Any, agent: Any, seeds: Any, **options: Any) -> Any:
         if len(seeds) == 9:
@@ -132,7 +132,7 @@ def test_a_run_killed_in_its_final_test_plays_it_on_resume(
         return played(environments, agent, seeds, **options)
 
     with monkeypatch.context() as patch:
-        patch.setattr(pending_tests, "play_episodes", killed)
+        patch.setattr(due_tests, "play_episodes", killed)
         with pytest.raises(KeyboardInterrupt):
             Experiment(TOY).run(tmp_path)
     [path] = tmp_path.glob("toy-s0-*")

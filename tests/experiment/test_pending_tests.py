@@ -2,9 +2,11 @@
 
 from __future__ import annotations
 
+import multiprocessing
 import os
 import signal
 import time
+from collections.abc import Callable
 from dataclasses import replace
 from pathlib import Path
 from typing import Any
@@ -13,11 +15,11 @@ import pytest
 from support.states import assert_same_runs, assert_same_state
 
 from karolos import checkpoint
-from karolos.errors import WorkerError
-from karolos.evaluation.evaluation_process import EvaluationProcess
+from karolos.evaluation import due_tests
 from karolos.experiment import experiment, pending_tests
-from karolos.experiment.events import RunTested, RunWarned
+from karolos.experiment.events import RunWarned
 from karolos.experiment.experiment import Experiment
+from karolos.experiment.pending_tests import PendingTests
 from karolos.records import RunFolder
 
 SPEC: dict[str, Any] = {
@@ -31,106 +33,133 @@ SPEC: dict[str, Any] = {
 }
 
 
-def run(runs: Path, **options: Any) -> RunFolder:
-    (summary,) = Experiment(SPEC).run(runs, **options).runs
+def run(runs: Path, spec: dict[str, Any] = SPEC, **options: Any) -> RunFolder:
+    (summary,) = Experiment(spec).run(runs, **options).runs
     return RunFolder.open(summary.folder)
 
 
+def second_processes() -> list[Any]:
+    return [process for process in multiprocessing.active_children() if process.name == "test process"]
+
+
 @pytest.fixture(scope="module")
-def here(tmp_path_factory: pytest.TempPathFactory) -> RunFolder:
+def alone(tmp_path_factory: pytest.TempPathFactory) -> RunFolder:
     """A run whose tests are all played in its own process."""
-    return run(tmp_path_factory.mktemp("here"))
+    with pytest.MonkeyPatch.context() as patch:
+        patch.setattr(experiment, "cores", lambda: 1)
+        return run(tmp_path_factory.mktemp("alone"))
 
 
 @pytest.fixture
-def processes(monkeypatch: pytest.MonkeyPatch) -> list[EvaluationProcess]:
-    """Runs start a second process at their first test; the processes that they started."""
-    started: list[EvaluationProcess] = []
+def beside(monkeypatch: pytest.MonkeyPatch) -> list[object]:
+    """Runs start a second process in their first test. What it sends."""
+    received: list[object] = []
 
-    class Recorded(EvaluationProcess):
-        def __init__(self, *arguments: Any) -> None:
-            super().__init__(*arguments)
-            started.append(self)
+    class Recorded(pending_tests.TestProcess):
+        def receive(self, seconds: float = 0.0) -> Any:
+            for message in super().receive(seconds):
+                received.append(message)
+                yield message
 
-    monkeypatch.setattr(pending_tests, "PATIENCE", 0.0)
-    monkeypatch.setattr(pending_tests, "WORTHWHILE", 0.0)
-    monkeypatch.setattr(pending_tests, "EvaluationProcess", Recorded)
+    monkeypatch.setattr(pending_tests, "MEASURED_SECONDS", 0.0)
+    monkeypatch.setattr(pending_tests, "WORTHWHILE_SECONDS", 0.0)
+    monkeypatch.setattr(pending_tests, "TestProcess", Recorded)
     monkeypatch.setattr(experiment, "cores", lambda: 2)
-    return started
+    return received
 
 
-def wait_until_ready(tests: pending_tests.PendingTests) -> None:
-    """Advance until the second process plays a test."""
-    deadline = time.monotonic() + 60
-    while tests._process is not None and tests._process.test is None and time.monotonic() < deadline:
-        time.sleep(0.01)
-        tests.advance()
+def wait_for(received: list[object], tests: PendingTests) -> None:
+    """Advance until the second process has sent something."""
+    until = time.monotonic() + 60
+    while not received and time.monotonic() < until:
+        tests.advance(0.1)
+
+
+def after_add(monkeypatch: pytest.MonkeyPatch, do: Callable[[PendingTests], object]) -> None:
+    """Do something after each test that becomes due."""
+    add = PendingTests.add
+    monkeypatch.setattr(PendingTests, "add", lambda tests: (add(tests), do(tests))[0])
 
 
 def test_results_and_weights_are_those_of_a_run_without_a_second_process(
-    here: RunFolder, processes: list[EvaluationProcess], tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+    alone: RunFolder, beside: list[object], tmp_path: Path, monkeypatch: pytest.MonkeyPatch
 ) -> None:
-    add = pending_tests.PendingTests.add
-    beside = []
-
-    def add_and_wait(tests: pending_tests.PendingTests) -> None:
-        add(tests)
-        wait_until_ready(tests)
-        beside.append(tests._process is not None and tests._process.test is not None)
-
-    monkeypatch.setattr(pending_tests.PendingTests, "add", add_and_wait)
+    after_add(monkeypatch, lambda tests: wait_for(beside, tests))
     folder = run(tmp_path)
-    assert len(processes) == 1
-    assert any(beside)
-    assert_same_runs(here, folder)
-    best, meta = checkpoint.load(folder.checkpoints, "best")
-    expected, expected_meta = checkpoint.load(here.checkpoints, "best")
+    assert beside, "the second process has played a test"
+    assert_same_runs(alone, folder)
+    (best, meta), (expected, expected_meta) = (checkpoint.load(one.checkpoints, "best") for one in (folder, alone))
     assert_same_state(best, expected)
     assert (meta["steps"], meta["updates"]) == (expected_meta["steps"], expected_meta["updates"])
-    assert not any(process._process.is_alive() for process in processes)
+    assert not second_processes()
 
 
-def test_lost_process_costs_a_warning_and_its_test_is_played_again(
-    here: RunFolder, processes: list[EvaluationProcess], tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+def kill(tests: PendingTests) -> None:
+    for process in second_processes():
+        os.kill(process.pid, signal.SIGKILL)
+
+
+def hang(tests: PendingTests) -> None:
+    for process in second_processes():
+        os.kill(process.pid, signal.SIGSTOP)
+
+
+@pytest.mark.parametrize(("accident", "problem"), [(kill, "test process ended"), (hang, "did not answer for 0 s")])
+def test_a_lost_process_costs_a_warning_and_its_test_is_played_again(
+    alone: RunFolder, beside: list[object], tmp_path: Path, monkeypatch: pytest.MonkeyPatch, accident: Any, problem: str
 ) -> None:
-    add = pending_tests.PendingTests.add
-
-    def add_and_kill(tests: pending_tests.PendingTests) -> None:
-        add(tests)
-        if tests._process is not None:
-            os.kill(tests._process._process.pid or 0, signal.SIGKILL)
-
-    monkeypatch.setattr(pending_tests.PendingTests, "add", add_and_kill)
+    after_add(monkeypatch, accident)
+    if accident is hang:
+        monkeypatch.setattr(due_tests, "SILENT_SECONDS", 0.0)
     events: list[object] = []
     folder = run(tmp_path, listener=events.append)
-    assert len(processes) == pending_tests.MAX_LOSSES
     warnings = [event.warning for event in events if isinstance(event, RunWarned)]
-    assert all("test process ended" in warning and "played again" in warning for warning in warnings)
-    assert len(warnings) == pending_tests.MAX_LOSSES
-    assert_same_runs(here, folder)
+    assert len(warnings) == pending_tests.MAX_LOST_PROCESSES
+    assert all(problem in warning and "played again" in warning for warning in warnings)
+    assert_same_runs(alone, folder)
 
 
-def test_stop_with_pending_tests_keeps_them_for_the_resumed_run(
-    here: RunFolder, processes: list[EvaluationProcess], tmp_path: Path
+def test_a_process_that_fails_says_why_and_one_that_cannot_start_costs_nothing(
+    alone: RunFolder, beside: list[object], tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    class Unable(pending_tests.TestProcess):
+        def __init__(self, spec: Any) -> None:
+            if not attempts:
+                attempts.append(1)
+                raise OSError("no memory")
+            super().__init__(spec.model_copy(update={"name": "/"}))  # which its process refuses
+
+    attempts: list[int] = []
+    monkeypatch.setattr(pending_tests, "TestProcess", Unable)
+    folder = run(tmp_path)
+    first, *others = [str(event["error"]) for event in folder.events() if event["event"] == "warning"]
+    assert first == "the test process cannot start: no memory"
+    assert all("the test process failed: SpecError" in error for error in others)
+    assert_same_runs(alone, folder)
+
+
+def test_a_stop_with_pending_tests_keeps_them_for_the_resumed_run(
+    alone: RunFolder, beside: list[object], tmp_path: Path, monkeypatch: pytest.MonkeyPatch
 ) -> None:
     """The second process is not ready before training is over, so every test is pending."""
 
-    def stop_at_the_end(event: object) -> None:
-        if isinstance(event, RunTested) and event.result.steps == 40:
+    def stop_at_the_end(tests: PendingTests) -> None:
+        if tests.pending[-1].steps == 240:
             signal.raise_signal(signal.SIGTERM)
 
-    stopped = run(tmp_path, listener=stop_at_the_end)
+    after_add(monkeypatch, stop_at_the_end)
+    stopped = run(tmp_path)
     assert stopped.state().state == "stopped"
     pending = checkpoint.load(stopped.checkpoints, "last")[0]["run"]["tests"]
-    assert [test["steps"] for test in pending] == [80, 120, 160, 200, 240]
-    assert_same_runs(here, run(tmp_path, existing="resume"))
+    assert [test["steps"] for test in pending] == [40, 80, 120, 160, 200, 240]
+    assert_same_runs(alone, run(tmp_path, existing="resume"))
 
 
-def test_stop_during_a_test_abandons_it_and_the_resumed_run_plays_it_again(
-    here: RunFolder, tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+def test_a_stop_during_a_test_abandons_it_and_the_resumed_run_plays_it_again(
+    alone: RunFolder, tmp_path: Path, monkeypatch: pytest.MonkeyPatch
 ) -> None:
     rounds = []
-    play = pending_tests.play_episodes
+    play = due_tests.play_episodes
 
     def stopping(*arguments: Any, on_round: Any, **options: Any) -> Any:
         def count(completed: int) -> None:
@@ -141,74 +170,44 @@ def test_stop_during_a_test_abandons_it_and_the_resumed_run_plays_it_again(
 
         return play(*arguments, on_round=count, **options)
 
-    monkeypatch.setattr(pending_tests, "play_episodes", stopping)
+    monkeypatch.setattr(due_tests, "play_episodes", stopping)
     stopped = run(tmp_path)
     assert stopped.state().state == "stopped"
     assert len(rounds) == 70
     assert [test.steps for test in stopped.tests()] == [40]
     assert checkpoint.read_meta(stopped.checkpoints, "last")["steps"] == 80
-    assert_same_runs(here, run(tmp_path, existing="resume"))
+    assert_same_runs(alone, run(tmp_path, existing="resume"))
 
 
-def test_tests_are_played_in_parts_by_both_processes_and_join_in_order(
-    tmp_path: Path, processes: list[EvaluationProcess], monkeypatch: pytest.MonkeyPatch
+def test_both_processes_play_parts_of_the_final_test_which_join_in_order(
+    tmp_path: Path, beside: list[object], monkeypatch: pytest.MonkeyPatch
 ) -> None:
-    """Training ends before the second process is ready, so that both share the final test."""
     monkeypatch.setattr(pending_tests, "PART_EPISODES", 4)
-    spec = SPEC | {"testing": {"interval": 120, "episodes": 6, "final_episodes": 64}}
-    play, played = pending_tests.play_episodes, []
+    spec = SPEC | {"testing": {"interval": 240, "episodes": 6, "final_episodes": 64}}
+    tests: list[PendingTests] = []
+    after_add(monkeypatch, tests.append)
+    play = due_tests.play_episodes
 
-    def slowly(environments: Any, agent: Any, seeds: Any, **options: Any) -> Any:
-        if options["steps"] == 240:
-            wait_until_ready(tests[0])
-            played.append(len(seeds))
-        return play(environments, agent, seeds, **options)
+    def play_when_both_do(*arguments: Any, **options: Any) -> Any:
+        if tests:
+            wait_for(beside, tests[0])
+        return play(*arguments, **options)
 
-    tests: list[pending_tests.PendingTests] = []
-    begin = pending_tests.PendingTests.__init__
-    monkeypatch.setattr(
-        pending_tests.PendingTests, "__init__", lambda self, *a, **o: (tests.append(self), begin(self, *a, **o))[1]
-    )
-    monkeypatch.setattr(pending_tests, "play_episodes", slowly)
-    (summary,) = Experiment(spec).run(tmp_path / "both").runs
-    monkeypatch.undo()
+    monkeypatch.setattr(due_tests, "play_episodes", play_when_both_do)
+    shared = run(tmp_path / "both", spec)
+    assert beside, "the second process has played parts"
     monkeypatch.setattr(experiment, "cores", lambda: 1)
-    (alone,) = Experiment(spec).run(tmp_path / "alone").runs
-    shared, expected = RunFolder.open(summary.folder), RunFolder.open(alone.folder)
+    expected = run(tmp_path / "alone", spec)
     assert_same_runs(expected, shared)
-    assert sum(played) < 6 + 64, "the second process has played parts, too"
     final, whole = shared.final(), expected.final()
     assert final is not None
     assert whole is not None
     assert replace(final.last, seconds=0.0) == replace(whole.last, seconds=0.0)
 
 
-def test_second_process_starts_before_the_first_test_if_many_steps_are_tested_or_warm_up_is_slow(
-    tmp_path: Path, monkeypatch: pytest.MonkeyPatch
-) -> None:
-    started: list[int] = []
-
-    class Never(pending_tests.EvaluationProcess):
-        def __init__(self, *_: Any) -> None:
-            started.append(len(tests))
-            raise WorkerError("none in this test")
-
-    tests: list[int] = []
+def test_no_second_process_starts_for_short_tests(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
     monkeypatch.setattr(experiment, "cores", lambda: 2)
-    monkeypatch.setattr(pending_tests, "EvaluationProcess", Never)
-    monkeypatch.setattr(pending_tests.PendingTests, "add", lambda self: tests.append(1))
-    few = SPEC | {
-        "training": SPEC["training"] | {"warmup_episodes": 20},
-        "testing": {"interval": 120, "episodes": 6},
-    }
-    many = SPEC | {"testing": {"interval": 1, "episodes": 100}}
-    Experiment(few).run(tmp_path, check=False)
-    assert started == []
-    tests.clear()
-    Experiment(many).run(tmp_path, check=False)
-    assert started == [0]
-    monkeypatch.setattr(pending_tests, "WORTHWHILE", 0.01)
-    monkeypatch.setattr(pending_tests, "MANY_STEPS", 1e9)
-    tests.clear()
-    Experiment(few).run(tmp_path, check=False)
-    assert started == [0, 0]
+    monkeypatch.setattr(pending_tests, "TestProcess", lambda _: pytest.fail("it starts"))
+    assert run(tmp_path).state().state == "finished"
+    monkeypatch.setattr(pending_tests, "MEASURED_SECONDS", 0.0)
+    assert run(tmp_path).state().state == "finished"

@@ -6,7 +6,6 @@ import signal
 from pathlib import Path
 from typing import Any
 
-import pytest
 from support.states import assert_same_runs
 
 from karolos import checkpoint
@@ -63,7 +62,6 @@ def test_listener_hears_what_a_run_does_besides_training(tmp_path: Path) -> None
     assert last == {"collecting demonstrations": (3, 3), "checkpoint": (1, 1), "testing": (2, 2), "final test": (2, 2)}
 
 
-@pytest.mark.skipif(not hasattr(signal, "SIGHUP"), reason="this system has no SIGHUP")
 def test_sighup_stops_like_sigterm(tmp_path: Path) -> None:
     def hang_up(event: object) -> None:
         if isinstance(event, RunStarted):
@@ -78,7 +76,6 @@ def test_sighup_stops_like_sigterm(tmp_path: Path) -> None:
     assert outcome.runs[0].state == "stopped"
 
 
-@pytest.mark.skipif(not hasattr(signal, "SIGHUP"), reason="this system has no SIGHUP")
 def test_sighup_that_nohup_ignores_stays_ignored() -> None:
     before = signal.signal(signal.SIGHUP, signal.SIG_IGN)
     try:

@@ -58,7 +58,6 @@ def process_of(task: Path) -> int | None:
     return None
 
 
-@pytest.mark.skipif(sys.platform != "linux", reason="looks for processes in /proc")
 def test_a_run_that_reaches_its_time_limit_is_queued_again_and_equals_an_undisturbed_one(
     tmp_path: Path, slurm: Path
 ) -> None:

@@ -198,7 +198,6 @@ orchestrator.close()
     assert ended.stderr == ""
 
 
-@pytest.mark.skipif(sys.platform != "linux", reason="only Linux forks workers from a server")
 def test_workers_are_forked_from_the_server_that_was_started_before(tmp_path: Path) -> None:
     body = """
 from multiprocessing import forkserver

@@ -40,7 +40,6 @@ def test_collision_adds_a_number(tmp_path: Path, monkeypatch: pytest.MonkeyPatch
     assert ids == ["reach-s0-20260102-030405", "reach-s0-20260102-030405-2", "reach-s0-20260102-030405-3"]
 
 
-@pytest.mark.skipif(not hasattr(os, "fork"), reason="forks")
 def test_sixteen_processes_get_sixteen_folders(tmp_path: Path) -> None:
     script = (
         "import os, sys; from karolos.records import RunFolder\n"

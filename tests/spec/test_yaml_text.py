@@ -89,7 +89,7 @@ def test_aliases_repeat_the_value():
 )
 def test_what_has_no_place_in_a_spec_is_told_and_the_rest_read(text, place, what):
     node, problems = read(text + "z: 7\n", "f")
-    assert [str(problem.mark) for problem in problems] == [place]
+    assert [str(problem.where) for problem in problems] == [place]
     assert what in problems[0].what
     assert node.get("z").value == 7
 
@@ -115,7 +115,7 @@ def test_unreadable_text_tells_where(text, place, what):
     assert what in caught.value.problem.what
     assert "\n" not in caught.value.problem.what
     if place:
-        assert str(caught.value.problem.mark) == place
+        assert str(caught.value.problem.where) == place
 
 
 def test_tabs_are_explained():

@@ -1,6 +1,5 @@
 from __future__ import annotations
 
-import os
 import sqlite3
 import subprocess
 import sys
@@ -200,7 +199,6 @@ sys.exit(any(os.waitpid(child, 0)[1] for child in children))
 """
 
 
-@pytest.mark.skipif(not hasattr(os, "fork"), reason="forks")
 @pytest.mark.parametrize("kind", KINDS)
 def test_sixteen_processes_make_the_database_at_once_and_lose_nothing(tmp_path: Path, kind: str) -> None:
     with empty_database(kind, tmp_path) as url:

@@ -7,7 +7,7 @@ from typing import Any, ClassVar, Literal
 from pydantic import BaseModel, model_validator
 from pydantic import Field as Setting
 
-from karolos.core import Field, Layout, Settings, Signature
+from karolos.core import Agent, Buffer, Field, Layout, Settings, Signature
 from karolos.randomization.distribution import Distribution
 
 
@@ -22,7 +22,7 @@ class Fake:
     def close(self) -> None: ...
 
     reset = step = receive = draw = prepare = fit = build = apply = act = read = observe = achieved = close
-    learn = add = cut = sample = state = load_state = close
+    learn = add = cut = sample = state = load_state = __len__ = close
 
 
 class Arm(Fake):
@@ -67,7 +67,7 @@ class Decay(Settings):
     floor: float = Setting(0.0, ge=0, description="smallest value")
 
 
-class Learner(Fake):
+class Learner(Fake, Agent):
     """Learns from replay."""
 
     on_policy = False
@@ -80,7 +80,7 @@ class Learner(Fake):
         decay: Decay | bool = Setting(False, description="of the learning rate")
 
 
-class Latest(Fake):
+class Latest(Fake, Agent):
     """Learns from its latest actions."""
 
     on_policy = True
@@ -94,7 +94,7 @@ class Hindsight(Settings):
     ratio: float = Setting(0.8, ge=0, le=1, description="share of relabelled transitions")
 
 
-class Replay(Fake):
+class Replay(Fake, Buffer):
     on_policy = False
 
     class Settings(Settings):
@@ -102,7 +102,7 @@ class Replay(Fake):
         hindsight: Hindsight | None = Setting(None, description="relabelling")
 
 
-class Rollout(Fake):
+class Rollout(Fake, Buffer):
     on_policy = True
 
     class Settings(Settings):

@@ -117,7 +117,6 @@ OVERRIDES = (
     ),
     *(
         "training.device=cuda",
-        "orchestrator=auto",
         "orchestrator.processes=0",
         "buffer.hindsight=null",
         "demonstrations={}",

@@ -7,7 +7,6 @@ import multiprocessing
 import os
 import random
 import signal
-import sys
 import threading
 from pathlib import Path
 from typing import Any
@@ -22,7 +21,6 @@ from karolos.records import RunFolder
 from karolos.store import Store
 
 
-@pytest.mark.skipif(sys.platform != "linux", reason="looks for orphans in /proc")
 def test_a_run_killed_at_random_moments_ends_like_one_that_nobody_disturbed(tmp_path: Path) -> None:
     """The short version of kill_resume.py; also that no process outlives the killed one for long."""
     spec = tmp_path / "torture.yaml"
@@ -74,7 +72,6 @@ class Killer:
 
 
 @pytest.mark.usefixtures("heard_always")
-@pytest.mark.skipif(not hasattr(signal, "SIGKILL"), reason="kills as POSIX does")
 def test_a_run_in_lockstep_whose_workers_are_killed_ends_bit_for_bit_like_an_undisturbed_one(tmp_path: Path) -> None:
     spec = LEARNS | {"training": LEARNS["training"] | {"steps": 800}, "testing": {"interval": 400, "episodes": 4}}
     killer = Killer(interval=150)
@@ -87,7 +84,6 @@ def test_a_run_in_lockstep_whose_workers_are_killed_ends_bit_for_bit_like_an_und
 
 
 @pytest.mark.usefixtures("heard_always")
-@pytest.mark.skipif(not hasattr(signal, "SIGKILL"), reason="kills as POSIX does")
 @pytest.mark.parametrize("mode", ["lockstep", "async"])
 def test_a_run_whose_workers_are_killed_reaches_what_an_undisturbed_one_reaches(mode: str, tmp_path: Path) -> None:
     killer = Killer(interval=350)

@@ -86,7 +86,7 @@ class World:
     def __init__(
         self, *, substeps: int = 10, timestep: float = 1 / 240, window: bool = False, camera: Camera | None = None
     ) -> None:
-        if window and sys.platform == "linux" and not os.environ.get("DISPLAY"):  # pybullet would end the process
+        if window and not os.environ.get("DISPLAY"):  # pybullet would end the process
             raise MachineError("no display to show a window on", hint="set DISPLAY, or run without a window")
         pybullet = _pybullet()
         self.api = pybullet

@@ -3,7 +3,6 @@
 from __future__ import annotations
 
 import os
-import sys
 from importlib import import_module
 from typing import Any
 
@@ -14,8 +13,6 @@ from ...core import FloatArray
 from ...errors import MachineError
 from ..picture import Eye
 
-BACKENDS = {"darwin": ("cgl",), "win32": ("glfw",)}
-"""MuJoCo's OpenGL contexts by platform; else `EGL` and `OSMESA`."""
 DRAWN = (False, True, False, False, False, False)
 """Groups of geoms that are drawn: not the floor, which pictures draw themselves, and no hidden collision shapes."""
 
@@ -67,7 +64,7 @@ class Renderer:
 def _context(width: int, height: int) -> Any:
     """An OpenGL context. Raises MachineError when the machine offers none."""
     problems = []
-    for name in BACKENDS.get(sys.platform, ("egl", "osmesa")):
+    for name in ("egl", "osmesa"):
         platform = os.environ.pop("PYOPENGL_PLATFORM", None)
         try:
             return import_module(f"mujoco.{name}").GLContext(width, height)
