@@ -59,12 +59,3 @@ def test_help_says_what_each_option_takes(monkeypatch: pytest.MonkeyPatch) -> No
         shown = CliRunner().invoke(app, [*name.split()[1:], "--help"]).stdout
         options = shown.split("Options", 1)[1]
         assert not re.findall(r"<(?:bool|str|path|file|directory|int range|float range|list.*?)>", options), name
-
-
-def test_what_is_written_is_named_by_out() -> None:
-    outputs = ("record", "figure", "figures", "html", "picture", "output", "file")
-    for name, command in commands(typer.main.get_command(app)):
-        for option in command.params:
-            if option.name in outputs and option.param_type_name == "option":
-                assert option.hidden, f"{name} {option.opts[0]}"
-                assert any(one.name == "out" for one in command.params), name

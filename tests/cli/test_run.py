@@ -140,31 +140,6 @@ def test_a_run_killed_outright_is_listed_as_lost(home):
     assert row["state"] == "lost"
 
 
-def test_play_records_a_film_of_the_best_checkpoint(home):
-    assert karolos("run", "toy.yaml", "-q").returncode == 0
-    result = karolos("play", "@last", "--out", "toy.gif", "--episodes", "2", "--width", "64", "--height", "48")
-    assert result.returncode == 0, result.stderr
-    assert result.stdout == "toy.gif\n"
-    from PIL import Image
-
-    with Image.open(home / "toy.gif") as film:
-        assert 5 < film.n_frames <= 2 * 21, "pictures that do not differ are joined"
-        assert film.size == (64, 48)
-
-
-@pytest.mark.parametrize(
-    ("arguments", "words"),
-    [
-        (["@last"], ["no run"]),
-        (["@last", "--out", "x.avi"], ["no run"]),
-    ],
-)
-def test_play_without_runs_says_so(home, arguments, words):
-    result = karolos("play", *arguments)
-    assert result.returncode == 2
-    assert all(word in result.stderr for word in words)
-
-
 def test_a_detached_command_goes_on_and_no_second_copy_is_started_meanwhile(home):
     for wrong in ("unknown=1", "buffer.capacity=10"):
         refused = karolos("run", "toy.yaml", wrong, "--detach")
