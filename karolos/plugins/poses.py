@@ -18,6 +18,7 @@ from ..simulation.urdf import Joint
 
 STARTS = 6
 """Random joint positions from which inverse kinematics looks for a home pose, for each yaw of the tool."""
+YAWS = (0.0, pi / 2, pi, 3 * pi / 2)
 LIMIT_DISTANCE = 0.1
 """Distance in rad from the limits of the joints that home and workspace keep."""
 HOME_SPEED = 0.8
@@ -28,17 +29,14 @@ GOAL_SPACE = 0.3
 """Edges in m of the box from which tasks draw goals."""
 CLEARANCE = 0.015
 """Least height in m of the joints above the floor, but for the first."""
-SHRINKING = 0.9
-"""Factor on the distance between home and a face of the workspace that the tool does not reach."""
-SHRINKINGS = 25
-"""How often a face shrinks at most."""
 
 
 class Place(NamedTuple):
     """A home pose and what can be done around it."""
 
     room: float
-    """Volume in m3 of the workspace as far as tasks use it; half of it if the workspace is not on the floor."""
+    """Volume in m3 of the workspace as far as tasks use it; less if it is not on the floor, if the tool is slow, or if
+    home is so near a face that four steps lead out of it."""
     home: tuple[float, ...]
     """Joint positions in rad."""
     tool: Vector
@@ -86,7 +84,7 @@ class Poses:
                 break
             x, y, z = (ahead * cos(direction), ahead * sin(direction), lift + height)
             found = self._at((self.length * x, self.length * y, self.length * z))
-            if found is not None and found.room > (best.room if best else 0.0):
+            if found is not None and found.room > (1.25 * best.room if best else 0.0):
                 best = found
         return best
 
@@ -95,25 +93,37 @@ class Poses:
 
         It is far from joint limits and fast in every direction, with joints above the floor and near those preferred.
         """
-        draws, found = SeedTree(0).generator(), []
-        for yaw, start in product((0.0, pi / 2, pi, 3 * pi / 2), range(STARTS)):
-            drawn = draws.uniform(self.low, self.high) - self.rest
-            pose = self._solved(self.rest + (1.0 if start % 2 else 0.3) * drawn, target, yaw, self.rest, 60)
+        draws = SeedTree(0).generator()
+        found: list[tuple[float, list[float], float]] = []
+
+        def look(start: Array, yaw: float) -> None:
+            pose = self._solved(start, target, yaw, self.rest, 60)
             if self._reaches(pose, target):
                 distance = float(np.minimum(pose - self.low, self.high - pose).min())
                 elbow = max(self.chain.forward(pose.tolist()).axes[2::6]) / self.length
                 bent = float(np.abs(pose - self.rest).sum())
-                score = min(distance, 0.5) + 35 * self._tool_step(pose) + 0.5 * elbow - 0.1 * bent
+                score = (
+                    min(distance, 0.5)
+                    + 12 * min(self._tool_step(pose), 2 * self.largest_step)
+                    + 0.5 * elbow
+                    - 0.1 * bent
+                )
                 found.append((score, pose.tolist(), yaw))
+
+        for yaw, start in product(YAWS, range(STARTS)):
+            look(self.rest + (1.0 if start % 2 else 0.3) * (draws.uniform(self.low, self.high) - self.rest), yaw)
         if not found:
             return None
+        for yaw in YAWS:  # a redundant arm may be straighter with the tool turned
+            look(np.array(max(found)[1]), yaw)
         _, best, yaw = max(found)
         home = tuple(round(float(one), 4) + 0.0 for one in self._solved(np.array(best), target, yaw, self.rest, 500))
-        step, box = self._tool_step(np.array(home)), self._workspace(home)
-        edges = np.subtract(box.high, box.low)
-        room = float(np.prod(np.minimum(edges, GOAL_SPACE))) * (0.5 if box.low[2] > 0.05 else 1.0)
-        room = room if edges.min() >= SMALLEST_WORKSPACE else 0.0
-        return Place(room, home, self.chain.forward(home).tool.position, step, box)
+        step, box = min(self._tool_step(np.array(home)), self.largest_step), self._workspace(home)
+        tool, edges = self.chain.forward(home).tool.position, np.subtract(box.high, box.low)
+        free = min(np.subtract(tool, box.low).min(), np.subtract(box.high, tool).min()) > 4 * step
+        room = float(np.prod(np.minimum(edges, GOAL_SPACE))) * step / self.largest_step
+        room *= (0.5 if box.low[2] > 0.05 else 1.0) * (1.0 if free else 0.5)
+        return Place(room if edges.min() >= SMALLEST_WORKSPACE else 0.0, home, tool, step, box)
 
     def _solved(self, pose: Array, target: Vector, yaw: float, rest: Array, steps: int) -> Array:
         """A pose (n,) near this one with the tool at `target`, pointing down, if inverse kinematics finds one."""
@@ -121,7 +131,7 @@ class Poses:
             at = self.chain.forward(pose.tolist())
             change = np.array(self.chain.step(at, target, yaw, (POSTURE_GAIN * (rest - pose)).tolist()))
             pose = np.clip(pose + np.clip(change, -0.5, 0.5), self.low, self.high)
-            if np.abs(change).max() < 1e-4:
+            if np.abs(change).max() < 1e-6:
                 break
         return pose
 
@@ -134,31 +144,35 @@ class Poses:
     def _tool_step(self, home: Array) -> float:
         """The distance in m that the tool can move per control step along every axis from home."""
         inverse = np.abs(np.linalg.pinv(self.chain.jacobian(self.chain.forward(home.tolist())))[:, :3])
-        step = float(np.floor(1000 * HOME_SPEED / 24 / (inverse / self.speeds[:, None]).max()) / 1000)
-        return min(step, self.largest_step)
+        return float(np.floor(1000 * HOME_SPEED / 24 / (inverse / self.speeds[:, None]).max()) / 1000)
 
     def _workspace(self, home: Sequence[float]) -> Box:
         """A box around home that the tool reaches pointing down, down to the floor if the arm gets there below home.
 
-        It begins with 40 % of the arm's length ahead, 60 % across and 25 % upwards. Its faces shrink until the tool
-        reaches its corners and the centres of edges and faces; the lower face only if the others do not help.
+        Its faces grow one after the other as long as the tool reaches their corners and the centres of them and their
+        edges: to at most 40 % of the arm's length ahead, 60 % across and 25 % upwards.
         """
         at = self.chain.forward(home).tool
         start, yaw, rest = np.array(at.position), atan2(at.x[1], at.x[0]), np.array(home)
         ahead, across, up = self.length * np.array([0.2, 0.3, 0.25])
-        size = np.array([[-ahead, -across, min(0.0, 0.02 - start[2])], [ahead, across, up]])
-        for _ in range(SHRINKINGS):
-            missed: set[tuple[int, int]] = set()
-            for sides in product((0, 1, 0.5), repeat=3):
-                faces = {(int(side), axis) for axis, side in enumerate(sides) if side != 0.5}
-                if faces:
-                    x, y, z = (start + size[0] + np.array(sides) * (size[1] - size[0])).tolist()
-                    if not self._reaches(self._solved(rest, (x, y, z), yaw, rest, 60), (x, y, z)):
-                        missed |= faces - {(0, 2)} or faces
-            if not missed:
-                break
-            for face in missed:
-                size[face] *= SHRINKING
-        low, high = np.ceil(1000 * (start + size[0])) / 1000, np.floor(1000 * (start + size[1])) / 1000
+        most = np.array([[-ahead, -across, min(0.0, 0.02 - start[2])], [ahead, across, up]])
+        size = np.zeros((2, 3))
+        for faces, fraction in product((((0, 2),), ((0, 1), (1, 1), (0, 0), (1, 0), (1, 2))), (0.2, 0.1, 0.05)):
+            growing = [*faces]
+            while growing:
+                for side, axis in [*growing]:
+                    larger = size.copy()
+                    larger[side, axis] += fraction * most[side, axis]
+                    reached = abs(larger[side, axis]) <= abs(most[side, axis]) + 1e-9
+                    for sides in product((0.0, 1.0, 0.5), repeat=3):
+                        if reached and sides[axis] == side:
+                            x, y, z = (start + larger[0] + np.array(sides) * (larger[1] - larger[0])).tolist()
+                            reached = self._reaches(self._solved(rest, (x, y, z), yaw, rest, 60), (x, y, z))
+                    if reached and most[side, axis]:
+                        size = larger
+                    else:
+                        growing.remove((side, axis))
+        low, high = np.round(1000 * (start + size), 6)
+        low, high = np.ceil(low) / 1000, np.floor(high) / 1000
         (a, b, c), (d, e, f) = low.tolist(), high.tolist()
         return Box((a, b, c), (d, e, f))
