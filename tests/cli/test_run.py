@@ -136,18 +136,21 @@ def test_a_run_killed_outright_is_listed_as_lost(home):
 
 
 def test_a_detached_command_goes_on_and_no_second_copy_is_started_meanwhile(home):
-    refused = karolos("run", "toy.yaml", "unknown=1", "--detach")
-    assert (refused.returncode, "unknown" in refused.stderr) == (2, True)
+    for wrong in ("unknown=1", "buffer.capacity=10"):
+        refused = karolos("run", "toy.yaml", wrong, "--detach")
+        assert (refused.returncode, wrong in refused.stderr) == (2, True)
     detached = karolos("run", "toy.yaml", "training.steps=1000000", "--detach")
     assert detached.returncode == 0
     assert "goes on, with its output in runs/toy.log" in detached.stderr
     process = int(detached.stderr.split()[1])
+    until, log = time.monotonic() + 60, home / "runs" / "toy.log"
+    while not list(home.glob("runs/*/tests.jsonl")) and time.monotonic() < until:
+        time.sleep(0.05)
     try:
         again = karolos("run", "toy.yaml", "training.steps=1000000", "--resume")
         assert (again.returncode, "another process runs seed 0" in again.stderr) == (1, True)
     finally:
         os.kill(process, signal.SIGTERM)
-    until, log = time.monotonic() + 60, home / "runs" / "toy.log"
     while "s0 stopped" not in (text := re.sub(r"-\d{8}-\d{6}", "", log.read_text())) and time.monotonic() < until:
         time.sleep(0.05)
     assert "s0 stopped" in text
