@@ -12,7 +12,7 @@ from .environment import Environment
 from .experience import Batch, Experience, Rollout, Step, Transitions
 from .goals import GoalRule
 from .layout import Discrete, Field, Layout
-from .memory import FLOAT_BYTES, MemoryNeed
+from .memory import FLOAT_BYTES, MemoryNeed, RunSize
 from .orchestrator import Failure, Orchestrator, Received
 from .settings import AgentSettings, Settings
 from .signature import Signature, random_actions
@@ -37,6 +37,7 @@ __all__ = [
     "Orchestrator",
     "Received",
     "Rollout",
+    "RunSize",
     "Settings",
     "Signature",
     "State",
