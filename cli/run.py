@@ -10,7 +10,7 @@ from typing import TYPE_CHECKING, Annotated, NoReturn
 
 import typer
 
-from karolos.errors import KarolosError, MachineError
+from karolos.errors import KarolosError
 from karolos.files import writing
 
 from .arguments import (
@@ -32,7 +32,7 @@ if TYPE_CHECKING:
     from collections.abc import Callable, Sequence
 
     from karolos.experiment.events import RunEvent
-    from karolos.experiment.experiment import Outcome
+    from karolos.launchers.experiment import Outcome
 
 
 def run(
@@ -69,7 +69,7 @@ def run(
 
     found = load_spec(spec, with_launcher(overrides, on))
     is_launched = _detached(runs / f"{found.name}.log") if detach else None
-    from karolos.experiment.experiment import Experiment
+    from karolos.launchers.experiment import Experiment
 
     from .display import choose_display
 
@@ -156,7 +156,7 @@ def resume(
 
     On the CPU and in lockstep the result is bit for bit that of a run without the interruption.
     """
-    from karolos.experiment.experiment import resume_run
+    from karolos.launchers.experiment import resume_run
     from karolos.store import Store
 
     from .display import choose_display
@@ -170,19 +170,6 @@ def resume(
             folder, database or Store.default_url(home), time_limit=seconds(time_limit), listener=display
         )
     report(outcome, home, quiet=quiet, json=json)
-
-
-def execute(
-    folder: Annotated[Path | None, typer.Argument(help="A run folder. Default: those on stdin, one a line.")] = None,
-    cores: Annotated[int, typer.Option(min=1, help="Number of cores for a run.")] = 1,
-) -> None:
-    """Execute or resume the run of a folder: the process that a launcher starts."""
-    from karolos.experiment.worker import execute_folder, serve
-
-    if folder is None:
-        serve(cores)
-    elif (problem := execute_folder(folder, cores)) is not None:
-        raise MachineError(problem)
 
 
 def report(outcome: Outcome, runs: Path, *, quiet: bool, json: bool) -> NoReturn:

@@ -14,8 +14,8 @@ from statistics import fmean
 
 from ..errors import RunError, UsageError
 from ..experiment.events import Listener
-from ..experiment.experiment import Experiment
 from ..files import write_json, write_whole
+from ..launchers.experiment import Experiment
 from ..records import RunFolder
 from ..registry import alternatives, names
 from ..spec import Spec, load_spec

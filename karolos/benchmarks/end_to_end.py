@@ -74,7 +74,7 @@ def first_success(seed: int, *, peer: bool = False) -> Found:
 def _karolos(seed: int, started: float) -> Found | None:
     """An ordinary run, stopped at the first test with enough successes."""
     from ..experiment.events import RunAdvanced, RunEvent, RunTested  # noqa: PLC0415  (importing is part of the start)
-    from ..experiment.experiment import Experiment  # noqa: PLC0415
+    from ..launchers.experiment import Experiment  # noqa: PLC0415
 
     startup: list[float] = []
     found: list[Found] = []

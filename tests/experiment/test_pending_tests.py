@@ -16,10 +16,11 @@ from support.states import assert_same_runs, assert_same_state
 
 from karolos import checkpoint
 from karolos.evaluation import due_tests
-from karolos.experiment import experiment, pending_tests
+from karolos.experiment import pending_tests
 from karolos.experiment.events import RunWarned
-from karolos.experiment.experiment import Experiment
 from karolos.experiment.pending_tests import PendingTests
+from karolos.launchers import experiment
+from karolos.launchers.experiment import Experiment
 from karolos.records import RunFolder
 
 SPEC: dict[str, Any] = {

@@ -15,9 +15,9 @@ from karolos import checkpoint
 from karolos.errors import RunError
 from karolos.experiment import worker
 from karolos.experiment.events import RunStarted, RunTested, RunWarned
-from karolos.experiment.experiment import Experiment, resume_run
 from karolos.experiment.resume import Snapshot, newest_snapshot
 from karolos.experiment.signals import StopRequest
+from karolos.launchers.experiment import Experiment, resume_run
 from karolos.records import RunFolder
 from karolos.simulation.engines import installed
 from karolos.store import Store
