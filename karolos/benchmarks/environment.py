@@ -19,8 +19,7 @@ import numpy as np
 
 from ..core import Array
 from ..environments.robot_task import RobotTask
-from ..randomization.distribution import Distribution
-from ..randomization.normal import Normal
+from ..randomization.distributions import Distribution, Normal
 from ..registry import load
 from ..simulation.engines import Engine
 from ..simulation.interface import Motors

@@ -15,7 +15,7 @@ from ..core import Array, Environment, FloatArray, GoalRule, Layout, Signature, 
 from ..core import Settings as BaseSettings
 from ..core.seeding import SeedTree
 from ..errors import UsageError
-from ..randomization.distribution import Distribution
+from ..randomization.distributions import Distribution
 from ..randomization.randomization import Randomization
 from ..simulation.engines import Engine, check_engine, default_engine, make_world
 from ..simulation.interface import Camera, Expert, Robot, Task, World

@@ -16,7 +16,7 @@ from ..core import Array, Environment, Field, FloatArray, Layout, Signature, Ste
 from ..core.seeding import SeedTree
 from ..core.signature import layout_differences
 from ..errors import UsageError
-from ..randomization.choice import Choice
+from ..randomization.distributions import Choice
 from ..simulation.interface import Expert
 from ..spec.parts import Part, Recipe, validate_strictly
 from .robot_task import RobotTask

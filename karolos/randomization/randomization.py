@@ -11,9 +11,9 @@ from ..core import Field, Layout
 from ..core.seeding import Generator
 from ..errors import RunError, UsageError
 from ..registry import alternatives
-from .distribution import Distribution
+from .distributions import Distribution
 
-ATTEMPTS = 100
+DRAW_ATTEMPTS = 100
 
 
 @dataclass(frozen=True)
@@ -79,12 +79,12 @@ class Randomization:
 
     @staticmethod
     def _draw(name: str, distribution: Distribution, parameter: RandomizedParameter, generator: Generator) -> float:
-        for _ in range(ATTEMPTS):
+        for _ in range(DRAW_ATTEMPTS):
             value = distribution.draw(generator)
             if parameter.low <= value <= parameter.high:
                 return value
         raise RunError(
-            f"{ATTEMPTS} values in a row lie outside the allowed range, the last one {parameter.quantity(value)}",
+            f"{DRAW_ATTEMPTS} values in a row lie outside the allowed range, the last one {parameter.quantity(value)}",
             setting=f"randomization.{name}",
             hint=parameter.allowed,
         )

@@ -15,7 +15,7 @@ from ..environments.robot_task import RobotTask
 from ..environments.varied import VariedRobotTask
 from ..errors import RunError, UsageError
 from ..simulation.interface import Expert
-from ..spec.model import Demonstrations as DemonstrationSettings
+from ..spec.model import DemonstrationSettings
 from ..spec.parts import Recipe
 
 

@@ -8,9 +8,7 @@ from karolos.environments.build import build_environment
 from karolos.environments.robot_task import RobotTask
 from karolos.errors import UsageError
 from karolos.plugins.inspection import pair
-from karolos.randomization.distribution import Distribution
-from karolos.randomization.normal import Normal
-from karolos.randomization.uniform import Uniform
+from karolos.randomization.distributions import Distribution, Normal, UniformDistribution
 from karolos.registry import names
 from karolos.robots.panda import Panda
 from karolos.simulation.picture import view_of
@@ -91,7 +89,7 @@ def test_physics_blow_up_truncates_with_finite_numbers_and_the_next_episode_is_s
 def test_randomized_values_are_recorded_applied_and_follow_from_the_seed() -> None:
     distributions = {
         "task.gravity": normal(-9.81, 1.0),
-        "robot.link_mass": Uniform(Uniform.Settings(low=0.8, high=1.2)),
+        "robot.link_mass": UniformDistribution(UniformDistribution.Settings(low=0.8, high=1.2)),
     }
     made = environment(distributions)
     assert made.signature.parameters.names == ("robot.link_mass", "task.gravity")

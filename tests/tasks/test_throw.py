@@ -9,7 +9,7 @@ from support.rig import expert_episode, part
 from karolos.environments.build import build_environment
 from karolos.environments.robot_task import RobotTask
 from karolos.errors import KarolosError, UsageError
-from karolos.randomization.choice import Choice
+from karolos.randomization.distributions import Choice
 from karolos.spec.parts import Recipe
 from karolos.tasks.flight import flight_time
 from karolos.tasks.throw import Throw
