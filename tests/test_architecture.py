@@ -39,8 +39,8 @@ def ways() -> dict[str, list[tuple[str, str]]]:
 
 
 def test_the_described_ways_are_short_and_every_stop_exists() -> None:
-    described = {"The way of one transition", "The way of one SAC update", "The way of one test result"}
-    assert set(ways()) == described
+    headings = "one transition", "one SAC update", "one test result", "one job on Ray"
+    assert set(ways()) == {f"The way of {heading}" for heading in headings}
     for heading, stops in ways().items():
         assert 3 <= len({file for file, _ in stops}) <= 8, heading
         for file, name in stops:
