@@ -21,7 +21,7 @@ from .throw_planner import RUN_UP, ThrowPlanner
 
 FLOOR_CONTACT = 0.002
 """m above the floor below which a corner of the cube counts as touching it."""
-BOUNCE = 0.08
+BOUNCE_HEIGHT = 0.08
 """m above the floor: a control step after a landing no corner of the cube is higher."""
 
 
@@ -174,7 +174,7 @@ class Throw(CubeTask):
         if self._status:
             return
         lowest = cube.lowest
-        if self._flight is not None and lowest < BOUNCE:
+        if self._flight is not None and lowest < BOUNCE_HEIGHT:
             self._landing = self._flight.landing(self._robot.period)
         held = self._robot.pads_touching(cube.body) > 0
         if self._landing is not None:
@@ -217,13 +217,13 @@ class Throw(CubeTask):
         return ThrowExpert(self._robot, self)
 
 
-RAMP = 0.32
+RAMP_SECONDS = 0.32
 """Seconds in which the throw accelerates to its speed: the heaviest arm has the torque for it."""
 DECELERATION = 3.0
 """rad/s2 with which joints come to rest at the start of the throw."""
-SETTLED = 0.05, 0.3
+SETTLED_LIMITS = 0.05, 0.3
 """rad and rad/s within which the arm is at rest at the start of the throw."""
-PATIENCE = 40
+APPROACH_PATIENCE = 40
 """Control steps after which the throw starts from the current position."""
 POSITION_GAIN = 0.1
 """Fraction of its position error that a joint makes up for in a control step."""
@@ -271,12 +271,12 @@ class ThrowExpert(Expert):
         positions, velocities = np.array(robot.joint_positions), np.array(robot.joint_velocities)
         self._steps += 1
         to_start = self._start - positions
-        near, slow = SETTLED
+        near, slow = SETTLED_LIMITS
         moving = np.abs(to_start).max() > near or np.abs(velocities).max() > slow
-        if self._throwing < 0 and moving and self._steps < PATIENCE:
+        if self._throwing < 0 and moving and self._steps < APPROACH_PATIENCE:
             return robot.turning(self._approach(to_start).tolist(), 0.0)
         self._throwing += 1
-        accelerated = self._throwing * period > RAMP
+        accelerated = self._throwing * period > RAMP_SECONDS
         if not self._released and accelerated and self._release_now(positions, velocities):
             self._released = self._throwing
         if self._released and self._throwing > self._released:  # a moving hand would hit the cube that leaves it
@@ -285,13 +285,13 @@ class ThrowExpert(Expert):
             speed_up = self._speed_up * (1 + SPEED_GAIN * self._shortfall(positions, velocities))
             self._speed_up = min(max(speed_up, 1 / LARGEST_SPEED_UP), LARGEST_SPEED_UP)
         # a joint that is slower than planned is told to go further, within its step
-        planned = self._velocities * self._speed_up * min(1.0, self._throwing * period / RAMP)
+        planned = self._velocities * self._speed_up * min(1.0, self._throwing * period / RAMP_SECONDS)
         largest = LARGEST_CORRECTION * np.abs(self._velocities) * period
         correction = self._correction + VELOCITY_GAIN * (planned - velocities) * period
         self._correction = np.clip(correction, -largest, largest)
         error = to_start + self._velocities * self._elapsed
         # the speed in the middle of the next step
-        elapsed = self._speed_up * min(1.0, (self._throwing + 0.5) * period / RAMP) * period
+        elapsed = self._speed_up * min(1.0, (self._throwing + 0.5) * period / RAMP_SECONDS) * period
         self._elapsed += elapsed
         changes = self._velocities * elapsed + self._correction + POSITION_GAIN * error
         return robot.turning(changes.tolist(), float(self._released > 0))
