@@ -15,7 +15,7 @@ from typer import Option
 from karolos.errors import KarolosError
 from karolos.evaluation.playing import score
 from karolos.evaluation.policies import expert_policy
-from karolos.machine import cores
+from karolos.orchestrator.machine import cores
 from karolos.plugins import inspection
 from karolos.registry import names
 from karolos.simulation.engines import Engine

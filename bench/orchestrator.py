@@ -21,8 +21,8 @@ from typer import Option
 
 from karolos.core import Array, Environment, Field, Layout, Orchestrator, Signature, Step, random_actions
 from karolos.environments.build import build_environment
-from karolos.machine import cores
 from karolos.orchestrator.local import Local
+from karolos.orchestrator.machine import cores
 from karolos.orchestrator.ray import Ray
 from karolos.spec import spec_from_dict
 

@@ -19,7 +19,7 @@ from itertools import repeat
 from pathlib import Path
 from statistics import median
 
-from karolos.machine import cores
+from karolos.orchestrator.machine import cores
 from karolos.records import RunFolder
 from karolos.records.provenance import versions
 from karolos.records.results import TestResult, encode_test

@@ -8,7 +8,7 @@ from typing import Annotated
 import typer
 
 from karolos.errors import StoreError
-from karolos.machine import cores
+from karolos.orchestrator.machine import cores
 
 from .arguments import Database, Json, Runs
 from .output import print_rows, say, warn

@@ -14,7 +14,7 @@ from ..experiment.run import run_or_resume
 from ..experiment.signals import StopRequest, stop_on_signals
 from ..experiment.start_from import pinned
 from ..files import FileLock, remove_temporary_leftovers
-from ..machine import cores
+from ..orchestrator.machine import cores
 from ..records import RunFolder
 from ..records.archive import remove_unfinished_imports
 from ..records.run_folder import remove_lost_leftovers

@@ -15,7 +15,7 @@ from typing_extensions import override
 
 from ..core.settings import Settings as BaseSettings
 from ..errors import MachineError
-from ..machine import cores
+from ..orchestrator.machine import cores
 from .interface import COMMAND, Ended, Launcher
 
 

@@ -27,7 +27,7 @@ from typing import Any
 from ..core import BuildEnvironment
 from ..errors import PluginError
 from ..files import temporary_prefix
-from ..machine import ONE_THREAD
+from .machine import ONE_THREAD
 from .worker import work
 
 _starting = Lock()

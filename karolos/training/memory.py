@@ -6,7 +6,7 @@ from collections.abc import Iterator
 
 from ..core import FLOAT_BYTES, MemoryNeed, RunSize, Signature
 from ..errors import UsageError
-from ..machine import memory
+from ..orchestrator.machine import memory
 from ..registry import load
 from ..spec import Spec
 
