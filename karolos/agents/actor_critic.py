@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 from abc import abstractmethod
+from collections.abc import Sequence
 from typing import Any, ClassVar
 
 import torch
@@ -15,15 +16,13 @@ from ..core import Buffer, Discrete, FloatArray, Signature, State
 from ..core.deployed import Deployed
 from ..core.seeding import SeedTree
 from ..errors import UsageError
-from .backprop import Tape
-from .critics import Critic, critic_metrics, value_bounds
 from .device import PRECISION_MEANS, Precision, uses_bfloat16
-from .networks import MLP, Shape, deployed
+from .inputs import TensorBatch, to_array
+from .layers import Tape
+from .networks import MLP, Shape
 from .noise import Noise
-from .normaliser import Normaliser
-from .optimisation import Adam, Hidden, OptimiserSettings
-from .tensors import TensorBatch, network_input, to_array
-from .torch_agent import TorchAgent
+from .optimisation import Hidden, OptimiserSettings
+from .torch_agent import Metrics, TorchAgent, value_bounds
 
 
 class ActorCriticSettings(OptimiserSettings):
@@ -50,6 +49,46 @@ class ActorCriticSettings(OptimiserSettings):
     precision: Precision = Setting("auto", description=PRECISION_MEANS)
 
 
+class Critic:
+    """What the critics' outputs (members, n, columns) mean: the value. The smallest one counts.
+
+    Source: Fujimoto et al. 2018, equation 10.
+    """
+
+    columns = 1
+    """Outputs of each network."""
+
+    def target_values(self, outputs: Tensor) -> Tensor:
+        """Values of the next state for the critics' targets: (n, k), ascending."""
+        return outputs.amin(0)
+
+    def loss(self, outputs: Tensor, targets: Tensor, weight: Tensor) -> tuple[Tensor, Tensor]:
+        """sum over members and rows of weight (Q - y)^2, and its gradient 2 weight (Q - y) by Q.
+
+        Source: Fujimoto et al. 2018, algorithm 1; Haarnoja et al. 2018, equation 5, with twice its factor.
+
+        Args:
+            outputs: Q, (members, n, columns).
+            targets: y, (n, k), ascending.
+            weight: of each row, (n,).
+        """
+        errors = outputs - targets
+        gradient = errors * weight.unsqueeze(1)
+        return torch.dot(gradient.view(-1), errors.view(-1)), gradient.mul_(2)
+
+    def mean(self, outputs: Tensor) -> Tensor:
+        """The mean of the last axis of outputs or targets: the expected return."""
+        return outputs.squeeze(-1)
+
+    def policy_value(self, outputs: Tensor) -> Tensor:
+        """The value that the policy maximises: (n,)."""
+        return outputs.squeeze(-1).amin(0)
+
+    def policy_value_gradient(self, outputs: Tensor, value: Tensor, gradient: Tensor) -> Tensor:
+        """The gradient by the outputs, from `gradient` (n,) by `value`, the result of `policy_value`."""
+        return (outputs == value.unsqueeze(1)) * gradient.unsqueeze(1)
+
+
 class ActorCritic(TorchAgent):
     """Networks, optimisers, exploration and state; an algorithm adds its losses in `learn`.
 
@@ -69,6 +108,8 @@ class ActorCritic(TorchAgent):
     on_policy: ClassVar[bool] = False
     shaping: ClassVar[tuple[str, ...]] = ("hidden", "layer_norm")
     arrays: ClassVar[int] = 16  # measured: 21 for SAC
+    judges: ClassVar[int | None] = None
+    """How many of the critics judge the policy's actions; None: all."""
 
     def __init__(
         self,
@@ -82,31 +123,24 @@ class ActorCritic(TorchAgent):
         policy_columns: int,
     ) -> None:
         self.actions = actions = _require_continuous(signature, type(self).__name__.lower())
-        self.settings, self.device, self.discount = settings, torch.device(device), settings.discount
-        inputs = signature.observation.size + signature.desired_goal.size
+        super().__init__(settings, signature, seeds, device)
         bfloat16 = uses_bfloat16(settings.precision, device)
-        generator = torch.Generator().manual_seed(seeds.child("weights").integer())
-        shape = Shape((inputs, *settings.hidden, policy_columns * actions), bfloat16=bfloat16)
-        self.policy = MLP(shape, generator, device)
+        shape = Shape((self.inputs, *settings.hidden, policy_columns * actions), bfloat16=bfloat16)
+        self.policy = MLP(shape, self.weights_generator, device)
         self.average = self.policy
         """Acts without exploration. An average over updates errs less than each policy in it (Polyak and Juditsky 1992,
         "Acceleration of Stochastic Approximation by Averaging")."""
         if settings.policy_average < 1:
             self.average = self.policy.copy()
             self.stored = (*self.stored, "average")
-        sizes = (inputs + actions, *settings.hidden, critic_kind.columns)
+        sizes = (self.inputs + actions, *settings.hidden, critic_kind.columns)
         shape = Shape(sizes, members=members, layer_norm=settings.layer_norm, bfloat16=bfloat16)
-        self.critic = MLP(shape, generator, device)
+        self.critic = MLP(shape, self.weights_generator, device)
         self.critic_kind = critic_kind
         self.target = self.critic.copy()
-        self.normaliser = Normaliser(inputs, device)
-        self.noise = Noise(settings.noise, inputs, actions, self.device)
-        self.optimisers = {
-            "policy": Adam(self.policy.vector, settings.rate, norm=settings.gradient_norm),
-            "critic": Adam(self.critic.vector, settings.rate, norm=settings.gradient_norm),
-        }
-        self.generator = torch.Generator(self.device).manual_seed(seeds.child("noise").integer())
-        self.bounds = value_bounds(signature, settings.discount, clip=settings.clip_targets)
+        self.noise = Noise(settings.noise, self.inputs, actions, self.device)
+        self.optimisers = {"policy": self.adam(self.policy.vector), "critic": self.adam(self.critic.vector)}
+        self._bounds = value_bounds(signature, settings.discount, clip=settings.clip_targets)
 
     def check(self, buffer: Buffer, *, demonstrations: bool) -> None:
         """Raise a UsageError if it is to imitate and nothing shows how, or the reverse."""
@@ -130,7 +164,7 @@ class ActorCritic(TorchAgent):
         environments: NDArray[int64] | None = None,
     ) -> FloatArray:
         """Actions (n, a) in [-1, 1] for observations (n, o) and goals (n, g)."""
-        inputs = network_input(observation, desired_goal, self.normaliser, self.device)
+        inputs = self.network_input(observation, desired_goal)
         if not explore:
             return to_array(torch.tanh(self.average(inputs, exact=True)[:, : self.actions]))
         output = self.policy(inputs, exact=True)
@@ -144,23 +178,58 @@ class ActorCritic(TorchAgent):
     def begin_episodes(self, environments: NDArray[int64]) -> None:
         self.noise.begin(environments)
 
-    def critic_step(self, batch: TensorBatch, targets: Tensor, *, report: bool) -> dict[str, Any]:
+    def next_values(self, batch: TensorBatch, action: Tensor) -> Tensor:
+        """Q'(s', a') of the target networks: (n, k)."""
+        return self.critic_kind.target_values(self.target(torch.cat((batch.next_input, action), 1)))
+
+    def backup(self, batch: TensorBatch, next_values: Tensor) -> Tensor:
+        """y = r + discount next_values, clipped to the possible values: (n, k)."""
+        y = torch.addcmul(batch.reward.unsqueeze(1), batch.discount.unsqueeze(1), next_values)
+        return y.clamp_(*self._bounds)
+
+    def critic_step(self, batch: TensorBatch, targets: Tensor) -> Metrics:
         """One gradient step of the critics towards the targets (n, k). Returns priorities and metrics."""
         outputs, tapes = self.critic.forward(torch.cat((batch.input, batch.action), 1))
         loss, gradient = self.critic_kind.loss(outputs, targets, batch.weight)
         self.critic.backward(gradient, tapes)
-        norm = self.optimisers["critic"].step(self.critic.gradient, "critic_gradient_norm", report=report)
-        mean = self.critic_kind.mean
-        return critic_metrics(loss, mean(outputs), mean(targets), report=report) | norm
+        self.optimisers["critic"].step(self.critic.gradient)
+        values, expected = self.critic_kind.mean(outputs), self.critic_kind.mean(targets)
+        return {
+            "priorities": (values - expected).abs_().amax(0),
+            "critic_loss": loss,
+            "value_mean": values.mean,
+            "value_max": values.max,
+            "target_mean": expected.mean,
+            "critic_gradient_norm": self.optimisers["critic"].gradient_norm,
+        }
 
-    def optimise_policy(self, gradient: Tensor, tapes: list[Tape], update: int, *, report: bool) -> dict[str, Any]:
-        """One gradient step of the policy with the gradient by its output. Returns metrics."""
-        self.policy.backward(gradient, tapes)
-        optimiser = self.optimisers["policy"]
-        metrics = optimiser.step(self.policy.gradient, "policy_gradient_norm", update=update, report=report)
+    def values(self, batch: TensorBatch, action: Tensor) -> Tensor:
+        """Q(s, a), as the policy maximises it: (n,)."""
+        outputs, _ = self.critic.forward(torch.cat((batch.input, action), 1), members=self.judges)
+        return self.critic_kind.policy_value(outputs)
+
+    def values_and_gradient(self, batch: TensorBatch, action: Tensor) -> tuple[Tensor, Tensor]:
+        """Q(s, a), (n,), and the gradient by a of what a policy minimises with it, (n, a).
+
+        That is - sum_i weight_i Q(s_i, a_i) + action_penalty mean(a^2).
+        """
+        outputs, tapes = self.critic.forward(torch.cat((batch.input, action), 1), members=self.judges)
+        values = self.critic_kind.policy_value(outputs)
+        by_outputs = self.critic_kind.policy_value_gradient(outputs, values, -batch.weight)
+        columns = slice(self.inputs, None)
+        by_action = self.critic.backward(by_outputs, tapes, parameters=False, columns=columns)
+        assert by_action is not None
+        if self.settings.action_penalty:
+            by_action.add_(action, alpha=2 * self.settings.action_penalty / action.numel())
+        return values, by_action
+
+    def step_policy(self, by_output: Tensor, tapes: Sequence[Tape]) -> Metrics:
+        """One gradient step of the policy from the gradient by its output. Returns metrics."""
+        self.policy.backward(by_output, tapes)
+        self.optimisers["policy"].step(self.policy.gradient)
         if self.average is not self.policy:
             self.average.follow(self.policy, self.settings.policy_average)
-        return metrics
+        return {"policy_gradient_norm": self.optimisers["policy"].gradient_norm}
 
     def start_from(self, state: State) -> None:
         """As `Agent.start_from`; the policy begins as the one that acts in the other agent's tests."""
@@ -170,7 +239,7 @@ class ActorCritic(TorchAgent):
 
     def deployed(self) -> Deployed:
         """The mean of the policy, squashed by tanh."""
-        return deployed(self.average, self.normaliser, "tanh", columns=slice(self.actions))
+        return self.policy_arrays(self.average, "tanh", slice(self.actions))
 
 
 def imitation_loss(action: Tensor, preferred: Tensor, batch: TensorBatch) -> tuple[Tensor, Tensor]:

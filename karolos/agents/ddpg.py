@@ -11,11 +11,10 @@ from torch import Tensor
 
 from ..core import Batch, Signature
 from ..core.seeding import SeedTree
-from .actor_critic import ActorCritic, ActorCriticSettings, imitation_loss
-from .critics import ValueCritic
+from .actor_critic import ActorCritic, ActorCriticSettings, Critic, imitation_loss
+from .inputs import TensorBatch
 from .noise import ScaledNoiseSettings
-from .optimisation import learning_rates
-from .tensors import REPORT_EVERY, TensorBatch, is_observed, saturation, tensor_batch
+from .torch_agent import Metrics, saturation
 
 
 class DDPG(ActorCritic):
@@ -35,10 +34,11 @@ class DDPG(ActorCritic):
     learned: ClassVar[tuple[str, ...]] = ("policy", "critic", "target_policy", "target", "normaliser")
     stored: tuple[str, ...] = (*learned, "noise", "updates")
     critics: ClassVar[int] = 1
+    judges: ClassVar[int | None] = 1
 
     def __init__(self, settings: Any, signature: Signature, seeds: SeedTree, device: str = "cpu") -> None:
         super().__init__(
-            settings, signature, seeds, device, critic_kind=ValueCritic(), members=self.critics, policy_columns=1
+            settings, signature, seeds, device, critic_kind=Critic(), members=self.critics, policy_columns=1
         )
         self.target_policy = self.policy.copy()
         self.policy_delay = 1
@@ -50,65 +50,39 @@ class DDPG(ActorCritic):
 
     @torch.inference_mode()
     def learn(self, batch: Batch) -> Mapping[str, Any]:
-        """One update: targets, critic step, and when it is their turn policy step and target networks."""
+        """One update: targets, critics, and when it is their turn policy and target networks."""
         update = self.updates
-        report = update // self.policy_delay % REPORT_EVERY == 0
-        data = tensor_batch(batch, self.normaliser, self.device, observe=is_observed(update))
+        data = self.begin_update(batch, update)
         self.updates += 1
-        metrics = self.critic_step(data, self.targets(data), report=report)
+        metrics = self.critic_step(data, self.targets(data))
         if self.updates % self.policy_delay == 0:
-            metrics |= self._policy_step(data, update, report=report)
+            metrics |= self.policy_step(data)
             self.target.follow(self.critic, self.settings.tau)
             self.target_policy.follow(self.policy, self.settings.tau)
-        if report:
-            metrics |= learning_rates(self.optimisers)
-        return metrics
+        return self.report(metrics, update // self.policy_delay)
 
     def targets(self, batch: TensorBatch) -> Tensor:
         """y = r + discount min_j Q'_j(s', a'), clipped to the possible values: (n, 1)."""
-        action = self.next_action(batch.next_input)
-        outputs = self.target(torch.cat((batch.next_input, action), 1))
-        value = self.critic_kind.target_values(outputs)
-        return torch.addcmul(batch.reward.unsqueeze(1), batch.discount.unsqueeze(1), value).clamp_(*self.bounds)
+        return self.backup(batch, self.next_values(batch, self.next_action(batch.next_input)))
 
     def next_action(self, next_input: Tensor) -> Tensor:
         """a' = pi'(s'), of the target policy: (n, a)."""
         return torch.tanh(self.target_policy(next_input))
 
-    def _policy_step(self, batch: TensorBatch, update: int, *, report: bool) -> dict[str, Any]:
-        """One gradient step of the policy; the first critic alone judges its actions."""
-        settings = self.settings
+    def policy_step(self, batch: TensorBatch) -> Metrics:
+        """One gradient step of the policy on L = - sum_i weight_i Q(s_i, pi(s_i)), with Q of the first critic.
+
+        Source: Lillicrap et al. 2015, equation 6; Silver et al. 2014. pi(s) = tanh(u): dL/du = dL/da (1 - a^2).
+        """
         output, tapes = self.policy.forward(batch.input)
         action = torch.tanh(output)
-        values, critic_tapes = self.critic.forward(torch.cat((batch.input, action), 1), first=True)
-        value, value_gradient = values[0, :, 0], torch.zeros_like(values)
-        value_gradient[0, :, 0] = -batch.weight
-        action_gradient = self.critic.backward(
-            value_gradient, critic_tapes, parameters=False, columns=slice(batch.input.shape[1], None)
-        )
-        assert action_gradient is not None
-        metrics: dict[str, Any] = {}
-        if report:
-            metrics |= {"policy_loss": policy_loss(value, batch.weight), "action_saturation": saturation(action)}
-        if settings.action_penalty:
-            action_gradient.add_(action, alpha=2 * settings.action_penalty / action.numel())
-        if settings.imitation and batch.demonstrated is not None:
-            demonstrated = self.critic.forward(torch.cat((batch.input, batch.action), 1), first=True)[0][0, :, 0]
-            metrics["imitation_loss"], gradient = imitation_loss(action, demonstrated > value, batch)
-            action_gradient.add_(gradient, alpha=settings.imitation)
-        return metrics | self.optimise_policy(policy_gradient(action, action_gradient), tapes, update, report=report)
-
-
-def policy_loss(value: Tensor, weight: Tensor) -> Tensor:
-    """L = - sum_i weight_i Q(s_i, pi(s_i)). Source: Lillicrap et al. 2015, equation 6; Silver et al. 2014."""
-    return -torch.dot(weight, value)
-
-
-def policy_gradient(action: Tensor, action_gradient: Tensor) -> Tensor:
-    """The gradient of the loss by the policy's output u, with pi(s) = tanh(u): dL/du = dL/da (1 - a^2).
-
-    Args:
-        action: a = tanh(u), (n, a).
-        action_gradient: dL/da, (n, a): - weight dQ/da, and the gradients of the additional terms.
-    """
-    return action_gradient * (1 - action.square())
+        values, by_action = self.values_and_gradient(batch, action)
+        metrics: Metrics = {
+            "policy_loss": lambda: -torch.dot(batch.weight, values),
+            "action_saturation": lambda: saturation(action),
+        }
+        if self.settings.imitation and batch.demonstrated is not None:
+            preferred = self.values(batch, batch.action) > values
+            metrics["imitation_loss"], gradient = imitation_loss(action, preferred, batch)
+            by_action.add_(gradient, alpha=self.settings.imitation)
+        return metrics | self.step_policy(by_action * (1 - action.square()), tapes)

@@ -17,13 +17,11 @@ from ..core.deployed import Deployed
 from ..core.schedules import Linear
 from ..core.seeding import SeedTree
 from ..errors import UsageError
-from .critics import value_bounds
 from .device import Precision, uses_bfloat16
-from .networks import MLP, Shape, deployed
-from .normaliser import Normaliser
-from .optimisation import Adam, Hidden, OptimiserSettings
-from .tensors import REPORT_EVERY, TensorBatch, is_observed, network_input, tensor_batch, to_array
-from .torch_agent import TorchAgent
+from .inputs import TensorBatch, to_array
+from .networks import MLP, Shape
+from .optimisation import Hidden, OptimiserSettings
+from .torch_agent import TorchAgent, value_bounds
 
 
 class DQN(TorchAgent):
@@ -70,18 +68,15 @@ class DQN(TorchAgent):
 
     def __init__(self, settings: DQN.Settings, signature: Signature, seeds: SeedTree, device: str = "cpu") -> None:
         self._actions = _require_discrete(signature)
-        self.settings, self.device, self.discount = settings, torch.device(device), settings.discount
-        inputs = signature.observation.size + signature.desired_goal.size
+        super().__init__(settings, signature, seeds, device)
         shape = Shape(
-            (inputs, *settings.hidden, self._actions + settings.dueling),
+            (self.inputs, *settings.hidden, self._actions + settings.dueling),
             layer_norm=settings.layer_norm,
             bfloat16=uses_bfloat16(settings.precision, device),
         )
-        self.network = MLP(shape, torch.Generator().manual_seed(seeds.child("weights").integer()), device)
+        self.network = MLP(shape, self.weights_generator, device)
         self.target = self.network.copy()
-        self.normaliser = Normaliser(inputs, device)
-        self.optimisers = {"network": Adam(self.network.vector, settings.rate, norm=settings.gradient_norm)}
-        self.generator = torch.Generator(self.device).manual_seed(seeds.child("noise").integer())
+        self.optimisers = {"network": self.adam(self.network.vector)}
         self._bounds = value_bounds(signature, settings.discount, clip=settings.clip_targets)
         self._schedule = Linear(settings.epsilon_start, settings.epsilon_end, settings.epsilon_steps)
         self.explored = 0
@@ -102,7 +97,7 @@ class DQN(TorchAgent):
         environments: NDArray[int64] | None = None,  # noqa: ARG002 (each step explores independently)
     ) -> FloatArray:
         """Indices of actions (n, 1), whole float32 numbers, for observations (n, o) and goals (n, g)."""
-        inputs = network_input(observation, desired_goal, self.normaliser, self.device)
+        inputs = self.network_input(observation, desired_goal)
         action = self._values(self.network(inputs, exact=True)).argmax(1)
         if explore:
             size, epsilon = action.shape, self.epsilon
@@ -115,8 +110,8 @@ class DQN(TorchAgent):
     @torch.inference_mode()
     def learn(self, batch: Batch) -> Mapping[str, Any]:
         """One update of the network, and of the target network when it is its turn."""
-        report = self.updates % REPORT_EVERY == 0
-        data = tensor_batch(batch, self.normaliser, self.device, observe=is_observed(self.updates))
+        update = self.updates
+        data = self.begin_update(batch, update)
         self.updates += 1
 
         targets = self.targets(data)
@@ -126,21 +121,19 @@ class DQN(TorchAgent):
         errors = values - targets
         gradient = td_gradient(errors, self.settings.loss)
         self.network.backward(self._output_gradient(output, index, data.weight * gradient), tapes)
-        metrics: dict[str, Any] = self.optimisers["network"].step(self.network.gradient, "gradient_norm", report=report)
+        self.optimisers["network"].step(self.network.gradient)
         if self.updates % self.settings.target_interval == 0:
             self.target.follow(self.network, self.settings.tau)
-
-        if report:
-            metrics |= {
-                "value_loss": torch.dot(data.weight, td_loss(errors, self.settings.loss)),
-                "value_mean": values.mean(),
-                "value_max": values.max(),
-                "target_mean": targets.mean(),
-                "epsilon": torch.tensor(self.epsilon),
-                "learning_rate": torch.tensor(self.optimisers["network"].learning_rate),
-            }
-        metrics["priorities"] = errors.abs_()
-        return metrics
+        metrics = {
+            "priorities": errors.abs(),
+            "value_loss": lambda: torch.dot(data.weight, td_loss(errors, self.settings.loss)),
+            "value_mean": values.mean,
+            "value_max": values.max,
+            "target_mean": targets.mean,
+            "gradient_norm": self.optimisers["network"].gradient_norm,
+            "epsilon": lambda: torch.tensor(self.epsilon),
+        }
+        return self.report(metrics, update)
 
     def targets(self, batch: TensorBatch) -> Tensor:
         """y = r + discount Q'(s', argmax_a Q(s', a)), clipped to the possible values: (n,).
@@ -179,7 +172,7 @@ class DQN(TorchAgent):
 
     def deployed(self) -> Deployed:
         """The action of the largest value, which with a dueling network is that of the largest advantage."""
-        return deployed(self.network, self.normaliser, "argmax", columns=slice(int(self.settings.dueling), None))
+        return self.policy_arrays(self.network, "argmax", slice(int(self.settings.dueling), None))
 
 
 def td_loss(errors: Tensor, kind: Literal["huber", "squared"]) -> Tensor:

@@ -8,7 +8,7 @@ optimiser, a step of a target network and a checkpoint are one operation each. A
 from __future__ import annotations
 
 import math
-from collections.abc import Mapping
+from collections.abc import Mapping, Sequence
 from dataclasses import dataclass
 from itertools import pairwise
 from typing import Any
@@ -18,13 +18,9 @@ from torch import Tensor
 from torch.autograd.function import once_differentiable
 
 from ..core import State
-from ..core.deployed import Deployed, Layer, Output
 from ..errors import UsageError
-from . import backprop
-from .backprop import EPSILON, Tape
-from .matmul import Affine, affine_map
-from .normaliser import Normaliser
-from .tensors import to_array
+from . import layers
+from .layers import Affine, Tape
 
 
 @dataclass(frozen=True)
@@ -46,17 +42,17 @@ class Shape:
     def parameters(self) -> dict[str, tuple[int, int]]:
         """Name and shape of each parameter of one member, in their order in the vector."""
         shapes: dict[str, tuple[int, int]] = {}
-        for layer, (before, after) in enumerate(pairwise(self.sizes)):
-            shapes[f"layer{layer}.weight"] = (after, before)
-            shapes[f"layer{layer}.bias"] = (1, after)
+        for number, (before, after) in enumerate(pairwise(self.sizes)):
+            shapes[f"layer{number}.weight"] = (after, before)
+            shapes[f"layer{number}.bias"] = (1, after)
         return shapes
 
 
 class MLP:
     """Affine layers with rectifiers between them.
 
-    A GPU computes all members in one product per layer. A CPU computes them one after the other: two products of half
-    the size take as long as one, and the activations stay in the cache.
+    Members are computed one after the other: on a CPU two products of half the size take as long as one, and the
+    activations stay in the cache.
 
     Under autograd call `vector.requires_grad_()`, give `[vector]` to an optimiser of torch.optim and call the network.
 
@@ -68,63 +64,48 @@ class MLP:
 
     def __init__(self, shape: Shape, generator: torch.Generator, device: str) -> None:
         self.shape = shape
-        self._members = max(shape.members, 1)
-        self._shapes = list(shape.parameters().values())
-        size = sum(map(math.prod, self._shapes))
-        self.vector = torch.zeros(self._members * size, device=device)
+        members, sizes = max(shape.members, 1), [math.prod(size) for size in shape.parameters().values()]
+        self.vector = torch.zeros(members * sum(sizes), device=device)
         """All parameters, one member after the other. Change it in place."""
         self.gradient = torch.zeros_like(self.vector)
         """Result of the latest `backward`."""
-        for layer, fan_in in enumerate(shape.sizes[:-1]):
-            for name in (f"layer{layer}.weight", f"layer{layer}.bias"):
-                part = self._table_views(self.vector)[name]
+        self._table, gradients = self.vector.view(members, -1), self.gradient.view(members, -1)
+        for number, fan_in in enumerate(shape.sizes[:-1]):
+            for name in (f"layer{number}.weight", f"layer{number}.bias"):
+                part = self._views(self._table)[name]
                 part.copy_((torch.rand(part.shape, generator=generator) * 2 - 1) / fan_in**0.5)
-        last = math.prod(self._shapes[-2]) + math.prod(self._shapes[-1])
-        self._rounded = torch.zeros(
-            (self._members, size - last if shape.bfloat16 else 0), dtype=torch.bfloat16, device=device
-        )
+        hidden = sum(sizes[:-2]) if shape.bfloat16 else 0
+        self._rounded = torch.zeros((members, hidden), dtype=torch.bfloat16, device=device)
         """The hidden layers' parameters in bfloat16."""
         self._rounded_version = -1
         self._rounded_gradient = torch.zeros_like(self._rounded)
         """The gradient by the hidden layers' parameters in bfloat16, before it is copied to `gradient`."""
-        self._scratch = backprop.Scratch()
-        self._group(stacked=shape.members > 0 and self.vector.device.type != "cpu")
+        self._hidden_gradient = gradients[:, :hidden]
+        self._layers, self._rounded_layers = self._layers_in(self._table), self._layers_in(self._rounded)
+        self._gradients = self._layers_in(gradients)
+        rounded = self._layers_in(self._rounded_gradient)
+        self._rounded_gradients = [low + full[-1:] for low, full in zip(rounded, self._gradients, strict=True)]
 
-    def _group(self, *, stacked: bool) -> None:
-        """Choose which members are computed together, and make the views of each group's parameters."""
-        self._groups: list[slice | int] = [slice(0, self._members)] if stacked else list(range(self._members))
-        self._layers = self._affine_maps(self.vector)
-        self._gradients = self._views(self.gradient)
-        self._rounded_layers = self._affine_maps(self._rounded)
-        rounded = self._views(self._rounded_gradient)
-        self._rounded_gradients = [hidden + all_[-2:] for hidden, all_ in zip(rounded, self._gradients, strict=True)]
-
-    def _views(self, memory: Tensor) -> list[list[Tensor]]:
-        """Weights and biases of each group, as views of memory laid out like all parameters, or the hidden ones."""
-        table = memory.view(self._members, -1)
-        shapes = self._shapes if memory.dim() == 1 else self._shapes[:-2] if memory.numel() else []
-        views = []
-        for group in self._groups:
-            lead = (-1,) if isinstance(group, slice) else ()
-            parts = table[group].split_with_sizes([math.prod(shape) for shape in shapes], -1)
-            views.append([part.view(*lead, *shape) for part, shape in zip(parts, shapes, strict=True)])
-        return views
-
-    def _affine_maps(self, memory: Tensor) -> list[list[Affine]]:
-        return [
-            [affine_map(*pair) for pair in zip(views[::2], views[1::2], strict=True)] for views in self._views(memory)
-        ]
-
-    def _table_views(self, vector: Tensor) -> dict[str, Tensor]:
-        """Each parameter of all members, as a view: (members, ...)."""
+    def _views(self, memory: Tensor) -> dict[str, Tensor]:
+        """Each parameter, or each of the hidden layers, as a view (members, ...) of memory (members, numbers)."""
         shapes = self.shape.parameters()
-        parts = vector.view(self._members, -1).split_with_sizes([math.prod(shape) for shape in shapes.values()], 1)
+        if memory.dtype == torch.bfloat16:
+            shapes = dict(list(shapes.items())[:-2]) if memory.numel() else {}
+        parts = memory.split_with_sizes([math.prod(shape) for shape in shapes.values()], 1)
         return {name: part.view(-1, *shapes[name]) for name, part in zip(shapes, parts, strict=True)}
+
+    def _layers_in(self, memory: Tensor) -> list[list[Affine]]:
+        """The layers of each member, as views of memory."""
+        views = list(self._views(memory).values())
+        return [
+            [Affine(weight[member], bias[member, 0]) for weight, bias in zip(views[::2], views[1::2], strict=True)]
+            for member in range(len(memory))
+        ]
 
     @property
     def named(self) -> dict[str, Tensor]:
         """Each parameter, as a view: (members, ...), or without that axis."""
-        views = self._table_views(self.vector)
+        views = self._views(self._table)
         return views if self.shape.members else {name: view[0] for name, view in views.items()}
 
     def __call__(self, x: Tensor, *, exact: bool = False) -> Tensor:
@@ -140,34 +121,28 @@ class MLP:
         return self.forward(x, exact=exact)[0]
 
     def _hidden_layers(self, *, bfloat16: bool) -> list[list[Affine]]:
-        """The hidden layers of each group in the type they compute in, rounded again if `vector` has changed."""
+        """The hidden layers of each member in the type they compute in, rounded again if `vector` has changed."""
         if not bfloat16:
-            return [layers[:-1] for layers in self._layers]
+            return [each[:-1] for each in self._layers]
         if self._rounded_version != self.vector._version:
-            self._rounded.copy_(self.vector.view(self._members, -1)[:, : self._rounded.shape[1]])
+            self._rounded.copy_(self._table[:, : self._rounded.shape[1]])
             self._rounded_version = self.vector._version
         return self._rounded_layers
 
-    def forward(self, x: Tensor, *, exact: bool = False, first: bool = False) -> tuple[Tensor, list[Tape]]:
-        """Outputs as of a call, and a tape for each group of members, for `backward`.
-
-        With `first` only the first member is needed: the others are left out where members are computed one by one.
-        """
+    def forward(self, x: Tensor, *, exact: bool = False, members: int | None = None) -> tuple[Tensor, list[Tape]]:
+        """Outputs as of a call, and a tape of each member, for `backward`. With `members`: of the first ones alone."""
         bfloat16 = self.shape.bfloat16 and not exact
         if bfloat16:
             x = x.bfloat16()
-        count = 1 if first else len(self._groups)
         outputs, tapes = [], []
-        for hidden, layers in zip(self._hidden_layers(bfloat16=bfloat16)[:count], self._layers[:count], strict=True):
-            output, tape = backprop.forward(x, hidden, layers[-1], layer_norm=self.shape.layer_norm)
+        for hidden, each in zip(self._hidden_layers(bfloat16=bfloat16)[:members], self._layers, strict=False):
+            output, tape = layers.forward(x, hidden, each[-1], layer_norm=self.shape.layer_norm)
             outputs.append(output)
             tapes.append(tape)
-        if not self.shape.members or outputs[0].dim() == 3:
-            return outputs[0], tapes
-        return torch.stack(outputs), tapes
+        return torch.stack(outputs) if self.shape.members else outputs[0], tapes
 
     def backward(
-        self, gradient: Tensor, tapes: list[Tape], *, parameters: bool = True, columns: slice | None = None
+        self, gradient: Tensor, tapes: Sequence[Tape], *, parameters: bool = True, columns: slice | None = None
     ) -> Tensor | None:
         """From the gradient by the outputs to that by the parameters, written to `gradient`, and by the inputs.
 
@@ -182,22 +157,20 @@ class MLP:
         """
         bfloat16 = tapes[0].bfloat16
         total: Tensor | None = None
-        hidden_layers = self._hidden_layers(bfloat16=bfloat16)
+        hidden = self._hidden_layers(bfloat16=bfloat16)
         out = self._rounded_gradients if bfloat16 else self._gradients
-        for group, tape in enumerate(tapes):
-            last = self._layers[group][-1]
-            by_input = backprop.backward(
-                gradient[group] if self.shape.members and last.weight.dim() == 2 else gradient,
+        for member, tape in enumerate(tapes):
+            by_input = layers.backward(
+                gradient[member] if self.shape.members else gradient,
                 tape,
-                hidden_layers[group],
-                last,
-                out=out[group] if parameters else None,
+                hidden[member],
+                self._layers[member][-1],
+                out=out[member] if parameters else None,
                 columns=columns,
-                scratch=self._scratch,
             )
             total = by_input if total is None or by_input is None else total.add_(by_input)
         if parameters and bfloat16:
-            self.gradient.view(self._members, -1)[:, : self._rounded.shape[1]].copy_(self._rounded_gradient)
+            self._hidden_gradient.copy_(self._rounded_gradient)
         return total
 
     def copy(self) -> MLP:
@@ -250,26 +223,3 @@ class _Autograd(torch.autograd.Function):
 
 def _words(shapes: Mapping[str, tuple[int, ...]]) -> str:
     return ", ".join(f"{name} {'x'.join(map(str, dimensions))}" for name, dimensions in shapes.items())
-
-
-ALL = slice(None)
-
-
-def deployed(network: MLP, normaliser: Normaliser, output: Output, *, columns: slice = ALL) -> Deployed:
-    """Normaliser and network for use outside karolos, as copies on the CPU.
-
-    Args:
-        network: without members.
-        normaliser: of its inputs.
-        output: how the network's outputs become an action.
-        columns: of the outputs that the action needs.
-    """
-    parts = {name: to_array(part.detach()).copy() for name, part in network.named.items()}
-    layers = [
-        Layer(parts[f"layer{number}.weight"], parts[f"layer{number}.bias"].reshape(-1))
-        for number in range(len(network.shape.sizes) - 1)
-    ]
-    last = layers.pop()
-    layers.append(Layer(last.weight[columns], last.bias[columns]))
-    shift, scale = (to_array(part).copy() for part in normaliser.terms)
-    return Deployed(shift, scale, normaliser.clip, tuple(layers), output, EPSILON if network.shape.layer_norm else None)

@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-from collections.abc import Mapping
 from typing import Annotated, Any
 
 import torch
@@ -48,19 +47,17 @@ class Adam:
 
     Args:
         vector: the parameters, changed in place.
-        learning_rate: a constant, or a schedule by the agent's updates.
+        learning_rate: of the next step; it may be set before each.
         epsilon: added to the root of the second moment.
         norm: longer gradients are clipped to this length; None: never.
     """
 
     def __init__(
-        self, vector: Tensor, learning_rate: float | Linear, *, epsilon: float = 1e-8, norm: float | None = None
+        self, vector: Tensor, learning_rate: float, *, epsilon: float = 1e-8, norm: float | None = None
     ) -> None:
-        self._vector = vector
-        self._schedule = learning_rate if isinstance(learning_rate, Linear) else None
-        self.learning_rate = learning_rate.start if isinstance(learning_rate, Linear) else learning_rate
-        self._epsilon = epsilon
-        self.norm = norm
+        self._vector, self.learning_rate, self._epsilon, self._norm = vector, learning_rate, epsilon, norm
+        self._gradient = vector
+        self._length: Tensor | None = None
         self.steps = 0
         """Made so far."""
         self._state = {
@@ -69,27 +66,13 @@ class Adam:
             "exp_avg_sq": torch.zeros_like(vector),
         }
 
-    def step(
-        self, gradient: Tensor, name: str = "", *, update: int | None = None, report: bool = False
-    ) -> dict[str, Tensor]:
-        """Make a step.
-
-        Args:
-            gradient: of the vector's shape; it may be changed in place.
-            name: of the gradient's length in the result.
-            update: updates that the agent has made before this one, for the schedule of the learning rate; None: the
-                steps made, where every update makes one.
-            report: return the gradient's length before clipping. Measuring it takes a third of the step.
-        """
-        if self._schedule is not None:
-            self.learning_rate = self._schedule(self.steps if update is None else update)
+    def step(self, gradient: Tensor) -> None:
+        """Make a step with the gradient, of the vector's shape. A gradient that is too long is shortened in place."""
         self.steps += 1
-        metrics = {}
-        if report or self.norm is not None:
-            length = torch.linalg.vector_norm(gradient)
-            metrics = {name: length} if report else {}
-            if self.norm is not None:
-                gradient.mul_((self.norm / length).clamp_(max=1))
+        self._gradient = gradient
+        if self._norm is not None:
+            self._length = torch.linalg.vector_norm(gradient)
+            gradient.mul_((self._norm / self._length).clamp_(max=1))
         self._state["step"].add_(1)
         # The kernel of torch.optim.Adam(fused=True), whose Python takes longer than the kernel itself.
         torch._fused_adam_(
@@ -109,7 +92,10 @@ class Adam:
         )
         # The fused step does not count as a change of the vector, and networks look at its version.
         torch.autograd.graph.increment_version(self._vector)
-        return metrics
+
+    def gradient_norm(self) -> Tensor:
+        """The length of the latest step's gradient before clipping. Measuring it takes a third of the step."""
+        return torch.linalg.vector_norm(self._gradient) if self._length is None else self._length
 
     def state(self) -> State:
         return {name: value.clone() for name, value in self._state.items()}
@@ -118,8 +104,3 @@ class Adam:
         for name, value in self._state.items():
             value.copy_(torch.as_tensor(state[name]))
         self.steps = int(self._state["step"])
-
-
-def learning_rates(optimisers: Mapping[str, Adam]) -> dict[str, Tensor]:
-    """The learning rate of each optimiser's latest step, as metrics."""
-    return {f"{name}_learning_rate": torch.tensor(optimiser.learning_rate) for name, optimiser in optimisers.items()}

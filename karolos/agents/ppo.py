@@ -19,24 +19,21 @@ from ..core import Buffer, Discrete, FloatArray, Rollout, Signature, State
 from ..core.deployed import Deployed
 from ..core.seeding import SeedTree
 from ..errors import UsageError
-from .networks import MLP, Shape, deployed
-from .normaliser import Normaliser
-from .optimisation import Adam, Hidden, OptimiserSettings, learning_rates
-from .tensors import network_input, saturation, to_array
-from .torch_agent import TorchAgent
+from .inputs import Normaliser, to_array
+from .networks import MLP, Shape
+from .optimisation import Hidden, OptimiserSettings
+from .torch_agent import LOG_STD_BOUNDS, TorchAgent, saturation
 
-CLIP = 10.0
+PPO_INPUT_CLIP = 10.0
 """Bound of normalised inputs. A better policy reaches states far from those of the first ones, e.g. a cart far from the
 middle. Source: OpenAI baselines, VecNormalize (clipob)."""
 KL_SLACK = 1.5
 """Learning from a rollout ends when the policy has moved this many times `target_kl`. Source: OpenAI Spinning Up."""
-LOG_STD = (-5.0, 2.0)
-"""Bounds of the log standard deviation: below, log probabilities explode; above, clipping gives corners only."""
 RELU_GAIN = 2**0.5
 """Keeps the variance of activations through rectifiers. Source: He et al. 2015."""
 
 
-class Transitions(NamedTuple):
+class RolloutRows(NamedTuple):
     """The transitions of a rollout on the device: (n, ...)."""
 
     inputs: Tensor
@@ -49,8 +46,8 @@ class Transitions(NamedTuple):
     target: Tensor
     """Of the value: advantage + value."""
 
-    def rows(self, chosen: Tensor) -> Transitions:
-        return Transitions(*(field[chosen] for field in self))
+    def rows(self, chosen: Tensor) -> RolloutRows:
+        return RolloutRows(*(field[chosen] for field in self))
 
 
 class PPO(TorchAgent[Rollout]):
@@ -88,26 +85,20 @@ class PPO(TorchAgent[Rollout]):
     stored = learned
 
     def __init__(self, settings: PPO.Settings, signature: Signature, seeds: SeedTree, device: str = "cpu") -> None:
-        self.settings, self.device, self.discount = settings, torch.device(device), settings.discount
-        inputs = signature.observation.size + signature.desired_goal.size
-        generator = torch.Generator().manual_seed(seeds.child("weights").integer())
+        super().__init__(settings, signature, seeds, device, input_clip=PPO_INPUT_CLIP)
+        generator = self.weights_generator
         self.distribution: Gaussian | Categorical
         if isinstance(signature.action, Discrete):
             self.distribution = Categorical(len(signature.action.labels))
         else:
             self.distribution = Gaussian(signature.action.size, settings.std, device)
-        self.policy = MLP(Shape((inputs, *settings.hidden, self.distribution.columns)), generator, device)
+        self.policy = MLP(Shape((self.inputs, *settings.hidden, self.distribution.columns)), generator, device)
         make_orthogonal(self.policy, generator, last_gain=0.01)
-        self.value = Value((inputs, *settings.hidden), generator, device)
-        self.normaliser = Normaliser(inputs, device, clip=CLIP)
+        self.value = Value((self.inputs, *settings.hidden), generator, device)
         vectors = {"policy": self.policy.vector, "value": self.value.network.vector}
         if isinstance(self.distribution, Gaussian):
             vectors["std"] = self.distribution.log_std
-        self.optimisers = {
-            name: Adam(vector, settings.rate, epsilon=1e-5, norm=settings.gradient_norm)
-            for name, vector in vectors.items()
-        }
-        self.generator = torch.Generator(self.device).manual_seed(seeds.child("noise").integer())
+        self.optimisers = {name: self.adam(vector, epsilon=1e-5) for name, vector in vectors.items()}
 
     @torch.inference_mode()
     def act(
@@ -119,7 +110,7 @@ class PPO(TorchAgent[Rollout]):
         environments: NDArray[np.int64] | None = None,  # noqa: ARG002 (each step explores independently)
     ) -> FloatArray:
         """Actions (n, a) for observations (n, o) and goals (n, g): in [-1, 1], or unclipped when exploring."""
-        output = self.policy(network_input(observation, desired_goal, self.normaliser, self.device))
+        output = self.policy(self.network_input(observation, desired_goal))
         if explore:
             return to_array(self.distribution.sample(output, self.generator))
         return to_array(self.distribution.mode(output))
@@ -142,7 +133,7 @@ class PPO(TorchAgent[Rollout]):
         means = {name: torch.stack([metrics[name] for metrics in updates]).mean() for name in updates[0]}
         return means | self._rollout_metrics(transitions) | {"updates": len(updates)}
 
-    def update(self, minibatch: Transitions) -> dict[str, Tensor] | None:
+    def update(self, minibatch: RolloutRows) -> dict[str, Tensor] | None:
         """One gradient step of policy and value; None, without a step, if the policy has moved too far already."""
         settings = self.settings
         output, tapes = self.policy.forward(minibatch.inputs)
@@ -158,24 +149,25 @@ class PPO(TorchAgent[Rollout]):
         by_output = self.distribution.backward(output, minibatch.action, gradient, -settings.entropy / len(ratio))
         entropy = self.distribution.entropy(output).mean()
         self.policy.backward(by_output, tapes)
-        metrics = self.optimisers["policy"].step(self.policy.gradient, "gradient_norm", report=True)
+        self.set_learning_rates(self.optimisers["policy"].steps)
+        self.optimisers["policy"].step(self.policy.gradient)
         if isinstance(self.distribution, Gaussian):
             self.optimisers["std"].step(self.distribution.gradient)
             self.distribution.clamp_std()
 
-        metrics["value_loss"] = self.value.backward(
-            minibatch.inputs, minibatch.target, minibatch.value, settings.value_clip
-        )
-        metrics |= self.optimisers["value"].step(self.value.network.gradient, "value_gradient_norm", report=True)
+        value_loss = self.value.backward(minibatch.inputs, minibatch.target, minibatch.value, settings.value_clip)
+        self.optimisers["value"].step(self.value.network.gradient)
         return {
-            **metrics,
             "policy_loss": loss,
+            "value_loss": value_loss,
+            "gradient_norm": self.optimisers["policy"].gradient_norm(),
+            "value_gradient_norm": self.optimisers["value"].gradient_norm(),
             "kl": kl,
             "clip_fraction": ((ratio - 1).abs() > settings.clip).float().mean(),
             "entropy": entropy,
         }
 
-    def _transitions(self, rollout: Rollout) -> Transitions:
+    def _transitions(self, rollout: Rollout) -> RolloutRows:
         """The stored transitions, with advantages, values and log probabilities before learning from them."""
         size = rollout.reward.shape
         stored = torch.from_numpy(rollout.stored.ravel()).to(self.device)
@@ -195,13 +187,13 @@ class PPO(TorchAgent[Rollout]):
         log_probability = self.distribution.log_probability(self.policy(inputs), action)
         target = advantage + value
         self.value.update_scale(target)
-        return Transitions(inputs, action, log_probability, advantage, value, target)
+        return RolloutRows(inputs, action, log_probability, advantage, value, target)
 
     def _inputs(self, observation: FloatArray, goal: FloatArray) -> Tensor:
         """Observations (T, n, o) and goals (T, n, g) side by side, normalised: (T n, o + g)."""
         count = observation.shape[0] * observation.shape[1]
         observation, goal = (rows.reshape(count, rows.shape[2]) for rows in (observation, goal))
-        return network_input(observation, goal, self.normaliser, self.device)
+        return self.network_input(observation, goal)
 
     def check(self, buffer: Buffer[Any], *, demonstrations: bool) -> None:
         """Raise a UsageError if a rollout has fewer transitions than there are minibatches."""
@@ -224,14 +216,14 @@ class PPO(TorchAgent[Rollout]):
             order = torch.randperm(count, generator=self.generator, device=self.device)
             yield from order.tensor_split(self.settings.minibatches)
 
-    def _rollout_metrics(self, transitions: Transitions) -> dict[str, Tensor]:
+    def _rollout_metrics(self, transitions: RolloutRows) -> dict[str, Tensor]:
         """Metrics of a rollout as a whole."""
         unexplained = (transitions.target - transitions.value).var(correction=0)
         total = transitions.target.var(correction=0)
         metrics = {
             "explained_variance": torch.where(total > 0, 1 - unexplained / total, torch.zeros_like(total)),
             "value_mean": transitions.value.mean(),
-            **learning_rates(self.optimisers),
+            **self.learning_rates(),
         }
         if isinstance(self.distribution, Gaussian):
             metrics["action_saturation"] = saturation(transitions.action)
@@ -245,7 +237,7 @@ class PPO(TorchAgent[Rollout]):
 
     def deployed(self) -> Deployed:
         """The mean action, clipped to [-1, 1], or the most likely discrete one."""
-        return deployed(self.policy, self.normaliser, "clip" if isinstance(self.distribution, Gaussian) else "argmax")
+        return self.policy_arrays(self.policy, "clip" if isinstance(self.distribution, Gaussian) else "argmax")
 
 
 def advantages(
@@ -367,7 +359,7 @@ class Gaussian:
 
     def clamp_std(self) -> None:
         """Keep the standard deviation within its bounds; to be called after each step of the optimiser."""
-        self.log_std.clamp_(*LOG_STD)
+        self.log_std.clamp_(*LOG_STD_BOUNDS)
 
     def state(self) -> State:
         return {"log_std": self.log_std.clone()}

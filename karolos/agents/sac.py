@@ -1,4 +1,7 @@
-"""Soft actor-critic (Haarnoja et al. 2018, arXiv 1812.05905), with additions for robot tasks with sparse rewards."""
+"""Soft actor-critic (Haarnoja et al. 2018, arXiv 1812.05905), with additions for robot tasks with sparse rewards.
+
+Each loss stands with its gradient: under autograd an update takes 9 to 18 % longer (docs/what_was_tried.md).
+"""
 
 from __future__ import annotations
 
@@ -13,13 +16,13 @@ from torch import Tensor
 
 from ..core import Batch, Signature
 from ..core.seeding import SeedTree
-from .actor_critic import ActorCritic, ActorCriticSettings, imitation_loss
-from .backprop import Tape
-from .critics import QuantileCritic, Quantiles, ValueCritic
+from .actor_critic import ActorCritic, ActorCriticSettings, Critic, imitation_loss
+from .inputs import TensorBatch
 from .noise import NoiseSettings
-from .optimisation import Adam, learning_rates
-from .squashed_gaussian import Sample, log_probability, output_gradient, sample
-from .tensors import REPORT_EVERY, TensorBatch, is_observed, saturation, tensor_batch
+from .optimisation import Adam
+from .quantiles import QuantileCritic, Quantiles
+from .squashed_gaussian import Sample, sample
+from .torch_agent import Metrics, saturation
 
 
 class SAC(ActorCritic):
@@ -59,10 +62,10 @@ class SAC(ActorCritic):
     stored: tuple[str, ...] = ("policy", "critic", "target", "normaliser", "noise", "log_temperature")
 
     def __init__(self, settings: SAC.Settings, signature: Signature, seeds: SeedTree, device: str = "cpu") -> None:
-        kind = QuantileCritic(settings.critic) if settings.critic else ValueCritic()
+        kind = QuantileCritic(settings.critic) if settings.critic else Critic()
         super().__init__(settings, signature, seeds, device, critic_kind=kind, members=2, policy_columns=2)
         self.log_temperature = torch.full((1,), math.log(settings.temperature), device=self.device)
-        self.optimisers["temperature"] = Adam(self.log_temperature, settings.rate)
+        self.optimisers["temperature"] = Adam(self.log_temperature, settings.learning_rate)
         self._target_entropy = -float(self.actions) if settings.target_entropy is None else settings.target_entropy
 
     def explore(self, output: Tensor, noise: Tensor) -> Tensor:
@@ -70,128 +73,65 @@ class SAC(ActorCritic):
 
     @torch.inference_mode()
     def learn(self, batch: Batch) -> Mapping[str, Any]:
-        """One update: targets, critic step, policy step, temperature step, target networks."""
+        """One update: targets, critics, policy, temperature, target networks."""
         update, delay = self.optimisers["critic"].steps, self.settings.policy_delay
-        report, policy_turn = update % (REPORT_EVERY * delay) == 0, update % delay == 0
-        data = tensor_batch(batch, self.normaliser, self.device, observe=is_observed(update))
+        data = self.begin_update(batch, update)
+        policy_learns = update % delay == 0
         # One pass of the policy gives the actions in both s' and s: it changes after both are used.
-        actions, tapes = self.sample(data.both_inputs if policy_turn else data.next_input)
+        drawn = self.sample(data.both_inputs if policy_learns else data.next_input)
+        next_actions, actions = drawn.split(len(data.action))
 
-        metrics = self.critic_step(data, self.targets(data, actions), report=report)
-        if policy_turn:
-            count = len(data.action)
-            own = actions.rows(count)
-            temperature, log_probabilities = self.log_temperature.exp(), log_probability(own)
-            tapes = [tape.rows(count, count) for tape in tapes]
-            metrics |= self._policy_step(data, own, tapes, temperature, log_probabilities, update, report=report)
-            entropy = -log_probabilities.mean()
-            self._temperature_step(entropy, update)
-            if report:
-                metrics |= {"entropy": entropy, "temperature": temperature.squeeze(0)}
+        metrics = self.critic_step(data, self.targets(data, next_actions))
+        if policy_learns:
+            log_probability = actions.log_probability()
+            metrics |= self.policy_step(data, actions, log_probability)
+            metrics |= self.temperature_step(-log_probability.mean())
         self.target.follow(self.critic, self.settings.tau)
+        return self.report(metrics, update // delay)
 
-        if report:
-            metrics |= learning_rates(self.optimisers)
-        return metrics
-
-    def sample(self, inputs: Tensor) -> tuple[Sample, list[Tape]]:
-        """a ~ pi(. | s), with the tapes of the policy network."""
+    def sample(self, inputs: Tensor) -> Sample:
+        """a ~ pi(. | s)."""
         output, tapes = self.policy.forward(inputs)
         noise = torch.randn((len(inputs), self.actions), generator=self.generator, device=self.device)
-        return sample(output, noise), tapes
+        return sample(output, noise, tapes)
 
-    def targets(self, batch: TensorBatch, actions: Sample) -> Tensor:
+    def targets(self, batch: TensorBatch, next_actions: Sample) -> Tensor:
         """y = r + discount (Q'(s', a') - temperature log pi(a' | s')), clipped to the possible values: (n, k).
 
         Source: Haarnoja et al. 2018, equations 3 and 5. The entropy counts with `entropy_in_target` only.
-
-        Args:
-            batch: n transitions.
-            actions: a', the first n rows.
         """
-        count = len(batch.action)
-        outputs = self.target(torch.cat((batch.next_input, actions.action[:count]), 1))
-        value = self.critic_kind.target_values(outputs)
+        values = self.next_values(batch, next_actions.action)
         if self.settings.entropy_in_target:
-            value = value - (self.log_temperature.exp() * log_probability(actions)[:count]).unsqueeze(1)
-        return torch.addcmul(batch.reward.unsqueeze(1), batch.discount.unsqueeze(1), value).clamp_(*self.bounds)
+            values = values - (self.log_temperature.exp() * next_actions.log_probability()).unsqueeze(1)
+        return self.backup(batch, values)
 
-    def _policy_step(
-        self,
-        batch: TensorBatch,
-        own: Sample,
-        tapes: list[Tape],
-        temperature: Tensor,
-        log_probabilities: Tensor,
-        update: int,
-        *,
-        report: bool,
-    ) -> dict[str, Any]:
-        """One gradient step of the policy.
+    def policy_step(self, batch: TensorBatch, own: Sample, log_probability: Tensor) -> Metrics:
+        """One gradient step of the policy on L = sum_i weight_i (temperature log pi(a_i | s_i) - Q(s_i, a_i)).
 
-        Args:
-            batch: n transitions.
-            own: the policy's actions in s.
-            tapes: of the policy network's pass that gave them.
-            temperature: (1,).
-            log_probabilities: log pi(own | s), (n,).
-            update: updates made before this one.
-            report: whether metrics are wanted.
+        Source: Haarnoja et al. 2018, equation 7; the action is reparameterised (equation 9). d L / d log pi =
+        temperature weight.
         """
-        settings, kind = self.settings, self.critic_kind
-        outputs, critic_tapes = self.critic.forward(torch.cat((batch.input, own.action), 1))
-        value = kind.policy_value(outputs)
-        action_gradient = self.critic.backward(
-            kind.policy_value_gradient(outputs, value, -batch.weight),
-            critic_tapes,
-            parameters=False,
-            columns=slice(batch.input.shape[1], None),
-        )
-        assert action_gradient is not None
-        if settings.action_penalty:
-            action_gradient.add_(own.action, alpha=2 * settings.action_penalty / own.action.numel())
-        gradient = policy_gradient(own, action_gradient, temperature, batch.weight)
-        metrics: dict[str, Any] = {}
-        if settings.imitation and batch.demonstrated is not None:
-            mode = torch.tanh(own.unbounded - own.shift)
-            demonstrated, current = (
-                kind.policy_value(self.critic(torch.cat((batch.input, action), 1))) for action in (batch.action, mode)
-            )
-            metrics["imitation_loss"], mode_gradient = imitation_loss(mode, demonstrated > current, batch)
-            gradient[:, : self.actions] += settings.imitation * mode_gradient * (1 - mode.square())
-        metrics |= self.optimise_policy(gradient, tapes, update, report=report)
-        if report:
-            metrics["policy_loss"] = policy_loss(value, log_probabilities, temperature, batch.weight)
-            metrics["action_saturation"] = saturation(own.action)
-        return metrics
+        temperature = self.log_temperature.exp()
+        values, by_action = self.values_and_gradient(batch, own.action)
+        by_output = own.backward(by_action, temperature * batch.weight)
+        metrics: Metrics = {
+            "policy_loss": lambda: torch.dot(batch.weight, temperature * log_probability - values),
+            "action_saturation": lambda: saturation(own.action),
+        }
+        if self.settings.imitation and batch.demonstrated is not None:
+            mode = own.mode()
+            preferred = self.values(batch, batch.action) > self.values(batch, mode)
+            metrics["imitation_loss"], by_mode = imitation_loss(mode, preferred, batch)
+            by_output[:, : self.actions] += self.settings.imitation * by_mode * (1 - mode.square())
+        return metrics | self.step_policy(by_output, own.tapes)
 
-    def _temperature_step(self, entropy: Tensor, update: int) -> None:
-        """One gradient step of the log temperature, which rises while the entropy is below its target."""
-        self.optimisers["temperature"].step(temperature_gradient(entropy, self._target_entropy), update=update)
+    def temperature_step(self, entropy: Tensor) -> Metrics:
+        """One gradient step on L = log temperature (entropy - target): it rises while the entropy is below its target.
+
+        Source: Haarnoja et al. 2018, equation 18, with log temperature in place of the temperature, as in their code.
+        """
+        temperature = self.log_temperature.exp()
+        self.optimisers["temperature"].step((entropy - self._target_entropy).view(1))
         if self.settings.temperature_min:
             self.log_temperature.clamp_(min=math.log(self.settings.temperature_min))
-
-
-def policy_loss(value: Tensor, log_probabilities: Tensor, temperature: Tensor, weight: Tensor) -> Tensor:
-    """L = sum_i weight_i (temperature log pi(a_i | s_i) - Q(s_i, a_i)). Source: Haarnoja et al. 2018, equation 7."""
-    return torch.dot(weight, temperature * log_probabilities - value)
-
-
-def policy_gradient(own: Sample, action_gradient: Tensor, temperature: Tensor, weight: Tensor) -> Tensor:
-    """The gradient of the loss by the policy network's output, (n, 2 a); the action is reparameterised (equation 9).
-
-    Args:
-        own: a_i, (n, a).
-        action_gradient: - weight dQ/da, (n, a), and the gradients of the additional terms.
-        temperature: (1,). d loss / d log pi = temperature weight.
-        weight: (n,).
-    """
-    return output_gradient(own, action_gradient, temperature * weight)
-
-
-def temperature_gradient(entropy: Tensor, target: float) -> Tensor:
-    """The gradient of L = log temperature (entropy - target) by the log temperature: (1,).
-
-    Source: Haarnoja et al. 2018, equation 18, with log temperature in place of the temperature, as in their code.
-    """
-    return (entropy - target).view(1)
+        return {"entropy": entropy, "temperature": temperature.squeeze(0)}

@@ -3,14 +3,15 @@
 from __future__ import annotations
 
 import math
+from collections.abc import Iterable
 from typing import NamedTuple
 
 import torch
 from torch import Tensor
 from torch.nn import functional
 
-LOG_STD = (-5.0, 2.0)
-"""Bounds of the log standard deviation: below, log probabilities explode; above, tanh gives corners only."""
+from .layers import Tape
+from .torch_agent import LOG_STD_BOUNDS
 
 
 class Sample(NamedTuple):
@@ -30,39 +31,45 @@ class Sample(NamedTuple):
     """Whether s is the network's output itself."""
     noise: Tensor
     """e"""
+    tapes: tuple[Tape, ...] = ()
+    """Of the policy network's pass."""
 
-    def rows(self, first: int) -> Sample:
-        """The rows from `first` on."""
-        return Sample(*(field[first:] for field in self))
+    def split(self, count: int) -> tuple[Sample, Sample]:
+        """The first `count` rows without tapes, and the others with them."""
+        *fields, tapes = self
+        first = Sample._make([*(field[:count] for field in fields), ()])
+        return first, Sample._make([*(field[count:] for field in fields), tuple(tape.rows(count) for tape in tapes)])
+
+    def mode(self) -> Tensor:
+        """tanh(m)"""
+        return torch.tanh(self.unbounded - self.shift)
+
+    def log_probability(self) -> Tensor:
+        """Log densities of the actions, (n,).
+
+        log(1 - tanh(u)^2) is computed as 2 (log 2 - u - softplus(-2 u)), which is finite for any u.
+        """
+        gaussian = torch.addcmul(self.log_std, self.noise, self.noise, value=0.5)
+        soft = functional.softplus(self.unbounded, beta=-2)  # - softplus(-2 u) / 2
+        correction = torch.sub(self.unbounded, soft, alpha=2)
+        constant = self.action.shape[-1] * (0.5 * math.log(2 * math.pi) + 2 * math.log(2))
+        return -constant - gaussian.sub_(correction, alpha=2).sum(-1)
+
+    def backward(self, by_action: Tensor, by_log_probability: Tensor) -> Tensor:
+        """The gradient by the network's output (n, 2 a) from those by actions (n, a) and log probabilities (n,).
+
+        d tanh(u) / du = 1 - tanh(u)^2, d log p / du = 2 tanh(u), d log p / ds = -1 at fixed u, du / ds = exp(s) e.
+        """
+        column = by_log_probability.unsqueeze(-1)
+        by_mean = torch.ops.aten.tanh_backward(by_action, self.action).addcmul_(column, self.action, value=2)
+        by_log_std = (by_mean * self.shift).sub_(column).mul_(self.unclamped)
+        return torch.cat((by_mean, by_log_std), -1)
 
 
-def sample(output: Tensor, noise: Tensor) -> Sample:
+def sample(output: Tensor, noise: Tensor, tapes: Iterable[Tape] = ()) -> Sample:
     """Actions from the network's output (n, 2 a), mean and log standard deviation, and standard normal noise (n, a)."""
     mean, raw = output.chunk(2, -1)
-    log_std = raw.clamp(*LOG_STD)
+    log_std = raw.clamp(*LOG_STD_BOUNDS)
     shift = log_std.exp() * noise
     unbounded = mean + shift
-    return Sample(torch.tanh(unbounded), unbounded, shift, log_std, raw == log_std, noise)
-
-
-def log_probability(drawn: Sample) -> Tensor:
-    """Log densities of the actions, (n,).
-
-    log(1 - tanh(u)^2) is computed as 2 (log 2 - u - softplus(-2 u)), which is finite for any u.
-    """
-    gaussian = torch.addcmul(drawn.log_std, drawn.noise, drawn.noise, value=0.5)
-    soft = functional.softplus(drawn.unbounded, beta=-2)  # - softplus(-2 u) / 2
-    correction = torch.sub(drawn.unbounded, soft, alpha=2)
-    constant = drawn.action.shape[-1] * (0.5 * math.log(2 * math.pi) + 2 * math.log(2))
-    return -constant - gaussian.sub_(correction, alpha=2).sum(-1)
-
-
-def output_gradient(drawn: Sample, action_gradient: Tensor, log_probability_gradient: Tensor) -> Tensor:
-    """The gradient by the network's output (n, 2 a) from those by actions (n, a) and log probabilities (n,).
-
-    d tanh(u) / du = 1 - tanh(u)^2, d log p / du = 2 tanh(u), d log p / ds = -1 at fixed u, du / ds = exp(s) e.
-    """
-    column = log_probability_gradient.unsqueeze(-1)
-    by_mean = torch.ops.aten.tanh_backward(action_gradient, drawn.action).addcmul_(column, drawn.action, value=2)
-    by_log_std = (by_mean * drawn.shift).sub_(column).mul_(drawn.unclamped)
-    return torch.cat((by_mean, by_log_std), -1)
+    return Sample(torch.tanh(unbounded), unbounded, shift, log_std, raw == log_std, noise, tuple(tapes))

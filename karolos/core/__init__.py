@@ -13,7 +13,7 @@ from .experience import Batch, Experience, Rollout, Step, Transitions
 from .goals import GoalRule
 from .layout import Discrete, Field, Layout
 from .memory import FLOAT_BYTES, MemoryNeed
-from .orchestrator import Failure, Orchestrator, Received
+from .orchestrator import BuildEnvironment, Failure, Orchestrator, Received
 from .settings import AgentSettings, Settings
 from .signature import Signature, random_actions
 
@@ -25,6 +25,7 @@ __all__ = [
     "Batch",
     "BoolArray",
     "Buffer",
+    "BuildEnvironment",
     "Discrete",
     "Environment",
     "Experience",

@@ -11,8 +11,8 @@ import torch
 from support.parts import batch, signature
 
 from karolos.agents.ddpg import DDPG
+from karolos.agents.inputs import tensor_batch
 from karolos.agents.td3 import TD3
-from karolos.agents.tensors import tensor_batch
 from karolos.core import Discrete, Signature
 from karolos.core.seeding import SeedTree
 from karolos.errors import UsageError

@@ -12,7 +12,7 @@ from pydantic import ValidationError
 from support.parts import batch, signature
 
 from karolos.agents.dqn import DQN
-from karolos.agents.tensors import TensorBatch, tensor_batch
+from karolos.agents.inputs import TensorBatch, tensor_batch
 from karolos.buffers.uniform import Uniform
 from karolos.core import Discrete, Signature, Transitions
 from karolos.core.seeding import SeedTree

@@ -11,9 +11,9 @@ from support.parts import batch, signature
 
 from karolos.agents.actor_critic import imitation_loss
 from karolos.agents.ddpg import DDPG
+from karolos.agents.inputs import tensor_batch
 from karolos.agents.sac import SAC
 from karolos.agents.td3 import TD3
-from karolos.agents.tensors import tensor_batch
 from karolos.core import Agent, Batch
 from karolos.core.seeding import SeedTree
 

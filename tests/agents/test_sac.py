@@ -12,8 +12,9 @@ from pydantic import ValidationError
 from support.parts import batch, signature
 from support.states import assert_same_state
 
+from karolos.agents.inputs import TensorBatch, tensor_batch
 from karolos.agents.sac import SAC
-from karolos.agents.tensors import ALL_OBSERVED, OBSERVED_EVERY, TensorBatch, tensor_batch
+from karolos.agents.torch_agent import ALL_OBSERVED, OBSERVED_EVERY
 from karolos.core import Batch, Discrete, Signature
 from karolos.core.seeding import SeedTree
 from karolos.errors import UsageError
@@ -33,7 +34,7 @@ def values(agent: SAC, of: Batch) -> torch.Tensor:
 
 def targets_of(agent: SAC, inputs: TensorBatch) -> torch.Tensor:
     with torch.no_grad():
-        return agent.targets(inputs, agent.sample(inputs.next_input)[0])
+        return agent.targets(inputs, agent.sample(inputs.next_input))
 
 
 def leaves(state: Any) -> list[Any]:
@@ -82,7 +83,7 @@ def test_the_target_counts_the_entropy_of_the_next_action_as_a_gain_only_when_as
     plain = make(clip_targets=False)
     soft = make(temperature=2.0, entropy_in_target=True, clip_targets=False)
     data = tensor_batch(batch(64, signature(), discount=0.5), plain.normaliser, plain.device)
-    next_actions, _ = soft.sample(data.next_input)
+    next_actions = soft.sample(data.next_input)
     difference = soft.targets(data, next_actions) - plain.targets(data, next_actions)
     head = soft.policy(data.next_input)
     gaussian = torch.distributions.Normal(head[:, :2], head[:, 2:].exp())

@@ -7,7 +7,8 @@ import pytest
 import torch
 from torch.distributions import Independent, Normal, TanhTransform, TransformedDistribution
 
-from karolos.agents.squashed_gaussian import LOG_STD, log_probability, output_gradient, sample
+from karolos.agents.squashed_gaussian import sample
+from karolos.agents.torch_agent import LOG_STD_BOUNDS
 
 
 def noise_for(head: torch.Tensor, seed: int) -> torch.Tensor:
@@ -20,7 +21,7 @@ def test_log_probability_is_that_of_a_tanh_transformed_gaussian() -> None:
     mean, log_std = head.chunk(2, -1)
     squashed = TransformedDistribution(Normal(mean, log_std.exp()), TanhTransform(cache_size=1))
     expected = Independent(squashed, 1).log_prob(drawn.action)
-    torch.testing.assert_close(log_probability(drawn), expected, rtol=1e-4, atol=1e-4)
+    torch.testing.assert_close(drawn.log_probability(), expected, rtol=1e-4, atol=1e-4)
 
 
 def test_the_gradient_is_that_of_autograd() -> None:
@@ -29,8 +30,8 @@ def test_the_gradient_is_that_of_autograd() -> None:
     drawn = sample(head, noise_for(head, 1).double())
     assert not drawn.unclamped.all()
     for_action, for_log_probability = noise_for(head, 2).double(), noise_for(head, 3)[:, 0].double()
-    loss = (drawn.action * for_action).sum() + (log_probability(drawn) * for_log_probability).sum()
-    found = output_gradient(drawn, for_action, for_log_probability)
+    loss = (drawn.action * for_action).sum() + (drawn.log_probability() * for_log_probability).sum()
+    found = drawn.backward(for_action, for_log_probability)
     torch.testing.assert_close(found, torch.autograd.grad(loss, head)[0])
 
 
@@ -38,11 +39,11 @@ def test_log_probability_and_its_gradient_stay_finite_where_tanh_saturates() -> 
     head = torch.tensor([[40.0, -40.0, 2.0, 9.0]])
     drawn = sample(head, noise_for(head, 0))
     assert drawn.action.abs().min() == 1
-    assert torch.isfinite(log_probability(drawn)).all()
-    assert torch.isfinite(output_gradient(drawn, torch.ones(1, 2), torch.ones(1))).all()
+    assert torch.isfinite(drawn.log_probability()).all()
+    assert torch.isfinite(drawn.backward(torch.ones(1, 2), torch.ones(1))).all()
 
 
-@pytest.mark.parametrize(("log_std", "clamped"), [(-50.0, LOG_STD[0]), (50.0, LOG_STD[1]), (0.5, 0.5)])
+@pytest.mark.parametrize(("log_std", "clamped"), [(-50.0, LOG_STD_BOUNDS[0]), (50.0, LOG_STD_BOUNDS[1]), (0.5, 0.5)])
 def test_spread_is_clamped(log_std: float, clamped: float) -> None:
     head = torch.tensor([[0.0, log_std]]).expand(50_000, 2)
     unbounded = torch.atanh(sample(head, noise_for(head, 0)).action.double())

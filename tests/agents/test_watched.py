@@ -18,7 +18,7 @@ from karolos.agents.dqn import DQN
 from karolos.agents.ppo import PPO
 from karolos.agents.sac import SAC
 from karolos.agents.td3 import TD3
-from karolos.agents.tensors import REPORT_EVERY
+from karolos.agents.torch_agent import REPORT_EVERY
 from karolos.core import Discrete, Rollout, Signature
 from karolos.core.seeding import SeedTree
 

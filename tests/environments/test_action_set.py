@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import warnings
 from collections.abc import Iterator
+from functools import partial
 from typing import Any
 
 import gymnasium
@@ -125,7 +126,7 @@ def test_an_index_is_found_in_any_form_it_travels_in() -> None:
 def test_workers_take_the_set_and_give_the_same_episode_as_the_environment_itself() -> None:
     bare = made()
     expected = [bare.reset(5), *(bare.step(np.array(index)) for index in (0, 6, 3))]
-    with Local(Local.Settings(processes=1, environments=1), recipe()) as orchestrator:
+    with Local(Local.Settings(processes=1, environments=1), partial(build_environment, recipe())) as orchestrator:
         assert orchestrator.signature.action == bare.signature.action
         orchestrator.reset([0], [5])
         found = [orchestrator.receive().step]

@@ -8,7 +8,7 @@ from hypothesis import given, settings
 from hypothesis import strategies as st
 from hypothesis.extra import numpy as hnp
 
-from karolos.agents.normaliser import CLIP, SMALLEST_SPREAD, Normaliser
+from karolos.agents.inputs import INPUT_CLIP, SMALLEST_SPREAD, Normaliser
 
 NUMBERS = st.floats(-1000, 1000, width=32)
 
@@ -36,4 +36,4 @@ def test_outliers_are_clipped_and_columns_that_stand_still_not_blown_up() -> Non
     normaliser = Normaliser(2, "cpu")
     normaliser.update(torch.tensor([[0.0, 3.0], [1.0, 3.0]]))
     normal = normaliser(torch.tensor([[1e6, 3.001], [-1e6, 3.0]]))
-    torch.testing.assert_close(normal, torch.tensor([[CLIP, 0.1], [-CLIP, 0.0]]), atol=1e-4, rtol=0)
+    torch.testing.assert_close(normal, torch.tensor([[INPUT_CLIP, 0.1], [-INPUT_CLIP, 0.0]]), atol=1e-4, rtol=0)

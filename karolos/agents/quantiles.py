@@ -1,12 +1,6 @@
-"""Critics: how the outputs of their networks represent a return, and the loss that follows from it.
-
-The networks of all critics are members of one `MLP`; outputs have the shape (members, n, outputs).
-"""
+"""Critics that give quantiles of the return: TQC (Kuznetsov et al. 2020, arXiv 2005.04269)."""
 
 from __future__ import annotations
-
-import math
-from typing import Any, Protocol
 
 import torch
 from pydantic import Field as Setting
@@ -14,7 +8,7 @@ from pydantic import model_validator
 from torch import Tensor
 
 from ..core import Settings as BaseSettings
-from ..core import Signature
+from .actor_critic import Critic
 
 
 class Quantiles(BaseSettings):
@@ -30,64 +24,15 @@ class Quantiles(BaseSettings):
         return self
 
 
-class Critic(Protocol):
-    """What an agent asks of the outputs of its critics."""
-
-    columns: int
-    """Outputs of each network."""
-
-    def target_values(self, outputs: Tensor) -> Tensor:
-        """Values of the next state for the critics' targets: (n, k), ascending."""
-
-    def loss(self, outputs: Tensor, targets: Tensor, weight: Tensor) -> tuple[Tensor, Tensor]:
-        """The critics' loss, and its gradient by the outputs.
-
-        Args:
-            outputs: (members, n, columns).
-            targets: (n, k), ascending.
-            weight: of each row, (n,).
-        """
-
-    def mean(self, outputs: Tensor) -> Tensor:
-        """The mean of the last axis of outputs or targets: the expected return."""
-
-    def policy_value(self, outputs: Tensor) -> Tensor:
-        """The value that the policy maximises: (n,)."""
-
-    def policy_value_gradient(self, outputs: Tensor, value: Tensor, gradient: Tensor) -> Tensor:
-        """The gradient by the outputs, from `gradient` (n,) by `value`, the result of `policy_value`."""
-
-
-class ValueCritic:
-    """Each network gives the value itself. The smallest one counts (Fujimoto et al. 2018, equation 10)."""
-
-    columns = 1
-
-    def target_values(self, outputs: Tensor) -> Tensor:
-        return outputs.amin(0)
-
-    def loss(self, outputs: Tensor, targets: Tensor, weight: Tensor) -> tuple[Tensor, Tensor]:
-        return squared_loss(outputs, targets, weight)
-
-    def mean(self, outputs: Tensor) -> Tensor:
-        return outputs.squeeze(-1)
-
-    def policy_value(self, outputs: Tensor) -> Tensor:
-        return outputs.squeeze(-1).amin(0)
-
-    def policy_value_gradient(self, outputs: Tensor, value: Tensor, gradient: Tensor) -> Tensor:
-        return (outputs == value.unsqueeze(1)) * gradient.unsqueeze(1)
-
-
-class QuantileCritic:
-    """Each network gives quantiles of the return: TQC (Kuznetsov et al. 2020, arXiv 2005.04269)."""
+class QuantileCritic(Critic):
+    """Each network gives quantiles of the return. Targets leave the `drop` x members largest out."""
 
     def __init__(self, settings: Quantiles) -> None:
         self.columns = settings.quantiles
         self._drop = settings.drop
 
     def target_values(self, outputs: Tensor) -> Tensor:
-        """The quantiles of all critics together, without the `drop` x members largest."""
+        """The quantiles of all critics together, (n, k), ascending."""
         members, _, quantiles = outputs.shape
         pooled = outputs.movedim(0, 1).flatten(1)
         return pooled.sort(dim=1).values[:, : members * (quantiles - self._drop)]
@@ -103,21 +48,6 @@ class QuantileCritic:
 
     def policy_value_gradient(self, outputs: Tensor, value: Tensor, gradient: Tensor) -> Tensor:  # noqa: ARG002
         return (gradient / (outputs.shape[0] * outputs.shape[2])).view(1, -1, 1).expand_as(outputs)
-
-
-def squared_loss(outputs: Tensor, targets: Tensor, weight: Tensor) -> tuple[Tensor, Tensor]:
-    """sum over members and rows of weight (Q - y)^2, and its gradient 2 weight (Q - y) by Q.
-
-    Source: Fujimoto et al. 2018, algorithm 1; Haarnoja et al. 2018, equation 5, with twice its factor.
-
-    Args:
-        outputs: Q, (members, n, 1).
-        targets: y, (n, 1).
-        weight: (n,).
-    """
-    errors = outputs - targets
-    gradient = errors * weight.unsqueeze(1)
-    return torch.dot(gradient.view(-1), errors.view(-1)), gradient.mul_(2)
 
 
 def quantile_huber_loss(outputs: Tensor, targets: Tensor, weight: Tensor) -> tuple[Tensor, Tensor]:
@@ -171,33 +101,3 @@ def _huber_sums(targets: Tensor, values: Tensor) -> tuple[tuple[Tensor, Tensor],
     linear_above = sums[0][:, -1:] - high[0] - far_above * (values + 0.5)
     below = (squared_below + linear_below, counts[0] - distance_below)
     return below, (squared_above + linear_above, -distance_above - far_above)
-
-
-def critic_metrics(loss: Tensor, values: Tensor, targets: Tensor, *, report: bool) -> dict[str, Any]:
-    """Priorities, and with `report` the metrics of a critic step.
-
-    Args:
-        loss: a scalar.
-        values: of each critic, (members, n).
-        targets: their targets, (n,).
-        report: False: priorities alone.
-    """
-    priorities = (values - targets).abs_().amax(0)
-    if not report:
-        return {"priorities": priorities}
-    return {
-        "critic_loss": loss,
-        "value_mean": values.mean(),
-        "value_max": values.max(),
-        "target_mean": targets.mean(),
-        "priorities": priorities,
-    }
-
-
-def value_bounds(signature: Signature, discount: float, *, clip: bool) -> tuple[float, float]:
-    """The least and the largest value that the declared reward range allows; infinite without `clip`."""
-    if not clip:
-        return -math.inf, math.inf
-    low, high = signature.reward_range
-    forever = 1 / (1 - discount)  # the return of a reward of 1 at each step; a termination can leave a single step
-    return min(low, low * forever), max(high, high * forever)

@@ -1,0 +1,121 @@
+"""From the arrays of an environment or a buffer to the tensors that agents compute with, normalised, and back."""
+
+from __future__ import annotations
+
+from typing import NamedTuple
+
+import numpy as np
+import torch
+from torch import Tensor
+
+from ..core import Batch, FloatArray, State
+
+INPUT_CLIP = 5.0
+"""Default bound of normalised inputs. Source: OpenAI baselines, HER (norm_clip)."""
+SMALLEST_SPREAD = 0.01
+"""Lower bound of a column's standard deviation. Source: OpenAI baselines, HER (norm_eps)."""
+
+
+class Normaliser:
+    """Running mean and standard deviation of columns (merged as in Chan et al. 1979).
+
+    Only `update` changes the statistics; acting and tests leave them unchanged.
+
+    Args:
+        columns: how many.
+        device: where the statistics live.
+        clip: normalised columns are clipped to +- this.
+    """
+
+    def __init__(self, columns: int, device: torch.device | str, *, clip: float = INPUT_CLIP) -> None:
+        self.clip = clip
+        self.count = 0
+        """Rows seen so far."""
+        self.mean = torch.zeros(columns, dtype=torch.float64, device=device)
+        self._squares = torch.zeros(columns, dtype=torch.float64, device=device)
+        self.shift = torch.zeros(columns, device=device)
+        """Of `(x - shift) * scale`: float32, (columns,)."""
+        self.scale = torch.ones(columns, device=device)
+
+    @property
+    def spread(self) -> Tensor:
+        """Standard deviation of each column, at least SMALLEST_SPREAD; 1 before the first update."""
+        if not self.count:
+            return torch.ones_like(self._squares)
+        return (self._squares / self.count).sqrt_().clamp_(min=SMALLEST_SPREAD)
+
+    def update(self, rows: Tensor) -> None:
+        """Add rows (n, columns) to the statistics."""
+        self.count += rows.shape[0]
+        deviation = rows.double().sub_(self.mean)  # from the current mean, so that the sums of squares stay exact
+        sums = deviation.sum(0)
+        change = sums / self.count
+        self._squares.add_(deviation.square_().sum(0)).addcmul_(sums, change, value=-1)
+        self.mean.add_(change)
+        self._refresh()
+
+    def _refresh(self) -> None:
+        self.shift.copy_(self.mean)
+        self.scale.copy_(self.spread.reciprocal_())
+
+    def __call__(self, rows: Tensor) -> Tensor:
+        """(n, columns) normalised and clipped; a new tensor."""
+        return (rows - self.shift).mul_(self.scale).clamp_(-self.clip, self.clip)
+
+    def state(self) -> State:
+        return {"count": self.count, "mean": self.mean.clone(), "squares": self._squares.clone()}
+
+    def load_state(self, state: State) -> None:
+        self.count = int(state["count"])
+        self.mean.copy_(torch.as_tensor(state["mean"]))
+        self._squares.copy_(torch.as_tensor(state["squares"]))
+        self._refresh()
+
+
+class TensorBatch(NamedTuple):
+    """A batch on the device. Observation and goal stand side by side, normalised: the input of a network."""
+
+    both_inputs: Tensor
+    """(2 n, columns): `next_input` above `input`."""
+    next_input: Tensor
+    input: Tensor
+    action: Tensor
+    reward: Tensor
+    discount: Tensor
+    """Of the next state's value; 0 after a terminated transition."""
+    weight: Tensor
+    """Of each transition in a loss: its importance weight / n. A loss is the weighted sum over the batch."""
+    demonstrated: Tensor | None
+    """1 where the action is to be imitated, else 0: (n,)."""
+
+
+def tensor_batch(batch: Batch, normaliser: Normaliser, device: torch.device, *, observe: bool = True) -> TensorBatch:
+    """The batch as tensors. With `observe` its inputs, relabelled goals included, first enter the statistics."""
+    count, columns = batch.observation.shape
+    rows = np.empty((2 * count, columns + batch.desired_goal.shape[1]), np.float32)
+    rows[:count, :columns] = batch.next_observation
+    rows[count:, :columns] = batch.observation
+    rows[:count, columns:] = rows[count:, columns:] = batch.desired_goal
+
+    def tensor(array: FloatArray) -> Tensor:
+        return torch.from_numpy(array).to(device)
+
+    unscaled = tensor(rows)
+    if observe:
+        normaliser.update(unscaled[count:])
+    both = normaliser(unscaled)
+    return TensorBatch(
+        both_inputs=both,
+        next_input=both[:count],
+        input=both[count:],
+        action=tensor(batch.action),
+        reward=tensor(batch.reward),
+        discount=tensor(batch.discount * (1 - batch.terminated)),
+        weight=tensor(batch.weight / np.float32(count)),
+        demonstrated=None if batch.demonstrated is None else tensor(batch.demonstrated),
+    )
+
+
+def to_array(tensor: Tensor) -> FloatArray:
+    array: FloatArray = tensor.cpu().numpy()
+    return array
