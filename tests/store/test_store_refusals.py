@@ -29,11 +29,11 @@ def test_locked_database_is_told_after_the_time_limit(store: Store, tmp_path: Pa
     with database(store) as other:
         other.execute("BEGIN EXCLUSIVE")
         with pytest.raises(StoreError, match=r"karolos\.sqlite: another process keeps the database locked; wait for"):
-            store.update_run(run.summary())
+            store.add_records([run.record()])
         with pytest.raises(StoreError, match="another process keeps the database locked"):
             store.runs()
         other.execute("ROLLBACK")
-    store.update_run(run.summary())
+    store.add_records([run.record()])
 
 
 def test_reader_does_not_wait_for_a_writer(store: Store, tmp_path: Path) -> None:
@@ -99,7 +99,7 @@ def test_database_removed_while_a_run_goes_on_is_told_and_not_created_again(stor
     run = new_run(store, tmp_path)
     Path(store.database.url.database or "").unlink()
     with pytest.raises(StoreError, match="the database cannot be opened"):
-        store.update_run(run.summary())
+        store.add_records([run.record()])
     assert not Path(store.database.url.database or "").exists()
 
 
