@@ -197,7 +197,7 @@ def _peer_steps(robot: str, task: str, processes: int, amounts: Amounts, _: int)
     """Steps per second of gymnasium's vector environment; its processes have one environment each."""
     from gymnasium.vector import AsyncVectorEnv, SyncVectorEnv  # noqa: PLC0415  (takes a while)
 
-    from ..environments.gymnasium_export import RobotTaskEnv  # noqa: PLC0415
+    from ..environments.gymnasium.export import RobotTaskEnv  # noqa: PLC0415
 
     make: Callable[[], Any] = partial(RobotTaskEnv, robot, task)
     together: VectorEnv[Any, Any, Any]

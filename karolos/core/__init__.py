@@ -8,7 +8,7 @@ next state is 0) or `truncated` (the next state has a value). Continuous actions
 from .agent import Agent
 from .arrays import Array, BoolArray, FloatArray, State
 from .buffer import Buffer
-from .environment import Environment
+from .environment import Environment, Expert
 from .experience import Batch, Experience, Rollout, Step, Transitions
 from .goals import GoalRule
 from .layout import Discrete, Field, Layout
@@ -29,6 +29,7 @@ __all__ = [
     "Discrete",
     "Environment",
     "Experience",
+    "Expert",
     "Failure",
     "Field",
     "FloatArray",

@@ -99,8 +99,8 @@ class EnvironmentWorker(ABC):
     def __init__(self, number: int, connections: Sequence[Any], ids: Sequence[range]) -> None:
         self.number = number
         self.channels = [Channel(self, *channel) for channel in zip(connections, ids, strict=True)]
-        self.lost: WorkerError | None = None
-        """How the worker ended; None while it runs."""
+        self.lost: KarolosError | None = None
+        """Why the worker ended; None while it runs."""
 
     @property
     def environments(self) -> Ids:
@@ -112,16 +112,8 @@ class EnvironmentWorker(ABC):
             channel.connection.close()
 
     @abstractmethod
-    def kill(self) -> None:
-        """End the worker at once."""
-
-    @abstractmethod
-    def end(self) -> WorkerError:
-        """Make sure that a worker with closed connections has ended; returns an error that says how."""
-
-    @abstractmethod
-    def join(self, deadline: float) -> None:
-        """Wait for a worker with closed connections until `deadline` (monotonic, s), then kill it."""
+    def end(self, seconds: float) -> tuple[str, str]:
+        """Wait for a worker with closed connections, then kill it. Returns how it ended, and what to do."""
 
     def error(self, what: str, hint: str) -> WorkerError:
         """A WorkerError that names the worker and its environments."""
@@ -186,8 +178,8 @@ class WorkerPool(Backend):
         losses = [0] * len(self._workers)
         while not all(channel.ready for worker in self._workers for channel in worker.channels):
             for failure in self.collect().failures:
-                number = next((worker.number for worker in self._workers if worker.lost is failure.error), None)
-                if number is None or losses[number] == failures:
+                number, _ = self._places[failure.environment[0] // self._environments_each]
+                if not failure.lost or losses[number] == failures:
                     raise failure.error
                 losses[number] += 1
                 self._workers[number] = self._start(number)
@@ -284,16 +276,18 @@ class WorkerPool(Backend):
                 if not channel.ready:
                     what = f"building an environment took longer than {BUILD_TIMEOUT:g} s"
                     hint = "or use fewer environments"
-                worker.kill()
-                self._lose(worker, answers, worker.error(what, f"find out why it hangs, {hint}"))
+                self._lose(worker, answers, worker.error(what, f"find out why it hangs, {hint}"), seconds=0.0)
                 break
 
-    def _lose(self, worker: EnvironmentWorker, answers: Answers, error: KarolosError | None = None) -> None:
-        """Stop a worker and report the failure of its environments."""
+    def _lose(
+        self, worker: EnvironmentWorker, answers: Answers, error: KarolosError | None = None, seconds: float = 1.0
+    ) -> None:
+        """Stop a worker and report the failure of its environments. It has `seconds` to end by itself."""
         worker.close_connections()
-        worker.lost = worker.end()
+        how = worker.end(seconds)  # the connection of a process closes shortly before the exit code is available
+        worker.lost = error or worker.error(*how)
         self._any_lost = True
-        answers.failures.append(Failure(worker.environments, error or worker.lost, lost=error is None))
+        answers.failures.append(Failure(worker.environments, worker.lost, lost=error is None))
 
     def close(self) -> None:
         alive = [worker for worker in self._workers if not worker.lost]
@@ -301,7 +295,7 @@ class WorkerPool(Backend):
             worker.close_connections()
         deadline = monotonic() + CLOSE_TIMEOUT
         for worker in alive:
-            worker.join(deadline)
+            worker.end(max(0.0, deadline - monotonic()))
         self._workers = []
 
 

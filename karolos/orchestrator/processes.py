@@ -5,12 +5,11 @@ from __future__ import annotations
 import signal
 from collections.abc import Sequence
 from select import POLLIN, poll
-from time import monotonic
 
 from typing_extensions import override
 
 from ..core import BuildEnvironment, Signature
-from ..errors import MachineError, WorkerError
+from ..errors import MachineError
 from .pool import Channel, EnvironmentWorker, WorkerPool
 from .shared_memory import EnvironmentArrays, SharedBytes
 from .start import pack_build, start_worker
@@ -98,23 +97,14 @@ class ProcessWorker(EnvironmentWorker):
         super().close_connections()
 
     @override
-    def kill(self) -> None:
-        self.process.kill()
-
-    @override
-    def end(self) -> WorkerError:
-        self.process.join(1.0)  # the connection closes shortly before the exit code is available
-        cause, hint = _cause_of_exit(self.process.exitcode)
-        self.join(monotonic())
-        return self.error(cause, hint)
-
-    @override
-    def join(self, deadline: float) -> None:
-        self.process.join(max(0.0, deadline - monotonic()))
-        if self.process.is_alive():
+    def end(self, seconds: float) -> tuple[str, str]:
+        self.process.join(seconds)
+        code = self.process.exitcode
+        if code is None:
             self.process.kill()
             self.process.join()
         self.process.close()  # releases a file descriptor
+        return _cause_of_exit(code)
 
 
 def _cause_of_exit(code: int | None) -> tuple[str, str]:

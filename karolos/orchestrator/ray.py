@@ -9,7 +9,6 @@ import sys
 import threading
 from collections import deque
 from contextlib import ExitStack
-from time import monotonic
 from typing import Any
 
 from numpy.typing import NDArray
@@ -17,7 +16,7 @@ from pydantic import Field as Setting
 from typing_extensions import override
 
 from ..core import BuildEnvironment, Signature
-from ..errors import MachineError, WorkerError
+from ..errors import MachineError
 from .backend import Backend
 from .executor import RESET
 from .local import Limits, Local
@@ -239,21 +238,12 @@ class ActorWorker(EnvironmentWorker):
         self._connection = connection
 
     @override
-    def kill(self) -> None:
-        if self._connection.ray.is_initialized():
-            self._connection.ray.kill(self._connection.actor)
-
-    @override
-    def end(self) -> WorkerError:
-        self.kill()
-        return self.error(self._connection.cause, "its machine or process was lost")
-
-    @override
-    def join(self, deadline: float) -> None:
-        closing = [answer for answer, _ in self._connection.answers]
-        if closing:
-            self._connection.ray.wait(closing, timeout=max(0.0, deadline - monotonic()))
-        self.kill()
+    def end(self, seconds: float) -> tuple[str, str]:
+        ray, closing = self._connection.ray, [answer for answer, _ in self._connection.answers]
+        if ray.is_initialized():
+            ray.wait(closing, timeout=seconds)
+            ray.kill(self._connection.actor)
+        return self._connection.cause, "its machine or process was lost"
 
 
 def _inputs(arrays: EnvironmentArrays, message: bytes) -> NDArray[Any]:

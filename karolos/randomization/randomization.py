@@ -4,8 +4,11 @@ from __future__ import annotations
 
 from collections.abc import Mapping
 from dataclasses import dataclass
+from typing import Annotated
 
 import numpy as np
+from pydantic import BaseModel
+from pydantic import Field as Setting
 
 from ..core import Field, Layout
 from ..core.seeding import Generator
@@ -36,6 +39,33 @@ class RandomizedParameter:
     def quantity(self, value: float) -> str:
         """The value with its unit, for a message; a pure number has none."""
         return f"{value:g}" if self.unit == "1" else f"{value:g} {self.unit}"
+
+
+@dataclass(frozen=True)
+class Drawn:
+    """Marks a setting that is a parameter of randomization, too: `Annotated[float, Drawn("m", 0.0, 0.5)]`.
+
+    Training episodes may draw it, tests never do. The range is widened to the setting's own value.
+    """
+
+    unit: str = "1"
+    low: float = 0.0
+    high: float = 1.0
+
+
+Probability = Annotated[float, Drawn(), Setting(ge=0, le=1)]
+"""A setting in [0, 1] that randomization may draw."""
+
+
+def drawn_settings(settings: BaseModel) -> dict[str, RandomizedParameter]:
+    """The parameters that fields of the settings declare with `Drawn`. Their nominal values are the settings."""
+    found = {}
+    for name, field in type(settings).model_fields.items():
+        value = getattr(settings, name)
+        for mark in (one for one in field.metadata if isinstance(one, Drawn)):
+            low, high = min(mark.low, value), max(mark.high, value)
+            found[name] = RandomizedParameter(mark.unit, value, low, high, field.description or "")
+    return found
 
 
 class Randomization:
