@@ -34,8 +34,9 @@ if TYPE_CHECKING:
     from karolos.records import RunFolder
     from karolos.records.final_test import FinalTest
     from karolos.records.results import TestCounts, TestResult
-    from karolos.records.run_records import RunRecord
+    from karolos.records.run_records import RunRecord, RunSummary
     from karolos.records.transfer_results import TransferResult
+    from karolos.store import Store
 
 app = typer.Typer(
     name="runs", help="List, show, label and remove runs; write them to an archive and read one.", no_args_is_help=True
