@@ -193,7 +193,7 @@ class RunTask(Task):
         """Update the run in the database; a failure is a warning."""
         assert self._index is not None  # it has begun
         try:
-            self._index.update(result)
+            self._index.update()
         except StoreError as error:
             what = "its folder is complete" if result is None else "the test is in the run folder"
             yield RunWarned(self._folder.id, f"{error} (the run continues; {what})")
