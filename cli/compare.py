@@ -63,19 +63,14 @@ def compare(
     ] = None,
     width: Annotated[float, typer.Option(min=1, max=40, help="Width of a figure in the folder, in inches.")] = 4.8,
     font: Annotated[float, typer.Option(min=2, max=60, help="Size of the text in these figures, in points.")] = 9,
-    html: Annotated[Path | None, typer.Option(hidden=True)] = None,
-    figures: Annotated[Path | None, typer.Option(hidden=True)] = None,
 ) -> None:
     """Compare experiments: success and return with intervals, steps and time to 50 and 90 %, cost, settings."""
     from karolos.comparison import compare as compare_contenders
     from karolos.comparison import gather
 
-    for path in out or ():
-        if path.suffix == ".html":
-            html = path
-        else:
-            figures = path
-    _check_targets(html, figures)
+    pages = [path for path in out or () if path.suffix == ".html"]
+    folders = [path for path in out or () if path.suffix != ".html"]
+    _check_targets(pages, folders)
     with existing_store(experiments[0], runs, database) as store:
         selected = [select(store, selector) for selector in experiments]
         labels = _chosen(label, experiments) if label else _labels(experiments, selected)
@@ -87,28 +82,30 @@ def compare(
         print_rows(comparison.rows(), json=True)
     else:
         _print_comparison(comparison)
-    if html is None and figures is None:
+    if not out:
         return
     from karolos.report.comparison_figures import comparison_figures, write_figures
 
     drawings = comparison_figures(comparison)
-    if html is not None:
+    for path in pages:
         from karolos.report.page import write_page
 
-        write_page(comparison, drawings, html)
-        say(f"wrote {html}")
-    if figures is not None:
-        files = write_figures(drawings, figures, width=width, font=font)
-        say(f"wrote {len(files)} files into {figures}")
+        write_page(comparison, drawings, path)
+        say(f"wrote {path}")
+    for folder in folders:
+        files = write_figures(drawings, folder, width=width, font=font)
+        say(f"wrote {len(files)} files into {folder}")
 
 
-def _check_targets(html: Path | None, figures: Path | None) -> None:
+def _check_targets(pages: Sequence[Path], folders: Sequence[Path]) -> None:
     """Refuse what cannot be written before anything is computed."""
-    if html is not None and (html.is_dir() or not html.parent.is_dir()):
-        wrong = "is a folder" if html.is_dir() else f"there is no folder {html.parent}"
-        raise UsageError(f"{html} cannot be written: {wrong}", hint="name a file in an existing folder")
-    if figures is not None and figures.exists() and not figures.is_dir():
-        raise UsageError(f"{figures} is a file", hint="name a folder, or a page FILE.html")
+    for page in pages:
+        if page.is_dir() or not page.parent.is_dir():
+            wrong = "is a folder" if page.is_dir() else f"there is no folder {page.parent}"
+            raise UsageError(f"{page} cannot be written: {wrong}", hint="name a file in an existing folder")
+    for folder in folders:
+        if folder.exists() and not folder.is_dir():
+            raise UsageError(f"{folder} is a file", hint="name a folder, or a page FILE.html")
 
 
 def _chosen(labels: Sequence[str], experiments: Sequence[str]) -> list[str]:

@@ -8,6 +8,7 @@ from typing import Annotated
 import typer
 
 from karolos.errors import StoreError
+from karolos.machine import cores
 
 from .arguments import Database, Json, Runs
 from .output import print_rows, say, warn
@@ -26,7 +27,7 @@ def reindex(runs: Runs = Path("runs"), database: Database = None, jobs: Jobs = N
     from karolos.store import reindex as rebuild
 
     with Store(database or Store.default_url(runs)) as store:
-        done = rebuild(store, runs, jobs=jobs or _cores())
+        done = rebuild(store, runs, jobs=jobs or cores())
     for problem in done.problems:
         warn(problem)
     say(f"{done.runs} runs entered, {done.forgotten} forgotten")
@@ -43,7 +44,7 @@ def check(runs: Runs = Path("runs"), database: Database = None, jobs: Jobs = Non
     from karolos.store import check as differences
 
     with Store(_existing(runs, database)) as store:
-        found = [one.row() for one in differences(store, runs, jobs=jobs or _cores())]
+        found = [one.row() for one in differences(store, runs, jobs=jobs or cores())]
     print_rows(found, json=json)
     if found:
         say(f"{len(found)} differences; `karolos db reindex` enters what the folders hold")
@@ -67,9 +68,3 @@ def _existing(runs: Path, database: str | None) -> str:
     if not Store.exists(url):
         raise StoreError("there is no database", where=str(runs), hint="`karolos db reindex` makes one")
     return url
-
-
-def _cores() -> int:
-    from karolos.machine import cores
-
-    return cores()

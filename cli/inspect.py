@@ -21,7 +21,6 @@ app = typer.Typer(name="inspect", help="Show a robot or a task: a picture and it
 Out = Annotated[
     Path | None, typer.Option("--out", metavar="FILE", help="Picture to write: FILE.png. Default: ./NAME.png.")
 ]
-Picture = Annotated[Path | None, typer.Option("--picture", hidden=True)]
 Size = Annotated[int, typer.Option(min=16, max=2048, help="Size of the picture in pixels.")]
 
 
@@ -34,10 +33,9 @@ def robot(
     width: Size = 960,
     height: Size = 720,
     json: Json = False,
-    picture: Picture = None,
 ) -> None:
     """Show a robot: joints with limits, workspace, control modes, layouts, parameters for randomization."""
-    target = _target(out or picture, name)
+    target = _target(out, name)
     from karolos.plugins.inspection import inspect_robot
 
     _show("robot", inspect_robot(name, size=(width, height)), target, json=json)
@@ -58,7 +56,6 @@ def task(
     width: Size = 960,
     height: Size = 720,
     json: Json = False,
-    picture: Picture = None,
 ) -> None:
     """Show a task: goal rule, layouts, settings, parameters for randomization; or the success of a random policy."""
     if floor:
@@ -67,7 +64,7 @@ def task(
         found = random_policy(robot, name, episodes=episodes)
         print_rows([{"robot": robot, "task": name, **asdict(found)}], json=json)
         return
-    target = _target(out or picture, name)
+    target = _target(out, name)
     from karolos.plugins.inspection import inspect_task
 
     _show("task", inspect_task(name, robot, size=(width, height)), target, json=json)

@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-import os
+import subprocess
 import sys
 from contextlib import suppress
 from pathlib import Path
@@ -29,9 +29,8 @@ from .arguments import (
 from .output import print_rows, print_table, say
 
 if TYPE_CHECKING:
-    from collections.abc import Callable, Sequence
+    from collections.abc import Sequence
 
-    from karolos.experiment.events import RunEvent
     from karolos.experiment.experiment import Outcome
 
 
@@ -68,67 +67,44 @@ def run(
     from karolos.spec import load_spec
 
     found = load_spec(spec, with_launcher(overrides, on))
-    is_launched = _detached(runs / f"{found.name}.log") if detach else None
+    if detach:
+        from karolos.training.assembly import check_parts
+
+        check_parts(found)
+        _detach(runs / f"{found.name}.log")
     from karolos.experiment.experiment import Experiment
 
     from .display import choose_display
 
     with choose_display(quiet=quiet) as display:
-
-        def listen(event: RunEvent) -> None:
-            if is_launched is not None:
-                is_launched()
-            display(event)
-
         outcome = Experiment(found).run(
             runs,
             database=database,
             jobs=jobs,
             existing="resume" if resume else "skip" if if_needed else "ignore",
             time_limit=seconds(time_limit),
-            listener=listen,
+            listener=display,
             text=spec.read_text("utf-8"),
             check=False,
         )
     report(outcome, runs, quiet=quiet, json=json)
 
 
-def _detached(log: Path) -> Callable[[], None]:
-    """Continue in a process without a terminal, which writes into the log.
-
-    The first process ends when the second calls what this returns, or with the exit code and output of the second if
-    that one ends before.
+def _detach(log: Path) -> NoReturn:
+    """Start this command again, without a terminal and with its output in the log, and end this process.
 
     Raises:
         MachineError: the log cannot be written.
     """
+    words = [word for word in sys.argv[1:] if word != "--detach"]
     with writing(log):
         log.parent.mkdir(parents=True, exist_ok=True)
-        out = os.open(log, os.O_WRONLY | os.O_CREAT | os.O_APPEND, 0o666)
-        start = os.fstat(out).st_size
-    read, write = os.pipe()
-    process = os.fork()
-    if process == 0:
-        os.setsid()
-        for target, source in ((0, os.open(os.devnull, os.O_RDONLY)), (1, out), (2, out)):
-            os.dup2(source, target)
-        os.close(read)
-        ends = [write]
-
-        def is_launched() -> None:
-            if ends:
-                os.write(ends[0], b".")
-                os.close(ends.pop())
-
-        return is_launched
-    os.close(write)
-    if os.read(read, 1):
-        say(f"process {process} goes on, with its output in {log}; `kill {process}` stops it with checkpoints")
-        say("`karolos runs list --watch` shows the runs")
-        raise typer.Exit
-    _, status = os.waitpid(process, 0)
-    sys.stderr.write(log.read_bytes()[start:].decode(errors="replace"))
-    raise typer.Exit(os.waitstatus_to_exitcode(status))
+        out = log.open("ab")
+    command = [sys.executable, "-m", "karolos_cli", *words]
+    process = subprocess.Popen(command, stdin=subprocess.DEVNULL, stdout=out, stderr=out, start_new_session=True)
+    say(f"process {process.pid} goes on, with its output in {log}; `kill {process.pid}` stops it with checkpoints")
+    say("`karolos runs list --watch` shows the runs")
+    raise typer.Exit
 
 
 def _start_workers(spec: Path, overrides: Sequence[str]) -> None:

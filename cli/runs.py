@@ -5,7 +5,7 @@ from __future__ import annotations
 import os
 import time
 from collections.abc import Callable, Mapping, Sequence
-from dataclasses import dataclass, field
+from dataclasses import dataclass, field, replace
 from pathlib import Path
 from typing import TYPE_CHECKING, Annotated, Any
 
@@ -34,7 +34,7 @@ if TYPE_CHECKING:
     from karolos.records import RunFolder
     from karolos.records.final_test import FinalTest
     from karolos.records.results import TestCounts, TestResult
-    from karolos.records.run_records import RunSummary
+    from karolos.records.run_records import RunRecord, RunSummary
     from karolos.records.transfer_results import TransferResult
     from karolos.store import Store
 
@@ -152,7 +152,11 @@ def show(run: OneRun, runs: Runs = Path("runs"), database: Database = None, json
     """Show a run: state, tests with 95 % intervals, spec, checkpoints, versions, command and git commit."""
     store, summary = find_run(run, runs, database)
     with store:
-        view = _from_folder(summary) if os.path.isdir(summary.folder) else _from_index(store, summary)
+        if os.path.isdir(summary.folder):
+            view = _from_folder(summary.folder)
+        else:
+            problem = f"the run folder is missing: {summary.folder}"
+            view = _View(replace(store.records([summary])[0], problems=(problem,)))
     if json:
         print_rows([view.row()], json=True)
     else:
@@ -264,7 +268,7 @@ def restore(
 
 @app.command("export")
 def export_runs(
-    file: Annotated[Path, typer.Argument(metavar="FILE", help="A new .tar.gz or .zip.")],
+    file: Annotated[Path, typer.Argument(metavar="FILE", help="A new .tar.gz.")],
     run: ManyRuns = None,
     where: Where = None,
     checkpoints: Annotated[bool, typer.Option(help="Include the checkpoints, which can be large.")] = True,
@@ -283,7 +287,7 @@ def export_runs(
 
 @app.command("import")
 def import_runs(
-    files: Annotated[list[Path], typer.Argument(metavar="FILE...", help="A .tar.gz or .zip.")],
+    files: Annotated[list[Path], typer.Argument(metavar="FILE...", help="A .tar.gz.")],
     most: Annotated[float, typer.Option("--most", min=0, help="Most gigabytes that an archive may unpack to.")] = 64.0,
     runs: Runs = Path("runs"),
     database: Database = None,
@@ -293,34 +297,33 @@ def import_runs(
     from karolos.records import archive
 
     runs.mkdir(parents=True, exist_ok=True)
-    summaries = []
+    imported: list[RunRecord] = []
     with open_or_make_store(runs, database) as store:
+
+        def enter(records: Sequence[RunRecord]) -> None:
+            if known := store.runs(ids=[record.summary.run for record in records]):
+                raise UsageError(f"the run {known[0].run} exists already", hint="`karolos runs rm` removes it")
+            store.add_records(records)
+
         for file in files:
-            imported = archive.import_runs(
-                file, runs, most_bytes=int(most * 1e9), known=lambda run: bool(store.runs(ids=[run]))
-            )
-            store.add_records([one.folder.record() for one in imported])
-            summaries += [one.folder.summary() for one in imported]
-            for one in imported:
-                for problem in one.problems:
-                    warn(f"{one.folder.id}: {problem}")
-    print_rows([summary.row() for summary in summaries], json=json, line="{run}")
+            imported += archive.import_runs(file, runs, most_bytes=int(most * 1e9), enter=enter)
+    for record in imported:
+        for problem in record.problems:
+            warn(f"{record.summary.run}: {problem}")
+    print_rows([record.summary.row() for record in imported], json=json, line="{run}")
 
 
 @dataclass(frozen=True)
 class _View:
     """Everything known about one run."""
 
-    summary: RunSummary
-    tests: Sequence[TestCounts]
-    spec: Mapping[str, Any]
-    problems: Sequence[str]
-    checkpoints: Sequence[Mapping[str, Any]] = ()
+    record: RunRecord
     results: Sequence[TestResult] = ()
     """The tests episode by episode, as far as the folder has them."""
     final: FinalTest[TestResult] | None = None
     transfers: Sequence[TransferResult] = ()
     """Tests under changed settings (`karolos test`)."""
+    checkpoints: Sequence[Mapping[str, Any]] = ()
     about: Mapping[str, Any] = field(default_factory=dict)
     """Versions, machine, command and git commit."""
 
@@ -329,21 +332,20 @@ class _View:
 
         known = [result for result in self.results if result.distances]
         near = {one.steps: {"within_m": {f"{far:g}": one.within(far) for far in WITHIN}} for one in known}
-        tests = [_test_row(test) | near.get(test.steps, {}) for test in self.tests]
         return {
-            **self.summary.row(),
-            "tests": tests,
+            **self.record.summary.row(),
+            "tests": [_test_row(test) | near.get(test.steps, {}) for test in self.record.tests],
             "final_test": None if self.final is None else _final_row(self.final),
             "transfers": [transfer.row() for transfer in self.transfers],
-            "checkpoints": list(self.checkpoints),
-            "problems": list(self.problems),
-            "spec": self.spec,
+            "checkpoints": self.checkpoints,
+            "problems": self.record.problems,
+            "spec": self.record.spec,
             **self.about,
         }
 
 
 def _test_row(test: TestCounts) -> dict[str, Any]:
-    return {"steps": test.steps, "seconds": test.seconds, **test.row(), "solved_at_reset": test.reset}
+    return {"steps": test.steps, "seconds": test.seconds, **test.row(), "solved_at_reset": test.solved_at_reset}
 
 
 def _final_row(final: FinalTest[TestResult]) -> dict[str, Any]:
@@ -355,31 +357,21 @@ def _final_row(final: FinalTest[TestResult]) -> dict[str, Any]:
     }
 
 
-def _from_folder(summary: RunSummary) -> _View:
+def _from_folder(path: str) -> _View:
     from karolos.records import RunFolder, transfer_results
 
-    folder = RunFolder.open(summary.folder)
-    record = folder.record()
+    folder = RunFolder.open(path)
+    record, description = folder.record(), folder.description()
     checkpoints, damaged = _checkpoints(folder)
-    description = folder.description()
     transfers, unreadable = transfer_results.read(folder)
     return _View(
-        summary=record.summary,
-        tests=record.tests,
-        spec=record.spec,
-        problems=(*record.problems, *damaged, *unreadable),
-        checkpoints=checkpoints,
-        results=folder.tests(),
-        transfers=transfers,
-        final=folder.final(),
-        about={key: description.get(key) for key in ("versions", "machine", "command", "git")},
+        replace(record, problems=(*record.problems, *damaged, *unreadable)),
+        folder.tests(),
+        folder.final(),
+        transfers,
+        checkpoints,
+        {key: description.get(key) for key in ("versions", "machine", "command", "git")},
     )
-
-
-def _from_index(store: Store, summary: RunSummary) -> _View:
-    """What the index has of a run whose folder is missing."""
-    problems = [f"the run folder is missing: {summary.folder}"]
-    return _View(summary, store.tests(summary.run), store.spec(summary.experiment), problems)
 
 
 def _checkpoints(folder: RunFolder) -> tuple[list[dict[str, Any]], list[str]]:
@@ -399,7 +391,7 @@ def _print_view(view: _View) -> None:
     from karolos.records.results import TestCounts
     from karolos.report.tables import duration, facts_table, flatten, run_state, table_of_tests, transfers_table
 
-    run, about = view.summary, view.about
+    run, about = view.record.summary, view.about
     git = about.get("git") or {}
     commit = f"{git.get('commit', '')[:12]}{' with changes (code.diff)' if git.get('dirty') else ''}" if git else None
     solved = None if run.steps_to_95 is None else f"{run.steps_to_95:,} steps, {duration(run.seconds_to_95)}"
@@ -422,8 +414,8 @@ def _print_view(view: _View) -> None:
         "versions": ", ".join(f"{name} {version}" for name, version in (about.get("versions") or {}).items()) or None,
     }
     print_table(facts_table(facts))
-    if view.tests:
-        print_table(table_of_tests(view.tests, view.results, title="tests"))
+    if view.record.tests:
+        print_table(table_of_tests(view.record.tests, view.results, title="tests"))
     else:
         print("\nno tests yet")
     if view.final is not None:
@@ -432,6 +424,6 @@ def _print_view(view: _View) -> None:
         print_table(table_of_tests(map(TestCounts.of, policies), policies, title=title))
     if view.transfers:
         print_table(transfers_table(view.transfers, title="tests under changed settings"))
-    print_table(facts_table(dict(flatten(view.spec)), title="spec"))
-    for problem in view.problems:
+    print_table(facts_table(dict(flatten(view.record.spec)), title="spec"))
+    for problem in view.record.problems:
         warn(problem)

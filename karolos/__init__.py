@@ -5,8 +5,6 @@ from __future__ import annotations
 from importlib import import_module
 from typing import TYPE_CHECKING, Any
 
-from .environments.gymnasium_hook import register_with_gymnasium
-
 if TYPE_CHECKING:
     from .evaluation.policies import load_run as load
     from .experiment import Experiment
@@ -28,6 +26,3 @@ def __getattr__(name: str) -> Any:
         raise AttributeError(f"module {__name__!r} has no attribute {name!r}")
     module, attribute = _LAZY[name]
     return getattr(import_module(f"{__name__}.{module}"), attribute)
-
-
-register_with_gymnasium()

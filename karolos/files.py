@@ -14,23 +14,24 @@ import re
 import shutil
 import tempfile
 import time
-from collections.abc import Iterable, Iterator, Mapping
+from collections.abc import Callable, Iterable, Iterator, Mapping
 from pathlib import Path
-from typing import Any, NamedTuple
+from typing import Any, Generic, NamedTuple, TypeVar
 
 from .errors import MachineError, UsageError
 
 _FULL = frozenset({errno.ENOSPC, errno.EDQUOT, errno.EFBIG})
 _FORBIDDEN = frozenset({errno.EACCES, errno.EPERM, errno.EROFS})
 _POLL_SECONDS = 0.02
+T = TypeVar("T")
 LOCK_SECONDS = 20.0
 """How long `locked` waits for a process that writes labels or a line, which takes milliseconds."""
 
 
-class Lines(NamedTuple):
-    """The objects of a file of JSON lines, and one text per line that cannot be read."""
+class Lines(NamedTuple, Generic[T]):
+    """The values of a file of lines, and one text per line that cannot be read."""
 
-    rows: tuple[dict[str, Any], ...]
+    rows: tuple[T, ...]
     problems: tuple[str, ...]
 
 
@@ -204,26 +205,42 @@ def _cut_torn_line(descriptor: int) -> int:
     return whole
 
 
-def read_lines(path: Path) -> Lines:
-    """The JSON objects of a file of lines; a missing file is empty. Invalid lines are left out and become problems."""
+def parse_object(data: bytes) -> dict[str, Any] | None:
+    """A JSON object without nan, infinities and lone surrogates; None for anything else."""
+    from pydantic_core import from_json  # noqa: PLC0415  (`karolos --help` reads no JSON)
+
+    try:
+        value = from_json(data, allow_inf_nan=False)
+    except ValueError:
+        return None
+    return value if isinstance(value, dict) else None
+
+
+def read_lines(path: Path) -> Lines[dict[str, Any]]:
+    """The JSON objects in the lines of a file; as `read_values`."""
+    return read_values(path, parse_object, "JSON object")
+
+
+def read_values(path: Path, parse: Callable[[bytes], T | None], what: str) -> Lines[T]:
+    """The values in the lines of a file; a missing file is empty. Invalid lines are left out and become problems.
+
+    Args:
+        path: of the file.
+        parse: gives the value of a line, or None if the line is invalid.
+        what: a valid line holds, for the problems.
+    """
     try:
         data = path.read_bytes()
     except FileNotFoundError:
         return Lines((), ())
     except OSError as error:
         return Lines((), (f"{path.name}: cannot be read ({error.strerror})",))
-    rows: list[dict[str, Any]] = []
-    problems: list[str] = []
     *whole, rest = data.split(b"\n")
-    for number, line in enumerate(whole, 1):
-        row = parse_object(line)
-        if row is None:
-            problems.append(f"{path.name}:{number}: not a JSON object; left out")
-        else:
-            rows.append(row)
+    values = [parse(line) for line in whole]
+    problems = [f"{path.name}:{number}: not a {what}; left out" for number, row in enumerate(values, 1) if row is None]
     if rest:
         problems.append(f"{path.name}:{len(whole) + 1}: the last line is torn; left out")
-    return Lines(tuple(rows), tuple(problems))
+    return Lines(tuple(row for row in values if row is not None), tuple(problems))
 
 
 def new_lines(path: Path, start: int) -> tuple[list[dict[str, Any]], int]:
@@ -240,19 +257,6 @@ def new_lines(path: Path, start: int) -> tuple[list[dict[str, Any]], int]:
         return [], start
     rows = [parse_object(line) for line in whole.split(b"\n")]
     return [row for row in rows if row is not None], start + len(whole + newline)
-
-
-def parse_object(data: bytes) -> dict[str, Any] | None:
-    """A JSON object, or None for anything else."""
-    try:
-        value = json.loads(data, parse_constant=_refuse_constant)
-    except (ValueError, RecursionError):  # UnicodeDecodeError and JSONDecodeError are ValueErrors
-        return None
-    return value if isinstance(value, dict) else None
-
-
-def _refuse_constant(name: str) -> None:
-    raise ValueError(f"{name} is not JSON")
 
 
 def read_object(path: Path) -> dict[str, Any] | None:
@@ -283,19 +287,18 @@ class FileLock:
         """
         if self.held:
             return True
+        deadline = time.monotonic() + seconds
         with writing(self.path):
             descriptor = os.open(self.path, os.O_RDWR | os.O_CREAT, 0o666)
             try:
-                deadline = time.monotonic() + seconds
-                while not _try_lock(descriptor, exclusive=True):
+                while not _try_lock(descriptor, fcntl.LOCK_EX):
                     if time.monotonic() >= deadline:
-                        os.close(descriptor)
                         return False
                     time.sleep(_POLL_SECONDS)
-            except BaseException:
-                os.close(descriptor)
-                raise
-        self._descriptor = descriptor
+                self._descriptor = descriptor
+            finally:
+                if not self.held:
+                    os.close(descriptor)
         return True
 
     def release(self) -> None:
@@ -313,7 +316,7 @@ class FileLock:
         except OSError:
             return False
         try:
-            return not _try_lock(descriptor, exclusive=False)
+            return not _try_lock(descriptor, fcntl.LOCK_SH)
         except OSError:
             return False  # the file system has no locks
         finally:
@@ -336,11 +339,9 @@ def locked(path: Path) -> Iterator[None]:
         lock.release()
 
 
-def _try_lock(descriptor: int, *, exclusive: bool) -> bool:
+def _try_lock(descriptor: int, kind: int) -> bool:
     try:
-        fcntl.flock(descriptor, (fcntl.LOCK_EX if exclusive else fcntl.LOCK_SH) | fcntl.LOCK_NB)
-    except OSError as error:
-        if error.errno in {errno.EWOULDBLOCK, errno.EAGAIN, errno.EACCES, errno.EDEADLK}:
-            return False
-        raise
+        fcntl.flock(descriptor, kind | fcntl.LOCK_NB)
+    except BlockingIOError:
+        return False
     return True

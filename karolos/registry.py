@@ -17,7 +17,7 @@ from .errors import PluginError, UsageError
 
 KINDS = ("robots", "tasks", "environments", "agents", "buffers", "distributions", "orchestrators", "launchers")
 
-NEEDED = {
+NEEDED_ATTRIBUTES = {
     "robots": ("prepare", "build", "apply", "reset", "act", "read", "observe"),
     "tasks": ("fit", "build", "reset", "observe", "achieved"),
     "environments": ("reset", "step", "close"),
@@ -140,7 +140,7 @@ def _check(plugin: object, kind: str, broken: Callable[..., PluginError]) -> Non
     if "name" in settings.model_fields:
         raise broken("has a setting called 'name'", hint="a spec's `name` says which plugin; rename")
     abstract: frozenset[str] = getattr(plugin, "__abstractmethods__", frozenset())
-    lacking = sorted({*abstract, *(name for name in NEEDED[kind] if not hasattr(plugin, name))})
+    lacking = sorted({*abstract, *(name for name in NEEDED_ATTRIBUTES[kind] if not hasattr(plugin, name))})
     if lacking:
         what = f"{plugin.__name__} is no {singular(kind)}: it lacks {', '.join(lacking)}"
-        raise broken(what, hint=f"a {singular(kind)} has {', '.join(NEEDED[kind])}")
+        raise broken(what, hint=f"a {singular(kind)} has {', '.join(NEEDED_ATTRIBUTES[kind])}")

@@ -99,7 +99,7 @@ def test_plugin_of_a_wrong_interface_is_refused_when_used_naming_what_it_lacks(f
     with pytest.raises(PluginError, match=f"Unfinished is no {registry.singular(kind)}: it lacks") as caught:
         registry.load(kind, "unfinished")
     assert "shaky 1.0" in str(caught.value)
-    for name in registry.NEEDED[kind]:
+    for name in registry.NEEDED_ATTRIBUTES[kind]:
         assert name in str(caught.value)
     assert caught.value.exit_code == 3
 

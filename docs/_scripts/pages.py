@@ -35,9 +35,8 @@ from karolos.registry import KINDS, entries, load, singular
 from karolos.report.comparison_figures import learning
 from karolos.report.figures import save
 from karolos.report.tables import setting
-from karolos.spec.model import Demonstrations, Spec, Testing, Training
-from karolos.spec.sweep import Sweep
-from karolos.spec.transfer import Transfer
+from karolos.spec.model import Spec
+from karolos.spec.problems import models_in
 from karolos.store import tables
 
 ROOT = Path(__file__).parents[2]
@@ -185,8 +184,9 @@ def spec_keys() -> str:
     text = "# Keys of a spec\n\nA part is a name or a mapping with `name` and the plugin's settings.\n\n"
     top = [(_code(name), field.description or "") for name, field in Spec.model_fields.items()]
     text += table(["key", "what"], [("`extends`", "specs that this one changes, relative to it"), *top])
-    for model in (Training, Testing, Demonstrations, Sweep, Transfer):
-        text += f"## {model.__name__.lower()}\n\n{inspect.getdoc(model) or ''}\n\n{_settings_table(model)}"
+    for name in ("training", "testing", "demonstrations", "sweep", "transfer"):
+        (model,) = models_in(Spec.model_fields[name].annotation)
+        text += f"## {name}\n\n{inspect.getdoc(model) or ''}\n\n{_settings_table(model)}"
     return text
 
 

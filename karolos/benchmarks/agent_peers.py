@@ -15,7 +15,7 @@ import gymnasium
 import numpy as np
 
 from ..environments.build import build_environment
-from ..environments.gymnasium_export import GoalEnv
+from ..environments.gymnasium.export import GoalEnv
 from ..files import parse_object, write_json
 from ..spec import Spec
 from ..spec.yaml_text import read

@@ -19,8 +19,7 @@ import numpy as np
 
 from ..core import Array
 from ..environments.robot_task import RobotTask
-from ..randomization.distribution import Distribution
-from ..randomization.normal import Normal
+from ..randomization.distributions import Distribution, Normal
 from ..registry import load
 from ..simulation.engines import Engine
 from ..simulation.interface import Motors
@@ -200,7 +199,7 @@ def measure_panda_gym(*, seconds: float = 10.0) -> list[Row]:
     import gymnasium  # noqa: PLC0415
     import panda_gym  # type: ignore[import-not-found]  # noqa: F401, PLC0415  (registers its environments)
 
-    from ..environments import gymnasium_export  # noqa: F401, PLC0415  (registers karolos's environments)
+    from .. import gym  # noqa: F401, PLC0415  (registers karolos's environments)
 
     rows = []
     for task, ids in PANDA_GYM_TASKS.items():

@@ -17,7 +17,8 @@ from typing import TYPE_CHECKING, Any
 
 import numpy as np
 
-from ..core import Orchestrator
+from ..core import BuildEnvironment, Orchestrator
+from ..environments.build import build_environment
 from ..machine import cores
 from ..orchestrator.local import Local
 from ..orchestrator.ray import Ray
@@ -76,14 +77,15 @@ def measure(robot: str = "panda", task: str = "reach", amounts: Amounts | None =
     """
     amounts = amounts or Amounts()
     recipe = Recipe(_part("environments", "robot_task"), _part("robots", robot), _part("tasks", task))
+    build = partial(build_environment, recipe)
     counts = process_counts()
     report = Report()
     for resets in (amounts.resets, amounts.more_resets):
         layouts = [(count, 1) for count in counts]
-        _add_resets(report, recipe, f"{robot} {task}", layouts, resets, amounts.repeats)
+        _add_resets(report, build, f"{robot} {task}", layouts, resets, amounts.repeats)
     layouts = [(counts[-1], threads) for threads in range(1, amounts.threads + 1)]
-    _add_resets(report, recipe, f"{robot} {task}", layouts, amounts.more_resets, amounts.repeats)
-    _add_steps(report, recipe, robot, task, amounts)
+    _add_resets(report, build, f"{robot} {task}", layouts, amounts.more_resets, amounts.repeats)
+    _add_steps(report, build, robot, task, amounts)
     _add_waiting(report, amounts)
     _add_ray(report, amounts)
     return report
@@ -99,12 +101,12 @@ def _part(kind: str, name: str) -> Part:
 
 
 def _add_resets(
-    report: Report, recipe: Recipe, what: str, layouts: list[tuple[int, int]], resets: int, repeats: int
+    report: Report, build: BuildEnvironment, what: str, layouts: list[tuple[int, int]], resets: int, repeats: int
 ) -> None:
     """Seconds for a number of resets; each environment that is ready gets the next."""
 
     def seconds(processes: int, threads: int, _: int) -> float:
-        with Local(Local.Settings(processes=processes, threads=threads, environments=1), recipe) as orchestrator:
+        with Local(Local.Settings(processes=processes, threads=threads, environments=1), build) as orchestrator:
             _seconds_for(orchestrator, 2 * orchestrator.size)  # a world's first reset loads it
             return _seconds_for(orchestrator, resets)
 
@@ -131,13 +133,13 @@ def _seconds_for(orchestrator: Orchestrator, resets: int) -> float:
     return perf_counter() - started
 
 
-def _add_steps(report: Report, recipe: Recipe, robot: str, task: str, amounts: Amounts) -> None:
+def _add_steps(report: Report, build: BuildEnvironment, robot: str, task: str, amounts: Amounts) -> None:
     """Steps per second over processes, in lockstep and asynchronously, beside gymnasium's vector environments."""
     counts = process_counts()
     costs: dict[int, list[float]] = {count: [] for count in counts}
 
     def rate(count: int, mode: Callable[[Orchestrator, float], float], _: int) -> float:
-        with Local(Local.Settings(processes=count, environments=amounts.environments), recipe) as orchestrator:
+        with Local(Local.Settings(processes=count, environments=amounts.environments), build) as orchestrator:
             mode(orchestrator, 0.0)  # a world's first reset loads it
             wall, cpu = perf_counter(), process_time()
             found = mode(orchestrator, amounts.seconds)
@@ -195,7 +197,7 @@ def _peer_steps(robot: str, task: str, processes: int, amounts: Amounts, _: int)
     """Steps per second of gymnasium's vector environment; its processes have one environment each."""
     from gymnasium.vector import AsyncVectorEnv, SyncVectorEnv  # noqa: PLC0415  (takes a while)
 
-    from ..environments.gymnasium_export import RobotTaskEnv  # noqa: PLC0415
+    from ..environments.gymnasium.export import RobotTaskEnv  # noqa: PLC0415
 
     make: Callable[[], Any] = partial(RobotTaskEnv, robot, task)
     together: VectorEnv[Any, Any, Any]
@@ -220,7 +222,9 @@ def _add_waiting(report: Report, amounts: Amounts) -> None:
     """Environments that wait, which threads speed up."""
 
     def rate(threads: int, _: int) -> float:
-        with Local(Local.Settings(processes=1, threads=threads), WAIT, size=2 * amounts.threads, build=Waiting) as made:
+        environments = 2 * amounts.threads // threads
+        layout = Local.Settings(processes=1, threads=threads, environments=environments)
+        with Local(layout, partial(Waiting, WAIT)) as made:
             return steps_per_second(made, amounts.seconds)
 
     rates = take_turns({threads: partial(rate, threads) for threads in range(1, amounts.threads + 1)}, turns=1)
@@ -241,12 +245,12 @@ def _add_ray(report: Report, amounts: Amounts) -> None:
     size = 2 * amounts.environments
 
     def local(wait: float, _: int) -> float:
-        with Local(Local.Settings(processes=1), wait, size=size, build=Waiting) as made:
+        with Local(Local.Settings(processes=1, environments=size), partial(Waiting, wait)) as made:
             return steps_per_second(made, amounts.seconds)
 
     def actors(workers: int, wait: float, _: int) -> float:
         settings = Ray.Settings(workers=workers, environments=size // workers)
-        with Ray(settings, wait, build=Waiting) as made:
+        with Ray(settings, partial(Waiting, wait)) as made:
             return steps_per_second(made, amounts.seconds)
 
     pays: float | None = None

@@ -12,7 +12,7 @@ import subprocess
 import sys
 import tempfile
 from collections.abc import Callable, Iterator
-from dataclasses import replace
+from dataclasses import asdict, replace
 from multiprocessing.synchronize import Barrier
 from pathlib import Path
 from statistics import median
@@ -85,7 +85,8 @@ def _writers(place: Path, writers: int, database: str | None) -> Iterator[Row]:
     url = database or Store.default_url(folder)
     with Store(url) as store:
         for index in range(writers):
-            store.add_run(replace(RunFolder.open(folder / _run_id(index)).summary(), run=f"writer-{index}"), SPEC)
+            record = RunFolder.open(folder / _run_id(index)).record()
+            store.add_records([replace(record, summary=replace(record.summary, run=f"writer-{index}"))])
     case = f"{writers} processes that write at once"
     rate = writers * WRITES / _together(_write, url, writers)
     if database is not None:
@@ -162,7 +163,7 @@ def make_runs(folder: Path, runs: int, tests: int, episodes: int) -> None:
             "versions": software,
         }
         state = RunState("finished", tests * 1000, tests * 10.0, 1, None, f"2026-01-01T01:00:00.{index:06}Z")
-        files = {"resolved.json": resolved, "run.json": run, "state.json": state.to_row()}
+        files = {"resolved.json": resolved, "run.json": run, "state.json": asdict(state)}
         for file, value in files.items():
             (path / file).write_text(json.dumps(value, indent=2))
         (path / "tests.jsonl").write_text(curves[index % len(curves)])

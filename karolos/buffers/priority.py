@@ -60,9 +60,9 @@ class Priority(Replay):
         start = self.settings.beta
         return start + (1 - start) * min(self._batches / self.settings.beta_updates, 1.0)
 
-    def add(self, transitions: Transitions) -> None:
-        """Store at most one transition of each environment, with the largest priority. Raises as `Replay.add` does."""
-        self._pending.append((self._store(transitions), self._largest))
+    def _added(self, slots: Slots) -> None:
+        """New transitions get the largest priority."""
+        self._pending.append((slots, self._largest))
         if len(self._pending) >= PENDING_CALLS:
             self._insert_pending()
 
@@ -71,9 +71,9 @@ class Priority(Replay):
         self._insert_pending()
         used = self.storage.used()
         priorities = self._tree[used]
-        slots = self._store_demonstrations(episodes, share)
+        super().add_demonstrations(episodes, share)
         self._tree = SumTree(len(self.storage.table))
-        self._tree[np.concatenate((used, slots))] = np.concatenate((priorities, np.full(slots.size, self._largest)))
+        self._tree[used] = priorities
 
     def _insert_pending(self) -> None:
         """Insert new transitions into the tree, together, because each update of the tree takes 40 us."""

@@ -77,25 +77,20 @@ class Replay(Buffer):
         Raises:
             PluginError: with hindsight, the rewards are not those of the environment's goal rule.
         """
-        self._store(transitions)
-
-    def _store(self, transitions: Transitions) -> Slots:
-        """Store the transitions; returns their slots. Raises as `add` does."""
         if self._hindsight is not None:
             self._hindsight.check(transitions)
-        return self.storage.add(transitions)
+        self._added(self.storage.add(transitions))
 
     def add_demonstrations(self, episodes: Sequence[Transitions], share: float | None = None) -> None:
         """Store demonstrations permanently. Raises as `add` does."""
-        self._store_demonstrations(episodes, share)
-
-    def _store_demonstrations(self, episodes: Sequence[Transitions], share: float | None) -> Slots:
-        """Store the demonstrations; returns their slots. Raises as `add` does."""
         self._share = share
         if self._hindsight is not None:
             for episode in episodes:
                 self._hindsight.check(episode)
-        return self.storage.add_demonstrations(episodes)
+        self._added(self.storage.add_demonstrations(episodes))
+
+    def _added(self, slots: Slots) -> None:
+        """Hook for subclasses: new transitions are stored in these slots."""
 
     def cut(self, environments: NDArray[np.int64]) -> None:
         """End the running episodes of these environments."""

@@ -13,7 +13,7 @@ from ..core import State
 from ..files import below, sync_folder, writing
 from .array_files import ArrayFiles
 from .manifest import PART, CheckpointError, damaged, read_manifest, write_manifest
-from .state_file import encode, read_state, write_state
+from .state_file import read_state, write_state
 
 _PREVIOUS = re.compile(r"\.(.*)\.previous")
 _ARRAYS = ".arrays"
@@ -45,9 +45,7 @@ def save(folder: Path, name: str, parts: Mapping[str, State], meta: Mapping[str,
             shutil.rmtree(fresh, ignore_errors=True)  # left by a killed process
             fresh.mkdir()
             arrays = ArrayFiles(folder / _ARRAYS)
-            files = {
-                part: write_state(fresh / f"{part}.pt", encode(state, part, arrays)) for part, state in parts.items()
-            }
+            files = {part: write_state(fresh / f"{part}.pt", state, arrays) for part, state in parts.items()}
             arrays.sync()
             write_manifest(fresh, {"meta": dict(meta), "files": files, "array_files": sorted(arrays.used)})
         except BaseException:  # also after an interrupt nothing is left behind

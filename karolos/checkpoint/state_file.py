@@ -14,9 +14,8 @@ import io
 import os
 import pickle
 from collections.abc import Mapping
-from io import BufferedReader
 from pathlib import Path
-from typing import TYPE_CHECKING, Any, BinaryIO
+from typing import TYPE_CHECKING, Any
 
 import numpy as np
 
@@ -35,55 +34,23 @@ _MALFORMED = (RuntimeError, ValueError, KeyError, TypeError, AttributeError, Ass
 """Errors of torch's reader and `decode` on files that only look like checkpoints."""
 
 
-class _Sink:
-    """A file that hashes its content and keeps the operating system's error, which torch replaces by another."""
-
-    def __init__(self, file: BinaryIO) -> None:
-        self._file = file
-        self._sha256 = hashlib.sha256()
-        self.size = 0
-        self.error: OSError | None = None
-
-    def write(self, data: bytes | memoryview) -> int:
-        try:
-            self._file.write(data)
-        except OSError as error:
-            self.error = error
-            raise
-        self._sha256.update(data)
-        self.size += len(data)
-        return len(data)
-
-    def flush(self) -> None:
-        self._file.flush()
-
-    def facts(self) -> dict[str, Any]:
-        return {"bytes": self.size, "sha256": self._sha256.hexdigest()}
-
-
-def write_state(path: Path, state: Any) -> dict[str, Any]:
-    """Write an encoded state to the disk; returns its size and hash.
+def write_state(path: Path, state: State, arrays: ArrayFiles) -> dict[str, Any]:
+    """Write a state to the disk, its large arrays into array files; returns the file's size and hash.
 
     Raises:
         OSError: the disk is full or the file cannot be written.
+        TypeError: the state holds something that `encode` refuses.
     """
-    import torch  # noqa: PLC0415
-
+    data = pack_state(state, path.stem, arrays)
     with path.open("wb") as file:
-        sink = _Sink(file)
-        try:
-            torch.save(state, sink)  # type: ignore[arg-type]  # it writes and never seeks
-        except RuntimeError as error:
-            if sink.error is None:
-                raise
-            raise sink.error from error
+        file.write(data)
         file.flush()
         os.fsync(file.fileno())
-    return sink.facts()
+    return {"bytes": len(data), "sha256": hashlib.sha256(data).hexdigest()}
 
 
 def read_state(path: Path, facts: Any, arrays: ArrayFiles) -> State:
-    """The state in a file, verified against its size and hash in the manifest and read from the same open file.
+    """The state in a file, verified against its size and hash in the manifest.
 
     Args:
         path: of the file.
@@ -93,13 +60,13 @@ def read_state(path: Path, facts: Any, arrays: ArrayFiles) -> State:
     Raises:
         CheckpointError: it is missing, truncated, changed, or holds something else than a plain state.
     """
-    import torch  # noqa: PLC0415
-
     try:
-        with path.open("rb") as file:
-            _verify(file, facts, path)
-            file.seek(0)
-            state = decode(torch.load(file, map_location="cpu", weights_only=True), arrays)
+        data = path.read_bytes()
+        if len(data) != facts["bytes"]:
+            raise damaged(path, f"it has {len(data):,} bytes of {facts['bytes']:,}")
+        if hashlib.sha256(data).hexdigest() != facts["sha256"]:
+            raise damaged(path, "its content was changed")
+        state = unpack_state(data, arrays)
     except OSError as error:
         raise damaged(path, f"it cannot be read ({error.strerror})") from error
     except ArrayFileError as error:
@@ -115,29 +82,21 @@ def read_state(path: Path, facts: Any, arrays: ArrayFiles) -> State:
     return state
 
 
-def pack_state(state: State) -> bytes:
-    """A state as bytes, for another process. Raises TypeError as `encode`."""
+def pack_state(state: State, path: str = "state", arrays: ArrayFiles | None = None) -> bytes:
+    """A state as bytes, for a file or another process. Arguments and errors are those of `encode`."""
     import torch  # noqa: PLC0415
 
     file = io.BytesIO()
-    torch.save(encode(state), file)
+    torch.save(encode(state, path, arrays), file)
     return file.getvalue()
 
 
-def unpack_state(data: bytes) -> State:
+def unpack_state(data: bytes, arrays: ArrayFiles | None = None) -> State:
     """The inverse of `pack_state`."""
     import torch  # noqa: PLC0415
 
-    state: State = decode(torch.load(io.BytesIO(data), map_location="cpu", weights_only=True))
+    state: State = decode(torch.load(io.BytesIO(data), map_location="cpu", weights_only=True), arrays)
     return state
-
-
-def _verify(file: BufferedReader, facts: Any, path: Path) -> None:
-    size = os.fstat(file.fileno()).st_size
-    if size != facts["bytes"]:
-        raise damaged(path, f"it has {size:,} bytes of {facts['bytes']:,}")
-    if hashlib.file_digest(file, "sha256").hexdigest() != facts["sha256"]:
-        raise damaged(path, "its content was changed")
 
 
 def encode(value: Any, path: str = "state", arrays: ArrayFiles | None = None) -> Any:

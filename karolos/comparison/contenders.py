@@ -14,7 +14,7 @@ from .. import checkpoint
 from ..errors import RunError, UsageError
 from ..records import RunFolder
 from ..records.results import TestCounts
-from ..records.run_records import RunSummary
+from ..records.run_records import RunRecord, RunSummary
 from ..store import Store
 
 Success = Literal["any", "end"]
@@ -41,13 +41,13 @@ class ComparedRun:
     @property
     def has_success(self) -> bool:
         """Whether a test says how many episodes succeed."""
-        return self.summary.success_end is not None or any(test.end is not None for test in self.tests)
+        return self.summary.success_end is not None or any(test.successes_end is not None for test in self.tests)
 
     def values(self, metric: Metric) -> tuple[float, ...]:
         """Success ratio or mean return of each test."""
         if metric == "return":
             return tuple(math.nan if test.mean_return is None else test.mean_return for test in self.tests)
-        return tuple((getattr(test, metric) or 0) / test.episodes for test in self.tests)
+        return tuple((getattr(test, f"successes_{metric}") or 0) / test.episodes for test in self.tests)
 
     def reported(self, metric: Metric) -> float:
         """Success ratio or mean return of the final test's policy `last`; without a final test, of the last test."""
@@ -82,8 +82,8 @@ class ComparedRun:
             state="finished",
             steps=nearest.steps,
             seconds=nearest.seconds,
-            success_any=None if nearest.any is None else nearest.any / nearest.episodes,
-            success_end=None if nearest.end is None else nearest.end / nearest.episodes,
+            success_any=None if nearest.successes_any is None else nearest.successes_any / nearest.episodes,
+            success_end=None if nearest.successes_end is None else nearest.successes_end / nearest.episodes,
             mean_return=nearest.mean_return,
             episodes=nearest.episodes,
             final=False,
@@ -156,8 +156,7 @@ def gather(store: Store, runs: Sequence[RunSummary], label: str) -> Contender:
             f"{label}: {len(runs) - len(chosen)} of {len(runs)} runs repeat a seed; of each seed the newest "
             "finished run is used, or the newest if none is finished"
         )
-    tests = store.tests_of([run.run for run in chosen.values()])
-    loaded = [_load(store, chosen[seed], tests[chosen[seed].run]) for seed in sorted(chosen)]
+    loaded = [_load(record) for record in store.records([chosen[seed] for seed in sorted(chosen)])]
     tested = tuple(run for run in loaded if run.tests)
     if not tested:
         raise UsageError(f"{label} has no test yet", hint="`karolos runs list` shows how far its runs are")
@@ -194,29 +193,23 @@ def _reporting(store: Store, runs: Sequence[RunSummary], label: str) -> tuple[Se
     ]
 
 
-def _load(store: Store, run: RunSummary, tests: tuple[TestCounts, ...]) -> ComparedRun:
+def _load(record: RunRecord) -> ComparedRun:
+    """A run from the index, with what only its folder holds."""
     about: Mapping[str, Any] = {}
     spec: Mapping[str, Any] = {}
     rate = None
-    if os.path.isdir(run.folder):
+    if os.path.isdir(record.summary.folder):
         with suppress(RunError):  # a damaged folder; the index has everything that a comparison needs
-            folder = RunFolder.open(run.folder)
+            folder = RunFolder.open(record.summary.folder)
             about, spec, rate = folder.description(), folder.spec(), _updates_per_second(folder.checkpoints)
-    return ComparedRun(
-        summary=run,
-        tests=tests,
-        spec=spec or store.spec(run.experiment),
-        versions=about.get("versions") or store.versions(run.run),
-        commit=_commit(about),
-        updates_per_second=rate,
-    )
+    return ComparedRun(record.summary, record.tests, spec or record.spec, record.versions, _commit(about), rate)
 
 
 def compared(folder: RunFolder) -> ComparedRun:
     """The run in a folder, without the store."""
     record, about = folder.record(), folder.description()
     rate = _updates_per_second(folder.checkpoints)
-    return ComparedRun(record.summary, record.tests, record.spec, record.versions or {}, _commit(about), rate)
+    return ComparedRun(record.summary, record.tests, record.spec, record.versions, _commit(about), rate)
 
 
 def _commit(about: Mapping[str, Any]) -> str | None:

@@ -79,7 +79,7 @@ def learning_curve(
     elif len(runs) > 1 or metric == "return":
         low, high = values.min(axis=1), values.max(axis=1)
     else:
-        ends = [wilson(getattr(test, metric) or 0, test.episodes) for test in runs[0].tests]
+        ends = [wilson(getattr(test, f"successes_{metric}") or 0, test.episodes) for test in runs[0].tests]
         low, high = (np.interp(at, places(runs[0], axis), [pair[side] for pair in ends]) for side in (0, 1))
     return Curve(at, middle, low, high)
 

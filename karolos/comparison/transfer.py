@@ -279,5 +279,5 @@ def _each(tests: Iterable[TestCounts]) -> dict[str, Any]:
     counts = list(tests)
     return {
         "each": [count.success_end for count in counts],
-        "wilson": [wilson(count.end or 0, count.episodes) for count in counts],
+        "wilson": [wilson(count.successes_end or 0, count.episodes) for count in counts],
     }

@@ -8,12 +8,12 @@ next state is 0) or `truncated` (the next state has a value). Continuous actions
 from .agent import Agent
 from .arrays import Array, BoolArray, FloatArray, State
 from .buffer import Buffer
-from .environment import Environment
+from .environment import Environment, Expert
 from .experience import Batch, Experience, Rollout, Step, Transitions
 from .goals import GoalRule
 from .layout import Discrete, Field, Layout
 from .memory import FLOAT_BYTES, MemoryNeed
-from .orchestrator import Failure, Orchestrator, Received
+from .orchestrator import BuildEnvironment, Failure, Orchestrator, Received
 from .settings import AgentSettings, Settings
 from .signature import Signature, random_actions
 
@@ -25,9 +25,11 @@ __all__ = [
     "Batch",
     "BoolArray",
     "Buffer",
+    "BuildEnvironment",
     "Discrete",
     "Environment",
     "Experience",
+    "Expert",
     "Failure",
     "Field",
     "FloatArray",

@@ -1,4 +1,4 @@
-"""The interface of environments."""
+"""The interfaces of environments and of the scripted experts that solve them."""
 
 from __future__ import annotations
 
@@ -7,9 +7,25 @@ from abc import ABC, abstractmethod
 import numpy as np
 from numpy.typing import NDArray
 
+from ..errors import UsageError
 from .arrays import Array, FloatArray
 from .experience import Step
 from .signature import Signature
+
+
+class Expert(ABC):
+    """A scripted policy for an environment: it shows that a task can be solved, and gives demonstrations.
+
+    Order of calls: `reset` after the environment's reset, then `act` before each step. The expert of a task uses the
+    robot's view only, so it works with any robot and control mode.
+    """
+
+    def reset(self) -> None:  # noqa: B027 (an expert without a state has nothing to reset)
+        """Start a new episode."""
+
+    @abstractmethod
+    def act(self) -> FloatArray:
+        """The next action: (action.size,)."""
 
 
 class Environment(ABC):
@@ -50,6 +66,10 @@ class Environment(ABC):
     def parameters(self) -> FloatArray:
         """The values that domain randomization drew for this episode, in the layout `signature.parameters`."""
         return np.zeros(0, np.float32)
+
+    def expert(self) -> Expert:
+        """The scripted policy of the running episode. Raises UsageError if there is none."""
+        raise UsageError("there is no expert for this environment", setting="environment", hint="tasks have experts")
 
     def render(self, width: int = 640, height: int = 480) -> NDArray[np.uint8]:
         """An image of the current state: (height, width, 3). Raises NotImplementedError without rendering."""

@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 from abc import ABC, abstractmethod
-from collections.abc import Sequence
+from collections.abc import Callable, Sequence
 from typing import Any, NamedTuple
 
 import numpy as np
@@ -11,8 +11,12 @@ from numpy.typing import NDArray
 
 from ..errors import KarolosError
 from .arrays import FloatArray
+from .environment import Environment
 from .experience import Step
 from .signature import Signature
+
+BuildEnvironment = Callable[[], Environment]
+"""Builds one of an orchestrator's environments, each like the others. Picklable, so that workers can call it."""
 
 
 class Failure(NamedTuple):

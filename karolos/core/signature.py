@@ -40,20 +40,18 @@ def random_actions(signature: Signature, size: int, generator: np.random.Generat
     return generator.uniform(-1, 1, (size, signature.action.size)).astype(np.float32)
 
 
-def layout_differences(here: Signature, there: Signature) -> list[str]:
-    """The differences that prevent an agent trained on `there` from acting on `here`: one line for each layout."""
+def layout_differences(acting: Signature, trained: Signature) -> list[str]:
+    """The differences that prevent an agent trained on `trained` from acting on `acting`: one line for each layout."""
     lines = []
     for part in ("observation", "action", "desired_goal"):
-        mine, other = _field_texts(getattr(here, part)), _field_texts(getattr(there, part))
-        if mine != other:
-            missing, extra = (
-                [field for field in other if field not in mine],
-                [field for field in mine if field not in other],
-            )
+        acted, learned = _field_texts(getattr(acting, part)), _field_texts(getattr(trained, part))
+        if acted != learned:
+            missing = [field for field in learned if field not in acted]
+            extra = [field for field in acted if field not in learned]
             details = [f"only there: {', '.join(missing)}"] if missing else []
             details += [f"only here: {', '.join(extra)}"] if extra else []
             detail = "; ".join(details) or "the order differs"
-            lines.append(f"{part} is [{', '.join(mine)}] here and [{', '.join(other)}] there ({detail})")
+            lines.append(f"{part} is [{', '.join(acted)}] here and [{', '.join(learned)}] there ({detail})")
     return lines
 
 

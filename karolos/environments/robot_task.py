@@ -11,14 +11,14 @@ import numpy as np
 from numpy.typing import NDArray
 from pydantic import Field as Setting
 
-from ..core import Array, Environment, FloatArray, GoalRule, Layout, Signature, Step
+from ..core import Array, Environment, Expert, FloatArray, GoalRule, Layout, Signature, Step
 from ..core import Settings as BaseSettings
 from ..core.seeding import SeedTree
 from ..errors import UsageError
-from ..randomization.distribution import Distribution
+from ..randomization.distributions import Distribution
 from ..randomization.randomization import Randomization
 from ..simulation.engines import Engine, check_engine, default_engine, make_world
-from ..simulation.interface import Camera, Expert, Robot, Task, World
+from ..simulation.interface import Camera, Robot, Task, World
 from .action_set import ActionSet, action_index
 
 TIMESTEP = 1 / 240

@@ -12,12 +12,11 @@ import numpy as np
 from numpy.typing import NDArray
 from pydantic import ValidationError
 
-from ..core import Array, Environment, Field, FloatArray, Layout, Signature, Step
+from ..core import Array, Environment, Expert, Field, FloatArray, Layout, Signature, Step
 from ..core.seeding import SeedTree
 from ..core.signature import layout_differences
 from ..errors import UsageError
-from ..randomization.choice import Choice
-from ..simulation.interface import Expert
+from ..randomization.distributions import Choice
 from ..spec.parts import Part, Recipe, validate_strictly
 from .robot_task import RobotTask
 

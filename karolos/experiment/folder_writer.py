@@ -13,6 +13,7 @@ from ..evaluation.due_tests import DueTest
 from ..records import RunFolder
 from ..records.final_test import FinalTest
 from ..records.results import TestCounts, TestResult
+from ..records.run_records import State
 from ..training.episodes import Episode
 from ..training.training import Training
 from .observer import Ending, RunObserver, RunWarnings
@@ -88,7 +89,7 @@ class FolderWriter(RunObserver):
 
     def _set_state(
         self,
-        state: str,
+        state: State,
         steps: int | None = None,
         seconds: float | None = None,
         updates: int | None = None,

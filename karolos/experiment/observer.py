@@ -16,6 +16,7 @@ from ..evaluation.due_tests import DueTest
 from ..records import RunFolder
 from ..records.final_test import FinalTest
 from ..records.results import TestResult
+from ..records.run_records import State
 from ..training.episodes import Episode
 from ..training.training import Progress, Training
 from .events import Listener, RunAdvanced, RunBusy, RunEnded, RunFinalTested, RunTested, RunWarned
@@ -33,7 +34,7 @@ Announce = Callable[[str, int, int], None]
 class Ending:
     """How a run ended."""
 
-    state: str
+    state: State
     """finished, stopped or failed."""
     steps: int | None = None
     """Environment steps of training; None if training broke off."""

@@ -22,7 +22,7 @@ from ..records.final_test import FinalTest
 from ..records.results import TestResult
 from ..records.run_records import RunSummary
 from ..spec import Spec
-from ..spec.model import Demonstrations as DemonstrationSettings
+from ..spec.model import DemonstrationSettings
 from ..training.assembly import make_agent, make_buffer, make_orchestrator
 from ..training.demonstrations import collect_demonstrations
 from ..training.episodes import Episode

@@ -1,16 +1,16 @@
-"""Backends of the local orchestrator: `InProcess` runs commands in the calling thread, pool.py in worker processes."""
+"""Backends of the local orchestrator: `InProcess` runs commands in the calling thread, pool.py in workers."""
 
 from __future__ import annotations
 
 from abc import ABC, abstractmethod
 from contextlib import ExitStack
-from typing import Any, NamedTuple
+from typing import NamedTuple
 
 import numpy as np
 from numpy.typing import NDArray
 
-from ..core import Failure, Signature
-from .executor import FAILURES, Build, Executor, as_karolos_error
+from ..core import BuildEnvironment, Failure, Signature
+from .executor import FAILURES, Executor, as_karolos_error
 from .shared_memory import EnvironmentArrays
 
 Ids = NDArray[np.int64]
@@ -57,10 +57,10 @@ class Backend(ABC):
 class InProcess(Backend):
     """Runs all environments in this process; `collect` runs the commands."""
 
-    def __init__(self, build: Build, recipe: Any, size: int) -> None:
+    def __init__(self, build: BuildEnvironment, size: int) -> None:
         with ExitStack() as stack:
             try:
-                self._executor = Executor(build, recipe, size, stack)
+                self._executor = Executor(build, size, stack)
             except FAILURES as error:
                 raise as_karolos_error(error, "building an environment") from error
             self._open = stack.pop_all()

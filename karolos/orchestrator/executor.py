@@ -4,18 +4,13 @@ from __future__ import annotations
 
 import pickle
 import traceback
-from collections.abc import Callable
 from contextlib import ExitStack
-from typing import Any
 
 import numpy as np
 
-from ..core import Discrete, Environment, Signature, Step
+from ..core import BuildEnvironment, Discrete, Environment, Signature, Step
 from ..errors import KarolosError, PluginError, WorkerError
 from .shared_memory import EnvironmentArrays
-
-Build = Callable[[Any], Environment]
-"""Builds an environment from a recipe; picklable, so a function at module level."""
 
 RESET = b"r"
 STEP = b"s"
@@ -26,7 +21,7 @@ FAILURES = (Exception, SystemExit)
 
 
 class Executor:
-    """Builds environments from one recipe and runs commands on them. Reads from and writes to their rows of the arrays.
+    """Builds environments and runs commands on them. Reads from and writes to their rows of the arrays.
 
     The state of an environment that raised is unknown, so its next reset builds it again.
 
@@ -34,14 +29,13 @@ class Executor:
         stack: closes the environments, also if a later one cannot be built.
     """
 
-    def __init__(self, build: Build, recipe: Any, count: int, stack: ExitStack) -> None:
+    def __init__(self, build: BuildEnvironment, count: int, stack: ExitStack) -> None:
         self._build = build
-        self._recipe = recipe
         self._environments: list[Environment] = []
         self._broken: set[int] = set()
         stack.callback(self._close)
         for _ in range(count):
-            self._environments.append(build(recipe))
+            self._environments.append(build())
         self.signature: Signature = self._environments[0].signature
         self._discrete = isinstance(self.signature.action, Discrete)
 
@@ -71,7 +65,7 @@ class Executor:
         position = index - self._first
         if index in self._broken:
             self._environments[position].close()
-            self._environments[position] = self._build(self._recipe)
+            self._environments[position] = self._build()
             self._broken.remove(index)
         environment = self._environments[position]
         step = environment.reset(int(self._arrays.seed[index]))

@@ -3,7 +3,6 @@
 from __future__ import annotations
 
 import atexit
-import itertools
 import math
 import operator
 import weakref
@@ -15,13 +14,12 @@ from numpy.typing import NDArray
 from pydantic import Field as Setting
 from pydantic import model_validator
 
-from ..core import Failure, FloatArray, Orchestrator, Received, Step
+from ..core import BuildEnvironment, Failure, FloatArray, Orchestrator, Received, Step
 from ..core import Settings as BaseSettings
-from ..environments.build import build_environment
 from ..errors import RunError
 from .backend import Backend, Group, Ids, InProcess
-from .executor import RESET, STEP, Build
-from .pool import WorkerPool
+from .executor import RESET, STEP
+from .processes import ProcessPool
 
 EnvironmentIds = Sequence[int] | NDArray[np.int64]
 
@@ -84,27 +82,16 @@ class Local(Orchestrator):
             """The settings that results depend on: the number of environments, not their layout."""
             return {"environments": self.size}
 
-    def __init__(
-        self, settings: Local.Settings, recipe: Any, *, size: int | None = None, build: Build = build_environment
-    ) -> None:
+    def __init__(self, settings: Local.Settings, build: BuildEnvironment) -> None:
         """Start the workers and wait until every environment is built.
-
-        Args:
-            settings: the layout.
-            recipe: the argument of `build` for each environment. Picklable.
-            size: number of environments, spread evenly over the layout; None: `settings.size`.
-            build: makes an environment from the recipe. Picklable.
 
         Raises:
             KarolosError: an environment cannot be built.
             MachineError: the machine cannot start the processes.
         """
-        self.size = settings.size if size is None else size
-        if self.size < 1:
-            raise ValueError(f"an orchestrator needs at least one environment, not {self.size}")
-        self._layout = _layout(self.size, settings.processes or 1, settings.threads)
+        self.size = settings.size
         self._settings = settings
-        backend = self._start(build, recipe)
+        backend = self._start(build)
         self._backend: Backend | None = backend
         # Close when this object is collected, and at exit before the interpreter waits for its child processes.
         self._close = weakref.finalize(self, backend.close)
@@ -121,12 +108,18 @@ class Local(Orchestrator):
         self._groups: dict[bytes, Group] = {}
         self._all_ids = np.arange(self.size)
 
-    def _start(self, build: Build, recipe: Any) -> Backend:
+    def _start(self, build: BuildEnvironment) -> Backend:
         """Start the workers."""
         settings = self._settings
-        if settings.processes:
-            return WorkerPool(build, recipe, self._layout, settings.time_limit, settings.failures)
-        return InProcess(build, recipe, self.size)
+        if not settings.processes:
+            return InProcess(build, self.size)
+        return ProcessPool(build, self._layout(), settings.time_limit, settings.failures)
+
+    def _layout(self) -> list[list[range]]:
+        """The ids of each channel's environments, by process: one channel for each thread."""
+        threads, environments = self._settings.threads, self._settings.environments
+        ids = [range(first, first + environments) for first in range(0, self.size, environments)]
+        return [ids[first : first + threads] for first in range(0, len(ids), threads)]
 
     def reset(self, environments: EnvironmentIds, seeds: Sequence[int]) -> None:
         """Begin an episode in each of these environments, with its seed (0 .. 2**64 - 1). Does not wait.
@@ -224,9 +217,9 @@ class Local(Orchestrator):
         return backend.arrays.parameters[group.ids]
 
     def describe(self) -> dict[str, Any]:
-        """The actual layout: never more processes or threads than environments."""
-        processes = len(self._layout) if self._settings.processes else 0
-        return {"processes": processes, "threads": max(map(len, self._layout)), "environments": self.size}
+        """The layout, and the number of all environments."""
+        settings = self._settings
+        return {"processes": settings.processes, "threads": settings.threads, "environments": self.size}
 
     def close(self) -> None:
         """End the workers and free shared memory; pending commands are lost. Safe to call twice."""
@@ -283,14 +276,3 @@ class Local(Orchestrator):
             self._updates[group.rows] = updates
             self._pending += group.ids.size
             backend.send(command, group)
-
-
-def _layout(size: int, processes: int, threads: int) -> tuple[tuple[range, ...], ...]:
-    """Ids 0 .. size - 1 split evenly and in order over processes, and those of a process over its threads."""
-    return tuple(tuple(_split(ids, threads)) for ids in _split(range(size), processes))
-
-
-def _split(ids: range, parts: int) -> list[range]:
-    parts = min(parts, len(ids))
-    bounds = [ids.start + len(ids) * part // parts for part in range(parts + 1)]
-    return [range(start, stop) for start, stop in itertools.pairwise(bounds)]

@@ -1,22 +1,24 @@
-"""The pool of worker processes: starts them, sends commands, detects failures, replaces lost workers."""
+"""A pool of workers: sends commands, detects failures, replaces lost workers. A subclass starts workers of its kind."""
 
 from __future__ import annotations
 
 import pickle
+from abc import ABC, abstractmethod
+from collections import deque
+from collections.abc import Sequence
 from contextlib import suppress
 from time import monotonic
 from typing import Any
 
 import numpy as np
+from numpy.typing import NDArray
 
 from ..core import Failure, Signature
-from ..errors import KarolosError, MachineError, PluginError
+from ..errors import KarolosError, MachineError, PluginError, WorkerError
 from .backend import Answers, Backend, Group, Ids
-from .channels import Channel, Poller, Worker
-from .executor import RESET, STEP, Build
-from .shared_memory import EnvironmentArrays, SharedBytes
-from .start import pack_recipe
-from .worker import DONE, packed
+from .executor import RESET, STEP
+from .shared_memory import EnvironmentArrays
+from .worker import DONE, command_message
 
 CLOSE_TIMEOUT = 3.0
 """Seconds for workers to close their environments before they are killed."""
@@ -24,33 +26,122 @@ BUILD_TIMEOUT = 300.0
 """Seconds for a worker to build its environments: the first import of a large library may take a minute."""
 CHECK_INTERVAL = 1.0
 """Largest number of seconds between two checks for hanging workers."""
+MOST_PLANS = 64
+"""Sets of environments whose messages are kept. Bounds the memory where episodes end at random."""
+
+
+class Channel:
+    """The connection to a part of a worker's environments. It is ready once they are built and share memory.
+
+    Args:
+        connection: a connection of multiprocessing, or an object with its methods.
+    """
+
+    def __init__(self, worker: EnvironmentWorker, connection: Any, ids: range) -> None:
+        self.worker = worker
+        self.connection = connection
+        self.ids = ids
+        self.ready = False
+        self.pending: deque[Group] = deque()
+        """The groups of the commands without an answer, oldest first."""
+        self._backlog: list[bytes] = []
+        self._sent = 0
+        self._progress = (-1, -1)
+        self._since = monotonic()
+
+    @property
+    def busy(self) -> bool:
+        """Whether an answer is missing: to a command, or the first one after building."""
+        return bool(self.pending) or not self.ready
+
+    def send(self, message: bytes, group: Group) -> None:
+        """Send a command for a group, or queue it until the channel is ready. Ignores a closed connection."""
+        self.pending.append(group)
+        self._sent += 1
+        self._backlog.append(message)
+        if self.ready:
+            self.open()
+
+    def open(self) -> None:
+        """Mark the channel as ready and send the queued commands."""
+        self.ready = True
+        with suppress(OSError):
+            for message in self._backlog:
+                self.connection.send_bytes(message)
+        self._backlog.clear()
+
+    def receive(self) -> bytes | None:
+        """The next message; None if the connection has ended."""
+        try:
+            message: bytes = self.connection.recv_bytes()
+            return message
+        except (EOFError, OSError):
+            return None
+
+    def stalled_seconds(self, commands: NDArray[np.uint64] | None, now: float) -> float:
+        """Seconds without a completed command; 0 for an idle channel. `commands` counts those of each environment."""
+        completed = 0 if commands is None else int(commands[self.ids.start : self.ids.stop].sum())
+        progress = (self._sent, completed)
+        if progress != self._progress or not self.busy:
+            self._progress, self._since = progress, now
+        return now - self._since
+
+
+class EnvironmentWorker(ABC):
+    """A worker and its channels. A subclass ends workers of its kind.
+
+    Args:
+        number: of the worker.
+        connections: one for each channel.
+        ids: the environments of each channel.
+    """
+
+    def __init__(self, number: int, connections: Sequence[Any], ids: Sequence[range]) -> None:
+        self.number = number
+        self.channels = [Channel(self, *channel) for channel in zip(connections, ids, strict=True)]
+        self.lost: KarolosError | None = None
+        """Why the worker ended; None while it runs."""
+
+    @property
+    def environments(self) -> Ids:
+        return np.arange(self.channels[0].ids.start, self.channels[-1].ids.stop)
+
+    def close_connections(self) -> None:
+        """Close the connections, which makes the worker exit."""
+        for channel in self.channels:
+            channel.connection.close()
+
+    @abstractmethod
+    def end(self, seconds: float) -> tuple[str, str]:
+        """Wait for a worker with closed connections, then kill it. Returns how it ended, and what to do."""
+
+    def error(self, what: str, hint: str) -> WorkerError:
+        """A WorkerError that names the worker and its environments."""
+        ids = self.environments
+        named = f"environments {ids[0]} to {ids[-1]}" if ids.size > 1 else f"environment {ids[0]}"
+        return WorkerError(f"{what}, with {named}", where=f"worker {self.number}", hint=hint)
 
 
 class WorkerPool(Backend):
-    """Runs environments in worker processes. `layout` holds the ids of each thread's environments, by process.
+    """Runs environments in workers. Worker i has the channels of `layout[i]`, each with the ids of its environments.
 
     A worker that ends, or takes longer than `time_limit` seconds for one command, is a failure of all its environments.
     The next reset of one of them starts another worker. A worker that ends while it builds its environments for the
     first time is replaced at once, up to `failures` times.
     """
 
-    def __init__(
-        self, build: Build, recipe: Any, layout: tuple[tuple[range, ...], ...], time_limit: float, failures: int
-    ) -> None:
-        self._recipe = pack_recipe(build, recipe)
+    def __init__(self, layout: Sequence[Sequence[range]], time_limit: float, failures: int) -> None:
         self._layout = layout
-        sizes = [len(ids) for channels in layout for ids in channels]
-        self._size = sum(sizes)
         self._places = [(worker, channel) for worker, ranges in enumerate(layout) for channel in range(len(ranges))]
-        """All pairs of worker and channel."""
-        self._place_of = np.repeat(np.arange(len(sizes)), sizes)
-        """The index in `_places` of each environment."""
+        """All pairs of worker and channel. Each has as many environments."""
+        self._environments_each = len(layout[0][0])
+        self._size = len(self._places) * self._environments_each
         self._time_limit = time_limit
         self._check_interval = min(CHECK_INTERVAL, time_limit / 4)
         self._next_check = monotonic() + self._check_interval
-        self._poller = Poller()
-        self._memory: SharedBytes | None = None
-        self._workers: list[Worker] = []
+        self._connected = False
+        """Whether the signature is known and the arrays are allocated."""
+        self._workers: list[EnvironmentWorker] = []
         self._any_lost = False
         self._undelivered: list[Failure] = []
         self._plans: dict[bytes, list[tuple[Channel, Group, dict[bytes, bytes]]]] = {}
@@ -62,26 +153,33 @@ class WorkerPool(Backend):
             self.close()
             raise
 
-    def _start(self, number: int) -> Worker:
-        try:
-            worker = Worker(number, self._recipe, self._layout[number], self._size)
-        except (OSError, EOFError) as error:
-            raise MachineError(
-                f"worker process {number} of {len(self._layout)} cannot be started: {error}",
-                setting="orchestrator",
-                hint="use fewer processes, or `processes: 0` to step environments in the main process",
-            ) from error
-        for channel in worker.channels:
-            self._poller.add(channel)
-        return worker
+    @abstractmethod
+    def _start(self, number: int) -> EnvironmentWorker:
+        """Start a worker, which builds its environments. Raises MachineError if the machine gives none."""
+
+    @abstractmethod
+    def _allocate(self, signature: Signature) -> EnvironmentArrays:
+        """The arrays of all environments."""
+
+    @abstractmethod
+    def _share(self, channel: Channel) -> None:
+        """Let a channel use the arrays."""
+
+    @abstractmethod
+    def _readable(self, timeout: float) -> list[Channel]:
+        """The channels with a message or an ended connection; waits up to `timeout` seconds for one."""
+
+    def _seconds_allowed(self, channel: Channel) -> float:  # noqa: ARG002  (others depend on it)
+        """Seconds until a ready channel must show progress."""
+        return self._time_limit
 
     def _wait_until_ready(self, failures: int) -> None:
         """Wait until every environment is built. Raises the error of building one, or of a worker that ends again."""
         losses = [0] * len(self._workers)
         while not all(channel.ready for worker in self._workers for channel in worker.channels):
             for failure in self.collect().failures:
-                number = next((worker.number for worker in self._workers if worker.lost is failure.error), None)
-                if number is None or losses[number] == failures:
+                number, _ = self._places[failure.environment[0] // self._environments_each]
+                if not failure.lost or losses[number] == failures:
                     raise failure.error
                 losses[number] += 1
                 self._workers[number] = self._start(number)
@@ -93,7 +191,7 @@ class WorkerPool(Backend):
         key = environments.ids.tobytes()
         plan = self._plans.get(key)
         if plan is None:
-            if len(self._plans) >= 64:  # bounds the memory where episodes end at random
+            if len(self._plans) >= MOST_PLANS:
                 self._plans.clear()
             plan = self._plans[key] = self._plan(environments.ids)
         for channel, group, messages in plan:
@@ -104,18 +202,18 @@ class WorkerPool(Backend):
 
     def _plan(self, environments: Ids) -> list[tuple[Channel, Group, dict[bytes, bytes]]]:
         """The channels of these environments, the environments of each, and the message for each command."""
-        places = self._place_of[environments]
+        places = environments // self._environments_each
         plan = []
         for place in np.unique(places).tolist():
             worker, channel = self._places[place]
             ids = environments[places == place]
-            messages = {command: packed(command, ids) for command in (RESET, STEP)}
+            messages = {command: command_message(command, ids) for command in (RESET, STEP)}
             plan.append((self._workers[worker].channels[channel], Group.of(ids), messages))
         return plan
 
     def _replace(self, environments: Ids) -> None:
         """Replace the lost workers of these environments."""
-        for number, _ in sorted({self._places[place] for place in self._place_of[environments]}):
+        for number in sorted({self._places[place][0] for place in environments // self._environments_each}):
             if self._workers[number].lost:
                 with suppress(MachineError):  # the worker stays lost, and fails again
                     self._workers[number] = self._start(number)
@@ -125,7 +223,7 @@ class WorkerPool(Backend):
     def collect(self, *, wait: bool = True) -> Answers:
         answers = Answers([], self._undelivered)
         self._undelivered = []
-        for channel in self._poller.poll(self._check_interval if wait and not answers.failures else 0.0):
+        for channel in self._readable(self._check_interval if wait and not answers.failures else 0.0):
             if not channel.worker.lost:  # an earlier channel of this worker may have reported its end
                 self._read(channel, answers)
         now = monotonic()
@@ -153,38 +251,43 @@ class WorkerPool(Backend):
             self._lose(channel.worker, answers, pickle.loads(message[1:])[0][1])
             return
         signature: Signature = pickle.loads(message[1:])
-        if self._memory is None:
-            self.signature = signature
-            self._memory = SharedBytes(EnvironmentArrays.size(signature, self._size))
-            self.arrays = EnvironmentArrays.over(self._memory.buffer, signature, self._size)
-        elif (error := differing(signature, self.signature)) is not None:
+        if not self._connected:
+            self.signature, self.arrays, self._connected = signature, self._allocate(signature), True
+        elif _widths(signature) != _widths(self.signature):
+            error = PluginError(
+                "environments of one spec have different observations, goals or actions",
+                setting="orchestrator",
+                hint="an environment's signature must depend on its settings alone",
+            )
             self._lose(channel.worker, answers, error)
             return
-        with suppress(ConnectionError):  # the poller reports a worker that has ended
-            self._memory.send(channel.connection, channel.worker.process.pid or 0)
+        with suppress(ConnectionError):  # `_readable` reports a worker that has ended
+            self._share(channel)
         channel.open()
 
     def _check_for_hangs(self, now: float, answers: Answers) -> None:
         for worker in self._workers:
             for channel in worker.channels if not worker.lost else []:
-                limit = self._time_limit if channel.ready else BUILD_TIMEOUT
-                if channel.stalled_seconds(self.arrays if self._memory else None, now) <= limit:
+                stalled = channel.stalled_seconds(self.arrays.commands if channel.ready else None, now)
+                if stalled <= (self._seconds_allowed(channel) if channel.ready else BUILD_TIMEOUT):
                     continue
-                worker.process.kill()
-                what, hint = f"a reset or step took longer than {limit:g} s", "or raise orchestrator.time_limit"
+                what = f"a reset or step took longer than {self._time_limit:g} s"
+                hint = "or raise orchestrator.time_limit"
                 if not channel.ready:
-                    what, hint = f"building an environment took longer than {limit:g} s", "or use fewer environments"
-                self._lose(worker, answers, worker.error(what, f"find out why it hangs, {hint}"))
+                    what = f"building an environment took longer than {BUILD_TIMEOUT:g} s"
+                    hint = "or use fewer environments"
+                self._lose(worker, answers, worker.error(what, f"find out why it hangs, {hint}"), seconds=0.0)
                 break
 
-    def _lose(self, worker: Worker, answers: Answers, error: KarolosError | None = None) -> None:
-        """Stop a worker and report the failure of its environments."""
-        for channel in worker.channels:
-            self._poller.remove(channel)
+    def _lose(
+        self, worker: EnvironmentWorker, answers: Answers, error: KarolosError | None = None, seconds: float = 1.0
+    ) -> None:
+        """Stop a worker and report the failure of its environments. It has `seconds` to end by itself."""
         worker.close_connections()
-        worker.lost = worker.end()
+        how = worker.end(seconds)  # the connection of a process closes shortly before the exit code is available
+        worker.lost = error or worker.error(*how)
         self._any_lost = True
-        answers.failures.append(Failure(worker.environments, error or worker.lost, lost=error is None))
+        answers.failures.append(Failure(worker.environments, worker.lost, lost=error is None))
 
     def close(self) -> None:
         alive = [worker for worker in self._workers if not worker.lost]
@@ -192,24 +295,11 @@ class WorkerPool(Backend):
             worker.close_connections()
         deadline = monotonic() + CLOSE_TIMEOUT
         for worker in alive:
-            worker.join(deadline)
+            worker.end(max(0.0, deadline - monotonic()))
         self._workers = []
-        if self._memory is not None:
-            self.arrays = EnvironmentArrays.private(self.signature, 0)  # a traceback may refer to the old arrays
-            self._memory.close()
-
-
-def differing(signature: Signature, other: Signature) -> PluginError | None:
-    """The error of environments from one recipe that do not fit in the same arrays; None if they do."""
-    if _widths(signature) == _widths(other):
-        return None
-    return PluginError(
-        "environments from one recipe have different observations, goals or actions",
-        setting="orchestrator",
-        hint="an environment's signature must depend on its settings alone",
-    )
 
 
 def _widths(signature: Signature) -> tuple[object, ...]:
+    """What must be the same for environments in the same arrays."""
     goals = signature.achieved_goal, signature.desired_goal
     return (signature.observation, signature.action, *goals, signature.parameters)

@@ -7,12 +7,9 @@ from __future__ import annotations
 
 import mmap
 import os
-import sys
-import tempfile
 from dataclasses import dataclass
 from multiprocessing import reduction
 from multiprocessing.connection import Connection
-from multiprocessing.shared_memory import SharedMemory
 from typing import Any
 
 import numpy as np
@@ -75,41 +72,20 @@ def _aligned(count: int) -> int:
 
 
 class SharedBytes:
-    """Memory that other processes can map and that the system frees even if this process is killed.
-
-    On POSIX the memory has a file descriptor and no name, so the kernel frees it with the last process that holds it.
-    On Windows shared memory is named, and freed with the last handle.
-    """
+    """Memory that other processes can map. It has no name: the kernel frees it with the last process that holds it."""
 
     def __init__(self, size: int) -> None:
-        self._size = size
-        if sys.platform == "win32":
-            self._named = SharedMemory(create=True, size=size)
-            self.buffer = self._named.buf
-            return
-        if sys.platform == "linux":
-            self._descriptor = os.memfd_create("karolos")
-            os.ftruncate(self._descriptor, size)
-        else:
-            with tempfile.TemporaryFile() as file:  # has no name any more
-                file.truncate(size)
-                self._descriptor = os.dup(file.fileno())
+        self._descriptor = os.memfd_create("karolos")
+        os.ftruncate(self._descriptor, size)
         self.buffer: Any = mmap.mmap(self._descriptor, size)
 
-    def send(self, connection: Connection, process: int) -> None:
-        """Let the process with this id, at the other end of the connection, map the memory."""
-        if sys.platform == "win32":
-            connection.send_bytes(self._named.name.encode())
-        else:
-            reduction.send_handle(connection, self._descriptor, process)
+    def send(self, connection: Connection) -> None:
+        """Let the process at the other end of the connection map the memory."""
+        reduction.send_handle(connection, self._descriptor, 0)
 
     @staticmethod
     def receive(connection: Connection, size: int) -> Any:
         """Receive the memory from `send`: a writable buffer, mapped while something refers to it."""
-        if sys.platform == "win32":
-            memory = SharedMemory(connection.recv_bytes().decode())
-            _received.append(memory)
-            return memory.buf
         descriptor = reduction.recv_handle(connection)
         try:
             return mmap.mmap(descriptor, size)
@@ -119,12 +95,6 @@ class SharedBytes:
     def close(self) -> None:
         """Release the memory; it stays mapped while arrays refer to it. Safe to call twice."""
         self.buffer = None
-        if sys.platform == "win32":
-            return
         if self._descriptor >= 0:
             os.close(self._descriptor)
             self._descriptor = -1
-
-
-_received: list[SharedMemory] = []
-"""References, because a collected SharedMemory unmaps itself even while arrays use it."""

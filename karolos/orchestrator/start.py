@@ -1,8 +1,8 @@
 """Start of worker processes, without the modules that the user's program has imported.
 
-On Linux, workers are forked from a small server process that has imported only what they need. Elsewhere each worker
-is a new process, because macOS's system libraries do not survive a fork. A worker never runs the user's main module: a
-script needs no `if __name__ == "__main__"` guard, and a script that imports torch does not import it in the workers.
+Workers are forked from a small server process that has imported only what they need. A worker never runs the user's
+main module: a script needs no `if __name__ == "__main__"` guard, and a script that imports torch does not import it in
+the workers.
 """
 
 from __future__ import annotations
@@ -16,29 +16,19 @@ import sys
 import tempfile
 from collections.abc import Iterator, Sequence
 from contextlib import contextmanager
+from multiprocessing import forkserver
 from multiprocessing.connection import Connection
-from multiprocessing.context import ForkServerContext, ForkServerProcess, SpawnContext, SpawnProcess
+from multiprocessing.context import ForkServerProcess
 from multiprocessing.util import Finalize
 from threading import Lock
 from types import ModuleType
-from typing import Any, Literal
+from typing import Any
 
+from ..core import BuildEnvironment
 from ..errors import PluginError
 from ..files import temporary_prefix
-from .executor import Build
+from ..machine import ONE_THREAD
 from .worker import work
-
-WorkerProcess = ForkServerProcess | SpawnProcess
-
-START_METHOD: Literal["forkserver", "spawn"] = "forkserver" if sys.platform == "linux" else "spawn"
-ONE_THREAD = (
-    "OMP_NUM_THREADS",
-    "OPENBLAS_NUM_THREADS",
-    "MKL_NUM_THREADS",
-    "NUMEXPR_NUM_THREADS",
-    "VECLIB_MAXIMUM_THREADS",
-)
-"""Set to 1 in workers, because the processes share the cores."""
 
 _starting = Lock()
 
@@ -49,30 +39,25 @@ class _Modules(pickle.Unpickler):
     def __init__(self, data: bytes) -> None:
         super().__init__(io.BytesIO(data))
         self.names: set[str] = set()
+        self.load()
 
     def find_class(self, module: str, name: str) -> Any:
         self.names.add(module)
         return super().find_class(module, name)
 
 
-def pack_recipe(build: Build, recipe: Any) -> bytes:
-    """Pickle the pair (build, recipe) for workers. Raises PluginError if a worker could not import its parts."""
+def pack_build(build: BuildEnvironment) -> bytes:
+    """Pickle the function for workers. Raises PluginError if a worker could not import its parts."""
     hint = "define it in a module, or use `processes: 0` to step environments in the main process"
     try:
-        data = pickle.dumps((build, recipe))
+        data = pickle.dumps(build)
     except (pickle.PicklingError, AttributeError, TypeError) as error:
         raise PluginError(f"cannot be sent to a worker process: {error}", setting="environment", hint=hint) from error
-    if "__main__" in _modules(data):
+    if "__main__" in _Modules(data).names:
         raise PluginError(
             "is defined in the main script, which worker processes do not import", setting="environment", hint=hint
         )
     return data
-
-
-def _modules(data: bytes) -> set[str]:
-    reader = _Modules(data)
-    reader.load()
-    return reader.names
 
 
 def start_server(modules: Sequence[str]) -> None:
@@ -80,34 +65,27 @@ def start_server(modules: Sequence[str]) -> None:
 
     This process can import large libraries meanwhile. Without this call the first worker starts the server.
     """
-    if START_METHOD == "forkserver":
-        from multiprocessing import forkserver  # noqa: PLC0415  (Windows has none)
-
-        multiprocessing.get_context("forkserver").set_forkserver_preload([work.__module__, *modules])
-        _name_temporary_folder()
-        with fresh_start():
-            forkserver.ensure_running()
+    multiprocessing.get_context("forkserver").set_forkserver_preload([work.__module__, *modules])
+    _name_temporary_folder()
+    with fresh_start():
+        forkserver.ensure_running()
 
 
-def start_worker(number: int, recipe: bytes, ids: Sequence[range], size: int) -> tuple[WorkerProcess, list[Connection]]:
+def start_worker(
+    number: int, packed_build: bytes, ids: Sequence[range], size: int
+) -> tuple[ForkServerProcess, list[Connection]]:
     """Start worker `number` with one thread for each range of ids; returns the process and its connections.
 
     Raises OSError or EOFError if the machine cannot start a process.
     """
-    context: ForkServerContext | SpawnContext = (
-        multiprocessing.get_context("forkserver")
-        if START_METHOD == "forkserver"
-        else multiprocessing.get_context("spawn")
-    )
-    # Only karolos modules that the recipe needs: others may start threads, which do not survive a fork.
-    needed = sorted(name for name in _modules(recipe) if name.startswith("karolos."))
+    context = multiprocessing.get_context("forkserver")
+    # Only karolos modules that the environments need: others may start threads, which do not survive a fork.
+    needed = sorted(name for name in _Modules(packed_build).names if name.startswith("karolos."))
     context.set_forkserver_preload([work.__module__, *needed])
     pairs = [context.Pipe() for _ in ids]
     theirs = [end for _, end in pairs]
     process = context.Process(
-        target=work,
-        args=(number, recipe, list(zip(theirs, ids, strict=True)), size),
-        name=f"worker {number}",
+        target=work, args=(number, packed_build, list(zip(theirs, ids, strict=True)), size), name=f"worker {number}"
     )
     try:
         _name_temporary_folder()
@@ -141,7 +119,7 @@ def fresh_start() -> Iterator[None]:
         main = sys.modules["__main__"]
         before = {name: os.environ.get(name) for name in ONE_THREAD}
         sys.modules["__main__"] = ModuleType("__main__")
-        os.environ.update(dict.fromkeys(ONE_THREAD, "1"))
+        os.environ.update(ONE_THREAD)
         try:
             yield
         finally:

@@ -34,32 +34,31 @@ NO_ENVIRONMENT = -1
 ORPHAN_TIMEOUT = 2.0
 """Seconds for the channels to end by themselves after the parent has ended."""
 
-Channel = tuple[Connection, range]
-"""A connection and the ids of its environments."""
 
+def work(number: int, packed_build: bytes, channels: Sequence[tuple[Connection, range]], size: int) -> None:
+    """Run worker process `number`.
 
-def work(number: int, recipe: bytes, channels: Sequence[Channel], size: int) -> None:
-    """Run worker process `number`. `recipe` is a pickled pair (build, recipe); `size` counts all environments."""
+    Args:
+        number: of the worker.
+        packed_build: the pickled function that builds an environment.
+        channels: a connection and the ids of its environments, for each thread.
+        size: number of all environments, those of other workers included.
+    """
     isolate()
     where = f"worker {number}"
-    others = [Thread(target=_serve, args=(where, recipe, channel, size)) for channel in channels[1:]]
+    others = [Thread(target=_serve, args=(where, packed_build, *channel, size)) for channel in channels[1:]]
     for thread in others:
         thread.start()
-    _serve(where, recipe, channels[0], size)
+    _serve(where, packed_build, *channels[0], size)
     for thread in others:
         thread.join()
 
 
 def isolate() -> None:
     """Ignore signals, which the parent handles, and redirect standard output to standard error."""
-    for name in (
-        "SIGINT",
-        "SIGTERM",
-        "SIGHUP",
-        "SIGUSR1",
-    ):  # terminals and job schedulers send these to the process group
-        if hasattr(signal, name):
-            signal.signal(getattr(signal, name), signal.SIG_IGN)
+    # Terminals and job schedulers send these to the process group.
+    for number in (signal.SIGINT, signal.SIGTERM, signal.SIGHUP, signal.SIGUSR1):
+        signal.signal(number, signal.SIG_IGN)
     with suppress(OSError):  # there may be no standard error
         sys.stdout.flush()
         os.dup2(2, 1)
@@ -77,36 +76,44 @@ def _exit_with_parent() -> None:
     os._exit(1)
 
 
-def _serve(where: str, recipe: bytes, channel: Channel, size: int) -> None:
-    """Build the channel's environments and run commands until the connection ends."""
-    connection, ids = channel
+def _serve(where: str, packed_build: bytes, connection: Connection, ids: range, size: int) -> None:
+    """Build a channel's environments and run commands until the connection ends."""
     with connection, suppress(EOFError, ConnectionError), ExitStack() as stack:
-        try:
-            build, contents = pickle.loads(recipe)
-            executor = Executor(build, contents, len(ids), stack)
-            signature = executor.signature
-            answer = DONE + pickle.dumps(signature)
-        except FAILURES as error:
-            connection.send_bytes(FAILED + pack_errors([(NO_ENVIRONMENT, as_karolos_error(error, where))]))
-            return
+        executor, answer = build_environments(packed_build, len(ids), stack, where)
         connection.send_bytes(answer)
-        buffer = SharedBytes.receive(connection, EnvironmentArrays.size(signature, size))
-        executor.attach(EnvironmentArrays.over(buffer, signature, size), ids.start)
+        if executor is None:
+            return
+        buffer = SharedBytes.receive(connection, EnvironmentArrays.size(executor.signature, size))
+        executor.attach(EnvironmentArrays.over(buffer, executor.signature, size), ids.start)
         while True:
             message = connection.recv_bytes()
-            connection.send_bytes(execute(executor, message, where))
+            connection.send_bytes(run_command(executor, message, where))
 
 
-def packed(command: bytes, ids: NDArray[np.int64]) -> bytes:
+def build_environments(packed_build: bytes, count: int, stack: ExitStack, where: str) -> tuple[Executor | None, bytes]:
+    """Build a worker's environments, which `stack` closes. The answer is their signature, or why they are missing."""
+    try:
+        executor = Executor(pickle.loads(packed_build), count, stack)
+        return executor, DONE + pickle.dumps(executor.signature)
+    except FAILURES as error:
+        return None, FAILED + pack_errors([(NO_ENVIRONMENT, as_karolos_error(error, where))])
+
+
+def command_message(command: bytes, ids: NDArray[np.int64]) -> bytes:
     """The message for a command on these environments."""
     return command + ids.astype(np.uint32).tobytes()
 
 
-def execute(executor: Executor, message: bytes, where: str) -> bytes:
+def environments_in(message: bytes) -> NDArray[np.uint32]:
+    """The ids of the environments in a message."""
+    return np.frombuffer(message, np.uint32, offset=1)
+
+
+def run_command(executor: Executor, message: bytes, where: str) -> bytes:
     """Run a message's command on each of its environments; returns the answer."""
     command = message[:1]
     errors: list[tuple[int, KarolosError]] = []
-    for index in np.frombuffer(message, np.uint32, offset=1).tolist():
+    for index in environments_in(message).tolist():
         try:
             executor.run(command, index)
         except FAILURES as error:

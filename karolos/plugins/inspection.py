@@ -184,23 +184,22 @@ def _picture(robot: str, task: str | None, size: tuple[int, int] | None) -> NDAr
         try:
             alone.build(world)
             alone.reset(SeedTree(0).generator())
-            return halved(world.render(2 * width, 2 * height, Camera()))
+            return _halved(world.render(2 * width, 2 * height, Camera()))
         finally:
             world.close()
     environment = pair(robot, task)
     try:
         environment.reset(test_seeds(0, 1)[0])
-        return halved(environment.render(2 * width, 2 * height))
+        return _halved(environment.render(2 * width, 2 * height))
     finally:
         environment.close()
 
 
-def halved(picture: NDArray[np.uint8]) -> NDArray[np.uint8]:
+def _halved(picture: NDArray[np.uint8]) -> NDArray[np.uint8]:
     """A picture (2h, 2w, 3) as (h, w, 3), each pixel the mean of four, because the renderer does not smooth edges."""
-    height, width = picture.shape[0] // 2, picture.shape[1] // 2
-    blocks = picture[: 2 * height, : 2 * width].reshape(height, 2, width, 2, 3).astype(np.uint16)
-    mean: NDArray[np.uint8] = ((blocks.sum((1, 3)) + 2) // 4).astype(np.uint8)
-    return mean
+    from PIL import Image  # noqa: PLC0415
+
+    return np.asarray(Image.fromarray(picture).reduce(2))
 
 
 def floor(

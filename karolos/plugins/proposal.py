@@ -4,25 +4,24 @@ from __future__ import annotations
 
 import re
 import textwrap
-from collections.abc import Iterator, Sequence
-from dataclasses import dataclass, field, replace
-from itertools import combinations, product
+from collections.abc import Sequence
+from dataclasses import dataclass, fields
+from itertools import product
 from math import pi
 from pathlib import Path
+from pprint import pformat
 
 import numpy as np
 
 from ..core import Array
-from ..core.seeding import SeedTree
 from ..errors import PluginError
-from ..robots.arm import Arm, ArmModel, ArmSettings
+from ..robots.arm import ArmModel, ArmSettings
 from ..simulation import urdf
-from ..simulation.engines import default_engine, make_world
-from ..simulation.geometry import Box, Vector
+from ..simulation.geometry import Vector
 from ..simulation.interface import Fingers, Gripper
 from ..simulation.urdf import Joint
 from .meshes import points_of
-from .poses import SMALLEST, Poses
+from .poses import SMALLEST_WORKSPACE, Poses
 
 GRIPPER_NAMES = re.compile(r"grip|finger|jaw|claw|knuckle|thumb", re.IGNORECASE)
 """Joints of these names are not of the arm."""
@@ -31,13 +30,12 @@ TOOL_NAMES = tuple(
     for pattern in (r"grasp|tcp|tool_?cent|tool_?point", r"tool|(^|_)ee(_|f|$)|end_?eff", r"flange")
 )
 """Frames that are taken for the tool, the best first."""
-ALONG = 0.99
+PARALLEL = 0.99
 """Cosine of the largest angle between two directions that count as the same."""
-FAST = 2 * pi
+DOUBTED_SPEED = 2 * pi
 """Speed in rad/s from which a joint's limit is doubted."""
 PAD_DEPTH = 0.01
 """Distance in m from the tips of the fingers to the tool centre point."""
-TOOL_STEP: float = ArmSettings.model_fields["tool_step"].default
 
 
 @dataclass(frozen=True)
@@ -45,68 +43,25 @@ class Proposal:
     """A model for a URDF, and in words what was assumed."""
 
     model: ArmModel
-    joints: tuple[str, ...]
     tool_step: float
     """Largest in m that the joints' speeds allow at home, up to the default of every arm."""
-    length: float
-    """Of the arm from its second joint, in m."""
-    notes: list[str] = field(default_factory=list)
+    summary: str
+    notes: tuple[str, ...]
     """What was assumed, one line each."""
 
-    def texts(self) -> dict[str, str]:
-        """What the templates of a starter package say of this robot."""
+    def code(self) -> dict[str, str]:
+        """What the templates of a starter package say of this robot. Texts from the URDF are Python literals."""
         model = self.model
-        summary = f"{len(model.home)} joints, {self.length:.2f} m long, "
-        more, imports, settings = (
-            [],
-            [],
-            ["    class Settings(ArmSettings):", '        """The settings of every arm."""'],
-        )
-        if (fingers := model.fingers) is not None:
-            summary += f"a gripper of two fingers that opens {100 * fingers.gripper.width:g} cm."
-            imports += ["Fingers", "Gripper"]
-            more += [
-                "fingers=Fingers(",
-                *(
-                    f"    {key}={_code(getattr(fingers, key))},"
-                    for key in ("joints", "links", "travel", "open_at_zero")
-                ),
-                f"    gripper={fingers.gripper},",
-                "),",
-            ]
-        else:
-            summary += "without a gripper."
-        if model.self_collisions:
-            more += ["self_collisions=(", *(f"    {_code(pair)}," for pair in model.self_collisions), "),"]
-        if model.locked:
-            more += ["locked={", *(f"    {_code(joint)}: {at!r}," for joint, at in model.locked.items()), "},"]
-        if self.tool_step < TOOL_STEP:
-            settings[-1:] = [
-                '        """The settings of every arm, with a shorter step."""',
-                "",
-                "        tool_step: float = Setting(",
-                f"            {self.tool_step}, gt=0, le=0.2, "
-                'description="largest change of the tool position per control step, m"',
-                "        )",
-            ]
-        notes = [f"* {note}" for note in self.notes]
+        given = [one for one in fields(model) if one.name != "urdf" and getattr(model, one.name)]
+        lines = "\n".join(f"{one.name}={pformat(getattr(model, one.name), width=100)}," for one in given)
+        edges = np.subtract(model.workspace.high, model.workspace.low)
         return {
-            "summary": summary,
-            "file": model.urdf.name,
-            "assumed": "\n".join(_wrapped(notes)),
-            "about": "\n".join(["", "## What was assumed", *_wrapped(notes), ""]),
-            "imports": "".join(f", {one}" for one in imports),
-            "settings_import": "" if self.tool_step >= TOOL_STEP else "from pydantic import Field as Setting\n\n",
-            "settings": "\n".join(settings),
-            "home": "".join(
-                f"            {angle!r},  # {joint}\n" for angle, joint in zip(model.home, self.joints, strict=True)
-            ),
-            "low": _code(model.workspace.low),
-            "high": _code(model.workspace.high),
-            "tool": _code(model.tool),
-            "tool_rpy": _code(model.tool_rpy),
-            "threshold": "0.05" if min(np.subtract(model.workspace.high, model.workspace.low)) > 0.2 else "0.02",
-            "more": "".join(f"        {line}\n" for line in more),
+            "summary": self.summary,
+            "assumed": pformat(self.notes, width=112)[1:-1].replace("\n ", "\n    "),
+            "imports": ", ".join(name for name in ("Box", "Fingers", "Gripper") if f"{name}(" in lines),
+            "tool_step": repr(self.tool_step),
+            "model": textwrap.indent(lines, " " * 8),
+            "threshold": "0.05" if edges.min() > 0.2 else "0.02",
         }
 
 
@@ -121,71 +76,71 @@ def propose(path: Path, tool: str | None = None) -> Proposal:
         PluginError: the file is not a robot that karolos can simulate, or not an arm that can point its tool down. The
             message names the joint or link.
     """
-    notes: list[str] = []
     loose = urdf.load(path, strict=False)
+    for name in (*loose.carriers, *(joint.name for joint in loose.joints)):
+        if not name.isprintable():
+            raise PluginError(f"a name with control characters: {name!r}", where=str(path), hint="rename it in a copy")
     if tool is not None and tool not in loose.carriers:
         raise PluginError(f"there is no link {tool!r}", where=str(path), hint=f"links: {', '.join(loose.carriers)}")
     arm = _arm(loose, path, tool)
-    wrist = arm[-1].child
-    slides = _slides(loose, wrist)
-    locked = {
-        joint.name: _rest(joint)
-        for joint in loose.joints
-        if joint not in arm
-        and joint.name not in slides
-        and (joint.mimic is None or joint.mimic in {one.name for one in arm})
+    slides = tuple(one.name for one in loose.joints if not one.revolute and one.parent == arm[-1].child)
+    slides = slides if len(slides) == 2 else ()
+    moving = {joint.name for joint in arm} | {*slides}
+    still = [joint for joint in loose.joints if joint.name not in moving]
+    locked = {  # at 0, or at the end of the range that is nearest to 0
+        joint.name: min(max(0.0, joint.lower), joint.upper) if joint.lower < joint.upper else 0.0
+        for joint in still
+        if joint.mimic is None or joint.mimic in moving
     }
     found = urdf.load(path, tuple(sorted(locked.items())), slides)
     joints = [joint for joint in found.joints if joint.revolute]
-    fingers, pads, across = _fingers(found, slides, notes)
-    if fingers is None:
-        notes.append("gripper: no pair of sliding fingers, so that tasks which grasp do not work")
-    if held := [joint.name for joint in loose.joints if joint not in arm and joint.name not in slides]:
-        notes.append(f"locked: {', '.join(held)} do not move")
+    base = joints[0].parent
+    merged = ", ".join(name for name, carrier in found.carriers.items() if carrier == base and name != base)
+    notes = [
+        f"base: {base}{merged and f' (with {merged})'}, at the origin of the world, on the floor z = 0",
+        f"arm: {', '.join(joint.name for joint in joints)}",
+    ]
+    hand = _hand(found, joints[-1], slides)
+    notes.append(hand.note)
+    if still:
+        notes.append(f"locked: {', '.join(joint.name for joint in still)} do not move")
     notes += [f"inertia of {link}: no body can have it; its smaller moments are raised" for link in found.corrected]
-    if fast := [joint.name for joint in joints if joint.velocity > FAST]:
+    if fast := [joint.name for joint in joints if joint.velocity > DOUBTED_SPEED]:
         notes.append(
             f"speed: the URDF lets {', '.join(fast)} turn faster than a turn per second; compare the data sheet"
         )
-    base = joints[0].parent
-    notes.insert(0, f"base: {_names(found, base)}, at the origin of the world, on the floor z = 0")
-    notes.insert(1, f"arm: {', '.join(joint.name for joint in joints)}")
-    position, rotation, note = _tool(path, found, joints[-1], (across, *pads), tool)
+    position, rotation, note = _tool(path, joints[-1], hand, tool)
     notes.append(note)
-    poses = Poses(joints, (position, rotation))
-    best = poses.best(TOOL_STEP)
-    if best is None or best.edge < SMALLEST:
+    usual: float = ArmSettings.model_fields["tool_step"].default
+    poses = Poses(joints, (position, rotation), usual)
+    best = poses.best()
+    if best is None:
         raise PluginError(
-            f"no box of {100 * SMALLEST:g} cm was found around the base that the tool reaches pointing down",
+            f"no box of {100 * SMALLEST_WORKSPACE:g} cm was found around the base that the tool reaches pointing down",
             where=str(path),
             hint="choose the tool with --tool LINK; the base stands on the floor with its z axis upwards",
         )
-    home, tool_step, box, start = best
-    notes.append(f"home: tool at {_metres(start)} m, pointing down; by inverse kinematics, far from joint limits")
-    notes.append(f"workspace: {_metres(box.low)} to {_metres(box.high)} m; the tool reaches it pointing down")
-    if tool_step < TOOL_STEP:
-        notes.append(f"tool_step: {tool_step} m per control step instead of {TOOL_STEP}, because the joints are slower")
+    low, high = best.workspace.low, best.workspace.high
+    notes.append(f"home: tool at {_metres(best.tool)} m, pointing down; by inverse kinematics, far from joint limits")
+    notes.append(f"workspace: {_metres(low)} to {_metres(high)} m; the tool reaches it pointing down")
+    if best.tool_step < usual:
+        notes.append(
+            f"tool_step: {best.tool_step} m per control step instead of {usual}, because the joints are slower"
+        )
     model = ArmModel(
         urdf=path,
-        home=home,
-        workspace=box,
+        home=best.home,
+        workspace=best.workspace,
         tool=_vector(position),
         tool_rpy=_vector(urdf.roll_pitch_yaw(rotation)),
-        fingers=fingers,
+        fingers=hand.fingers,
         locked=locked,
     )
-    model = replace(model, self_collisions=_self_collisions(model, found))
-    notes.append(f"self-collisions: {len(model.self_collisions)} pairs of links that do not touch in the workspace")
-    return Proposal(model, tuple(joint.name for joint in joints), tool_step, poses.length, notes)
-
-
-def _code(value: object) -> str:
-    """A value as ruff writes it."""
-    return repr(value).replace("'", '"')
-
-
-def _wrapped(lines: Sequence[str]) -> list[str]:
-    return [part for line in lines for part in textwrap.wrap(line, 118, subsequent_indent="  ", break_on_hyphens=False)]
+    notes.append("self-collisions: none; `self_collisions` in the ArmModel names pairs of links that shall collide")
+    width = hand.fingers and hand.fingers.gripper.width
+    gripper = f"a gripper of two fingers that opens {100 * width:g} cm" if width else "without a gripper"
+    summary = f"{len(joints)} joints, {poses.length:.2f} m long, {gripper}."
+    return Proposal(model, best.tool_step, summary, tuple(notes))
 
 
 def _metres(place: Sequence[float] | Array) -> str:
@@ -197,232 +152,147 @@ def _vector(values: Sequence[float] | Array) -> Vector:
     return x, y, z
 
 
-def _names(found: urdf.Description, link: str) -> str:
-    """A link and those that are merged into it."""
-    others = [name for name, carrier in found.carriers.items() if carrier == link and name != link]
-    return f"{link} (with {', '.join(others)})" if others else link
-
-
-def _rest(joint: Joint) -> float:
-    """The position at which a locked joint is held: 0, or the end of its range that is nearest to 0."""
-    return min(max(0.0, joint.lower), joint.upper) if joint.lower < joint.upper else 0.0
-
-
 def _arm(found: urdf.Description, path: Path, tool: str | None) -> list[Joint]:
-    """The turning joints of the arm, from the base to the wrist. Joints that slide on the way are left out."""
+    """The turning joints from the base to the wrist: above the tool, or of the longest chain."""
+    joints, above = {joint.name: joint for joint in found.joints}, {joint.child: joint for joint in found.joints}
     leaders = {joint.mimic for joint in found.joints}
-    usable = [
-        joint
-        for joint in found.joints
-        if joint.mimic is None and joint.name not in leaders and not GRIPPER_NAMES.search(joint.name)
-    ]
-    above = {joint.child: joint for joint in found.joints}
-    arm: list[Joint] = []
 
-    def depth(joint: Joint) -> int:
-        return joint.revolute + max((depth(other) for other in usable if other.parent == joint.child), default=0)
+    def chain(link: str) -> tuple[str, ...]:
+        names: list[str] = []
+        while link in above:
+            joint, link = above[link], above[link].parent
+            finger = joint.mimic is not None or joint.name in leaders or GRIPPER_NAMES.search(joint.name)
+            if finger and (tool is None or not names):
+                names = []
+            elif joint.revolute:
+                names.insert(0, joint.name)
+        return tuple(names)
 
     if tool is not None:
-        link = found.carriers[tool]
-        while link in above:
-            arm.insert(0, above[link])
-            link = above[link].parent
-        while arm and arm[-1] not in usable:  # the tool link is on a finger
-            arm.pop()
+        arm = chain(found.carriers[tool])
     else:
-        link = next((joint.parent for joint in found.joints if joint.parent not in above), "")
-        while children := [joint for joint in usable if joint.parent == link and depth(joint)]:
-            deepest = max(map(depth, children))
-            first, *others = (joint for joint in children if depth(joint) == deepest)
-            if others and deepest <= 2:  # fingers
-                break
-            if others:
-                raise PluginError(
-                    f"two arms begin here, with joints {', '.join(joint.name for joint in (first, *others))}",
-                    where=f"{path}: link {link}",
-                    hint="choose one with --tool LINK, a link at its end",
-                )
-            arm.append(first)
-            link = first.child
-    arm = [joint for joint in arm if joint.revolute]
-    for joint in arm:
-        if joint.mimic is not None:
+        chains = {chain(link) for link in found.carriers.values()}
+        longest = sorted(one for one in chains if len(one) == max(map(len, chains)))
+        arm = tuple(one for one, *others in zip(*longest, strict=True) if all(one == other for other in others))
+        if len(longest) > 1 and len(longest[0]) - len(arm) > 2:  # shorter branches are fingers
+            first = [joints[one[len(arm)]] for one in longest]
             raise PluginError(
-                f"it mimics {joint.mimic}; karolos drives every joint of an arm by itself",
-                where=f"{path}: joint {joint.name}",
+                f"two arms begin here, with joints {', '.join(joint.name for joint in first)}",
+                where=f"{path}: link {first[0].parent}",
+                hint="choose one with --tool LINK, a link at its end",
             )
+    for name in arm:
+        if joints[name].mimic is not None:
+            what = f"it mimics {joints[name].mimic}; karolos drives every joint of an arm by itself"
+            raise PluginError(what, where=f"{path}: joint {name}")
     if len(arm) < 5:
-        names = ", ".join(joint.name for joint in arm) or "none"
         raise PluginError(
-            f"an arm of {len(arm)} turning joints ({names})",
+            f"an arm of {len(arm)} turning joints ({', '.join(arm) or 'none'})",
             where=str(path),
             hint="with five or more it can point its tool down at any place; --tool LINK chooses its end",
         )
-    return arm
+    return [joints[name] for name in arm]
 
 
-def _slides(found: urdf.Description, wrist: str) -> tuple[str, ...]:
-    """The two prismatic joints of a parallel gripper; empty if there are not exactly two on the wrist."""
-    slides = [joint for joint in found.joints if not joint.revolute and joint.parent == wrist]
-    return tuple(joint.name for joint in slides) if len(slides) == 2 else ()
+@dataclass(frozen=True)
+class _Hand:
+    """What the last joint moves. Points and directions are in the frame of its link."""
+
+    shapes: Array
+    """Points (n, 3) of the link."""
+    tips: Array
+    """Points (n, 3) of the fingers; none without a gripper."""
+    across: Array
+    """Direction in which the first finger slides; 0 without a gripper."""
+    fingers: Fingers | None
+    note: str
 
 
-def _fingers(
-    found: urdf.Description, slides: tuple[str, ...], notes: list[str]
-) -> tuple[Fingers | None, list[Array], Array]:
-    """The gripper of two sliding fingers, the points of each in the frame of the last link, and the axis of sliding."""
+def _hand(found: urdf.Description, last: Joint, slides: tuple[str, ...]) -> _Hand:
+    """The gripper of two sliding fingers, if there are two `slides`."""
+    shapes = points_of(found.robot, last.child)
     pair = [joint for joint in found.joints if joint.name in slides]
     if not pair:
-        return None, [], np.zeros(3)
-    frames = [np.array(joint.rotation) for joint in pair]
-    first, second = (frame @ np.array(joint.axis) for frame, joint in zip(frames, pair, strict=True))
-    points = [
-        points_of(found.robot, joint.child) @ frame.T + joint.origin for joint, frame in zip(pair, frames, strict=True)
-    ]
-    if first @ second > -0.99:
+        note = "gripper: no pair of sliding fingers, so that tasks which grasp do not work"
+        return _Hand(shapes, np.zeros((0, 3)), np.zeros(3), None, note)
+    first, second = pair
+    across, other = (np.array(joint.rotation) @ joint.axis for joint in pair)
+    if across @ other > -PARALLEL:
         raise PluginError(
             "the fingers do not slide in opposite directions",
-            where=f"joints {slides[0]}, {slides[1]}",
+            where=f"joints {', '.join(slides)}",
             hint="make them fixed in a copy of the URDF to use the robot without its gripper",
         )
+    pads = [points_of(found.robot, one.child) @ np.transpose(one.rotation) + one.origin for one in pair]
+    pads = [pad if len(pad) else np.array([joint.origin]) for pad, joint in zip(pads, pair, strict=True)]
     travel = min(joint.upper for joint in pair)
-    middles = [
-        (group.min(0) + group.max(0)) / 2 if len(group) else np.array(joint.origin)
-        for group, joint in zip(points, pair, strict=True)
-    ]
-    open_at_zero = bool((middles[0] - middles[1]) @ first < 0)
-    gap = 0.0
-    if len(points[0]) and len(points[1]):
-        side = -1 if open_at_zero else 1
-        between = float((points[0] @ (side * first)).min() - (points[1] @ (side * first)).max())
-        gap = max(0.0, between - (2 * travel if open_at_zero else 0.0))
-    width = round(2 * travel + (gap if gap > 0.005 else 0.0), 4)
-    force, speed = min(joint.effort for joint in pair), min(joint.velocity for joint in pair)
-    notes.append(
-        f"gripper: {slides[0]} and {slides[1]}, {'closing' if open_at_zero else 'opening'} from 0 to {travel:g} m, "
+    closes = bool((pads[0].min(0) + pads[0].max(0) - pads[1].min(0) - pads[1].max(0)) @ across < 0)
+    inwards = -across if closes else across
+    gap = float((pads[0] @ inwards).min() - (pads[1] @ inwards).max()) - closes * 2 * travel
+    width, force, speed = (
+        round(2 * travel + (gap if gap > 0.005 else 0.0), 4),
+        min(joint.effort for joint in pair),
+        min(joint.velocity for joint in pair),
+    )
+    note = (
+        f"gripper: {first.name} and {second.name}, {'closing' if closes else 'opening'} from 0 to {travel:g} m, "
         f"{width:g} m wide when open; {force:g} N and {speed:g} m/s are the limits in the URDF; "
         "pad friction 1 as of rubber"
     )
     gripper = Gripper(width=width, force=force, speed=speed, pad_friction=1.0)
-    joints, links = (slides[0], slides[1]), (pair[0].child, pair[1].child)
-    return Fingers(joints=joints, links=links, travel=travel, open_at_zero=open_at_zero, gripper=gripper), points, first
+    fingers = Fingers((first.name, second.name), (first.child, second.child), travel, closes, gripper)
+    return _Hand(shapes, np.vstack(pads), across, fingers, note)
 
 
 def _frames(path: Path, link: str) -> dict[str, tuple[Array, Array]]:
     """Translation and rotation, in the frame of `link`, of all links that fixed joints hold to it."""
     frames = {link: (np.zeros(3), np.eye(3))}
     fixed = [joint for joint in urdf.read(path).findall("joint") if joint.get("type") == "fixed"]
-    for _ in fixed:
-        for joint in fixed:
-            parent, child = urdf.link_of(joint, "parent"), urdf.link_of(joint, "child")
-            if parent in frames:
-                (translation, rotation), (offset, turn) = frames[parent], urdf.origin_of(joint)
-                frames[child] = translation + rotation @ offset, rotation @ turn
+    for _, joint in product(fixed, fixed):
+        parent, child = urdf.link_of(joint, "parent"), urdf.link_of(joint, "child")
+        if parent in frames:
+            (translation, rotation), (offset, turn) = frames[parent], urdf.origin_of(joint)
+            frames[child] = translation + rotation @ offset, rotation @ turn
     return frames
 
 
-def _tool(
-    path: Path, found: urdf.Description, last: Joint, hand: Sequence[Array], named: str | None
-) -> tuple[Array, Array, str]:
+def _tool(path: Path, last: Joint, hand: _Hand, named: str | None) -> tuple[Array, Array, str]:
     """Position and rotation of the tool in the frame of the last link, z along the direction of approach, and a note.
 
-    Args:
-        path: of the URDF.
-        found: its description.
-        last: joint of the arm.
-        hand: axis along which the fingers slide, 0 without a gripper, and points of each finger, in the frame of the
-            last link.
-        named: the tool frame, if the user names it.
+    It is the frame that the user named, or one of a usual name that lies between the fingers; else the tips of the
+    fingers, or the end of the last link.
     """
-    frames = _frames(path, last.child)
-    name = named or next(
-        (name for pattern in TOOL_NAMES for name in frames if pattern.search(name) and name != last.child), ""
-    )
-    if named is not None and named not in frames:
-        raise PluginError(f"fixed joints do not hold it to {last.child}", where=f"{path}: link {named}")
-    place, turn = frames.get(name, (None, np.eye(3)))
-    across, *pads = hand
-    shapes, tips = np.vstack([points_of(found.robot, last.child), *pads]), np.vstack([np.zeros((0, 3)), *pads])
-    axis = np.array(last.axis)
-    middle = np.zeros(3)
+    frames, axis = _frames(path, last.child), np.array(last.axis)
+    usual = (name for pattern in TOOL_NAMES for name in frames if pattern.search(name) and name != last.child)
+    name = named or next(usual, None)
+    if name is not None and name not in frames:
+        raise PluginError(f"fixed joints do not hold it to {last.child}", where=f"{path}: link {name}")
+    place, turn = frames[name] if name is not None else (np.zeros(3), np.eye(3))
+    tips, middle = hand.tips, np.zeros(3)
     if len(tips):
-        middle = np.mean([(group.min(0) + group.max(0)) / 2 for group in pads if len(group)], axis=0)
-    if named is not None or (place is not None and abs(turn[:, 2] @ axis) > ALONG):
-        approach = turn[:, 2]
-    elif len(tips):
-        sides = [side * unit for unit in np.eye(3) for side in (1, -1) if abs(unit @ across) < 0.1]
-        approach = max(sides, key=lambda side: float(side @ middle), default=axis)
-    else:
-        beyond = 0.0 if place is None else float(place @ axis)
-        approach = axis * (float(np.sign(beyond)) if abs(beyond) > 0.005 else _outwards(last, shapes))
-    if abs(approach @ across) > 1 - ALONG + 0.1:
+        middle = (tips.min(0) + tips.max(0)) / 2
+    approach = turn[:, 2]
+    if name is None or (named is None and abs(approach @ axis) < PARALLEL):
+        sides = [side * unit for unit in (np.eye(3) if len(tips) else [axis]) for side in (1, -1)]
+        sides = [side for side in sides if abs(side @ hand.across) < 0.1]
+        before = np.transpose(last.rotation) @ last.origin  # from the joint before to this one
+        ends = hand.shapes.min(0, initial=0.0) + hand.shapes.max(0, initial=0.0)
+        hints = (middle, place, before, ends, axis)  # the first that says on which side the tool is
+        approach = max(sides, key=lambda side: next((side @ hint for hint in hints if abs(hint @ side) > 0.005), 0.0))
+    if abs(approach @ hand.across) > 0.1:
         raise PluginError(
             "the fingers slide along the direction of approach",
             where=f"{path}: link {last.child}",
             hint="name the tool frame, whose z axis is this direction, with --tool LINK",
         )
-    depths = tips @ approach
-    if place is not None and (named is not None or not len(tips) or depths.min() < place @ approach < depths.max()):
-        what = f"the frame {name}"
-    elif len(tips):
-        tip = float(depths.max()) - PAD_DEPTH
-        place, what = middle + (tip - middle @ approach) * approach, f"{PAD_DEPTH:g} m from the tips of the fingers"
-    else:
-        place, what = approach * max(0.0, float((shapes @ approach).max(initial=0.0))), "the end of its shapes"
-    x = np.cross(across, approach) if across.any() else min(turn.T, key=lambda column: abs(float(column @ approach)))
-    x = x - (x @ approach) * approach
+    depths, what = tips @ approach, f"the frame {name}"
+    if len(tips) and named is None and not (name and depths.min() < place @ approach < depths.max()):
+        what = f"{PAD_DEPTH:g} m from the tips of the fingers"
+        place = middle + (depths.max() - PAD_DEPTH - middle @ approach) * approach
+    elif name is None:
+        place, what = approach * max(0.0, float((hand.shapes @ approach).max(initial=0.0))), "the end of its shapes"
+    x = min(turn.T, key=lambda column: abs(float(column @ approach)))
+    x = np.cross(hand.across, approach) if len(tips) else x - (x @ approach) * approach
     x = x / np.linalg.norm(x)
     note = f"tool: {what}, {_metres(place)} m in {last.child}; it approaches along {_metres(approach)}"
     return place, np.column_stack([x, np.cross(approach, x), approach]), note
-
-
-def _outwards(last: Joint, points: Array) -> float:
-    """The side, 1 or -1, to which the last joint's axis leaves the arm."""
-    axis = np.array(last.axis)
-    before = float((np.array(last.rotation) @ axis) @ np.array(last.origin))
-    if abs(before) > 0.005 or not len(points):
-        return -1.0 if before < 0 else 1.0
-    ends = points @ axis
-    return 1.0 if ends.max() >= -ends.min() else -1.0
-
-
-def _self_collisions(model: ArmModel, found: urdf.Description) -> tuple[tuple[str, str], ...]:
-    """Pairs of links at least three joints apart that do not touch at home and at the corners of the workspace."""
-    depth = {joint.child: number for number, joint in enumerate(found.joints, 1)}
-    wrist = sum(joint.revolute for joint in found.joints)
-    for joint in found.joints:
-        if not joint.revolute:
-            depth[joint.child] = wrist + 1
-    depth[found.joints[0].parent] = 0
-    shaped = {link.get("name", "") for link in found.robot.findall("link") if link.find("collision") is not None}
-    pairs = [
-        (distal, proximal)
-        for proximal, distal in combinations(sorted(depth, key=depth.__getitem__), 2)
-        if depth[distal] - depth[proximal] >= 3 and {distal, proximal} <= shaped
-    ]
-
-    class Proposed(Arm):
-        Settings = ArmSettings
-
-    Proposed.model = model
-    robot, world = Proposed(ArmSettings.model_validate({})), make_world(default_engine())
-    try:
-        robot.prepare(gripper=model.fingers is not None, period=world.period)
-        robot.build(world)
-        links = {**robot.body.links(), found.joints[0].parent: -1}
-        free = set(pairs)
-        for place in (robot.home, *_corners(model.workspace)):
-            robot.reset(SeedTree(0).generator())
-            robot.place_tool(place, 1.0)
-            for pair in sorted(free):
-                robot.body.collide_only([(links[pair[0]], links[pair[1]])])
-                world.update_contacts()
-                if world.contacts(robot.body, robot.body, links[pair[0]]):
-                    free.discard(pair)
-    finally:
-        world.close()
-    return tuple(pair for pair in pairs if pair in free)
-
-
-def _corners(box: Box) -> Iterator[Vector]:
-    yield from product(*zip(box.low, box.high, strict=True))

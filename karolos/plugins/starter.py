@@ -21,7 +21,7 @@ KINDS = ("robot", "task", "agent", "buffer", "environment", "distribution")
 
 def write_starter(
     kind: str, name: str, out: Path, *, urdf: Path | None = None, tool: str | None = None
-) -> tuple[list[Path], list[str]]:
+) -> tuple[list[Path], tuple[str, ...]]:
     """Write the package `karolos-<name>` into `out`; returns its files, sorted, and what was assumed of the URDF.
 
     Args:
@@ -53,7 +53,7 @@ def write_starter(
         for path in (*texts, *copies):
             (out / path).parent.mkdir(parents=True, exist_ok=True)
         for path, text in texts.items():
-            (out / path).write_text(text, encoding="utf-8")
+            (out / path).write_text(text, "utf-8", "surrogateescape")
         for path, file in copies.items():
             shutil.copyfile(file, out / path)
     except OSError as error:
@@ -63,14 +63,13 @@ def write_starter(
 
 def _rendered(
     kind: str, name: str, urdf: Path | None, tool: str | None
-) -> tuple[dict[str, str], dict[str, Path], list[str]]:
+) -> tuple[dict[str, str], dict[str, Path], tuple[str, ...]]:
     """The package's texts and the files that are copied into it (path below its folder -> text, or file), and notes."""
     values = {
         "kind": kind,
         "name": name,
         "dashed": name.replace("_", "-"),
         "class_name": "".join(word.capitalize() for word in name.split("_")),
-        "about": "",
         "threshold": "0.05",
     }
     package = f"src/karolos_{name}"
@@ -83,17 +82,17 @@ def _rendered(
     }
     copies: dict[str, Path] = {}
     texts: dict[str, str] = {}
-    notes: list[str] = []
+    notes: tuple[str, ...] = ()
     if kind == "robot":
         templates[f"{package}/{name}.urdf"] = "robot.urdf"
         templates[f"specs/{name}_reach.yaml"] = "reach.yaml"
     if urdf is not None:
-        from .meshes import with_meshes  # noqa: PLC0415
-        from .proposal import propose  # noqa: PLC0415 (imports the physics engine)
+        from .meshes import with_meshes  # noqa: PLC0415 (takes half a second)
+        from .proposal import propose  # noqa: PLC0415
 
         del templates[f"{package}/{name}.urdf"]
         proposal = propose(urdf, tool)
-        values.update(proposal.texts())
+        values.update(proposal.code())
         notes = proposal.notes
         texts[f"{package}/{name}.urdf"], meshes = with_meshes(urdf)
         copies = {f"{package}/{path}": file for path, file in meshes.items()}

@@ -4,16 +4,19 @@ from __future__ import annotations
 
 from collections.abc import Mapping
 from dataclasses import dataclass
+from typing import Annotated
 
 import numpy as np
+from pydantic import BaseModel
+from pydantic import Field as Setting
 
 from ..core import Field, Layout
 from ..core.seeding import Generator
 from ..errors import RunError, UsageError
 from ..registry import alternatives
-from .distribution import Distribution
+from .distributions import Distribution
 
-ATTEMPTS = 100
+DRAW_ATTEMPTS = 100
 
 
 @dataclass(frozen=True)
@@ -36,6 +39,33 @@ class RandomizedParameter:
     def quantity(self, value: float) -> str:
         """The value with its unit, for a message; a pure number has none."""
         return f"{value:g}" if self.unit == "1" else f"{value:g} {self.unit}"
+
+
+@dataclass(frozen=True)
+class Drawn:
+    """Marks a setting that is a parameter of randomization, too: `Annotated[float, Drawn("m", 0.0, 0.5)]`.
+
+    Training episodes may draw it, tests never do. The range is widened to the setting's own value.
+    """
+
+    unit: str = "1"
+    low: float = 0.0
+    high: float = 1.0
+
+
+Probability = Annotated[float, Drawn(), Setting(ge=0, le=1)]
+"""A setting in [0, 1] that randomization may draw."""
+
+
+def drawn_settings(settings: BaseModel) -> dict[str, RandomizedParameter]:
+    """The parameters that fields of the settings declare with `Drawn`. Their nominal values are the settings."""
+    found = {}
+    for name, field in type(settings).model_fields.items():
+        value = getattr(settings, name)
+        for mark in (one for one in field.metadata if isinstance(one, Drawn)):
+            low, high = min(mark.low, value), max(mark.high, value)
+            found[name] = RandomizedParameter(mark.unit, value, low, high, field.description or "")
+    return found
 
 
 class Randomization:
@@ -79,12 +109,12 @@ class Randomization:
 
     @staticmethod
     def _draw(name: str, distribution: Distribution, parameter: RandomizedParameter, generator: Generator) -> float:
-        for _ in range(ATTEMPTS):
+        for _ in range(DRAW_ATTEMPTS):
             value = distribution.draw(generator)
             if parameter.low <= value <= parameter.high:
                 return value
         raise RunError(
-            f"{ATTEMPTS} values in a row lie outside the allowed range, the last one {parameter.quantity(value)}",
+            f"{DRAW_ATTEMPTS} values in a row lie outside the allowed range, the last one {parameter.quantity(value)}",
             setting=f"randomization.{name}",
             hint=parameter.allowed,
         )

@@ -1,18 +1,14 @@
-"""Archives of run folders, .tar.gz or .zip: export and import. An imported archive is not trusted."""
+"""Archives of run folders (.tar.gz): export and import. An imported archive is not trusted."""
 
 from __future__ import annotations
 
-import lzma
 import os
 import re
 import shutil
-import struct
 import tarfile
 import tempfile
-import zipfile
 import zlib
 from collections.abc import Callable, Iterator, Sequence
-from dataclasses import dataclass
 from gzip import BadGzipFile
 from pathlib import Path
 from typing import NoReturn
@@ -20,10 +16,9 @@ from typing import NoReturn
 from ..errors import RunError, UsageError
 from ..files import FileLock, remove_leftovers, sync_folder, writing
 from . import RunFolder
-from .run_records import ID
-from .storable import run_fault
+from .run_records import ID, RunRecord
 
-SUFFIXES = (".tar.gz", ".tgz", ".zip")
+SUFFIX = ".tar.gz"
 MOST_FILES = 1_000_000
 MOST_BYTES = 64 << 30
 """Default limit of an archive's unpacked size."""
@@ -32,22 +27,8 @@ UNFINISHED_IMPORT = ".import-"
 _DEEPEST = 12
 _LEFT_OUT = re.compile(r"(?:.*\.)?lock|\..*\.tmp")
 """Files of processes, which do not belong to the run."""
-_PART = re.compile(r"[^\x00-\x1f\x7f/\\:*?\"<>|]{1,255}")
-"""A name that every file system can hold."""
-_DAMAGE = (
-    *(tarfile.TarError, zipfile.BadZipFile, BadGzipFile, zlib.error, lzma.LZMAError, struct.error),
-    *(EOFError, OSError, OverflowError, RuntimeError, ValueError),
-)
-"""What tarfile, zipfile and the decompressors raise for damaged data."""
-_RESERVED = re.compile(r"(?i)(?:con|prn|aux|nul|com\d|lpt\d)(?:\..*)?")
-
-
-@dataclass(frozen=True)
-class Imported:
-    """An imported run, and one line per damaged file in it."""
-
-    folder: RunFolder
-    problems: tuple[str, ...]
+_PART = re.compile(r"(?!\.{1,2}$)[^\x00-\x1f\x7f/\\]{1,255}")
+"""A name of a file or folder that does not lead elsewhere."""
 
 
 def export_runs(folders: Sequence[RunFolder], target: Path, *, checkpoints: bool = True) -> int:
@@ -55,7 +36,7 @@ def export_runs(folders: Sequence[RunFolder], target: Path, *, checkpoints: bool
 
     Args:
         folders: none of which a process is running.
-        target: ends in one of SUFFIXES and does not exist.
+        target: ends in SUFFIX and does not exist.
         checkpoints: include them, which can be large.
 
     Raises:
@@ -71,7 +52,7 @@ def export_runs(folders: Sequence[RunFolder], target: Path, *, checkpoints: bool
     with writing(target):
         try:
             files = 0
-            with _create(beside, zipped=target.suffix == ".zip") as archive:
+            with tarfile.open(beside, "x:gz", compresslevel=6) as archive:
                 for folder in folders:
                     with folder:
                         folder.lock()  # no process writes meanwhile
@@ -84,14 +65,7 @@ def export_runs(folders: Sequence[RunFolder], target: Path, *, checkpoints: bool
     return files
 
 
-def _create(path: Path, *, zipped: bool) -> zipfile.ZipFile | tarfile.TarFile:
-    return zipfile.ZipFile(path, "x", zipfile.ZIP_DEFLATED) if zipped else tarfile.open(path, "x:gz", compresslevel=6)
-
-
-def _add(archive: zipfile.ZipFile | tarfile.TarFile, path: Path, name: str) -> None:
-    if isinstance(archive, zipfile.ZipFile):
-        archive.write(path, name)
-        return
+def _add(archive: tarfile.TarFile, path: Path, name: str) -> None:
     # TarFile.add would store hard links as links, and the names of users.
     entry = tarfile.TarInfo(name)
     with path.open("rb") as file:
@@ -101,26 +75,30 @@ def _add(archive: zipfile.ZipFile | tarfile.TarFile, path: Path, name: str) -> N
 
 
 def _files(folder: RunFolder, *, checkpoints: bool) -> Iterator[Path]:
-    for place, names, files in os.walk(folder.path):
-        names.sort()
-        if not checkpoints and Path(place) == folder.path and "checkpoints" in names:
-            names.remove("checkpoints")
-        for name in sorted(files):
-            path = Path(place) / name
-            if path.is_file() and not path.is_symlink() and not _LEFT_OUT.fullmatch(name):
-                yield path
+    for path in sorted(folder.path.rglob("*")):
+        if not checkpoints and folder.checkpoints in path.parents:
+            continue
+        if path.is_file() and not path.is_symlink() and not _LEFT_OUT.fullmatch(path.name):
+            yield path
 
 
 def import_runs(
-    source: Path, runs: Path, *, most_bytes: int = MOST_BYTES, known: Callable[[str], bool] | None = None
-) -> tuple[Imported, ...]:
+    source: Path,
+    runs: Path,
+    *,
+    most_bytes: int = MOST_BYTES,
+    enter: Callable[[Sequence[RunRecord]], None] | None = None,
+) -> tuple[RunRecord, ...]:
     """Unpack an archive's runs into a runs folder: all of them, or none.
 
     Args:
         source: from `export_runs`, or made by hand: a folder per run, named by its id.
         runs: the runs folder; created if it does not exist.
         most_bytes: limit of the unpacked size.
-        known: whether a run of that id exists outside the runs folder.
+        enter: enters the runs into the index. After an error of it their folders are removed again.
+
+    Returns:
+        The runs, with one line per damaged file.
 
     Raises:
         UsageError: it is not such an archive, is damaged or too large, holds other files than those of run folders, or
@@ -133,20 +111,31 @@ def import_runs(
         runs.mkdir(parents=True, exist_ok=True)
         place = Path(tempfile.mkdtemp(prefix=UNFINISHED_IMPORT, dir=runs))
     lock = FileLock(place / ".lock")
+    moved: list[str] = []
     try:
         lock.acquire()
         names = _unpack(source, place, most_bytes)
-        if not names:
-            raise UsageError("there is no run in it", where=str(source), hint="`karolos runs export` makes archives")
-        problems = [_examine(place / name, source) for name in names]
         for name in names:
-            if (runs / name).exists() or (known is not None and known(name)):
+            _examine(place / name, source)
+            if (runs / name).exists():
                 _refuse(source, f"the run {name} exists already", "`karolos runs rm` removes it")
-        _move(names, place, runs)
+        for name in names:
+            with writing(runs / name):
+                os.rename(place / name, runs / name)
+            moved.append(name)
+        with writing(runs):
+            sync_folder(runs)
+        records = tuple(RunFolder.open(runs / name).record() for name in names)
+        if enter is not None:
+            enter(records)
+    except BaseException:
+        for name in moved:
+            os.rename(runs / name, place / name)
+        raise
     finally:
         lock.release()
         shutil.rmtree(place, ignore_errors=True)
-    return tuple(Imported(RunFolder.open(runs / name), found) for name, found in zip(names, problems, strict=True))
+    return records
 
 
 def remove_unfinished_imports(runs: Path) -> None:
@@ -157,34 +146,14 @@ def remove_unfinished_imports(runs: Path) -> None:
             shutil.rmtree(place, ignore_errors=True)
 
 
-def _move(names: Sequence[str], place: Path, runs: Path) -> None:
-    """Move the folders into the runs folder: all, or none after an error."""
-    moved: list[str] = []
-    try:
-        for name in names:
-            with writing(runs / name):
-                os.rename(place / name, runs / name)
-            moved.append(name)
-        with writing(runs):
-            sync_folder(runs)
-    except BaseException:
-        for name in moved:
-            os.rename(runs / name, place / name)
-        raise
-
-
-def _examine(path: Path, source: Path) -> tuple[str, ...]:
-    """One line per damaged file of a run folder that can still be read."""
+def _examine(path: Path, source: Path) -> None:
+    """Refuse a folder that is not that of the run whose name it has."""
     try:
         folder = RunFolder.open(path)
     except RunError as error:
         _refuse(source, f"{path.name}: {error.what}", "export it again")
     if folder.id != path.name:
         _refuse(source, f"the folder {path.name} says that it is the run {folder.id}", "name it by its run")
-    record = folder.record()
-    if fault := run_fault(record):
-        _refuse(source, f"{path.name}: {fault}", "its files were damaged or edited: export it again")
-    return record.problems
 
 
 def _unpack(source: Path, place: Path, most_bytes: int) -> list[str]:
@@ -196,27 +165,20 @@ def _unpack(source: Path, place: Path, most_bytes: int) -> list[str]:
         raise UsageError(f"the archive cannot be opened ({error.strerror})", where=str(source)) from error
     with file, writing(place):
         try:
-            if source.suffix == ".zip":
-                with zipfile.ZipFile(file) as archive:
-                    for item in archive.infolist():
-                        if not item.is_dir():
-                            members.check_zip(item)
-                            archive.extract(item, place)
-            else:
-                with tarfile.open(fileobj=file, mode="r:gz") as tar:
-                    tar.extractall(place, filter=members.filter_tar)
-        except _DAMAGE as error:
-            if isinstance(error, OSError) and error.errno is not None and not isinstance(error, BadGzipFile):
-                raise  # of the disk; errors of decompression have no number
+            with tarfile.open(fileobj=file, mode="r:gz") as tar:
+                tar.extractall(place, filter=members.check)
+        except (BadGzipFile, EOFError, OverflowError, ValueError, tarfile.TarError, zlib.error) as error:
             reason = str(error).splitlines()[0] if str(error) else type(error).__name__
             _refuse(source, f"the archive cannot be read ({reason})", "was it copied completely? Export it again")
+    if not members.folders:
+        _refuse(source, "there is no run in it", "`karolos runs export` makes archives")
     return list(members.folders)
 
 
 class _Members:
     """Checks the members of an archive one after the other: plain files in run folders, not too many or too large.
 
-    The sizes are those that the archive declares; tarfile and zipfile never unpack more than that.
+    The sizes are those that the archive declares; tarfile never unpacks more than that.
     """
 
     def __init__(self, source: Path, most_bytes: int) -> None:
@@ -226,27 +188,14 @@ class _Members:
         self.folders: dict[str, None] = {}
         """Names of the run folders, in order."""
 
-    def filter_tar(self, member: tarfile.TarInfo, place: str) -> tarfile.TarInfo | None:
+    def check(self, member: tarfile.TarInfo, place: str) -> tarfile.TarInfo | None:
         """The member as tarfile's data filter leaves it; None for a folder, which is made with its files."""
         if member.isdir():
             return None
-        self._check(member.name, member.size, plain=member.isreg())
-        return tarfile.data_filter(member, place)
-
-    def check_zip(self, item: zipfile.ZipInfo) -> None:
-        if item.flag_bits & 1:
-            _refuse(self._source, f"{item.filename!r} is encrypted", "pack it again without a password")
-        kind = (item.external_attr >> 16) & 0o170000
-        self._check(item.filename, item.file_size, plain=kind in {0, 0o100000})
-
-    def _check(self, name: str, size: int, *, plain: bool) -> None:
-        source, parts = self._source, name.split("/")
-        if not plain:
+        source, name, parts = self._source, member.name, member.name.split("/")
+        if not member.isreg():
             _refuse(source, f"{name!r} is a link or device", "run folders hold plain files only")
-        invalid = any(
-            not _PART.fullmatch(part) or part in {".", ".."} or _RESERVED.fullmatch(part) for part in parts
-        ) or parts[0].endswith((" ", "."))
-        if invalid:
+        if not all(_PART.fullmatch(part) for part in parts):
             _refuse(source, f"{name!r} is not a valid name in a run folder", "plain names below a folder per run")
         if not ID.fullmatch(parts[0]) or not 2 <= len(parts) <= _DEEPEST:
             _refuse(source, f"{name!r} is not in a run folder", "an archive holds a folder per run, named by its id")
@@ -255,10 +204,11 @@ class _Members:
         self._names.add(name.casefold())
         if len(self._names) > MOST_FILES:
             _refuse(source, f"it holds more than {MOST_FILES:,} files", "export fewer runs at a time")
-        self._bytes_left -= size
+        self._bytes_left -= member.size
         if self._bytes_left < 0:
             _refuse(source, f"it unpacks to more than {self._most_bytes:,} bytes", "--most raises the limit")
         self.folders[parts[0]] = None
+        return tarfile.data_filter(member, place)
 
 
 def _refuse(source: Path, what: str, hint: str) -> NoReturn:
@@ -266,5 +216,5 @@ def _refuse(source: Path, what: str, hint: str) -> NoReturn:
 
 
 def _check_suffix(path: Path) -> None:
-    if not path.name.endswith(SUFFIXES):
-        _refuse(path, "archives end in .tar.gz or .zip", "name it so")
+    if not path.name.endswith(SUFFIX):
+        _refuse(path, f"archives end in {SUFFIX}", "name it so")

@@ -8,11 +8,12 @@ from __future__ import annotations
 
 import os
 from collections.abc import Callable, Iterable
-from dataclasses import dataclass
+from dataclasses import asdict, dataclass
 from pathlib import Path
 
 from ..errors import RunError, UsageError
-from ..files import locked, read_object, write_json
+from ..files import locked, write_json
+from .decode import read_json
 
 LONGEST_TAG, LONGEST_NOTE = 200, 100_000
 """Characters."""
@@ -29,15 +30,12 @@ class Labels:
 
 def read(folder: Path) -> Labels:
     """The labels of a run folder; empty if there are none or the file is damaged."""
-    row = read_object(folder / _FILE) or {}
-    tags, note = row.get("tags"), row.get("note")
-    texts = {tag for tag in tags if isinstance(tag, str) and _is_tag(tag)} if isinstance(tags, list) else set()
-    return Labels(tuple(sorted(texts)), note if isinstance(note, str) and _is_note(note) else None)
+    return read_json(Labels, folder / _FILE) or Labels()
 
 
 def is_damaged(folder: Path) -> bool:
     """Whether the file of labels exists and cannot be read."""
-    return os.path.exists(folder / _FILE) and read_object(folder / _FILE) is None
+    return os.path.exists(folder / _FILE) and read_json(Labels, folder / _FILE) is None
 
 
 def add_tags(folder: Path, tags: Iterable[str]) -> None:
@@ -79,18 +77,17 @@ def _change(folder: Path, change: Callable[[Labels], Labels]) -> None:
     with locked(folder / "labels.lock"):
         if is_damaged(folder):
             raise RunError(f"{_FILE} is damaged", where=str(folder), hint="repair it, or move it away")
-        labels = change(read(folder))
-        write_json(folder / _FILE, {"tags": list(labels.tags), "note": labels.note})
+        write_json(folder / _FILE, asdict(change(read(folder))))
 
 
 def _is_tag(text: str) -> bool:
-    return 0 < len(text) <= LONGEST_TAG and text == text.strip() and not set(text) & set("\n\r\0") and _is_text(text)
+    return 0 < len(text) <= LONGEST_TAG and text == text.strip() and not set(text) & set("\n\r") and _is_text(text)
 
 
 def _is_note(text: str) -> bool:
-    return len(text) <= LONGEST_NOTE and "\0" not in text and _is_text(text)
+    return len(text) <= LONGEST_NOTE and _is_text(text)
 
 
 def _is_text(text: str) -> bool:
-    """Whether every database and file can hold it; surrogates cannot be stored."""
-    return not any("\ud800" <= sign <= "\udfff" for sign in text)
+    """Whether every database and file can hold it: neither NUL nor a surrogate is in it."""
+    return "\0" not in text and not any("\ud800" <= sign <= "\udfff" for sign in text)

@@ -8,7 +8,6 @@ import platform
 import re
 import subprocess
 import sys
-import tempfile
 from collections.abc import Mapping
 from dataclasses import dataclass
 from functools import cache
@@ -131,21 +130,9 @@ def _git(folder: Path, *arguments: str) -> str | None:
     """The output of git, cut off at DIFF_BYTES; None if it fails. Programs named in a git configuration do not run."""
     command = ["git", "-c", "core.fsmonitor=false", "-c", "core.hooksPath=", "--no-pager", *arguments]
     environment = {**os.environ, "GIT_OPTIONAL_LOCKS": "0", "GIT_TERMINAL_PROMPT": "0", "LC_ALL": "C"}
-    with tempfile.TemporaryFile() as output:
-        try:
-            ended = subprocess.run(
-                command,
-                cwd=folder,
-                env=environment,
-                stdin=subprocess.DEVNULL,
-                stdout=output,
-                stderr=subprocess.DEVNULL,
-                timeout=GIT_SECONDS,
-                check=False,
-            )
-        except (OSError, subprocess.TimeoutExpired):
-            return None
-        if ended.returncode:
-            return None
-        output.seek(0)
-        return output.read(DIFF_BYTES).decode("utf-8", "replace")
+    how: dict[str, Any] = {"env": environment, "stdin": subprocess.DEVNULL, "stderr": subprocess.DEVNULL}
+    try:
+        output: bytes = subprocess.check_output(command, cwd=folder, timeout=GIT_SECONDS, **how)
+    except (OSError, subprocess.SubprocessError):
+        return None
+    return output[:DIFF_BYTES].decode("utf-8", "replace")

@@ -4,14 +4,16 @@ from __future__ import annotations
 
 import math
 from collections.abc import Mapping, Sequence
-from dataclasses import dataclass, replace
-from types import NoneType
-from typing import Any
+from dataclasses import asdict, dataclass, replace
+from typing import Annotated, Any
 
-from ..files import parse_object
+from pydantic import Field, FiniteFloat
+
 from ..statistics.intervals import wilson
 from .decode import from_json
 
+Count = Annotated[int, Field(ge=0, lt=1 << 63)]
+"""A number that databases can store."""
 WITHIN = (0.05, 0.1, 0.25)
 """Distances in m: reports say which fraction of test episodes ended nearer to their goal."""
 
@@ -26,9 +28,9 @@ class TestResult:
 
     __test__ = False  # not a test case for pytest
 
-    steps: int
+    steps: Count
     """Environment steps of training before the test."""
-    seconds: float
+    seconds: FiniteFloat
     """Wall-clock seconds of collecting (demonstrations included) and learning before the test; tests excluded."""
     any: tuple[bool, ...]
     end: tuple[bool, ...]
@@ -78,17 +80,10 @@ class TestResult:
 
     def first(self, count: int) -> TestResult:
         """The result of the first `count` episodes."""
-        return TestResult(
-            self.steps,
-            self.seconds,
-            self.any[:count],
-            self.end[:count],
-            self.reset[:count],
-            self.returns[:count],
-            self.lengths[:count],
-            None if self.distances is None else self.distances[:count],
-            self.has_success,
-        )
+        lists: dict[str, Any] = {
+            name: values[:count] for name, values in vars(self).items() if isinstance(values, tuple)
+        }
+        return replace(self, **lists)
 
     def within(self, metres: float) -> float | None:
         """Fraction of episodes that ended nearer than this to their goal; None if the distances are unknown."""
@@ -97,30 +92,33 @@ class TestResult:
 
 @dataclass(frozen=True)
 class TestCounts:
-    """One test in numbers, as the index stores it: episodes in which `any`, `end`, `reset` of TestResult hold.
-
-    They are None where TestResult has no success. `mean_return` is None if it is not finite.
-    """
+    """One test in numbers, as its line in tests.jsonl begins and as the index stores it."""
 
     __test__ = False  # not a test case for pytest
 
-    steps: int
-    seconds: float
-    episodes: int
-    any: int | None
-    end: int | None
-    reset: int | None
-    mean_return: float | None
+    steps: Count
+    """Environment steps of training before the test."""
+    seconds: FiniteFloat
+    """Wall-clock seconds of collecting and learning before the test."""
+    episodes: Count
+    successes_any: Count | None
+    """Episodes that reached the goal at some step; None if the environment does not define success."""
+    successes_end: Count | None
+    """Episodes that reached the goal at the last step."""
+    solved_at_reset: Count | None
+    """Episodes whose goal held before the first action."""
+    mean_return: FiniteFloat | None
+    """Mean over the episodes of the sum of rewards; None if it is not finite."""
 
     @property
     def success_any(self) -> float | None:
         """Fraction of episodes in which the goal was reached at some step."""
-        return None if self.any is None else self.any / self.episodes
+        return None if self.successes_any is None else self.successes_any / self.episodes
 
     @property
     def success_end(self) -> float | None:
         """Fraction of episodes in which the goal held at the last step."""
-        return None if self.end is None else self.end / self.episodes
+        return None if self.successes_end is None else self.successes_end / self.episodes
 
     @classmethod
     def of(cls, result: TestResult) -> TestCounts:
@@ -135,11 +133,14 @@ class TestCounts:
         return {
             "episodes": self.episodes,
             "success_any": self.success_any,
-            "success_any_interval": None if self.any is None else wilson(self.any, self.episodes),
+            "success_any_interval": self._interval(self.successes_any),
             "success_end": self.success_end,
-            "success_end_interval": None if self.end is None else wilson(self.end, self.episodes),
+            "success_end_interval": self._interval(self.successes_end),
             "mean_return": self.mean_return,
         }
+
+    def _interval(self, successes: int | None) -> tuple[float, float] | None:
+        return None if successes is None else wilson(successes, self.episodes)
 
 
 def _finite_mean(values: Sequence[float]) -> float | None:
@@ -152,14 +153,12 @@ def _finite_mean(values: Sequence[float]) -> float | None:
 
 
 def encode_test(result: TestResult) -> dict[str, Any]:
-    """A test as a JSON object; successes as 0 and 1, numbers that JSON lacks (nan, inf) as text."""
+    """A test as a JSON object: its counts, then its episodes. Successes are 0 and 1, nan and inf are texts."""
     return {
-        "steps": int(result.steps),
-        "seconds": float(result.seconds),
+        **asdict(TestCounts.of(result)),
         "any": [int(flag) for flag in result.any],
         "end": [int(flag) for flag in result.end],
         "reset": [int(flag) for flag in result.reset],
-        "mean_return": _finite_mean(result.returns),  # for `count_test`
         "returns": _numbers(result.returns),
         "lengths": [int(length) for length in result.lengths],
         **({} if result.distances is None else {"distances": _numbers(result.distances)}),
@@ -171,44 +170,10 @@ def _numbers(values: Sequence[float]) -> list[float | str]:
     return [value if math.isfinite(value) else str(value) for value in map(float, values)]
 
 
-def decode_test(row: Mapping[str, Any]) -> TestResult | None:
-    """The test in a JSON object, or None if it is not a test."""
-    result = from_json(TestResult, row)
+def decode_test(test: bytes | Mapping[str, Any]) -> TestResult | None:
+    """The test in a JSON object or its text; None if it is not a test. Its counts alone: `from_json(TestCounts)`."""
+    result = from_json(TestResult, test)
     if result is None:
         return None
-    lists = [result.any, result.end, result.reset, result.returns, result.lengths]
-    if result.distances is not None:
-        lists.append(result.distances)
-    whole = result.any and len({len(values) for values in lists}) == 1
-    return result if whole and _is_time(result.steps, result.seconds) else None
-
-
-def _is_time(steps: int, seconds: float) -> bool:
-    """Whether a test can have been played after these steps and seconds."""
-    return 0 <= steps < 1 << 63 and 0.0 <= seconds < math.inf
-
-
-def count_test(line: bytes) -> TestCounts | None:
-    """The counts of a line as `encode_test` makes it, or None for any other line.
-
-    Reads the line up to the returns, and its lists as text, which takes a tenth of the time of `decode_test`.
-    """
-    head, _, rest = line.partition(b',"returns":[')
-    without_success = rest.endswith(b'],"has_success":false}')
-    if head.count(b'"') != 12 or not (without_success or rest.endswith(b"]}")):  # the quotes of six keys
-        return None
-    row = parse_object(head.replace(b":[", b':"').replace(b"],", b'",') + b"}")
-    if row is None or list(row) != ["steps", "seconds", "any", "end", "reset", "mean_return"]:
-        return None
-    steps, seconds, *flags, mean = row.values()
-    if type(steps) is not int or type(seconds) is not float or not _is_time(steps, seconds):
-        return None
-    if not all(isinstance(text, str) for text in flags) or type(mean) not in (float, NoneType):
-        return None
-    episodes = len(flags[0]) // 2 + 1
-    separators = "," * (episodes - 1)
-    for text in flags:
-        if len(text) != 2 * episodes - 1 or text[1::2] != separators or text[::2].strip("01"):
-            return None
-    some, end, reset = (None if without_success else text.count("1") for text in flags)
-    return TestCounts(steps, seconds, episodes, some, end, reset, mean)
+    lists = [result.any, result.end, result.reset, result.returns, result.lengths, result.distances or result.any]
+    return result if result.any and len(set(map(len, lists))) == 1 else None

@@ -3,37 +3,51 @@
 from __future__ import annotations
 
 import os
-from collections.abc import Iterable, Iterator, Mapping
-from dataclasses import replace
+from collections.abc import Iterable, Iterator, Mapping, Sequence
+from dataclasses import asdict, replace
 from datetime import UTC, datetime
 from fnmatch import fnmatchcase
 from pathlib import Path
 from time import monotonic
 from types import TracebackType
-from typing import Any
+from typing import Any, TypeVar
 
 from ..errors import MachineError, RunError, UsageError
 from ..files import (
     UNFINISHED,
     FileLock,
     append_lines,
-    parse_object,
     read_lines,
     read_object,
+    read_values,
     remove_leftovers,
     write_json,
     write_whole,
     writing,
 )
 from . import final_test, labels, provenance
+from .decode import from_json, read_json
 from .final_test import FinalTest
 from .labels import Labels
-from .results import TestCounts, TestResult, count_test, decode_test, encode_test
-from .run_records import FORMAT, RunRecord, RunState, RunSummary, check_name, is_description, summarise, timestamp
+from .results import TestCounts, TestResult, decode_test, encode_test
+from .run_records import (
+    FORMAT,
+    SWEEPS,
+    THRESHOLD,
+    RunDescription,
+    RunRecord,
+    RunState,
+    RunSummary,
+    State,
+    check_name,
+    part_name,
+    timestamp,
+)
 
 LOCK_SECONDS = 0.5
 """A reader that checks whether a run is alive holds the lock for an instant; the run waits this long for it."""
 _FOLDERS = 10_000
+_Test = TypeVar("_Test", TestResult, TestCounts)
 
 
 class RunFolder:
@@ -160,7 +174,7 @@ class RunFolder:
             "command": provenance.command_line(),
             "git": {"commit": code.commit, "dirty": code.dirty, "untracked": list(code.untracked)} if code else None,
         }
-        self._write_state(RunState("created", updated=timestamp()))
+        self._write_state(RunState("created"))
         write_json(self.path / "run.json", self._run)
 
     def description(self) -> dict[str, Any]:
@@ -173,7 +187,7 @@ class RunFolder:
 
     def set_state(
         self,
-        state: str,
+        state: State,
         *,
         steps: int | None = None,
         seconds: float | None = None,
@@ -183,28 +197,21 @@ class RunFolder:
         """Replace the state; steps, seconds and updates keep their values if None.
 
         Args:
-            state: created, running, finished, failed or stopped.
+            state: any but lost.
             steps: environment steps of training so far.
             seconds: wall-clock seconds of collecting and learning so far.
             updates: gradient updates so far.
             error: why it failed, in one line.
         """
-        before = self._stored_state()
-        steps = before.steps if steps is None else int(steps)
-        seconds = before.seconds if seconds is None else float(seconds)
-        updates = before.updates if updates is None else int(updates)
-        self._write_state(
-            replace(
-                before, state=state, steps=steps, seconds=seconds, error=error, updated=timestamp(), updates=updates
-            )
-        )
+        given = {"steps": steps, "seconds": seconds, "updates": updates}
+        new: dict[str, Any] = {name: value for name, value in given.items() if value is not None}
+        self._write_state(replace(self._stored_state(), state=state, error=error, **new))
 
     def next_attempt(self) -> int:
         """Count one more process that continues this run; returns its number, from 1."""
         before = self._stored_state()
-        state = replace(before, state="created", attempt=before.attempt + 1, error=None, updated=timestamp())
-        self._write_state(state)
-        return state.attempt
+        self._write_state(replace(before, state="created", attempt=before.attempt + 1, error=None))
+        return before.attempt + 1
 
     def labels(self) -> Labels:
         """Tags and note."""
@@ -229,7 +236,7 @@ class RunFolder:
             return
         with writing(path):
             lines = path.read_bytes().splitlines(keepends=True)
-        kept = [line for line in lines if (test := count_test(line.rstrip())) is None or test.steps <= steps]
+        kept = [line for line in lines if (test := _count_test(line)) is None or test.steps <= steps]
         if len(kept) < len(lines):
             write_whole(path, b"".join(kept).decode(errors="replace"))
 
@@ -238,7 +245,7 @@ class RunFolder:
 
         `record().problems` names lines that cannot be read.
         """
-        return self._read_tests()[0]
+        return _by_steps(read_values(self.path / "tests.jsonl", decode_test, "test").rows)
 
     def write_final(self, final: FinalTest[TestResult]) -> None:
         """Write the final test, whole or not at all."""
@@ -267,11 +274,6 @@ class RunFolder:
         """The state now, `lost` included."""
         return self._current(self._stored_state())
 
-    def versions(self) -> dict[str, str] | None:
-        """Versions of the software that made the run; None if run.json does not hold them."""
-        found = self._run.get("versions")
-        return {str(name): str(version) for name, version in found.items()} if isinstance(found, dict) else None
-
     def summary(self) -> RunSummary:
         """The run in one row, as the store keeps it."""
         return self.record().summary
@@ -279,20 +281,66 @@ class RunFolder:
     def record(self) -> RunRecord:
         """The content of the folder, and what is damaged or missing in it."""
         spec = read_object(self.path / "resolved.json")
-        state = RunState.from_row(read_object(self.path / "state.json"))
+        state = read_json(RunState, self.path / "state.json")
         now = self._current(state or RunState("running"))
-        tests, problems = self._count_tests()  # after the state: a finished run has all its tests
-        for name, row in (("resolved.json", spec), ("state.json", state)):
-            if row is None:
+        # After the state: a finished run has all its tests.
+        tests, problems = read_values(self.path / "tests.jsonl", _count_test, "test")
+        for name, content in (("resolved.json", spec), ("state.json", state)):
+            if content is None:
                 problems += (f"{name}: missing or damaged",)
         if labels.is_damaged(self.path):
             problems += ("labels.json: damaged; tags and note cannot be read",)
         final = final_test.read_counts(self.path)
-        if final_test.is_damaged(self.path):
+        if final is None and (self.path / final_test.FILE).exists():
             problems += (f"{final_test.FILE}: damaged; left out",)
         problems += read_lines(self.path / "events.jsonl").problems
-        summary = summarise(self.path.resolve(), self._run, now, spec or {}, tests, final=final, labels=self.labels())
-        return RunRecord(summary, spec or {}, tests, problems, self.versions())
+        counts = _by_steps(tests)
+        summary = self._summarise(now, spec or {}, counts, final)
+        return RunRecord(summary, spec or {}, counts, self._run.get("versions", {}), problems)
+
+    def _summarise(
+        self, state: RunState, spec: Mapping[str, Any], tests: Sequence[TestCounts], final: FinalTest[TestCounts] | None
+    ) -> RunSummary:
+        last = final.last if final else tests[-1] if tests else None
+        best = final.best if final else None
+        solved = next((test for test in tests if (test.success_end or 0) >= THRESHOLD), None)
+        solved_any = next((test for test in tests if (test.success_any or 0) >= THRESHOLD), None)
+        found = self.labels()
+        return RunSummary(
+            run=self.id,
+            experiment=self._run["experiment"],
+            seed=self._run["seed"],
+            name=self._run["name"],
+            created=self._run["created"],
+            state=state.state,
+            steps=state.steps,
+            seconds=state.seconds,
+            attempt=state.attempt,
+            error=state.error,
+            updates=state.updates,
+            total_seconds=state.total_seconds,
+            environment=part_name(spec, "environment"),
+            robot=part_name(spec, "robot"),
+            task=part_name(spec, "task"),
+            agent=part_name(spec, "agent"),
+            tags=found.tags,
+            note=found.note,
+            updated=state.updated or self._run["created"],
+            folder=str(self.path.resolve()),
+            final=final is not None,
+            success_any=last.success_any if last else None,
+            success_end=last.success_end if last else None,
+            episodes=last.episodes if last else None,
+            mean_return=last.mean_return if last else None,
+            best_steps=best.steps if best else None,
+            best_any=best.success_any if best else None,
+            best_end=best.success_end if best else None,
+            best_return=best.mean_return if best else None,
+            steps_to_95=solved.steps if solved else None,
+            seconds_to_95=solved.seconds if solved else None,
+            steps_to_95_any=solved_any.steps if solved_any else None,
+            seconds_to_95_any=solved_any.seconds if solved_any else None,
+        )
 
     def _current(self, stored: RunState) -> RunState:
         """The state now, given what state.json held just before."""
@@ -303,35 +351,22 @@ class RunFolder:
         return stored
 
     def _stored_state(self) -> RunState:
-        return RunState.from_row(read_object(self.path / "state.json")) or RunState("running")
+        return read_json(RunState, self.path / "state.json") or RunState("running")
 
     def _write_state(self, state: RunState) -> None:
         if self._locked_at is not None:
             state = replace(state, total_seconds=self._earlier_seconds + monotonic() - self._locked_at)
-        write_json(self.path / "state.json", state.to_row())
+        write_json(self.path / "state.json", asdict(replace(state, updated=timestamp())))
 
-    def _read_tests(self) -> tuple[tuple[TestResult, ...], tuple[str, ...]]:
-        """The tests in the order of their steps, and one line per problem."""
-        rows, problems = read_lines(self.path / "tests.jsonl")
-        decoded = [decode_test(row) for row in rows]
-        unique = {result.steps: result for result in decoded if result is not None}
-        invalid = decoded.count(None)
-        if invalid:
-            problems += (f"tests.jsonl: {invalid} lines are not test results; left out",)
-        return tuple(unique[steps] for steps in sorted(unique)), problems
 
-    def _count_tests(self) -> tuple[tuple[TestCounts, ...], tuple[str, ...]]:
-        """As `_read_tests`, but the counts of the tests, which takes less time if no line is damaged."""
-        try:
-            *lines, torn = (self.path / "tests.jsonl").read_bytes().split(b"\n")
-        except OSError:
-            lines, torn = [], b"unreadable"
-        counts = [] if torn else [count_test(line) for line in lines]
-        if torn or None in counts:
-            results, problems = self._read_tests()
-            return tuple(TestCounts.of(result) for result in results), problems
-        unique = {test.steps: test for test in counts if test is not None}
-        return tuple(unique[steps] for steps in sorted(unique)), ()
+def _count_test(line: bytes) -> TestCounts | None:
+    return from_json(TestCounts, line)
+
+
+def _by_steps(tests: Iterable[_Test]) -> tuple[_Test, ...]:
+    """Tests in the order of their steps, of several at the same step the last."""
+    unique = {test.steps: test for test in tests}
+    return tuple(unique[steps] for steps in sorted(unique))
 
 
 def paths(runs: str | Path, pattern: str = "*") -> list[Path]:
@@ -382,15 +417,15 @@ def _make_folder(runs: Path, stem: str) -> Path:
     raise MachineError(f"{stem} is taken", where=str(runs))
 
 
-def _read_description(path: Path) -> dict[str, Any]:
+def _read_description(path: Path) -> Any:
     """The content of run.json. Raises RunError if it is not a run folder, or a newer karolos made it."""
     try:
-        run = parse_object((path / "run.json").read_bytes())
+        run = from_json(RunDescription, (path / "run.json").read_bytes())
     except OSError as error:
         raise RunError(
             f"this is not a run folder ({error.strerror})", where=str(path), hint="`karolos runs list` shows the runs"
         ) from error
-    if run is None or not is_description(run):
+    if run is None or run["id"] == SWEEPS:
         raise RunError("run.json is damaged", where=str(path), hint="restore the folder from a copy, or remove it")
     if run["format"] > FORMAT:
         raise RunError("a newer karolos made this run folder", where=str(path), hint="update karolos")

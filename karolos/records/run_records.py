@@ -3,17 +3,16 @@
 from __future__ import annotations
 
 import re
-from collections.abc import Iterator, Mapping, Sequence
+from collections.abc import Iterator, Mapping
 from dataclasses import asdict, dataclass
 from datetime import UTC, datetime
-from pathlib import Path
-from typing import Any
+from typing import Annotated, Any, Literal, NotRequired, get_args
+
+from pydantic import Field, FiniteFloat
+from typing_extensions import TypedDict
 
 from ..errors import UsageError
-from .decode import from_json
-from .final_test import FinalTest
-from .labels import Labels
-from .results import TestCounts
+from .results import Count, TestCounts
 
 NAME = re.compile(r"[A-Za-z0-9][A-Za-z0-9._-]{0,63}")
 ID = re.compile(r"[A-Za-z0-9][A-Za-z0-9._-]{0,199}")
@@ -22,9 +21,10 @@ SWEEPS = "sweeps"
 """Folder of all sweeps in the runs folder; no run has this id."""
 FORMAT = 1
 """Version of the folder's layout, in run.json."""
-STORED_STATES = ("created", "running", "finished", "failed", "stopped")
+State = Literal["created", "running", "finished", "failed", "stopped", "lost"]
+STATES: tuple[str, ...] = get_args(State)
+"""A run's folder holds all but `lost`, which readers compute."""
 UNFINISHED = ("created", "running")
-STATES = (*STORED_STATES, "lost")
 THRESHOLD = 0.95
 """Lowest success at which a run counts as solved in steps_to_95 (`end`) and steps_to_95_any."""
 
@@ -34,48 +34,59 @@ def timestamp(time: datetime | None = None) -> str:
     return (time or datetime.now(UTC)).astimezone(UTC).strftime("%Y-%m-%dT%H:%M:%S.%fZ")
 
 
+class GitCommit(TypedDict, total=False):
+    """The commit of the work tree that a run was started in."""
+
+    commit: str
+    dirty: bool
+    """Whether tracked files differed from it (code.diff)."""
+    untracked: list[str]
+
+
+class RunDescription(TypedDict):
+    """The content of run.json."""
+
+    format: int
+    id: Annotated[str, Field(pattern=f"^{ID.pattern}$")]
+    experiment: str
+    """Hash of the settings that results depend on."""
+    name: str
+    """Of the experiment."""
+    seed: Annotated[int, Field(ge=0)]
+    created: str
+    """Time in UTC, ISO 8601."""
+    versions: NotRequired[dict[str, str]]
+    """Of Python, karolos, plugins and their dependencies when the run began."""
+    source: NotRequired[str]
+    machine: NotRequired[str]
+    command: NotRequired[list[str]]
+    git: NotRequired[GitCommit | None]
+
+
 @dataclass(frozen=True)
 class RunState:
-    """The progress of a run.
+    """The progress of a run."""
 
-    Args:
-        state: one of STATES.
-        steps: environment steps of training.
-        seconds: wall-clock seconds of collecting (demonstrations included) and learning; tests excluded.
-        attempt: number of processes that have worked on it, from 1.
-        error: why it failed, in one line.
-        updated: when this was written (ISO 8601, UTC).
-        updates: gradient updates; None if unknown.
-        total_seconds: wall-clock seconds of all processes that have worked on it, from start to end.
-    """
-
-    state: str
-    steps: int = 0
-    seconds: float = 0.0
-    attempt: int = 1
+    state: State
+    steps: Count = 0
+    """Environment steps of training."""
+    seconds: FiniteFloat = 0.0
+    """Wall-clock seconds of collecting (demonstrations included) and learning; tests excluded."""
+    attempt: Count = 1
+    """Number of processes that have worked on it, from 1."""
     error: str | None = None
+    """Why it failed, in one line."""
     updated: str = ""
-    updates: int | None = None
-    total_seconds: float = 0.0
-
-    def __post_init__(self) -> None:
-        if self.state not in STATES:
-            raise ValueError(f"{self.state!r} is not a state; there are {', '.join(STATES)}")
+    """When this was written (ISO 8601, UTC)."""
+    updates: Count | None = None
+    """Gradient updates; None if unknown."""
+    total_seconds: FiniteFloat = 0.0
+    """Wall-clock seconds of all processes that have worked on it, from start to end."""
 
     @property
     def unfinished(self) -> bool:
         """Whether a process should be working on it: if none does, the run is lost."""
         return self.state in UNFINISHED
-
-    def to_row(self) -> dict[str, Any]:
-        if self.state not in STORED_STATES:
-            raise ValueError(f"{self.state!r} is never written; readers compute it")
-        return asdict(self)
-
-    @classmethod
-    def from_row(cls, row: Mapping[str, Any] | None) -> RunState | None:
-        """The state in a JSON object; None if it is not a state."""
-        return None if row is None else from_json(cls, {"state": "created", **row})
 
 
 @dataclass(frozen=True)
@@ -150,14 +161,17 @@ class RunSummary:
 
 @dataclass(frozen=True)
 class RunRecord:
-    """The content of a run folder; `problems` holds one line per damaged file."""
+    """The content of a run folder, as the index stores it."""
 
     summary: RunSummary
     spec: Mapping[str, Any]
+    """Resolved; empty if its file is damaged."""
     tests: tuple[TestCounts, ...]
-    problems: tuple[str, ...]
-    versions: Mapping[str, str] | None = None
-    """Of Python, karolos, plugins and their dependencies when the run began; None if the folder does not hold them."""
+    """In the order of their steps."""
+    versions: Mapping[str, str]
+    """Of the software that made the run; empty if they are unknown."""
+    problems: tuple[str, ...] = ()
+    """One line per damaged file; not in the index."""
 
 
 def flatten(spec: Mapping[str, Any], prefix: str = "") -> Iterator[tuple[str, Any]]:
@@ -167,55 +181,6 @@ def flatten(spec: Mapping[str, Any], prefix: str = "") -> Iterator[tuple[str, An
             yield from flatten(value, f"{prefix}{key}.")
         else:
             yield f"{prefix}{key}", value
-
-
-def summarise(
-    folder: Path,
-    run: Mapping[str, Any],
-    state: RunState,
-    spec: Mapping[str, Any],
-    tests: Sequence[TestCounts],
-    *,
-    final: FinalTest[TestCounts] | None,
-    labels: Labels,
-) -> RunSummary:
-    """The row of a run from the content of its folder; `tests` in the order of their steps."""
-    last = final.last if final else tests[-1] if tests else None
-    best = final.best if final else None
-    solved = next((test for test in tests if (test.success_end or 0) >= THRESHOLD), None)
-    solved_any = next((test for test in tests if (test.success_any or 0) >= THRESHOLD), None)
-    return RunSummary(
-        run=str(run["id"]),
-        experiment=str(run.get("experiment", "")),
-        seed=int(run["seed"]),
-        state=state.state,
-        steps=state.steps,
-        seconds=state.seconds,
-        success_any=last.success_any if last else None,
-        success_end=last.success_end if last else None,
-        steps_to_95=solved.steps if solved else None,
-        seconds_to_95=solved.seconds if solved else None,
-        name=str(run["name"]),
-        episodes=last.episodes if last else None,
-        **{kind: part_name(spec, kind) for kind in ("environment", "robot", "task", "agent")},
-        attempt=state.attempt,
-        error=state.error,
-        created=str(run["created"]),
-        updated=state.updated or str(run["created"]),
-        folder=str(folder),
-        tags=labels.tags,
-        note=labels.note,
-        updates=state.updates,
-        final=final is not None,
-        best_steps=best.steps if best else None,
-        best_any=best.success_any if best else None,
-        best_end=best.success_end if best else None,
-        steps_to_95_any=solved_any.steps if solved_any else None,
-        seconds_to_95_any=solved_any.seconds if solved_any else None,
-        total_seconds=state.total_seconds,
-        mean_return=last.mean_return if last else None,
-        best_return=best.mean_return if best else None,
-    )
 
 
 def part_name(spec: Mapping[str, Any], kind: str) -> str | None:
@@ -232,18 +197,3 @@ def check_name(name: str) -> None:
             f"a run cannot be named {name!r}",
             hint="up to 64 letters, digits, dots, dashes and underscores, beginning with a letter or digit",
         )
-
-
-def is_description(run: Mapping[str, Any]) -> bool:
-    """Whether an object has the fields of run.json, and each has its type."""
-    git, versions, command = (run.get(key) for key in ("git", "versions", "command"))
-    if not (isinstance(git, dict | None) and isinstance(versions, dict | None) and isinstance(command, list | None)):
-        return False
-    if not all(isinstance(text, str) for text in (*(versions or {}).values(), *(command or ()))):
-        return False
-    if not isinstance((git or {}).get("commit"), str | None) or run.get("id") == SWEEPS:
-        return False
-    texts = all(isinstance(run.get(key), str) for key in ("name", "experiment", "created"))
-    numbers = all(type(run.get(key)) is int for key in ("seed", "format"))
-    named = isinstance(run.get("id"), str) and ID.fullmatch(run["id"]) is not None
-    return texts and numbers and named

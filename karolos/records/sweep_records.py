@@ -2,16 +2,18 @@
 
 from __future__ import annotations
 
-import math
 import os
 from collections.abc import Mapping, Sequence
-from dataclasses import dataclass, replace
+from dataclasses import asdict, dataclass, replace
 from pathlib import Path
 from typing import Any, Literal
 
+from pydantic import FiniteFloat
+
 from ..errors import MachineError, RunError
-from ..files import FileLock, parse_object, read_lines
-from .decode import from_json
+from ..files import FileLock, read_lines, read_object, read_values
+from .decode import from_json, read_json
+from .results import Count
 from .run_records import ID, SWEEPS
 
 FOLDER = SWEEPS
@@ -25,7 +27,6 @@ _DESCRIBED = (
     *("objectives", "directions", "parameters", "seeds"),
 )
 """Fields of SweepRecord in sweep.json, beside its id."""
-_FIELD_OF = {"id": "sweep"} | {name: name for name in _DESCRIBED}
 SweepTrialState = Literal["running", "complete", "pruned", "failed"]
 
 
@@ -33,7 +34,7 @@ SweepTrialState = Literal["running", "complete", "pruned", "failed"]
 class Trial:
     """One trial of a sweep: its settings and its result."""
 
-    number: int
+    number: Count
     """From 0."""
     name: str
     """Name of its runs."""
@@ -41,7 +42,7 @@ class Trial:
     """Running until it ends, also while the sweep is interrupted."""
     drawn: Mapping[str, Any]
     """Parameter -> number, or label of a choice; a parameter whose condition does not hold is missing."""
-    values: tuple[float, ...] | None
+    values: tuple[FiniteFloat, ...] | None
     """One per objective; None unless the trial is complete."""
     runs: tuple[str, ...]
     """Ids of its runs, in the order of the seeds; empty until it ends."""
@@ -49,7 +50,7 @@ class Trial:
 
     def row(self) -> dict[str, Any]:
         """As JSON values."""
-        return _with_lists(self)
+        return asdict(self)
 
 
 @dataclass(frozen=True)
@@ -60,21 +61,17 @@ class SweepFinal:
     """Number of the best trial on the fresh seeds."""
     seeds: tuple[int, ...]
     report_seeds: tuple[int, ...]
-    tuned: tuple[float, ...]
+    tuned: tuple[FiniteFloat, ...]
     """The chosen trial's objectives on the sweep's seeds; biased upwards, because it was selected by them."""
-    fresh: Mapping[int, tuple[float, ...]]
+    fresh: Mapping[int, tuple[FiniteFloat, ...]]
     """Trial -> objectives on the fresh seeds; a trial that failed on them is missing."""
-    reported: tuple[float, ...] | None
+    reported: tuple[FiniteFloat, ...] | None
     """The chosen trial's objectives on seeds used for nothing else; None if a run failed."""
 
     def row(self) -> dict[str, Any]:
         """As JSON values; `gap` is tuned minus reported, one per objective."""
         gap = self.reported and [tuned - reported for tuned, reported in zip(self.tuned, self.reported, strict=True)]
-        return {
-            **_with_lists(self),
-            "fresh": {str(number): list(values) for number, values in self.fresh.items()},
-            "gap": gap,
-        }
+        return asdict(self) | {"gap": gap}
 
 
 @dataclass(frozen=True)
@@ -94,7 +91,7 @@ class SweepRecord:
     """Key paths of the searched settings."""
     seeds: tuple[int, ...]
     """Of every trial."""
-    asked: int
+    asked: Count
     """Number of trials it shall have."""
     wants_final: bool
     """Whether the best trials shall be run on fresh seeds."""
@@ -131,25 +128,22 @@ class SweepRecord:
 
     def description(self) -> dict[str, Any]:
         """The content of sweep.json."""
-        values = _with_lists(self)
-        return {"format": FORMAT, "id": self.sweep} | {name: values[name] for name in _DESCRIBED}
+        return {"format": FORMAT, "id": self.sweep} | self._described()
+
+    def _described(self) -> dict[str, Any]:
+        return {name: getattr(self, name) for name in _DESCRIBED}
 
     def row(self) -> dict[str, Any]:
         """As JSON values."""
         return {
             "sweep": self.sweep,
             "state": self.state(),
-            **{name: value for name, value in self.description().items() if name in _DESCRIBED},
+            **self._described(),
             "folder": self.folder,
             "best": self.best.number if self.best else None,
             "final": self.final.row() if self.final else None,
             "trials": [trial.row() for trial in self.trials],
         }
-
-
-def _with_lists(record: Trial | SweepFinal | SweepRecord) -> dict[str, Any]:
-    """The fields, with lists instead of tuples."""
-    return {name: list(value) if isinstance(value, tuple) else value for name, value in vars(record).items()}
 
 
 def merit(values: Sequence[float], directions: Sequence[str]) -> tuple[float, ...]:
@@ -194,40 +188,31 @@ def read_sweep(folder: Path) -> tuple[SweepRecord, tuple[str, ...]]:
         RunError: it is not a sweep's folder, its sweep.json is damaged, or a newer karolos made it.
     """
     described = read_sweep_description(folder)
-    lines = read_lines(folder / TRIALS)
-    problems = list(lines.problems)
-    trials = {trial.number: trial for row in lines.rows if (trial := _valid(from_json(Trial, row), described))}
-    if len(trials) < len(lines.rows):
-        problems.append(f"{TRIALS}: {len(lines.rows) - len(trials)} lines are not trials or repeat one; left out")
-    final = None
-    if (folder / FINAL).exists():
-        final = from_json(SweepFinal, parse_object((folder / FINAL).read_bytes()) or {})
-        if final is None:
-            problems.append(f"{FINAL} is damaged; left out")
+    found, problems = read_values(folder / TRIALS, lambda line: _trial(line, len(described.objectives)), "trial")
+    trials = {trial.number: trial for trial in found}
+    final = read_json(SweepFinal, folder / FINAL)
+    if final is None and (folder / FINAL).exists():
+        problems += (f"{FINAL} is damaged; left out",)
     record = replace(described, trials=tuple(trials[number] for number in sorted(trials)), final=final)
     return record, tuple(f"{folder.name}: {problem}" for problem in problems)
 
 
-def _valid(trial: Trial | None, sweep: SweepRecord) -> Trial | None:
-    """The trial, or None if it cannot be a trial of this sweep."""
+def _trial(line: bytes, objectives: int) -> Trial | None:
+    """The trial in a line; None if it cannot be one of a sweep with this number of objectives."""
+    trial = from_json(Trial, line)
     if trial is None or (trial.values is None) == (trial.state == "complete"):
         return None
-    values = trial.values
-    whole = values is None or (len(values) == len(sweep.objectives) and all(map(math.isfinite, values)))
-    return trial if whole else None
+    return trial if trial.values is None or len(trial.values) == objectives else None
 
 
 def read_sweep_description(folder: Path) -> SweepRecord:
     """A sweep without its trials. Raises RunError as `read_sweep` does."""
-    try:
-        row = parse_object((folder / DESCRIPTION).read_bytes())
-    except OSError as error:
-        raise RunError(f"this is not a sweep's folder ({error.strerror})", where=str(folder)) from error
-    if row is not None and isinstance(row.get("format"), int) and row["format"] > FORMAT:
+    if not os.path.isfile(folder / DESCRIPTION):
+        raise RunError("this is not a sweep's folder", where=str(folder))
+    row = read_object(folder / DESCRIPTION) or {}
+    if isinstance(row.get("format"), int) and row["format"] > FORMAT:
         raise RunError("a newer karolos made this sweep's folder", where=str(folder), hint="update karolos")
-    values: dict[str, Any] = {"folder": str(folder.resolve())}
-    values |= {_FIELD_OF[key]: value for key, value in (row or {}).items() if key in _FIELD_OF}
-    record = from_json(SweepRecord, values)
+    record = from_json(SweepRecord, row | {"sweep": row.get("id"), "folder": str(folder.resolve())})
     if record is None or not ID.fullmatch(record.sweep) or not len(record.directions) == len(record.objectives) > 0:
         raise RunError(
             f"{DESCRIPTION} is damaged",

@@ -2,17 +2,17 @@
 
 from __future__ import annotations
 
+import re
 import warnings
 from collections.abc import Iterator, Mapping, Sequence
 from contextlib import contextmanager
 from dataclasses import dataclass
 from pathlib import Path
 from typing import TYPE_CHECKING, Any
-from xml.etree import ElementTree
 
 from ..errors import UsageError
 from ..files import writing
-from .markup import Markup
+from .markup import Markup, tag
 from .tables import clean
 
 if TYPE_CHECKING:
@@ -53,7 +53,6 @@ LOOK: dict[Any, Any] = {
     "pdf.fonttype": 42,
 }
 _UNDATED = {".svg": {"Date": None}, ".pdf": {"CreationDate": None}, ".png": {}}
-_SVG, _XLINK = "{http://www.w3.org/2000/svg}", "{http://www.w3.org/1999/xlink}"
 
 
 @contextmanager
@@ -154,54 +153,23 @@ class Drawing:
         return paths
 
     def svg(self) -> Markup:
-        """The figure as an <svg> element for an HTML page with a strict security policy.
+        """The figure as an <svg> element for an HTML page. The groups of artists get their classes and tooltips.
 
-        Inline styles become presentation attributes, since the policy forbids the former. The groups of artists get
-        their classes and tooltips. Ids begin with the figure's name, so that several figures fit into one page.
+        Other ids are hashes salted with the figure's name, so that several figures fit into one page.
         """
         from io import StringIO  # noqa: PLC0415
 
-        stream = StringIO()
-        with look():
-            self.figure.savefig(stream, format="svg", metadata={"Date": None})
-        root = ElementTree.fromstring(stream.getvalue())
-        for parent in list(root.iter()):
-            for child in list(parent):
-                if child.tag in (f"{_SVG}metadata", f"{_SVG}style"):
-                    parent.remove(child)
-        for element in root.iter():
-            self._plain_element(element)
-        size = {"viewBox": root.get("viewBox", ""), "role": "img", "aria-label": clean(self.title)}
-        root.attrib.clear()
-        root.attrib |= size | {"stroke-linejoin": "round", "stroke-linecap": "butt"}
-        return Markup(ElementTree.tostring(root, "unicode"))
+        import matplotlib  # noqa: PLC0415
 
-    def _plain_element(self, element: ElementTree.Element) -> None:
-        element.tag = element.tag.removeprefix(_SVG)
-        gid = element.get("id", "")
-        attributes = {key.removeprefix(_XLINK): value for key, value in element.attrib.items()}
-        for declaration in attributes.pop("style", "").split(";"):
-            key, _, value = declaration.strip().partition(": ")
-            if key == "font":
-                *weight, size = value.split("px")[0].split()
-                attributes |= {"font-size": size} | ({"font-weight": weight[0]} if weight else {})
-            elif key:
-                attributes[key] = value
-        for key, value in attributes.items():
-            if key == "href" and value.startswith("#"):
-                attributes[key] = f"#{self.name}-{value[1:]}"
-            attributes[key] = attributes[key].replace("url(#", f"url(#{self.name}-")
-        if gid:
-            attributes["id"] = f"{self.name}-{gid}"
-        element.attrib.clear()
-        element.attrib |= attributes
-        if gid in self.parts:
-            classes, tooltip = self.parts[gid]
-            element.set("class", classes)
-            if tooltip:
-                title = ElementTree.Element("title")
-                title.text = tooltip
-                element.insert(0, title)
+        stream = StringIO()
+        with look(), matplotlib.rc_context({"svg.hashsalt": self.name}):
+            self.figure.savefig(stream, format="svg", metadata={"Date": None})
+        text = re.sub(r"<metadata>.*?</metadata>| xmlns(:xlink)?=\S+\"", "", stream.getvalue(), flags=re.DOTALL)
+        for gid, (classes, tooltip) in self.parts.items():
+            text = text.replace(f'<g id="{gid}">', f'<g class="{classes}">{tag("title", tooltip) if tooltip else ""}')
+        text = re.sub(r' id="[a-z0-9.]+_\d+"', "", text.replace("xlink:href", "href"))  # ids that nothing names
+        label = tag("svg", role="img", aria_label=self.title).removesuffix("></svg>")
+        return Markup(label + text[text.index("<svg") + len("<svg") :].rstrip())
 
 
 @dataclass(frozen=True)

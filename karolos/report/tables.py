@@ -159,9 +159,9 @@ def table_of_tests(tests: Iterable[TestCounts], results: Iterable[TestResult] = 
         "success any": lambda test: success(test.success_any, test.episodes),
         "return": lambda test: number(test.mean_return),
         "episodes": lambda test: count(test.episodes),
-        "solved at reset": lambda test: count(test.reset),
+        "solved at reset": lambda test: count(test.solved_at_reset),
     }
-    if all(test.end is None for test in tests):
+    if all(test.successes_end is None for test in tests):
         columns = {name: cell for name, cell in columns.items() if not name.startswith(("success", "solved"))}
     if near:
         heading = f"end within {' / '.join(f'{metres:.2f}' for metres in WITHIN)} m"
@@ -185,7 +185,7 @@ def transfers_table(transfers: Iterable[TransferResult], *, title: str = "") -> 
         "when": lambda one: one.time[:16].replace("T", " "),
     }
     transfers = list(transfers)
-    if all(one.own.end is None for one in transfers):
+    if all(one.own.successes_end is None for one in transfers):
         columns = {name: cell for name, cell in columns.items() if not name.endswith((" end", " any"))}
     return Table.of(transfers, columns, title)
 

@@ -139,49 +139,33 @@ def _check_model(model: ArmModel, arm: Sequence[Joint], home: Vector) -> None:
     Raises PluginError for a home outside the limits or the workspace, for fingers and links that the URDF lacks, and
     for sliding joints that nothing moves.
     """
-    where = str(model.urdf)
+
+    def demand(holds: bool, what: str, *, joint: str = "", hint: str | None = None) -> None:
+        if not holds:
+            raise PluginError(what, where=f"{model.urdf}{joint and f': joint {joint}'}", hint=hint)
+
     for joint, position in zip(arm, model.home, strict=True):
-        if not joint.lower <= position <= joint.upper:
-            raise PluginError(
-                f"home is {position:g}, outside its limits from {joint.lower:g} to {joint.upper:g}",
-                where=f"{where}: joint {joint.name}",
-            )
-    if not model.workspace.contains(home):
-        place, low, high = (
-            " ".join(f"{x:.3f}" for x in corner) for corner in (home, model.workspace.low, model.workspace.high)
-        )
-        raise PluginError(
-            f"at home the tool is at {place}, outside the workspace from {low} to {high}",
-            where=where,
-            hint="change `home`, `tool` or `workspace`",
-        )
+        outside = f"home is {position:g}, outside its limits from {joint.lower:g} to {joint.upper:g}"
+        demand(joint.lower <= position <= joint.upper, outside, joint=joint.name)
+    place, low, high = (" ".join(f"{x:.3f}" for x in at) for at in (home, model.workspace.low, model.workspace.high))
+    outside = f"at home the tool is at {place}, outside the workspace from {low} to {high}"
+    demand(model.workspace.contains(home), outside, hint="change `home`, `tool` or `workspace`")
     slides = {joint.name: joint for joint in model.description.joints if not joint.revolute}
-    used = dict(zip(model.fingers.joints, model.fingers.links, strict=True)) if model.fingers else {}
-    for name, link in used.items():
-        if name not in slides:
-            raise PluginError(
-                f"no finger joint is called {name!r}", where=where, hint=f"prismatic joints: {', '.join(slides)}"
-            )
-        if slides[name].child != link:
-            raise PluginError(
-                f"finger joint {name!r} does not move a link {link!r}",
-                where=where,
-                hint=f"it moves {slides[name].child!r}",
-            )
-        if model.fingers is not None and model.fingers.travel > slides[name].upper + 1e-6:
-            raise PluginError(
-                f"finger joint {name!r} moves by {slides[name].upper:g} m, `travel` is {model.fingers.travel:g}",
-                where=where,
-            )
-    unused = sorted(set(slides) - set(used))
-    if unused:
-        raise PluginError(
-            f"nothing moves the prismatic joints {', '.join(unused)}",
-            where=where,
-            hint="name them in `fingers` or `locked`",
-        )
-    for link in {link for pair in model.self_collisions for link in pair} - set(model.description.carriers):
-        raise PluginError(f"self_collisions names a link {link!r}, which the URDF lacks", where=where)
+    fingers = model.fingers
+    if fingers is not None:
+        for name, link in zip(fingers.joints, fingers.links, strict=True):
+            known = f"prismatic joints: {', '.join(slides)}"
+            demand(name in slides, f"no finger joint is called {name!r}", hint=known)
+            slide = slides.pop(name)
+            moves = f"it moves {slide.child!r}"
+            demand(slide.child == link, f"finger joint {name!r} does not move a link {link!r}", hint=moves)
+            far = f"finger joint {name!r} moves by {slide.upper:g} m, `travel` is {fingers.travel:g}"
+            demand(fingers.travel <= slide.upper + 1e-6, far)
+    unmoved = f"nothing moves the prismatic joints {', '.join(sorted(slides))}"
+    demand(not slides, unmoved, hint="name them in `fingers` or `locked`")
+    for link in {link for pair in model.self_collisions for link in pair}:
+        known_link = link in model.description.carriers
+        demand(known_link, f"self_collisions names a link {link!r}, which the URDF lacks")
 
 
 def _arm_joints(model: ArmModel) -> list[Joint]:
@@ -249,8 +233,10 @@ class Arm:
         self.reset_noise = settings.reset_noise
         self._fingers = model.fingers
         self._values = {name: parameter.nominal for name, parameter in PARAMETERS.items()}
-        self._positions: Sequence[float] = model.home
-        self._velocities: Sequence[float] = (0.0,) * len(model.home)
+        self.gripper: Gripper | None = model.fingers.gripper if model.fingers else None
+        self.home_joints = model.home
+        self.joint_positions: Sequence[float] = model.home
+        self.joint_velocities: Sequence[float] = (0.0,) * len(model.home)
         self._delayed: deque[list[float]] = deque()
         self.opening_command = 0.0
         self._opens = False
@@ -260,28 +246,8 @@ class Arm:
         self.opening = 0.0
         self.prepare(gripper=False, period=1 / 24)
 
-    @property
-    def turns_joints(self) -> bool:
-        return not self._cartesian
-
-    @property
-    def home_joints(self) -> tuple[float, ...]:
-        return self.model.home
-
-    @property
-    def joint_positions(self) -> Sequence[float]:
-        return self._positions
-
-    @property
-    def joint_velocities(self) -> Sequence[float]:
-        return self._velocities
-
     def forward(self, joints: Sequence[float]) -> Configuration:
         return self.chain.forward(joints)
-
-    @property
-    def gripper(self) -> Gripper | None:
-        return self.model.fingers.gripper if self.model.fingers else None
 
     def prepare(self, *, gripper: bool, period: float, points_down: bool = True) -> None:
         if gripper and self.model.fingers is None:
@@ -291,8 +257,8 @@ class Arm:
             what = "the task moves the gripper, so it cannot be held open"
             raise UsageError(what, setting="robot.finger_opening", hint="set it to 0")
         self._fingers = self.model.fingers if gripper else None
-        self._cartesian = (self.settings.control or ("cartesian" if points_down else "joint")) == "cartesian"
-        self._yaws = self._cartesian and self.settings.yaw
+        self.turns_joints = (self.settings.control or ("cartesian" if points_down else "joint")) == "joint"
+        self._yaws = self.settings.yaw and not self.turns_joints
         self.period = period
         self.joint_step = tuple(min(self.settings.joint_step, speed * period) for speed in self.limits.velocity)
         self.tool_step = self.settings.tool_step
@@ -316,14 +282,14 @@ class Arm:
             fields.append(Field("tool_heading", 2, "1"))  # cosine and sine: an angle would jump
         if self._fingers is not None:
             fields.append(Field("gripper_opening", 1, "1"))
-        if not self._cartesian:
+        if self.turns_joints:
             size = self.chain.size
             fields += [Field("joint_positions", size, "rad"), Field("joint_velocities", size, "rad/s")]
         return Layout(tuple(fields))
 
     @cached_property
     def action(self) -> Layout:
-        fields = [Field("tool_position_change", 3, "1") if self._cartesian else Field("joint_changes", self.chain.size)]
+        fields = [Field("joint_changes", self.chain.size) if self.turns_joints else Field("tool_position_change", 3)]
         if self._yaws:
             fields.append(Field("yaw_change", 1))
         if self._fingers is not None:
@@ -411,7 +377,7 @@ class Arm:
         if self._delayed:
             self._delayed.append(values)
             values = self._delayed.popleft()
-        if self._cartesian:
+        if not self.turns_joints:
             x, y, z = self.tool_position
             (low_x, low_y, low_z), (high_x, high_y, high_z) = self.workspace.low, self.workspace.high
             target = (
@@ -425,11 +391,11 @@ class Arm:
             changes = [step * value for step, value in zip(self.joint_step, values, strict=False)]
         opening = None if self._fingers is None else 0.5 + 0.5 * values[-1]
         self.opening_command = opening or 0.0
-        end = self._control.ramp(self._positions, self._velocities, changes)
+        end = self._control.ramp(self.joint_positions, self.joint_velocities, changes)
         if opening is None or not self.settings.timed_release:
-            self._motors.drive(self._velocities, end, opening)
+            self._motors.drive(self.joint_velocities, end, opening)
         else:
-            self._motors.drive(self._velocities, end, *self._timed(opening))
+            self._motors.drive(self.joint_velocities, end, *self._timed(opening))
 
     def _timed(self, opening: float) -> tuple[float, float]:
         """What the gripper is told in this control step, and the fraction of the step after which it is.
@@ -449,15 +415,15 @@ class Arm:
 
     def _joint_changes(self, target: Vector, yaw: float) -> list[float]:
         """Change of the joints (n,) towards a tool position, scaled down so that no joint exceeds its step."""
-        changes = self.chain.step(self._configuration, target, yaw, self._posture(self._positions))
+        changes = self.chain.step(self._configuration, target, yaw, self._posture(self.joint_positions))
         excess = max(map(truediv, map(abs, changes), self.joint_step))
         return [change / excess for change in changes] if excess > 1 else changes
 
     def read(self) -> None:
-        self._positions, self._velocities, self.opening = self._motors.read()
-        self._configuration = self.chain.forward(self._positions)
+        self.joint_positions, self.joint_velocities, self.opening = self._motors.read()
+        self._configuration = self.chain.forward(self.joint_positions)
         self.tool_position = self._configuration.tool.position
-        self.tool_velocity = self.chain.velocity(self._configuration, self._velocities)
+        self.tool_velocity = self.chain.velocity(self._configuration, self.joint_velocities)
 
     def observe(self) -> list[float]:
         values = [*self.tool_position, *self.tool_velocity]
@@ -466,9 +432,9 @@ class Arm:
             values += (cos(yaw), sin(yaw))
         if self._fingers is not None:
             values.append(self.opening)
-        if not self._cartesian:
-            values += self._positions
-            values += self._velocities
+        if self.turns_joints:
+            values += self.joint_positions
+            values += self.joint_velocities
         values = self.with_noise(values)
         self.observed_tool_position = values[0], values[1], values[2]
         return values
@@ -507,7 +473,7 @@ class Arm:
 
     def towards(self, position: Vector, opening: float) -> FloatArray:
         values: list[float]
-        if self._cartesian:
+        if not self.turns_joints:
             difference = [target - current for target, current in zip(position, self.tool_position, strict=True)]
             longest = max(1.0, max(abs(value) for value in difference) / self.tool_step)
             values = [value / self.tool_step / longest for value in difference]
@@ -520,7 +486,7 @@ class Arm:
         return self._action(values, opening)
 
     def turning(self, changes: Sequence[float], opening: float) -> FloatArray:
-        if self._cartesian:
+        if not self.turns_joints:
             raise UsageError(
                 "cartesian control does not change joint positions",
                 setting="robot.control",

@@ -2,7 +2,7 @@
 
 from .load import load_spec, spec_from_dict, spec_of_trial, spec_of_variant
 from .merge import parse_settings
-from .model import Spec, Testing, Training
+from .model import Spec, TestingSettings, TrainingSettings
 from .parts import Part, Recipe
 from .sweep import Sweep
 from .transfer import Transfer
@@ -13,8 +13,8 @@ __all__ = [
     "Recipe",
     "Spec",
     "Sweep",
-    "Testing",
-    "Training",
+    "TestingSettings",
+    "TrainingSettings",
     "Transfer",
     "load_spec",
     "parse_settings",

@@ -9,15 +9,15 @@ from pathlib import Path
 
 from ..errors import KarolosError, Problem, SpecError
 from ..registry import PluginEntry, closest, find
-from .merge import DEFAULTS, PARTS, merged, normalised
+from .merge import DEFAULT_PLUGINS, PARTS, merged, normalised
 from .nodes import Mark, Node, refuse, shown
 from .yaml_text import MAX_CHARACTERS, BrokenTextError, read
 
-TREE = "specs"
+SPECS_FOLDER = "specs"
 """Name of a project's folder of specs; `extends` cannot refer to files outside it."""
 MAX_CHAIN = 16
 """Largest number of files in a chain of `extends`."""
-SUFFIXES = (".yaml", ".yml")
+SPEC_SUFFIXES = (".yaml", ".yml")
 
 
 @dataclass
@@ -117,14 +117,14 @@ def named_plugins(tree: Node) -> dict[str, PluginEntry]:
     for key, kind in PARTS.items():
         name = tree.get(key, "name")
         with suppress(KarolosError):
-            found[key] = find(kind, DEFAULTS.get(key, "") if name is None else str(name.value))
+            found[key] = find(kind, DEFAULT_PLUGINS.get(key, "") if name is None else str(name.value))
     return found
 
 
 def spec_tree(root: Path) -> Path:
     """The folder that limits `extends`: the nearest one named `specs` above the file, or the file's own."""
     folder = root.resolve().parent
-    return next((above for above in (folder, *folder.parents) if above.name == TREE), folder)
+    return next((above for above in (folder, *folder.parents) if above.name == SPECS_FOLDER), folder)
 
 
 def _unreadable(path: Path) -> str | None:
@@ -143,7 +143,7 @@ def _similar(path: Path) -> str | None:
     """A hint at specs in the folder `path`, or at a file with a similar name."""
     try:
         folder = path if path.is_dir() else path.parent
-        beside = sorted(entry.name for entry in folder.iterdir() if entry.suffix in SUFFIXES and entry != path)
+        beside = sorted(entry.name for entry in folder.iterdir() if entry.suffix in SPEC_SUFFIXES and entry != path)
     except (OSError, ValueError):
         return None
     if folder == path:

@@ -11,7 +11,7 @@ from ..errors import PluginError, Problem
 from .checks import ROBOT_TASK
 from .files import SpecFiles
 from .merge import (
-    DEFAULTS,
+    DEFAULT_PLUGINS,
     PARTS,
     RANDOMIZATION,
     SWEEP,
@@ -23,7 +23,7 @@ from .merge import (
     segments,
     with_shared_settings,
 )
-from .model import NAME, Spec
+from .model import NAME_PATTERN, Spec
 from .nodes import DEFAULT, Mark, Node, from_plain, leaves, refuse
 from .problems import validate
 from .space import space_problems, trial_spec
@@ -123,13 +123,13 @@ def _with_defaults(tree: Node, stem: str | None) -> Node:
     """The tree with a name and the parts that a spec may leave to karolos."""
     given = dict(tree.mapping or {})
     joined = "robot" in given and "task" in given
-    defaults = {key: name for key, name in DEFAULTS.items() if joined or name != ROBOT_TASK}
+    defaults = {key: name for key, name in DEFAULT_PLUGINS.items() if joined or name != ROBOT_TASK}
     for key, name in defaults.items():  # below what is given: `buffer: {capacity: 1e5}` needs no name
         default = Node({"name": Node(name, DEFAULT, DEFAULT)}, DEFAULT, DEFAULT)
         given[key] = merged(default, given[key], (key,)) if key in given else default
     if "name" not in given:
         given["name"] = Node(stem if stem is not None else _described(given), DEFAULT, DEFAULT)
-        if stem is not None and not re.fullmatch(NAME, stem):
+        if stem is not None and not re.fullmatch(NAME_PATTERN, stem):
             given["name"] = Node(stem, tree.at, tree.at)
     return Node(given, tree.at, tree.key)
 

@@ -20,7 +20,7 @@ PARTS = {
     "launcher": "launchers",
 }
 """Keys of a spec that hold a part, and their kinds of plugins."""
-DEFAULTS = {"environment": "robot_task", "buffer": "uniform", "orchestrator": "local"}
+DEFAULT_PLUGINS = {"environment": "robot_task", "buffer": "uniform", "orchestrator": "local"}
 """The plugins of parts that a spec may leave out; `robot_task` needs a robot and a task."""
 RANDOMIZATION = "randomization"
 SWEEP = "sweep"

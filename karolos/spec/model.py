@@ -6,36 +6,25 @@ import hashlib
 import json
 from typing import Annotated, Any, Literal
 
-from pydantic import AfterValidator, PrivateAttr, StringConstraints, model_validator
 from pydantic import Field as Setting
+from pydantic import PrivateAttr, StringConstraints, model_validator
 
 from ..core import Settings
 from .merge import PARTS
-from .parts import (
-    AgentPart,
-    BufferPart,
-    DistributionPart,
-    EnvironmentPart,
-    LauncherPart,
-    OrchestratorPart,
-    Part,
-    Recipe,
-    RobotPart,
-    TaskPart,
-)
-from .sweep import Seed, Sweep
+from .parts import OfKind, Part, Recipe
+from .sweep import Seed, Seeds, Sweep
 from .transfer import Transfer
 
-NAME = r"^[A-Za-z0-9][A-Za-z0-9._-]{0,63}$"
+NAME_PATTERN = r"^[A-Za-z0-9][A-Za-z0-9._-]{0,63}$"
 """Names are used as folder names: at most 64 letters, digits, dots, underscores and hyphens."""
-PARAMETER = r"^(robot|task)\.[A-Za-z_][A-Za-z0-9_]*$"
+PARAMETER_PATTERN = r"^(robot|task)\.[A-Za-z_][A-Za-z0-9_]*$"
 """Parameters for randomization, e.g. task.gravity."""
 
 
 MAX_THREADS = 1024
 
 
-class Training(Settings):
+class TrainingSettings(Settings):
     """Amounts of collecting and learning, and where the agent runs."""
 
     steps: int = Setting(
@@ -90,7 +79,7 @@ class Training(Settings):
         return fixed | ({"mode": self.mode, "minimum_batch": self.at_least} if self.mode == "async" else {})
 
 
-class Demonstrations(Settings):
+class DemonstrationSettings(Settings):
     """Episodes of the task's scripted expert, collected before training. They do not count as training steps."""
 
     episodes: int = Setting(default=100, ge=1, le=10**6, description="episodes to collect")
@@ -116,7 +105,7 @@ FINAL_SEED_OFFSET = 1_000_000
 """Distance of the final test's root of seeds from `testing.seed`."""
 
 
-class Testing(Settings):
+class TestingSettings(Settings):
     """Tests of the agent without exploration."""
 
     interval: int = Setting(
@@ -147,47 +136,40 @@ class Testing(Settings):
         return self.model_dump(mode="json") | {"final_episodes": self.final_count}
 
 
-def _distinct(seeds: tuple[int, ...]) -> tuple[int, ...]:
-    if not seeds:
-        raise ValueError("should contain at least one seed")
-    twice = [seed for place, seed in enumerate(seeds) if seed in seeds[:place]]
-    if twice:
-        raise ValueError(f"contains the seed {twice[0]} twice")
-    return seeds
-
-
 class Spec(Settings):
     """An experiment: the environment, the agent and the training. Frozen; specs with the same `dump` are equal.
 
     Made by `load_spec(path, overrides)` or `spec_from_dict(dictionary)`.
     """
 
-    name: Annotated[str, StringConstraints(pattern=NAME)] = Setting(
+    name: Annotated[str, StringConstraints(pattern=NAME_PATTERN)] = Setting(
         description="of the experiment; run folders begin with it. Default: the file's name"
     )
-    seeds: Annotated[tuple[Seed, ...], AfterValidator(_distinct)] = Setting(
-        (0,), description="one run for each; the root of all its random numbers"
-    )
-    robot: RobotPart | None = Setting(None, description="the arm; requires a task")
-    task: TaskPart | None = Setting(None, description="what the robot has to do")
-    environment: EnvironmentPart = Setting(
+    seeds: Seeds = Setting((0,), description="one run for each; the root of all its random numbers")
+    robot: Annotated[Part, OfKind("robots")] | None = Setting(None, description="the arm; requires a task")
+    task: Annotated[Part, OfKind("tasks")] | None = Setting(None, description="what the robot has to do")
+    environment: Annotated[Part, OfKind("environments")] = Setting(
         description="what the agent acts in. Default: robot_task, for a robot and a task"
     )
-    agent: AgentPart = Setting(description="the learning algorithm")
-    buffer: BufferPart = Setting(description="what the agent learns from. Default: uniform")
-    orchestrator: OrchestratorPart = Setting(description="how environments share the machine. Default: local")
-    launcher: LauncherPart | None = Setting(
+    agent: Annotated[Part, OfKind("agents")] = Setting(description="the learning algorithm")
+    buffer: Annotated[Part, OfKind("buffers")] = Setting(description="what the agent learns from. Default: uniform")
+    orchestrator: Annotated[Part, OfKind("orchestrators")] = Setting(
+        description="how environments share the machine. Default: local"
+    )
+    launcher: Annotated[Part, OfKind("launchers")] | None = Setting(
         None, description="where runs are executed: local, ray or slurm; null: local. Does not count as a change"
     )
-    randomization: dict[Annotated[str, StringConstraints(pattern=PARAMETER)], DistributionPart] = Setting(
+    randomization: dict[
+        Annotated[str, StringConstraints(pattern=PARAMETER_PATTERN)], Annotated[Part, OfKind("distributions")]
+    ] = Setting(
         {},
         description="distributions of robot.* and task.* parameters, drawn at each training reset; a number: one value",
     )
-    demonstrations: Demonstrations | None = Setting(
+    demonstrations: DemonstrationSettings | None = Setting(
         None, description="episodes of the task's expert, collected before training; null: off"
     )
-    training: Training = Setting(default_factory=Training, description="how much is collected and learned")
-    testing: Testing = Setting(default_factory=Testing, description="how often and on what the agent is tested")
+    training: TrainingSettings = Setting(TrainingSettings(), description="how much is collected and learned")
+    testing: TestingSettings = Setting(TestingSettings(), description="how often and on what the agent is tested")
 
     sweep: Sweep | None = Setting(None, description="a search for good settings, which `karolos sweep` carries out")
     transfer: Transfer | None = Setting(None, description="a matrix of transfers, which `karolos transfer` carries out")

@@ -5,7 +5,7 @@ from __future__ import annotations
 import json
 from collections.abc import Iterator
 from dataclasses import dataclass
-from typing import Annotated, Any
+from typing import Any
 
 from pydantic import BaseModel, GetCoreSchemaHandler, ValidationError
 from pydantic_core import CoreSchema, InitErrorDetails, PydanticCustomError, core_schema
@@ -82,13 +82,9 @@ class OfKind:
         except UsageError as error:
             raise _at_name("unknown_name", error.what, name, error.hint) from None
         settings = validate_strictly(plugin.Settings, {key: entry for key, entry in value.items() if key != "name"})
-        large = [InitErrorDetails(type=TOO_LARGE, loc=path, input=0) for path in _large_integers(settings.model_dump())]
-        if large:
+        if large := [_too_large(path) for path in _large_integers(settings.model_dump())]:
             raise ValidationError.from_exception_data("Part", large)
         return Part(self.kind, name, settings)
-
-
-TOO_LARGE = PydanticCustomError("integer_size", "should be an integer of at most 64 bits")
 
 
 def _large_integers(value: object, path: tuple[str | int, ...] = ()) -> Iterator[tuple[str | int, ...]]:
@@ -98,6 +94,11 @@ def _large_integers(value: object, path: tuple[str | int, ...] = ()) -> Iterator
         yield from _large_integers(entry, (*path, key))
     if isinstance(value, int) and not -(1 << 63) <= value < 1 << 63:
         yield path
+
+
+def _too_large(path: tuple[str | int, ...]) -> InitErrorDetails:
+    error = PydanticCustomError("integer_size", "should be an integer of at most 64 bits")
+    return InitErrorDetails(type=error, loc=path, input=0)
 
 
 def _at_name(kind: str, message: str, value: object, hint: str | None = None) -> ValidationError:
@@ -122,13 +123,3 @@ def _integers(value: object) -> object:
     if isinstance(value, list):
         return [_integers(entry) for entry in value]
     return value
-
-
-RobotPart = Annotated[Part, OfKind("robots")]
-TaskPart = Annotated[Part, OfKind("tasks")]
-EnvironmentPart = Annotated[Part, OfKind("environments")]
-AgentPart = Annotated[Part, OfKind("agents")]
-BufferPart = Annotated[Part, OfKind("buffers")]
-OrchestratorPart = Annotated[Part, OfKind("orchestrators")]
-LauncherPart = Annotated[Part, OfKind("launchers")]
-DistributionPart = Annotated[Part, OfKind("distributions")]

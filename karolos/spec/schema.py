@@ -10,11 +10,11 @@ from pydantic.errors import PydanticUserError
 from ..errors import PluginError
 from ..registry import load, names, singular
 from .merge import PARTS, RANDOMIZATION, SWEEP, TRANSFER
-from .model import NAME, PARAMETER, Demonstrations, Spec, Testing, Training
+from .model import NAME_PATTERN, PARAMETER_PATTERN, DemonstrationSettings, Spec, TestingSettings, TrainingSettings
 from .sweep import Sweep
 from .transfer import Transfer
 
-DIALECT = "https://json-schema.org/draft/2020-12/schema"
+SCHEMA_DIALECT = "https://json-schema.org/draft/2020-12/schema"
 Schema = dict[str, Any]
 
 
@@ -30,24 +30,24 @@ def spec_schema() -> tuple[Schema, list[PluginError]]:
             "description": "spec files to merge this one into, relative to it; later ones have priority",
             "anyOf": [{"type": "string"}, {"type": "array", "items": {"type": "string"}}],
         },
-        "name": {"type": "string", "pattern": NAME},
+        "name": {"type": "string", "pattern": NAME_PATTERN},
         "seeds": {"type": "array", "items": {"type": "integer", "minimum": 0}, "minItems": 1, "uniqueItems": True},
         **{key: _part(kind, definitions, broken) for key, kind in PARTS.items()},
         RANDOMIZATION: {
             "type": "object",
-            "patternProperties": {PARAMETER: _or_null(_distribution(definitions, broken))},
+            "patternProperties": {PARAMETER_PATTERN: _or_null(_distribution(definitions, broken))},
             "additionalProperties": False,
         },
-        "demonstrations": _settings(Demonstrations, "demonstrations", definitions),
-        "training": _settings(Training, "training", definitions),
-        "testing": _settings(Testing, "testing", definitions),
+        "demonstrations": _settings(DemonstrationSettings, "demonstrations", definitions),
+        "training": _settings(TrainingSettings, "training", definitions),
+        "testing": _settings(TestingSettings, "testing", definitions),
         SWEEP: _settings(Sweep, SWEEP, definitions),
         TRANSFER: _settings(Transfer, TRANSFER, definitions),
     }
     for key, field in Spec.model_fields.items():
         properties[key] = {"description": field.description, **properties[key]}
     schema: Schema = {
-        "$schema": DIALECT,
+        "$schema": SCHEMA_DIALECT,
         "title": "karolos spec",
         "type": "object",
         "properties": {key: _or_null(entry) for key, entry in properties.items()},

@@ -19,7 +19,7 @@ from .sweep import Sweep, SweepParameter
 
 SEARCHABLE = ("robot", "task", "environment", "agent", "buffer", RANDOMIZATION, "demonstrations", "training")
 """Keys of a spec below which settings can be searched."""
-FIXED = {
+FIXED_SETTINGS = {
     "training.steps": "every trial has the same budget",
     "training.device": "it does not change what is learned",
     "training.threads": "it does not change what is learned",
@@ -29,7 +29,7 @@ FIXED = {
     "name": "the sweep names its trials",
 }
 """Settings that are the same in all trials, and why."""
-MOST_COMBINATIONS = 200
+MAX_COMBINATIONS = 200
 """Largest number of combinations of the choices a parameter depends on with which it is validated."""
 
 
@@ -93,7 +93,9 @@ def _wrong_keys(space: Node) -> Iterator[Problem]:
     for key, node in (space.mapping or {}).items():
         path = f"sweep.space.{key}"
         first = key.partition(".")[0]
-        fixed = next((why for prefix, why in FIXED.items() if key == prefix or key.startswith(f"{prefix}.")), None)
+        fixed = next(
+            (why for prefix, why in FIXED_SETTINGS.items() if key == prefix or key.startswith(f"{prefix}.")), None
+        )
         if fixed is not None:
             yield Problem(node.place, path, f"cannot be searched: {fixed}", "remove it")
         elif first not in SEARCHABLE:
@@ -133,7 +135,7 @@ def _probes(
     parameter = sweep.space[key]
     depends = _depends(sweep, key)
     part = Sweep.model_construct(space={name: sweep.space[name] for name in depends})
-    for drawn in islice(part.combinations(), MOST_COMBINATIONS):
+    for drawn in islice(part.combinations(), MAX_COMBINATIONS):
         if not sweep.is_active(key, drawn) or refused & drawn.items():
             continue
         tree = base

@@ -14,6 +14,18 @@ from ..core import Settings
 
 Seed = Annotated[int, Setting(ge=0, le=10**60)]
 """A seed of at most 60 digits: names of folders contain it."""
+
+
+def _distinct(seeds: tuple[int, ...]) -> tuple[int, ...]:
+    if not seeds:
+        raise ValueError("should contain at least one seed")
+    twice = [seed for place, seed in enumerate(seeds) if seed in seeds[:place]]
+    if twice:
+        raise ValueError(f"contains the seed {twice[0]} twice")
+    return seeds
+
+
+Seeds = Annotated[tuple[Seed, ...], AfterValidator(_distinct)]
 Number: TypeAlias = float  # SweepParameter has fields named float and int
 Whole: TypeAlias = int
 
@@ -149,12 +161,6 @@ class FinalSettings(Settings):
     )
 
 
-def _distinct_seeds(seeds: tuple[int, ...]) -> tuple[int, ...]:
-    if not seeds or len(set(seeds)) < len(seeds):
-        raise ValueError("should contain at least one seed, and none twice")
-    return seeds
-
-
 def _objectives(value: str | tuple[str, ...]) -> str | tuple[str, ...]:
     names = (value,) if isinstance(value, str) else value
     for name in names:
@@ -172,9 +178,7 @@ class Sweep(Settings):
     trials: int | None = Setting(
         None, ge=1, le=10**6, description=f"number of trials. Default: {DEFAULT_TRIALS}, or all combinations of a grid"
     )
-    seeds: Annotated[tuple[Seed, ...], AfterValidator(_distinct_seeds)] = Setting(
-        (0, 1), description="seeds of every trial"
-    )
+    seeds: Seeds = Setting((0, 1), description="seeds of every trial")
     objective: Annotated[str | tuple[str, ...], AfterValidator(_objectives)] = Setting(
         "success_end", description=f"one or several of {', '.join(OBJECTIVES)}"
     )

@@ -11,11 +11,11 @@ from pydantic import StringConstraints, model_validator
 from ..core import Settings
 
 Mode = Literal["zero_shot", "fine_tune", "scratch"]
-LABEL = r"^[A-Za-z0-9][A-Za-z0-9._-]{0,23}$"
+VARIANT_PATTERN = r"^[A-Za-z0-9][A-Za-z0-9._-]{0,23}$"
 """Names of variants are parts of run folders."""
-VARIABLE = ("robot", "task", "environment")
+VARIANT_KEYS = ("robot", "task", "environment")
 """Keys of a spec below which variants differ."""
-TUNABLE = ("agent", "buffer", "demonstrations", "training", "testing.interval", "testing.final_episodes")
+FINE_TUNE_KEYS = ("agent", "buffer", "demonstrations", "training", "testing.interval", "testing.final_episodes")
 """Keys of a spec below which fine-tuning differs from training from scratch."""
 
 
@@ -29,7 +29,7 @@ class Transfer(Settings):
     """A matrix: each variant is a source of policies and a target for the policies of the others."""
 
     robots: tuple[str, ...] | None = Setting(None, description="names of the robots to transfer between")
-    variants: dict[Annotated[str, StringConstraints(pattern=LABEL)], dict[str, Any]] | None = Setting(
+    variants: dict[Annotated[str, StringConstraints(pattern=VARIANT_PATTERN)], dict[str, Any]] | None = Setting(
         None, description="instead of robots: name -> settings, e.g. mujoco: {environment.engine: mujoco}"
     )
     modes: tuple[Mode, ...] = Setting(
@@ -50,8 +50,8 @@ class Transfer(Settings):
             if self.robots is not None and self.robots.count(name) > 1:
                 raise ValueError(f"names the robot {name} twice")
         for name, settings in self.settings.items():
-            _check_keys(settings, VARIABLE, f"the variant {name}")
-        _check_keys(self.fine_tune, TUNABLE, "fine_tune")
+            _check_keys(settings, VARIANT_KEYS, f"the variant {name}")
+        _check_keys(self.fine_tune, FINE_TUNE_KEYS, "fine_tune")
         seen: list[tuple[str, Mapping[str, Any]]] = []
         for name, settings in self.settings.items():
             twin = next((other for other, known in seen if known == settings), None)

@@ -6,20 +6,18 @@ import math
 from statistics import NormalDist
 
 
-def wilson(successes: int, episodes: int, level: float = 0.95) -> tuple[float, float]:
-    """Interval of the success probability behind k successes in n independent episodes: low, high in [0, 1].
+def wilson(successes: int, episodes: int) -> tuple[float, float]:
+    """95 % interval of the success probability behind k successes in n independent episodes: low, high in [0, 1].
 
     Wilson's score interval keeps its level at 0 and at n successes, where the normal approximation has no width.
     Source: Wilson 1927, J. Am. Stat. Assoc. 22, 209; recommended by Brown, Cai, DasGupta 2001, Stat. Sci. 16, 101.
 
     Raises:
-        ValueError: no episodes, successes outside 0 .. episodes, or a level outside (0, 1).
+        ValueError: no episodes, or successes outside 0 .. episodes.
     """
     if episodes < 1 or not 0 <= successes <= episodes:
         raise ValueError(f"{successes} successes of {episodes} episodes")
-    if not 0 < level < 1:
-        raise ValueError(f"level {level} is not between 0 and 1")
-    z = NormalDist().inv_cdf((1 + level) / 2)
+    z = NormalDist().inv_cdf(0.975)
     ratio = successes / episodes
     scale = 1 + z**2 / episodes
     middle = (ratio + z**2 / (2 * episodes)) / scale

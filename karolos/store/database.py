@@ -15,11 +15,11 @@ from pathlib import Path
 from typing import Any
 
 from sqlalchemy import URL, Connection, Engine, Executable, create_engine, event, insert, inspect, make_url, select
-from sqlalchemy.exc import ArgumentError, DBAPIError, NoSuchModuleError
+from sqlalchemy.exc import ArgumentError, DataError, DBAPIError, IntegrityError, NoSuchModuleError
 from sqlalchemy.pool import NullPool
 
 from ..errors import StoreError
-from ..files import FileLock, network_share
+from ..files import network_share
 from ..files import writing as writing_file
 from ..records.provenance import redact
 from .tables import SCHEMA, SCHEMA_VERSION, TABLES
@@ -29,6 +29,8 @@ BUSY_SECONDS = 20.0
 _READ = "karolos_read"
 """Execution option of a connection that only reads and therefore does not wait for writers."""
 _ADVISORY_LOCK = 0x6B61726F  # arbitrary, the same in every karolos
+_LOCK_NOT_AVAILABLE = "55P03"
+"""PostgreSQL's code of the error after `lock_timeout`."""
 _REBUILD = "move it away and run `karolos db reindex`, which builds a new one from the run folders"
 _LOCKED = ("another process keeps the database locked", "wait for that process, or stop it")
 _SQLITE_ERRORS = {
@@ -42,6 +44,10 @@ _SQLITE_ERRORS = {
     sqlite3.SQLITE_CANTOPEN: ("the database cannot be opened", "check that its folder exists and can be read"),
     sqlite3.SQLITE_PERM: ("access to the database is denied", "change its permissions"),
 }
+
+
+class RefusedValueError(StoreError):
+    """A value that the database cannot store."""
 
 
 class Database:
@@ -114,31 +120,13 @@ class Database:
 
     def _ensure_tables(self) -> None:
         """Create the tables in a database that is new or empty; refuse one that is not ours."""
-        path = self._path
-        if path is None:
-            if not self._has_tables():
-                self._create_tables()
-            return
-        if not os.path.exists(path):  # Path.exists raises where a folder may not be searched
-            with writing_file(path):
-                path.parent.mkdir(parents=True, exist_ok=True)
-        elif self._has_tables():
-            return
-        lock = FileLock(path.with_name(f"{path.name}.lock"))
-        if not lock.acquire(self._timeout):
-            raise StoreError("another process is still creating the database", where=self.name, hint="try again")
-        try:
-            with writing_file(path):
-                path.touch()
-            self._create_tables()
-        finally:
-            lock.release()
-
-    def _has_tables(self) -> bool:
+        if self._path is not None and not os.path.exists(self._path):  # Path.exists raises where it may not search
+            with writing_file(self._path):
+                self._path.parent.mkdir(parents=True, exist_ok=True)
+                self._path.touch()
         with self.reading() as connection:
-            return self._check_schema(connection)
-
-    def _create_tables(self) -> None:
+            if self._check_schema(connection):
+                return
         with self.writing() as connection:
             if not self._check_schema(connection):  # whoever comes first creates them
                 TABLES.create_all(connection)
@@ -174,27 +162,27 @@ class Database:
 
 @contextlib.contextmanager
 def explained(url: URL) -> Iterator[None]:
-    """Turn a driver's error inside the block into a StoreError that names the URL."""
+    """Turn an error of the driver inside the block into a StoreError that names the URL."""
     try:
         yield
+    except (DataError, IntegrityError, OverflowError, UnicodeError) as error:
+        what = f"the database refuses a value ({_first_line(error)})"
+        hint = "a file of the run was damaged or edited"
+        raise RefusedValueError(what, where=_without_secrets(url), hint=hint) from error
     except DBAPIError as error:
-        what, hint = _reason(error.orig)
+        # An error of SQLite has its kind in the low byte of its code.
+        kind = getattr(error.orig, "sqlite_errorcode", 0) & 0xFF
+        if kind not in _SQLITE_ERRORS and getattr(error.orig, "sqlstate", None) == _LOCK_NOT_AVAILABLE:
+            kind = sqlite3.SQLITE_BUSY
+        default = (f"the database refuses ({_first_line(error)})", "check that the server is up and the URL is right")
+        what, hint = _SQLITE_ERRORS.get(kind, default)
         raise StoreError(what, where=_without_secrets(url), hint=hint) from error
 
 
-def _sqlite_kind(error: Any) -> int | None:
-    """The kind of an error of SQLite: the low byte of its code."""
-    code: int | None = getattr(error, "sqlite_errorcode", None)
-    return None if code is None else code & 0xFF
-
-
-def _reason(error: Any) -> tuple[str, str]:
-    if (kind := _sqlite_kind(error)) in _SQLITE_ERRORS:
-        return _SQLITE_ERRORS[kind]
-    if getattr(error, "sqlstate", None) == "55P03":
-        return _LOCKED
-    lines = str(error).strip().splitlines() or [type(error).__name__]
-    return f"the database refuses ({redact(lines[0])})", "check that the server is up and the URL is right"
+def _first_line(error: Exception) -> str:
+    """What the driver says, without passwords."""
+    driver = getattr(error, "orig", None) or error
+    return redact((str(driver).strip().splitlines() or [type(driver).__name__])[0])
 
 
 def _parse_url(text: str) -> URL:

@@ -3,23 +3,27 @@
     filter     = all ("or" all)*
     all        = one ("and" one)*
     one        = "not" one | "(" filter ")" | key operator value | key "in" "(" value ("," value)* ")"
-    operator   = "=" | "!=" | "<" | "<=" | ">" | ">=" | "~"
+    operator   = "=" | "==" | "!=" | "<" | "<=" | ">" | ">=" | "~"
     value      = number | true | false | null | word | "text in quotes"
 
 A comparison with a value that a run does not have is false, except `= null`. `!=` means `not =`. `~` means that a text
 contains another, in upper or lower case. A comparison of `tags` holds if it holds for any tag. Numbers are compared
-with numbers and texts with texts (times are ISO 8601, which sorts like time), never one with the other. Nothing of the
-text is evaluated as code.
+with numbers and texts with texts (times are ISO 8601, which sorts like time), never one with the other. Python parses
+the text; nothing of it is evaluated as code.
 """
 
 from __future__ import annotations
 
+import ast
 import json
 import re
+from bisect import bisect_right
 from collections.abc import Callable, Iterator, Mapping
+from contextlib import suppress
 from dataclasses import dataclass
+from itertools import accumulate
 from operator import ge, gt, le, lt
-from typing import Any, NoReturn
+from typing import Any
 
 from ..errors import UsageError
 from ..records.run_records import STATES
@@ -28,16 +32,23 @@ from ..registry import alternatives
 LONGEST = 10_000
 """Characters of a filter."""
 DEEPEST = 50
-"""Levels of parentheses and nots; far fewer than Python's stack holds."""
-_OPERATORS = ("=", "!=", "<", "<=", ">", ">=", "~", "in")
+"""Levels of ands, ors and nots in each other; far fewer than Python's stack holds."""
+_OPERATORS: dict[Any, str] = dict(
+    zip(
+        (ast.Eq, ast.NotEq, ast.Lt, ast.LtE, ast.Gt, ast.GtE, ast.Is, ast.In),
+        ("=", "!=", "<", "<=", ">", ">=", "~", "in"),
+        strict=True,
+    )
+)
 _ORDER: dict[str, Callable[[Any, Any], bool]] = {"<": lt, "<=": le, ">": gt, ">=": ge}
+_PYTHON = {"=": "==", "~": "is", "and": "and", "or": "or", "not": "not", "in": "in"}
+"""What Python's parser sees of signs and words; of keys and values it sees a name."""
 _WORDS: dict[str, bool | None] = {"true": True, "false": False, "null": None, "none": None}
 _TOKEN = re.compile(
-    r"""\s*(?:(?P<text>"(?:[^"\\]|\\.)*"|'(?:[^'\\]|\\.)*')|(?P<sign>[(),\[\]]|!=|<=|>=|[=<>~])"""
-    r"""|(?P<word>[^\s()\[\],=<>~!"']+))"""
+    r"""\s*(?:(?P<text>"(?:[^"\\]|\\.)*"|'(?:[^'\\]|\\.)*')|(?P<sign>[(),\[\]]|!=|<=|>=|==|[=<>~])"""
+    r"""|(?P<word>[^\s()\[\],=<>~!"']+))""",
+    re.DOTALL,
 )
-_NUMBER = re.compile(r"[+-]?(?:\d[\d_]*\.?\d*|\.\d+)(?:[eE][+-]?\d+)?")
-
 
 Condition = Callable[[Mapping[str, Any]], bool]
 """Whether a run with these values by key matches; missing keys are null."""
@@ -65,31 +76,26 @@ class Filter:
             if not known(comparison.key):
                 like = closest(comparison.key)
                 hint = f"did you mean {like}?" if like else "`karolos runs show RUN` shows the keys"
-                _refuse(f"no run has {comparison.key!r}", comparison.column, hint)
+                raise _error(f"no run has {comparison.key!r}", comparison.column, hint)
             if comparison.key == "state" and comparison.operator in {"=", "!=", "in"}:
                 for literal in comparison.literals:
                     if literal.value is not None and literal.text not in STATES:
                         hint = alternatives(literal.text, STATES, what="states")
-                        _refuse(f"{literal.text!r} is not a state", comparison.column, hint)
-
-
-def parse(text: str) -> Filter:
-    """Read a filter.
-
-    Raises:
-        UsageError: it cannot be read; names the column, from 1, and what is allowed there.
-    """
-    if len(text) > LONGEST:
-        raise UsageError(f"the filter has {len(text):,} characters", hint=f"up to {LONGEST:,} are read")
-    return _Parser(text).read()
+                        raise _error(f"{literal.text!r} is not a state", comparison.column, hint)
 
 
 @dataclass(frozen=True)
-class Literal:
-    """A value as it was written, and the number, boolean or null it may mean."""
+class Token:
+    """A key, a value, a word or a sign of a filter."""
 
     text: str
+    """As it was written, without quotes."""
     value: float | int | bool | str | None
+    """The number, boolean or null that it may mean."""
+    column: int
+    """Its position, from 1."""
+    python: str
+    """What Python's parser sees of it."""
 
     def equals(self, actual: Any) -> bool:
         if isinstance(actual, str):
@@ -105,31 +111,31 @@ class FilterComparison:
 
     key: str
     operator: str
-    literals: tuple[Literal, ...]
+    literals: tuple[Token, ...]
     column: int
 
     def matches(self, values: Mapping[str, Any]) -> bool:
         actual = values.get(self.key)
         if self.operator == "!=":
-            return not self._any(actual, Literal.equals)
+            return not self._any(actual, Token.equals)
         if self.operator in {"=", "in"}:
-            return self._any(actual, Literal.equals)
+            return self._any(actual, Token.equals)
         return self._any(actual, self._contains if self.operator == "~" else self._ordered)
 
-    def _any(self, actual: Any, holds: Callable[[Literal, Any], bool]) -> bool:
+    def _any(self, actual: Any, holds: Callable[[Token, Any], bool]) -> bool:
         if isinstance(actual, list | tuple) and self.key == "tags":
             return any(holds(literal, tag) for literal in self.literals for tag in actual)
         plain = json.dumps(actual) if isinstance(actual, list | tuple | dict) else actual
         return any(holds(literal, plain) for literal in self.literals)
 
     @staticmethod
-    def _contains(literal: Literal, actual: Any) -> bool:
+    def _contains(literal: Token, actual: Any) -> bool:
         if actual is None:
             return False
         text = actual if isinstance(actual, str) else json.dumps(actual)
         return literal.text.casefold() in text.casefold()
 
-    def _ordered(self, literal: Literal, actual: Any) -> bool:
+    def _ordered(self, literal: Token, actual: Any) -> bool:
         order = _ORDER[self.operator]
         if isinstance(actual, str):
             return order(actual, literal.text)
@@ -138,144 +144,98 @@ class FilterComparison:
         return order(actual, literal.value)
 
 
-@dataclass(frozen=True)
-class _Token:
-    """`kind`: text (in quotes), word, sign or end; `column` is its position, from 1."""
+def parse(text: str) -> Filter:
+    """Read a filter.
 
-    kind: str
-    text: str
-    column: int
-
-    @property
-    def plain(self) -> str:
-        """The text without quotes and backslashes."""
-        return re.sub(r"\\(.)", r"\1", self.text[1:-1]) if self.kind == "text" else self.text
-
-    @property
-    def shown(self) -> str:
-        return repr(self.text or "the end")
+    Raises:
+        UsageError: it cannot be read; names the column, from 1, and what is allowed there.
+    """
+    if len(text) > LONGEST:
+        raise UsageError(f"the filter has {len(text):,} characters", hint=f"up to {LONGEST:,} are read")
+    return _Parser([*_tokens(text), Token("the end", None, len(text.rstrip()) + 1, "")]).read()
 
 
 class _Parser:
-    """Recursive descent over the tokens of a filter."""
+    """Builds conditions from the tree that Python's parser makes; nodes that no filter needs are refused."""
 
-    def __init__(self, text: str) -> None:
-        self._tokens = [*_tokens(text), _Token("end", "", len(text.rstrip()) + 1)]
-        self._position = 0
-        self._depth = 0
+    def __init__(self, tokens: list[Token]) -> None:
+        self._tokens = tokens
+        self._starts = list(accumulate((len(token.python) + 1 for token in tokens[:-1]), initial=0))
+        """Where each token stands in the text that Python sees."""
         self._comparisons: list[FilterComparison] = []
 
     def read(self) -> Filter:
-        condition = self._or()
-        if self._next.kind != "end":
-            _refuse(f"{self._next.shown} does not belong here", self._next.column, "go on with and, or; or end")
+        try:
+            tree = ast.parse(" ".join(token.python for token in self._tokens), mode="eval")
+            condition = self._condition(tree.body)
+        except SyntaxError as error:
+            what = "is never closed" if "never closed" in error.msg else "does not belong here"
+            raise self._error(error.offset - 1 if error.offset else self._starts[-1], what) from None
+        except (MemoryError, RecursionError):
+            hint = f"up to {DEEPEST} ands, ors and nots in each other are read"
+            raise _error("too many levels", 1, hint) from None
         return Filter(condition, tuple(self._comparisons))
 
-    @property
-    def _next(self) -> _Token:
-        return self._tokens[self._position]
+    def _condition(self, node: ast.expr, depth: int = 0) -> Condition:
+        if depth == DEEPEST:
+            raise RecursionError
+        match node:
+            case ast.BoolOp(op, operands):
+                parts = [self._condition(operand, depth + 1) for operand in operands]
+                holds = all if isinstance(op, ast.And) else any
+                return lambda values: holds(part(values) for part in parts)
+            case ast.UnaryOp(ast.Not(), operand):
+                return _negated(self._condition(operand, depth + 1))
+            case ast.Compare(ast.Name() as key, [ast.NotIn()], [right]):
+                return _negated(self._comparison(key, "in", right))
+            case ast.Compare(ast.Name() as key, [op], [right]) if type(op) in _OPERATORS:
+                return self._comparison(key, _OPERATORS[type(op)], right)
+            case _:
+                raise self._error(node.col_offset, "does not begin a comparison")
 
-    def _take(self) -> _Token:
-        self._position += 1
-        return self._tokens[self._position - 1]
+    def _comparison(self, key: ast.Name, operator: str, right: ast.expr) -> Condition:
+        values = right.elts if operator == "in" and isinstance(right, ast.Tuple | ast.List) else [right]
+        names = [value for value in values if isinstance(value, ast.Name)]
+        if not names or len(names) < len(values):
+            raise self._error(right.col_offset, "is not a value", 'a number, a word or a "text in quotes"')
+        name, *literals = (self._tokens[int(name.id[1:])] for name in (key, *names))
+        self._comparisons.append(FilterComparison(name.text, operator, tuple(literals), name.column))
+        return self._comparisons[-1].matches
 
-    def _accept(self, word: str) -> bool:
-        """Take the next token if it is this word or sign."""
-        token = self._next
-        found = token.kind != "text" and token.text.lower() == word
-        self._position += found
-        return found
-
-    def _or(self) -> Condition:
-        parts = [self._and()]
-        while self._accept("or"):
-            parts.append(self._and())
-        return parts[0] if len(parts) == 1 else lambda values: any(part(values) for part in parts)
-
-    def _and(self) -> Condition:
-        parts = [self._one()]
-        while self._accept("and"):
-            parts.append(self._one())
-        return parts[0] if len(parts) == 1 else lambda values: all(part(values) for part in parts)
-
-    def _one(self) -> Condition:
-        self._depth += 1
-        if self._depth > DEEPEST:
-            _refuse("too many levels", self._next.column, f"up to {DEEPEST} nested parentheses and nots are read")
-        if self._accept("not"):
-            condition = _negated(self._one())
-        elif self._accept("("):
-            condition = self._or()
-            self._expect(")")
-        else:
-            condition = self._comparison()
-        self._depth -= 1
-        return condition
-
-    def _comparison(self) -> Condition:
-        key = self._take()
-        if key.kind not in {"word", "text"} or (key.kind == "word" and key.text.lower() in {"and", "or", "in"}):
-            _refuse(f"{key.shown} is not a key", key.column, "e.g. task=reach, or agent.learning_rate<1e-3")
-        not_in = self._next.text.lower() == "not" and self._tokens[self._position + 1].text.lower() == "in"
-        self._position += not_in
-        if self._accept("in"):
-            comparison = FilterComparison(key.plain, "in", self._list(), key.column)
-        else:
-            operator = self._take()
-            if operator.kind != "sign" or operator.text not in _OPERATORS:
-                _refuse(f"{operator.shown} is not a comparison", operator.column, f"there are {' '.join(_OPERATORS)}")
-            comparison = FilterComparison(key.plain, operator.text, (self._literal(),), key.column)
-        self._comparisons.append(comparison)
-        return _negated(comparison.matches) if not_in else comparison.matches
-
-    def _list(self) -> tuple[Literal, ...]:
-        end = "]" if self._accept("[") else ")"
-        if end == ")":
-            self._expect("(")
-        literals = [self._literal()]
-        while self._accept(","):
-            literals.append(self._literal())
-        self._expect(end)
-        return tuple(literals)
-
-    def _literal(self) -> Literal:
-        token = self._take()
-        if token.kind == "text":
-            return Literal(token.plain, token.plain)
-        if token.kind != "word":
-            _refuse(f"{token.shown} is not a value", token.column, 'a number, a word or a "text in quotes"')
-        word = token.text.lower()
-        return Literal(token.text, _WORDS[word] if word in _WORDS else _number(token.text))
-
-    def _expect(self, sign: str) -> None:
-        if not self._accept(sign):
-            _refuse(f"a {sign} is missing", self._next.column, f"before {self._next.shown}")
+    def _error(self, offset: int, what: str, hint: str = "e.g. task=reach and agent.learning_rate<1e-3") -> UsageError:
+        """The error at the token that stands at this place in the text that Python sees."""
+        token = self._tokens[bisect_right(self._starts, offset) - 1]
+        return _error(f"{token.text!r} {what}", token.column, hint)
 
 
 def _negated(condition: Condition) -> Condition:
     return lambda values: not condition(values)
 
 
-def _tokens(text: str) -> Iterator[_Token]:
-    position, end = 0, len(text.rstrip())
-    while position < end:
+def _tokens(text: str) -> Iterator[Token]:
+    position, number = 0, 0
+    while position < len(text.rstrip()):
         found = _TOKEN.match(text, position)
         if found is None or found.lastgroup is None:
             column = position + len(text[position:]) - len(text[position:].lstrip())
-            _refuse(f"{text[column]!r} cannot be read", column + 1, 'texts stand in "quotes" that are closed')
-        yield _Token(found.lastgroup, found[found.lastgroup], found.start(found.lastgroup) + 1)
-        position = found.end()
+            raise _error(f"{text[column]!r} cannot be read", column + 1, 'texts stand in "quotes" that are closed')
+        kind, word, column = found.lastgroup, found[found.lastgroup], found.start(found.lastgroup) + 1
+        if kind == "text":
+            plain = re.sub(r"\\(.)", r"\1", word[1:-1], flags=re.DOTALL)
+            yield Token(plain, plain, column, f"_{number}")
+        else:
+            python = word if kind == "sign" else f"_{number}"
+            yield Token(word, _value(word), column, _PYTHON.get(word.lower(), python))
+        position, number = found.end(), number + 1
 
 
-def _number(text: str) -> float | int | str:
-    """The number that a word means, or the word."""
-    if not _NUMBER.fullmatch(text):
-        return text
-    plain = text.replace("_", "")
-    digits = plain.lstrip("+-")
-    # Python refuses to read integers of thousands of digits; such a number becomes a float.
-    return int(plain) if digits.isdigit() and len(digits) < 1000 else float(plain)
+def _value(word: str) -> float | int | bool | str | None:
+    """The number, boolean or null that a word means, or the word."""
+    for kind in (int, float):
+        with suppress(ValueError):  # also for integers of thousands of digits, which become floats
+            return kind(word)
+    return _WORDS.get(word.lower(), word)
 
 
-def _refuse(what: str, column: int, hint: str) -> NoReturn:
-    raise UsageError(what, where=f"filter, column {column}", hint=hint)
+def _error(what: str, column: int, hint: str) -> UsageError:
+    return UsageError(what, where=f"filter, column {column}", hint=hint)

@@ -8,9 +8,8 @@ from pathlib import Path
 
 from ..errors import RunError
 from ..records import RunFolder, paths
-from ..records.storable import run_fault, sweep_fault
+from ..records.run_records import RunRecord
 from ..records.sweep_records import SweepRecord, read_sweep, sweep_paths
-from .writing import RunEntry
 
 FEW = 200
 """Up to this many run folders are read by one process; more processes take longer to start than to read them."""
@@ -19,23 +18,33 @@ _FOLDERS_PER_TASK = 25
 
 @dataclass(frozen=True)
 class FoundFolder:
-    """A run folder; `entry` is None if it is damaged, cannot be stored or is locked."""
+    """A run folder; `run` and `record` are None if it is damaged, `record` also if it is locked."""
 
     name: str
     run: str | None
-    entry: RunEntry | None
+    record: RunRecord | None
     problems: tuple[str, ...]
 
 
 def read_folders(root: Path, jobs: int = 1, *, locked: bool = True) -> Iterator[FoundFolder]:
-    """The run folders in a runs folder, by name.
+    """The run folders in a runs folder, by name; of two folders of one run, the second is named as a problem.
 
     Args:
         root: the runs folder.
         jobs: processes that read them.
         locked: also read folders of runs that a process is working on.
     """
-    found = paths(root)
+    known: dict[str, str] = {}
+    for found in _read_all(paths(root), jobs, locked):
+        other = known.setdefault(found.run, found.name) if found.run is not None else found.name
+        if other == found.name:
+            yield found
+        else:
+            problem = f"{found.name}: says that it is the run {found.run}, as {other} does; left out"
+            yield FoundFolder(found.name, None, None, (problem,))
+
+
+def _read_all(found: list[Path], jobs: int, locked: bool) -> Iterator[FoundFolder]:
     if jobs == 1 or len(found) <= FEW:
         yield from (_read(path, locked) for path in found)
         return
@@ -54,10 +63,7 @@ def _read(path: Path, locked: bool) -> FoundFolder:
     if not locked and folder.is_locked():
         return FoundFolder(path.name, folder.id, None, ())
     record = folder.record()
-    problems = tuple(f"{path.name}: {problem}" for problem in record.problems)
-    if fault := run_fault(record):
-        return FoundFolder(path.name, folder.id, None, (*problems, f"{path.name}: {fault}; the run is left out"))
-    return FoundFolder(path.name, folder.id, RunEntry.of(record), problems)
+    return FoundFolder(path.name, folder.id, record, tuple(f"{path.name}: {problem}" for problem in record.problems))
 
 
 def read_sweeps(root: Path) -> tuple[tuple[SweepRecord, ...], tuple[str, ...]]:
@@ -71,13 +77,10 @@ def read_sweeps(root: Path) -> tuple[tuple[SweepRecord, ...], tuple[str, ...]]:
             problems.append(str(error))
             continue
         problems += damaged
-        if fault := sweep_fault(record):
-            problems.append(f"{path.name}: {fault}; the sweep is left out")
-        elif record.sweep in found:
-            other = Path(found[record.sweep].folder).name
+        known = found.setdefault(record.sweep, record)
+        if known is not record:
+            other = Path(known.folder).name
             problems.append(f"{path.name}: says that it is the sweep {record.sweep}, as {other} does; left out")
-        else:
-            found[record.sweep] = record
     return tuple(found.values()), tuple(problems)
 
 

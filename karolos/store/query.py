@@ -2,62 +2,51 @@
 
 from __future__ import annotations
 
-import json
 from collections.abc import Sequence
 from dataclasses import dataclass
 from pathlib import Path
 from typing import Any, overload
 
-from sqlalchemy import select
-
 from ..errors import UsageError
-from ..records.results import TestCounts
-from ..records.run_records import RunSummary
+from ..records.run_records import RunRecord, RunSummary, flatten
 from ..registry import closest
-from .database import Database
-from .rows import SUMMARY_COLUMNS, chunks
+from .rows import SUMMARY_FIELDS
 from .store import Store
-from .tables import PARAMETERS, RUNS
 
 
 @dataclass(frozen=True)
 class Records(Sequence[RunSummary]):
     """The runs that were found, the newest first: a sequence of RunSummary, and tidy rows."""
 
-    summaries: tuple[RunSummary, ...]
-    settings: tuple[dict[str, Any], ...]
-    """Of each run: the spec's settings by their key paths, e.g. {"agent.learning_rate": 0.001}."""
-    counts: tuple[tuple[TestCounts, ...], ...]
-    """Of each run: its tests in the order of their steps."""
+    records: tuple[RunRecord, ...]
+    """Each run with its spec and its tests."""
 
     @overload
     def __getitem__(self, index: int) -> RunSummary: ...
     @overload
     def __getitem__(self, index: slice) -> Sequence[RunSummary]: ...
     def __getitem__(self, index: int | slice) -> RunSummary | Sequence[RunSummary]:
-        return self.summaries[index]
+        found = self.records[index]
+        return found.summary if isinstance(found, RunRecord) else tuple(record.summary for record in found)
 
     def __len__(self) -> int:
-        return len(self.summaries)
+        return len(self.records)
 
     def rows(self) -> Any:
         """One row per run: the fields of RunSummary and the settings. A pandas.DataFrame if pandas is installed."""
-        pairs = zip(self.summaries, self.settings, strict=True)
-        return _table([summary.row() | _new(settings, summary.row()) for summary, settings in pairs])
+        return _table([_row(record) for record in self.records])
 
     def tests(self) -> Any:
         """One row per test of each run: run, seed, steps, seconds, success, return. A pandas.DataFrame as `rows`."""
         return _table(
             [
                 {
-                    **{name: getattr(summary, name) for name in ("run", "name", "experiment", "seed")},
+                    **{name: getattr(record.summary, name) for name in ("run", "name", "experiment", "seed")},
                     **{name: getattr(test, name) for name in ("steps", "seconds", "episodes")},
-                    "success_any": test.success_any,
-                    "success_end": test.success_end,
-                    "mean_return": test.mean_return,
+                    **{name: getattr(test, name) for name in ("success_any", "success_end", "mean_return")},
                 }
-                for summary, tests in zip(self.summaries, self.counts, strict=True)
-                for test in tests
+                for record in self.records
+                for test in record.tests
             ]
         )
 
@@ -79,22 +68,9 @@ def runs(
     """
     url = database or Store.default_url(runs)
     if not Store.exists(url):
-        return Records((), (), ())
+        return Records(())
     with Store(url) as store:
-        found = store.runs(where=where, limit=limit)
-        names = [run.run for run in found]
-        settings, tests = settings_of(store.database, names), store.tests_of(names)
-    return Records(found, tuple(settings[name] for name in names), tuple(tests[name] for name in names))
-
-
-def settings_of(database: Database, names: Sequence[str]) -> dict[str, dict[str, Any]]:
-    """The settings of each of these runs by their key paths."""
-    found: dict[str, dict[str, Any]] = {name: {} for name in names}
-    query = select(RUNS.c.run, PARAMETERS.c.key, PARAMETERS.c.value).join(PARAMETERS, PARAMETERS.c.spec == RUNS.c.spec)
-    for portion in chunks(names):
-        for run, key, value in database.fetch(query.where(RUNS.c.run.in_(portion))):
-            found[run][key] = json.loads(value)
-    return found
+        return Records(store.records(store.runs(where=where, limit=limit)))
 
 
 def column_values(store: Store, found: Sequence[RunSummary], columns: Sequence[str]) -> list[dict[str, Any]]:
@@ -103,18 +79,20 @@ def column_values(store: Store, found: Sequence[RunSummary], columns: Sequence[s
     Raises:
         UsageError: no run has a column.
     """
-    settings = settings_of(store.database, [run.run for run in found])
-    known = {*SUMMARY_COLUMNS, "tags"}.union(*settings.values())
+    rows = [_row(record) for record in store.records(found)]
+    known = set(SUMMARY_FIELDS).union(*rows)
     for column in columns:
         if found and column not in known:
             like = closest(column, sorted(known))
             hint = f"did you mean {like!r}?" if like else "a field of `runs list --json`, or a setting as agent.hidden"
             raise UsageError(f"no run has a column {column!r}", hint=hint)
-    return [{name: (settings[run.run] | run.row()).get(name) for name in columns} for run in found]
+    return [{name: row.get(name) for name in columns} for row in rows]
 
 
-def _new(settings: dict[str, Any], row: dict[str, Any]) -> dict[str, Any]:
-    return {key: value for key, value in settings.items() if key not in row}
+def _row(record: RunRecord) -> dict[str, Any]:
+    """The fields of the summary, then the settings; a field comes before a setting of the same name."""
+    row = record.summary.row()
+    return row | {key: value for key, value in flatten(record.spec) if key not in row}
 
 
 def _table(rows: list[dict[str, Any]]) -> Any:

@@ -2,25 +2,23 @@
 
 from __future__ import annotations
 
-import json
-from collections.abc import Mapping, Sequence
+from collections.abc import Sequence
 from pathlib import Path
 from types import TracebackType
-from typing import Any, Unpack
+from typing import Unpack
 
 from sqlalchemy import delete, select, update
 
-from ..errors import StoreError, UsageError
+from ..errors import StoreError
 from ..records import RunFolder
 from ..records.results import TestCounts, TestResult
 from ..records.run_records import RunRecord, RunSummary
 from . import selectors, writing
 from .database import BUSY_SECONDS, Database
-from .rows import chunks, run_row, test_row, upsert
-from .runs import RunConditions, closest_value, find_runs
+from .rows import put, run_row
+from .runs import RunConditions, closest_value, find_runs, records_of
 from .sweeps import Sweeps
-from .tables import PARAMETERS, RUNS, SPECS, SUCCESSES, TESTS, VERSIONS
-from .writing import RunEntry
+from .tables import RUNS, SUCCESSES, TESTS
 
 FILE_NAME = "karolos.sqlite"
 
@@ -64,24 +62,10 @@ class Store:
     ) -> None:
         self.close()
 
-    def add_run(self, summary: RunSummary, spec: Mapping[str, Any], versions: Mapping[str, str] | None = None) -> None:
-        """Enter a run, or replace its row; its tests stay.
-
-        Args:
-            summary: of the run.
-            spec: resolved.
-            versions: of the software (`RunFolder.versions`).
-        """
-        self.add_entries([RunEntry.make(summary, spec, versions)])
-
     def add_records(self, records: Sequence[RunRecord]) -> None:
         """Enter runs with all their tests in one transaction; replace those stored."""
-        self.add_entries([RunEntry.of(record) for record in records])
-
-    def add_entries(self, entries: Sequence[RunEntry]) -> None:
-        """Enter runs in one transaction; replace those stored."""
         with self.database.writing() as connection:
-            writing.enter(connection, entries, self.database.home)
+            writing.enter(connection, records, self.database.home)
 
     def update_run(self, summary: RunSummary) -> None:
         """Update a run's row except its labels (`refresh_labels`).
@@ -90,6 +74,7 @@ class Store:
             StoreError: the run is not in the database.
         """
         row = run_row(summary, self.database.home)
+        del row["tags"], row["note"]
         with self.database.writing() as connection:
             changed = connection.execute(update(RUNS).where(RUNS.c.run == summary.run).values(**row))
             if changed.rowcount == 0:
@@ -109,7 +94,7 @@ class Store:
         """Enter a test of a run; it replaces one at the same steps, which a resumed run repeats."""
         experiment = select(RUNS.c.experiment).where(RUNS.c.run == run).scalar_subquery()
         with self.database.writing() as connection:
-            upsert(connection, TESTS, [test_row(run, TestCounts.of(result))], keys=("run", "steps"))
+            put(connection, TESTS, [{"run": run, **vars(TestCounts.of(result))}], replace_old=True)
             connection.execute(delete(SUCCESSES).where(SUCCESSES.c.experiment == experiment))
 
     def remove_runs(self, runs: Sequence[str]) -> None:
@@ -141,43 +126,9 @@ class Store:
         """
         return selectors.select(self.database, selector)
 
-    def tests(self, run: str) -> tuple[TestCounts, ...]:
-        """The tests of a run in the order of their steps."""
-        return self.tests_of([run])[run]
-
-    def tests_of(self, runs: Sequence[str]) -> dict[str, tuple[TestCounts, ...]]:
-        """The tests of each of these runs in the order of their steps."""
-        found: dict[str, list[TestCounts]] = {run: [] for run in runs}
-        for portion in chunks(runs):
-            query = select(TESTS).where(TESTS.c.run.in_(portion)).order_by(TESTS.c.run, TESTS.c.steps)
-            for run, *counts in self.database.fetch(query):
-                found[run].append(TestCounts(*counts))
-        return {run: tuple(tests) for run, tests in found.items()}
-
-    def spec(self, experiment: str) -> dict[str, Any]:
-        """Resolved spec of an experiment without its seeds; that of its oldest run.
-
-        Raises:
-            UsageError: there is no such experiment.
-        """
-        query = select(SPECS.c.spec).join(RUNS, RUNS.c.spec == SPECS.c.digest).where(RUNS.c.experiment == experiment)
-        rows = self.database.fetch(query.order_by(RUNS.c.created, RUNS.c.run).limit(1))
-        if not rows:
-            raise UsageError(f"there is no experiment {experiment!r}", hint="`karolos runs list --json` names them")
-        spec: dict[str, Any] = rows[0][0]
-        return spec
-
-    def parameters(self, run: str) -> dict[str, Any]:
-        """The settings of a run's spec by their key paths, e.g. {"agent.learning_rate": 0.001}."""
-        query = select(PARAMETERS.c.key, PARAMETERS.c.value).join(RUNS, RUNS.c.spec == PARAMETERS.c.spec)
-        rows = self.database.fetch(query.where(RUNS.c.run == run).order_by(PARAMETERS.c.key))
-        return {row.key: json.loads(row.value) for row in rows}
-
-    def versions(self, run: str) -> dict[str, str]:
-        """Versions of the software that made a run; empty if they are unknown."""
-        query = select(VERSIONS.c.package, VERSIONS.c.version).join(RUNS, RUNS.c.software == VERSIONS.c.software)
-        rows = self.database.fetch(query.where(RUNS.c.run == run).order_by(VERSIONS.c.package))
-        return {row.package: row.version for row in rows}
+    def records(self, runs: Sequence[RunSummary]) -> tuple[RunRecord, ...]:
+        """Everything that the index has of these runs: their specs without seeds, tests, and versions."""
+        return records_of(self.database, runs)
 
     def _unknown(self, run: str) -> StoreError:
         return StoreError(

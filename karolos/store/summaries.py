@@ -11,11 +11,9 @@ from sqlalchemy import select
 
 from ..errors import StoreError
 from ..statistics.density import Density, kde
-from .rows import upsert
+from .rows import put
 from .store import Store
 from .tables import SUCCESSES
-
-_KEYS = ("experiment", "counting", "reported", "steps")
 
 
 def success_densities(
@@ -54,7 +52,7 @@ def success_densities(
         new.append(numbers | lists | key | {"steps": steps, "runs": len(values)})
     if store is not None and new:
         with suppress(StoreError), store.database.writing() as connection:
-            upsert(connection, SUCCESSES, new, keys=_KEYS)
+            put(connection, SUCCESSES, new, replace_old=True)
     return tuple(found)
 
 

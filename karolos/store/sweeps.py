@@ -4,6 +4,7 @@ from __future__ import annotations
 
 from collections import defaultdict
 from collections.abc import Sequence
+from dataclasses import asdict
 from pathlib import Path
 from typing import Any
 
@@ -74,14 +75,12 @@ class Sweeps:
 
 
 def _row(record: SweepRecord, home: Path | None) -> dict[str, Any]:
-    description = record.description()
-    del description["format"]
-    final = record.final.row() if record.final else None
-    return description | {"sweep": description.pop("id"), "folder": as_stored(record.folder, home), "final": final}
+    row = {name: getattr(record, name) for name in SWEEPS.c.keys()}  # noqa: SIM118  (not a dictionary)
+    return row | {"folder": as_stored(record.folder, home), "final": record.final and asdict(record.final)}
 
 
 def _record(row: Any, trials: Sequence[Any], home: Path | None) -> SweepRecord:
-    values = {**row._mapping, "folder": folder_path(row.folder, home), "trials": [trial._mapping for trial in trials]}
+    values = row._asdict() | {"folder": folder_path(row.folder, home), "trials": [trial._asdict() for trial in trials]}
     record = from_json(SweepRecord, values)
     if record is None:
         raise StoreError(f"the row of the sweep {row.sweep} is damaged", hint="`karolos db reindex` enters it again")

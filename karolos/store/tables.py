@@ -5,26 +5,40 @@ The tables are plain: SQLAlchemy's mapper takes longer to import than most queri
 
 from __future__ import annotations
 
-from typing import Any
+from collections.abc import Collection, Iterator
+from types import NoneType
+from typing import Any, get_args, get_type_hints
 
-from sqlalchemy import JSON, BigInteger, Boolean, Column, Float, ForeignKey, Integer, MetaData, String, Table, Text
+from sqlalchemy import JSON, BigInteger, Boolean, Column, Float, ForeignKey, Integer, MetaData, Table, Text
 from sqlalchemy.types import TypeEngine
 
-SCHEMA = 7
+from ..records.results import TestCounts
+from ..records.run_records import RunSummary
+from ..records.sweep_records import SweepRecord, SweepTrialState, Trial
+
+SCHEMA = 8
 """Version of these tables, stored in `karolos_schema`. Raise it with every change of the tables.
 
 A database of another version is refused: the run folders are the truth, and `karolos db reindex` builds a new one.
 """
 TABLES = MetaData()
+_TYPES: dict[Any, TypeEngine[Any]] = {
+    bool: Boolean(),
+    int: BigInteger(),
+    float: Float(53),
+    str: Text(),
+    SweepTrialState: Text(),
+}
+_INDEXED = ("experiment", "state", "name", "created")
 
 
-def _column(name: str, kind: TypeEngine[Any], *, index: bool = False) -> Column[Any]:
+def _column(name: str, kind: TypeEngine[Any]) -> Column[Any]:
     """A column that is never null."""
-    return Column(name, kind, nullable=False, index=index)
+    return Column(name, kind, nullable=False)
 
 
-def _part_of_key(name: str, kind: TypeEngine[Any] | ForeignKey, *, index: bool = False) -> Column[Any]:
-    return Column(name, kind, primary_key=True, index=index, autoincrement=False)
+def _part_of_key(name: str, kind: TypeEngine[Any] | ForeignKey) -> Column[Any]:
+    return Column(name, kind, primary_key=True, autoincrement=False)
 
 
 def _owner(column: str) -> ForeignKey:
@@ -32,101 +46,57 @@ def _owner(column: str) -> ForeignKey:
     return ForeignKey(column, ondelete="CASCADE")
 
 
+def _columns(kind: type, *, key: str, texts: Collection[str] = (), without: Collection[str] = ()) -> Iterator[Any]:
+    """A column for each field of a dataclass; lists and objects are JSON.
+
+    Args:
+        kind: the dataclass.
+        key: its field that is part of the primary key.
+        texts: fields that are stored as text: integers of more than 64 bits.
+        without: fields that have no column.
+    """
+    for name, hint in get_type_hints(kind).items():
+        if name in without:
+            continue
+        options = get_args(hint)
+        plain = options[0] if NoneType in options else hint
+        stored = Text() if name in texts else _TYPES.get(plain, JSON(none_as_null=True))
+        nullable, indexed = NoneType in options, name in _INDEXED
+        yield Column(name, stored, primary_key=name == key, nullable=nullable, index=indexed, autoincrement=False)
+
+
 SCHEMA_VERSION = Table("karolos_schema", TABLES, _part_of_key("version", Integer()))
 """One row: the version of the tables. Only a karolos database has this table."""
 
-EXPERIMENTS = Table("experiments", TABLES, _part_of_key("hash", String(128)))
-"""Runs of the same hash belong to one experiment: their results may be pooled."""
-
-SPECS = Table("specs", TABLES, _part_of_key("digest", String(64)), _column("spec", JSON()))
+SPECS = Table("specs", TABLES, _part_of_key("digest", Text()), _column("content", JSON()))
 """A resolved spec without its seeds, stored once for all runs that have exactly this one.
 
 Specs of one experiment may differ in what results do not depend on: name, device, threads.
 """
 
-PARAMETERS = Table(
-    "parameters",
-    TABLES,
-    _part_of_key("spec", _owner("specs.digest")),
-    _part_of_key("key", Text(), index=True),
-    _column("value", Text()),
-)
-"""One setting of a spec: its key path (agent.learning_rate) and its value as JSON."""
-
-VERSIONS = Table(
-    "versions",
-    TABLES,
-    _part_of_key("software", String(64)),
-    _part_of_key("package", String(200)),
-    _column("version", Text()),
-)
-"""One package of the software that a run was made with; `software` is the digest of all of them together."""
+SOFTWARE = Table("software", TABLES, _part_of_key("digest", Text()), _column("content", JSON()))
+"""The versions of the packages that runs were made with; empty if they are unknown."""
 
 RUNS = Table(
     "runs",
     TABLES,
-    _part_of_key("run", String(200)),
-    Column("experiment", ForeignKey("experiments.hash"), nullable=False, index=True),
-    _column("seed", String(64)),  # text: a seed may have more than 64 bits
-    _column("state", String(16), index=True),
-    _column("steps", BigInteger()),
-    _column("seconds", Float(53)),
-    Column("success_any", Float(53)),
-    Column("success_end", Float(53)),
-    Column("steps_to_95", BigInteger()),
-    Column("seconds_to_95", Float(53)),
-    _column("name", String(64), index=True),
-    Column("episodes", Integer()),
-    Column("environment", String(128)),
-    Column("robot", String(128)),
-    Column("task", String(128)),
-    Column("agent", String(128)),
-    _column("attempt", Integer()),
-    Column("error", Text()),
-    _column("created", String(32), index=True),
-    _column("updated", String(32)),
-    _column("folder", Text()),
-    Column("note", Text()),
-    Column("updates", BigInteger()),
-    _column("final", Boolean()),
-    Column("best_steps", BigInteger()),
-    Column("best_any", Float(53)),
-    Column("best_end", Float(53)),
-    Column("steps_to_95_any", BigInteger()),
-    Column("seconds_to_95_any", Float(53)),
-    _column("total_seconds", Float(53)),
-    Column("mean_return", Float(53)),
-    Column("best_return", Float(53)),
+    *_columns(RunSummary, key="run", texts=("seed",)),
     Column("spec", ForeignKey("specs.digest"), nullable=False, index=True),
-    Column("software", String(64), index=True),  # null: not known
+    Column("software", ForeignKey("software.digest"), nullable=False, index=True),
 )
-"""One spec, one seed: the fields of RunSummary. `folder` is relative to the database's own folder below it."""
+"""One spec, one seed: the fields of RunSummary. `folder` is relative to the database's own folder below it.
 
-TAGS = Table(
-    "tags",
-    TABLES,
-    _part_of_key("run", _owner("runs.run")),
-    _part_of_key("tag", String(200), index=True),
-)
-"""A tag that a person gave a run. The run folder holds it, too."""
+Runs of the same `experiment` belong together: their results may be pooled.
+"""
 
-TESTS = Table(
-    "tests",
-    TABLES,
-    _part_of_key("run", _owner("runs.run")),
-    _part_of_key("steps", BigInteger()),
-    _column("seconds", Float(53)),
-    _column("episodes", Integer()),
-    *(Column(name, Integer()) for name in ("successes_any", "successes_end", "solved_at_reset")),  # null: no success
-    Column("mean_return", Float(53)),
-)
+TESTS = Table("tests", TABLES, _part_of_key("run", _owner("runs.run")), *_columns(TestCounts, key="steps"))
 """One test of a run: the fields of TestCounts. The run folder holds the test episode by episode."""
 
 SUCCESSES = Table(
     "success_summaries",
     TABLES,
-    _part_of_key("experiment", _owner("experiments.hash")),
-    _part_of_key("counting", String(8)),  # any or end
+    _part_of_key("experiment", Text()),
+    _part_of_key("counting", Text()),  # any or end
     _part_of_key("reported", Boolean()),
     _part_of_key("steps", Float(53)),
     _column("runs", Integer()),
@@ -139,31 +109,8 @@ One row per step at which the runs were tested, and one `reported` row of the ra
 until a test or a run of the experiment is added or removed.
 """
 
-SWEEPS = Table(
-    "sweeps",
-    TABLES,
-    _part_of_key("sweep", String(200)),
-    _column("name", String(64), index=True),
-    _column("experiment", String(128)),  # not a foreign key: trials have other settings
-    *(_column(name, JSON()) for name in ("objectives", "directions", "parameters", "seeds")),
-    _column("asked", Integer()),
-    _column("wants_final", Boolean()),
-    _column("created", String(32)),
-    _column("folder", Text()),
-    Column("final", JSON(none_as_null=True)),
-)
+SWEEPS = Table("sweeps", TABLES, *_columns(SweepRecord, key="sweep", without=("trials",)))
 """A search over the settings of a spec: the fields of SweepRecord. `folder` is stored as that of a run."""
 
-TRIALS = Table(
-    "trials",
-    TABLES,
-    _part_of_key("sweep", _owner("sweeps.sweep")),
-    _part_of_key("number", Integer()),
-    _column("name", String(64)),
-    _column("state", String(16)),
-    _column("drawn", JSON()),
-    Column("values", JSON(none_as_null=True)),  # one for each objective
-    _column("runs", JSON()),  # no foreign key: a run may go to the trash and come back
-    Column("error", Text()),
-)
+TRIALS = Table("trials", TABLES, _part_of_key("sweep", _owner("sweeps.sweep")), *_columns(Trial, key="number"))
 """One trial of a sweep: the settings it drew, its runs (one per seed) and its objectives."""

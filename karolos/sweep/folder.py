@@ -35,9 +35,9 @@ from ..records.sweep_records import (
 from ..spec import Spec, load_spec, to_yaml
 from .objectives import directions
 
-_LOCK_SECONDS = 0.5
+_SWEEP_LOCK_SECONDS = 0.5
 """Readers hold the lock for an instant to test whether the sweep is running."""
-_FREE = ("trials", "final")
+_FREE_SETTINGS = ("trials", "final")
 """Settings of a sweep that may change between two calls, because they do not change existing trials."""
 
 
@@ -66,7 +66,7 @@ class SweepFolder:
     def __enter__(self) -> SweepFolder:
         with writing(self.path):
             self.path.mkdir(parents=True, exist_ok=True)
-        if not self._lock.acquire(_LOCK_SECONDS):
+        if not self._lock.acquire(_SWEEP_LOCK_SECONDS):
             raise RunError("another process runs this sweep", where=str(self.path), hint="wait for it")
         try:
             self._claim()
@@ -137,5 +137,5 @@ class SweepFolder:
 def _fingerprint(spec: Spec) -> str:
     """A hash of the settings that two calls of the same sweep have in common."""
     assert spec.sweep is not None  # only such a spec has a folder
-    search = {key: value for key, value in spec.sweep.model_dump(mode="json").items() if key not in _FREE}
+    search = {key: value for key, value in spec.sweep.model_dump(mode="json").items() if key not in _FREE_SETTINGS}
     return hashlib.sha256(json.dumps([spec.hash(), search], sort_keys=True).encode()).hexdigest()

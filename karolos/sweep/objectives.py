@@ -12,7 +12,7 @@ from ..records.results import TestResult
 from ..spec.sweep import OBJECTIVES
 from ..statistics.aggregates import first_reaching
 
-CENSORED = 2
+CENSORED_FACTOR = 2
 """Penalty factor on the steps of a run that never reached the threshold (PAR2)."""
 Tests = Mapping[int, Sequence[TestResult]]
 """Seed -> its tests, in order."""
@@ -44,7 +44,7 @@ def _of_run(objective: str, tests: Sequence[TestResult], steps: int, final: Test
     if objective.startswith("steps_to_"):
         threshold = int(objective.removeprefix("steps_to_")) / 100
         reached = first_reaching([test.success_end for test in tests], [test.steps for test in tests], threshold)
-        return CENSORED * steps if reached is None else reached
+        return CENSORED_FACTOR * steps if reached is None else reached
     if objective.startswith("mean_"):
         return float(np.mean([_of_test(objective.removeprefix("mean_"), test) for test in tests]))
     return _of_test(objective, final or tests[-1])

@@ -30,7 +30,7 @@ _STATES: dict[TrialState, SweepTrialState] = {
     TrialState.PRUNED: "pruned",
     TrialState.FAIL: "failed",
 }
-_LOCK_SECONDS = 60.0
+_JOURNAL_LOCK_SECONDS = 60.0
 _RUNS, _ERROR = "runs", "error"
 optuna.logging.set_verbosity(optuna.logging.ERROR)  # the sweep reports its own progress
 FEW_TRIALS = 4
@@ -45,7 +45,7 @@ class _JournalLock(JournalFileOpenLock):
         self._lock = FileLock(journal.with_suffix(".lock"))
 
     def acquire(self) -> bool:
-        return self._lock.acquire(_LOCK_SECONDS)
+        return self._lock.acquire(_JOURNAL_LOCK_SECONDS)
 
     def release(self) -> None:
         self._lock.release()

@@ -2,15 +2,16 @@
 
 from __future__ import annotations
 
-from collections.abc import Mapping, Sequence
+from collections.abc import Sequence
 from math import cos, hypot, pi, sin
+from typing import Annotated
 
 from pydantic import Field as Setting
 
 from ..core import Field, Layout
 from ..core import Settings as BaseSettings
 from ..errors import PluginError, UsageError
-from ..randomization.randomization import RandomizedParameter
+from ..randomization.randomization import Drawn
 from ..simulation.geometry import UPRIGHT, Quaternion, Vector
 from ..simulation.interface import Box, Gripper, RobotView, Task, World
 
@@ -36,15 +37,11 @@ class CubeSettings(BaseSettings):
     """Settings of every task with a cube."""
 
     object_size: float = Setting(0.04, ge=0.01, le=0.2, description="edge of the cube, m")
-    object_mass: float = Setting(0.1, gt=0, le=5, description="of the cube, kg")
-    object_friction: float = Setting(1.0, ge=0, le=5, description="lateral friction coefficient of the cube")
-
-
-class NearSettings(CubeSettings):
-    """Settings of tasks whose episodes may start near the cube."""
-
-    start_near: float = Setting(
-        0.0, ge=0, le=1, description="probability that an episode starts with the gripper near the cube"
+    object_mass: Annotated[float, Drawn("kg", 0.01, 2.0)] = Setting(
+        0.1, gt=0, le=5, description="of the cube, kg; its inertia is proportional"
+    )
+    object_friction: Annotated[float, Drawn("1", 0.0, 5.0)] = Setting(
+        1.0, ge=0, le=5, description="lateral friction coefficient of the cube"
     )
 
 
@@ -152,24 +149,12 @@ class CubeTask(Task):
     def build(self, world: World) -> None:
         self.cube = Cube(self.settings, world)
 
-    @property
-    def parameters(self) -> Mapping[str, RandomizedParameter]:
-        mass, friction = self.settings.object_mass, self.settings.object_friction
-        return {
-            **super().parameters,
-            "object_mass": RandomizedParameter(
-                "kg", mass, min(mass, 0.01), max(mass, 2.0), "of the cube; its inertia is proportional"
-            ),
-            "object_friction": RandomizedParameter("1", friction, 0.0, 5.0, "lateral friction coefficient"),
-        }
-
     def apply(self, world: World, name: str, value: float) -> None:
+        super().apply(world, name, value)
         if name == "object_mass":
             self.cube.set_mass(value)
         elif name == "object_friction":
             self.cube.body.set_friction(value)
-        else:
-            super().apply(world, name, value)
 
     def read(self) -> None:
         self.cube.read()
@@ -179,34 +164,6 @@ class CubeTask(Task):
 
     def lost(self) -> bool:
         return self.cube.lost
-
-
-class NearTask(CubeTask):
-    """The part that tasks share whose episodes may start near the cube.
-
-    As a parameter of domain randomization `start_near` does so in training alone. There episodes begin at what an agent
-    has to learn, which it otherwise rarely meets (Florensa et al. 2017, Reverse Curriculum Generation).
-    """
-
-    settings: NearSettings
-
-    def build(self, world: World) -> None:
-        super().build(world)
-        self._start_near = self.settings.start_near
-
-    @property
-    def parameters(self) -> Mapping[str, RandomizedParameter]:
-        description = "probability that the gripper starts near the cube"
-        return {
-            **super().parameters,
-            "start_near": RandomizedParameter("1", self.settings.start_near, 0.0, 1.0, description),
-        }
-
-    def apply(self, world: World, name: str, value: float) -> None:
-        if name == "start_near":
-            self._start_near = value
-        else:
-            super().apply(world, name, value)
 
 
 def check_gripper(robot: RobotView, task: str, size: float) -> Gripper:

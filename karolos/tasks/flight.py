@@ -2,9 +2,12 @@
 
 from __future__ import annotations
 
-from math import cos, sin, sqrt
+from math import cos, sin
 from typing import NamedTuple
 
+import numpy as np
+
+from ..core import Array
 from ..simulation.geometry import Vector
 
 LONGEST_FLIGHT = 3.0
@@ -23,16 +26,16 @@ def simulated_rise(rise: float, gravity: float, timestep: float) -> float:
     return rise + gravity * timestep / 2
 
 
-def flight_time(height: float, rise: float, gravity: float) -> float:
-    """Seconds until free fall from `height` m at `rise` m/s upwards comes to height 0, at most `LONGEST_FLIGHT`.
+def flight_time(height: Array | float, rise: Array | float, gravity: float) -> Array:
+    """Seconds (...) until free fall from `height` (...) m at `rise` (...) m/s upwards comes to height 0.
 
-    The larger root of height + rise t + gravity t^2 / 2 = 0, gravity in m/s2 along z; 0 for a height below 0.
+    The larger root of height + rise t + gravity t^2 / 2 = 0, gravity in m/s2 along z; at most `LONGEST_FLIGHT`, and 0
+    for a height below 0.
     """
-    if height <= 0:
-        return 0.0
-    if gravity > -1e-6:
-        return min(height / -rise, LONGEST_FLIGHT) if rise < 0 else LONGEST_FLIGHT
-    return min((rise + sqrt(rise * rise - 2 * gravity * height)) / -gravity, LONGEST_FLIGHT)
+    gravity = min(gravity, -1e-6)  # without gravity only what sinks comes down
+    above = np.maximum(height, 0.0)
+    seconds = (rise + np.sqrt(rise * rise - 2 * gravity * above)) / -gravity
+    return np.where(above > 0, np.minimum(seconds, LONGEST_FLIGHT), 0.0)
 
 
 class Flight(NamedTuple):

@@ -2,19 +2,18 @@
 
 from __future__ import annotations
 
-from collections.abc import Mapping
 from math import hypot
 from typing import Literal
 
 import numpy as np
 from pydantic import Field as Setting
 
-from ..core import Array, BoolArray, Field, FloatArray, Layout
+from ..core import Array, BoolArray, Expert, Field, FloatArray, Layout
 from ..core.seeding import Generator
-from ..randomization.randomization import RandomizedParameter
+from ..randomization.randomization import Probability
 from ..simulation.geometry import Vector
-from ..simulation.interface import Box, Expert, RobotView, World
-from .cube import NearSettings, NearTask, aligned, braking, check_gripper, drift, ground
+from ..simulation.interface import Box, RobotView
+from .cube import CubeSettings, CubeTask, aligned, braking, check_gripper, drift, ground
 from .point_goal import PointGoal, PointGoalSettings, PointGoalTask, sample_position
 
 HEIGHT = 0.2
@@ -62,7 +61,7 @@ class StagedPick(PointGoal):
         return super().distance(achieved[..., :3], desired)
 
 
-class PickPlace(PointGoalTask, NearTask):
+class PickPlace(PointGoalTask, CubeTask):
     """What to do: grasp the cube and bring it to the goal, held by friction alone.
 
     What is randomised: cube and goal, uniformly in a square of .3 m in the middle of the workspace (`goals: workspace`:
@@ -81,19 +80,22 @@ class PickPlace(PointGoalTask, NearTask):
     Termination: never; the episode is truncated after `max_steps`.
     """
 
-    class Settings(PointGoalSettings, NearSettings):
+    class Settings(PointGoalSettings, CubeSettings):
         reward: Literal["sparse", "dense"] = Setting("sparse", description="-1 until there, or staged in [-1, 0]")
-        start_grasped: float = Setting(
-            0.0, ge=0, le=1, description="probability that an episode starts with the cube in the gripper"
+        start_near: Probability = Setting(
+            0.0, description="probability that an episode starts with the gripper near the cube"
+        )
+        start_grasped: Probability = Setting(
+            0.0, description="probability that an episode starts with the cube in the gripper"
         )
 
     settings: Settings
+    drawn: Settings
     uses_gripper = True
     achieved_goal = Layout((Field("object_position", 3, "m"),))
 
     def __init__(self, settings: PickPlace.Settings) -> None:
         super().__init__(settings)
-        self._start_grasped = settings.start_grasped
         if settings.reward == "dense":
             self.achieved_goal += Layout((Field("tool_position", 3, "m"), Field("pads_gripping", 1)))
 
@@ -108,25 +110,12 @@ class PickPlace(PointGoalTask, NearTask):
         if settings.reward == "dense":
             self.goal_rule = StagedPick(settings.threshold, rest=rest)
 
-    @property
-    def parameters(self) -> Mapping[str, RandomizedParameter]:
-        probability = RandomizedParameter(
-            "1", self.settings.start_grasped, 0.0, 1.0, "probability that the cube starts in the gripper"
-        )
-        return {**super().parameters, "start_grasped": probability}
-
-    def apply(self, world: World, name: str, value: float) -> None:
-        if name == "start_grasped":
-            self._start_grasped = value
-        else:
-            super().apply(world, name, value)
-
     def reset(self, generator: Generator) -> None:
         robot, (x, y, z) = self._robot, sample_position(generator, self.ground, "the cube").tolist()
-        grasped, start = self._start_grasped, generator.uniform()
+        grasped, start = self.drawn.start_grasped, generator.uniform()
         if start < grasped:
             self.cube.put_in_gripper(robot, (x, y, z))
-        elif start < grasped + (1 - grasped) * self._start_near:
+        elif start < grasped + (1 - grasped) * self.drawn.start_near:
             self.cube.place_with_tool(robot, (x, y, z), (x, y, z + generator.uniform(GRIP_HEIGHT, ABOVE)), 1.0)
         else:
             self.cube.place((x, y, z), aligned(robot))

@@ -95,14 +95,6 @@ class PointGoalTask(Task):
     settings: PointGoalSettings
     desired_goal = Layout((Field("goal_position", 3, "m"),))
 
-    def __init__(self, settings: PointGoalSettings) -> None:
-        self.settings = settings
-        self.goal = np.zeros(3, np.float32)
-
-    @property
-    def max_steps(self) -> int:
-        return self.settings.max_steps
-
     def _fit_goal(self, box: Box, span: float) -> None:
         """Set the goal rule for goals in `box`. `span`: the largest possible distance from a goal in m."""
         check_threshold(self.settings.threshold, box)

@@ -5,12 +5,14 @@ from __future__ import annotations
 from math import cos, hypot, pi, sin
 
 import numpy as np
+from pydantic import Field as Setting
 
-from ..core import Field, FloatArray, Layout
+from ..core import Expert, Field, FloatArray, Layout
 from ..core.seeding import Generator
+from ..randomization.randomization import Probability
 from ..simulation.geometry import Vector
-from ..simulation.interface import Expert, RobotView
-from .cube import LOST_DISTANCE, NearSettings, NearTask, aligned, braking, drift, ground
+from ..simulation.interface import RobotView
+from .cube import LOST_DISTANCE, CubeSettings, CubeTask, aligned, braking, drift, ground
 from .point_goal import PointGoalSettings, PointGoalTask, sample_position
 
 ROOM = 0.03
@@ -21,7 +23,7 @@ ABOVE = 0.1
 """m above the floor of the highest start near the cube."""
 
 
-class Push(PointGoalTask, NearTask):
+class Push(PointGoalTask, CubeTask):
     """What to do: slide the cube to the goal on the floor and leave it there. The gripper stays closed.
 
     What is randomised: cube and goal, uniformly in a square of .3 m in the middle of the workspace (`goals: workspace`:
@@ -38,10 +40,13 @@ class Push(PointGoalTask, NearTask):
     Termination: never; the episode is truncated after `max_steps`.
     """
 
-    class Settings(PointGoalSettings, NearSettings):
-        """The settings of a point goal, of a cube, and of starts near it."""
+    class Settings(PointGoalSettings, CubeSettings):
+        start_near: Probability = Setting(
+            0.0, description="probability that an episode starts with the gripper near the cube"
+        )
 
     settings: Settings
+    drawn: Settings
     uses_gripper = False
     achieved_goal = Layout((Field("object_position", 3, "m"),))
 
@@ -54,7 +59,7 @@ class Push(PointGoalTask, NearTask):
 
     def reset(self, generator: Generator) -> None:
         position: Vector = tuple(sample_position(generator, self.ground, "the cube").tolist())
-        if generator.uniform() < self._start_near:
+        if generator.uniform() < self.drawn.start_near:
             self.cube.place_with_tool(self._robot, position, self._near(position, generator), 0.0)
         else:
             self.cube.place(position, aligned(self._robot))

@@ -4,9 +4,9 @@ from __future__ import annotations
 
 import numpy as np
 
-from ..core import Field, FloatArray, Layout
+from ..core import Expert, Field, FloatArray, Layout
 from ..core.seeding import Generator
-from ..simulation.interface import Expert, RobotView
+from ..simulation.interface import RobotView
 from .point_goal import PointGoalSettings, PointGoalTask
 
 GOAL_BOX = (0.3, 0.3, 0.3)

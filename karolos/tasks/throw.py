@@ -2,18 +2,17 @@
 
 from __future__ import annotations
 
-from collections.abc import Mapping
 from math import atan2, cos, degrees, hypot, radians, sin
-from typing import Literal
+from typing import Annotated, Literal
 
 import numpy as np
 from pydantic import Field as Setting
 
-from ..core import Array, BoolArray, Field, FloatArray, GoalRule, Layout
+from ..core import Array, BoolArray, Expert, Field, FloatArray, GoalRule, Layout
 from ..core.seeding import Generator
 from ..errors import UsageError
-from ..randomization.randomization import RandomizedParameter
-from ..simulation.interface import Box, Camera, Expert, RobotView, World
+from ..randomization.randomization import Drawn, Probability
+from ..simulation.interface import Box, Camera, RobotView, World
 from ..simulation.interface.engine import GRAVITY
 from .cube import FIELDS, CubeSettings, CubeTask, check_gripper
 from .flight import FLIGHT_STEPS, Flight, flight_time, simulated_rise
@@ -96,12 +95,15 @@ class Throw(CubeTask):
         share: float = Setting(0.85, gt=0, le=1, description="largest distance of a target / furthest throw")
         sector: float = Setting(30.0, gt=0, le=60, description="of targets, to either side of straight ahead, degrees")
         max_steps: int = Setting(75, ge=1, le=100_000, description="control steps per episode")
-        start_range: float = Setting(0.05, ge=0, le=0.5, description="of the tool about home along each axis, m")
-        end_at_release: float = Setting(
-            0.0, ge=0, le=1, description="probability that an episode ends at the release, its landing computed"
+        start_range: Annotated[float, Drawn("m", 0.0, 0.5)] = Setting(
+            0.05, ge=0, le=0.5, description="of the tool about home along each axis, within the workspace, m"
+        )
+        end_at_release: Probability = Setting(
+            0.0, description="probability that an episode ends at the release, its landing computed"
         )
 
     settings: Throw.Settings
+    drawn: Throw.Settings
     observation = Layout((*FIELDS, Field("landing_if_released", 2, "m"), Field("time_of_flight", 1, "s")))
     uses_gripper = True
     points_down = False
@@ -110,25 +112,9 @@ class Throw(CubeTask):
     desired_goal = Layout((Field("target", 2, "m"),))
 
     def __init__(self, settings: Throw.Settings) -> None:
-        self.settings = settings
-        self.goal = np.zeros(2, np.float32)
+        super().__init__(settings)
         self.goal_rule = Landing(settings.threshold, dense=settings.reward == "dense")
         self._gravity = GRAVITY
-        self._end_at_release = settings.end_at_release
-
-    @property
-    def parameters(self) -> Mapping[str, RandomizedParameter]:
-        probability = RandomizedParameter(
-            "1", self.settings.end_at_release, 0.0, 1.0, "probability that an episode ends at the release"
-        )
-        start = RandomizedParameter(
-            "m", self.settings.start_range, 0.0, 0.5, "of the tool about home along each axis, within the workspace"
-        )
-        return {**super().parameters, "end_at_release": probability, "start_range": start}
-
-    @property
-    def max_steps(self) -> int:
-        return self.settings.max_steps
 
     def fit(self, robot: RobotView) -> None:
         settings, self._robot = self.settings, robot
@@ -142,16 +128,15 @@ class Throw(CubeTask):
                 setting="task.share",
                 hint="a larger share or robot.joint_step leaves more, a smaller task.threshold too",
             )
-        self._starts = self._start_within(settings.start_range)
         angle, far = radians(settings.sector), self.furthest
         targets = Box((self.nearest * cos(angle), -far * sin(angle), 0.0), (far, far * sin(angle), 0.0))
         self._targets = targets.moved((*planner.axis, 0.0))
 
-    def _start_within(self, metres: float) -> Box:
-        """Where the tool starts: at most this far from home along each axis, within the workspace."""
-        home, workspace = self._robot.home, self._robot.workspace
+    def _starts(self) -> Box:
+        """Where the tool starts."""
+        home, workspace, most = self._robot.home, self._robot.workspace, self.drawn.start_range
         ranges = [
-            (max(at - metres, low), min(at + metres, high))
+            (max(at - most, low), min(at + most, high))
             for at, low, high in zip(home, workspace.low, workspace.high, strict=True)
         ]
         return Box(*zip(*ranges, strict=True))
@@ -163,18 +148,12 @@ class Throw(CubeTask):
         self._marker = world.marker(self.settings.threshold, GOAL_COLOUR)
 
     def apply(self, world: World, name: str, value: float) -> None:
-        if name == "end_at_release":
-            self._end_at_release = value
-            return
-        if name == "start_range":
-            self._starts = self._start_within(value)
-            return
+        super().apply(world, name, value)
         if name == "gravity":
             self._gravity = value
-        super().apply(world, name, value)
 
     def reset(self, generator: Generator) -> None:
-        x, y, z = sample_position(generator, self._starts, "the cube").tolist()
+        x, y, z = sample_position(generator, self._starts(), "the cube").tolist()
         self.cube.put_in_gripper(self._robot, (x, y, z))
         self._flight: Flight | None = None
         self._landing: tuple[float, float] | None = None
@@ -182,7 +161,7 @@ class Throw(CubeTask):
         target = sample_position(generator, self._targets, "the target", self._is_target)
         self.goal = target[:2].copy()
         self._marker.place((float(target[0]), float(target[1]), 0.0))
-        self._ends_at_release = generator.uniform() < self._end_at_release
+        self._ends_at_release = generator.uniform() < self.drawn.end_at_release
 
     def _is_target(self, position: FloatArray) -> bool:
         x, y = (at - axis for at, axis in zip(position.tolist(), self.planner.axis, strict=False))
@@ -205,14 +184,15 @@ class Throw(CubeTask):
             self._status = -1.0 if held else 1.0
         self._flight = None if held else self._current_flight()
         if self._ends_at_release and self._flight is not None and not self._status:
-            seconds = flight_time(cube.position[2], self._rise, self._gravity)
+            seconds = float(flight_time(cube.position[2], self._rise, self._gravity))
             self._landing = self._flight.landing(seconds, steps=FLIGHT_STEPS)
             self._status = float(self._landing is not None)
 
     def observe(self) -> list[float]:
         values = super().observe()
         (x, y, z), (vx, vy, vz) = values[:3], values[9:12]
-        seconds = flight_time(z - self.cube.half, simulated_rise(vz, self._gravity, self._timestep), self._gravity)
+        rise = simulated_rise(vz, self._gravity, self._timestep)
+        seconds = float(flight_time(z - self.cube.half, rise, self._gravity))
         return [*values, x + vx * seconds, y + vy * seconds, seconds]
 
     @property

@@ -13,6 +13,7 @@ from ..core import Array
 from ..errors import UsageError
 from ..simulation.interface import RobotView
 from ..simulation.interface.engine import GRAVITY
+from .flight import flight_time
 
 RUN_UP = 0.4
 """Seconds at constant speed before the release, in which the arm accelerates to that speed."""
@@ -47,9 +48,7 @@ def landing_distance(position: Array, velocity: Array, height: float) -> Array:
 
     Complex numbers: the real part is horizontal, the imaginary part the height; m and m/s. There is no air drag.
     """
-    rise = velocity.imag
-    drop = np.maximum(position.imag - height, 0.0)
-    seconds = (rise + np.sqrt(rise * rise - 2 * GRAVITY * drop)) / -GRAVITY
+    seconds = flight_time(position.imag - height, velocity.imag, GRAVITY)
     distance: Array = position.real + velocity.real * seconds
     return distance
 

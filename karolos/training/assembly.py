@@ -5,6 +5,7 @@ from __future__ import annotations
 import math
 from collections.abc import Iterator
 from contextlib import contextmanager
+from functools import partial
 
 from ..core import Agent, Buffer, Orchestrator, Signature
 from ..core.seeding import SeedTree
@@ -25,8 +26,8 @@ REPLAY_SETTINGS = {
 
 def make_orchestrator(spec: Spec, *, randomize: bool) -> Orchestrator:
     """The spec's environments, distributed over processes and threads as the spec says."""
-    part = spec.orchestrator
-    orchestrator: Orchestrator = load("orchestrators", part.name)(part.settings, spec.recipe(randomize=randomize))
+    part, build = spec.orchestrator, partial(build_environment, spec.recipe(randomize=randomize))
+    orchestrator: Orchestrator = load("orchestrators", part.name)(part.settings, build)
     return orchestrator
 
 

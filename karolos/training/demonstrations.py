@@ -8,14 +8,11 @@ from dataclasses import dataclass
 
 import numpy as np
 
-from ..core import Environment, FloatArray, Step, Transitions
+from ..core import Environment, Expert, FloatArray, Step, Transitions
 from ..core.seeding import Generator, SeedTree
 from ..environments.build import build_environment
-from ..environments.robot_task import RobotTask
-from ..environments.varied import VariedRobotTask
 from ..errors import RunError, UsageError
-from ..simulation.interface import Expert
-from ..spec.model import Demonstrations as DemonstrationSettings
+from ..spec.model import DemonstrationSettings
 from ..spec.parts import Recipe
 
 
@@ -86,12 +83,6 @@ def collect_demonstrations(
 
 def demonstrating_expert(environment: Environment) -> Expert:
     """The scripted expert of the environment's task. Raises UsageError if it has none."""
-    if not isinstance(environment, RobotTask | VariedRobotTask):
-        raise UsageError(
-            "this environment has no expert that could give demonstrations",
-            setting="demonstrations",
-            hint="remove demonstrations, or name a robot and a task",
-        )
     try:
         return environment.expert()
     except UsageError as error:

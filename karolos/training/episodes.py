@@ -97,35 +97,50 @@ class Episodes:
             PluginError: a reward is not finite.
         """
         received = self._counted(self._orchestrator.receive(at_least))
-        for _ in range(REPLAYS if self._replay else 0):
-            if not any(failure.lost for failure in received.failures):
-                break
-            received = self._with_replayed(received)
+        if self._replay and any(failure.lost for failure in received.failures):
+            return self._with_replayed(received)
         return received
 
     def _with_replayed(self, received: Received) -> Received:
         """Play the episodes of lost workers again, and add the answers to the commands that they had."""
-        failures = tuple(failure for failure in received.failures if not failure.lost)
-        lost = np.setdiff1d(received.failed, environments_of(failures))
-        steps = self._steps[lost] + (self._updates[lost] >= 0)
+        updates, steps = self._updates.copy(), self._steps + (self._updates >= 0)
         latest = empty_steps(self._orchestrator)
-        self._orchestrator.reset(lost, self._seed[lost].tolist())
-        for step in range(int(steps.max(initial=0)) + 1):
-            answers = self._orchestrator.receive()
-            write_rows(latest, answers.environment, answers.step)
-            failures += answers.failures
-            self.failures += answers.failures
-            playing = np.setdiff1d(lost[steps > step], environments_of(failures))
+        failures = self._replay_lost(received.failures, steps, latest)
+        write_rows(latest, received.environment, received.step)
+        answered = np.setdiff1d(np.flatnonzero(updates > IDLE), environments_of(failures))
+        updates[received.environment] = received.updates
+        environments = np.union1d(received.environment, answered)
+        rows = Step(*(field[environments] for field in latest))
+        return Received(environments, rows, updates[environments], failures)
+
+    def _replay_lost(self, failures: tuple[Failure, ...], steps: np.ndarray, latest: Step) -> tuple[Failure, ...]:
+        """Play the episodes that these failures lost with a worker again; returns the failures that remain.
+
+        Args:
+            failures: of environments whose episodes may go on.
+            steps: of the episode of each environment.
+            latest: is overwritten by the last step of each of these environments.
+        """
+        for _ in range(REPLAYS):
+            remaining = tuple(failure for failure in failures if not failure.lost)
+            lost = np.setdiff1d(environments_of(failures), environments_of(remaining))
+            if not lost.size:
+                return remaining
+            failures = remaining + self._play_again(lost, steps, latest)
+        return failures
+
+    def _play_again(self, environments: np.ndarray, steps: np.ndarray, latest: Step) -> tuple[Failure, ...]:
+        """Play the episodes of these environments from their seeds and actions; returns the failures. See above."""
+        failures: tuple[Failure, ...] = ()
+        self._reset(environments)
+        for step in range(int(steps[environments].max()) + 1):
+            received = self._counted(self._orchestrator.receive())
+            write_rows(latest, received.environment, received.step)
+            failures += received.failures
+            playing = np.setdiff1d(environments[steps[environments] > step], environments_of(failures))
             if playing.size:
-                self._orchestrator.step(playing, self._actions[playing, step])
-        answered = np.setdiff1d(lost[self._updates[lost] > IDLE], environments_of(failures))
-        again = Received(answered, Step(*(field[answered] for field in latest)), self._updates[answered])
-        self._counted(again)
-        environments = np.concatenate((received.environment, answered))
-        order = np.argsort(environments)
-        rows = Step(*(np.concatenate(fields)[order] for fields in zip(received.step, again.step, strict=True)))
-        updates = np.concatenate((received.updates, again.updates))[order]
-        return Received(environments[order], rows, updates, failures)
+                self.send(playing, self._actions[playing, step])
+        return failures
 
     def _counted(self, received: Received) -> Received:
         self.failures += received.failures
@@ -196,16 +211,13 @@ class Episodes:
             )
         self._index[:] = index
         self._seed[:] = state["seed"]
+        self._actions[:, :longest] = actions
         steps = np.asarray(state["steps"])
-        self._reset(np.arange(len(index)))
-        for step in range(longest + 1):
-            received = self.receive()
-            if received.failures:
-                raise received.failures[0].error
-            write_rows(latest, received.environment, received.step)
-            playing = np.flatnonzero(steps > step)
-            if playing.size:
-                self.send(playing, actions[playing, step])
+        failures = self._play_again(np.arange(len(index)), steps, latest)
+        if self._replay:
+            failures = self._replay_lost(failures, steps, latest)
+        if failures:
+            raise failures[0].error
 
 
 def empty_steps(orchestrator: Orchestrator) -> Step:

@@ -16,7 +16,7 @@ from karolos.agents.td3 import TD3
 from karolos.buffers.hindsight import Hindsight
 from karolos.buffers.priority import Priority
 from karolos.buffers.uniform import Uniform
-from karolos.spec.model import Training
+from karolos.spec.model import TrainingSettings
 
 SETTINGS = {
     "sac": SAC.Settings,
@@ -27,7 +27,7 @@ SETTINGS = {
     "uniform": Uniform.Settings,
     "priority": Priority.Settings,
     "hindsight": Hindsight.Settings,
-    "training": Training,
+    "training": TrainingSettings,
 }
 PAGE = Path(__file__).parents[2] / "docs" / "defaults.md"
 ROWS = re.findall(r"^\| `(\w+)` \| `(\w+): ([^`]+)` \|", PAGE.read_text(), re.MULTILINE)

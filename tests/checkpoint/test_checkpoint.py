@@ -127,7 +127,7 @@ def test_process_killed_between_renames_leaves_a_checkpoint(whole: Path, place: 
     assert [path.name for path in whole.parent.iterdir()] == ["best"]
 
 
-@pytest.mark.parametrize("moment", ["folder.read_manifest", "state_file._verify", "folder.read_state"])
+@pytest.mark.parametrize("moment", ["folder.read_manifest", "state_file.unpack_state", "folder.read_state"])
 def test_reader_of_a_run_that_goes_on_gets_the_old_or_the_new(
     whole: Path, moment: str, monkeypatch: pytest.MonkeyPatch
 ) -> None:

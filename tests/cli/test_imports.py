@@ -52,12 +52,19 @@ print("imported:", *[name for name in heavy if name in sys.modules], file=sys.st
 )
 def test_help_and_the_index_import_only_what_they_need(tmp_path: Path, command: str, more: list[str]) -> None:
     add_run(tmp_path, 0)
-    code = CALL.format(heavy=[*HEAVY, *more])
     runs = [] if command == "--help" else ["--runs", str(tmp_path)]
-    ended = subprocess.run(
-        [sys.executable, "-c", code, "-", *command.split(), *runs],
-        capture_output=True,
-        text=True,
-        check=True,
-    )
-    assert ended.stderr.splitlines()[-1] == "imported:", ended.stderr
+    assert imported([*HEAVY, *more], *command.split(), *runs) == "imported:"
+
+
+def test_comparing_imports_nothing_that_trains_or_draws(tmp_path: Path) -> None:
+    add_run(tmp_path, 0)
+    needed = ("numpy", "sqlalchemy.orm", "yaml")
+    heavy = [name for name in HEAVY if name not in needed]
+    assert imported(heavy, "compare", "reach", "--runs", str(tmp_path)) == "imported:"
+
+
+def imported(heavy: list[str], *words: str) -> str:
+    """The last line that the command's process prints: those of the heavy packages that it has imported."""
+    code = CALL.format(heavy=heavy)
+    ended = subprocess.run([sys.executable, "-c", code, "-", *words], capture_output=True, text=True, check=True)
+    return ended.stderr.splitlines()[-1]

@@ -9,7 +9,6 @@ from karolos_cli.inspect import app
 from PIL import Image
 from support.commands import call
 
-from karolos.plugins.inspection import halved
 from karolos.registry import names
 
 SMALL = ("--width", "32", "--height", "24")
@@ -59,10 +58,3 @@ def test_unknown_names_and_bad_files_are_refused(tmp_path: Path) -> None:
     assert call(app, "robot", "pandda")[0] == 2
     assert call(app, "task", "reach", "--out", str(tmp_path / "x.txt"))[0] == 2
     assert call(app, "task", "reach", "--out", str(tmp_path / "none" / "x.png"))[0] == 2
-
-
-def test_halving_takes_the_mean() -> None:
-    picture = np.zeros((4, 4, 3), np.uint8)
-    picture[0, 0] = 255
-    assert halved(picture)[0, 0].tolist() == [64, 64, 64]
-    assert halved(picture)[1].max() == 0

@@ -153,12 +153,13 @@ def test_a_policy_is_played_under_changed_settings(tmp_path: Path, monkeypatch: 
     assert lines["robot=ur5",].startswith("episode 1: success after")
     assert "after 3 steps" in lines["task.max_steps=3",]
     assert lines["robot=ur5",] != lines[()]
-    code, _, err = call(app, "panda_reach", "agent.discount=0.9", *film)
-    assert code == 2
-    assert "is about training, not about the test" in err
-    code, _, err = call(app, "panda_reach", "robot.control=joint", *film)
-    assert code == 2
-    assert "the policy was trained with other observations, actions or goals" in err
+    for wrong, told in (
+        (("agent.discount=0.9",), "is about training, not about the test"),
+        (("robot.control=joint",), "the policy was trained with other observations, actions or goals"),
+        (("--checkpoint", "best"), "'panda_reach' ships with karolos and has no checkpoints"),
+    ):
+        code, _, err = call(app, "panda_reach", *wrong, *film)
+        assert (code, told in err) == (2, True)
 
 
 def test_failures_alone_are_played_and_called_by_their_numbers(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:

@@ -38,11 +38,9 @@ def add_run(runs: Path, seed: int, state: str = "finished", spec: dict[str, Any]
     test = TestResult(1000, 10.0, flags, flags[::-1], (False,) * 20, (0.0,) * 20, (9,) * 20)
     with RunFolder.create(runs, "reach", seed) as run, Store(Store.default_url(runs)) as store:
         run.describe(spec or SPEC, experiment="abc", text="environment: toy\n")
-        store.add_run(run.summary(), run.spec())
         run.add_test(test)
-        store.add_test(run.id, test)
         run.set_state(state, steps=1200, seconds=12.5, error="it broke" if state == "failed" else None)
-        store.update_run(run.summary())
+        store.add_records([run.record()])
         checkpoint.save(run.checkpoints, "best", {"agent": {}}, {"steps": 1000})
         return run.id
 

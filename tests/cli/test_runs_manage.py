@@ -11,6 +11,7 @@ import pytest
 from karolos_cli.runs import app
 from support import run_commands
 from support.run_commands import add_run
+from support.store_samples import stored
 from typer.testing import Result
 
 from karolos.errors import RunError, UsageError
@@ -47,7 +48,7 @@ def test_list_takes_a_filter(runs: Path) -> None:
     assert (nothing.stdout, nothing.stderr) == ("", "no runs match the filter\n")
     with pytest.raises(UsageError, match=r"filter, column 1: no run has 'agent\.learning_rat'; did you mean"):
         call("list", "agent.learning_rat=1")
-    with pytest.raises(UsageError, match=r"filter, column 6: .* is not a value"):
+    with pytest.raises(UsageError, match=r"filter, column 6: 'the end'"):
         call("list", "task=")
 
 
@@ -127,19 +128,18 @@ def test_run_that_goes_on_is_not_removed(runs: Path) -> None:
     assert ids() == [first]
 
 
-@pytest.mark.parametrize("name", ["x.tar.gz", "x.zip"])
-def test_exported_runs_come_in_elsewhere(runs: Path, tmp_path: Path, name: str) -> None:
+def test_exported_runs_come_in_elsewhere(runs: Path, tmp_path: Path) -> None:
     first, second = add_run(runs, 0), add_run(runs, 1)
     call("tag", first, "good")
-    call("export", tmp_path / name, "reach")
+    call("export", tmp_path / "x.tar.gz", "reach")
     other = tmp_path / "other"
-    assert set(call("import", tmp_path / name, "--runs", other).stdout.split()) == {first, second}
+    assert set(call("import", tmp_path / "x.tar.gz", "--runs", other).stdout.split()) == {first, second}
     came = rows("list", "--runs", other)
     assert [{**row, "folder": ""} for row in came] == [{**row, "folder": ""} for row in rows("list")]
     with Store(Store.default_url(other)) as store:
-        assert len(store.tests(first)) == 1
+        assert len(stored(store, first).tests) == 1
     with pytest.raises(UsageError, match=r"exists already; `karolos runs rm`"):
-        call("import", tmp_path / name, "--runs", other)
+        call("import", tmp_path / "x.tar.gz", "--runs", other)
     assert rows("list", "--runs", other) == came
 
 
@@ -166,6 +166,6 @@ def test_spec_file_means_the_runs_of_its_experiment(runs: Path, tmp_path: Path) 
     spec = load_spec(path)
     with RunFolder.create(runs, "toy", 0) as run, Store(Store.default_url(runs)) as store:
         run.describe(spec.dump(), experiment=spec.hash(), source=runs)
-        store.add_run(run.summary(), spec.dump(), run.versions())
+        store.add_records([run.record()])
     assert rows("show", path)[0]["run"] == run.id
     assert [row["run"] for row in rows("tag", path, "mine")] == [run.id]

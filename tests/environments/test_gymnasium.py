@@ -11,7 +11,7 @@ import pytest
 from karolos.buffers.uniform import Uniform
 from karolos.core import Discrete, Transitions
 from karolos.core.seeding import SeedTree
-from karolos.environments.gymnasium import Gymnasium
+from karolos.environments.gymnasium.adapter import Gymnasium
 from karolos.errors import KarolosError, PluginError
 from karolos.plugins.contracts import check_environment
 
@@ -92,7 +92,7 @@ def test_success_is_a_return_at_the_end(threshold: float, success: bool) -> None
         ({"id": "nowhere:Foo-v1"}, "environment.id"),
         ({"id": "a b"}, "environment.id"),
         ({"id": "CartPole-v1", "kwargs": {"foo": 1}}, "environment.kwargs"),
-        ({"id": "karolos:karolos/PandaReach-v1"}, "environment.goals"),
+        ({"id": "karolos.gym:karolos/PandaReach-v1"}, "environment.goals"),
         ({"id": "FrozenLake-v1", "kwargs": {"map_name": "9x9"}}, "environment.kwargs"),
         ({"id": "CartPole-v1", "goals": True}, "environment.goals"),
         ({"id": "support.goal_environments:Endless-v0", "flatten_goals": True}, "environment.max_steps"),
@@ -110,7 +110,7 @@ def test_what_cannot_work_is_one_clear_line_about_a_setting(settings: dict[str, 
 
 
 def test_goals_may_be_taken_as_observations() -> None:
-    environment = make(id="karolos:karolos/PandaReach-v1", flatten_goals=True)
+    environment = make(id="karolos.gym:karolos/PandaReach-v1", flatten_goals=True)
     assert environment.signature.max_steps == 50
     assert set(environment.signature.observation.names) == {"achieved_goal", "desired_goal", "observation"}
     assert environment.reset(0).observation.shape == (environment.signature.observation.size,)
@@ -122,7 +122,7 @@ GOAL_ENVIRONMENTS = [
     {"id": POINT, "kwargs": {"dense": True}, "success_reward": -0.15},
     {"id": POINT, "kwargs": {"ends": True}, "goal_terminates": True},
     {"id": ENDING},
-    {"id": "karolos:karolos/PandaReach-v1"},
+    {"id": "karolos.gym:karolos/PandaReach-v1"},
 ]
 
 

@@ -1,40 +1,23 @@
 from __future__ import annotations
 
-from typing import Any, get_args
+from typing import Any
 
 import numpy as np
 import pytest
-from support.rig import part
+from support.rig import ENGINES, part, recipe, values
 
 from karolos.core import Environment
 from karolos.environments.build import build_environment
 from karolos.environments.robot_task import RobotTask
 from karolos.environments.varied import VariedRobotTask
 from karolos.errors import UsageError
-from karolos.simulation.engines import Engine, installed
-from karolos.spec.parts import Part, Recipe
+from karolos.spec.parts import Part
 
 SIZES = (0.04, 0.045, 0.05)
-ENGINES = [name for name in get_args(Engine) if installed(name)]
 
 
-def values(*listed: float) -> Part:
-    return part("distributions", "choice", values=listed)
-
-
-def recipe(
-    drawn: dict[str, Part], *, task: str = "push", robot: dict[str, Any] | None = None, **settings: Any
-) -> Recipe:
-    return Recipe(
-        part("environments", "robot_task", **settings),
-        part("robots", "ur5", **(robot or {})),
-        part("tasks", task),
-        tuple(sorted(drawn.items())),
-    )
-
-
-def build(drawn: dict[str, Part], **other: Any) -> Environment:
-    return build_environment(recipe(drawn, **other))
+def build(drawn: dict[str, Part], task: str = "push", **how: Any) -> Environment:
+    return build_environment(recipe(task, "ur5", draws=drawn, **how))
 
 
 def test_each_value_is_drawn_recorded_and_follows_from_the_seed() -> None:
@@ -57,8 +40,10 @@ def test_each_value_is_drawn_recorded_and_follows_from_the_seed() -> None:
 
 @pytest.mark.parametrize("engine", ENGINES)
 def test_an_episode_is_that_of_the_environment_with_this_setting(engine: str) -> None:
-    made = build({"robot.finger_opening": values(0.0, 0.5)}, engine=engine)
-    alone = {opening: build({}, engine=engine, robot={"finger_opening": opening}) for opening in (0.0, 0.5)}
+    made = build({"robot.finger_opening": values(0.0, 0.5)}, environment={"engine": engine})
+    alone = {
+        opening: build({}, environment={"engine": engine}, arm={"finger_opening": opening}) for opening in (0.0, 0.5)
+    }
     assert all(isinstance(one, RobotTask) for one in alone.values())
     generator = np.random.default_rng(0)
     drawn = set()
@@ -80,7 +65,7 @@ def test_an_episode_is_that_of_the_environment_with_this_setting(engine: str) ->
 @pytest.mark.parametrize("engine", ENGINES)
 @pytest.mark.parametrize(("opening", "pushed"), [(0.0, False), (0.5, True)])
 def test_open_fingers_reach_further(engine: str, opening: float, *, pushed: bool) -> None:
-    made = build({}, engine=engine, robot={"finger_opening": opening})
+    made = build({}, environment={"engine": engine}, arm={"finger_opening": opening})
     assert isinstance(made, RobotTask)
     made.reset(0)
     robot, cube = made.robot, made.task.cube  # type: ignore[attr-defined]
@@ -141,4 +126,4 @@ def test_what_cannot_be_drawn_is_refused(drawn: dict[str, Part], message: str) -
 
 def test_fingers_that_the_task_moves_cannot_be_held_open() -> None:
     with pytest.raises(UsageError, match=r"robot\.finger_opening: the task moves the gripper"):
-        build({}, task="pick_place", robot={"finger_opening": 0.5})
+        build({}, task="pick_place", arm={"finger_opening": 0.5})

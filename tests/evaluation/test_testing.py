@@ -1,6 +1,7 @@
 """Test episodes: counted right, and the same whatever plays them."""
 
 from dataclasses import replace
+from functools import partial
 
 import numpy as np
 import pytest
@@ -76,7 +77,7 @@ class Greedy:
 
 
 def play(scripts: list[Script], size: int) -> TestResult:
-    with Local(Local.Settings(processes=0), scripts, size=size, build=Scripted) as orchestrator:
+    with Local(Local.Settings(processes=0, environments=size), partial(Scripted, scripts)) as orchestrator:
         return play_episodes(orchestrator, Echo(), range(len(scripts)), steps=7, seconds=1.5)
 
 
@@ -126,7 +127,7 @@ class Measured(Scripted):
 
 @pytest.mark.parametrize("size", [1, 3, 8])
 def test_distances_are_those_at_the_end_of_each_episode_and_unknown_without_a_rule(size):
-    with Local(Local.Settings(processes=0), SCRIPTS, size=size, build=Measured) as orchestrator:
+    with Local(Local.Settings(processes=0, environments=size), partial(Measured, SCRIPTS)) as orchestrator:
         result = play_episodes(orchestrator, Echo(), range(len(SCRIPTS)))
     assert result.distances == pytest.approx((0.2, 0.2, 0.1, 0.4, 0.1))
     assert (result.within(0.05), result.within(0.15), result.within(0.25)) == (0, 0.4, 0.8)
@@ -158,7 +159,7 @@ def test_which_environment_plays_an_episode_is_fixed_beforehand():
             seen.extend(zip(np.asarray(environments).tolist(), seeds, strict=True))
             super().reset(environments, seeds)
 
-    with Watched(Local.Settings(processes=0), SCRIPTS, size=2, build=Scripted) as orchestrator:
+    with Watched(Local.Settings(processes=0, environments=2), partial(Scripted, SCRIPTS)) as orchestrator:
         play_episodes(orchestrator, Echo(), range(5))
     assert sorted(seen) == [(0, 0), (0, 2), (0, 4), (1, 1), (1, 3)]
 
@@ -173,7 +174,7 @@ class Diverging(Scripted):
 
 def test_an_episode_that_is_over_at_its_reset_counts_as_one():
     scripts: list[Script] = [((False,), False), ((False, True), False), ((True,), False), ((False,), False)]
-    with Local(Local.Settings(processes=0), None, size=2, build=lambda _: Diverging(scripts)) as orchestrator:
+    with Local(Local.Settings(processes=0, environments=2), partial(Diverging, scripts)) as orchestrator:
         result = play_episodes(orchestrator, Echo(), range(4))
     assert result.lengths == (0, 1, 0, 0)
     assert result.end == (False, True, True, False)
@@ -181,7 +182,7 @@ def test_an_episode_that_is_over_at_its_reset_counts_as_one():
 
 def test_a_test_without_episodes_is_refused():
     with (
-        Local(Local.Settings(processes=0), SCRIPTS, build=Scripted) as orchestrator,
+        Local(Local.Settings(processes=0), partial(Scripted, SCRIPTS)) as orchestrator,
         pytest.raises(ValueError, match="at least one"),
     ):
         play_episodes(orchestrator, Echo(), [])
@@ -193,7 +194,7 @@ def test_any_layout_finds_the_same():
     results = []
     for processes, threads, environments in ((0, 1, 1), (0, 1, 7), (2, 1, 3), (1, 2, 20)):
         layout = Local.Settings(processes=processes, threads=threads, environments=environments)
-        with Local(layout, toy, build=Toy) as orchestrator:
+        with Local(layout, partial(Toy, toy)) as orchestrator:
             results.append(play_episodes(orchestrator, Greedy(), seeds))
     assert results[1:] == results[:1] * 3
     assert 0 < results[0].success_end < 1, "some goals lie too far away to be reached in time"
@@ -201,7 +202,7 @@ def test_any_layout_finds_the_same():
 
 def test_repeating_a_test_finds_the_same():
     """Environments that have been used, and left in the middle of an episode, play as fresh ones do."""
-    with Local(Local.Settings(processes=0), Toy.Settings(), size=4, build=Toy) as orchestrator:
+    with Local(Local.Settings(processes=0, environments=4), partial(Toy, Toy.Settings())) as orchestrator:
         first = play_episodes(orchestrator, Greedy(), test_seeds(0, 10))
         orchestrator.reset([1, 2], [5, 5])
         orchestrator.receive()
@@ -219,7 +220,7 @@ def test_an_episode_whose_environment_fails_is_played_again():
     toy = Toy.Settings(dimensions=2, max_steps=6, reward="dense")
     results, heard = [], []
     for kills in (0, 2):
-        with Local(Local.Settings(processes=2, environments=2), toy, build=Toy) as orchestrator:
+        with Local(Local.Settings(processes=2, environments=2), partial(Toy, toy)) as orchestrator:
             agent = Killing(orchestrator, kills)
             results.append(play_episodes(orchestrator, agent, test_seeds(0, 9), on_failure=heard.append))
     assert results[0] == results[1]

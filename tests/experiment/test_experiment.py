@@ -8,6 +8,7 @@ import signal
 import numpy as np
 import pytest
 from support.states import assert_same_state
+from support.store_samples import stored
 
 from karolos import checkpoint
 from karolos.errors import MachineError, RunError, StoreError, UsageError
@@ -127,8 +128,10 @@ def test_the_database_says_what_the_folders_say(finished):
     with Store(Store.default_url(runs)) as store:
         assert {run.run: run for run in store.runs()} == {run.run: run for run in outcome.runs}
         for folder in folders(outcome):
-            assert [test.steps for test in store.tests(folder.id)] == [test.steps for test in folder.tests()]
-            assert [test.any for test in store.tests(folder.id)] == [sum(test.any) for test in folder.tests()]
+            assert [test.steps for test in stored(store, folder.id).tests] == [test.steps for test in folder.tests()]
+            assert [test.successes_any for test in stored(store, folder.id).tests] == [
+                sum(test.any) for test in folder.tests()
+            ]
 
 
 def test_the_best_checkpoint_is_of_the_best_test_and_the_last_of_the_end(finished):

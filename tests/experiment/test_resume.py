@@ -10,6 +10,7 @@ from typing import Any
 
 import pytest
 from support.states import assert_same_runs
+from support.store_samples import stored
 
 from karolos import checkpoint
 from karolos.errors import RunError
@@ -86,7 +87,7 @@ def test_stopped_and_resumed_run_equals_one_without_a_break_bit_for_bit(case: st
     assert again.runs[0].attempt == 2
     assert_same_runs(whole, only(again))
     with Store(Store.default_url(tmp_path / "broken")) as store:
-        assert [test.steps for test in store.tests(again.runs[0].run)] == [100, 200, 240]
+        assert [test.steps for test in stored(store, again.runs[0].run).tests] == [100, 200, 240]
 
 
 @pytest.mark.skipif(not installed("mujoco"), reason="MuJoCo is not installed")
@@ -231,7 +232,7 @@ def test_tests_that_an_asynchronous_run_makes_at_other_steps_are_removed(tmp_pat
     assert left[: len(kept)] == kept
     assert steps + 1 not in left
     with Store(Store.default_url(tmp_path)) as store:
-        assert [test.steps for test in store.tests(done.id)] == left
+        assert [test.steps for test in stored(store, done.id).tests] == left
 
 
 def test_time_limit_stops_with_a_checkpoint(tmp_path: Path) -> None:

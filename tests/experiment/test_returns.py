@@ -12,6 +12,7 @@ from karolos_cli.compare import compare
 from karolos_cli.display import Plain
 from karolos_cli.play import play
 from support.commands import call
+from support.store_samples import stored
 from tensorboard.backend.event_processing.event_accumulator import EventAccumulator
 from typer import Typer
 
@@ -61,8 +62,10 @@ def test_records_and_index_hold_returns_and_no_success(run: RunSummary) -> None:
     with Store(Store.default_url(folder.path.parent)) as store:
         for _ in range(2):
             assert store.find(run.run) == run
-            assert [test.mean_return for test in store.tests(run.run)] == [one.mean_return for one in folder.tests()]
-            assert {test.end for test in store.tests(run.run)} == {None}
+            assert [test.mean_return for test in stored(store, run.run).tests] == [
+                one.mean_return for one in folder.tests()
+            ]
+            assert {test.successes_end for test in stored(store, run.run).tests} == {None}
             assert len(store.runs(where="mean_return < 0")) == 1
             reindex(store, folder.path.parent)
 

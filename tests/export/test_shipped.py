@@ -60,17 +60,6 @@ def test_a_policy_that_ships_succeeds_where_it_did_in_its_final_test(name: str) 
         environment.close()
 
 
-def test_play_shows_a_policy_that_ships_without_any_run(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
-    monkeypatch.chdir(tmp_path)
-    film = ("--episodes", "1", "--width", "64", "--height", "48", "--out", "film.gif")
-    code, out, err = call(app, "panda_reach", *film)
-    assert (code, out) == (0, "film.gif\n"), err
-    assert err.startswith("episode 1: success")
-    code, _, err = call(app, "panda_reach", *film, "--checkpoint", "best")
-    assert code == 2
-    assert "'panda_reach' ships with karolos and has no checkpoints" in err
-
-
 def test_an_unknown_name_is_refused_with_the_policies_that_ship(
     tmp_path: Path, monkeypatch: pytest.MonkeyPatch
 ) -> None:

@@ -27,7 +27,7 @@ from support.fake_environments import (
 from support.layouts import IN_PROCESS, ONE, THREADS, TWO, make, reset, step
 
 from karolos.errors import KarolosError, MachineError, PluginError, WorkerError
-from karolos.orchestrator import channels, pool, start
+from karolos.orchestrator import pool, processes, start
 from karolos.orchestrator.local import Local
 
 every_layout = pytest.mark.parametrize("layout", [IN_PROCESS, ONE, TWO, THREADS], ids=["0", "1", "2", "threads"])
@@ -249,14 +249,14 @@ def test_a_machine_without_processes_to_give_is_a_clear_error(monkeypatch):
     def refuse(*_: object) -> None:
         raise BlockingIOError(11, "Resource temporarily unavailable")
 
-    monkeypatch.setattr(channels, "start_worker", refuse)
+    monkeypatch.setattr(processes, "start_worker", refuse)
     with pytest.raises(MachineError, match=r"worker process 0 of 2 cannot be started: .*unavailable; use fewer"):
         make(TWO)
 
 
 def test_a_recipe_that_workers_cannot_import_is_refused(monkeypatch):
     with pytest.raises(PluginError, match="cannot be sent to a worker process"):
-        Local(Local.Settings(), "", build=lambda recipe: Fake(recipe))  # noqa: PLW0108
+        Local(Local.Settings(), lambda: Fake(""))
     monkeypatch.setattr(fake_environments.Fake, "__module__", "__main__")
     monkeypatch.setattr(start.sys.modules["__main__"], "Fake", Fake, raising=False)
     with pytest.raises(PluginError, match="defined in the main script"):

@@ -1,6 +1,7 @@
 """Parts of the local orchestrator: settings, spreading, memory, what environments are handed."""
 
 import pickle
+from functools import partial
 
 import numpy as np
 import pytest
@@ -10,29 +11,14 @@ from pydantic import ValidationError
 from support.fake_environments import FINE, Fake
 
 from karolos.core import Field, Layout, Signature
-from karolos.orchestrator.local import Local, _layout
+from karolos.orchestrator.local import Local
 from karolos.orchestrator.shared_memory import ALIGNMENT, EnvironmentArrays, SharedBytes
 
-counts = st.integers(1, 40)
 
-
-def make(*layout: int, recipe: str = "", size: int | None = None) -> Local:
+def make(*layout: int, recipe: str = "") -> Local:
     processes, threads, environments = layout
     settings = Local.Settings(processes=processes, threads=threads, environments=environments)
-    return Local(settings, recipe, size=size, build=Fake)
-
-
-@given(size=counts, processes=counts, threads=counts)
-def test_every_environment_has_one_channel_and_the_load_is_even(size, processes, threads):
-    layout = _layout(size, processes, threads)
-    assert [index for channels in layout for ids in channels for index in ids] == list(range(size))
-    assert len(layout) == min(size, processes)
-    per_process = [sum(map(len, channels)) for channels in layout]
-    assert max(per_process) - min(per_process) <= 1
-    for channels, count in zip(layout, per_process, strict=True):
-        lengths = [len(ids) for ids in channels]
-        assert len(channels) == min(count, threads)
-        assert max(lengths) - min(lengths) <= 1
+    return Local(settings, partial(Fake, recipe))
 
 
 @given(processes=st.integers(0, 8), threads=st.integers(1, 8), environments=st.integers(1, 8))
@@ -50,22 +36,6 @@ def test_settings_without_sense_are_refused(wrong):
 
 def test_every_setting_is_described():
     assert all(field.description for field in Local.Settings.model_fields.values())
-
-
-@pytest.mark.parametrize("layout", [(0, 1, 8), (2, 1, 4), (1, 2, 4), (4, 4, 4)])
-@pytest.mark.parametrize("size", [1, 3])
-def test_size_overrides_the_layouts_number(layout, size):
-    with make(*layout, size=size) as orchestrator:
-        assert orchestrator.size == size
-        orchestrator.reset(range(size), range(size))
-        assert orchestrator.receive().environment.tolist() == list(range(size))
-        with pytest.raises(ValueError, match=f"unknown: {size}"):
-            orchestrator.reset([size], [0])
-
-
-def test_an_orchestrator_of_no_environments_is_refused():
-    with pytest.raises(ValueError, match="at least one environment"):
-        make(0, 1, 8, size=0)
 
 
 @pytest.mark.parametrize("layout", [(0, 1, 4), (2, 1, 2)])

@@ -14,13 +14,15 @@ HEAD = f"""
 import sys
 sys.path.insert(0, {str(TESTS)!r})
 import numpy as np
+from functools import partial
 from support.fake_environments import FINE, HANG, PRINT, Fake
 from karolos.orchestrator import start
 from karolos.orchestrator.local import Local
 MARK_OF_THE_USERS_SCRIPT = True
 
 def make(processes=2, threads=1, environments=2):
-    return Local(Local.Settings(processes=processes, threads=threads, environments=environments), "", build=Fake)
+    settings = Local.Settings(processes=processes, threads=threads, environments=environments)
+    return Local(settings, partial(Fake, ""))
 
 def step(orchestrator, trouble):
     orchestrator.step(range(orchestrator.size), np.full((orchestrator.size, 1), trouble, np.float32))
@@ -61,15 +63,13 @@ def wait_until_gone(pids: list[int]) -> None:
         sleep(0.02)
 
 
-@pytest.mark.parametrize("method", ["forkserver", "spawn"])
-def test_workers_import_neither_torch_nor_the_users_script(tmp_path, method):
+def test_workers_import_neither_torch_nor_the_users_script(tmp_path):
     """The script has no `if __name__ == "__main__"`, and stands for one that has imported torch."""
     output = run(
         tmp_path,
-        f"""
+        """
 import types
 sys.modules["torch"] = types.ModuleType("torch")
-start.START_METHOD = {method!r}
 print("the script runs")
 with make() as orchestrator:
     pids(orchestrator)
@@ -100,7 +100,7 @@ def part(kind, name):
 recipe = Recipe(part("environments", "robot_task"), part("robots", "panda"), part("tasks", "reach"))
 build_environment(recipe).reset(0)
 print("pybullet" in sys.modules, "torch" in sys.modules)
-with Local(Local.Settings(), recipe) as orchestrator:
+with Local(Local.Settings(), partial(build_environment, recipe)) as orchestrator:
     orchestrator.reset([0], [0])
     orchestrator.receive()
 """,

@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import sys
+from functools import partial
 
 import numpy as np
 import pytest
@@ -21,13 +22,14 @@ RAY = toy_runs.TOY | {"orchestrator": {"name": "ray", "workers": 2, "environment
 
 def make(recipe: str = "", **settings: float) -> Ray:
     pytest.importorskip("ray")
-    return Ray(Ray.Settings(workers=2, environments=2, failures=5, address="local", **settings), recipe, build=Fake)
+    chosen = Ray.Settings(workers=2, environments=2, failures=5, address="local", **settings)
+    return Ray(chosen, partial(Fake, recipe))
 
 
 def test_without_ray_the_extra_is_named(monkeypatch: pytest.MonkeyPatch) -> None:
     monkeypatch.setitem(sys.modules, "ray", None)
     with pytest.raises(MachineError, match=r"Ray is not installed; pip install 'karolos\[ray\]'"):
-        Ray(Ray.Settings(), "")
+        Ray(Ray.Settings(), partial(Fake, ""))
 
 
 def test_it_is_the_same_experiment_as_local_environments() -> None:
@@ -54,7 +56,7 @@ def test_a_worker_that_dies_or_hangs_is_replaced_and_an_environment_that_raises_
         orchestrator.step([0, 1, 2], np.array([[FINE], [FINE], [HANG]], np.float32))
         received = orchestrator.receive()
         assert (received.environment.tolist(), received.failed.tolist()) == ([0, 1], [2, 3])
-        assert "1 resets or steps took longer than 8 s" in str(received.failures[0].error)
+        assert "a reset or step took longer than 8 s" in str(received.failures[0].error)
         assert reset(orchestrator)[2] not in replaced
         assert orchestrator.parameters([3])[:, 0].tolist() == [3]
 

@@ -2,6 +2,7 @@
 
 import os
 import signal
+from functools import partial
 from time import sleep
 
 import numpy as np
@@ -11,7 +12,7 @@ from support.layouts import IN_PROCESS, ONE, THREADS, TWO, make, reset, step
 
 from karolos.environments.toy import Toy
 from karolos.errors import MachineError, PluginError, WorkerError
-from karolos.orchestrator import channels, pool
+from karolos.orchestrator import pool, processes
 from karolos.orchestrator.local import Local
 
 every_layout = pytest.mark.parametrize("layout", [IN_PROCESS, ONE, TWO, THREADS], ids=["0", "1", "2", "threads"])
@@ -149,7 +150,7 @@ def test_a_replacement_that_does_not_build_is_a_failure_too(tmp_path, monkeypatc
         os.kill(pids[0], signal.SIGKILL)
         orchestrator.reset([0], [0])
         assert orchestrator.receive().failed.tolist() == [0, 1, 2, 3]
-        monkeypatch.setattr(channels, "start_worker", _refuse)
+        monkeypatch.setattr(processes, "start_worker", _refuse)
         orchestrator.reset([0], [0])
         with pytest.raises(WorkerError, match="SIGKILL"):
             orchestrator.receive()
@@ -157,7 +158,7 @@ def test_a_replacement_that_does_not_build_is_a_failure_too(tmp_path, monkeypatc
 
 @pytest.mark.parametrize("kills", [2, 3])
 def test_a_worker_killed_while_it_builds_its_first_environments_is_replaced_within_the_limit(kills, monkeypatch):
-    start, killed = channels.start_worker, []
+    start, killed = processes.start_worker, []
 
     def start_and_kill(*arguments):
         process, connections = start(*arguments)
@@ -166,12 +167,12 @@ def test_a_worker_killed_while_it_builds_its_first_environments_is_replaced_with
             killed.append(process)
         return process, connections
 
-    monkeypatch.setattr(channels, "start_worker", start_and_kill)
+    monkeypatch.setattr(processes, "start_worker", start_and_kill)
     if kills == 3:
         with pytest.raises(WorkerError, match="SIGKILL"):
-            make(ONE, failures=2)
+            make(ONE, "slow", failures=2)
         return
-    with make(ONE, failures=2) as orchestrator:
+    with make(ONE, "slow", failures=2) as orchestrator:
         reset(orchestrator)
         assert len(killed) == 2
 
@@ -181,7 +182,7 @@ def _refuse(*_: object) -> None:
 
 
 def test_a_machine_that_gives_no_worker_at_the_start_is_a_clear_error(monkeypatch):
-    monkeypatch.setattr(channels, "start_worker", _refuse)
+    monkeypatch.setattr(processes, "start_worker", _refuse)
     with pytest.raises(MachineError, match="worker process 0 of 2 cannot be started"):
         make(TWO)
 
@@ -190,7 +191,7 @@ def test_episodes_after_a_replacement_are_what_they_would_have_been():
     settings = Toy.Settings(dimensions=3, max_steps=5, reward="dense", threshold=0.3)
     played = []
     for kill in (False, True):
-        with Local(Local.Settings(processes=2, environments=2, failures=1), settings, build=Toy) as orchestrator:
+        with Local(Local.Settings(processes=2, environments=2, failures=1), partial(Toy, settings)) as orchestrator:
             orchestrator.reset(range(4), range(4))
             orchestrator.receive()
             if kill:

@@ -1,12 +1,14 @@
 """What every layout of the local orchestrator keeps, and what Ray's actors keep, with the toy environment."""
 
+from functools import partial
+
 import numpy as np
 import pytest
 
 from karolos.core import Received, Step
+from karolos.environments.build import build_environment
 from karolos.environments.toy import Toy
 from karolos.errors import RunError, WorkerError
-from karolos.orchestrator import start
 from karolos.orchestrator.local import Local
 from karolos.orchestrator.ray import Ray
 from karolos.registry import load
@@ -19,27 +21,24 @@ LAYOUTS = {
     "one_process": (1, 1, SIZE),
     "two_processes": (2, 1, SIZE // 2),
     "two_threads": (1, 2, SIZE // 2),
-    "everything": (2, 2, 2),
-    "spawned": (2, 1, SIZE // 2),
+    "everything": (3, 2, 1),
 }
 
 
-def make(name: str, *, size: int | None = SIZE) -> Local:
+def make(name: str) -> Local:
     processes, threads, environments = LAYOUTS[name]
     settings = Local.Settings(processes=processes, threads=threads, environments=environments, failures=0)
-    return Local(settings, TOY, size=size, build=Toy)
+    return Local(settings, partial(Toy, TOY))
 
 
 @pytest.fixture(params=[*LAYOUTS, "ray"])
-def orchestrator(request, monkeypatch):
+def orchestrator(request):
     if request.param == "ray":
         pytest.importorskip("ray")
         settings = Ray.Settings(workers=2, environments=SIZE // 2, failures=0, address="local")
-        with Ray(settings, TOY, build=Toy) as made:
+        with Ray(settings, partial(Toy, TOY)) as made:
             yield made
         return
-    if request.param == "spawned":
-        monkeypatch.setattr(start, "START_METHOD", "spawn")
     with make(request.param) as made:
         yield made
 
@@ -187,14 +186,14 @@ def test_a_recipe_is_built_in_the_workers_and_plays_the_same_everywhere(name):
     recipe = Recipe(environment, part("robots", "panda"), part("tasks", "reach")) if name == "robot_task" else None
     seen = []
     for processes, threads in ((0, 1), (2, 1), (1, 2)):
-        settings = Local.Settings(processes=processes, threads=threads)
-        with Local(settings, recipe or Recipe(environment), size=3) as orchestrator:
+        settings = Local.Settings(processes=processes, threads=threads, environments=2 // max(processes, threads))
+        with Local(settings, partial(build_environment, recipe or Recipe(environment))) as orchestrator:
             generator = np.random.default_rng(0)
-            orchestrator.reset(range(3), range(3))
+            orchestrator.reset(range(2), range(2))
             steps = [orchestrator.receive().step]
             for _ in range(8):
-                actions = generator.uniform(-1, 1, (3, orchestrator.signature.action.size)).astype(np.float32)
-                orchestrator.step(range(3), actions)
+                actions = generator.uniform(-1, 1, (2, orchestrator.signature.action.size)).astype(np.float32)
+                orchestrator.step(range(2), actions)
                 steps.append(orchestrator.receive().step)
             seen.append(steps)
     assert seen[0][0].observation.std() > 0

@@ -2,8 +2,11 @@
 
 from __future__ import annotations
 
+import importlib
 import re
+from dataclasses import replace
 from pathlib import Path
+from xml.sax.saxutils import quoteattr
 
 import numpy as np
 import pytest
@@ -12,14 +15,15 @@ from support.commands import call
 from support.fourth_robot import TOOL, WIDTH, exported_arm
 
 from karolos.errors import PluginError
+from karolos.plugins.meshes import files_of, with_meshes
 from karolos.plugins.proposal import propose
+from karolos.plugins.starter import write_starter
 
 
 def test_arm_tool_gripper_home_and_workspace_are_found_in_a_urdf_as_exporters_write_it(tmp_path: Path) -> None:
-    path = exported_arm(tmp_path).model.urdf
-    found = propose(path)
+    found = propose(exported_arm(tmp_path).model.urdf)
     model, fingers = found.model, found.model.fingers
-    assert found.joints == tuple(f"joint{place}" for place in range(1, 7))
+    assert found.notes[1] == "arm: joint1, joint2, joint3, joint4, joint5, joint6"
     assert model.tool == (0.0, 0.0, TOOL)  # the frame tool0
     assert fingers is not None
     assert fingers.joints == ("slide1", "slide2")
@@ -54,6 +58,8 @@ def test_a_gripper_with_turning_fingers_is_locked(tmp_path: Path) -> None:
         ('effort="15" velocity="0.06"', 'effort="0" velocity="0"', "joint slide1: limits must satisfy"),
         ("small_description/meshes", "elsewhere", "link base: there is no mesh 'package://elsewhere/mark.obj'"),
         ('<mass value="1.2"/>', '<mass value="0"/>', "link link3: it moves and has no mass"),
+        ('"joint3"', '"j&#10;import os"', r"a name with control characters: 'j\nimport os'"),
+        ('"link3"', '"l&#x202e;"', r"a name with control characters: 'l\u202e'"),
     ],
 )
 def test_a_urdf_that_does_not_work_is_refused_in_one_line_and_nothing_is_written(
@@ -70,6 +76,46 @@ def test_a_urdf_that_does_not_work_is_refused_in_one_line_and_nothing_is_written
     assert not (tmp_path / "new").exists()
 
 
+HOSTILE = (r"C:\new\u", '"""+1/0+"""', "it's", "#{x}", "$$name")
+"""Names that are not what they seem in Python source, its docstrings and comments, or in a template."""
+
+
+def test_names_become_literals_in_the_module(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
+    path = exported_arm(tmp_path).model.urdf
+    text = path.read_text()
+    for old, new in zip(("joint1", "slide1", "pad1", "link6", "elbow"), HOSTILE, strict=True):
+        text = text.replace(f'"{old}"', quoteattr(new))
+    (hostile := path.with_name('"""; 1 if.urdf')).write_text(text)
+    _, notes = write_starter("robot", "mine", tmp_path / "mine", urdf=hostile)
+    monkeypatch.syspath_prepend(tmp_path / "mine" / "src")
+    module = importlib.import_module("karolos_mine.mine")
+    assert notes == module.ASSUMED
+    assert HOSTILE[0] in module.ASSUMED[1]
+    assert module.Mine.model == replace(propose(hostile).model, urdf=module.Mine.model.urdf)
+    assert module.Mine.model.fingers.joints[0] == HOSTILE[1]
+    module.Mine(module.Mine.Settings())  # the model fits the URDF in the package
+
+
+def test_a_mesh_takes_only_materials_and_pictures_below_its_own_folder_with_it(tmp_path: Path) -> None:
+    path = exported_arm(tmp_path).model.urdf
+    meshes = path.parent.parent / "meshes"
+    (meshes / "pictures").mkdir()
+    for file in ("mark.mtl", "pictures/skin.png", "notes.txt", "../secret.mtl", "secret.png", "pictures/hidden.jpg"):
+        (meshes / file).write_text("x")
+    (meshes / "pictures" / "out.png").symlink_to(path)
+    (meshes / "pictures" / "out.mtl").symlink_to(meshes.parent / "secret.mtl")
+    wanted = ("mark.mtl", "notes.txt", "/etc/passwd", "../secret.mtl", "gone.mtl", "pictures/out.mtl")
+    mark = meshes / "mark.obj"
+    mark.write_text("".join(f"mtllib {name}\n" for name in wanted) + mark.read_text())
+    (meshes / "mark.mtl").write_text(f"map_Kd -s 1 1 1 pictures/skin.png\nmap_d {path}\nmap_Ks pictures/out.png\n")
+    text, copies = with_meshes(path)
+    assert sorted(copies) == ["meshes/mark.mtl", "meshes/mark.obj", "meshes/pictures/skin.png"]
+    assert 'filename="meshes/mark.obj"' in text
+    collada = meshes / "mark.dae"
+    collada.write_text("".join(f"<init_from>{name}</init_from>" for name in (*wanted, "pictures/hidden.jpg")))
+    assert [file.name for file in files_of(collada)] == ["mark.dae", "mark.mtl", "hidden.jpg", "skin.png"]
+
+
 def test_of_two_arms_one_is_chosen_by_its_tool(tmp_path: Path) -> None:
     path = exported_arm(tmp_path).model.urdf
     whole = path.read_text()
@@ -81,7 +127,7 @@ def test_of_two_arms_one_is_chosen_by_its_tool(tmp_path: Path) -> None:
     ):
         propose(path)
     found = propose(path, "left_tool0")
-    assert found.joints[0] == "left_joint1"
+    assert found.notes[1].startswith("arm: left_joint1, ")
     assert found.model.tool == (0, 0, TOOL)
     with pytest.raises(PluginError, match="there is no link 'tool7'; links: world, base"):
         propose(path, "tool7")

@@ -10,11 +10,8 @@ from pydantic import ValidationError
 
 from karolos.core.seeding import Generator
 from karolos.errors import RunError, UsageError
-from karolos.randomization.choice import Choice
-from karolos.randomization.log_uniform import LogUniform
-from karolos.randomization.normal import Normal
+from karolos.randomization.distributions import Choice, LogUniform, Normal, UniformDistribution
 from karolos.randomization.randomization import Randomization, RandomizedParameter
-from karolos.randomization.uniform import Uniform
 
 DECLARED = {
     "task.gravity": RandomizedParameter("m/s2", -9.81, -20.0, 0.0),
@@ -26,9 +23,13 @@ def generator(seed: int = 0) -> Generator:
     return np.random.Generator(np.random.PCG64(seed))
 
 
+def uniform(low: float, high: float) -> UniformDistribution:
+    return UniformDistribution(UniformDistribution.Settings(low=low, high=high))
+
+
 @given(st.floats(-5, 5), st.floats(0, 5), st.integers(0, 1000))
 def test_uniform_stays_between_its_bounds(low: float, width: float, seed: int) -> None:
-    value = Uniform(Uniform.Settings(low=low, high=low + width)).draw(generator(seed))
+    value = uniform(low=low, high=low + width).draw(generator(seed))
     assert low <= value <= low + width
 
 
@@ -46,7 +47,7 @@ def test_distributions_have_the_moments_they_say() -> None:
         return float(np.mean(values)), float(np.std(values))
 
     assert mean(Normal(Normal.Settings(mean=3.0, std=0.5)).draw) == pytest.approx((3.0, 0.5), rel=0.05)
-    assert mean(Uniform(Uniform.Settings(low=0.0, high=2.0)).draw)[0] == pytest.approx(1.0, rel=0.05)
+    assert mean(uniform(low=0.0, high=2.0).draw)[0] == pytest.approx(1.0, rel=0.05)
     logarithm = LogUniform(LogUniform.Settings(low=0.1, high=10.0))
     assert mean(lambda random: float(np.log10(logarithm.draw(random))))[0] == pytest.approx(0.0, abs=0.05)
     weighted = Choice(Choice.Settings(values=(0.0, 1.0), weights=(1.0, 3.0)))
@@ -58,7 +59,7 @@ def test_distributions_have_the_moments_they_say() -> None:
     "make",
     [
         lambda: Normal.Settings(mean=0.0, std=-0.1),
-        lambda: Uniform.Settings(low=1.0, high=0.0),
+        lambda: UniformDistribution.Settings(low=1.0, high=0.0),
         lambda: LogUniform.Settings(low=0.0, high=1.0),
         lambda: LogUniform.Settings(low=2.0, high=1.0),
         lambda: Choice.Settings(values=()),
@@ -84,7 +85,7 @@ def test_values_outside_the_declared_range_are_drawn_again() -> None:
 
 def test_distribution_that_always_misses_is_a_named_error() -> None:
     with pytest.raises(RunError, match=r"randomization.robot.link_mass.*allowed is 0.5 to 2$"):
-        Randomization({"robot.link_mass": Uniform(Uniform.Settings(low=5.0, high=6.0))}, DECLARED)
+        Randomization({"robot.link_mass": uniform(low=5.0, high=6.0)}, DECLARED)
 
 
 @pytest.mark.parametrize("values", [(5.0,), (1.0, 5.0)])

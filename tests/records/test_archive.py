@@ -7,7 +7,6 @@ import os
 import subprocess
 import sys
 import tarfile
-import zipfile
 from pathlib import Path
 
 import pytest
@@ -40,50 +39,45 @@ def contents(folder: Path) -> dict[str, bytes]:
 
 def pack(path: Path, files: dict[str, bytes]) -> Path:
     """An archive with these names, whatever they are."""
-    if path.suffix == ".zip":
-        with zipfile.ZipFile(path, "w") as archive:
-            for name, data in files.items():
-                archive.writestr(zipfile.ZipInfo(name), data)
-    else:
-        with tarfile.open(path, "w:gz") as tar:
-            for name, data in files.items():
-                entry = tarfile.TarInfo(name)
-                entry.size = len(data)
-                tar.addfile(entry, io.BytesIO(data))
+    with tarfile.open(path, "w:gz") as tar:
+        for name, data in files.items():
+            entry = tarfile.TarInfo(name)
+            entry.size = len(data)
+            tar.addfile(entry, io.BytesIO(data))
     return path
 
 
-@pytest.mark.parametrize("name", ["x.tar.gz", "x.tgz", "x.zip"])
-def test_runs_come_out_as_they_went_in(run: RunFolder, tmp_path: Path, name: str) -> None:
-    files = export_runs([run], tmp_path / name)
+def test_runs_come_out_as_they_went_in(run: RunFolder, tmp_path: Path) -> None:
+    files = export_runs([run], tmp_path / "x.tar.gz")
     assert files == len(contents(run.path))
-    (came,) = import_runs(tmp_path / name, tmp_path / "other")
+    (came,) = import_runs(tmp_path / "x.tar.gz", tmp_path / "other")
+    folder = tmp_path / "other" / run.id
+    assert came == RunFolder.open(folder).record()
     assert came.problems == ()
-    assert came.folder.path == tmp_path / "other" / run.id
-    assert contents(came.folder.path) == contents(run.path)
-    assert came.folder.record().tests == run.record().tests
+    assert contents(folder) == contents(run.path)
+    assert came.tests == run.record().tests
     assert [path.name for path in (tmp_path / "other").iterdir()] == [run.id]
 
 
 def test_checkpoints_can_be_left_out(run: RunFolder, tmp_path: Path) -> None:
-    export_runs([run], tmp_path / "x.zip", checkpoints=False)
-    (came,) = import_runs(tmp_path / "x.zip", tmp_path / "other")
-    assert not came.folder.checkpoints.exists()
-    assert came.folder.tests() == run.tests()
+    export_runs([run], tmp_path / "x.tar.gz", checkpoints=False)
+    (came,) = import_runs(tmp_path / "x.tar.gz", tmp_path / "other")
+    assert not (Path(came.summary.folder) / "checkpoints").exists()
+    assert came.tests == run.record().tests
 
 
 def test_export_refuses_what_is_there_or_running_and_leaves_nothing(run: RunFolder, tmp_path: Path) -> None:
     place = tmp_path / "out"
     place.mkdir()
-    with pytest.raises(UsageError, match=r"archives end in \.tar\.gz or \.zip"):
+    with pytest.raises(UsageError, match=r"archives end in \.tar\.gz"):
         export_runs([run], place / "x.rar")
-    (place / "x.zip").write_text("mine")
+    (place / "x.tar.gz").write_text("mine")
     with pytest.raises(UsageError, match="the file exists already"):
-        export_runs([run], place / "x.zip")
-    assert (place / "x.zip").read_text() == "mine"
+        export_runs([run], place / "x.tar.gz")
+    assert (place / "x.tar.gz").read_text() == "mine"
     with new_run(tmp_path / "runs", source=tmp_path) as busy, pytest.raises(RunError, match="another process"):
-        export_runs([run, RunFolder.open(busy.path)], place / "y.zip")
-    assert [path.name for path in place.iterdir()] == ["x.zip"]
+        export_runs([run, RunFolder.open(busy.path)], place / "y.tar.gz")
+    assert [path.name for path in place.iterdir()] == ["x.tar.gz"]
 
 
 KILLED = """
@@ -96,7 +90,7 @@ archive.import_runs(Path(sys.argv[1]), Path(sys.argv[2]))
 
 
 def test_the_next_import_removes_what_a_killed_one_unpacked(run: RunFolder, tmp_path: Path) -> None:
-    source, runs = tmp_path / "x.zip", tmp_path / "other"
+    source, runs = tmp_path / "x.tar.gz", tmp_path / "other"
     export_runs([run], source)
     done = subprocess.run([sys.executable, "-c", KILLED, source, runs], timeout=60, check=False)
     assert done.returncode == -9
@@ -111,14 +105,13 @@ def test_the_next_export_removes_what_a_killed_one_wrote(run: RunFolder, tmp_pat
         pass
     place = tmp_path / "out"
     place.mkdir()
-    left, other = (place / f".{name}.{dead.pid}.tmp" for name in ("x.zip", "notes"))
+    left, other = (place / f".{name}.{dead.pid}.tmp" for name in ("x.tar.gz", "notes"))
     left.touch()
     other.touch()
-    export_runs([run], place / "x.zip")
-    assert sorted(path.name for path in place.iterdir()) == sorted([other.name, "x.zip"])
+    export_runs([run], place / "x.tar.gz")
+    assert sorted(path.name for path in place.iterdir()) == sorted([other.name, "x.tar.gz"])
 
 
-@pytest.mark.parametrize("suffix", ["tar.gz", "zip"])
 @pytest.mark.parametrize(
     ("name", "told"),
     [
@@ -127,16 +120,14 @@ def test_the_next_export_removes_what_a_killed_one_wrote(run: RunFolder, tmp_pat
         ("/etc/evil", "is not a valid name in a run folder"),
         ("a-s0-1/\x1b[2J", "is not a valid name in a run folder"),
         ("a-s0-1/x\\..\\..\\evil", "is not a valid name in a run folder"),
-        ("a-s0-1/C:evil", "is not a valid name in a run folder"),
-        ("a-s0-1/NUL", "is not a valid name in a run folder"),
         ("evil", "is not in a run folder"),
         (".trash/x", "is not in a run folder"),
         ("a-s0-1/" + "d/" * 12 + "x", "is not in a run folder"),
         ("a-s0-1/RUN.json", "is in it twice"),
     ],
 )
-def test_name_that_leads_elsewhere_is_refused(tmp_path: Path, suffix: str, name: str, told: str) -> None:
-    source = pack(tmp_path / f"x.{suffix}", {"a-s0-1/run.json": json.dumps(DESCRIPTION).encode(), name: b"evil"})
+def test_name_that_leads_elsewhere_is_refused(tmp_path: Path, name: str, told: str) -> None:
+    source = pack(tmp_path / "x.tar.gz", {"a-s0-1/run.json": json.dumps(DESCRIPTION).encode(), name: b"evil"})
     with pytest.raises(UsageError) as caught:
         import_runs(source, tmp_path / "in" / "runs")
     assert told in str(caught.value)
@@ -155,26 +146,15 @@ def test_link_or_device_is_refused(tmp_path: Path, kind: bytes) -> None:
     assert list((tmp_path / "runs").iterdir()) == []
 
 
-def test_link_in_a_zip_is_refused(tmp_path: Path) -> None:
-    with zipfile.ZipFile(tmp_path / "x.zip", "w") as archive:
-        entry = zipfile.ZipInfo("a-s0-1/x")
-        entry.external_attr = 0o120777 << 16
-        archive.writestr(entry, "/etc/passwd")
-    with pytest.raises(UsageError, match="is a link or device"):
-        import_runs(tmp_path / "x.zip", tmp_path / "runs")
-
-
-@pytest.mark.parametrize("suffix", ["tar.gz", "zip"])
-def test_archive_that_unpacks_to_too_much_is_refused(tmp_path: Path, suffix: str) -> None:
-    bomb = pack(tmp_path / f"x.{suffix}", {"a-s0-1/zeros": bytes(3_000_000)})
+def test_archive_that_unpacks_to_too_much_is_refused(tmp_path: Path) -> None:
+    bomb = pack(tmp_path / "x.tar.gz", {"a-s0-1/zeros": bytes(3_000_000)})
     with pytest.raises(UsageError, match="it unpacks to more than 2,000,000 bytes"):
         import_runs(bomb, tmp_path / "runs", most_bytes=2_000_000)
     assert list((tmp_path / "runs").iterdir()) == []
 
 
-@pytest.mark.parametrize("suffix", ["tar.gz", "zip"])
-def test_damaged_archive_is_told_and_brings_nothing(run: RunFolder, tmp_path: Path, suffix: str) -> None:
-    source = tmp_path / f"x.{suffix}"
+def test_damaged_archive_is_told_and_brings_nothing(run: RunFolder, tmp_path: Path) -> None:
+    source = tmp_path / "x.tar.gz"
     export_runs([run], source)
     whole = source.read_bytes()
     for damaged in (whole[: len(whole) // 2], b"", b"hello", whole[:100] + b"\xff" * 500 + whole[600:]):
@@ -183,7 +163,7 @@ def test_damaged_archive_is_told_and_brings_nothing(run: RunFolder, tmp_path: Pa
             import_runs(source, tmp_path / "other")
         assert list((tmp_path / "other").iterdir()) == []
     with pytest.raises(UsageError, match="the archive cannot be opened"):
-        import_runs(tmp_path / f"none.{suffix}", tmp_path / "other")
+        import_runs(tmp_path / "none.tar.gz", tmp_path / "other")
 
 
 def test_run_that_is_here_is_refused_and_the_others_do_not_come(run: RunFolder, tmp_path: Path) -> None:
@@ -192,22 +172,20 @@ def test_run_that_is_here_is_refused_and_the_others_do_not_come(run: RunFolder, 
     other.path.rename(tmp_path / "second" / "reach-s3-z")
     file = tmp_path / "second" / "reach-s3-z" / "run.json"
     file.write_text(json.dumps(json.loads(file.read_text()) | {"id": "reach-s3-z"}))
-    export_runs([RunFolder.open(tmp_path / "second" / "reach-s3-z"), run], tmp_path / "x.zip")
+    export_runs([RunFolder.open(tmp_path / "second" / "reach-s3-z"), run], tmp_path / "x.tar.gz")
     before = contents(tmp_path / "runs")
     with pytest.raises(UsageError, match=f"the run {run.id} exists already"):
-        import_runs(tmp_path / "x.zip", tmp_path / "runs")
+        import_runs(tmp_path / "x.tar.gz", tmp_path / "runs")
     assert contents(tmp_path / "runs") == before
-    with pytest.raises(UsageError, match="the run reach-s3-z exists already"):
-        import_runs(tmp_path / "x.zip", tmp_path / "new", known=lambda name: name == "reach-s3-z")
 
 
 def test_torn_lines_come_in_and_are_told(run: RunFolder, tmp_path: Path) -> None:
     with (run.path / "tests.jsonl").open("a") as file:
         file.write('{"steps":')
-    export_runs([run], tmp_path / "x.zip")
-    (came,) = import_runs(tmp_path / "x.zip", tmp_path / "other")
+    export_runs([run], tmp_path / "x.tar.gz")
+    (came,) = import_runs(tmp_path / "x.tar.gz", tmp_path / "other")
     assert came.problems == ("tests.jsonl:2: the last line is torn; left out",)
-    assert len(came.folder.tests()) == 1
+    assert len(came.tests) == 1
 
 
 @pytest.mark.parametrize(
@@ -222,35 +200,20 @@ def test_torn_lines_come_in_and_are_told(run: RunFolder, tmp_path: Path) -> None
 )
 def test_folder_that_is_no_run_is_refused(tmp_path: Path, files: dict[str, bytes], told: str) -> None:
     with pytest.raises(UsageError) as caught:
-        import_runs(pack(tmp_path / "x.zip", files), tmp_path / "runs")
+        import_runs(pack(tmp_path / "x.tar.gz", files), tmp_path / "runs")
     assert told in str(caught.value)
     assert list((tmp_path / "runs").iterdir()) == []
-
-
-@pytest.mark.parametrize("method", [zipfile.ZIP_DEFLATED, zipfile.ZIP_BZIP2, zipfile.ZIP_LZMA])
-def test_zip_with_damaged_data_is_refused_in_one_line(run: RunFolder, tmp_path: Path, method: int) -> None:
-    source = tmp_path / "x.zip"
-    with zipfile.ZipFile(source, "w", method) as archive:
-        archive.writestr("a-s0-1/run.json", bytes(range(256)) * 40)
-        entry = archive.infolist()[0]
-    data = bytearray(source.read_bytes())
-    for place in range(60, 60 + min(entry.compress_size - 25, 60)):
-        data[place] ^= 0x5A
-    source.write_bytes(data)
-    with pytest.raises(UsageError, match="the archive cannot be read"):
-        import_runs(source, tmp_path / "other")
-    assert list((tmp_path / "other").iterdir()) == []
 
 
 def test_an_error_between_two_runs_takes_back_the_first(
     run: RunFolder, tmp_path: Path, monkeypatch: pytest.MonkeyPatch
 ) -> None:
-    export_runs([run], tmp_path / "x.zip")
-    (second,) = import_runs(tmp_path / "x.zip", tmp_path / "second")
-    path = second.folder.path.rename(tmp_path / "second" / "reach-s3-z")
+    export_runs([run], tmp_path / "x.tar.gz")
+    (second,) = import_runs(tmp_path / "x.tar.gz", tmp_path / "second")
+    path = Path(second.summary.folder).rename(tmp_path / "second" / "reach-s3-z")
     description = json.loads((path / "run.json").read_text())
     (path / "run.json").write_text(json.dumps({**description, "id": path.name}))
-    export_runs([RunFolder.open(path), run], tmp_path / "y.zip")
+    export_runs([RunFolder.open(path), run], tmp_path / "y.tar.gz")
     rename, into = os.rename, tmp_path / "other"
 
     def fail(source: Path, target: Path) -> None:
@@ -260,5 +223,5 @@ def test_an_error_between_two_runs_takes_back_the_first(
 
     monkeypatch.setattr(os, "rename", fail)
     with pytest.raises(MachineError, match="disk is full"):
-        import_runs(tmp_path / "y.zip", into)
+        import_runs(tmp_path / "y.tar.gz", into)
     assert list(into.iterdir()) == []

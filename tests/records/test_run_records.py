@@ -1,19 +1,11 @@
 from __future__ import annotations
 
 from datetime import UTC, datetime, timedelta, timezone
-from typing import Any
 
-import pytest
 from hypothesis import given
 from hypothesis import strategies as st
 
-from karolos.records.run_records import RunState, timestamp
-
-
-@pytest.mark.parametrize("row", [{"state": "done"}, {"steps": "many"}, {"steps": float("inf")}, {"seconds": []}])
-def test_an_object_that_is_not_a_state_is_none(row: dict[str, Any]) -> None:
-    assert RunState.from_row({}) == RunState("created")
-    assert RunState.from_row(row) is None
+from karolos.records.run_records import timestamp
 
 
 @given(st.datetimes(datetime(2000, 1, 1), datetime(2100, 1, 1)), st.timedeltas(), st.integers(-12, 12))

@@ -119,14 +119,12 @@ def test_folder_that_cannot_be_made_is_an_error(tmp_path: Path) -> None:
         figures.write_figures([], tmp_path / "file" / "figures")
 
 
-def test_figure_of_a_page_has_classes_tooltips_and_ids_of_its_own() -> None:
+def test_figure_of_a_page_has_classes_and_tooltips() -> None:
     svg = figures.learning(comparison(), "steps").svg()
     root = ElementTree.fromstring(svg)
     seeds = [element for element in root.iter("g") if element.get("class") == "seed series-0"]
     assert [seed.findtext("title") for seed in seeds][3] == "$x_1 <b>&$, seed 3: $x_1 <b>&$-s3 (finished)"
-    assert all(element.get("id", "success_over_steps-").startswith("success_over_steps-") for element in root.iter())
-    for part in ("style=", "<style", "xmlns", "http"):
-        assert part not in svg
+    assert "http" not in svg
 
 
 def test_long_names_keep_both_ends() -> None:

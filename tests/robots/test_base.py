@@ -2,33 +2,14 @@
 
 from __future__ import annotations
 
-from typing import Any, get_args
-
 import numpy as np
 import pytest
-from support.rig import expert_episode, part
-
-from karolos.environments.build import build_environment
-from karolos.environments.robot_task import RobotTask
-from karolos.simulation.engines import Engine, installed
-from karolos.spec.parts import Recipe
-
-ENGINES = [name for name in get_args(Engine) if installed(name)]
-ROBOTS = ("panda", "ur5", "iiwa")
-
-
-def build(robot: str, task: str, engine: str, **settings: Any) -> RobotTask:
-    recipe = Recipe(
-        part("environments", "robot_task", engine=engine), part("robots", robot, **settings), part("tasks", task)
-    )
-    made = build_environment(recipe)
-    assert isinstance(made, RobotTask)
-    return made
+from support.rig import ENGINES, ROBOTS, expert_episode, made
 
 
 @pytest.mark.parametrize("robot", ROBOTS)
 def test_the_middle_of_the_workspace_is_above_the_origin(robot: str) -> None:
-    centred, plain = (build(robot, "reach", "bullet", base=base).robot for base in ("centred", "origin"))
+    centred, plain = (made("reach", robot, arm={"base": base}).robot for base in ("centred", "origin"))
     assert plain.base == (0.0, 0.0, 0.0)
     assert centred.workspace.centre[:2] == pytest.approx((0, 0), abs=1e-12)
     assert centred.workspace.low[2] == plain.workspace.low[2]
@@ -38,7 +19,9 @@ def test_the_middle_of_the_workspace_is_above_the_origin(robot: str) -> None:
 @pytest.mark.parametrize("engine", ENGINES)
 @pytest.mark.parametrize("task", ["reach", "push", "pick_place", "throw"])
 def test_an_episode_is_that_of_an_arm_at_the_origin_moved(task: str, engine: str) -> None:
-    centred, plain = (build("ur5", task, engine, base=base) for base in ("centred", "origin"))
+    centred, plain = (
+        made(task, "ur5", environment={"engine": engine}, arm={"base": base}) for base in ("centred", "origin")
+    )
     x, y, z = centred.robot.base
     layout = plain.signature.observation
     positions = [layout.slice(name) for name in ("tool_position", "object_position") if name in layout.names]
@@ -53,5 +36,5 @@ def test_an_episode_is_that_of_an_arm_at_the_origin_moved(task: str, engine: str
             for columns in positions:
                 np.testing.assert_allclose(a.observation[columns], b.observation[columns] + (x, y, z), atol=1e-3)
     np.testing.assert_allclose(np.subtract(centred.camera.target, plain.camera.target), centred.robot.base)
-    for made in (centred, plain):
-        made.close()
+    for environment in (centred, plain):
+        environment.close()

@@ -2,22 +2,19 @@
 
 from __future__ import annotations
 
-from typing import Any, get_args
+from typing import Any
 
 import numpy as np
 import pytest
-
-from karolos.plugins.contracts import candidate
-from karolos.plugins.contracts.joined import join
-from karolos.simulation.engines import Engine, installed
+from support.rig import ENGINES, ROBOTS, made
 
 DEEPEST = 0.005
 
 
-@pytest.mark.parametrize("engine", [name for name in get_args(Engine) if installed(name)])
-@pytest.mark.parametrize("robot", ["panda", "ur5", "iiwa"])
-def test_full_joint_actions_bring_no_link_deep_into_the_floor(robot: str, engine: Engine) -> None:
-    environment = join(candidate("robots", robot, engine, control="joint"), candidate("tasks", "reach"))
+@pytest.mark.parametrize("engine", ENGINES)
+@pytest.mark.parametrize("robot", ROBOTS)
+def test_full_joint_actions_bring_no_link_deep_into_the_floor(robot: str, engine: str) -> None:
+    environment = made("reach", robot, environment={"engine": engine}, arm={"control": "joint"})
     arm: Any = environment.robot
     depth = 0.0
     for seed in range(20):

@@ -1,79 +1,14 @@
-from __future__ import annotations
+"""An arm with its gripper: grasping, yaw, delay, noise."""
 
-from math import cos, pi, sin
+from __future__ import annotations
 
 import numpy as np
 import pytest
 
-from karolos.core import Array
 from karolos.environments.robot_task import RobotTask
 from karolos.errors import PluginError
 from karolos.robots.panda import Panda
-from karolos.simulation import urdf
 from karolos.tasks.reach import Reach
-
-# Franka Emika's interface documentation: a, d in m and alpha of the joints and the flange, after Craig
-DENAVIT_HARTENBERG = (
-    (0.0, 0.333, 0.0),
-    (0.0, 0.0, -pi / 2),
-    (0.0, 0.316, pi / 2),
-    (0.0825, 0.0, pi / 2),
-    (-0.0825, 0.384, -pi / 2),
-    (0.0, 0.0, pi / 2),
-    (0.088, 0.0, pi / 2),
-    (0.0, 0.107, 0.0),
-)
-POSES = (
-    (0.0,) * 7,
-    (0.0, 0.41, 0.0, -1.85, 0.0, 2.26, 0.79),
-    (0.0, -pi / 4, 0.0, -3 * pi / 4, 0.0, pi / 2, pi / 4),
-    (1.1, -0.6, 0.7, -2.2, -1.3, 1.9, 2.4),
-)
-
-
-def flange(pose: tuple[float, ...]) -> Array:
-    """The flange's frame (4, 4), straight from the table."""
-    frame = np.eye(4)
-    for (a, d, alpha), theta in zip(DENAVIT_HARTENBERG, (*pose, 0.0), strict=True):
-        frame = frame @ np.array(
-            [
-                [cos(theta), -sin(theta), 0, a],
-                [sin(theta) * cos(alpha), cos(theta) * cos(alpha), -sin(alpha), -d * sin(alpha)],
-                [sin(theta) * sin(alpha), cos(theta) * sin(alpha), cos(alpha), d * cos(alpha)],
-                [0, 0, 0, 1],
-            ]
-        )
-    return frame
-
-
-def panda(**settings: object) -> Panda:
-    return Panda(Panda.Settings.model_validate(settings))
-
-
-@pytest.mark.parametrize("pose", POSES)
-def test_forward_kinematics_is_that_of_the_published_table(pose: tuple[float, ...]) -> None:
-    frame = flange(pose)
-    tool = panda().chain.forward(pose).tool
-    np.testing.assert_allclose(tool.position, frame[:3, 3] + 0.1034 * frame[:3, 2], atol=1e-6)
-    np.testing.assert_allclose(tool.z, frame[:3, 2], atol=1e-6)
-    # the hand sits on the flange turned by -45 degrees
-    turned = (frame[:3, 0] - frame[:3, 1]) / 2**0.5
-    np.testing.assert_allclose(tool.x, turned, atol=1e-6)
-
-
-def test_tool_at_the_neutral_pose_is_where_it_is_known_to_be() -> None:
-    assert panda().home == pytest.approx((0.638, 0.0, 0.199), abs=1e-3)
-
-
-def test_links_are_the_joints_and_the_base() -> None:
-    robot = urdf.read(Panda.model.urdf)
-    assert len(robot.findall("link")) == 7 + 2 + 1
-
-
-def test_mass_is_that_of_the_identified_links() -> None:
-    masses = [float(mass.get("value", "nan")) for mass in urdf.read(Panda.model.urdf).iter("mass")]
-    identified = 0.6298 + 4.9707 + 0.6469 + 3.2286 + 3.5879 + 1.2259 + 1.6666 + 0.7355 + 0.73 + 2 * 0.015
-    assert sum(masses) == pytest.approx(identified, abs=1e-4)
 
 
 class Grasping(Reach):
@@ -84,9 +19,7 @@ class Grasping(Reach):
 
 def environment(task: type[Reach] = Reach, **settings: object) -> RobotTask:
     return RobotTask(
-        RobotTask.Settings.model_validate({}),
-        robot=panda(**settings),
-        task=task(task.Settings.model_validate({"max_steps": 1000})),
+        RobotTask.Settings(), robot=Panda(Panda.Settings(**settings)), task=task(task.Settings(max_steps=1000))
     )
 
 

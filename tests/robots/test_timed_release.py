@@ -6,31 +6,14 @@ from collections.abc import Sequence
 
 import numpy as np
 import pytest
-from support.rig import part
+from support.rig import ENGINES, made
 
 from karolos.core import Array
-from karolos.environments.build import build_environment
 from karolos.environments.robot_task import RobotTask
-from karolos.spec.parts import Recipe
 
 
-@pytest.fixture(params=["bullet", "mujoco"])
-def engine(request: pytest.FixtureRequest) -> str:
-    if request.param == "mujoco":
-        pytest.importorskip("mujoco")
-    return str(request.param)
-
-
-def made(engine: str = "bullet", *, timed: bool = True) -> RobotTask:
-    environment = build_environment(
-        Recipe(
-            part("environments", "robot_task", engine=engine),
-            part("robots", "ur5", timed_release=timed),
-            part("tasks", "throw", end_at_release=1.0),
-        )
-    )
-    assert isinstance(environment, RobotTask)
-    return environment
+def throwing(engine: str, *, timed: bool = True) -> RobotTask:
+    return made("throw", "ur5", environment={"engine": engine}, arm={"timed_release": timed}, end_at_release=1.0)
 
 
 def swing(environment: RobotTask, commands: Sequence[float]) -> Array:
@@ -45,8 +28,9 @@ def swing(environment: RobotTask, commands: Sequence[float]) -> Array:
     raise AssertionError("nothing was thrown")
 
 
+@pytest.mark.parametrize("engine", ENGINES)
 def test_the_gripper_opens_later_in_the_step_the_less_it_is_told_to_open(engine: str) -> None:
-    environment = made(engine)
+    environment = throwing(engine)
     environment.reset(0)
     held = 2 * environment.robot.opening - 1
     early, late = swing(environment, [1.0]), swing(environment, [-1.0, 1.0])
@@ -60,14 +44,16 @@ def test_the_gripper_opens_later_in_the_step_the_less_it_is_told_to_open(engine:
     environment.close()
 
 
+@pytest.mark.parametrize("engine", ENGINES)
 def test_an_episode_forgets_the_release_of_the_one_before(engine: str) -> None:
-    environment = made(engine)
+    environment = throwing(engine)
     first = swing(environment, [0.3])
     assert np.array_equal(swing(environment, [0.3]), first)
     environment.close()
 
 
+@pytest.mark.parametrize("engine", ENGINES)
 def test_without_it_the_gripper_opens_at_the_beginning_of_the_step(engine: str) -> None:
-    environment = made(engine, timed=False)
+    environment = throwing(engine, timed=False)
     assert swing(environment, [0.3]) == pytest.approx(swing(environment, [1.0]), abs=1e-3)
     environment.close()

@@ -5,19 +5,18 @@ from __future__ import annotations
 import sys
 from collections.abc import Iterator
 from pathlib import Path
-from typing import Any, get_args
+from typing import Any
 
 import numpy as np
 import pytest
 from karolos_cli.main import app
+from support.rig import ENGINES, made
 from typer.testing import CliRunner
 
 from karolos.errors import MachineError, PluginError
-from karolos.plugins.contracts import candidate
-from karolos.plugins.contracts.joined import joined
 from karolos.robots.panda import Panda
 from karolos.simulation import engines, urdf
-from karolos.simulation.engines import Engine, installed, make_world
+from karolos.simulation.engines import Engine, make_world
 from karolos.simulation.interface import Body, Camera, JointLimits, Motors, World
 from karolos.spec import spec_from_dict
 
@@ -31,7 +30,7 @@ PENDULUM = """
 WEIGHT = 2 * 9.81 * 0.5  # N m about the hinge
 
 
-@pytest.fixture(params=[name for name in get_args(Engine) if installed(name)])
+@pytest.fixture(params=ENGINES)
 def engine(request: pytest.FixtureRequest) -> Engine:
     return request.param
 
@@ -245,25 +244,25 @@ def test_a_body_hides_the_marker_behind_it(world: World) -> None:
 
 
 def test_a_held_cube_stays_in_the_hand_while_the_arm_swings(engine: Engine) -> None:
-    panda, pick = candidate("robots", "panda", engine, control="joint"), candidate("tasks", "pick_place")
-    with joined(panda, pick, start_grasped=1.0) as environment:
-        environment.reset(0)
-        robot, cube = environment.robot, environment.task.cube  # type: ignore[attr-defined]
+    environment = made("pick_place", environment={"engine": engine}, arm={"control": "joint"}, start_grasped=1.0)
+    environment.reset(0)
+    robot, cube = environment.robot, environment.task.cube  # type: ignore[attr-defined]
 
-        def place() -> np.ndarray:
-            """The cube's position in the tool's frame."""
-            tool = robot.forward(robot.joint_positions).tool
-            offset: np.ndarray = np.array([tool.x, tool.y, tool.z]) @ np.subtract(cube.position, tool.position)
-            return offset
+    def place() -> np.ndarray:
+        """The cube's position in the tool's frame."""
+        tool = robot.forward(robot.joint_positions).tool
+        offset: np.ndarray = np.array([tool.x, tool.y, tool.z]) @ np.subtract(cube.position, tool.position)
+        return offset
 
-        hold = np.array([0.0] * 7 + [-1.0])
-        for _ in range(4):
-            environment.step(hold)
-        before, swing = place(), hold + np.eye(8)[0]
-        for _ in range(20):
-            environment.step(swing)
-        assert robot.joint_velocities[0] > 2
-        assert np.linalg.norm(place() - before) < 1e-3
+    hold = np.array([0.0] * 7 + [-1.0])
+    for _ in range(4):
+        environment.step(hold)
+    before, swing = place(), hold + np.eye(8)[0]
+    for _ in range(20):
+        environment.step(swing)
+    assert robot.joint_velocities[0] > 2
+    assert np.linalg.norm(place() - before) < 1e-3
+    environment.close()
 
 
 def test_a_urdf_that_the_engine_refuses_is_a_clear_error(world: World) -> None:

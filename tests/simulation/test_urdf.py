@@ -59,10 +59,7 @@ def test_welded_robot_weighs_as_much_on_its_joints_as_the_whole_one() -> None:
 
     def torques(index: int, fingers: int) -> list[float]:
         nothing = [0.0] * (7 + fingers)
-        found = world.api.calculateInverseDynamics(
-            index, pose + [0.0] * fingers, nothing, nothing, physicsClientId=world.client
-        )
-        return list(found[:7])
+        return list(world.api.calculateInverseDynamics(index, pose + [0.0] * fingers, nothing, nothing)[:7])
 
     np.testing.assert_allclose(torques(welded.index, 0), torques(whole.index, 2), atol=1e-4)
     world.close()

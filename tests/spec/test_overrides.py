@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 import pytest
-from support.spec_files import GOOD, problems_of, write
+from support.spec_files import GOOD, write
 
 from karolos.spec import load_spec
 
@@ -54,38 +54,3 @@ def test_override_of_the_same_name_keeps_the_settings(path):
 
 def test_empty_value_leaves_out(path):
     assert load_spec(path, ["randomization="]).randomization == {}
-
-
-@pytest.mark.parametrize(
-    ("override", "expected"),
-    [
-        ("agent.lr=1", "override agent.lr=1: agent.lr: no such key; allowed: name, learning_rate"),
-        ("agent.discount=2", "override agent.discount=2: agent.discount: should be less than 1, not 2"),
-        ("agnt.discount=2", "override agnt.discount=2: agnt: no such key; did you mean 'agent'?"),
-        ("seeds=[0,1", "override seeds=[0,1: column 11: not valid YAML"),
-        ("seeds=[0, *x]", "override seeds=[0, *x]: column 11: no anchor &x"),
-        (
-            "training={steps: 1, steps: 2}",
-            "override training={steps: 1, steps: 2}: column 21: duplicate key 'steps', first at",
-        ),
-        ("training.steps", "override training.steps: has no =; write path.to.key=value"),
-        ("=3", "override =3: '' is not a path of keys"),
-        ("agent..discount=1", "override agent..discount=1: 'agent..discount' is not a path of keys"),
-        ("extends=x.yaml", "override extends=x.yaml: extends: cannot be overridden"),
-        ("name=#1", "override name=#1: name: the value is a comment"),
-        ("name=../x", "override name=../x: name: '../x' is not allowed"),
-        ("name=!!python/name:os.system", "override name=!!python/name:os.system: column 6: the tag "),
-        ("training.steps.x=1", "override training.steps.x=1: training.steps: should be an integer, not a mapping"),
-    ],
-)
-def test_bad_override_is_named(path, override, expected):
-    (line,) = problems_of(path, override)
-    assert line.startswith(expected), line
-
-
-def test_every_bad_override_is_told_after_the_file(tmp_path):
-    path = write(tmp_path, "s.yaml", GOOD + "seed: 1\n")
-    found = problems_of(path, "training.steps=x", "agent.discount=x")
-    assert [line.split(": ")[0] for line in found] == [
-        "s.yaml:4:1", "override training.steps=x", "override agent.discount=x",
-    ]  # fmt: skip

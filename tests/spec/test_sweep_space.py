@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 import pytest
-from support.spec_files import GOOD, problems_of, write
+from support.spec_files import GOOD, REFUSED, problems_of, write
 
 from karolos.errors import SpecError
 from karolos.spec import load_spec, spec_from_dict, spec_of_trial
@@ -38,53 +38,11 @@ def test_a_sweep_is_no_part_of_the_experiment(path):
     assert spec.alone().origins == spec.origins
 
 
-@pytest.mark.parametrize(
-    ("override", "words"),
-    [
-        ("sweep.space.agent.learning_rate={float: [-1, 1]}", ["agent.learning_rate", "greater than 0", "-1"]),
-        ("sweep.space.agent.discount={float: [0.5, 1]}", ["agent.discount", "less than 1"]),
-        ("sweep.space.agent.discont={float: [0.5, 0.9]}", ["agent.discont", "no such key", "'discount'"]),
-        ("sweep.space.agent.learning_rate={int: [1.5, 2]}", ["integer"]),
-        ("sweep.space.agent.learning_rate={float: [2, 1]}", ["lowest value 2"]),
-        ("sweep.space.agent.learning_rate={float: [0, 1], log: true}", ["log needs values above 0"]),
-        ("sweep.space.agent.learning_rate={float: [1, 2], int: [1, 2]}", ["one of float, int and choice"]),
-        ("sweep.space.agent.learning_rate={log: true}", ["one of float, int and choice"]),
-        ("sweep.space.agent.hidden={choice: [[64], ab]}", ["agent.hidden", "'ab'"]),
-        ("sweep.space.agent.hidden={choice: [[64], [64]]}", ["twice"]),
-        ("sweep.space.agent={choice: [learner, leaner]}", ["'leaner'", "'learner'"]),
-        ("sweep.space.agent={choice: [learner, latest]}", ["latest", "replays old ones"]),
-        ("sweep.space.agnt.discount={float: [0.5, 0.9]}", ["no such setting", "'agent'"]),
-        ("sweep.space.testing.interval={int: [5, 9]}", ["tested alike"]),
-        ("sweep.space.training.steps={int: [5, 9]}", ["same budget"]),
-        ("sweep.space.seeds={int: [5, 9]}", ["sweep.seeds"]),
-        ("sweep.space.buffer.hindsight.ratio={float: [0.5, 0.9]}", ["buffer.hindsight has no such setting", "when"]),
-        (
-            "sweep.space.buffer.hindsight.ratio={float: [0.5, 0.9], when: {buffer.hindsight: yes}}",
-            ["never 'yes'", "off, on"],
-        ),
-        (
-            "sweep.space.buffer.hindsight.ratio={float: [0.5, 0.9], when: {buffer.hindsigt: on}}",
-            ["is not a parameter", "'buffer.hindsight'"],
-        ),
-        (
-            "sweep.space.agent.discount={float: [0.5, 0.9], when: {agent.learning_rate: 1e-3}}",
-            ["is a range, not a choice"],
-        ),
-        ("sweep.space.agent.hidden={choice: [[1], [2]], when: {agent.hidden: [1]}}", ["circle"]),
-        ("sweep.objective=succes", ["'succes'", "success_end"]),
-        ("sweep.objective=[success_end, success_end]", ["twice"]),
-        ("sweep.pruner={warmup: 0.1}", ["sweep.pruner.warmup", "0.3"]),
-        ("sweep={objective: [success_end, steps_to_95], pruner: {}}", ["compares one objective"]),
-        ("sweep.sampler=grid", ["points", "agent.learning_rate"]),
-        ("sweep.seeds=[1,1]", ["none twice"]),
-        ("sweep.trails=3", ["no such key", "'trials'"]),
-        ("sweep.space=null", ["sweep.space"]),
-    ],
-)
-def test_a_search_that_cannot_be_is_told_before_it_begins(path, override, words):
+@pytest.mark.parametrize("override", REFUSED["searches"])
+def test_a_search_that_cannot_be_is_told_before_it_begins(path, override):
     (problem,) = problems_of(path, override)
     assert problem.startswith("override sweep")
-    assert all(word in problem for word in words), problem
+    assert all(words in problem for words in REFUSED["searches"][override]), problem
 
 
 def test_a_space_without_parameters_is_refused(tmp_path):

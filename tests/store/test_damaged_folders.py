@@ -3,45 +3,46 @@
 from __future__ import annotations
 
 import json
-from collections.abc import Iterator
+from collections.abc import Iterator, Sequence
 from pathlib import Path
-from typing import Any
 
 import pytest
 from karolos_cli import db
 from support.commands import call
 from support.databases import KINDS, empty_database
 from support.run_samples import new_run, result
+from support.store_samples import stored
 
-from karolos.errors import UsageError
 from karolos.records import RunFolder
 from karolos.records.archive import export_runs, import_runs
+from karolos.records.run_records import RunRecord
 from karolos.store import Store, check, reindex
+from karolos.store.database import RefusedValueError
 
-DAMAGE: list[tuple[str, str, Any]] = [
-    ("state.json", "seconds", "1e999"),
-    ("state.json", "steps", str(1 << 64)),
-    ("state.json", "attempt", str(1 << 40)),
-    ("state.json", "error", '"\\ud800"'),
-    ("state.json", "error", '"\\u0000"'),
-    ("run.json", "seed", "9" * 240),
-    ("run.json", "seed", "-1"),
-    ("run.json", "experiment", json.dumps("e" * 129)),
-    ("run.json", "versions", '{"torch": "\\u0000"}'),
-    ("run.json", "versions", "[1]"),
-    ("run.json", "git", "[1]"),
-    ("run.json", "command", "[1]"),
-    ("run.json", "created", '"\\ud800"'),
-    ("resolved.json", "note", '"\\u0000"'),
-    ("resolved.json", "note", "1e999"),
-    ("resolved.json", "note", "[" * 60 + "]" * 60),
+DAMAGE = [
+    ("seed", "9" * 5000),
+    ("seed", "-1"),
+    ("experiment", "3"),
+    ("versions", "[1]"),
+    ("git", "[1]"),
+    ("command", "[1]"),
+    ("created", '"\\ud800"'),
+    ("id", '"../x"'),
+    ("id", '"sweeps"'),
 ]
-MISREAD: list[tuple[str, str, Any]] = [
+"""Values with which run.json is damaged."""
+MISREAD = [
     ("state.json", "steps", "Infinity"),
-    ("state.json", "steps", "1e999"),
-    ("state.json", "seconds", "NaN"),
+    ("state.json", "steps", str(1 << 64)),
+    ("state.json", "attempt", "null"),
+    ("state.json", "state", '"done"'),
+    ("state.json", "seconds", "1e999"),
+    ("state.json", "error", '"\\ud800"'),
     ("resolved.json", "note", "NaN"),
+    ("resolved.json", "note", '"\\ud800"'),
+    ("resolved.json", "note", "[" * 300 + "]" * 300),
 ]
+"""Values with which another file is damaged."""
 
 
 def put(folder: RunFolder, file: str, key: str, text: str) -> None:
@@ -56,27 +57,22 @@ def store(request: pytest.FixtureRequest, tmp_path: Path) -> Iterator[Store]:
         yield store
 
 
-@pytest.mark.parametrize(("file", "key", "text"), DAMAGE)
-def test_a_folder_that_cannot_be_stored_is_named_and_the_others_are_indexed(
-    store: Store, tmp_path: Path, file: str, key: str, text: str
+@pytest.mark.parametrize(("key", "text"), DAMAGE)
+def test_a_folder_without_a_description_is_named_and_the_others_are_indexed(
+    store: Store, tmp_path: Path, key: str, text: str
 ) -> None:
-    good, bad = new_run(tmp_path), new_run(tmp_path)
-    for folder in (good, bad):
-        folder.add_test(result(10, 3))
-        folder.set_state("finished", steps=10)
-        folder.release()
-    put(bad, file, key, text)
+    with new_run(tmp_path) as good, new_run(tmp_path) as bad:
+        pass
+    put(bad, "run.json", key, text)
     done = reindex(store, tmp_path)
     assert [run.run for run in store.runs()] == [good.id]
     assert done.runs == 1
-    assert len(done.problems) == 1
-    assert bad.id in done.problems[0]
-    assert "\n" not in done.problems[0]
+    assert [bad.id in problem and "\n" not in problem for problem in done.problems] == [True]
     assert [bad.id in found.what for found in check(store, tmp_path)] == [True]
 
 
 @pytest.mark.parametrize(("file", "key", "text"), MISREAD)
-def test_a_file_that_is_not_json_is_named_and_the_rest_of_the_folder_is_indexed(
+def test_a_file_that_cannot_be_read_is_named_and_the_rest_of_the_folder_is_indexed(
     store: Store, tmp_path: Path, file: str, key: str, text: str
 ) -> None:
     with new_run(tmp_path) as bad:
@@ -84,6 +80,23 @@ def test_a_file_that_is_not_json_is_named_and_the_rest_of_the_folder_is_indexed(
     put(bad, file, key, text)
     assert reindex(store, tmp_path).problems == (f"{bad.id}: {file}: missing or damaged",)
     assert [run.run for run in store.runs()] == [bad.id]
+    assert [one.what for one in check(store, tmp_path)] == [f"{bad.id}: {file}: missing or damaged"]
+
+
+@pytest.mark.parametrize(
+    ("file", "key"), [("state.json", "error"), ("run.json", "versions"), ("resolved.json", "note")]
+)
+@pytest.mark.parametrize("text", ['"\\u0000"', '"1e999"', "1e999", "[" * 60 + "]" * 60, '"' + "x" * 1000 + '"'])
+def test_an_odd_value_is_stored_or_its_run_is_named(
+    store: Store, tmp_path: Path, file: str, key: str, text: str
+) -> None:
+    with new_run(tmp_path) as good, new_run(tmp_path) as bad:
+        pass
+    put(bad, file, key, f'{{"x": {text}}}' if key == "versions" else text)
+    done = reindex(store, tmp_path)
+    indexed = {run.run for run in store.runs()}
+    assert indexed == {good.id, bad.id} or (indexed == {good.id} and [bad.id in one for one in done.problems] == [True])
+    assert [one for one in check(store, tmp_path) if one.run == good.id] == []
 
 
 @pytest.mark.parametrize(
@@ -98,25 +111,35 @@ def test_a_test_with_impossible_numbers_is_left_out(store: Store, tmp_path: Path
     file.write_text(file.read_text().replace(*change))
     (problem,) = reindex(store, tmp_path).problems
     assert "tests.jsonl" in problem
-    assert [test.steps for test in store.tests(bad.id)] == [20]
+    assert [test.steps for test in stored(store, bad.id).tests] == [20]
 
 
-def test_commands_name_the_folder_and_exit_with_1(tmp_path: Path) -> None:
-    with new_run(tmp_path / "runs"), new_run(tmp_path / "runs") as bad:
+def test_a_run_that_the_database_refuses_is_named_and_the_others_are_entered(tmp_path: Path) -> None:
+    with new_run(tmp_path) as good, new_run(tmp_path) as bad:
         pass
-    put(bad, "state.json", "error", '"\\ud800"')
-    code, _, told = call(db.app, "reindex", "--runs", str(tmp_path / "runs"))
+    with Store(Store.default_url(tmp_path)) as store:
+        with store.database.writing() as connection:
+            rule = f"WHEN new.run = '{bad.id}' BEGIN SELECT RAISE(ABORT, 'not this one'); END"
+            connection.exec_driver_sql(f"CREATE TRIGGER refuse BEFORE INSERT ON runs {rule}")
+        done = reindex(store, tmp_path)
+        assert (done.runs, done.problems) == (1, (f"{bad.id}: the database refuses a value (not this one); left out",))
+        assert [run.run for run in store.runs()] == [good.id]
+    code, _, told = call(db.app, "reindex", "--runs", str(tmp_path))
     assert code == 1
-    assert f"{bad.id}: error contains a lone surrogate; the run is left out" in told
+    assert "not this one" in told
     assert "1 runs entered" in told
-    assert call(db.app, "check", "--runs", str(tmp_path / "runs"))[0] == 4
+    assert call(db.app, "check", "--runs", str(tmp_path))[0] == 4
 
 
-def test_an_archive_with_a_run_that_cannot_be_stored_brings_nothing(tmp_path: Path) -> None:
-    with new_run(tmp_path / "a") as good, new_run(tmp_path / "a") as bad:
+def test_an_archive_with_a_run_that_the_database_refuses_brings_nothing(tmp_path: Path) -> None:
+    with new_run(tmp_path / "a") as run:
         pass
-    put(bad, "state.json", "error", '"\\ud800"')
-    export_runs([good, bad], tmp_path / "x.zip")
-    with pytest.raises(UsageError, match="lone surrogate"):
-        import_runs(tmp_path / "x.zip", tmp_path / "b")
+    export_runs([run], tmp_path / "x.tar.gz")
+
+    def refuse(records: Sequence[RunRecord]) -> None:
+        assert [record.summary.run for record in records] == [run.id]
+        raise RefusedValueError("no", where="here", hint="none")
+
+    with pytest.raises(RefusedValueError):
+        import_runs(tmp_path / "x.tar.gz", tmp_path / "b", enter=refuse)
     assert list((tmp_path / "b").iterdir()) == []

@@ -88,7 +88,7 @@ class World:
         run.write_text(json.dumps(json.loads(run.read_text()) | {"versions": {"karolos": version}}))
         folder.release()
         folder = RunFolder.open(folder.path)
-        self.store.add_run(folder.summary(), spec, folder.versions())
+        self.store.add_records([folder.record()])
         self.folders.append(folder)
 
     def _sweep(self, name: str, trials: list[tuple[SweepTrialState, float]], with_final: bool) -> None:
@@ -129,8 +129,8 @@ class World:
 
 def densities(store: Store, experiment: str) -> list[tuple[float, float]]:
     ratios: dict[float, list[float]] = {}
-    for tests in store.tests_of([run.run for run in store.runs(experiment=experiment)]).values():
-        for test in tests:
+    for record in store.records(store.runs(experiment=experiment)):
+        for test in record.tests:
             ratios.setdefault(test.steps, []).append(test.success_any or 0.0)
     return [(one.mode, one.mean) for one in success_densities(store, experiment, "any", ratios)]
 
@@ -139,10 +139,8 @@ def answers(store: Store) -> list[Any]:
     runs = store.runs()
     experiments = sorted({run.experiment for run in runs})
     return [
-        runs,
-        store.tests_of([run.run for run in runs]),
-        [(store.parameters(run.run), store.versions(run.run)) for run in runs],
-        [(store.spec(name), densities(store, name)) for name in experiments],
+        store.records(runs),
+        [densities(store, name) for name in experiments],
         [(sweep, sweep.row(), sweep.best) for sweep in store.sweeps.all()],
         sorted(len(store.runs(where=f"tags = {json.dumps(tag)}")) for run in runs for tag in run.tags),
     ]
@@ -192,7 +190,7 @@ def test_check_names_every_kind_of_difference(tmp_path: Path) -> None:
         (torn.path / "tests.jsonl").write_text('{"steps":')
         with store.database.engine.begin() as connection:
             connection.exec_driver_sql("PRAGMA foreign_keys = OFF")
-            connection.exec_driver_sql("UPDATE parameters SET value = '0.5' WHERE key = 'agent.learning_rate'")
+            connection.exec_driver_sql("UPDATE specs SET content = '{}'")
         found: dict[str | None, list[str]] = {}
         for one in check(store, tmp_path):
             found.setdefault(one.run, []).append(one.what)
@@ -211,8 +209,8 @@ def test_check_names_a_database_that_contradicts_itself(tmp_path: Path) -> None:
         import sqlite3
 
         with sqlite3.connect(tmp_path / "karolos.sqlite") as connection:
-            connection.execute("INSERT INTO tags VALUES ('no run', 'x')")
-        assert [one.what for one in check(store, tmp_path)] == ["a row of tags refers to a missing row of runs"]
+            connection.execute("INSERT INTO trials VALUES ('no sweep', 1, 'x', 'failed', '{}', null, '[]', null)")
+        assert [one.what for one in check(store, tmp_path)] == ["a row of trials refers to a missing row of sweeps"]
 
 
 def test_two_folders_of_one_run_are_told_and_the_first_is_kept(tmp_path: Path) -> None:
@@ -225,7 +223,7 @@ def test_two_folders_of_one_run_are_told_and_the_first_is_kept(tmp_path: Path) -
         assert done.runs == 1
         assert any(f"z-copy: says that it is the run {folder.id}" in problem for problem in done.problems)
         assert store.runs()[0].folder == str(folder.path)
-        assert any("two folders say that they are this run" in one.what for one in check(store, tmp_path))
+        assert any(f"z-copy: says that it is the run {folder.id}" in one.what for one in check(store, tmp_path))
 
 
 def test_folders_read_by_several_processes_give_the_same_index(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
@@ -265,3 +263,18 @@ def test_check_names_every_difference_of_a_sweep(tmp_path: Path) -> None:
         ("", "a sweep's folder: torn: trials.jsonl:2: the last line is torn; left out"),
         ("", "a sweep's folder: fine2: says that it is the sweep fine-20260101-000000, as fine does; left out"),
     }
+
+
+def test_reindex_forgets_what_is_gone_and_keeps_what_lies_elsewhere(tmp_path: Path) -> None:
+    runs, elsewhere = tmp_path / "runs", tmp_path / "elsewhere"
+    with Store(Store.default_url(tmp_path)) as store:
+        for seed, place in enumerate((runs, runs, elsewhere)):
+            with RunFolder.create(place, "x", seed) as folder:
+                folder.describe({}, experiment="a", source=tmp_path)
+                store.add_records([folder.record()])
+        kept, gone, other = sorted(store.runs(), key=lambda run: run.seed)
+        shutil.rmtree(gone.folder)
+        shutil.rmtree(elsewhere)
+        done = reindex(store, runs)
+        assert (done.runs, done.forgotten) == (1, 1)
+        assert set(store.runs()) == {kept, other}

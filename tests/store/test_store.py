@@ -1,27 +1,24 @@
 from __future__ import annotations
 
-import sqlite3
 import subprocess
 import sys
 from pathlib import Path
 
 import pytest
+from sqlalchemy import select
 from support.databases import KINDS, empty_database
-from support.store_samples import SPEC, bare, new_run, result
+from support.store_samples import SPEC, bare, new_run, result, stored
 
 from karolos.errors import StoreError, UsageError
 from karolos.records import RunFolder
 from karolos.records.results import TestCounts
 from karolos.store import Store
+from karolos.store.tables import TABLES
 
 
 @pytest.fixture
 def store(tmp_path: Path) -> Store:
     return Store(Store.default_url(tmp_path), timeout=0.1)
-
-
-def database(store: Store) -> sqlite3.Connection:
-    return sqlite3.connect(store.database.url.database or "", isolation_level=None, timeout=0)
 
 
 # What it keeps.
@@ -38,7 +35,7 @@ def test_run_comes_back_as_its_folder_says(store: Store, tmp_path: Path) -> None
     assert store.find(run.id) == run.summary()
     found = store.find(run.id)
     assert (found.steps_to_95, found.steps_to_95_any) == (100, 200)
-    assert store.tests(run.id) == (
+    assert stored(store, run.id).tests == (
         TestCounts(100, 1.0, 20, 3, 20, 0, -1.5),
         TestCounts(200, 2.0, 20, 19, 20, 0, -1.5),
     )
@@ -48,14 +45,14 @@ def test_repeated_test_replaces_the_first(store: Store, tmp_path: Path) -> None:
     run = new_run(store, tmp_path)
     for each in (result(100, 3), result(100, 5)):
         store.add_test(run.id, each)
-    assert [test.any for test in store.tests(run.id)] == [5]
+    assert [test.successes_any for test in stored(store, run.id).tests] == [5]
 
 
-def test_spec_of_an_experiment_is_kept_without_seeds(store: Store, tmp_path: Path) -> None:
-    new_run(store, tmp_path)
-    assert store.spec("abc") == {key: value for key, value in SPEC.items() if key != "seeds"}
-    with pytest.raises(UsageError, match="no experiment 'xyz'"):
-        store.spec("xyz")
+def test_run_comes_with_its_spec_without_seeds_and_its_versions(store: Store, tmp_path: Path) -> None:
+    run = new_run(store, tmp_path)
+    record = stored(store, run.id)
+    assert record.spec == {key: value for key, value in SPEC.items() if key != "seeds"}
+    assert record.versions == run.record().versions != {}
 
 
 def test_runs_move_with_their_database(store: Store, tmp_path: Path) -> None:
@@ -77,12 +74,14 @@ def test_update_of_an_unknown_run_is_told(store: Store, tmp_path: Path) -> None:
         store.add_test(run.id, result(1, 1))  # a test of no run
 
 
-def test_removed_run_takes_its_tests_along(store: Store, tmp_path: Path) -> None:
+def test_removed_run_takes_everything_along(store: Store, tmp_path: Path) -> None:
     run = new_run(store, tmp_path)
     store.add_test(run.id, result(1, 1))
     store.remove_runs([run.id])
-    assert store.runs() == ()
-    assert store.tests(run.id) == ()
+    assert store.runs() == store.records([run.summary()]) == ()
+    with store.database.reading() as connection:
+        tables = [table for name, table in TABLES.tables.items() if name != "karolos_schema"]
+        assert [connection.execute(select(table)).all() for table in tables] == [[]] * len(tables)
 
 
 # What it finds.
@@ -181,7 +180,7 @@ for index in range(16):
         run = RunFolder.create(runs, "x", index)
         run.describe({"name": "x"}, experiment="same", source=runs)
         with Store(url) as store:
-            store.add_run(run.summary(), run.spec(), run.versions())
+            store.add_records([run.record()])
             for steps in range(5):
                 store.add_test(run.id, TestResult(steps, 1.0, (True,), (True,), (False,), (0.0,), (1,)))
                 run.set_state("running", steps=steps)
@@ -211,7 +210,7 @@ def test_sixteen_processes_make_the_database_at_once_and_lose_nothing(tmp_path: 
             assert set(labelled.tags) == {f"tag{index}" for index in range(16)}
             runs = store.runs(where="not seed = 99")
             assert {(run.seed, run.state, run.steps) for run in runs} == {(seed, "finished", 5) for seed in range(16)}
-            assert all(len(tests) == 5 for tests in store.tests_of([run.run for run in runs]).values())
+            assert all(len(record.tests) == 5 for record in store.records(runs))
 
 
 def test_sqlite_on_a_network_share_is_refused(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:

@@ -35,7 +35,7 @@ def add(store: Store, runs: Path, seed: int, rate: float = 0.001, experiment: st
         }
         run.describe(spec, experiment=experiment, source=runs)
         run.set_state("finished", steps=100 * seed)
-        store.add_run(run.summary(), spec, run.versions())
+        store.add_records([run.record()])
         return run
 
 
@@ -60,7 +60,7 @@ def test_filters_know_columns_settings_labels_and_versions(store: Store, tmp_pat
     assert seeds(store, "note = null") == [1, 3]
     assert seeds(store, "agent.hidden = '[8, 8]' and seed >= 2") == [2, 3]
     assert seeds(store, "steps in (100, 300) or seed = 2") == [1, 2, 3]
-    assert seeds(store, f"versions.karolos = {first.versions()['karolos']}") == [1, 2, 3]
+    assert seeds(store, f"versions.karolos = {first.record().versions['karolos']}") == [1, 2, 3]
     assert seeds(store, f"folder = '{first.path}'") == [1]
     assert seeds(store, "created > 2020-01-01") == [1, 2, 3]
     assert [run.seed for run in store.runs(where="task=reach", limit=2)] == [3, 2]
@@ -84,14 +84,6 @@ def test_filter_with_an_unknown_key_names_the_closest(store: Store, tmp_path: Pa
     with pytest.raises(UsageError) as caught:
         store.runs(where=where)
     assert told in str(caught.value)
-
-
-def test_run_comes_with_its_own_settings_and_versions(store: Store, tmp_path: Path) -> None:
-    run = add(store, tmp_path, 1, 0.25)
-    expected = {"name": "x", "task.name": "reach", "agent.name": "sac", "agent.learning_rate": 0.25}
-    assert store.parameters(run.id) == expected | {"agent.hidden": [8, 8]}
-    assert store.versions(run.id) == run.versions() != {}
-    assert store.parameters("none") == store.versions("none") == {}
 
 
 def test_selector_means_a_run_or_all_of_an_experiment(store: Store, tmp_path: Path) -> None:
@@ -167,13 +159,3 @@ def test_database_that_may_only_be_read_still_answers(tmp_path: Path) -> None:
         assert store.runs(where="task=reach") == (run.summary(),)
         with pytest.raises(StoreError, match="the database is read-only"):
             store.add_test(run.id, result(200, 1))
-
-
-def test_specs_that_no_run_has_any_more_are_forgotten(store: Store, tmp_path: Path) -> None:
-    first, second = add(store, tmp_path, 1, 0.5), add(store, tmp_path, 2, 0.25)
-    assert store.spec("a" * 64)["agent"]["learning_rate"] == 0.5  # of the oldest
-    store.remove_runs([first.id])
-    assert store.spec("a" * 64)["agent"]["learning_rate"] == 0.25
-    store.remove_runs([second.id])
-    with pytest.raises(UsageError, match="there is no experiment"):
-        store.spec("a" * 64)

@@ -32,6 +32,8 @@ class Fake(Environment):
             raise PluginError("the mesh is missing", where="robot.fake", hint="install it")
         if recipe == "die":
             os._exit(7)
+        if recipe == "slow":
+            time.sleep(0.5)
         if recipe == "hang":
             time.sleep(600)
         if recipe.startswith("/"):  # a file to note in that one more was built

@@ -8,7 +8,7 @@ from pydantic import BaseModel, model_validator
 from pydantic import Field as Setting
 
 from karolos.core import Agent, Buffer, Field, Layout, Settings, Signature
-from karolos.randomization.distribution import Distribution
+from karolos.randomization.distributions import Distribution
 
 
 class Fake:

@@ -1,5 +1,7 @@
 """Layouts of processes, threads and environments for tests of the orchestrator."""
 
+from functools import partial
+
 import numpy as np
 
 from karolos.core import Environment
@@ -20,7 +22,7 @@ def make(
     chosen = Local.Settings(
         processes=processes, threads=threads, environments=environments, failures=failures, **settings
     )
-    return Local(chosen, recipe, build=build)
+    return Local(chosen, partial(build, recipe))
 
 
 def reset(orchestrator: Local) -> list[int]:

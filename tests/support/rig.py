@@ -1,34 +1,61 @@
-"""A robot with a task, and an episode of its expert."""
+"""Robots with tasks, installed engines, and an episode of an expert."""
 
 from __future__ import annotations
 
-from typing import Any
+from typing import Any, get_args
 
 from karolos.core import Step
 from karolos.environments.build import build_environment
 from karolos.environments.robot_task import RobotTask
 from karolos.registry import load
+from karolos.simulation.engines import Engine, installed
 from karolos.spec.parts import Part, Recipe
+
+ENGINES = [name for name in get_args(Engine) if installed(name)]
+ROBOTS = ("panda", "ur5", "iiwa")
 
 
 def part(kind: str, name: str, **settings: Any) -> Part:
     return Part(kind, name, load(kind, name).Settings.model_validate(settings))
 
 
-def made(
-    task: str, robot: str = "panda", control: str = "cartesian", draws: dict[str, Part] | None = None, **settings: Any
-) -> RobotTask:
-    """`draws`: distributions by parameter; further settings are the task's."""
-    environment = build_environment(
-        Recipe(
-            part("environments", "robot_task"),
-            part("robots", robot, control=control),
-            part("tasks", task, **settings),
-            tuple(sorted((draws or {}).items())),
-        )
+def recipe(
+    task: str,
+    robot: str = "panda",
+    *,
+    draws: dict[str, Part] | None = None,
+    environment: dict[str, Any] | None = None,
+    arm: dict[str, Any] | None = None,
+    **settings: Any,
+) -> Recipe:
+    """A robot with a task.
+
+    Args:
+        task: its name.
+        robot: its name.
+        draws: distributions by parameter.
+        environment: settings of the environment.
+        arm: settings of the robot.
+        settings: of the task.
+    """
+    return Recipe(
+        part("environments", "robot_task", **(environment or {})),
+        part("robots", robot, **(arm or {})),
+        part("tasks", task, **settings),
+        tuple(sorted((draws or {}).items())),
     )
+
+
+def made(task: str, robot: str = "panda", **how: Any) -> RobotTask:
+    """The environment of that recipe."""
+    environment = build_environment(recipe(task, robot, **how))
     assert isinstance(environment, RobotTask)
     return environment
+
+
+def values(*listed: float) -> Part:
+    """One of these values, each equally likely."""
+    return part("distributions", "choice", values=listed)
 
 
 def expert_episode(environment: RobotTask, seed: int) -> list[Step]:

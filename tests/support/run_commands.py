@@ -37,9 +37,7 @@ def add_run(runs: Path, seed: int, rate: float = 0.001, name: str = "reach") -> 
     spec = {"name": name, "task": {"name": "reach"}, "agent": {"name": "sac", "learning_rate": rate}}
     with RunFolder.create(runs, name, seed) as run, Store(Store.default_url(runs)) as store:
         run.describe(spec, experiment=f"{name}".encode().hex().ljust(64, "0"), source=runs)
-        store.add_run(run.summary(), spec, run.versions())
         run.add_test(test)
-        store.add_test(run.id, test)
         run.set_state("finished", steps=1200, seconds=12.5)
-        store.update_run(run.summary())
+        store.add_records([run.record()])
         return run.id

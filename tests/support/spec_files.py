@@ -5,11 +5,14 @@ from __future__ import annotations
 from pathlib import Path
 
 import pytest
+import yaml
 
 from karolos.errors import SpecError
 from karolos.spec import load_spec
 
 GOOD = "robot: arm\ntask: reach\nagent: learner\n"
+REFUSED = yaml.safe_load(Path(__file__).with_name("refused.yaml").read_text("utf-8"))
+"""The expected messages for bad specs, by kind of mistake."""
 
 
 def write(folder: Path, name: str, text: str) -> Path:

@@ -8,7 +8,7 @@ from typing import Any
 
 from karolos.records import RunFolder
 from karolos.records.results import TestResult
-from karolos.records.run_records import RunSummary
+from karolos.records.run_records import RunRecord, RunSummary
 from karolos.store import Store
 
 SPEC = {"name": "reach", "environment": {"name": "toy"}, "robot": None, "agent": {"name": "sac"}, "seeds": [3]}
@@ -22,8 +22,14 @@ def result(steps: int, successes: int) -> TestResult:
 def new_run(store: Store, runs: Path, name: str = "reach", seed: int = 3) -> RunFolder:
     run = RunFolder.create(runs, name, seed)
     run.describe(SPEC, experiment="abc")
-    store.add_run(run.summary(), SPEC)
+    store.add_records([run.record()])
     return run
+
+
+def stored(store: Store, run: str) -> RunRecord:
+    """What the index has of a run."""
+    (record,) = store.records([store.find(run)])
+    return record
 
 
 def bare(store: Store, run: str, **values: Any) -> RunSummary:
@@ -44,5 +50,5 @@ def bare(store: Store, run: str, **values: Any) -> RunSummary:
         folder="/nowhere/x",
     )
     summary = replace(summary, **values)
-    store.add_run(summary, SPEC)
+    store.add_records([RunRecord(summary, SPEC, (), {})])
     return summary

@@ -121,7 +121,7 @@ def train(environments=3, recorder=None, failures=0, pretraining_updates=0, **am
     amounts = {"steps": 60, "batch_size": 4, "replay_ratio": 2.0, "warmup_episodes": 2} | amounts
     recorder = Recorder() if recorder is None else recorder
     settings = Local.Settings(processes=0, environments=environments, failures=failures)
-    with Local(settings, None, build=lambda _: Counter()) as local:
+    with Local(settings, Counter) as local:
         training = Training(
             local, recorder, recorder, SimpleNamespace(**amounts), SeedTree(7), None, pretraining_updates
         )

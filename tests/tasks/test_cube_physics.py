@@ -4,7 +4,7 @@ from __future__ import annotations
 
 import numpy as np
 import pytest
-from support.rig import expert_episode, made, part
+from support.rig import expert_episode, made, part, values
 
 from karolos.environments.robot_task import RobotTask
 from karolos.simulation.engines import installed
@@ -13,18 +13,14 @@ from karolos.simulation.interface.engine import FLOOR_FRICTION, GRAVITY
 SPEED = 1.0
 
 
-def fixed(**values: float) -> dict[str, object]:
-    return {f"task.{name}": part("distributions", "choice", values=(value,)) for name, value in values.items()}
-
-
-def slide(**values: float) -> float:
+def slide(drawn: dict[str, float]) -> float:
     """How far in m the cube slides when it is let go at 1 m/s, away from the arm."""
-    environment = made("push", draws=fixed(**values))
+    environment = made("push", draws={f"task.{name}": values(value) for name, value in drawn.items()})
     environment.reset(0)
     cube = environment.task.cube
     cube.place((-0.6, 0.0, cube.half))
     world = environment.world
-    world.api.resetBaseVelocity(cube.body.index, (0.0, SPEED, 0.0), (0.0, 0.0, 0.0), physicsClientId=world.client)
+    world.api.resetBaseVelocity(cube.body.index, (0.0, SPEED, 0.0), (0.0, 0.0, 0.0))
     for _ in range(40):
         environment.step(np.zeros(3))
     environment.close()
@@ -35,7 +31,7 @@ def slide(**values: float) -> float:
 
 @pytest.mark.skipif(not installed("bullet"), reason="the cube gets its speed from PyBullet")
 @pytest.mark.parametrize(
-    ("values", "friction"),
+    ("drawn", "friction"),
     [
         ({}, FLOOR_FRICTION),
         ({"object_friction": 0.5}, 0.5 * FLOOR_FRICTION),
@@ -45,13 +41,13 @@ def slide(**values: float) -> float:
         ({"object_mass": 2.0}, FLOOR_FRICTION),
     ],
 )
-def test_a_cube_slides_as_far_as_coulombs_law_says(values: dict[str, float], friction: float) -> None:
-    assert slide(**values) == pytest.approx(SPEED**2 / (2 * friction * -GRAVITY), rel=0.12)
+def test_a_cube_slides_as_far_as_coulombs_law_says(drawn: dict[str, float], friction: float) -> None:
+    assert slide(drawn) == pytest.approx(SPEED**2 / (2 * friction * -GRAVITY), rel=0.12)
 
 
 def shoulder_torque(mass: float) -> tuple[float, float]:
     """What the Panda's second joint needs to hold a cube of this mass in kg, in N m; how far away the cube is, in m."""
-    environment = made("pick_place", draws=fixed(object_mass=mass), start_grasped=1.0)
+    environment = made("pick_place", draws={"task.object_mass": values(mass)}, start_grasped=1.0)
     environment.reset(2)
     for step in range(30):
         environment.step(np.array([0.0, 0.0, 0.5 if step < 8 else 0.0, -1.0]))

@@ -4,12 +4,9 @@ from __future__ import annotations
 
 import numpy as np
 import pytest
-from support.rig import expert_episode, made, part
+from support.rig import ROBOTS, expert_episode, made, part, values
 
-from karolos.environments.robot_task import RobotTask
 from karolos.errors import KarolosError
-from karolos.registry import load
-from karolos.tasks.pick_place import PickPlace
 
 CUBE_TASKS = ["pick_place", "push"]
 
@@ -80,7 +77,7 @@ def test_a_cube_that_starts_grasped_is_in_the_hand_and_is_lifted_with_it():
     assert apart < 0.02
 
 
-@pytest.mark.parametrize("robot", ["panda", "ur5", "iiwa"])
+@pytest.mark.parametrize("robot", ROBOTS)
 @pytest.mark.parametrize(("task", "closest", "furthest"), [("push", 0.055, 0.224), ("pick_place", 0.006, 0.08)])
 def test_an_episode_that_starts_near_the_cube_does_not_touch_it(
     robot: str, task: str, closest: float, furthest: float
@@ -137,9 +134,9 @@ def test_settings_out_of_range_are_refused(bad):
         part("tasks", "pick_place", **bad)
 
 
-@pytest.mark.parametrize("robot", ["panda", "ur5", "iiwa"])
+@pytest.mark.parametrize("robot", ROBOTS)
 def test_a_gripper_that_holds_keeps_its_grip_until_the_first_delayed_action(robot: str) -> None:
-    draws = {"robot.action_delay": part("distributions", "choice", values=(2.0,))}
+    draws = {"robot.action_delay": values(2.0)}
     environment = made("pick_place", robot, draws=draws, start_grasped=1.0)
     lift = np.array([0, 0, 1, -1], np.float32)
     for seed in range(5):
@@ -150,13 +147,9 @@ def test_a_gripper_that_holds_keeps_its_grip_until_the_first_delayed_action(robo
     environment.close()
 
 
-@pytest.mark.parametrize("robot", ["panda", "ur5", "iiwa"])
+@pytest.mark.parametrize("robot", ROBOTS)
 def test_the_discrete_action_nothing_keeps_the_grip(robot: str) -> None:
-    environment = RobotTask(
-        RobotTask.Settings(actions="discrete"),
-        robot=load("robots", robot)(load("robots", robot).Settings()),
-        task=PickPlace(PickPlace.Settings(start_grasped=1.0)),
-    )
+    environment = made("pick_place", robot, environment={"actions": "discrete"}, start_grasped=1.0)
     labels = environment.signature.action.labels
     for seed in range(3):
         environment.reset(seed)
@@ -169,9 +162,8 @@ def test_the_discrete_action_nothing_keeps_the_grip(robot: str) -> None:
 @pytest.mark.parametrize("task", ["pick_place", "push", "throw"])
 def test_observation_noise_is_on_the_object_too_and_nothing_gives_the_tool_away(task: str) -> None:
     noise = 0.05
-    draws = {"robot.observation_noise": part("distributions", "choice", values=(noise,))}
-    control = "joint" if task == "throw" else "cartesian"
-    environment = made(task, control=control, draws=draws)
+    draws = {"robot.observation_noise": values(noise)}
+    environment = made(task, draws=draws)
     field = environment.signature.observation.slice
     errors = []
     for seed in range(40):

@@ -7,7 +7,7 @@ import pytest
 from hypothesis import given
 from hypothesis import strategies as st
 from hypothesis.extra.numpy import arrays
-from support.rig import expert_episode, made
+from support.rig import ROBOTS, expert_episode, made
 
 from karolos.core import Array
 from karolos.tasks.pick_place import StagedPick
@@ -103,7 +103,7 @@ def test_rewards_of_an_episode_follow_from_the_goals_alone_so_that_hindsight_can
     assert relabelled[0] < -0.25
 
 
-@pytest.mark.parametrize("robot", ["panda", "ur5", "iiwa"])
+@pytest.mark.parametrize("robot", ROBOTS)
 def test_only_pads_that_face_each_other_around_the_cube_grip_it(robot: str):
     environment = made("pick_place", robot, reward="dense", start_grasped=1.0)
     held = environment.reset(0)

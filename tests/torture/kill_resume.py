@@ -168,9 +168,10 @@ def differences_of(folder: RunFolder, reference: RunFolder, database: str) -> li
     if (folder.path / "episodes.jsonl").read_text() != (reference.path / "episodes.jsonl").read_text():
         found.append("episodes.jsonl")
     with Store(database) as store:
-        stored = [(test.steps, test.any, test.end) for test in store.tests(folder.id)]
-        if stored != [(test.steps, sum(test.any), sum(test.end)) for test in folder.tests()]:
-            found.append(f"tests in the database: {stored}")
+        record = store.records([store.find(folder.id)])[0]
+        tests = [(test.steps, test.successes_any, test.successes_end) for test in record.tests]
+        if tests != [(test.steps, sum(test.any), sum(test.end)) for test in folder.tests()]:
+            found.append(f"tests in the database: {tests}")
         if store.find(folder.id) != folder.summary():
             found.append("the run's row in the database")
     return found

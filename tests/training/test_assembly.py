@@ -7,87 +7,25 @@ from pathlib import Path
 from typing import Any
 
 import pytest
+from support.spec_files import REFUSED, problems_of, write
 from support.states import assert_same_state
 
 from karolos.core.seeding import SeedTree
-from karolos.errors import KarolosError, SpecError, UsageError
+from karolos.errors import KarolosError, UsageError
 from karolos.machine import memory
 from karolos.spec import load_spec, spec_from_dict
 from karolos.training.assembly import check_parts, make_agent, make_buffer, make_orchestrator
 from karolos.training.training import Training
 
-REFUSED = {
-    "ppo with uniform": (
-        "agent: ppo\nbuffer: uniform\n",
-        "3:1: buffer: agent 'ppo' learns from its own latest actions only, buffer 'uniform' replays old ones",
-    ),
-    "ppo with the default buffer": ("agent: ppo\n", "2:1: buffer: agent 'ppo' learns from its own latest actions only"),
-    "ppo with priority": ("agent: ppo\nbuffer: {name: priority}\n", "3:1: buffer: agent 'ppo' learns from"),
-    "ppo with hindsight": (
-        "agent: ppo\nbuffer: {name: on_policy, hindsight: {strategy: future}}\n",
-        "3:27: buffer.hindsight: no such key",
-    ),
-    "sac with on_policy": (
-        "agent: sac\nbuffer: on_policy\n",
-        "3:1: buffer: agent 'sac' learns from replay, buffer 'on_policy' forgets all but the latest actions",
-    ),
-    "ppo with a replay ratio": (
-        "agent: ppo\nbuffer: on_policy\ntraining: {steps: 100, replay_ratio: 4}\n",
-        "4:38: training.replay_ratio: ppo does not use replay_ratio, which is 4",
-    ),
-    "ppo with a warm-up": (
-        "agent: ppo\nbuffer: on_policy\ntraining: {warmup_episodes: 0}\n",
-        "4:29: training.warmup_episodes: ppo does not use warmup_episodes, which is 0",
-    ),
-    "ppo with a batch size": (
-        "agent: ppo\nbuffer: on_policy\ntraining: {batch_size: 64}\n",
-        "4:24: training.batch_size: ppo does not use batch_size, which is 64",
-    ),
-    "ppo as it comes": (
-        "agent: ppo\nbuffer: on_policy\ntraining: {mode: async}\n",
-        "4:18: training.mode: ppo learns from whole rollouts of its latest policy",
-    ),
-    "a larger minimum than there is": (
-        "agent: sac\ntraining: {mode: async, minimum_batch: 5}\n",
-        "3:40: training.minimum_batch: a batch of 5 environments is never ready, because there are 4; lower it",
-    ),
-    "a minimum for lockstep": (
-        "agent: sac\ntraining: {minimum_batch: 2}\n",
-        "3:11: training: minimum_batch requires mode: async, not lockstep",
-    ),
-    "a minimum of nobody": (
-        "agent: sac\ntraining: {mode: async, minimum_batch: 0}\n",
-        "3:40: training.minimum_batch: should be greater than or equal to 1, not 0",
-    ),
-    "an unknown mode": (
-        "agent: sac\ntraining: {mode: asynchronous}\n",
-        "3:18: training.mode: should be 'lockstep' or 'async', not 'asynchronous'",
-    ),
-    "more minibatches than transitions": (
-        "agent: {name: ppo, minibatches: 32}\nbuffer: {name: on_policy, rollout: 5}\n",
-        "2:33: agent.minibatches: a rollout of 20 transitions cannot be split into 32 minibatches",
-    ),
-    "a batch larger than the buffer": (
-        "agent: sac\nbuffer: {capacity: 200}\ntraining: {batch_size: 300}\n",
-        "4:24: training.batch_size: a batch of 300 is larger than the buffer, which stores 200 transitions",
-    ),
-    "a buffer smaller than a batch": (
-        "agent: sac\nbuffer: {capacity: 200}\n",
-        "3:20: buffer.capacity: a batch of 256 is larger than the buffer, which stores 200 transitions",
-    ),
-}
 
-
-@pytest.mark.parametrize("case", REFUSED)
-def test_parts_that_cannot_work_together_are_refused_with_the_place_and_the_reason(case: str, tmp_path: Path) -> None:
-    text, expected = REFUSED[case]
-    path = tmp_path / "s.yaml"
-    path.write_text(f"environment: toy\n{text}orchestrator: {{processes: 0, environments: 4}}\n")
+@pytest.mark.parametrize("case", REFUSED["parts"])
+def test_parts_that_do_not_fit_are_refused_with_the_place_and_the_reason(case: str, tmp_path: Path) -> None:
+    expected = REFUSED["parts"][case]
+    layout = "orchestrator: {processes: 0, environments: 4}"
+    path = write(tmp_path, "s.yaml", f"environment: toy\n{expected['spec'].rstrip()}\n{layout}\n")
     with pytest.raises(KarolosError) as refused:
         check_parts(load_spec(path))
-    error = refused.value
-    told = str(error.problems[0]) if isinstance(error, SpecError) else str(error)
-    assert f"{path}:{expected}" in told
+    assert str(refused.value).startswith(f"{path}:{expected['problem']}")
 
 
 @pytest.mark.parametrize("agent", ["sac", "ppo"])
@@ -97,30 +35,11 @@ def test_a_resolved_spec_with_its_defaults_spelt_out_is_not_refused(agent: str) 
     check_parts(spec_from_dict(spec.dump()))
 
 
-LARGE = {
-    "seeds=[1" + 239 * "0" + "]": "seeds[0]: should be less than or equal to 1" + 60 * "0" + ", not 1000",
-    "training.threads=1e6": "training.threads: should be less than or equal to 1024, not 1000000",
-    "training.steps=1e300": "training.steps: should be less than or equal to 1000000000000, not 1e+300",
-    "orchestrator={processes: 100, threads: 100, environments: 100}": "orchestrator: processes x threads x environments"
-    " are 1000000 environments; 65536 are allowed",
-    "orchestrator.environments=1e30": "orchestrator.environments: should be less than or equal to 65536",
-    "agent.hidden=[1e9]": "agent.hidden[0]: should be less than or equal to 65536",
-    "agent.hidden=[0]": "agent.hidden[0]: should be greater than or equal to 1, not 0",
-    "agent.policy_delay=1e20": "agent.policy_delay: should be an integer of at most 64 bits, not 1e+20",
-    "testing.episodes=1e9": "testing.episodes: should be less than or equal to 1000000",
-    "environment={name: gymnasium, id: 'a:b:X'}": "environment.id: 'a:b:X' must be \"Name-v0\" or",
-}
-
-
-@pytest.mark.parametrize("override", LARGE)
+@pytest.mark.parametrize("override", REFUSED["amounts"])
 def test_an_amount_that_no_machine_has_is_refused_at_its_setting(override: str, tmp_path: Path) -> None:
-    path = tmp_path / "s.yaml"
-    path.write_text("environment: toy\nagent: sac\n")
-    with pytest.raises(SpecError) as refused:
-        load_spec(path, [override])
-    (problem,) = refused.value.problems
-    assert LARGE[override] in str(problem)
-    assert "override" in str(problem.where)
+    (problem,) = problems_of(write(tmp_path, "s.yaml", "environment: toy\nagent: sac\n"), override)
+    assert problem.startswith("override ")
+    assert REFUSED["amounts"][override] in problem
 
 
 NEEDS_MEMORY = {

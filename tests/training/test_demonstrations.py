@@ -12,7 +12,7 @@ from karolos.errors import UsageError
 from karolos.experiment.experiment import Experiment
 from karolos.records import RunFolder
 from karolos.spec import spec_from_dict
-from karolos.spec.model import Demonstrations as Settings
+from karolos.spec.model import DemonstrationSettings
 from karolos.training.assembly import check_parts
 from karolos.training.demonstrations import collect_demonstrations
 
@@ -28,7 +28,7 @@ REACH: dict[str, Any] = {
 
 
 def collected(seed: int = 0, **settings: Any) -> Any:
-    chosen = Settings.model_validate({"episodes": 3, **settings})
+    chosen = DemonstrationSettings.model_validate({"episodes": 3, **settings})
     return collect_demonstrations(spec_from_dict(REACH).recipe(randomize=True), chosen, SeedTree(seed))
 
 

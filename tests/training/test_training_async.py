@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import itertools
+from functools import partial
 from types import SimpleNamespace
 
 import numpy as np
@@ -20,7 +21,7 @@ class Ragged(Local):
 
     def __init__(self, environments: int, failures: int = 0) -> None:
         settings = Local.Settings(processes=0, environments=environments, failures=failures)
-        super().__init__(settings, None, build=lambda _: Counter())
+        super().__init__(settings, Counter)
         self._late: list[Received] = []
         self._generator = np.random.default_rng(0)
         self.asked: list[int] = []
@@ -200,7 +201,7 @@ def test_it_works_with_worker_processes(at_least):
     recorder = Recorder()
     recorder.act = lambda seen, goal, *, explore, environments: np.zeros((len(seen), 2), np.float32)
     amounts = SimpleNamespace(steps=200, batch_size=4, replay_ratio=2.0, warmup_episodes=2)
-    with Local(Local.Settings(processes=2, environments=2), toy, build=Toy) as local:
+    with Local(Local.Settings(processes=2, environments=2), partial(Toy, toy)) as local:
         training = Training(local, recorder, recorder, amounts, SeedTree(7), at_least)
         progress = list(training.rounds())
     assert progress[-1].steps >= 200

@@ -72,15 +72,15 @@ def test_training_goes_on_bit_for_bit_from_a_saved_state(kind, at):
             yield round.steps, round.episodes, round.updates, round.warming_up, round.finished, recorder.added[-1]
 
     whole = kind()
-    with Local(settings, None, build=lambda _: Counter()) as local:
+    with Local(settings, Counter) as local:
         expected = list(rounds(Training(local, whole, whole, amounts, SeedTree(7)), whole))
     first = kind()
-    with Local(settings, None, build=lambda _: Counter()) as local:
+    with Local(settings, Counter) as local:
         training = Training(local, first, first, amounts, SeedTree(7))
         found = list(itertools.islice(rounds(training, first), at))
         state = training.state()
     first.begun.clear()
-    with Local(settings, None, build=lambda _: Counter()) as local:
+    with Local(settings, Counter) as local:
         again = Training(local, first, first, amounts, SeedTree(7))
         again.load_state(state)
         found += list(rounds(again, first))
@@ -98,7 +98,7 @@ def test_the_state_of_another_number_of_environments_is_refused():
     states = []
     for environments in (3, 2):
         settings = Local.Settings(processes=0, environments=environments)
-        with Local(settings, None, build=lambda _: Counter()) as local:
+        with Local(settings, Counter) as local:
             training = Training(local, recorder, recorder, amounts, SeedTree(7))
             if states:
                 with pytest.raises(UsageError, match="3 environments with 2 action columns, and this one 2 with 2"):

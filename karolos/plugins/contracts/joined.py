@@ -10,7 +10,7 @@ from typing import Any
 from ...core import Environment
 from ...environments.robot_task import RobotTask
 from ...errors import PluginError, UsageError
-from ...randomization.choice import Choice
+from ...randomization.distributions import Choice
 from .case import Candidate, candidate
 
 CONTROLS = ("joint", "cartesian")

@@ -322,7 +322,7 @@ def each_pad_presses_with_the_force_of_the_gripper(one: Candidate) -> None:
             forces.append(
                 [
                     sum(contact.force for contact in environment.world.contacts(robot.body, cube, pad))
-                    for pad in robot._motors.pads
+                    for pad in _pads(robot)
                 ]
             )
         declared, measured = robot.gripper.force, np.mean(forces, 0)
@@ -367,6 +367,12 @@ def _generator() -> np.random.Generator:
 def _body(environment: RobotTask) -> Any:
     """The arm's simulated body, which tasks do not see."""
     return environment.robot.body  # type: ignore[attr-defined]
+
+
+def _pads(robot: Any) -> list[int]:
+    """The links of the gripper's pads in the arm's simulated body."""
+    links = robot.body.links()
+    return [links[name] for name in robot.model.fingers.links]
 
 
 def _torques(environment: RobotTask) -> Array:
@@ -421,7 +427,7 @@ def _held_through_a_shake(environment: RobotTask, mass: float) -> Array:
     for shake in range(24):
         environment.step(np.array([0.0, 1.0 if shake % 2 else -1.0, 1.0 if shake % 4 < 2 else -1.0, -1.0]))
         poses.append(np.concatenate(cube.pose()))
-        first, second = robot.body.joints(robot._motors.pads)
+        first, second = robot.body.joints(_pads(robot))
         apart = max(apart, abs(first[0] - second[0]))
     creep = float(np.linalg.norm(position_in_gripper() - start))
     demand(creep < 0.002, f"a cube of {mass:g} kg creeps {1000 * creep:.1f} mm in the gripper")

@@ -3,15 +3,12 @@
 from __future__ import annotations
 
 from collections.abc import Sequence
-from operator import gt
 
 import numpy as np
 
-from ..interface.engine import OPENS, Fingers, JointLimits
+from ..interface.engine import FINGER_GAIN, OPENS, Fingers, JointLimits
 from .body import Body
 
-FINGER_GAIN = 0.1
-"""Fraction of the distance to its target that a finger asks for per physics step."""
 STABLE = 0.5
 """Largest fraction of a joint's speed that its own damping removes per physics step. PyBullet integrates it explicitly:
 from 1 on a light wrist oscillates."""
@@ -137,9 +134,7 @@ class Motors:
         if self._fingers is not None:
             self._opening = opening = self._fingers.opening(positions[-1])
             positions, velocities = positions[:-1], velocities[:-1]
-        if any(map(gt, map(abs, velocities), self._limits.velocity)):
-            velocities = tuple(
-                min(max(speed, -most), most) for speed, most in zip(velocities, self._limits.velocity, strict=True)
-            )
-            self._body.write_joints(self._arm, positions, velocities)
-        return positions, velocities, opening
+        slowed = self._limits.slowed(velocities)
+        if slowed is not None:
+            self._body.write_joints(self._arm, positions, slowed)
+        return positions, slowed or velocities, opening

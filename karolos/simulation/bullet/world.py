@@ -3,11 +3,8 @@
 from __future__ import annotations
 
 import os
-import sys
 import tempfile
 from collections.abc import Sequence
-from threading import Lock
-from typing import Any
 from xml.etree import ElementTree
 from xml.etree.ElementTree import Element
 
@@ -15,13 +12,14 @@ import numpy as np
 from numpy.typing import NDArray
 
 from ...core import Array, FloatArray
-from ...errors import MachineError, PluginError
+from ...errors import PluginError
 from ...files import temporary_prefix
 from ..geometry import Vector
 from ..interface.engine import FLOOR_FRICTION, GRAVITY, Camera, Colour, Contact, Fingers, JointLimits
 from ..interface.engine import Body as AnyBody
 from ..picture import FLOOR_COLOUR, GRID_COLOUR, GRIDS, SKY_COLOUR, Eye, Marker, draw
 from .body import Body
+from .client import Client
 from .motors import Motors
 
 FLOOR_HALF = (5.0, 5.0, 0.5)
@@ -42,26 +40,6 @@ RELEASE_ERP = 0.03
 """The same where objects leave a moving hand. At .5, and with friction that stays anchored while the gripper opens,
 what is left of the pads' pressure decides where the cube goes: the same throw of a trained policy, its actions changed
 by .0005, lands 2 cm apart (standard deviation), with this .7 cm, with MuJoCo .1 cm."""
-_IMPORTING = Lock()
-
-
-def _pybullet() -> Any:
-    """The module, imported when a world is built, so that specs are checked without it.
-
-    PyBullet prints its build time on stderr at import, which would interrupt progress bars: stderr is closed meanwhile.
-    """
-    with _IMPORTING:
-        if "pybullet" in sys.modules:
-            return sys.modules["pybullet"]
-        stderr = os.dup(2)
-        with open(os.devnull, "wb") as devnull:
-            os.dup2(devnull.fileno(), 2)
-        try:
-            import pybullet  # noqa: PLC0415
-        finally:
-            os.dup2(stderr, 2)
-            os.close(stderr)
-        return pybullet
 
 
 class World:
@@ -86,40 +64,29 @@ class World:
     def __init__(
         self, *, substeps: int = 10, timestep: float = 1 / 240, window: bool = False, camera: Camera | None = None
     ) -> None:
-        if window and not os.environ.get("DISPLAY"):  # pybullet would end the process
-            raise MachineError("no display to show a window on", hint="set DISPLAY, or run without a window")
-        pybullet = _pybullet()
-        self.api = pybullet
+        self.api = api = Client(window=window)
         self.substeps = substeps
         self.timestep = timestep
         self.period = substeps * timestep
-        self.client: int = pybullet.connect(pybullet.GUI if window else pybullet.DIRECT)
-        if self.client < 0:
-            raise MachineError("the physics engine does not start", hint="too many worlds, or no display for a window")
-        pybullet.setPhysicsEngineParameter(
+        api.setPhysicsEngineParameter(
             fixedTimeStep=timestep,
             numSubSteps=0,
             numSolverIterations=ROUNDS,
             solverResidualThreshold=RESIDUAL,
             contactERP=CONTACT_ERP,
             deterministicOverlappingPairs=1,  # contacts in the same order, fresh or reused: resume depends on it
-            physicsClientId=self.client,
         )
         if window:
             camera = camera or Camera()
             sky = [level / 255 for level in SKY_COLOUR]
-            pybullet.configureDebugVisualizer(
-                pybullet.COV_ENABLE_GUI, 0, rgbBackground=sky, physicsClientId=self.client
-            )
-            pybullet.resetDebugVisualizerCamera(
-                camera.distance, camera.yaw, camera.pitch, camera.target, physicsClientId=self.client
-            )
+            api.configureDebugVisualizer(api.COV_ENABLE_GUI, 0, rgbBackground=sky)
+            api.resetDebugVisualizerCamera(camera.distance, camera.yaw, camera.pitch, camera.target)
         self.set_gravity(GRAVITY)
         self._markers: list[tuple[Body, float, Colour]] = []
         self._motors: list[Motors] = []
         self._window = window
         self.floor = self._create(
-            self._shape(pybullet.GEOM_BOX, halfExtents=FLOOR_HALF, collisionFramePosition=(0, 0, -FLOOR_HALF[2])),
+            self._shape(api.GEOM_BOX, halfExtents=FLOOR_HALF, collisionFramePosition=(0, 0, -FLOOR_HALF[2])),
             self._floor_look(),
             0.0,
         )
@@ -129,10 +96,10 @@ class World:
         for substep in range(self.substeps):
             for motors in self._motors:
                 motors.substep(substep)
-            self.api.stepSimulation(self.client)
+            self.api.stepSimulation()
 
     def set_gravity(self, gravity: float) -> None:
-        self.api.setGravity(0, 0, gravity, physicsClientId=self.client)
+        self.api.setGravity(0, 0, gravity)
 
     def set_floor_friction(self, friction: float) -> None:
         self.floor.set_friction(friction)
@@ -148,7 +115,6 @@ class World:
                 useFixedBase=True,
                 # inertias would otherwise be guessed from the shapes; `Body.collide_only` chooses the pairs
                 flags=self.api.URDF_USE_INERTIA_FROM_FILE | self.api.URDF_USE_SELF_COLLISION,
-                physicsClientId=self.client,
             )
         except self.api.error as error:
             raise PluginError(
@@ -156,12 +122,12 @@ class World:
             ) from error
         finally:
             os.unlink(path)
-        return Body(self.api, self.client, index)
+        return Body(self.api, index)
 
     def motors(self, body: AnyBody, joints: Sequence[str], limits: JointLimits, fingers: Fingers | None) -> Motors:
         links = body.links()
         pads = [links[name] for name in fingers.links] if fingers else []
-        own = Body(self.api, self.client, body.index)
+        own = Body(self.api, body.index)
         motors = Motors(
             own, self.substeps, limits, [links[name] for name in joints], fingers, pads, timestep=self.timestep
         )
@@ -171,7 +137,7 @@ class World:
     def release_in_motion(self) -> None:
         for motors in self._motors:
             motors.release_in_motion()
-        self.api.setPhysicsEngineParameter(contactERP=RELEASE_ERP, physicsClientId=self.client)
+        self.api.setPhysicsEngineParameter(contactERP=RELEASE_ERP)
 
     def box(self, size: Vector, mass: float, colour: Colour) -> Body:
         half = tuple(edge / 2 for edge in size)
@@ -188,10 +154,10 @@ class World:
         return marker
 
     def update_contacts(self) -> None:
-        self.api.performCollisionDetection(physicsClientId=self.client)
+        self.api.performCollisionDetection()
 
     def contacts(self, first: AnyBody, second: AnyBody, link: int) -> list[Contact]:
-        points = self.api.getContactPoints(first.index, second.index, linkIndexA=link, physicsClientId=self.client)
+        points = self.api.getContactPoints(first.index, second.index, linkIndexA=link)
         return [Contact(point[7], point[9], point[8]) for point in points or ()]
 
     def render(self, width: int, height: int, camera: Camera) -> Array:
@@ -213,7 +179,6 @@ class World:
             lightSpecularCoeff=0.05,
             shadow=0,
             renderer=self.api.ER_TINY_RENDERER,
-            physicsClientId=self.client,
         )
         colours, depth, bodies = (np.asarray(part).reshape(height, width, -1) for part in image[2:5])
         away = eye.far * eye.near / (eye.far - (eye.far - eye.near) * depth[..., 0].astype(np.float32))
@@ -229,27 +194,22 @@ class World:
                 self.api.addUserDebugLine(
                     *((spacing * x, spacing * y, 0.001) for x, y in (start, end)),
                     lineColorRGB=[level / 255 for level in GRID_COLOUR],
-                    physicsClientId=self.client,
                 )
         red, green, blue = (level / 255 for level in FLOOR_COLOUR)
         place = (0, 0, -FLOOR_HALF[2])
         return self._look(self.api.GEOM_BOX, (red, green, blue, 1.0), halfExtents=FLOOR_HALF, visualFramePosition=place)
 
     def close(self) -> None:
-        if self.client >= 0:
-            self.api.disconnect(physicsClientId=self.client)
-            self.client = -1
+        self.api.close()
 
     def _shape(self, kind: int, **size: object) -> int:
-        index: int = self.api.createCollisionShape(kind, physicsClientId=self.client, **size)
+        index: int = self.api.createCollisionShape(kind, **size)
         return index
 
     def _look(self, kind: int, colour: Colour, **size: object) -> int:
-        index: int = self.api.createVisualShape(kind, rgbaColor=colour, physicsClientId=self.client, **size)
+        index: int = self.api.createVisualShape(kind, rgbaColor=colour, **size)
         return index
 
     def _create(self, shape: int, look: int, mass: float) -> Body:
-        index: int = self.api.createMultiBody(
-            mass, shape, look, useMaximalCoordinates=mass == 0, physicsClientId=self.client
-        )
-        return Body(self.api, self.client, index)
+        index: int = self.api.createMultiBody(mass, shape, look, useMaximalCoordinates=mass == 0)
+        return Body(self.api, index)

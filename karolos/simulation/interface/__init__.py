@@ -8,13 +8,12 @@ Units: m, s, kg, N, rad; float32 arrays; the world's frame has its origin at the
 from ..geometry import Box
 from .engine import Body, Camera, Fingers, Gripper, JointLimits, Motors, World
 from .robot import Robot, RobotView
-from .task import Expert, Task
+from .task import Task
 
 __all__ = [
     "Body",
     "Box",
     "Camera",
-    "Expert",
     "Fingers",
     "Gripper",
     "JointLimits",

@@ -7,6 +7,7 @@ from __future__ import annotations
 
 from collections.abc import Collection, Sequence
 from dataclasses import dataclass
+from operator import gt
 from typing import Any, NamedTuple, Protocol
 from xml.etree.ElementTree import Element
 
@@ -19,6 +20,8 @@ FLOOR_FRICTION = 0.5
 """Lateral friction coefficient of the floor. A contact has the product of the coefficients of its two bodies."""
 OPENS = 0.01
 """The gripper opens while its commanded opening (0 to 1) is larger than the measured one by more than this."""
+FINGER_GAIN = 0.1
+"""Fraction of the distance to its target that a finger asks for per physics step."""
 Colour = tuple[float, float, float, float]
 """Red, green, blue, opacity in [0, 1]."""
 
@@ -44,6 +47,12 @@ class JointLimits:
     effort: tuple[float, ...]
     names: tuple[str, ...] = ()
     """Of the joints, for messages; empty where they have none."""
+
+    def slowed(self, velocities: Sequence[float]) -> list[float] | None:
+        """The velocities (n,) with each joint at its largest speed at most; None if no joint is faster."""
+        if not any(map(gt, map(abs, velocities), self.velocity)):
+            return None
+        return [min(max(speed, -most), most) for speed, most in zip(velocities, self.velocity, strict=True)]
 
     def name(self, joint: int) -> str:
         """What a person calls a joint, given its index: its name, or its number from 1."""

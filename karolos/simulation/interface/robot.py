@@ -18,83 +18,47 @@ from .engine import Body, Gripper, JointLimits, World
 class RobotView(Protocol):
     """Everything that a task or a scripted expert may know of a robot."""
 
-    @property
-    def base(self) -> Vector:
-        """Position of its base in the world, in m."""
+    base: Vector
+    """Position of its base in the world, in m."""
+    workspace: Box
+    """Region that the tool reaches while it points down, each point to within 5 mm."""
+    limits: JointLimits
+    gripper: Gripper | None
+    """None for a robot without a gripper."""
+    home: Vector
+    """Tool position at the start of an episode without reset noise, in m."""
+    home_yaw: float
+    """Yaw of the tool's x axis at home, in rad. The pads face each other along the tool's x or y axis."""
+    reset_noise: float
+    """Largest deviation of each joint from the home pose at a reset, in rad."""
+    tool_step: float
+    """Largest change of the tool position along each axis in one control step, in m."""
+    joint_step: tuple[float, ...]
+    """Largest change of each joint position in one control step, in rad: (n,)."""
+    period: float
+    """Duration of a control step in s."""
+    turns_joints: bool
+    """Whether actions change joint positions, so that `turning` works."""
+    home_joints: tuple[float, ...]
+    """Joint positions of the home pose in rad: (n,)."""
+    joint_positions: Sequence[float]
+    """Current joint positions in rad: (n,)."""
+    joint_velocities: Sequence[float]
+    """Current joint velocities in rad/s: (n,)."""
 
-    @property
-    def workspace(self) -> Box:
-        """Region that the tool reaches while it points down, each point to within 5 mm."""
-
-    @property
-    def limits(self) -> JointLimits: ...
-
-    @property
-    def gripper(self) -> Gripper | None:
-        """None for a robot without a gripper."""
-
-    @property
-    def home(self) -> Vector:
-        """Tool position at the start of an episode without reset noise, in m."""
-
-    @property
-    def home_yaw(self) -> float:
-        """Yaw of the tool's x axis at home, in rad. The pads face each other along the tool's x or y axis."""
-
-    @property
-    def reset_noise(self) -> float:
-        """Largest deviation of each joint from the home pose at a reset, in rad."""
-
-    @property
-    def tool_step(self) -> float:
-        """Largest change of the tool position along each axis in one control step, in m."""
-
-    @property
-    def joint_step(self) -> tuple[float, ...]:
-        """Largest change of each joint position in one control step, in rad: (n,)."""
-
-    @property
-    def period(self) -> float:
-        """Duration of a control step in s."""
-
-    @property
-    def turns_joints(self) -> bool:
-        """Whether actions change joint positions, so that `turning` works."""
-
-    @property
-    def home_joints(self) -> tuple[float, ...]:
-        """Joint positions of the home pose in rad: (n,)."""
-
-    @property
-    def joint_positions(self) -> Sequence[float]:
-        """Current joint positions in rad: (n,)."""
-
-    @property
-    def joint_velocities(self) -> Sequence[float]:
-        """Current joint velocities in rad/s: (n,)."""
+    tool_position: Vector
+    """Current position of the tool centre point, in m."""
+    tool_velocity: Vector
+    """Current velocity of the tool centre point, in m/s."""
+    opening: float
+    """Opening of the gripper: 0 closed, 1 open. 0 without a gripper or when the task does not use it."""
+    opening_command: float
+    """Opening that the gripper was told to take: 0 closed, 1 open. 0 without a gripper."""
+    observed_tool_position: Vector
+    """The tool position in m as the last `observe` gave it, with noise."""
 
     def forward(self, joints: Sequence[float]) -> Configuration:
         """Forward kinematics: tool pose and joint axes at joint positions (n,) in rad."""
-
-    @property
-    def tool_position(self) -> Vector:
-        """Current position of the tool centre point, in m."""
-
-    @property
-    def tool_velocity(self) -> Vector:
-        """Current velocity of the tool centre point, in m/s."""
-
-    @property
-    def opening(self) -> float:
-        """Opening of the gripper: 0 closed, 1 open. 0 without a gripper or when the task does not use it."""
-
-    @property
-    def opening_command(self) -> float:
-        """Opening that the gripper was told to take: 0 closed, 1 open. 0 without a gripper."""
-
-    @property
-    def observed_tool_position(self) -> Vector:
-        """The tool position in m as the last `observe` gave it, with noise."""
 
     def with_noise(self, values: Sequence[float]) -> list[float]:
         """The values with the observation noise of the episode, for what a task observes of its objects."""
@@ -133,15 +97,10 @@ class Robot(RobotView, Protocol):
 
     Settings: ClassVar[type[BaseModel]]
 
-    @property
-    def parameters(self) -> Mapping[str, RandomizedParameter]:
-        """What domain randomization may change, by name."""
-
-    @property
-    def observation(self) -> Layout: ...
-
-    @property
-    def action(self) -> Layout: ...
+    parameters: Mapping[str, RandomizedParameter]
+    """What domain randomization may change, by name."""
+    observation: Layout
+    action: Layout
 
     def prepare(self, *, gripper: bool, period: float, points_down: bool = True) -> None:
         """Adapt layouts and step sizes to a task.

@@ -1,37 +1,23 @@
-"""What a task is to the environment, and the scripted expert that solves it."""
+"""What a task is to the environment."""
 
 from __future__ import annotations
 
 from abc import ABC, abstractmethod
 from collections.abc import Mapping
-from typing import ClassVar
+from typing import Any, ClassVar
 
+import numpy as np
 from pydantic import BaseModel
 
-from ...core import FloatArray, GoalRule, Layout
+from ...core import Expert, FloatArray, GoalRule, Layout
 from ...core.seeding import Generator
-from ...randomization.randomization import RandomizedParameter
+from ...randomization.randomization import RandomizedParameter, drawn_settings
 from .engine import FLOOR_FRICTION, GRAVITY, Camera, World
 from .robot import RobotView
 
 
-class Expert(ABC):
-    """A scripted policy for one task: it shows that robot and task can be solved, and gives demonstrations.
-
-    It uses the robot's view only, so it works with any robot and control mode. Order of calls: `reset` after the
-    environment's reset, then `act` before each step.
-    """
-
-    def reset(self) -> None:  # noqa: B027 (an expert without a state has nothing to reset)
-        """Start a new episode."""
-
-    @abstractmethod
-    def act(self) -> FloatArray:
-        """The next action: (action.size,)."""
-
-
 class Task(ABC):
-    """A task plugin: the objects in the world, the goal and its rule.
+    """A task plugin: the objects in the world, the goal and its rule. Its settings have `max_steps`.
 
     Order of calls: `fit` (sets `goal_rule` and the layouts that depend on the robot), `build` once; per episode `reset`
     after the robot's; per step `read` after the robot's, then `observe`, `lost`, `achieved`.
@@ -40,6 +26,10 @@ class Task(ABC):
     """
 
     Settings: ClassVar[type[BaseModel]]
+    settings: Any
+    """As the spec has them."""
+    drawn: Any
+    """The same in the running episode: a setting that is marked with `Drawn` has the value that training drew."""
     uses_gripper: ClassVar[bool]
     """Whether the action moves the gripper. If not, it stays closed and is not simulated."""
     points_down: ClassVar[bool] = True
@@ -54,9 +44,14 @@ class Task(ABC):
     """The goal of the running episode: (desired_goal.size,)."""
     goal_rule: GoalRule
 
+    def __init__(self, settings: Any) -> None:
+        self.settings = self.drawn = settings
+        self.goal = np.zeros(self.desired_goal.size, np.float32)
+
     @property
-    @abstractmethod
-    def max_steps(self) -> int: ...
+    def max_steps(self) -> int:
+        """Control steps per episode."""
+        return int(self.settings.max_steps)
 
     @abstractmethod
     def fit(self, robot: RobotView) -> None:
@@ -90,17 +85,17 @@ class Task(ABC):
 
     @property
     def parameters(self) -> Mapping[str, RandomizedParameter]:
-        """What domain randomization may change, by name. A task adds its own parameters."""
-        return WORLD_PARAMETERS
+        """What domain randomization may change, by name: the world, and settings that are marked with `Drawn`."""
+        return {**WORLD_PARAMETERS, **drawn_settings(self.settings)}
 
     def apply(self, world: World, name: str, value: float) -> None:
-        """Set a declared parameter for the next episode; called before `reset`."""
+        """Set a parameter for the next episode; called before `reset`. Settings are read from `drawn`."""
         if name == "gravity":
             world.set_gravity(value)
         elif name == "floor_friction":
             world.set_floor_friction(value)
         else:
-            raise KeyError(name)
+            self.drawn = self.drawn.model_copy(update={name: value})
 
 
 WORLD_PARAMETERS: Mapping[str, RandomizedParameter] = {

@@ -3,17 +3,14 @@
 from __future__ import annotations
 
 from collections.abc import Sequence
-from operator import gt
 from typing import Any
 
 import numpy as np
 
-from ..interface.engine import Fingers, JointLimits
+from ..interface.engine import FINGER_GAIN, Fingers, JointLimits
 from .body import Body
 from .simulation import Simulation
 
-FINGER_GAIN = 0.1
-"""Fraction of the distance to its target that a finger asks for per physics step."""
 STIFF = (0.9999, 0.9999, 0.001, 0.5, 2.0)
 """`solimp` of a motor: it reaches its target speed unless its torque does not allow it."""
 
@@ -142,9 +139,7 @@ class Motors:
         if self._fingers is not None:
             opening = self._fingers.opening((positions[-2] + positions[-1]) / 2)
             positions, velocities = positions[:size], velocities[:size]
-        if any(map(gt, map(abs, velocities), self._limits.velocity)):
-            velocities = [
-                min(max(speed, -most), most) for speed, most in zip(velocities, self._limits.velocity, strict=True)
-            ]
-            data.qvel[self._dofs[:size]] = velocities
-        return positions, velocities, opening
+        slowed = self._limits.slowed(velocities)
+        if slowed is not None:
+            data.qvel[self._dofs[:size]] = slowed
+        return positions, slowed or velocities, opening

@@ -44,7 +44,7 @@ def _mujoco() -> Any:
         return sys.modules["mujoco"]
 
 
-class Part(Protocol):
+class ModelPart(Protocol):
     """Something that has places and parameters in the model."""
 
     def find(self, model: Any) -> None:
@@ -72,7 +72,7 @@ class Simulation:
         self.api = api = _mujoco()
         self.timestep = timestep
         self.substeps = substeps
-        self.parts: list[Part] = []
+        self.parts: list[ModelPart] = []
         self.model: Any = None
         self.spec = api.MjSpec()
         self.spec.compiler.degree = False

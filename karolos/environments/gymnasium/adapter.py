@@ -9,11 +9,11 @@ import numpy as np
 from pydantic import Field as Setting
 from pydantic import JsonValue, field_validator, model_validator
 
-from ..core import Array, Discrete, Environment, Field, Layout, Signature, Step
-from ..core import Settings as BaseSettings
-from ..errors import KarolosError, MachineError, UsageError
-from .action_set import action_index
-from .gymnasium_goals import GOALS, GymnasiumGoals
+from ...core import Array, Discrete, Environment, Field, Layout, Signature, Step
+from ...core import Settings as BaseSettings
+from ...errors import KarolosError, MachineError, UsageError
+from ..action_set import action_index
+from .goals import GOALS, GymnasiumGoals
 
 ID = "environment.id"
 NO_GOAL = np.zeros(0, np.float32)

@@ -7,8 +7,8 @@ from typing import Any
 
 import numpy as np
 
-from ..core import Array, BoolArray, FloatArray, GoalRule, Step
-from ..errors import KarolosError, PluginError, UsageError
+from ...core import Array, BoolArray, FloatArray, GoalRule, Step
+from ...errors import KarolosError, PluginError, UsageError
 
 GOALS = ("achieved_goal", "desired_goal")
 PROBED_STEPS = 32

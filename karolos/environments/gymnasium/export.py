@@ -1,0 +1,202 @@
+"""Environments of karolos with gymnasium's interface; `karolos.gym` registers robots with tasks."""
+
+from __future__ import annotations
+
+import os
+import time
+from collections.abc import Callable, Mapping
+from dataclasses import replace
+from typing import Any
+
+import gymnasium
+import numpy as np
+from gymnasium.envs.registration import EnvSpec
+from numpy.typing import NDArray
+from pydantic import ValidationError
+
+from ...core import Discrete, Environment, Step
+from ...errors import UsageError
+from ...registry import alternatives, load
+from ...spec.parts import OfKind, Part, Recipe
+from ..build import build_environment
+
+OBSERVED = ("observation", "achieved_goal", "desired_goal")
+RENDER_MODES = ["human", "rgb_array"] if os.environ.get("DISPLAY") else ["rgb_array"]
+"""Those that work on this machine: a window needs a display, and `check_env` tries every listed mode."""
+
+Observation = dict[str, NDArray[np.float32]]
+
+
+class GoalEnv(gymnasium.Env[Observation, NDArray[np.float32]]):
+    """An environment of karolos with goals, with gymnasium's interface for goal environments.
+
+    Observation: a dict of `observation` (o,), `achieved_goal` (a,) and `desired_goal` (d,), float32. Action: (n,) in
+    [-1, 1], or the index of a discrete one. The environment itself truncates an episode. `reset(seed=s)` begins
+    karolos' episode of the seed s; without a seed, the next episode in the sequence of the last one. A reset has no
+    options.
+
+    Args:
+        environment: closed with this one.
+        render_mode: None, "rgb_array", or "human" (a window in real time; the environment must support it).
+        width: of a picture in pixels.
+        height: of a picture in pixels.
+
+    Raises:
+        UsageError: the environment has no goals.
+    """
+
+    metadata = {"render_modes": RENDER_MODES, "render_fps": 24}  # noqa: RUF012  (gymnasium reads it from the class)
+    _spec: EnvSpec | None = None
+
+    def __init__(
+        self, environment: Environment, *, render_mode: str | None = None, width: int = 640, height: int = 480
+    ) -> None:
+        signature = environment.signature
+        if signature.goal_rule is None:
+            raise UsageError("the environment has no goals", setting="environment")
+        self.render_mode = render_mode
+        self._size = (width, height)
+        self.metadata = {**type(self).metadata, "render_fps": environment.rate}
+        self._environment = environment
+        self._rule = signature.goal_rule
+        self._shown = 0.0
+        """When the window last showed a step, in s."""
+        action = signature.action
+        self.action_space = (
+            gymnasium.spaces.Discrete(len(action.labels))  # type: ignore[assignment]  # an index
+            if isinstance(action, Discrete)
+            else gymnasium.spaces.Box(-1.0, 1.0, (action.size,), np.float32)
+        )
+        self.observation_space = gymnasium.spaces.Dict(  # type: ignore[assignment]  # a Dict of Boxes is what it gives
+            {
+                name: gymnasium.spaces.Box(-np.inf, np.inf, (getattr(signature, name).size,), np.float32)
+                for name in OBSERVED
+            }
+        )
+
+    @property
+    def spec(self) -> EnvSpec | None:
+        """What `gymnasium.make` sets, with the environment's own number of steps."""
+        return self._spec
+
+    @spec.setter
+    def spec(self, value: EnvSpec | None) -> None:
+        steps = self._environment.signature.max_steps
+        self._spec = None if value is None else replace(value, max_episode_steps=steps)
+
+    def reset(
+        self, *, seed: int | None = None, options: dict[str, Any] | None = None
+    ) -> tuple[Observation, dict[str, Any]]:
+        """Begin an episode. The info has its seed, and the parameters that randomization drew."""
+        super().reset(seed=seed, options=options)
+        episode = int(self.np_random.integers(2**63 - 1)) if seed is None else int(seed)
+        step = self._environment.reset(episode)
+        names, values = self._environment.signature.parameters.names, self._environment.parameters().tolist()
+        info = self._info(step) | {"seed": episode}
+        if names:
+            info["parameters"] = dict(zip(names, values, strict=True))
+        return _observed(step), info
+
+    def step(self, action: NDArray[np.float32]) -> tuple[Observation, float, bool, bool, dict[str, Any]]:
+        """One control step. Raises ValueError for a wrong shape or NaN, RuntimeError after the end of the episode."""
+        step = self._environment.step(np.array(action, np.float32))
+        if self.render_mode == "human":  # in real time
+            now, period = time.monotonic(), 1 / self._environment.rate
+            time.sleep(max(0.0, min(self._shown + period - now, period)))
+            self._shown = time.monotonic()
+        return _observed(step), float(step.reward), bool(step.terminated), bool(step.truncated), self._info(step)
+
+    @staticmethod
+    def _info(step: Step) -> dict[str, Any]:
+        return {"is_success": bool(step.success), "truncated": bool(step.truncated), "diverged": bool(step.diverged)}
+
+    def compute_reward(self, achieved_goal: Any, desired_goal: Any, info: Any) -> Any:  # noqa: ARG002
+        """Reward (...) of achieved goals (..., a) and desired goals (..., d)."""
+        reward = self._rule.reward(np.asarray(achieved_goal, np.float32), np.asarray(desired_goal, np.float32))
+        return float(reward) if np.ndim(reward) == 0 else reward
+
+    def compute_terminated(self, achieved_goal: Any, desired_goal: Any, info: Any) -> Any:  # noqa: ARG002
+        """Whether the achieved goals end the episode: (...)."""
+        ends = self._rule.terminated(np.asarray(achieved_goal, np.float32), np.asarray(desired_goal, np.float32))
+        return bool(ends) if np.ndim(ends) == 0 else ends
+
+    def compute_truncated(self, achieved_goal: Any, desired_goal: Any, info: Mapping[str, Any]) -> bool:  # noqa: ARG002
+        """Whether the step that gave this info was truncated, which does not depend on goals."""
+        return bool(info.get("truncated", False))
+
+    def render(self) -> NDArray[np.uint8] | None:
+        """A picture (height, width, 3); None for a window."""
+        return self._environment.render(*self._size) if self.render_mode == "rgb_array" else None
+
+    def close(self) -> None:
+        self._environment.close()
+
+
+class RobotTaskEnv(GoalEnv):
+    """One robot with one task. `render_mode`, `width` and `height` as of `GoalEnv`.
+
+    Args:
+        robot: name of a robot.
+        task: name of a task.
+        randomization: as in a spec, e.g. {"task.gravity": {"name": "normal", "mean": -9.81, "std": 0.1}}.
+        settings: of the robot, the task and the environment (`substeps`, `actions`); each goes to the part that
+            declares it.
+
+    Raises:
+        UsageError: an undeclared setting, or an invalid value.
+        PluginError: robot and task are incompatible.
+    """
+
+    def __init__(
+        self,
+        robot: str,
+        task: str,
+        *,
+        render_mode: str | None = None,
+        width: int = 640,
+        height: int = 480,
+        randomization: Mapping[str, Mapping[str, Any]] | None = None,
+        **settings: Any,
+    ) -> None:
+        if render_mode not in (None, *RENDER_MODES):
+            raise UsageError(
+                f"there is no render mode {render_mode!r}",
+                hint=alternatives(str(render_mode), RENDER_MODES) + "; human needs a display",
+            )
+        window = {"window": True} if render_mode == "human" else {}
+        environment = build_environment(_recipe(robot, task, {**settings, **window}, randomization or {}))
+        super().__init__(environment, render_mode=render_mode, width=width, height=height)
+
+
+def _observed(step: Step) -> Observation:
+    """Copies: the environment uses one array for the goal throughout an episode."""
+    return {name: getattr(step, name).copy() for name in OBSERVED}
+
+
+def _recipe(robot: str, task: str, settings: Mapping[str, Any], randomization: Mapping[str, Any]) -> Recipe:
+    """A recipe in which each part has the settings that it declares."""
+    named = {"robot": ("robots", robot), "task": ("tasks", task), "environment": ("environments", "robot_task")}
+    models = {what: load(*plugin).Settings for what, plugin in named.items()}
+    allowed = {name for model in models.values() for name in model.model_fields}
+    for name in settings:
+        if name not in allowed:
+            raise UsageError(
+                f"neither robot {robot!r} nor task {task!r} has a setting {name!r}",
+                hint=alternatives(name, [*sorted(allowed), "randomization", "render_mode", "width", "height"]),
+            )
+    parts = {}
+    for what, plugin in named.items():
+        own = {name: value for name, value in settings.items() if name in models[what].model_fields}
+        parts[what] = Part(*plugin, _valid(what, models[what].model_validate, own))
+    distributions = OfKind("distributions").validate
+    drawn = ((name, _valid(f"randomization.{name}", distributions, dict(one))) for name, one in randomization.items())
+    return Recipe(**parts, randomization=tuple(sorted(drawn)))
+
+
+def _valid(where: str, validate: Callable[[Any], Any], value: Any) -> Any:
+    try:
+        return validate(value)
+    except ValidationError as error:
+        first = error.errors()[0]
+        path = ".".join([where, *map(str, first["loc"])])
+        raise UsageError(f"{first['msg']}, not {first['input']!r}", setting=path) from error

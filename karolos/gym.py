@@ -1,0 +1,46 @@
+"""Registers every robot with every task in gymnasium, as `karolos/<Robot><Task>-v1`.
+
+    import gymnasium
+    import karolos.gym
+
+    gymnasium.make("karolos/UR5PickPlace-v1", control="cartesian", reward="sparse")
+
+`gymnasium.make("karolos.gym:karolos/PandaReach-v1")` imports this module by itself. The names are those of the classes
+of all installed plugins. Plugins and engines are imported when an environment is made.
+"""
+
+from __future__ import annotations
+
+import gymnasium
+
+from .registry import entries
+
+ENTRY_POINT = "karolos.environments.gymnasium.export:RobotTaskEnv"
+_ACRONYMS = {"iiwa": "IIWA"}
+
+
+def environment_ids() -> dict[str, tuple[str, str]]:
+    """Robot and task behind each id, e.g. "karolos/PandaReach-v1": ("panda", "reach"). Imports no plugin."""
+    robots, tasks = (_class_names(kind) for kind in ("robots", "tasks"))
+    return {
+        f"karolos/{robot_class}{task_class}-v1": (robot, task)
+        for robot, robot_class in robots.items()
+        for task, task_class in tasks.items()
+    }
+
+
+def _class_names(kind: str) -> dict[str, str]:
+    """The class name of each plugin; where two are equal, the plugin's own name in capitalized words instead."""
+    classes = {
+        entry.name: _ACRONYMS.get(entry.name) or entry.target.partition(":")[2].rpartition(".")[2]
+        for entry in entries(kind)
+    }
+    names = list(classes.values())
+    return {
+        plugin: name if names.count(name) == 1 else "".join(word.capitalize() for word in plugin.split("_"))
+        for plugin, name in classes.items()
+    }
+
+
+for name, (robot, task) in environment_ids().items():
+    gymnasium.register(name, ENTRY_POINT, kwargs={"robot": robot, "task": task})
