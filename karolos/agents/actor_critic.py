@@ -204,10 +204,7 @@ class ActorCritic(TorchAgent):
         return self.critic_kind.policy_value(outputs)
 
     def values_and_gradient(self, batch: TensorBatch, action: Tensor) -> tuple[Tensor, Tensor]:
-        """Q(s, a), (n,), and the gradient by a of what a policy minimises with it, (n, a).
-
-        That is - sum_i weight_i Q(s_i, a_i) + action_penalty mean(a^2).
-        """
+        """Q(s, a), (n,), and the gradient of - sum_i weight_i Q(s_i, a_i) + action_penalty mean(a^2) by a, (n, a)."""
         outputs, tapes = self.critic.forward(torch.cat((batch.input, action), 1), members=self.judges)
         values = self.critic_kind.policy_value(outputs)
         by_outputs = self.critic_kind.policy_value_gradient(outputs, values, -batch.weight)

@@ -1,8 +1,7 @@
 """Multi-layer perceptrons whose parameters are one vector, alone or several of one shape side by side.
 
-An update of networks of this size is hundreds of operations of a few microseconds each. With one vector a step of an
-optimiser, a step of a target network and a checkpoint are one operation each. Agents of karolos call `forward` and
-`backward`; a plugin can use a network under autograd instead.
+With one vector a step of an optimiser, a step of a target network and a checkpoint are one operation each. Agents of
+karolos call `forward` and `backward`; a plugin can use a network under autograd instead.
 """
 
 from __future__ import annotations

@@ -1,7 +1,4 @@
-"""Soft actor-critic (Haarnoja et al. 2018, arXiv 1812.05905), with additions for robot tasks with sparse rewards.
-
-Each loss stands with its gradient: under autograd an update takes 9 to 18 % longer (docs/what_was_tried.md).
-"""
+"""Soft actor-critic (Haarnoja et al. 2018, arXiv 1812.05905), with additions for robot tasks with sparse rewards."""
 
 from __future__ import annotations
 
