@@ -89,6 +89,14 @@ def load(kind: str, name: str) -> Any:
     return _load(find(kind, name))
 
 
+def loaded(kind: str, name: object) -> Any:
+    """The plugin's class; None if there is no such plugin or it is broken, which `load` tells."""
+    try:
+        return load(kind, name) if isinstance(name, str) else None
+    except (UsageError, PluginError):
+        return None
+
+
 def find(kind: str, name: str) -> PluginEntry:
     """The plugin of that kind and name, without importing it. Raises as `load` does."""
     found = [entry for entry in entries(kind) if entry.name == name]

@@ -15,7 +15,7 @@ from pydantic import Field as Setting
 from pydantic import model_validator
 from torch import Tensor
 
-from ..core import FLOAT_BYTES, Agent, AgentSettings, Experience, FloatArray, MemoryNeed, Signature, State
+from ..core import FLOAT_BYTES, Agent, AgentSettings, Experience, FloatArray, MemoryNeed, RunSize, Signature, State
 from ..core.deployed import Deployed, Layer, Output
 from ..core.schedules import Linear
 from ..core.seeding import SeedTree
@@ -127,14 +127,14 @@ class TorchAgent(Agent[Experience]):
         return Deployed(shift, scale, self.normaliser.clip, tuple(layers), output, epsilon)
 
     @classmethod
-    def memory(cls, settings: Any, signature: Signature, batch_size: int) -> Iterator[MemoryNeed]:
+    def memory(cls, settings: Any, signature: Signature, size: RunSize) -> Iterator[MemoryNeed]:
         inputs = signature.observation.size + signature.desired_goal.size + signature.action.size
         weights = sum((before + 1) * after for before, after in pairwise((inputs, *settings.hidden, 1)))
         what = f"an agent with networks of {' x '.join(map(str, settings.hidden))} units"
         yield MemoryNeed(cls.arrays * weights * FLOAT_BYTES, what, "agent.hidden")
         if not cls.on_policy:
-            activations = 2 * batch_size * sum(settings.hidden) * FLOAT_BYTES
-            yield MemoryNeed(activations, f"a batch of {batch_size:,} transitions", "training.batch_size")
+            activations = 2 * size.batch_size * sum(settings.hidden) * FLOAT_BYTES
+            yield MemoryNeed(activations, f"a batch of {size.batch_size:,} transitions", "training.batch_size")
 
     def state(self) -> State:
         """Everything that learning and acting depend on."""

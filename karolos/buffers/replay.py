@@ -9,7 +9,7 @@ import numpy as np
 from numpy.typing import NDArray
 from pydantic import Field as Setting
 
-from ..core import FLOAT_BYTES, Batch, Buffer, FloatArray, MemoryNeed, Signature, State, Transitions
+from ..core import FLOAT_BYTES, Batch, Buffer, FloatArray, MemoryNeed, RunSize, Signature, State, Transitions
 from ..core import Settings as BaseSettings
 from ..core.seeding import SeedTree, generator_state, load_generator_state
 from ..errors import RunError
@@ -53,23 +53,13 @@ class Replay(Buffer):
         self._generator = seeds.child("sample").generator()
 
     @classmethod
-    def memory(
-        cls,
-        settings: Replay.Settings,
-        signature: Signature,
-        *,
-        environments: int,  # noqa: ARG003 (share the capacity)
-        steps: int,
-        batch_size: int,
-        demonstrations: int,
-    ) -> Iterator[MemoryNeed]:
-        row, capacity = row_layout(signature).size * FLOAT_BYTES, settings.capacity
-        stored = max(capacity, 2 * min(capacity, steps))  # a checkpoint copies what is stored
+    def memory(cls, settings: Replay.Settings, signature: Signature, size: RunSize) -> Iterator[MemoryNeed]:
+        row, capacity, episodes = row_layout(signature).size * FLOAT_BYTES, settings.capacity, size.demonstrations
+        stored = max(capacity, 2 * min(capacity, size.steps))  # a checkpoint copies what is stored
         yield MemoryNeed(stored * row, f"a buffer of {capacity:,} transitions", "buffer.capacity")
-        yield MemoryNeed(batch_size * row, f"a batch of {batch_size:,} transitions", "training.batch_size")
-        shown = 2 * demonstrations * signature.max_steps
-        what = f"a buffer for {demonstrations:,} demonstrations of up to {signature.max_steps:,} steps"
-        yield MemoryNeed(shown * row, what, "demonstrations.episodes")
+        yield MemoryNeed(size.batch_size * row, f"a batch of {size.batch_size:,} transitions", "training.batch_size")
+        what = f"a buffer for {episodes:,} demonstrations of up to {signature.max_steps:,} steps"
+        yield MemoryNeed(2 * episodes * signature.max_steps * row, what, "demonstrations.episodes")
 
     def add(self, transitions: Transitions) -> None:
         """Store at most one transition of each environment.

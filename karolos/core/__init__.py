@@ -12,7 +12,7 @@ from .environment import Environment, Expert
 from .experience import Batch, Experience, Rollout, Step, Transitions
 from .goals import GoalRule
 from .layout import Discrete, Field, Layout
-from .memory import FLOAT_BYTES, MemoryNeed
+from .memory import FLOAT_BYTES, MemoryNeed, RunSize
 from .orchestrator import BuildEnvironment, Failure, Orchestrator, Received
 from .settings import AgentSettings, Settings
 from .signature import Signature, random_actions
@@ -39,6 +39,7 @@ __all__ = [
     "Orchestrator",
     "Received",
     "Rollout",
+    "RunSize",
     "Settings",
     "Signature",
     "State",

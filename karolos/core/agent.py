@@ -13,7 +13,7 @@ from pydantic import BaseModel
 from ..errors import UsageError
 from .arrays import FloatArray, State
 from .experience import Experience
-from .memory import MemoryNeed
+from .memory import MemoryNeed, RunSize
 from .signature import Signature
 
 if TYPE_CHECKING:
@@ -53,7 +53,7 @@ class Agent(ABC, Generic[Experience]):
     def __init__(self, settings: Any, signature: Signature, seeds: SeedTree, device: str = "cpu") -> None: ...
 
     @classmethod
-    def memory(cls, settings: Any, signature: Signature, batch_size: int) -> Iterable[MemoryNeed]:  # noqa: ARG003
+    def memory(cls, settings: Any, signature: Signature, size: RunSize) -> Iterable[MemoryNeed]:  # noqa: ARG003
         """The memory that an agent with these settings certainly needs; by default nothing is known."""
         return ()
 

@@ -13,7 +13,7 @@ from pydantic import BaseModel
 from ..errors import UsageError
 from .arrays import FloatArray, State
 from .experience import Experience, Transitions
-from .memory import MemoryNeed
+from .memory import MemoryNeed, RunSize
 from .signature import Signature
 
 if TYPE_CHECKING:
@@ -60,26 +60,8 @@ class Buffer(ABC, Generic[Experience]):
         """
 
     @classmethod
-    def memory(
-        cls,
-        settings: Any,  # noqa: ARG003 (interface)
-        signature: Signature,  # noqa: ARG003
-        *,
-        environments: int,  # noqa: ARG003
-        steps: int,  # noqa: ARG003
-        batch_size: int,  # noqa: ARG003
-        demonstrations: int,  # noqa: ARG003
-    ) -> Iterable[MemoryNeed]:
-        """The memory that a buffer with these settings certainly needs; by default nothing is known.
-
-        Args:
-            settings: an instance of `Settings`.
-            signature: of the environments.
-            environments: number of environments.
-            steps: environment steps of training.
-            batch_size: transitions per batch.
-            demonstrations: number of demonstrated episodes.
-        """
+    def memory(cls, settings: Any, signature: Signature, size: RunSize) -> Iterable[MemoryNeed]:  # noqa: ARG003
+        """The memory that a buffer with these settings certainly needs; by default nothing is known."""
         return ()
 
     @abstractmethod

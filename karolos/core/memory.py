@@ -8,6 +8,17 @@ FLOAT_BYTES = 4
 """Size of a float32."""
 
 
+class RunSize(NamedTuple):
+    """Amounts that decide how much memory a run needs."""
+
+    environments: int
+    steps: int
+    """Environment steps of training."""
+    batch_size: int
+    demonstrations: int
+    """Number of demonstrated episodes."""
+
+
 class MemoryNeed(NamedTuple):
     """Memory that a part of a run certainly needs."""
 

@@ -2,10 +2,8 @@
 
 from __future__ import annotations
 
-from typing import Any
-
-from ..errors import PluginError, Problem, UsageError
-from ..registry import closest, load
+from ..errors import Problem
+from ..registry import closest, loaded
 from .model import Spec
 from .nodes import DEFAULT, Node
 
@@ -45,15 +43,12 @@ def environment_problems(tree: Node) -> list[Problem]:
 def pairing_problems(tree: Node) -> list[Problem]:
     """An on-policy agent needs an on-policy buffer, an off-policy agent a replay buffer."""
     agent_node, buffer_node = tree.get("agent"), tree.get("buffer")
-    agent, buffer = _plugin("agents", agent_node), _plugin("buffers", buffer_node)
-    if agent is None or buffer is None or agent_node is None or buffer_node is None:
-        return []
-    wants, gives = getattr(agent, "on_policy", None), getattr(buffer, "on_policy", None)
-    if wants is None or gives is None or wants == gives:
+    agent, buffer = loaded("agents", _name(agent_node)), loaded("buffers", _name(buffer_node))
+    if agent_node is None or buffer_node is None or not agent or not buffer or agent.on_policy == buffer.on_policy:
         return []
     place = agent_node.place if buffer_node.at is DEFAULT else buffer_node.place
     names = f"agent {_name(agent_node)!r}", f"buffer {_name(buffer_node)!r}"
-    if wants:
+    if agent.on_policy:
         what = f"{names[0]} learns from its own latest actions only, {names[1]} replays old ones"
         return [Problem(place, "buffer", what, "name an on-policy buffer")]
     what = f"{names[0]} learns from replay, {names[1]} forgets all but the latest actions"
@@ -69,14 +64,3 @@ def _misspelt(tree: Node, key: str) -> bool:
 def _name(part: Node | None) -> str | None:
     name = part.get("name") if part else None
     return name.value if name and isinstance(name.value, str) else None
-
-
-def _plugin(kind: str, part: Node | None) -> Any:
-    """The class of the part; None if it cannot be loaded, which validation reports."""
-    name = _name(part)
-    if name is None:
-        return None
-    try:
-        return load(kind, name)
-    except (UsageError, PluginError):
-        return None

@@ -15,8 +15,6 @@ from .yaml_text import MAX_CHARACTERS, BrokenTextError, read
 
 SPECS_FOLDER = "specs"
 """Name of a project's folder of specs; `extends` cannot refer to files outside it."""
-MAX_CHAIN = 16
-"""Largest number of files in a chain of `extends`."""
 SPEC_SUFFIXES = (".yaml", ".yml")
 
 
@@ -105,8 +103,6 @@ class SpecFiles:
         if file in above:
             chain = " -> ".join(shown(one.name) for one in (*above[above.index(file) :], file))
             return f"is a circle: {chain}", "remove one of them"
-        if len(above) >= MAX_CHAIN:
-            return f"more than {MAX_CHAIN} files in a row extend each other", None
         missing = _unreadable(file)
         return (f"{shown(target)}: {missing}", _similar(file)) if missing else None
 

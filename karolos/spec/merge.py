@@ -5,8 +5,8 @@ from __future__ import annotations
 from collections.abc import Iterable
 from typing import Any
 
-from ..errors import PluginError, Problem, UsageError
-from ..registry import load
+from ..errors import Problem
+from ..registry import loaded
 from .nodes import Mark, Node, refuse, shown
 from .yaml_text import BrokenTextError, read
 
@@ -164,10 +164,5 @@ def with_shared_settings(tree: Node, override: Node) -> Node:
 
 def _types(key: str, name: object) -> dict[str, object]:
     """The settings of a plugin with their types; empty if it cannot be loaded, which validation reports."""
-    if not isinstance(name, str):
-        return {}
-    try:
-        fields = load(PARTS[key], name).Settings.model_fields
-    except (UsageError, PluginError):
-        return {}
-    return {field: info.annotation for field, info in fields.items()}
+    plugin = loaded(PARTS[key], name)
+    return {field: info.annotation for field, info in plugin.Settings.model_fields.items()} if plugin else {}

@@ -63,6 +63,10 @@ class OfKind:
         dump = core_schema.plain_serializer_function_ser_schema(Part.dump)
         return core_schema.no_info_plain_validator_function(self.validate, serialization=dump)
 
+    def __get_pydantic_json_schema__(self, *_: Any) -> dict[str, str]:
+        """A mark, which `karolos.spec.schema` replaces."""
+        return {"kind": self.kind}
+
     def validate(self, value: object) -> Part:
         """Convert a mapping with `name` and settings. Raises ValidationError at paths below this field."""
         if isinstance(value, Part):

@@ -8,8 +8,8 @@ from typing import Any, get_args
 
 from pydantic import BaseModel, ValidationError
 
-from ..errors import PluginError, Problem, UsageError
-from ..registry import alternatives, closest, load
+from ..errors import Problem
+from ..registry import alternatives, closest, loaded
 from .checks import environment_problems, pairing_problems
 from .merge import PARTS, RANDOMIZATION, is_part
 from .model import Spec
@@ -182,11 +182,10 @@ def _allowed(tree: Node, path: Path) -> list[str]:
         return _keys([Spec], path[:-1])
     kind = PARTS.get(steps[0], "distributions")
     name = tree.get(*steps[:depth], "name")
-    try:
-        settings = load(kind, str(name.value)).Settings if name else None
-    except (UsageError, PluginError):
+    plugin = loaded(kind, name.value) if name else None
+    if name and plugin is None:
         return []
-    keys = _keys([settings], path[depth:-1]) if settings else []
+    keys = _keys([plugin.Settings], path[depth:-1]) if plugin else []
     return ["name", *keys] if len(path) == depth + 1 else keys
 
 

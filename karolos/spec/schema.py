@@ -8,11 +8,8 @@ from pydantic import BaseModel
 from pydantic.errors import PydanticUserError
 
 from ..errors import PluginError
-from ..registry import load, names, singular
-from .merge import PARTS, RANDOMIZATION, SWEEP, TRANSFER
-from .model import NAME_PATTERN, PARAMETER_PATTERN, DemonstrationSettings, Spec, TestingSettings, TrainingSettings
-from .sweep import Sweep
-from .transfer import Transfer
+from ..registry import KINDS, load, names, singular
+from .model import Spec
 
 SCHEMA_DIALECT = "https://json-schema.org/draft/2020-12/schema"
 Schema = dict[str, Any]
@@ -25,28 +22,16 @@ def spec_schema() -> tuple[Schema, list[PluginError]]:
     """
     definitions: Schema = {}
     broken: list[PluginError] = []
-    properties: Schema = {
-        "extends": {
-            "description": "spec files to merge this one into, relative to it; later ones have priority",
-            "anyOf": [{"type": "string"}, {"type": "array", "items": {"type": "string"}}],
-        },
-        "name": {"type": "string", "pattern": NAME_PATTERN},
-        "seeds": {"type": "array", "items": {"type": "integer", "minimum": 0}, "minItems": 1, "uniqueItems": True},
-        **{key: _part(kind, definitions, broken) for key, kind in PARTS.items()},
-        RANDOMIZATION: {
-            "type": "object",
-            "patternProperties": {PARAMETER_PATTERN: _or_null(_distribution(definitions, broken))},
-            "additionalProperties": False,
-        },
-        "demonstrations": _settings(DemonstrationSettings, "demonstrations", definitions),
-        "training": _settings(TrainingSettings, "training", definitions),
-        "testing": _settings(TestingSettings, "testing", definitions),
-        SWEEP: _settings(Sweep, SWEEP, definitions),
-        TRANSFER: _settings(Transfer, TRANSFER, definitions),
-    }
-    for key, field in Spec.model_fields.items():
-        properties[key] = {"description": field.description, **properties[key]}
-    schema: Schema = {
+    parts = {kind: _part(kind, definitions, broken) for kind in KINDS}
+    parts["distributions"]["anyOf"].append({"type": "number"})
+    properties = _with_parts(_settings(Spec, "spec", definitions)["properties"], parts)
+    paths = {"anyOf": [{"type": "string"}, {"type": "array", "items": {"type": "string"}}]}
+    description = "spec files to merge this one into, relative to it; later ones have priority"
+    properties = {"extends": {"description": description, **paths}, **properties}
+    (parameter, distribution), *_ = properties["randomization"]["patternProperties"].items()
+    properties["randomization"]["patternProperties"] = {parameter: _or_null(distribution)}
+    properties["randomization"]["additionalProperties"] = False
+    return {
         "$schema": SCHEMA_DIALECT,
         "title": "karolos spec",
         "type": "object",
@@ -58,8 +43,17 @@ def spec_schema() -> tuple[Schema, list[PluginError]]:
             "anyOf": [{"required": ["robot", "task"]}, {"required": ["environment"]}],
         },
         "$defs": definitions,
-    }
-    return schema, broken
+    }, broken
+
+
+def _with_parts(schema: Any, parts: dict[str, Schema]) -> Any:
+    """The schema with the marks of `OfKind` replaced by the plugins of that kind."""
+    if isinstance(schema, list):
+        return [_with_parts(entry, parts) for entry in schema]
+    if not isinstance(schema, dict):
+        return schema
+    part = parts.get(schema.get("kind", ""), {})
+    return {key: _with_parts(entry, parts) for key, entry in schema.items() if not part or key != "kind"} | part
 
 
 def _part(kind: str, definitions: Schema, broken: list[PluginError]) -> Schema:
@@ -87,19 +81,14 @@ def _part(kind: str, definitions: Schema, broken: list[PluginError]) -> Schema:
     return {"anyOf": [{"enum": installed}, mapping]}
 
 
-def _distribution(definitions: Schema, broken: list[PluginError]) -> Schema:
-    """A number, or a part."""
-    part = _part("distributions", definitions, broken)
-    return {"anyOf": [{"type": "number"}, *part["anyOf"]]}
-
-
 def _settings(model: type[BaseModel], name: str, definitions: Schema) -> Schema:
     """The schema of a settings model; adds nested models to `definitions`."""
     schema = model.model_json_schema(ref_template=f"#/$defs/{name}.{{model}}")
-    for nested, entry in schema.pop("$defs", {}).items():
-        definitions[f"{name}.{nested}"] = entry
-    schema.pop("required", None)  # an extended file may hold it
-    schema.pop("title", None)
+    nested = {f"{name}.{key}": entry for key, entry in schema.pop("$defs", {}).items()}
+    definitions.update(nested)
+    for entry in (schema, *nested.values()):
+        entry.pop("required", None)  # an extended file may hold it
+        entry.pop("title", None)
     return schema
 
 

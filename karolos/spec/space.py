@@ -15,7 +15,7 @@ from .merge import RANDOMIZATION, SWEEP, merged, nested, segments
 from .model import Spec
 from .nodes import Mark, Node, from_plain
 from .problems import validate
-from .sweep import Sweep, SweepParameter
+from .sweep import Sweep
 
 SEARCHABLE = ("robot", "task", "environment", "agent", "buffer", RANDOMIZATION, "demonstrations", "training")
 """Keys of a spec below which settings can be searched."""
@@ -132,7 +132,6 @@ def _probes(
 
     Skips choices in `refused`. Yields a problem instead of a spec if the parameter cannot be merged.
     """
-    parameter = sweep.space[key]
     depends = _depends(sweep, key)
     part = Sweep.model_construct(space={name: sweep.space[name] for name in depends})
     for drawn in islice(part.combinations(), MAX_COMBINATIONS):
@@ -141,7 +140,7 @@ def _probes(
         tree = base
         above = [name for name in application_order(drawn) if name in drawn]
         for name in above:
-            tree = merged(tree, nested(segments(name), _written(space, name, sweep.space[name], drawn[name])))
+            tree = merged(tree, nested(segments(name), _values(space, sweep, name)[drawn[name]]))
         home = tree.get(*segments(key)[:-1])
         if home is not None and home.mapping is None:
             off = next((name for name in reversed(above) if key.startswith(f"{name}.")), None)
@@ -149,9 +148,8 @@ def _probes(
                 what = f"{off} has no such setting when it is {drawn[off]!r}"
                 yield None, Problem(space[key].place, f"sweep.space.{key}", what, f"add when: {{{off}: ...}}")
                 continue
-        values = parameter.labels if parameter.choice is not None else parameter.bounds
-        for value in values:
-            yield value, merged(tree, nested(segments(key), _written(space, key, parameter, value)))
+        for value, node in _values(space, sweep, key).items():
+            yield value, merged(tree, nested(segments(key), node))
 
 
 def _depends(sweep: Sweep, key: str) -> list[str]:
@@ -171,12 +169,10 @@ def _depends(sweep: Sweep, key: str) -> list[str]:
     return list(choices)
 
 
-def _written(space: Node, key: str, parameter: SweepParameter, value: Any) -> Node:
-    """The node of this value in the search space, with its source position."""
-    if parameter.choice is None:
-        node = space[key]["int" if parameter.float is None else "float"][parameter.bounds.index(value)]
-    elif isinstance(parameter.choice, dict):
-        node = space[key]["choice"][value]
-    else:
-        node = space[key]["choice"][parameter.labels.index(value)]
-    return node.with_key(space[key].key)
+def _values(space: Node, sweep: Sweep, key: str) -> dict[Any, Node]:
+    """The values to try, both ends of a range or the labels of all choices, and their nodes in the search space."""
+    parameter, node = sweep.space[key], space[key]
+    kind = next(kind for kind in ("float", "int", "choice") if getattr(parameter, kind) is not None)
+    nodes = node[kind].items if node[kind].mapping is None else list(node[kind].value.values())
+    values = parameter.bounds if parameter.choice is None else parameter.labels
+    return {value: below.with_key(node.key) for value, below in zip(values, nodes or (), strict=True)}

@@ -25,7 +25,9 @@ def _distinct(seeds: tuple[int, ...]) -> tuple[int, ...]:
     return seeds
 
 
-Seeds = Annotated[tuple[Seed, ...], AfterValidator(_distinct)]
+Seeds = Annotated[
+    tuple[Seed, ...], AfterValidator(_distinct), Setting(json_schema_extra={"minItems": 1, "uniqueItems": True})
+]
 Number: TypeAlias = float  # SweepParameter has fields named float and int
 Whole: TypeAlias = int
 

@@ -38,14 +38,22 @@ class SweepOutcome:
 
 
 @dataclass(frozen=True)
-class TrialBegan:
-    """A trial begins, or resumes after an interruption of the sweep; `done` of `asked` trials have ended."""
+class TrialEvent:
+    """A trial, when `done` of `asked` trials have ended."""
 
     trial: Trial
     done: int
     asked: int
     best: Trial | None
     """The best trial so far by the first objective."""
+
+
+class TrialBegan(TrialEvent):
+    """A trial begins, or resumes after an interruption of the sweep."""
+
+
+class TrialEnded(TrialEvent):
+    """A trial has ended."""
 
 
 @dataclass(frozen=True)
@@ -54,17 +62,6 @@ class TrialAdvanced:
 
     name: str
     fraction: float
-
-
-@dataclass(frozen=True)
-class TrialEnded:
-    """A trial has ended; `done` of `asked` trials have ended."""
-
-    trial: Trial
-    done: int
-    asked: int
-    best: Trial | None
-    """The best trial so far by the first objective."""
 
 
 @dataclass(frozen=True)

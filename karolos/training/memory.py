@@ -4,7 +4,7 @@ from __future__ import annotations
 
 from collections.abc import Iterator
 
-from ..core import FLOAT_BYTES, MemoryNeed, Signature
+from ..core import FLOAT_BYTES, MemoryNeed, RunSize, Signature
 from ..errors import UsageError
 from ..machine import memory
 from ..registry import load
@@ -34,22 +34,17 @@ def check_memory(spec: Spec, signature: Signature, jobs: int = 1) -> None:
 
 
 def _needs(spec: Spec, signature: Signature) -> Iterator[MemoryNeed]:
-    agent, buffer, amounts, size = spec.agent, spec.buffer, spec.training, environments_of(spec)
+    agent, buffer, demonstrations = spec.agent, spec.buffer, spec.demonstrations
+    episodes = demonstrations.episodes if demonstrations is not None else 0
+    size = RunSize(environments_of(spec), spec.training.steps, spec.training.batch_size, episodes)
     processes = getattr(spec.orchestrator.settings, "processes", 0)
-    workers = f"training and testing with {processes} worker processes each"
-    yield MemoryNeed(2 * processes * WORKER_BYTES, workers, "orchestrator.processes")
-    actions = 2 * size * signature.max_steps * signature.action.size * FLOAT_BYTES  # and a copy in a checkpoint
-    episodes = f"the actions of {size:,} running episodes of up to {signature.max_steps:,} steps"
-    yield MemoryNeed(actions, episodes, "orchestrator.environments")
-    yield from load("agents", agent.name).memory(agent.settings, signature, amounts.batch_size)
-    yield from load("buffers", buffer.name).memory(
-        buffer.settings,
-        signature,
-        environments=size,
-        steps=amounts.steps,
-        batch_size=amounts.batch_size,
-        demonstrations=spec.demonstrations.episodes if spec.demonstrations is not None else 0,
-    )
+    what = f"training and testing with {processes} worker processes each"
+    yield MemoryNeed(2 * processes * WORKER_BYTES, what, "orchestrator.processes")
+    actions = 2 * size.environments * signature.max_steps * signature.action.size  # and a copy in a checkpoint
+    what = f"the actions of {size.environments:,} running episodes of up to {signature.max_steps:,} steps"
+    yield MemoryNeed(actions * FLOAT_BYTES, what, "orchestrator.environments")
+    yield from load("agents", agent.name).memory(agent.settings, signature, size)
+    yield from load("buffers", buffer.name).memory(buffer.settings, signature, size)
 
 
 def _size(count: int) -> str:

@@ -2,23 +2,23 @@
 
 from __future__ import annotations
 
+from typing import Any
+
 import numpy as np
 import pytest
 from hypothesis import given, settings
 from hypothesis import strategies as st
-from support.worlds import Counting, SameStep, counting_signature
+from support.worlds import Counting, SameStep, counting_signature, feed, make_buffer
 
 from karolos.buffers.uniform import Uniform
 from karolos.core import Batch
-from karolos.core.seeding import SeedTree
 
 DISCOUNT = 0.9
 
 
-def make(steps: int, *, max_steps: int, ring_size: int, rule: SameStep | None = None, **changes: object) -> Uniform:
-    chosen = Uniform.Settings.model_validate({"capacity": ring_size, "n_step": steps, **changes})
+def make(steps: int, *, max_steps: int, ring_size: int, rule: SameStep | None = None, **settings: object) -> Any:
     signature = counting_signature(max_steps, rule=rule)
-    return Uniform(chosen, signature, SeedTree(0), environments=1, discount=DISCOUNT)
+    return make_buffer(Uniform, signature, ring_size, discount=DISCOUNT, n_step=steps, **settings)
 
 
 def worth(episode: int, step: int) -> float:
@@ -68,8 +68,7 @@ def test_a_window_stops_at_the_first_step_that_reaches_a_relabelled_goal(ends):
     rule = SameStep(ends=ends)
     hindsight = {"strategy": "future", "ratio": 1.0, "min_displacement": 0}
     buffer, world = make(4, max_steps=9, ring_size=40, rule=rule, hindsight=hindsight), Counting(1)
-    for step in range(9):
-        buffer.add(world.step([0], over=[step == 8]))
+    feed(buffer, world, 9, length=9)
     batch = buffer.sample(500)
     seen = set()
     for (here, there, reward, terminated, discount), goal in zip(rows(batch), batch.desired_goal, strict=True):

@@ -2,28 +2,18 @@
 
 from __future__ import annotations
 
+from typing import Any
+
 import numpy as np
 import pytest
-from support.worlds import Counting, counting_signature
+from support.worlds import Counting, counting_signature, feed, make_buffer, places
 
 from karolos.buffers.priority import Priority
-from karolos.core import Batch
-from karolos.core.seeding import SeedTree
 from karolos.errors import RunError
 
 
-def make(capacity: int = 40, *, environments: int = 1, max_steps: int = 5, **settings: object) -> Priority:
-    chosen = Priority.Settings.model_validate({"capacity": capacity, **settings})
-    return Priority(chosen, counting_signature(max_steps), SeedTree(3), environments=environments, discount=0.9)
-
-
-def fill(buffer: Priority, world: Counting, steps: int) -> None:
-    for step in range(steps):
-        buffer.add(world.step(list(range(len(world.current))), over=[step % 5 == 4] * len(world.current)))
-
-
-def places(batch: Batch) -> list[tuple[int, int]]:
-    return [(int(episode), int(step)) for _, episode, step in batch.observation]
+def make(capacity: int = 40, *, environments: int = 1, **settings: object) -> Any:
+    return make_buffer(Priority, counting_signature(5), capacity, environments=environments, **settings)
 
 
 def set_errors(buffer: Priority, errors: dict[tuple[int, int], float], default: float) -> None:
@@ -35,7 +25,7 @@ def set_errors(buffer: Priority, errors: dict[tuple[int, int], float], default: 
 
 def test_a_transition_is_sampled_in_proportion_to_its_error_to_the_alpha():
     buffer = make(alpha=0.5)
-    fill(buffer, Counting(1), 5)
+    feed(buffer, Counting(1), 5)
     set_errors(buffer, {(1, 0): 16.0, (1, 1): 4.0}, default=1.0)
     drawn = [place for _ in range(200) for place in places(buffer.sample(50))]
     shares = {place: drawn.count(place) / len(drawn) for place in set(drawn)}
@@ -46,7 +36,7 @@ def test_a_transition_is_sampled_in_proportion_to_its_error_to_the_alpha():
 
 def test_importance_weights_make_the_mean_over_a_batch_that_over_all_transitions():
     buffer = make(alpha=0.8, beta=1.0)
-    fill(buffer, Counting(1), 5)
+    feed(buffer, Counting(1), 5)
     set_errors(buffer, {(1, 0): 9.0, (1, 1): 3.0}, default=0.5)
     weighted = total = 0.0
     for _ in range(400):
@@ -59,7 +49,7 @@ def test_importance_weights_make_the_mean_over_a_batch_that_over_all_transitions
 
 def test_the_largest_weight_of_a_batch_is_1_and_rare_transitions_weigh_most():
     buffer = make(beta=1.0)
-    fill(buffer, Counting(1), 5)
+    feed(buffer, Counting(1), 5)
     set_errors(buffer, {(1, 0): 9.0}, default=0.5)
     batch = buffer.sample(200)
     assert batch.weight.max() == 1
@@ -70,9 +60,9 @@ def test_the_largest_weight_of_a_batch_is_1_and_rare_transitions_weigh_most():
 def test_new_transitions_have_the_largest_priority_seen():
     buffer = make(alpha=1.0)
     world = Counting(1)
-    fill(buffer, world, 5)
+    feed(buffer, world, 5)
     set_errors(buffer, {(1, 3): 50.0}, default=0.01)
-    fill(buffer, world, 5)
+    feed(buffer, world, 5)
     drawn = [place for _ in range(40) for place in places(buffer.sample(60))]
     for step in range(5):
         assert drawn.count((2, step)) / len(drawn) == pytest.approx(1 / 6, rel=0.15)
@@ -80,7 +70,7 @@ def test_new_transitions_have_the_largest_priority_seen():
 
 def test_a_batch_takes_one_transition_from_each_share():
     buffer = make(alpha=0.0)
-    fill(buffer, Counting(1), 5)
+    feed(buffer, Counting(1), 5)
     counts = [places(buffer.sample(50)).count((1, step)) for step in range(5)]
     assert all(abs(count - 10) <= 1 for count in counts)
 
@@ -88,9 +78,9 @@ def test_a_batch_takes_one_transition_from_each_share():
 def test_a_priority_for_an_overwritten_transition_is_dropped():
     buffer = make(capacity=5, alpha=1.0)
     world = Counting(1)
-    fill(buffer, world, 5)
+    feed(buffer, world, 5)
     old = buffer.sample(64).slot.copy()
-    fill(buffer, world, 5)
+    feed(buffer, world, 5)
     before = buffer.state()["odds"]
     buffer.update_priorities(old, np.full(64, 1000.0))
     np.testing.assert_array_equal(buffer.state()["odds"], before)
@@ -113,7 +103,7 @@ def test_identifiers_lead_to_their_transitions_until_they_are_overwritten():
 
 def test_beta_rises_to_1_over_the_batches_given():
     buffer = make(beta=0.4, beta_updates=10)
-    fill(buffer, Counting(1), 5)
+    feed(buffer, Counting(1), 5)
     betas = []
     for _ in range(12):
         betas.append(buffer.beta)
@@ -123,7 +113,7 @@ def test_beta_rises_to_1_over_the_batches_given():
 
 def test_sampling_and_odds_go_on_bit_for_bit_from_a_saved_state():
     one, world = make(hindsight={"strategy": "future"}), Counting(1)
-    fill(one, world, 9)
+    feed(one, world, 9)
     set_errors(one, {(1, 0): 7.0}, default=0.3)
     other = make(hindsight={"strategy": "future"})
     other.load_state(one.state())
@@ -135,6 +125,6 @@ def test_sampling_and_odds_go_on_bit_for_bit_from_a_saved_state():
 
 def test_an_error_that_is_not_a_number_is_refused():
     buffer = make()
-    fill(buffer, Counting(1), 5)
+    feed(buffer, Counting(1), 5)
     with pytest.raises(RunError, match="not a number"):
         buffer.update_priorities(buffer.sample(2).slot, np.array([1.0, np.nan]))

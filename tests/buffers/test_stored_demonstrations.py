@@ -6,20 +6,18 @@ from typing import Any
 
 import numpy as np
 import pytest
-from support.worlds import Counting, SameStep, counting_signature
+from support.worlds import Counting, SameStep, counting_signature, feed, make_buffer, places
 
 from karolos.buffers.priority import Priority
 from karolos.buffers.uniform import Uniform
 from karolos.core import Transitions
-from karolos.core.seeding import SeedTree
 
 BUFFERS = [Uniform, Priority]
 STEPS = 5
 
 
 def make(buffer: Any, **settings: Any) -> Any:
-    chosen = buffer.Settings.model_validate({"capacity": 24, **settings})
-    return buffer(chosen, counting_signature(STEPS), SeedTree(0), environments=2, discount=0.9)
+    return make_buffer(buffer, counting_signature(STEPS), **({"capacity": 24, "environments": 2} | settings))
 
 
 def episodes(count: int, first: int = 100) -> list[Transitions]:
@@ -35,15 +33,13 @@ def episodes(count: int, first: int = 100) -> list[Transitions]:
 
 def filled(buffer: Any, rounds: int, world: Counting | None = None) -> Counting:
     world = world or Counting(2)
-    for step in range(rounds):
-        buffer.add(world.step([0, 1], over=[step % STEPS == STEPS - 1] * 2))
+    feed(buffer, world, rounds, length=STEPS)
     return world
 
 
 def sampled(buffer: Any, size: int = 2000) -> set[tuple[int, int]]:
     """(episode, step) of what comes in a batch."""
-    found = buffer.sample(size).observation
-    return {(int(episode), int(step)) for _, episode, step in found}
+    return set(places(buffer.sample(size)))
 
 
 @pytest.mark.parametrize("buffer", BUFFERS)

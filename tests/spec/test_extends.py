@@ -88,13 +88,6 @@ def test_files_that_extend_twice_each_are_read_once(tmp_path):
     assert load_spec(tmp_path / "f15.yaml").robot.name == "arm"
 
 
-def test_chain_without_end_is_cut(tmp_path):
-    for number in range(40):
-        write(tmp_path, f"f{number}.yaml", f"extends: f{number + 1}.yaml\n")
-    (line,) = problems_of(tmp_path / "f0.yaml")
-    assert "in a row" in line
-
-
 @pytest.mark.parametrize("target", ["../outside.yaml", "../specs2/x.yaml", "/etc/passwd", "sub/../../outside.yaml"])
 def test_files_outside_the_tree_are_not_read(tmp_path, target):
     write(tmp_path, "outside.yaml", GOOD)

@@ -3,10 +3,12 @@
 from __future__ import annotations
 
 from collections.abc import Sequence
+from typing import Any
 
 import numpy as np
 
-from karolos.core import Array, BoolArray, Field, FloatArray, GoalRule, Layout, Signature, Transitions
+from karolos.core import Array, Batch, BoolArray, Field, FloatArray, GoalRule, Layout, Signature, Transitions
+from karolos.core.seeding import SeedTree
 
 
 class SameStep(GoalRule):
@@ -46,11 +48,11 @@ class Counting:
 
     def __init__(self, environments: int) -> None:
         self.episodes = 0
-        self.current = [self._new() for _ in range(environments)]
+        self.current = [self.begin() for _ in range(environments)]
         self.given: list[list[tuple[int, int]]] = [[] for _ in range(environments)]
         """(episode, step) of every transition, by environment."""
 
-    def _new(self) -> list[int]:
+    def begin(self) -> list[int]:
         self.episodes += 1
         return [self.episodes, 0]
 
@@ -64,7 +66,7 @@ class Counting:
             observation[row] = environment, episode, step
             following[row] = environment, episode, step + 1
             self.given[environment].append((episode, step))
-            self.current[environment] = self._new() if over[row] else [episode, step + 1]
+            self.current[environment] = self.begin() if over[row] else [episode, step + 1]
         more = np.full((n, 1), -1, np.float32)
         ended = np.array(over, np.bool_)
         return Transitions(
@@ -83,3 +85,28 @@ class Counting:
     def stored(self, ring_size: int) -> set[tuple[int, int]]:
         """(episode, step) of every transition that a buffer with rings of this size still holds."""
         return {place for given in self.given for place in given[-ring_size:]}
+
+
+def make_buffer(
+    buffer: Any, signature: Signature, capacity: int, *, environments: int = 1, discount: float = 0.9, **settings: Any
+) -> Any:
+    """An empty replay buffer of this class."""
+    chosen = buffer.Settings.model_validate({"capacity": capacity, **settings})
+    return buffer(chosen, signature, SeedTree(3), environments=environments, discount=discount)
+
+
+def feed(buffer: Any, world: Counting, steps: int, *, length: int = 5, fallen: bool = False) -> None:
+    """Store steps of all environments, in episodes of `length` steps."""
+    everyone = range(len(world.current))
+    for step in range(steps):
+        buffer.add(world.step(everyone, over=[step % length == length - 1] * len(everyone), fallen=fallen))
+
+
+def places(batch: Batch) -> list[tuple[int, int]]:
+    """(episode, step) of each transition."""
+    return [(int(episode), int(step)) for _, episode, step in batch.observation]
+
+
+def goals(batch: Batch) -> list[tuple[int, int]]:
+    """(episode, step) that each goal asks for."""
+    return [(int(episode), int(step)) for episode, step in batch.desired_goal]
