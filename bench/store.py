@@ -105,9 +105,9 @@ def _together(work: Callable[[str, int], None], where: str, writers: int) -> flo
 
 def _write(url: str, index: int) -> None:
     with Store(url) as store:
-        summary = store.find(f"writer-{index}")
+        (record,) = store.records([store.find(f"writer-{index}")])
         for steps in range(WRITES):
-            store.update_run(replace(summary, steps=steps))
+            store.add_records([replace(record, summary=replace(record.summary, steps=steps))])
 
 
 def _write_bare(path: str, index: int) -> None:

@@ -87,7 +87,7 @@ def list_runs(
         if not trials and store.runs(state=state, where=where, limit=1, trials=True):
             say("the runs of sweeps' trials are left out; --trials lists them")
         like = store.closest_value(where) if where is not None and not found else None
-        rows = _columns(store, found, columns) if columns is not None else [run.row() for run in found]
+        rows = [run.row() for run in found] if columns is None else _columns(store, found, columns)
     if json:
         print_rows(rows, json=True)
     elif csv:
@@ -109,10 +109,7 @@ def list_runs(
 def _columns(store: Store, found: Sequence[RunSummary], columns: str) -> list[dict[str, Any]]:
     from karolos.store.query import column_values
 
-    names = [name.strip() for name in columns.split(",") if name.strip()]
-    if not names:
-        raise UsageError("--columns names no column", hint="e.g. --columns run,success_end,agent.learning_rate")
-    return column_values(store, found, names)
+    return column_values(store, found, columns.split(","))
 
 
 def _watch(runs: Path) -> None:

@@ -4,7 +4,6 @@ from __future__ import annotations
 
 import hashlib
 import json
-import os
 import re
 from collections.abc import Iterator, Mapping
 from contextlib import contextmanager
@@ -12,7 +11,7 @@ from pathlib import Path
 from typing import Any
 
 from ..errors import RunError
-from ..files import parse_object, sync_folder
+from ..files import parse_object, write_json
 
 FORMAT = 1
 """Version of the encoding and of the manifest."""
@@ -78,14 +77,9 @@ def read_manifest(path: Path) -> dict[str, Any]:
 
 
 def write_manifest(path: Path, content: Mapping[str, Any]) -> None:
-    """Write the manifest of the checkpoint in the folder `path` to the disk. Raises OSError."""
+    """Write the manifest of the checkpoint in the folder `path` to the disk. Raises MachineError."""
     manifest: dict[str, Any] = {"format": FORMAT, **content}
-    manifest["sha256"] = seal(manifest)
-    with (path / _MANIFEST).open("w", encoding="utf-8", newline="\n") as file:
-        json.dump(manifest, file, indent=2, allow_nan=False)
-        file.flush()
-        os.fsync(file.fileno())
-    sync_folder(path)
+    write_json(path / _MANIFEST, manifest | {"sha256": seal(manifest)})
 
 
 def seal(manifest: Mapping[str, Any]) -> str:

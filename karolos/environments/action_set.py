@@ -6,7 +6,7 @@ import numpy as np
 
 from ..core import Array, Discrete, Field, Layout
 
-OPENING = "gripper_opening"
+OPENING_FIELD = "gripper_opening"
 """The field of a robot's action with the target of the gripper, -1 closed and 1 open; all other fields are changes."""
 
 
@@ -34,7 +34,7 @@ class ActionSet:
 
     def __init__(self, layout: Layout) -> None:
         self._size = layout.size
-        self._opening = layout.slice(OPENING).start if OPENING in layout.names else None
+        self._opening = layout.slice(OPENING_FIELD).start if OPENING_FIELD in layout.names else None
         self._last_opening = 0.0
         steps = [f"{axis} {sign}" for field in layout.fields for axis in _axes(field) for sign in "+-"]
         self.actions = Discrete((*steps, "nothing"))

@@ -61,22 +61,15 @@ class SavedAgent:
         Raises:
             UsageError: a shape does not fit the environment of the run.
         """
-        sizes = {"observation": self.signature.observation.size, "goal": self.signature.desired_goal.size}
-        given = {
-            "observation": np.asarray(observation, np.float32),
-            "goal": np.asarray(() if goal is None else goal, np.float32),
-        }
-        ahead = given["observation"].shape[:-1]
-        if goal is None and sizes["goal"] == 0:
-            given["goal"] = np.zeros((*ahead, 0), np.float32)
-        for name, array in given.items():
-            if len(ahead) > 1 or array.shape != (*ahead, sizes[name]):
-                expected = f"({sizes[name]},) or (n, {sizes[name]})"
+        seen = np.asarray(observation, np.float32)
+        ahead = seen.shape[:-1]
+        wanted = np.zeros((*ahead, 0), np.float32) if goal is None else np.asarray(goal, np.float32)
+        layouts = (self.signature.observation, self.signature.desired_goal)
+        for name, array, layout in zip(("observation", "goal"), (seen, wanted), layouts, strict=True):
+            if len(ahead) > 1 or array.shape != (*ahead, layout.size):
+                expected = f"({layout.size},) or (n, {layout.size})"
                 raise UsageError(f"the {name} has the shape {array.shape}", where="act", hint=f"it must be {expected}")
-        rows = [array.reshape(-1, sizes[name]) for name, array in given.items()]
-        if not ahead:
-            rows = [array.reshape(1, -1) for array in given.values()]
-        actions = np.asarray(self.agent.act(rows[0], rows[1], explore=False))
+        actions = np.asarray(self.agent.act(np.atleast_2d(seen), np.atleast_2d(wanted), explore=False))
         return actions if ahead else actions[0]
 
     def policy(self) -> Policy:

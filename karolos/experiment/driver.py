@@ -236,7 +236,7 @@ class Driver:
 
     def _update_index(self, active: Follower, result: TestResult | None = None) -> None:
         try:
-            active.index.update(result)
+            active.index.update()
         except StoreError as error:
             what = "its folder is complete" if result is None else "the test is in the run folder"
             self._listener(RunWarned(active.folder.id, f"{error} (the run continues; {what})"))

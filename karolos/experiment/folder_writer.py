@@ -65,7 +65,7 @@ class FolderWriter(RunObserver):
         self.folder.add_test(result)
         self.folder.set_state("running", steps=training.steps, seconds=training.seconds, updates=training.updates)
         with self.warnings.tolerated(StoreError, "the test is in the run folder, but not in the database"):
-            self.index.update(result)
+            self.index.update()
 
     @override
     def final_tested(self, final: FinalTest[TestResult]) -> None:

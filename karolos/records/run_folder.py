@@ -305,26 +305,14 @@ class RunFolder:
         best = final.best if final else None
         solved = next((test for test in tests if (test.success_end or 0) >= THRESHOLD), None)
         solved_any = next((test for test in tests if (test.success_any or 0) >= THRESHOLD), None)
-        found = self.labels()
+        same = ("state", "steps", "seconds", "attempt", "error", "updates", "total_seconds")
+        parts: dict[str, Any] = {kind: part_name(spec, kind) for kind in ("environment", "robot", "task", "agent")}
         return RunSummary(
             run=self.id,
-            experiment=self._run["experiment"],
-            seed=self._run["seed"],
-            name=self._run["name"],
-            created=self._run["created"],
-            state=state.state,
-            steps=state.steps,
-            seconds=state.seconds,
-            attempt=state.attempt,
-            error=state.error,
-            updates=state.updates,
-            total_seconds=state.total_seconds,
-            environment=part_name(spec, "environment"),
-            robot=part_name(spec, "robot"),
-            task=part_name(spec, "task"),
-            agent=part_name(spec, "agent"),
-            tags=found.tags,
-            note=found.note,
+            **{name: self._run[name] for name in ("experiment", "seed", "name", "created")},
+            **{name: getattr(state, name) for name in same},
+            **parts,
+            **vars(self.labels()),
             updated=state.updated or self._run["created"],
             folder=str(self.path.resolve()),
             final=final is not None,

@@ -128,17 +128,14 @@ class SweepRecord:
 
     def description(self) -> dict[str, Any]:
         """The content of sweep.json."""
-        return {"format": FORMAT, "id": self.sweep} | self._described()
-
-    def _described(self) -> dict[str, Any]:
-        return {name: getattr(self, name) for name in _DESCRIBED}
+        return {"format": FORMAT, "id": self.sweep} | {name: getattr(self, name) for name in _DESCRIBED}
 
     def row(self) -> dict[str, Any]:
         """As JSON values."""
         return {
             "sweep": self.sweep,
             "state": self.state(),
-            **self._described(),
+            **{name: getattr(self, name) for name in _DESCRIBED},
             "folder": self.folder,
             "best": self.best.number if self.best else None,
             "final": self.final.row() if self.final else None,

@@ -32,16 +32,16 @@ from .joint_control import JointControl
 
 POSTURE_GAIN = 0.1
 """Fraction of the way back to the home pose, per control step, that inverse kinematics takes in the null space."""
-INNER_FACE = 0.9
+INNER_FACE_COSINE = 0.9
 """Smallest cosine between the normal of a contact and the axis along which the pads face each other."""
 PLACE_TOLERANCE = 5e-4
 """Largest error of `place_tool`, in m for the position and in rad for the orientation."""
 LARGEST_DAMPING = 5.0
 """Upper bound of the parameter joint_damping in N m s/rad."""
-DAMPED = 0.4
+DAMPED_SHARE = 0.4
 """Largest fraction of a motor's torque that joint_damping takes at the top speed of its joint: a motor that lacks half
 its torque (joint_friction) reaches that speed. Beyond, PyBullet, which damps explicitly, lets light wrists run away."""
-PARAMETERS: Mapping[str, RandomizedParameter] = {
+ARM_PARAMETERS: Mapping[str, RandomizedParameter] = {
     "joint_friction": RandomizedParameter(
         "1", 0.0, 0.0, 0.5, "dry friction: fraction of its largest torque that every motor lacks"
     ),
@@ -232,7 +232,7 @@ class Arm:
         _check_model(model, self._joints, _difference(pose.position, self.base))
         self.reset_noise = settings.reset_noise
         self._fingers = model.fingers
-        self._values = {name: parameter.nominal for name, parameter in PARAMETERS.items()}
+        self._values = {name: parameter.nominal for name, parameter in ARM_PARAMETERS.items()}
         self.gripper: Gripper | None = model.fingers.gripper if model.fingers else None
         self.home_joints = model.home
         self.joint_positions: Sequence[float] = model.home
@@ -266,9 +266,9 @@ class Arm:
     @property
     def parameters(self) -> Mapping[str, RandomizedParameter]:
         limits = zip(self.limits.effort, self.limits.velocity, strict=True)
-        most = min(LARGEST_DAMPING, DAMPED * min(effort / speed for effort, speed in limits))
+        most = min(LARGEST_DAMPING, DAMPED_SHARE * min(effort / speed for effort, speed in limits))
         damping = RandomizedParameter("N m s/rad", 0.0, 0.0, most, "viscous friction that is added to every joint")
-        parameters = {"joint_damping": damping, **PARAMETERS}
+        parameters = {"joint_damping": damping, **ARM_PARAMETERS}
         if self._fingers is None:
             return parameters
         nominal = self._fingers.gripper.pad_friction
@@ -456,7 +456,7 @@ class Arm:
         for link, side in zip(self._motors.pads, sides, strict=True):
             # the normal points from the body to the pad: outwards where the inner face touches
             normals = (contact.normal for contact in self.world.contacts(self.body, body, link))
-            count += any(side * sum(map(mul, normal, axes[axis])) > INNER_FACE for normal in normals)
+            count += any(side * sum(map(mul, normal, axes[axis])) > INNER_FACE_COSINE for normal in normals)
         return count
 
     @cached_property

@@ -10,12 +10,12 @@ from ..errors import UsageError
 from .interface import World
 
 Engine = Literal["bullet", "mujoco"]
-MODULES: dict[Engine, str] = {"bullet": "pybullet", "mujoco": "mujoco"}
+ENGINE_MODULES: dict[Engine, str] = {"bullet": "pybullet", "mujoco": "mujoco"}
 """The library that each engine needs. The first that is installed is the default."""
 
 
 def installed(engine: Engine) -> bool:
-    return find_spec(MODULES[engine]) is not None
+    return find_spec(ENGINE_MODULES[engine]) is not None
 
 
 def default_engine() -> Engine:

@@ -23,13 +23,13 @@ SKY_COLOUR = (226.0, 232.0, 238.0)
 GRIDS = ((0.1, 0.001, 0.3), (0.5, 0.002, 0.55))
 """Distance between lines (m), half their width (m), opacity."""
 GRID_COLOUR = (235.0, 239.0, 243.0)
-SHADOW = 0.42
+SHADOW_OPACITY = 0.42
 """Opacity of the shadow of a body."""
 MARKER_SHADOW = 0.16
 MARKER_OPACITY = 0.55
-CELLS = 320
+SHADOW_CELLS = 320
 """The shadow is a square of so many cells to a side."""
-ABOVE = 30.0
+LIGHT_HEIGHT = 30.0
 """Height from which the shadow is taken, in m: light falls nearly straight down."""
 
 
@@ -109,7 +109,7 @@ def view_of(width: int, height: int, camera: Camera) -> View:
     half = 0.8 * camera.distance
     centre = (camera.target[0], camera.target[1])
     columns, rows = (
-        np.clip(((sign * (place - middle) / half + 1) / 2 * CELLS).astype(np.int64), 0, CELLS - 1)
+        np.clip(((sign * (place - middle) / half + 1) / 2 * SHADOW_CELLS).astype(np.int64), 0, SHADOW_CELLS - 1)
         for sign, place, middle in ((1, x, centre[0]), (-1, y, centre[1]))
     )
     return View(
@@ -118,10 +118,17 @@ def view_of(width: int, height: int, camera: Camera) -> View:
         edge,
         rays.astype(np.float32),
         empty.astype(np.uint8),
-        Eye((*centre, ABOVE), (0.0, 0.0, -1.0), (0.0, 1.0, 0.0), degrees(2 * atan(half / ABOVE)), ABOVE - 4, ABOVE + 1),
+        Eye(
+            (*centre, LIGHT_HEIGHT),
+            (0.0, 0.0, -1.0),
+            (0.0, 1.0, 0.0),
+            degrees(2 * atan(half / LIGHT_HEIGHT)),
+            LIGHT_HEIGHT - 4,
+            LIGHT_HEIGHT + 1,
+        ),
         centre,
         half,
-        (rows * CELLS + columns).astype(np.int32),
+        (rows * SHADOW_CELLS + columns).astype(np.int32),
     )
 
 
@@ -146,13 +153,13 @@ def draw(render: Renderer, width: int, height: int, camera: Camera, markers: Seq
 
 
 def _shadow(render: Renderer, view: View, markers: Sequence[Marker]) -> FloatArray:
-    """Opacity of the shadow in each cell of the square, seen from above: (CELLS, CELLS)."""
-    _, below = render(view.above, CELLS, CELLS)
-    shadow = SHADOW * np.isfinite(below).astype(np.float32)
-    size = 2 * view.half / CELLS
+    """Opacity of the shadow in each cell of the square, seen from above: (SHADOW_CELLS, SHADOW_CELLS)."""
+    _, below = render(view.above, SHADOW_CELLS, SHADOW_CELLS)
+    shadow = SHADOW_OPACITY * np.isfinite(below).astype(np.float32)
+    size = 2 * view.half / SHADOW_CELLS
     for marker in markers:
-        x = view.centre[0] - view.half + (np.arange(CELLS) + 0.5) * size - marker.position[0]
-        y = view.centre[1] + view.half - (np.arange(CELLS) + 0.5) * size - marker.position[1]
+        x = view.centre[0] - view.half + (np.arange(SHADOW_CELLS) + 0.5) * size - marker.position[0]
+        y = view.centre[1] + view.half - (np.arange(SHADOW_CELLS) + 0.5) * size - marker.position[1]
         disc = x[None] ** 2 + y[:, None] ** 2 < marker.radius**2
         shadow[disc] = np.maximum(shadow[disc], MARKER_SHADOW)
     for _ in range(2):  # a soft edge

@@ -21,12 +21,12 @@ from ..core import Array
 from ..errors import PluginError
 from .geometry import Vector
 
-MESHES = (".stl", ".obj", ".dae")
+MESH_SUFFIXES = (".stl", ".obj", ".dae")
 """File extensions of the meshes that an engine can read."""
 FINGER_MASS = 0.05
 """Least mass in kg of a finger, with the drive that moves with it. A finger of 15 g grips with 21 instead of 30 N: the
 solver would need more iterations than are worth their time."""
-TURNS = 2 * pi
+CONTINUOUS_RANGE = 2 * pi
 """Range in rad to each side of a continuous joint."""
 
 
@@ -110,8 +110,8 @@ def load(
 
     Fixed joints and locked joints are merged, with the links that they move, into their parents. What exporters write
     for other programs (transmissions, ros2_control, gazebo, mimic, safety controllers) is left out. A continuous joint
-    becomes a revolute one with `TURNS` to each side. The range of the `slides` begins at 0, and what they move weighs
-    at least `FINGER_MASS`.
+    becomes a revolute one with `CONTINUOUS_RANGE` to each side. The range of the `slides` begins at 0, and what they
+    move weighs at least `FINGER_MASS`.
 
     Args:
         path: of the file.
@@ -230,8 +230,8 @@ def _make_simple(element: Element, slide: bool) -> None:
     limit = element.find("limit")
     if element.get("type") == "continuous" and limit is not None:
         element.set("type", "revolute")
-        limit.set("lower", repr(-TURNS))
-        limit.set("upper", repr(TURNS))
+        limit.set("lower", repr(-CONTINUOUS_RANGE))
+        limit.set("upper", repr(CONTINUOUS_RANGE))
     if slide and limit is not None:
         lower, upper, axis = float(limit.attrib["lower"]), float(limit.attrib["upper"]), np.array(_axis(element))
         if -lower > upper:
@@ -298,9 +298,9 @@ def _find_meshes(robot: Element, path: Path) -> None:
                     where=where,
                     hint="it is looked for beside the URDF and in folders above",
                 )
-            if found.suffix.lower() not in MESHES:
+            if found.suffix.lower() not in MESH_SUFFIXES:
                 raise PluginError(
-                    f"cannot read the mesh {name!r}", where=where, hint=f"meshes end in {', '.join(MESHES)}"
+                    f"cannot read the mesh {name!r}", where=where, hint=f"meshes end in {', '.join(MESH_SUFFIXES)}"
                 )
             mesh.set("filename", str(found))
 

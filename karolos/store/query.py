@@ -79,6 +79,7 @@ def column_values(store: Store, found: Sequence[RunSummary], columns: Sequence[s
     Raises:
         UsageError: no run has a column.
     """
+    columns = [column.strip() for column in columns]
     rows = [_row(record) for record in store.records(found)]
     known = set(SUMMARY_FIELDS).union(*rows)
     for column in columns:

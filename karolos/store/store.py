@@ -7,18 +7,13 @@ from pathlib import Path
 from types import TracebackType
 from typing import Unpack
 
-from sqlalchemy import delete, select, update
-
 from ..errors import StoreError
 from ..records import RunFolder
-from ..records.results import TestCounts, TestResult
 from ..records.run_records import RunRecord, RunSummary
 from . import selectors, writing
 from .database import BUSY_SECONDS, Database
-from .rows import put, run_row
 from .runs import RunConditions, closest_value, find_runs, records_of
 from .sweeps import Sweeps
-from .tables import RUNS, SUCCESSES, TESTS
 
 FILE_NAME = "karolos.sqlite"
 
@@ -67,19 +62,6 @@ class Store:
         with self.database.writing() as connection:
             writing.enter(connection, records, self.database.home)
 
-    def update_run(self, summary: RunSummary) -> None:
-        """Update a run's row except its labels (`refresh_labels`).
-
-        Raises:
-            StoreError: the run is not in the database.
-        """
-        row = run_row(summary, self.database.home)
-        del row["tags"], row["note"]
-        with self.database.writing() as connection:
-            changed = connection.execute(update(RUNS).where(RUNS.c.run == summary.run).values(**row))
-            if changed.rowcount == 0:
-                raise self._unknown(summary.run)
-
     def refresh_labels(self, folder: RunFolder) -> None:
         """Copy a run's tags and note from its folder.
 
@@ -88,14 +70,11 @@ class Store:
         """
         with self.database.writing() as connection:
             if not writing.refresh_labels(connection, folder.id, folder.path):
-                raise self._unknown(folder.id)
-
-    def add_test(self, run: str, result: TestResult) -> None:
-        """Enter a test of a run; it replaces one at the same steps, which a resumed run repeats."""
-        experiment = select(RUNS.c.experiment).where(RUNS.c.run == run).scalar_subquery()
-        with self.database.writing() as connection:
-            put(connection, TESTS, [{"run": run, **vars(TestCounts.of(result))}], replace_old=True)
-            connection.execute(delete(SUCCESSES).where(SUCCESSES.c.experiment == experiment))
+                raise StoreError(
+                    f"the run {folder.id} is not in the database",
+                    where=self.database.name,
+                    hint="its folder is complete; `karolos db reindex` enters it",
+                )
 
     def remove_runs(self, runs: Sequence[str]) -> None:
         """Remove runs from the index, with their tests and everything that only they refer to; folders stay."""
@@ -129,10 +108,3 @@ class Store:
     def records(self, runs: Sequence[RunSummary]) -> tuple[RunRecord, ...]:
         """Everything that the index has of these runs: their specs without seeds, tests, and versions."""
         return records_of(self.database, runs)
-
-    def _unknown(self, run: str) -> StoreError:
-        return StoreError(
-            f"the run {run} is not in the database",
-            where=self.database.name,
-            hint="its folder is complete; `karolos db reindex` enters it",
-        )

@@ -15,12 +15,12 @@ from ..randomization.randomization import Drawn
 from ..simulation.geometry import UPRIGHT, Quaternion, Vector
 from ..simulation.interface import Box, Gripper, RobotView, Task, World
 
-COLOUR = (0.93, 0.45, 0.13, 1.0)
+CUBE_COLOUR = (0.93, 0.45, 0.13, 1.0)
 LOST_DISTANCE = 10.0
 """m from the origin; the physics has diverged when an object is further away or below the floor."""
 GROUND_EDGE = 0.3
 """Edge in m of the square in the middle of the workspace in which cube and goal lie, as in panda-gym."""
-BRAKING = 0.5
+BRAKING_SHARE = 0.5
 """Fraction of the remaining distance covered in one control step: an arm at full speed needs two steps to brake."""
 FIELDS = (
     Field("object_position", 3, "m"),
@@ -51,7 +51,7 @@ class Cube:
     def __init__(self, settings: CubeSettings, world: World) -> None:
         edge, mass = settings.object_size, settings.object_mass
         self.half = edge / 2
-        self.body = world.box((edge, edge, edge), mass, COLOUR)
+        self.body = world.box((edge, edge, edge), mass, CUBE_COLOUR)
         self.body.set_friction(settings.object_friction)
         self._world = world
         self.set_mass(mass)
@@ -218,5 +218,5 @@ def drift(robot: RobotView) -> float:
 
 def braking(robot: RobotView, target: Vector) -> Vector:
     """A point in m on the way to `target`, near enough that the tool slows down before it arrives."""
-    x, y, z = (now + BRAKING * (goal - now) for now, goal in zip(robot.tool_position, target, strict=True))
+    x, y, z = (now + BRAKING_SHARE * (goal - now) for now, goal in zip(robot.tool_position, target, strict=True))
     return x, y, z

@@ -16,16 +16,6 @@ FLIGHT_STEPS = 100
 """Steps in which the floor is looked for along a whole flight."""
 
 
-def simulated_rise(rise: float, gravity: float, timestep: float) -> float:
-    """The speed upwards in m/s with which free fall follows the simulated one from a body's `rise` in m/s.
-
-    Engines change speeds before positions (semi-implicit Euler): after k physics steps of dt a body is at
-    z + k dt v + k (k + 1) g dt^2 / 2, that is z + t (v + g dt / 2) + g t^2 / 2. Without it a throw lands 5 mm nearer
-    than computed.
-    """
-    return rise + gravity * timestep / 2
-
-
 def flight_time(height: Array | float, rise: Array | float, gravity: float) -> Array:
     """Seconds (...) until free fall from `height` (...) m at `rise` (...) m/s upwards comes to height 0.
 

@@ -16,7 +16,7 @@ from ..simulation.interface import Box, RobotView
 from .cube import CubeSettings, CubeTask, aligned, braking, check_gripper, drift, ground
 from .point_goal import PointGoal, PointGoalSettings, PointGoalTask, sample_position
 
-HEIGHT = 0.2
+AIR_HEIGHT = 0.2
 """Highest goal above a resting cube in m, as in panda-gym."""
 AIR_PROBABILITY = 0.7
 """Probability of a goal in the air."""
@@ -104,7 +104,7 @@ class PickPlace(PointGoalTask, CubeTask):
         self.gripper = check_gripper(robot, type(self).__name__, settings.object_size)
         rest, highest = settings.object_size / 2, robot.workspace.high[2]
         self.ground = ground(robot.workspace, settings.goals, rest)
-        top = highest if settings.goals == "workspace" else min(rest + HEIGHT, highest)
+        top = highest if settings.goals == "workspace" else min(rest + AIR_HEIGHT, highest)
         self.air = Box(self.ground.low, (*self.ground.high[:2], top))
         self._fit_goal(self.ground, span=1.0)
         if settings.reward == "dense":
@@ -116,7 +116,7 @@ class PickPlace(PointGoalTask, CubeTask):
         if start < grasped:
             self.cube.put_in_gripper(robot, (x, y, z))
         elif start < grasped + (1 - grasped) * self.drawn.start_near:
-            self.cube.place_with_tool(robot, (x, y, z), (x, y, z + generator.uniform(GRIP_HEIGHT, ABOVE)), 1.0)
+            self.cube.place_with_tool(robot, (x, y, z), (x, y, z + generator.uniform(GRIP_HEIGHT, HOVER_HEIGHT)), 1.0)
         else:
             self.cube.place((x, y, z), aligned(robot))
         self._sample_goal(generator, self.air if generator.uniform() < AIR_PROBABILITY else self.ground)
@@ -132,20 +132,20 @@ class PickPlace(PointGoalTask, CubeTask):
         return PickExpert(self._robot, self)
 
 
-ABOVE = 0.08
+HOVER_HEIGHT = 0.08
 """m above the cube at which the gripper arrives."""
-ALIGNED = 0.018
+ALIGNED_DISTANCE = 0.018
 """m off the cube's axis at which the gripper may go down; open, it has 1.5 cm to each side of a 4 cm cube."""
-STILL = 0.015
+STILL_DRIFT = 0.015
 """Largest horizontal drift of the tool, in m per control step, when it goes down or closes."""
 GRIP_HEIGHT = 0.006
 """m above the centre of the cube at which it is gripped, so that the pads do not rub on the floor: there the fingers
 stick, and an arm that drags them along lags behind."""
-CLEARANCE = 0.03
+CARRYING_CLEARANCE = 0.03
 """m above the floor at which the cube moves to a goal on the floor: a dragged cube twists out of the pads."""
 CLOSING_STEPS = 3
 """Control steps for which both pads must touch before the cube is lifted: until then they push it to the middle."""
-PATIENCE = 30
+GRASP_PATIENCE = 30
 """Control steps after which a gripper that has closed on nothing opens again."""
 
 
@@ -187,15 +187,15 @@ class PickExpert(Expert):
             self._held = self._held + 1 if self._holding() else 0
             if self._held > CLOSING_STEPS:
                 return robot.towards(self._transport(), 0.0)
-            if not lifted and self._closing < PATIENCE:
+            if not lifted and self._closing < GRASP_PATIENCE:
                 return robot.towards((tx, ty, tz) if self._held else grip, 0.0)
             self._closing = 0
-        error, above = hypot(tx - x, ty - y), z + ABOVE
-        high = tz > z + ABOVE / 2
-        if error > ALIGNED or (high and drift(robot) > STILL):
+        error, above = hypot(tx - x, ty - y), z + HOVER_HEIGHT
+        high = tz > z + HOVER_HEIGHT / 2
+        if error > ALIGNED_DISTANCE or (high and drift(robot) > STILL_DRIFT):
             target: Vector = (x, y, above) if high else (tx, ty, above)
             return robot.towards(braking(robot, target), self._open)
-        if tz > grip[2] + 0.006 or drift(robot) > STILL:
+        if tz > grip[2] + 0.006 or drift(robot) > STILL_DRIFT:
             return robot.towards(braking(robot, grip), self._open)
         self._closing = 1
         return robot.towards(grip, 0.0)
@@ -204,8 +204,8 @@ class PickExpert(Expert):
         """Position of the tool at which the cube, as it lies in the gripper, is at the goal."""
         tool, cube, goal = self._robot.tool_position, self._task.cube, self._task.goal.tolist()
         x, y, z = (t + g - c for t, g, c in zip(tool, goal, cube.position, strict=True))
-        if hypot(x - tool[0], y - tool[1]) > CLEARANCE:
-            if cube.lowest < CLEARANCE / 3:
-                return tool[0], tool[1], tool[2] + CLEARANCE
-            z = max(z, tool[2] + CLEARANCE - cube.lowest)
+        if hypot(x - tool[0], y - tool[1]) > CARRYING_CLEARANCE:
+            if cube.lowest < CARRYING_CLEARANCE / 3:
+                return tool[0], tool[1], tool[2] + CARRYING_CLEARANCE
+            z = max(z, tool[2] + CARRYING_CLEARANCE - cube.lowest)
         return x, y, max(z, self._robot.workspace.low[2])

@@ -13,7 +13,7 @@ from ..core.seeding import Generator
 from ..errors import RunError, UsageError
 from ..simulation.interface import Box, Task, World
 
-ATTEMPTS = 1000
+PLACE_ATTEMPTS = 1000
 GOAL_COLOUR = (0.16, 0.74, 0.32, 0.5)
 """Of the marker that shows a goal."""
 
@@ -68,12 +68,12 @@ def sample_position(
         what: name of the placed thing, for the error.
         accepted: whether a position is accepted; all are by default.
     """
-    for _ in range(ATTEMPTS):
+    for _ in range(PLACE_ATTEMPTS):
         position = generator.uniform(box.low, box.high).astype(np.float32)
         if accepted is None or accepted(position):
             return position
     raise RunError(
-        f"found no place for {what} in {ATTEMPTS} attempts",
+        f"found no place for {what} in {PLACE_ATTEMPTS} attempts",
         hint=f"the box is {box.low} to {box.high} m; a smaller threshold or another range leaves more room",
     )
 

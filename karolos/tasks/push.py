@@ -15,11 +15,11 @@ from ..simulation.interface import RobotView
 from .cube import LOST_DISTANCE, CubeSettings, CubeTask, aligned, braking, drift, ground
 from .point_goal import PointGoalSettings, PointGoalTask, sample_position
 
-ROOM = 0.03
+CUBE_MARGIN = 0.03
 """m between the side of the cube and the edge of the workspace, room for the gripper behind the cube."""
-NEAR = (0.055, 0.2)
+NEAR_DISTANCES = (0.055, 0.2)
 """m between the centres of cube and tool at a start near the cube, along the floor."""
-ABOVE = 0.1
+NEAR_HEIGHT = 0.1
 """m above the floor of the highest start near the cube."""
 
 
@@ -53,7 +53,7 @@ class Push(PointGoalTask, CubeTask):
     def fit(self, robot: RobotView) -> None:
         self._robot = robot
         half = self.settings.object_size / 2
-        self.ground = ground(robot.workspace, self.settings.goals, half, margin=half + ROOM)
+        self.ground = ground(robot.workspace, self.settings.goals, half, margin=half + CUBE_MARGIN)
         # a cube that is not lost is at most 10 m away, and a goal lies in the workspace
         self._fit_goal(self.ground, span=LOST_DISTANCE + 2 * robot.workspace.diagonal)
 
@@ -68,12 +68,12 @@ class Push(PointGoalTask, CubeTask):
     def _near(self, cube: Vector, generator: Generator) -> Vector:
         """A random position of the tool beside the cube, within the workspace, at which it does not touch the cube."""
         (x, y, _), box = cube, self._robot.workspace
-        angle, distance = generator.uniform(-pi, pi), generator.uniform(*NEAR)
-        above = max(0.0, generator.uniform(-ABOVE, ABOVE))
+        angle, distance = generator.uniform(-pi, pi), generator.uniform(*NEAR_DISTANCES)
+        above = max(0.0, generator.uniform(-NEAR_HEIGHT, NEAR_HEIGHT))
         return (
             min(max(x + distance * cos(angle), box.low[0]), box.high[0]),
             min(max(y + distance * sin(angle), box.low[1]), box.high[1]),
-            min(box.low[2] + CLEARANCE + above, box.high[2]),
+            min(box.low[2] + PUSHING_CLEARANCE + above, box.high[2]),
         )
 
     def achieved(self) -> FloatArray:
@@ -83,13 +83,13 @@ class Push(PointGoalTask, CubeTask):
         return PushExpert(self._robot, self)
 
 
-HIGH = 0.065
+CROSSING_HEIGHT = 0.065
 """m above the floor at which the gripper crosses the cube."""
-ALIGNED = 0.015
+ALIGNED_DISTANCE = 0.015
 """m off its place behind the cube at which the gripper may go down."""
-CLEARANCE = 0.004
+PUSHING_CLEARANCE = 0.004
 """m above the lowest position of the tool at which it pushes, so that it does not rub on the floor."""
-DONE = 0.5
+DONE_SHARE = 0.5
 """Fraction of the threshold at which the cube is left alone."""
 
 
@@ -108,23 +108,23 @@ class PushExpert(Expert):
         robot, task = self._robot, self._task
         (x, y, z), (gx, gy, _), (tx, ty, tz) = task.cube.position, task.goal.tolist(), robot.tool_position
         distance = hypot(gx - x, gy - y)
-        if distance < DONE * task.settings.threshold:
+        if distance < DONE_SHARE * task.settings.threshold:
             return robot.towards((tx, ty, tz), 0.0)
         ux, uy = (gx - x) / distance, (gy - y) / distance
         # position of the tool relative to the cube, along and across the direction of the push
         along, across = (tx - x) * ux + (ty - y) * uy, (ty - y) * ux - (tx - x) * uy
-        low = max(z, robot.workspace.low[2] + CLEARANCE)
+        low = max(z, robot.workspace.low[2] + PUSHING_CLEARANCE)
         if self._pushing and (along > 0 or abs(across) > 0.02):
             self._pushing = False
         if not self._pushing:
             start = self._start(ux, uy, low)
             error = hypot(tx - start[0], ty - start[1])
-            high = tz > HIGH - 0.02
-            if error > ALIGNED or (high and drift(robot) > ALIGNED / 2):
-                above: Vector = (start[0], start[1], HIGH)
+            high = tz > CROSSING_HEIGHT - 0.02
+            if error > ALIGNED_DISTANCE or (high and drift(robot) > ALIGNED_DISTANCE / 2):
+                above: Vector = (start[0], start[1], CROSSING_HEIGHT)
                 if high:
                     return robot.towards(braking(robot, above), 0.0)
-                return robot.towards(braking(robot, above if error < 0.04 else (tx, ty, HIGH)), 0.0)
+                return robot.towards(braking(robot, above if error < 0.04 else (tx, ty, CROSSING_HEIGHT)), 0.0)
             if tz - low > 0.012:
                 return robot.towards(braking(robot, start), 0.0)
             self._pushing = True

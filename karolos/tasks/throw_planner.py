@@ -24,13 +24,13 @@ FLOOR_CLEARANCE = 0.12
 BASE_CLEARANCE = 0.2
 """Smallest distance in m of the tool from the axis of the base joint while it is lower than .2 m above the first
 swinging joint: there the arm's base stands."""
-UNFOLDED = 0.4
+UNFOLDED_SHARE = 0.4
 """Smallest distance of the tool from the first swinging joint as a fraction of the largest, so that the hand does not
 meet the upper arm."""
 GRID_POINTS = 9
 """Of the search along each joint; the grid then closes in on the best point."""
 GRID_ROUNDS = 5
-SLOWEST = 0.3
+SLOWEST_SHARE = 0.3
 """Slowest throw as a fraction of the full speed."""
 
 
@@ -95,7 +95,7 @@ class ThrowPlanner:
         self.reach = hypot(planar, self._offset)
         self._release, self._velocities = self._search_throw()
         # landing distance and time of release of slower throws
-        self._speeds = np.linspace(SLOWEST, 1.0, 71)
+        self._speeds = np.linspace(SLOWEST_SHARE, 1.0, 71)
         times = np.linspace(-RUN_UP / 2, FOLLOW_THROUGH, 46)
         distances = np.stack([self._distances(speed, times) for speed in self._speeds])
         self._release_times = times[distances.argmax(1)]
@@ -212,7 +212,7 @@ class ThrowPlanner:
             tool = points[:, -1]
             free &= (points[:, 1:].imag > FLOOR_CLEARANCE).all(1)
             free &= (tool.real > BASE_CLEARANCE) | (tool.imag > self._first.imag + BASE_CLEARANCE)
-            free &= abs(tool - self._first) > UNFOLDED * self._span
+            free &= abs(tool - self._first) > UNFOLDED_SHARE * self._span
         return free
 
     def _distances(self, speed: float, times: Array) -> Array:

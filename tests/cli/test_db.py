@@ -73,11 +73,3 @@ def test_upgrade_has_nothing_to_do_for_this_schema_and_refuses_others(runs: Path
     (runs / "karolos.sqlite").rename(runs / "old.sqlite")
     call(app, "reindex")
     assert [found["run"] for found in rows(runs_app, "list")] == [run]
-
-
-def test_database_of_another_program_is_refused(runs: Path) -> None:
-    with sqlite3.connect(runs / "karolos.sqlite") as other:
-        other.execute("CREATE TABLE alembic_version (x)")
-    other.close()
-    with pytest.raises(StoreError, match="belongs to another program; name another with --database, or move it away"):
-        call(app, "upgrade")

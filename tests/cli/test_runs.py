@@ -12,7 +12,7 @@ from karolos_cli.runs import app
 from typer.testing import CliRunner, Result
 
 from karolos import checkpoint
-from karolos.errors import KarolosError, RunError, StoreError, UsageError
+from karolos.errors import KarolosError, RunError, UsageError
 from karolos.records import RunFolder
 from karolos.records.results import TestResult
 from karolos.store import Store
@@ -136,15 +136,6 @@ def test_show_tells_all_about_a_run(runs: Path) -> None:
         assert part in text
 
 
-def test_show_finds_no_or_several_runs(runs: Path) -> None:
-    add_run(runs, 0)
-    add_run(runs, 1)
-    with pytest.raises(UsageError, match="'reach' means several runs; one of reach-s1"):
-        call("show", "reach", "--runs", runs)
-    with pytest.raises(UsageError, match="'push' means no run"):
-        call("show", "push", "--runs", runs)
-
-
 def test_show_names_what_is_damaged(runs: Path) -> None:
     run = add_run(runs, 0)
     with (runs / run / "tests.jsonl").open("a") as file:
@@ -173,15 +164,6 @@ def test_text_from_a_spec_cannot_steer_the_terminal(runs: Path) -> None:
         assert "\x1b[2J" not in shown.output
         assert "\x1b[31m" not in shown.output
     assert "[2J[bold]x" in call("show", run, "--runs", runs).stdout
-
-
-def test_newer_database_is_told(runs: Path) -> None:
-    add_run(runs, 0)
-    with Store(Store.default_url(runs)) as store, store.database.engine.begin() as connection:
-        connection.exec_driver_sql("UPDATE karolos_schema SET version = 99")
-    with pytest.raises(StoreError, match="a newer karolos made this database") as caught:
-        call("list", "--runs", runs)
-    assert caught.value.exit_code == 4
 
 
 def test_listing_imports_neither_torch_nor_pybullet(runs: Path) -> None:

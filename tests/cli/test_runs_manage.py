@@ -143,26 +143,14 @@ def test_exported_runs_come_in_elsewhere(runs: Path, tmp_path: Path) -> None:
     assert rows("list", "--runs", other) == came
 
 
-def test_selectors_mean_one_run_or_say_which(runs: Path, tmp_path: Path) -> None:
-    first, second = add_run(runs, 0), add_run(runs, 1)
-    assert rows("show", "@last")[0]["run"] == second
-    assert rows("show", "@last-1")[0]["run"] == first
-    assert rows("show", runs / first)[0]["run"] == first
-    with pytest.raises(UsageError, match=r"'@last-2' means no run; there are 2"):
-        call("show", "@last-2")
-    with pytest.raises(UsageError, match="'reach' means several runs"):
-        call("show", "reach")
-    (tmp_path / "toy.yaml").write_text("environment: toy\nagent: sac\n")
-    with pytest.raises(UsageError, match=r"there are no runs of .*toy\.yaml; `karolos run"):
-        call("show", tmp_path / "toy.yaml")
-
-
 def test_spec_file_means_the_runs_of_its_experiment(runs: Path, tmp_path: Path) -> None:
     from karolos.spec import load_spec
 
     path = tmp_path / "toy.yaml"
     path.write_text("environment: toy\nagent: sac\n")
     add_run(runs, 0)
+    with pytest.raises(UsageError, match=r"there are no runs of .*toy\.yaml; `karolos run"):
+        call("show", path)
     spec = load_spec(path)
     with RunFolder.create(runs, "toy", 0) as run, Store(Store.default_url(runs)) as store:
         run.describe(spec.dump(), experiment=spec.hash(), source=runs)

@@ -16,19 +16,6 @@ from karolos.errors import MachineError, RunError, UsageError
 from karolos.records import RunFolder, scan
 
 
-def test_id_is_name_seed_and_time_and_never_taken_twice(tmp_path: Path) -> None:
-    first, second = (
-        RunFolder.create(tmp_path / "runs", "a.b_c-d", 12),
-        RunFolder.create(tmp_path / "runs", "a.b_c-d", 12),
-    )
-    stem, _, stamp = first.id.partition("-s12-")
-    assert stem == "a.b_c-d"
-    assert datetime.strptime(stamp, "%Y%m%d-%H%M%S").replace(tzinfo=UTC) <= datetime.now(UTC)
-    assert first.id != second.id
-    assert first.path.is_dir()
-    assert second.path.is_dir()
-
-
 def test_collision_adds_a_number(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
     class Clock(datetime):
         @classmethod
@@ -75,15 +62,6 @@ def test_runs_folder_that_is_a_file_is_told(tmp_path: Path) -> None:
     for attempt in (RunFolder.check_writable, lambda runs: RunFolder.create(runs, "x", 0)):
         with pytest.raises(MachineError, match=r"runs: a file is in the way of a folder; name another"):
             attempt(tmp_path / "runs")
-
-
-def test_runs_folder_that_cannot_be_written_is_told(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
-    def refuse(*_: object, **__: object) -> None:
-        raise PermissionError(13, "Permission denied")
-
-    monkeypatch.setattr(os, "open", refuse)
-    with pytest.raises(MachineError, match="cannot be written; change its permissions or name another folder"):
-        RunFolder.check_writable(tmp_path)
 
 
 def test_check_writable_makes_the_folder_and_leaves_it_empty(tmp_path: Path) -> None:
@@ -196,14 +174,6 @@ def test_second_process_on_a_run_is_refused(tmp_path: Path) -> None:
     other.release()
 
 
-def test_tests_come_back_as_they_were(tmp_path: Path) -> None:
-    run = new_run(tmp_path)
-    results = (result(100, 3), result(200, 20))
-    for each in results:
-        run.add_test(each)
-    assert RunFolder.open(run.path).tests() == results
-
-
 def test_repeated_test_replaces_the_first(tmp_path: Path) -> None:
     run = new_run(tmp_path)
     for each in (result(100, 3), result(200, 4), result(100, 5)):
@@ -290,9 +260,3 @@ def test_folder_of_a_newer_karolos_is_told(tmp_path: Path) -> None:
     (run.path / "run.json").write_text(text)
     with pytest.raises(RunError, match="newer karolos made this run folder; update"):
         RunFolder.open(run.path)
-
-
-def test_renamed_folder_is_the_same_run(tmp_path: Path) -> None:
-    run = new_run(tmp_path)
-    run.release()
-    assert RunFolder.open(run.path.rename(tmp_path / "kept")).id == run.id

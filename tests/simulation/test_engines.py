@@ -292,7 +292,7 @@ def test_a_spec_with_an_engine_that_is_not_installed_is_refused_with_its_place(
     tmp_path: Path, monkeypatch: pytest.MonkeyPatch
 ) -> None:
     pytest.importorskip("torch")
-    monkeypatch.setitem(engines.MODULES, "mujoco", "a_module_that_nobody_has")
+    monkeypatch.setitem(engines.ENGINE_MODULES, "mujoco", "a_module_that_nobody_has")
     path = tmp_path / "one.yaml"
     path.write_text("robot: panda\ntask: reach\nagent: sac\nenvironment:\n  name: robot_task\n  engine: mujoco\n")
     result = CliRunner().invoke(app, ["check", str(path)])

@@ -102,12 +102,11 @@ class World:
 
     def _test(self, folder: RunFolder, steps: int, successes: int) -> None:
         folder.add_test(result(steps, successes))
-        self.store.add_test(folder.id, result(steps, successes))
-        self.store.update_run(folder.summary())
+        self.store.add_records([folder.record()])
 
     def _state(self, folder: RunFolder, state: str) -> None:
         folder.set_state(state, steps=7)
-        self.store.update_run(folder.summary())
+        self.store.add_records([folder.record()])
 
     def _tag(self, folder: RunFolder, tag: str) -> None:
         labels.add_tags(folder.path, [tag])

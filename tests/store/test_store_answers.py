@@ -10,7 +10,7 @@ import numpy as np
 import pytest
 from sqlalchemy import select, update
 from support.databases import KINDS, empty_database
-from support.store_samples import bare, result
+from support.store_samples import bare
 
 from karolos.errors import StoreError, UsageError
 from karolos.records import RunFolder, labels
@@ -50,7 +50,7 @@ def test_filters_know_columns_settings_labels_and_versions(store: Store, tmp_pat
     for run in (first, second):
         store.refresh_labels(run)
     third.set_state("running")  # and nobody runs it
-    store.update_run(third.summary())
+    store.add_records([third.record()])
     assert seeds(store, "task=reach and agent.learning_rate<1e-3") == [2, 3]
     assert seeds(store, "agent.learning_rate<1e-3 and state=finished") == [2]
     assert seeds(store, "state=lost") == [3]
@@ -135,7 +135,6 @@ def test_densities_are_stored_until_a_test_or_a_run_is_added_or_removed(store: S
     [other] = success_densities(store, "a" * 64, "end", {100.0: [1.0, 0.9, 0.3]})
     assert other.mode == kde([1.0, 0.9, 0.3]).mode, "of other ratios"
     for change in (
-        lambda: store.add_test(runs[0].id, result(200, 20)),
         lambda: store.remove_runs([runs[0].id]),
         lambda: store.add_records([runs[0].record()]),
     ):
@@ -147,7 +146,6 @@ def test_densities_are_stored_until_a_test_or_a_run_is_added_or_removed(store: S
 def test_database_that_may_only_be_read_still_answers(tmp_path: Path) -> None:
     with Store(Store.default_url(tmp_path)) as store:
         run = add(store, tmp_path, 1)
-        store.add_test(run.id, result(100, 20))
 
         def read_only(connection: sqlite3.Connection, _: object) -> None:
             connection.execute("PRAGMA query_only = ON")
@@ -158,4 +156,4 @@ def test_database_that_may_only_be_read_still_answers(tmp_path: Path) -> None:
         assert [one.mode for one in success_densities(store, "a" * 64, "end", {100: [1.0]})] == [1.0]
         assert store.runs(where="task=reach") == (run.summary(),)
         with pytest.raises(StoreError, match="the database is read-only"):
-            store.add_test(run.id, result(200, 1))
+            store.add_records([run.record()])

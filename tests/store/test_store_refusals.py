@@ -29,11 +29,11 @@ def test_locked_database_is_told_after_the_time_limit(store: Store, tmp_path: Pa
     with database(store) as other:
         other.execute("BEGIN EXCLUSIVE")
         with pytest.raises(StoreError, match=r"karolos\.sqlite: another process keeps the database locked; wait for"):
-            store.update_run(run.summary())
+            store.add_records([run.record()])
         with pytest.raises(StoreError, match="another process keeps the database locked"):
             store.runs()
         other.execute("ROLLBACK")
-    store.update_run(run.summary())
+    store.add_records([run.record()])
 
 
 def test_reader_does_not_wait_for_a_writer(store: Store, tmp_path: Path) -> None:
@@ -43,25 +43,15 @@ def test_reader_does_not_wait_for_a_writer(store: Store, tmp_path: Path) -> None
         assert [found.run for found in store.runs()] == [run.id]
 
 
-def test_newer_database_is_refused_and_not_touched(store: Store) -> None:
+@pytest.mark.parametrize(("version", "age"), [(SCHEMA + 1, "a newer"), (0, "an older")])
+def test_database_of_another_schema_is_refused_and_not_touched(store: Store, version: int, age: str) -> None:
     with database(store) as other:
-        other.execute("UPDATE karolos_schema SET version = ?", [SCHEMA + 1])
+        other.execute("UPDATE karolos_schema SET version = ?", [version])
     other.close()
     content = Path(store.database.url.database or "").read_bytes()
-    with pytest.raises(
-        StoreError, match=r"a newer karolos made this database .*; move it away and run `karolos db reindex`"
-    ):
+    with pytest.raises(StoreError, match=f"{age} karolos made this database .*; move it away and run `karolos db"):
         Store(str(store.database.url))
     assert Path(store.database.url.database or "").read_bytes() == content
-
-
-def test_older_database_is_refused(store: Store) -> None:
-    with database(store) as other:
-        other.execute("UPDATE karolos_schema SET version = 0")
-    with pytest.raises(
-        StoreError, match=r"an older karolos made this database .*; move it away and run `karolos db reindex`"
-    ):
-        Store(str(store.database.url))
 
 
 def test_database_of_something_else_is_refused_and_not_touched(tmp_path: Path) -> None:
@@ -109,7 +99,7 @@ def test_database_removed_while_a_run_goes_on_is_told_and_not_created_again(stor
     run = new_run(store, tmp_path)
     Path(store.database.url.database or "").unlink()
     with pytest.raises(StoreError, match="the database cannot be opened"):
-        store.update_run(run.summary())
+        store.add_records([run.record()])
     assert not Path(store.database.url.database or "").exists()
 
 

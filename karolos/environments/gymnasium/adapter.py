@@ -15,7 +15,7 @@ from ...errors import KarolosError, MachineError, UsageError
 from ..action_set import action_index
 from .goals import GOALS, GymnasiumGoals
 
-ID = "environment.id"
+ID_SETTING = "environment.id"
 NO_GOAL = np.zeros(0, np.float32)
 
 
@@ -188,11 +188,11 @@ class Gymnasium(Environment):
 
     def render(self, width: int = 640, height: int = 480) -> Array:
         if self._env.render_mode != "rgb_array":
-            raise MachineError(f"{self.settings.id} draws no pictures", setting=ID)
+            raise MachineError(f"{self.settings.id} draws no pictures", setting=ID_SETTING)
         try:
             picture = np.asarray(self._env.render(), np.uint8)
         except Exception as error:  # a missing pygame or graphics card raises errors of any class
-            raise MachineError(f"{self.settings.id} cannot be drawn: {_line(error)}", setting=ID) from error
+            raise MachineError(f"{self.settings.id} cannot be drawn: {_line(error)}", setting=ID_SETTING) from error
         from PIL import Image  # noqa: PLC0415
 
         return np.asarray(Image.fromarray(picture).resize((width, height), Image.Resampling.BILINEAR))
@@ -222,13 +222,15 @@ def make_environment(settings: Gymnasium.Settings) -> Any:
     except KarolosError:
         raise
     except (gymnasium.error.DependencyNotInstalled, ImportError) as error:
-        raise MachineError(f"{settings.id} needs a missing library: {_line(error)}", setting=ID) from error
+        raise MachineError(f"{settings.id} needs a missing library: {_line(error)}", setting=ID_SETTING) from error
     except gymnasium.error.Error as error:
-        raise UsageError(_line(error), setting=ID, hint="`python -m pip list` shows what could register it") from error
+        raise UsageError(
+            _line(error), setting=ID_SETTING, hint="`python -m pip list` shows what could register it"
+        ) from error
     except Exception as error:  # the constructor is anybody's
         raise UsageError(
             f"{settings.id} cannot be made: {type(error).__name__}: {_line(error)}",
-            setting="environment.kwargs" if settings.kwargs else ID,
+            setting="environment.kwargs" if settings.kwargs else ID_SETTING,
         ) from error
     return env
 
@@ -256,7 +258,7 @@ def _observation(space: Any, settings: Gymnasium.Settings) -> Layout:
             setting="environment.goals",
         )
     if not space.is_np_flattenable:
-        raise UsageError(f"its observations, {_line(space)}, cannot be laid out flat", setting=ID)
+        raise UsageError(f"its observations, {_line(space)}, cannot be laid out flat", setting=ID_SETTING)
     if isinstance(space, spaces.Dict):
         left_out = GOALS if settings.goals else ()
         sizes = {str(key): int(spaces.flatdim(part)) for key, part in space.spaces.items() if key not in left_out}
@@ -270,9 +272,9 @@ def _action(space: Any) -> Layout | Discrete:
     if isinstance(space, spaces.Discrete):
         return Discrete(tuple(str(space.start + index) for index in range(int(space.n))))
     if not isinstance(space, spaces.Box):
-        raise UsageError(f"its actions, {_line(space)}, are neither Box nor Discrete", setting=ID)
+        raise UsageError(f"its actions, {_line(space)}, are neither Box nor Discrete", setting=ID_SETTING)
     if not space.is_bounded():
-        raise UsageError(f"its actions, {_line(space)}, have no bounds to rescale to", setting=ID)
+        raise UsageError(f"its actions, {_line(space)}, have no bounds to rescale to", setting=ID_SETTING)
     return Layout((Field("action", int(np.prod(space.shape))),))
 
 

@@ -13,7 +13,7 @@ from ...errors import KarolosError, PluginError, UsageError
 GOALS = ("achieved_goal", "desired_goal")
 PROBED_STEPS = 32
 """Steps with random actions whose rewards are compared with `compute_reward` before the first episode."""
-SETTING = "environment.goals"
+GOALS_SETTING = "environment.goals"
 
 
 class GymnasiumGoals(GoalRule):
@@ -47,13 +47,13 @@ class GymnasiumGoals(GoalRule):
         spaces = [env.observation_space[goal] for goal in GOALS]
         for goal, space in zip(GOALS, spaces, strict=True):
             if not space.shape or (not np.issubdtype(space.dtype, np.number) and space.dtype != np.bool_):
-                raise UsageError(f"{goal} of {name}, {space}, is not an array of numbers", setting=SETTING)
+                raise UsageError(f"{goal} of {name}, {space}, is not an array of numbers", setting=GOALS_SETTING)
         self._shapes = [tuple(space.shape) for space in spaces]
         self._types = [space.dtype for space in spaces]
         if not callable(self._method("compute_reward")):
             raise UsageError(
                 f"{name} has no method compute_reward(achieved_goal, desired_goal, info), which hindsight needs",
-                setting=SETTING,
+                setting=GOALS_SETTING,
                 hint="flatten_goals: true takes the goals as observations",
             )
         self._by_method = goal_terminates is None and callable(self._method("compute_terminated"))
@@ -141,14 +141,14 @@ class GymnasiumGoals(GoalRule):
             raise UsageError(
                 f"compute_reward of {self._name} does not take arrays of goals (n, a) and (n, d) and an empty info: "
                 f"{type(error).__name__}: {line}",
-                setting=SETTING,
+                setting=GOALS_SETTING,
                 hint="compute the rewards (n,) along the last axis, from the goals alone",
             ) from error
         wrong = np.flatnonzero(~np.isclose(given, found, rtol=1e-4, atol=1e-5))
         if wrong.size:
             raise UsageError(
                 f"{self._name} gave reward {given[wrong[0]]:g}, its compute_reward says {found[wrong[0]]:g}",
-                setting=SETTING,
+                setting=GOALS_SETTING,
                 hint="hindsight needs a reward that depends on the two goals alone",
             )
         if best is not None:

@@ -9,7 +9,7 @@ import numpy as np
 from ..interface.engine import FINGER_GAIN, OPENS, Fingers, JointLimits
 from .body import Body
 
-STABLE = 0.5
+STABLE_DAMPING = 0.5
 """Largest fraction of a joint's speed that its own damping removes per physics step. PyBullet integrates it explicitly:
 from 1 on a light wrist oscillates."""
 
@@ -58,7 +58,7 @@ class Motors:
         self._dampings = [body.joint_damping(link) for link in joints]
         if any(self._dampings):
             inertias = 1 / np.diagonal(np.linalg.inv(body.mass_matrix()))[: len(joints)]
-            self._dampings = np.minimum(self._dampings, STABLE * inertias / timestep).tolist()
+            self._dampings = np.minimum(self._dampings, STABLE_DAMPING * inertias / timestep).tolist()
             self.set_joint_damping(0.0)
         self._begin: Sequence[float] = (0.0,) * len(joints)
         self._end: Sequence[float] = self._begin

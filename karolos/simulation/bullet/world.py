@@ -25,12 +25,12 @@ from .motors import Motors
 FLOOR_HALF = (5.0, 5.0, 0.5)
 """Half the edges of the slab that is the floor, in m. An endless plane would be checked against every link at every
 substep, wherever they are: 8 % of an arm's step."""
-HIDDEN = (0.0, 0.0, -100.0)
+HIDDEN_PLACE = (0.0, 0.0, -100.0)
 """A place that no camera sees."""
-ROUNDS = 501
+SOLVER_ROUNDS = 501
 """Largest number of the solver's iterations per physics step. Only a cube that a strong arm presses takes all of them.
 With 301 an iiwa that stands still and presses a cube with 700 N shoots it away at .7 m/s; with 201 it sinks 3 mm."""
-RESIDUAL = 3e-4
+SOLVER_RESIDUAL = 3e-4
 """Residual at which the solver stops earlier. An arm at rest sags .6 mm at 1e-4, .9 at 3e-4, 1.8 at 1e-3 (Panda). At
 3e-3 a gripper of 20 N closes with 16."""
 CONTACT_ERP = 0.5
@@ -48,7 +48,7 @@ class World:
     Each physics step is a call of its own: with PyBullet's `numSubSteps` torques, contact forces and joint damping are
     those of the whole control step, and motors keep one target speed through it. Forces here are in N.
 
-    The solver iterates until the residual is small, up to `ROUNDS` times. A free arm needs a few rounds, a grip needs
+    The solver iterates until the residual is small, up to `SOLVER_ROUNDS` times. A free arm needs a few rounds, a grip
     all of them. Their number follows from the state alone, so that an episode repeats bit for bit. With 17 rounds a
     gripper of 20 N closes with 13 N. The number is odd because the order of the constraints alternates, and the gear of
     the fingers has to be solved last.
@@ -71,8 +71,8 @@ class World:
         api.setPhysicsEngineParameter(
             fixedTimeStep=timestep,
             numSubSteps=0,
-            numSolverIterations=ROUNDS,
-            solverResidualThreshold=RESIDUAL,
+            numSolverIterations=SOLVER_ROUNDS,
+            solverResidualThreshold=SOLVER_RESIDUAL,
             contactERP=CONTACT_ERP,
             deterministicOverlappingPairs=1,  # contacts in the same order, fresh or reused: resume depends on it
         )
@@ -187,7 +187,9 @@ class World:
     def _floor_look(self) -> int:
         """The visual shape of the floor. A window shows the floor of the pictures, which draw theirs without it."""
         if not self._window:  # a body without visual shape is drawn as it collides
-            return self._look(self.api.GEOM_BOX, (0, 0, 0, 1), halfExtents=(1e-3,) * 3, visualFramePosition=HIDDEN)
+            return self._look(
+                self.api.GEOM_BOX, (0, 0, 0, 1), halfExtents=(1e-3,) * 3, visualFramePosition=HIDDEN_PLACE
+            )
         spacing, _, _ = GRIDS[-1]
         for line in range(-10, 11):
             for start, end in (((line, -10), (line, 10)), ((-10, line), (10, line))):

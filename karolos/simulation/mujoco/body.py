@@ -11,7 +11,7 @@ from ..geometry import UPRIGHT, Quaternion, Vector
 from ..interface.engine import LinkState
 from .simulation import Simulation
 
-FRICTION = 0.5
+LINK_FRICTION = 0.5
 """Lateral friction coefficient of a link for which none was set."""
 
 
@@ -34,7 +34,7 @@ class Body:
         self.index = index
         self.shapes = shapes
         self.free = free
-        self.frictions = [FRICTION] * len(names)
+        self.frictions = [LINK_FRICTION] * len(names)
         self.inertias: dict[int, tuple[float, Vector]] = {}
         self.pairs: set[tuple[int, int]] = set()
         """Links that collide with each other."""

@@ -11,7 +11,7 @@ from ..interface.engine import FINGER_GAIN, Fingers, JointLimits
 from .body import Body
 from .simulation import Simulation
 
-STIFF = (0.9999, 0.9999, 0.001, 0.5, 2.0)
+MOTOR_IMPEDANCE = (0.9999, 0.9999, 0.001, 0.5, 2.0)
 """`solimp` of a motor: it reaches its target speed unless its torque does not allow it."""
 
 
@@ -71,7 +71,7 @@ class Motors:
         force = [self._fingers.gripper.force] * 2 if self._fingers else []
         dofs = self._dofs
         model.dof_frictionloss[dofs] = [*((1 - self._friction) * effort for effort in self._limits.effort), *force]
-        model.dof_solimp[dofs] = STIFF
+        model.dof_solimp[dofs] = MOTOR_IMPEDANCE
         damping = self._own_damping.copy()
         damping[: self._size] += self._damping
         model.dof_damping[dofs] = damping

@@ -19,7 +19,7 @@ CONTACT_IMPEDANCE = (0.99, 0.995, 0.001, 0.5, 2.0)
 OBJECT_IMPEDANCE = (0.995, 0.998, 0.001, 0.5, 2.0)
 """`solimp` of contacts with a free body. Of impedances from .99 to .9999, softer ones let an arm press a cube 7 mm into
 the floor, stiffer ones throw it out with up to 2.8 m/s."""
-OLDEST = 4_000_001
+OLDEST_VERSION = 4_000_001
 """The oldest version that works, 4.0.1."""
 _IMPORTING = Lock()
 
@@ -33,7 +33,7 @@ def _mujoco() -> Any:
         if "mujoco" not in sys.modules:
             import mujoco  # noqa: PLC0415
 
-            if mujoco.mj_version() < OLDEST:
+            if mujoco.mj_version() < OLDEST_VERSION:
                 raise MachineError(
                     f"MuJoCo {mujoco.mj_versionString()} is too old",
                     hint="pip uninstall mujoco mujoco-core, then pip install 'karolos[mujoco]'",
