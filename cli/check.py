@@ -45,7 +45,7 @@ def check(
 
             note = check_parts(spec)
             if spec.transfer is not None:
-                from karolos.experiment.transfer import Matrix
+                from karolos.transfer.matrix import Matrix
 
                 Matrix(spec).check()
         except SpecError as error:

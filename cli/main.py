@@ -23,10 +23,10 @@ from .diff import diff
 from .export import export
 from .output import say
 from .play import play
-from .run import execute, resume, run
+from .run import resume, run
 from .sweep import sweep
-from .test import transfer as test
 from .transfer import transfer
+from .zero_shot import zero_shot
 
 OBJECTS_PER_COLLECTION = 50_000
 """New objects before Python looks for garbage. With Python's default a short command spends an eighth of its time on
@@ -66,7 +66,6 @@ app = typer.Typer(
 )
 app.command()(run)
 app.command()(resume)
-app.command("_run", hidden=True)(execute)
 app.command()(check)
 app.add_typer(spec.app, cls=Commands)
 app.add_typer(plugins.app, cls=Commands)
@@ -77,7 +76,7 @@ app.command()(sweep)
 app.add_typer(sweeps.app, cls=Commands)
 app.command()(compare)
 app.command()(diff)
-app.command("test")(test)
+app.command("test")(zero_shot)
 app.command()(transfer)
 app.command()(play)
 app.command()(export)

@@ -10,7 +10,7 @@ from typing import TYPE_CHECKING, Annotated, NoReturn
 
 import typer
 
-from karolos.errors import KarolosError, MachineError
+from karolos.errors import KarolosError
 from karolos.files import writing
 
 from .arguments import (
@@ -31,7 +31,7 @@ from .output import print_rows, print_table, say
 if TYPE_CHECKING:
     from collections.abc import Sequence
 
-    from karolos.experiment.experiment import Outcome
+    from karolos.launchers.experiment import Outcome
 
 
 def run(
@@ -72,7 +72,7 @@ def run(
 
         check_parts(found)
         _detach(runs / f"{found.name}.log")
-    from karolos.experiment.experiment import Experiment
+    from karolos.launchers.experiment import Experiment
 
     from .display import choose_display
 
@@ -132,7 +132,7 @@ def resume(
 
     On the CPU and in lockstep the result is bit for bit that of a run without the interruption.
     """
-    from karolos.experiment.experiment import resume_run
+    from karolos.launchers.experiment import resume_run
     from karolos.store import Store
 
     from .display import choose_display
@@ -146,19 +146,6 @@ def resume(
             folder, database or Store.default_url(home), time_limit=seconds(time_limit), listener=display
         )
     report(outcome, home, quiet=quiet, json=json)
-
-
-def execute(
-    folder: Annotated[Path | None, typer.Argument(help="A run folder. Default: those on stdin, one a line.")] = None,
-    cores: Annotated[int, typer.Option(min=1, help="Number of cores for a run.")] = 1,
-) -> None:
-    """Execute or resume the run of a folder: the process that a launcher starts."""
-    from karolos.experiment.worker import execute_folder, serve
-
-    if folder is None:
-        serve(cores)
-    elif (problem := execute_folder(folder, cores)) is not None:
-        raise MachineError(problem)
 
 
 def report(outcome: Outcome, runs: Path, *, quiet: bool, json: bool) -> NoReturn:

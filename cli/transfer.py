@@ -11,7 +11,7 @@ from .arguments import Database, Json, On, Overrides, Quiet, Runs, TimeLimit, se
 from .output import print_rows, print_table, say, warn
 
 if TYPE_CHECKING:
-    from karolos.comparison.transfer import TransferReport
+    from karolos.transfer.results import TransferReport
 
 
 def transfer(
@@ -43,7 +43,7 @@ def transfer(
     from karolos.spec import load_spec
 
     found = load_spec(spec, with_launcher(overrides, on))
-    from karolos.experiment.transfer import Matrix
+    from karolos.transfer.matrix import Matrix
 
     from .display import Plain
     from .display import Quiet as Silent
@@ -61,8 +61,8 @@ def transfer(
     if outcome.stop_code:
         say(f"{found.name} is stopped: the same command with --resume continues it")
         raise typer.Exit(outcome.exit_code)
-    from karolos.comparison.transfer import transfer_report
-    from karolos.report.transfer import write_report
+    from karolos.transfer.page import write_report
+    from karolos.transfer.results import transfer_report
 
     report = transfer_report(outcome)
     for warning in report.warnings:
@@ -79,7 +79,7 @@ def transfer(
 
 
 def _print_report(report: TransferReport) -> None:
-    from karolos.report.transfer import known, matrix_table, notes, variants_table
+    from karolos.transfer.page import known, matrix_table, notes, variants_table
 
     for name in known(report):
         print_table(matrix_table(report, name))

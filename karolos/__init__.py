@@ -7,14 +7,14 @@ from typing import TYPE_CHECKING, Any
 
 if TYPE_CHECKING:
     from .evaluation.policies import load_run as load
-    from .experiment import Experiment
+    from .launchers.experiment import Experiment
     from .store.query import runs
 
 __version__ = "0.1.0"
 __all__ = ["Experiment", "load", "runs"]
 
 _LAZY = {
-    "Experiment": ("experiment", "Experiment"),
+    "Experiment": ("launchers.experiment", "Experiment"),
     "load": ("evaluation.policies", "load_run"),
     "runs": ("store.query", "runs"),
 }

@@ -10,7 +10,7 @@ from pathlib import Path
 ROOT = Path(__file__).parents[1]
 PAGE = (ROOT / "ARCHITECTURE.md").read_text(encoding="utf-8")
 LAYERS = runpy.run_path(str(ROOT / "docs" / "_scripts" / "layers.py"))
-MOST_ENTRIES = 29
+MOST_ENTRIES = 30
 
 
 def test_the_table_of_layers_is_the_generated_one() -> None:
@@ -39,8 +39,8 @@ def ways() -> dict[str, list[tuple[str, str]]]:
 
 
 def test_the_described_ways_are_short_and_every_stop_exists() -> None:
-    described = {"The way of one transition", "The way of one SAC update", "The way of one test result"}
-    assert set(ways()) == described
+    headings = "one transition", "one SAC update", "one test result", "one job on Ray"
+    assert set(ways()) == {f"The way of {heading}" for heading in headings}
     for heading, stops in ways().items():
         assert 3 <= len({file for file, _ in stops}) <= 8, heading
         for file, name in stops:

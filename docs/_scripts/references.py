@@ -19,7 +19,6 @@ from typing import Any
 
 from karolos.comparison import Comparison, Contender, Estimate, compare, gather
 from karolos.errors import KarolosError
-from karolos.experiment.transfer import Matrix
 from karolos.files import write_json
 from karolos.records import RunFolder, paths
 from karolos.records.decode import from_json
@@ -28,6 +27,7 @@ from karolos.report.tables import count, duration
 from karolos.spec import load_spec, spec_from_dict
 from karolos.statistics.aggregates import median_reaching
 from karolos.store import Store, reindex
+from karolos.transfer.matrix import Matrix
 
 ROOT = Path(__file__).parents[2]
 REFERENCE = ROOT / "runs" / "reference"

@@ -4,12 +4,12 @@ from __future__ import annotations
 
 import math
 from collections.abc import Iterator
+from concurrent.futures import Future
 from dataclasses import dataclass, replace
 from time import perf_counter
 
 from ..core import Failure
-from ..errors import WorkerError
-from ..evaluation.due_tests import DueTest, TestPlayer, TestProcess
+from ..evaluation.due_tests import DueTest, EvaluationProcess, Evaluator
 from ..evaluation.testing import test_seeds
 from ..records.results import TestResult
 from ..spec import Spec
@@ -26,12 +26,11 @@ PART_EPISODES = 24
 MAX_PENDING = 16
 """Tests that may wait, each with a copy of the agent's state. The run's own process plays those beyond."""
 MAX_LOST_PROCESSES = 3
-"""Test processes that may be lost until tests are played in the run's own process only."""
-POLL_SECONDS = 0.1
+"""Second processes that may be lost until tests are played in the run's own process only."""
 
 
 class _AbandonedError(Exception):
-    """A part that is played here breaks off; it stays pending."""
+    """A part that is played here breaks off."""
 
 
 @dataclass(eq=False)
@@ -52,7 +51,7 @@ class PendingTests:
 
     Where an episode is played does not change its result. The run's own process plays tests until they are long enough
     for a second process, which then plays them while the first one trains. When training is over, both play what is
-    left, in parts of some episodes.
+    left, in parts of some episodes. The last part is played by both, so that a process that hangs costs nothing.
 
     Args:
         spec: of the run.
@@ -80,10 +79,10 @@ class PendingTests:
         self.activity = "testing"
         """For announcements."""
         self._parts: dict[DueTest, list[_Part]] = {}
-        self._player = TestPlayer(spec)
-        self._process: TestProcess | None = None
-        self._part_beside: _Part | None = None
-        """The latest part that the second process has got."""
+        self._evaluator = Evaluator(spec)
+        self._process: EvaluationProcess | None = None
+        self._beside: tuple[_Part, Future[tuple[TestResult, list[Failure]]]] | None = None
+        """What the second process plays."""
         self._processes_left = MAX_LOST_PROCESSES if beside else 0
         self._played, self._spent = 0, 0.0
         """Episodes that were completed in this process, and the seconds that they took."""
@@ -94,28 +93,31 @@ class PendingTests:
         seeds = test_seeds(testing.seed, testing.episodes)
         self.pending.append(DueTest(training.steps, training.updates, training.seconds, training.agent.state(), seeds))
         while not self._stop.requested and (self._process is None or len(self.pending) > MAX_PENDING):
-            if (part := self._next()) is None:
+            if (part := self._next(shared=True)) is None:
                 break
             self._play(part)
         self.advance()
 
-    def advance(self, seconds: float = 0.0) -> None:
-        """Receive what the second process has sent, waiting at most so long, and give it the next part."""
-        process, part = self._process, self._part_beside
-        if process is None:
+    def advance(self) -> None:
+        """Receive what the second process has played, and give it the next part. Does not wait."""
+        if self._process is None or (self._beside is not None and not self._beside[1].done()):
             return
         try:
-            for message in process.receive(seconds):
-                if isinstance(message, Failure):
-                    self._warnings.add_failure(message)
-                elif part is not None:
-                    self._record(part, message)
-        except WorkerError as error:
-            self._lose_process(str(error))
-        else:
-            if process.test is None and (next_part := self._next()) is not None:
-                next_part.taken, self._part_beside = True, next_part
-                process.start(next_part.test)
+            if self._beside is not None:
+                part, future = self._beside
+                result, failures = future.result()
+                for failure in failures:
+                    self._warnings.add_failure(failure)
+                if part.result is None:
+                    self._record(part, result)
+                self._beside = None
+            if (next_part := self._next()) is not None:
+                self._beside = next_part, self._process.submit(next_part.test)
+                next_part.taken = True
+        except Exception as error:  # whatever it is, it must not cost the run
+            self._warnings.add(f"the test process failed: {type(error).__name__}: {error}", "its test is played again")
+            self._processes_left -= 1
+            self._close_process()
 
     def finished(self) -> Iterator[tuple[DueTest, TestResult]]:
         """Remove the tests that are over from `pending`; a test waits for those before it."""
@@ -130,11 +132,8 @@ class PendingTests:
 
     def play_remaining(self) -> Iterator[tuple[DueTest, TestResult]]:
         """Play all pending tests, or as many as possible until a stop is requested."""
-        while self.pending and not self._stop.requested:
-            if (part := self._next()) is not None:
-                self._play(part)
-            else:
-                self.advance(POLL_SECONDS)
+        while not self._stop.requested and (part := self._next(shared=True)) is not None:
+            self._play(part)
             yield from self.finished()
 
     def seconds_left(self, training: float, steps: int) -> float:
@@ -148,10 +147,16 @@ class PendingTests:
         return training + (tests if self._process is None else max(tests - training, 0.0) / 2)
 
     def close(self) -> None:
+        self._close_process()
+        self._evaluator.close()
+
+    def _close_process(self) -> None:
         if self._process is not None:
-            self._process.close()
+            self._process.close(kill=self._beside is not None)
             self._process = None
-        self._player.close()
+        if self._beside is not None:
+            self._beside[0].taken = self._beside[0].result is not None
+            self._beside = None
 
     def _parts_of(self, test: DueTest) -> list[_Part]:
         if test not in self._parts:
@@ -161,10 +166,10 @@ class PendingTests:
             self._parts[test] = [_Part(replace(test, seeds=test.seeds[at : at + size])) for at in starts]
         return self._parts[test]
 
-    def _next(self) -> _Part | None:
-        """The first part that no process plays or has played."""
-        parts = (part for test in self.pending for part in self._parts_of(test))
-        return next((part for part in parts if not part.taken), None)
+    def _next(self, *, shared: bool = False) -> _Part | None:
+        """The first part that no process plays or has played; with `shared`, otherwise that of the second process."""
+        unfinished = [part for test in self.pending for part in self._parts_of(test) if part.result is None]
+        return next((part for part in unfinished if not part.taken), unfinished[0] if unfinished and shared else None)
 
     def _episodes_left(self, steps: int) -> int:
         """Episodes of the pending tests, of those that the environment steps left make due, and of the final test."""
@@ -175,21 +180,25 @@ class PendingTests:
         return waiting + math.ceil(steps / testing.interval) * testing.episodes + final
 
     def _play(self, part: _Part) -> None:
-        """Play a part in this process. Breaks off at a stop, and when the second process shall play it."""
+        """Play a part in this process.
+
+        Breaks off at a stop, when the second process shall play it, and when the second process has played it.
+        """
         started, spent, played = perf_counter(), self._spent, self._played
+        taken, part.taken = part.taken, True
 
         def on_round(completed: int) -> None:
             self._record(part, completed)
             self._spent, self._played = spent + perf_counter() - started, played + completed
             self.advance()
-            if self._stop.requested or (self._starts_process() and self._training.steps < self._spec.training.steps):
+            left_to_process = self._starts_process() and self._training.steps < self._spec.training.steps
+            if part.result is not None or self._stop.requested or left_to_process:
                 raise _AbandonedError
 
-        part.taken = True
         try:
-            result = self._player.play(part.test, self._warnings.add_failure, on_round)
+            result = self._evaluator.play(part.test, self._warnings.add_failure, on_round)
         except _AbandonedError:
-            part.taken = False
+            part.taken = taken or part.result is not None
         else:
             self._record(part, result)
             self._spent, self._played = spent + perf_counter() - started, played + result.episodes
@@ -210,18 +219,5 @@ class PendingTests:
         left = self._episodes_left(self._spec.training.steps - self._training.steps)
         if self._spent / max(self._played, 1) * left < WORTHWHILE_SECONDS:
             return False
-        try:
-            self._process = TestProcess(self._spec)
-        except OSError as error:
-            self._lose_process(f"the test process cannot start: {error}")
-        return self._process is not None
-
-    def _lose_process(self, problem: str) -> None:
-        self._warnings.add(problem, "its test is played again")
-        self._processes_left -= 1
-        if self._process is not None:
-            self._process.close()
-            self._process = None
-        if self._part_beside is not None and self._part_beside.result is None:
-            self._part_beside.taken = False
-        self._part_beside = None
+        self._process = EvaluationProcess(self._spec)
+        return True

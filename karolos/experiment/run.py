@@ -21,7 +21,7 @@ from ..records import RunFolder
 from ..records.final_test import FinalTest
 from ..records.results import TestResult
 from ..records.run_records import RunSummary
-from ..spec import Spec
+from ..spec import Spec, spec_from_dict
 from ..spec.model import DemonstrationSettings
 from ..training.assembly import make_agent, make_buffer, make_orchestrator
 from ..training.demonstrations import collect_demonstrations
@@ -32,7 +32,7 @@ from .events import Listener, RunStarted
 from .folder_writer import FolderWriter
 from .observer import Announcer, Ending, RunObserver, RunWarnings
 from .pending_tests import PendingTests
-from .resume import LAST, Snapshot
+from .resume import LAST, Snapshot, newest_snapshot
 from .run_index import RunIndex
 from .signals import StopRequest, StopRequestedError
 from .start_from import apply, find
@@ -267,3 +267,29 @@ class Run:
         for observer in self._observers:
             observer.final_tested(final)
         return True
+
+
+def run_or_resume(
+    folder: RunFolder, url: str | None, listener: Listener, stop: StopRequest, *, beside: bool
+) -> RunSummary:
+    """Execute the run of a folder, or resume it from its newest checkpoint if it has begun. A finished run stays so.
+
+    Args:
+        folder: of the run, locked.
+        url: SQLAlchemy URL of the results database; None: another process indexes the run.
+        listener: is called with every RunEvent.
+        stop: is checked after each round.
+        beside: whether tests may be played beside training, in a second process.
+
+    Raises:
+        RunError: no checkpoint can be used.
+        SpecError: its resolved spec is damaged, or of another version.
+    """
+    if folder.state().state == "finished":  # it may have been when the caller looked, before the lock was free
+        return folder.summary()
+    spec, seed = spec_from_dict(folder.spec()), folder.description()["seed"]
+    snapshot = newest_snapshot(folder) if folder.events() else None
+    if snapshot is not None:
+        folder.next_attempt()
+    with RunIndex(url, folder) as index:
+        return Run(spec, seed, folder, index, listener, stop, snapshot, beside).execute()

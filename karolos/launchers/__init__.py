@@ -1,1 +1,1 @@
-"""Launchers: how the processes of runs are started, on this machine and on others."""
+"""Launchers: how runs are started and followed, in this process, on this machine and on others."""

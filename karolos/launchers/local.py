@@ -13,13 +13,13 @@ from threading import Thread
 
 from typing_extensions import override
 
-from ..core.launcher import COMMAND, Ended, Launcher
 from ..core.settings import Settings as BaseSettings
 from ..errors import MachineError
 from ..machine import cores
+from .interface import COMMAND, Ended, Launcher
 
 
-class Worker:
+class RunProcess:
     """A process of this machine that executes runs, one at a time.
 
     It has a process group of its own, so that Ctrl-C in a terminal reaches only the process that decides what to do.
@@ -30,7 +30,7 @@ class Worker:
         """Whether it has imported its libraries."""
         self.folder: Path | None = None
         """The run that it executes."""
-        self.process = subprocess.Popen(
+        self.child = subprocess.Popen(
             [*COMMAND, "--cores", str(cores)],
             stdin=subprocess.PIPE,
             stdout=subprocess.PIPE,
@@ -39,9 +39,9 @@ class Worker:
             env=os.environ | {"PYTHONPATH": os.pathsep.join(filter(None, sys.path))},
             process_group=0,
         )
-        assert self.process.stdin is not None
-        assert self.process.stdout is not None
-        self.orders, self.answers = self.process.stdin, self.process.stdout
+        assert self.child.stdin is not None
+        assert self.child.stdout is not None
+        self.orders, self.answers = self.child.stdin, self.child.stdout
 
     def start(self, folder: Path) -> None:
         self.folder = folder
@@ -58,11 +58,11 @@ class Worker:
 
     def cause(self) -> str:
         """How the process ended, e.g. "was killed by signal 9"."""
-        code = self.process.wait()
+        code = self.child.wait()
         return f"was killed by signal {-code}" if code < 0 else f"ended with exit code {code}"
 
 
-class Local(Launcher):
+class LocalLauncher(Launcher):
     """Processes of this machine: one for each of `jobs` runs at the same time.
 
     Raises:
@@ -74,46 +74,46 @@ class Local(Launcher):
 
     def __init__(self, settings: Settings, jobs: int | None = None) -> None:  # noqa: ARG002  (it has none)
         self._jobs = jobs or 1
-        self._workers: list[Worker] = []
-        self._answers: queue.Queue[tuple[Worker, str]] = queue.Queue()
+        self._processes: list[RunProcess] = []
+        self._answers: queue.Queue[tuple[RunProcess, str]] = queue.Queue()
 
     @override
     def room(self, waiting: int) -> int:
-        idle = [worker for worker in self._workers if worker.folder is None]
-        for _ in range(min(self._jobs - len(self._workers), waiting - len(idle))):
-            worker = Worker(cores(self._jobs))
-            self._workers.append(worker)
-            Thread(target=self._listen, args=(worker,), daemon=True).start()
-        return sum(worker.ready for worker in idle)
+        idle = [process for process in self._processes if process.folder is None]
+        for _ in range(min(self._jobs - len(self._processes), waiting - len(idle))):
+            process = RunProcess(cores(self._jobs))
+            self._processes.append(process)
+            Thread(target=self._listen, args=(process,), daemon=True).start()
+        return sum(process.ready for process in idle)
 
     @override
     def start(self, folder: Path) -> None:
-        next(worker for worker in self._workers if worker.ready and worker.folder is None).start(folder)
+        next(process for process in self._processes if process.ready and process.folder is None).start(folder)
 
     @override
     def wait(self, seconds: float) -> Ended | None:
         try:
-            worker, answer = self._answers.get(timeout=seconds)
+            process, answer = self._answers.get(timeout=seconds)
         except queue.Empty:
             return None
         if not answer:
-            self._workers.remove(worker)
-            if not worker.ready:
-                raise MachineError(f"a process of a run {worker.cause()} before it was ready", hint="see its output")
-        return worker.ended(answer)
+            self._processes.remove(process)
+            if not process.ready:
+                raise MachineError(f"a process of a run {process.cause()} before it was ready", hint="see its output")
+        return process.ended(answer)
 
     @override
     def close(self, *, kill: bool) -> None:
-        for worker in self._workers:
-            worker.orders.close()  # which ends an idle process
+        for process in self._processes:
+            process.orders.close()  # which ends an idle process
             if kill:
-                worker.process.kill()
-            elif worker.folder is not None or not worker.ready:
-                worker.process.terminate()
-        for worker in self._workers:
-            worker.process.wait()
+                process.child.kill()
+            elif process.folder is not None or not process.ready:
+                process.child.terminate()
+        for process in self._processes:
+            process.child.wait()
 
-    def _listen(self, worker: Worker) -> None:
-        for answer in worker.answers:
-            self._answers.put((worker, answer))
-        self._answers.put((worker, ""))
+    def _listen(self, process: RunProcess) -> None:
+        for answer in process.answers:
+            self._answers.put((process, answer))
+        self._answers.put((process, ""))

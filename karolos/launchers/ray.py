@@ -11,37 +11,37 @@ from typing import Any, ClassVar
 from pydantic import Field as Setting
 from typing_extensions import override
 
-from ..core.launcher import Ended, Launcher
 from ..core.settings import Settings as BaseSettings
 from ..errors import MachineError, UsageError
 from ..orchestrator.ray import connect
-from .local import Worker
+from .interface import Ended, Launcher
+from .local import RunProcess
 
 CHECK_SECONDS, GONE_SECONDS = 5.0, 20.0
 """Time between two looks whether the cluster is there, and time without it after which it is gone."""
-_workers: list[Worker] = []
+_processes: list[RunProcess] = []
 """The process that executes the runs of this Ray worker, one after another."""
 
 
-def execute(folder: str, cores: int) -> str | None:
+def hand_to_process(folder: str, cores: int) -> str | None:
     """Execute a run or a test in a Ray worker. Returns why it could not be executed."""
     if not Path(folder).is_dir():
         return f"{platform.node()} cannot see {folder}; use a runs folder that all machines share under this path"
-    if not _workers:
-        _workers.append(Worker(cores))
-        _workers[0].answers.readline()  # libraries are imported
-    worker = _workers[0]
-    worker.ready = True
-    worker.start(Path(folder))
-    ended = worker.ended(worker.answers.readline())
+    if not _processes:
+        _processes.append(RunProcess(cores))
+        _processes[0].answers.readline()  # libraries are imported
+    process = _processes[0]
+    process.ready = True
+    process.start(Path(folder))
+    ended = process.ended(process.answers.readline())
     assert ended is not None
     if ended.died:
-        _workers.clear()
+        _processes.clear()
         raise ChildProcessError(ended.problem)
     return ended.problem
 
 
-class Ray(Launcher):
+class RayLauncher(Launcher):
     """Tasks of a Ray cluster, each with its own cores and GPUs. Ray chooses the GPU.
 
     Without an address, and without a cluster in RAY_ADDRESS or on this machine, it starts one here. The runs folder is
@@ -76,7 +76,7 @@ class Ray(Launcher):
                     hint="lower it, or add a larger machine",
                 )
         options = {"num_cpus": settings.cpus, "num_gpus": settings.gpus, "max_retries": settings.max_retries}
-        self._task = ray.remote(execute).options(**options, retry_exceptions=[ChildProcessError])
+        self._task = ray.remote(hand_to_process).options(**options, retry_exceptions=[ChildProcessError])
         self._cores = settings.cpus
         self._active: dict[Any, Path] = {}
         through_client = (settings.address or "").startswith("ray://")  # which raises a ConnectionError

@@ -11,10 +11,10 @@ from typing import ClassVar
 from pydantic import Field as Setting
 from typing_extensions import override
 
-from ..core.launcher import COMMAND, Ended, Launcher
 from ..core.settings import Settings as BaseSettings
 from ..errors import MachineError, UsageError
 from ..files import write_whole
+from .interface import COMMAND, STOP, Ended, Launcher
 
 JOB = "slurm.job"
 """The file in a run's folder with the id of its job."""
@@ -33,7 +33,7 @@ fi
 """
 
 
-class Slurm(Launcher):
+class SlurmLauncher(Launcher):
     """Jobs of Slurm. The runs folder is on a path that all machines share.
 
     A run that reaches its time limit writes a checkpoint and is queued again. Jobs stay when the driver's process ends:
@@ -77,7 +77,7 @@ class Slurm(Launcher):
             self._submit()
         states = self._states(list(self._active)) if self._active else {}
         for name, folder in self._active.items():
-            if states.get(name) == "PENDING" and (folder / "stop").exists():
+            if states.get(name) == "PENDING" and (folder / STOP).exists():
                 _slurm("scancel", name)
             elif name in states:
                 continue

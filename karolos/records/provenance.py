@@ -75,7 +75,7 @@ def versions() -> dict[str, str]:
 @cache
 def source() -> str:
     """SHA-256 (hex) of the source of karolos and of every installed plugin's package."""
-    packages = {"karolos", "karolos_cli"}
+    packages = {"karolos"}
     for distribution in metadata.distributions():
         points = distribution.entry_points
         packages |= {point.module.partition(".")[0] for point in points if point.group.startswith(_GROUPS)}

@@ -10,9 +10,9 @@ import math
 from collections.abc import Callable, Sequence
 from itertools import count, islice
 
-from ..experiment.driver import Driver, Feed, Job
 from ..experiment.events import RunAdvanced, RunEnded, RunEvent
-from ..experiment.signals import StopRequest
+from ..launchers.driver import Driver, Feed
+from ..launchers.runs import Home, RunJob
 from ..records.sweep_records import SweepFinal, Trial, merit
 from ..spec import Spec, spec_of_trial
 from ..spec.sweep import FinalSettings
@@ -36,7 +36,12 @@ def for_report(trial: Spec) -> Spec:
 
 
 def choose(
-    base: Spec, settings: FinalSettings, study: Study, driver: Driver, listener: SweepListener, stop: StopRequest
+    base: Spec,
+    home: Home,
+    settings: FinalSettings,
+    study: Study,
+    driver: Driver,
+    listener: SweepListener,
 ) -> SweepFinal | None:
     """Run the best trials on new seeds, choose the best of them, and run it on further seeds and test episodes.
 
@@ -46,22 +51,22 @@ def choose(
     sweep = base.sweep
     assert sweep is not None  # it has trials
 
-    def run(jobs: Sequence[Job]) -> None:
-        driver.run(_Candidates(listener, *jobs), stop)
+    def run(jobs: Sequence[RunJob]) -> None:
+        driver.run(_Candidates(listener, *jobs))
 
     unused = (seed for seed in count() if seed not in sweep.seeds and seed not in base.seeds)
     seeds = tuple(islice(unused, settings.seeds))
     report_seeds = tuple(islice(unused, settings.report_seeds))
     best = study.ranked()[: settings.top]
     listener(FinalBegan(tuple(trial.number for trial in best), seeds, "choose"))
-    fresh = _values(base, best, seeds, for_search, run)
-    if stop.requested or not fresh:
+    fresh = _values(base, home, best, seeds, for_search, run)
+    if driver.stop.requested or not fresh:
         return None
     signs = directions(sweep.objectives)
     chosen = min((trial for trial in best if trial.number in fresh), key=lambda one: merit(fresh[one.number], signs))
     listener(FinalBegan((chosen.number,), report_seeds, "report"))
-    reported = _values(base, [chosen], report_seeds, for_report, run)
-    if stop.requested:
+    reported = _values(base, home, [chosen], report_seeds, for_report, run)
+    if driver.stop.requested:
         return None
     assert chosen.values is not None  # it is complete
     return SweepFinal(chosen.number, seeds, report_seeds, chosen.values, fresh, reported.get(chosen.number))
@@ -69,14 +74,15 @@ def choose(
 
 def _values(
     base: Spec,
+    home: Home,
     trials: Sequence[Trial],
     seeds: tuple[int, ...],
     change: Callable[[Spec], Spec],
-    run: Callable[[Sequence[Job]], None],
+    run: Callable[[Sequence[RunJob]], None],
 ) -> dict[int, tuple[float, ...]]:
     """The trials' objectives with their specs changed and on these seeds, without trials that failed on a seed."""
     specs = {trial.number: spec_of_trial(base, trial.drawn, trial.name, seeds, trial.name) for trial in trials}
-    jobs = {number: Job(change(spec), together=True) for number, spec in specs.items()}
+    jobs = {number: RunJob(change(spec), home, together=True) for number, spec in specs.items()}
     run(list(jobs.values()))
     assert base.sweep is not None  # see `choose`
     values = {
@@ -87,13 +93,13 @@ def _values(
     return {number: value for number, value in values.items() if all(map(math.isfinite, value))}
 
 
-class _Candidates(Feed):
+class _Candidates(Feed[RunJob]):
     """Jobs of trials, which all run to the end."""
 
-    def __init__(self, listener: SweepListener, *jobs: Job) -> None:
+    def __init__(self, listener: SweepListener, *jobs: RunJob) -> None:
         super().__init__(*jobs)
         self._listener = listener
 
-    def heard(self, job: Job, event: RunEvent) -> None:
+    def heard(self, job: RunJob, event: RunEvent) -> None:
         if isinstance(event, RunAdvanced | RunEnded):
             self._listener(TrialAdvanced(job.spec.name, job.fraction))

@@ -8,10 +8,11 @@ from pathlib import Path
 from typing import Any
 
 from ..errors import SpecError, UsageError
-from ..experiment.driver import Driver, make_launcher
 from ..experiment.events import RunEvent, RunWarned
 from ..experiment.signals import StopRequest, stop_on_signals
 from ..experiment.start_from import pinned
+from ..launchers.driver import Driver, make_launcher
+from ..launchers.runs import Home
 from ..records import RunFolder
 from ..records.sweep_records import FOLDER, SweepFinal, Trial
 from ..spec import Spec, Sweep, spec_from_dict, spec_of_trial
@@ -112,11 +113,11 @@ class Search:
             study = Study(folder.journal, self.sweep, self.spec.name, self.spec.training.steps)
             writer = TrialWriter(folder, study, store, listener)
             writer.write()
-            driver = Driver(launcher, root, url, warn, existing="resume", text=self._text, retries=1)
-            driver.run(Trials(base, self.sweep, study, jobs, self.asked, listener, stop, writer), stop)
+            driver, home = Driver(launcher, warn, stop, retries=1), Home(root, url, "resume", self._text)
+            driver.run(Trials(base, home, self.sweep, study, jobs, self.asked, listener, stop, writer))
             final = None
             if self.sweep.final is not None and not stop.requested and study.ranked():
-                final = choosing.choose(base, self.sweep.final, study, driver, listener, stop)
+                final = choosing.choose(base, home, self.sweep.final, study, driver, listener)
             return self._conclude(writer, final, stop)
 
     def _conclude(self, writer: TrialWriter, final: SweepFinal | None, stop: StopRequest) -> SweepOutcome:

@@ -7,9 +7,10 @@ from collections.abc import Sequence
 from dataclasses import dataclass, field
 
 from ..errors import KarolosError, StoreError
-from ..experiment.driver import Feed, Job
 from ..experiment.events import RunAdvanced, RunEnded, RunEvent, RunTested, RunWarned
 from ..experiment.signals import StopRequest
+from ..launchers.driver import Feed
+from ..launchers.runs import Home, RunJob
 from ..records.sweep_records import Trial, read_sweep
 from ..spec import Spec, Sweep, spec_of_trial
 from ..store import Store
@@ -45,7 +46,7 @@ class TrialWriter:
 
 
 @dataclass
-class Trials(Feed):
+class Trials(Feed[RunJob]):
     """The feed of a sweep's trials.
 
     Args:
@@ -54,6 +55,7 @@ class Trials(Feed):
     """
 
     base: Spec
+    home: Home
     sweep: Sweep
     study: Study
     jobs: int
@@ -61,14 +63,14 @@ class Trials(Feed):
     listener: SweepListener
     stop: StopRequest
     writer: TrialWriter
-    _open: dict[Job, OpenTrial] = field(default_factory=dict)
-    _reported: dict[Job, int] = field(default_factory=dict)
+    _open: dict[RunJob, OpenTrial] = field(default_factory=dict)
+    _reported: dict[RunJob, int] = field(default_factory=dict)
     """Number of tests that the pruner has seen."""
 
     def __post_init__(self) -> None:
         self._unfinished = self.study.unfinished()
 
-    def next(self) -> Job | None:
+    def next(self) -> RunJob | None:
         while len(self._open) < self.jobs:
             if self._unfinished:
                 trial = self._unfinished.pop(0)
@@ -86,13 +88,13 @@ class Trials(Feed):
             except KarolosError as error:
                 self._end(trial, error=str(error).replace("\n", "; "))
                 continue
-            job = Job(spec, together=True)
+            job = RunJob(spec, self.home, together=True)
             self._open[job] = trial
             self._reported[job] = 0
             return job
         return None
 
-    def heard(self, job: Job, event: RunEvent) -> str | None:
+    def heard(self, job: RunJob, event: RunEvent) -> str | None:
         """Report the mean at each test that every seed has completed; PRUNED when the pruner stops the trial."""
         if isinstance(event, RunAdvanced | RunEnded):
             self.listener(TrialAdvanced(job.spec.name, job.fraction))
@@ -110,7 +112,7 @@ class Trials(Feed):
                 return PRUNED
         return None
 
-    def ended(self, job: Job) -> None:
+    def ended(self, job: RunJob) -> None:
         trial = self._open.pop(job)
         runs = [job.summaries[seed].run for seed in job.spec.seeds if seed in job.summaries]
         if job.finished:

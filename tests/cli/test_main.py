@@ -12,7 +12,7 @@ from support.compared_runs import run
 from support.run_commands import add_run, call
 
 from karolos import __version__
-from karolos.experiment.experiment import Outcome
+from karolos.launchers.experiment import Outcome
 
 
 def test_version_is_printed() -> None:

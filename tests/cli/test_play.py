@@ -13,7 +13,7 @@ from karolos_cli.play import play
 from support.commands import Terminal, call
 from typer import Typer
 
-from karolos.experiment.experiment import Experiment
+from karolos.launchers.experiment import Experiment
 from karolos.report.video import with_caption
 
 app = Typer()

@@ -16,7 +16,7 @@ from karolos.errors import MachineError, RunError, UsageError
 from karolos.evaluation.changed_spec import load_player
 from karolos.evaluation.playing import play
 from karolos.evaluation.policies import expert_policy, load_agent, load_expert, random_policy, signature_of
-from karolos.experiment.experiment import Experiment
+from karolos.launchers.experiment import Experiment
 from karolos.records import RunFolder
 from karolos.registry import load
 from karolos.spec import Spec, spec_from_dict

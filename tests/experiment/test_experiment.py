@@ -13,7 +13,7 @@ from support.store_samples import stored
 from karolos import checkpoint
 from karolos.errors import MachineError, RunError, StoreError, UsageError
 from karolos.experiment.events import RunEnded, RunStarted, RunTested, RunWarned
-from karolos.experiment.experiment import Experiment
+from karolos.launchers.experiment import Experiment
 from karolos.records import RunFolder
 from karolos.report.tables import runs_table
 from karolos.spec import spec_from_dict

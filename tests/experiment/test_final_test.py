@@ -16,7 +16,7 @@ from karolos.evaluation import due_tests
 from karolos.evaluation.policies import load_agent
 from karolos.evaluation.testing import play_episodes, test_seeds
 from karolos.experiment.events import RunFinalTested
-from karolos.experiment.experiment import Experiment, Outcome, resume_run
+from karolos.launchers.experiment import Experiment, Outcome, resume_run
 from karolos.records import RunFolder
 from karolos.records.final_test import FILE
 from karolos.spec import spec_from_dict

@@ -17,8 +17,8 @@ from support.toy_runs import TOY
 from karolos import checkpoint
 from karolos.errors import KarolosError, RunError, UsageError
 from karolos.evaluation.policies import load_agent
-from karolos.experiment.experiment import Experiment, resume_run
 from karolos.files import is_alive, locked, remove_temporary_leftovers
+from karolos.launchers.experiment import Experiment, resume_run
 from karolos.records import RunFolder, scan
 from karolos.records.run_folder import remove_lost_leftovers
 from karolos.store import Store
@@ -26,7 +26,7 @@ from karolos.store import Store
 KILLED = """
 import os
 from karolos.experiment.events import RunTested
-from karolos.experiment.experiment import Experiment
+from karolos.launchers.experiment import Experiment
 
 def listen(event):
     if isinstance(event, RunTested):

@@ -13,12 +13,12 @@ from support.toy_runs import TOY
 
 from karolos.errors import RunError
 from karolos.experiment.events import RunAdvanced, RunEnded, RunStarted, RunWarned
-from karolos.experiment.experiment import Experiment
+from karolos.launchers.experiment import Experiment
 from karolos.records import RunFolder
 from karolos.store import Store, check, reindex
 
 SCRIPT = """
-from karolos.experiment.experiment import Experiment
+from karolos.launchers.experiment import Experiment
 outcome = Experiment({spec!r}).run({runs!r}, jobs=2, check=False, listener=lambda event: print(event))
 print("EXIT", outcome.exit_code, [(run.run, run.state, run.error) for run in outcome.runs])
 """

@@ -16,10 +16,11 @@ from support.states import assert_same_runs, assert_same_state
 
 from karolos import checkpoint
 from karolos.evaluation import due_tests
-from karolos.experiment import experiment, pending_tests
+from karolos.experiment import pending_tests
 from karolos.experiment.events import RunWarned
-from karolos.experiment.experiment import Experiment
 from karolos.experiment.pending_tests import PendingTests
+from karolos.launchers import experiment
+from karolos.launchers.experiment import Experiment
 from karolos.records import RunFolder
 
 SPEC: dict[str, Any] = {
@@ -39,7 +40,7 @@ def run(runs: Path, spec: dict[str, Any] = SPEC, **options: Any) -> RunFolder:
 
 
 def second_processes() -> list[Any]:
-    return [process for process in multiprocessing.active_children() if process.name == "test process"]
+    return [process for process in multiprocessing.active_children() if process.name.startswith("SpawnProcess")]
 
 
 @pytest.fixture(scope="module")
@@ -52,18 +53,18 @@ def alone(tmp_path_factory: pytest.TempPathFactory) -> RunFolder:
 
 @pytest.fixture
 def beside(monkeypatch: pytest.MonkeyPatch) -> list[object]:
-    """Runs start a second process in their first test. What it sends."""
+    """Runs start a second process in their first test. The results that it sends."""
     received: list[object] = []
 
-    class Recorded(pending_tests.TestProcess):
-        def receive(self, seconds: float = 0.0) -> Any:
-            for message in super().receive(seconds):
-                received.append(message)
-                yield message
+    class Recorded(pending_tests.EvaluationProcess):
+        def submit(self, test: Any) -> Any:
+            future = super().submit(test)
+            future.add_done_callback(lambda done: done.exception() or received.append(done.result()))
+            return future
 
     monkeypatch.setattr(pending_tests, "MEASURED_SECONDS", 0.0)
     monkeypatch.setattr(pending_tests, "WORTHWHILE_SECONDS", 0.0)
-    monkeypatch.setattr(pending_tests, "TestProcess", Recorded)
+    monkeypatch.setattr(pending_tests, "EvaluationProcess", Recorded)
     monkeypatch.setattr(experiment, "cores", lambda: 2)
     return received
 
@@ -72,7 +73,8 @@ def wait_for(received: list[object], tests: PendingTests) -> None:
     """Advance until the second process has sent something."""
     until = time.monotonic() + 60
     while not received and time.monotonic() < until:
-        tests.advance(0.1)
+        tests.advance()
+        time.sleep(0.02)
 
 
 def after_add(monkeypatch: pytest.MonkeyPatch, do: Callable[[PendingTests], object]) -> None:
@@ -104,36 +106,45 @@ def hang(tests: PendingTests) -> None:
         os.kill(process.pid, signal.SIGSTOP)
 
 
-@pytest.mark.parametrize(("accident", "problem"), [(kill, "test process ended"), (hang, "did not answer for 0 s")])
 def test_a_lost_process_costs_a_warning_and_its_test_is_played_again(
-    alone: RunFolder, beside: list[object], tmp_path: Path, monkeypatch: pytest.MonkeyPatch, accident: Any, problem: str
+    alone: RunFolder, beside: list[object], tmp_path: Path, monkeypatch: pytest.MonkeyPatch
 ) -> None:
-    after_add(monkeypatch, accident)
-    if accident is hang:
-        monkeypatch.setattr(due_tests, "SILENT_SECONDS", 0.0)
+    after_add(monkeypatch, kill)
     events: list[object] = []
     folder = run(tmp_path, listener=events.append)
     warnings = [event.warning for event in events if isinstance(event, RunWarned)]
     assert len(warnings) == pending_tests.MAX_LOST_PROCESSES
-    assert all(problem in warning and "played again" in warning for warning in warnings)
+    assert all("test process failed" in warning and "played again" in warning for warning in warnings)
     assert_same_runs(alone, folder)
+
+
+def test_a_process_that_hangs_costs_nothing(
+    alone: RunFolder, beside: list[object], tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    after_add(monkeypatch, hang)
+    assert_same_runs(alone, run(tmp_path))
+    assert not beside
+    assert not second_processes()
 
 
 def test_a_process_that_fails_says_why_and_one_that_cannot_start_costs_nothing(
     alone: RunFolder, beside: list[object], tmp_path: Path, monkeypatch: pytest.MonkeyPatch
 ) -> None:
-    class Unable(pending_tests.TestProcess):
+    class Unable(pending_tests.EvaluationProcess):
         def __init__(self, spec: Any) -> None:
+            super().__init__(spec.model_copy(update={"name": "/"}))  # which its process refuses
+
+        def submit(self, test: Any) -> Any:
             if not attempts:
                 attempts.append(1)
                 raise OSError("no memory")
-            super().__init__(spec.model_copy(update={"name": "/"}))  # which its process refuses
+            return super().submit(test)
 
     attempts: list[int] = []
-    monkeypatch.setattr(pending_tests, "TestProcess", Unable)
+    monkeypatch.setattr(pending_tests, "EvaluationProcess", Unable)
     folder = run(tmp_path)
     first, *others = [str(event["error"]) for event in folder.events() if event["event"] == "warning"]
-    assert first == "the test process cannot start: no memory"
+    assert first == "the test process failed: OSError: no memory"
     assert all("the test process failed: SpecError" in error for error in others)
     assert_same_runs(alone, folder)
 
@@ -207,7 +218,7 @@ def test_both_processes_play_parts_of_the_final_test_which_join_in_order(
 
 def test_no_second_process_starts_for_short_tests(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
     monkeypatch.setattr(experiment, "cores", lambda: 2)
-    monkeypatch.setattr(pending_tests, "TestProcess", lambda _: pytest.fail("it starts"))
+    monkeypatch.setattr(pending_tests, "EvaluationProcess", lambda _: pytest.fail("it starts"))
     assert run(tmp_path).state().state == "finished"
     monkeypatch.setattr(pending_tests, "MEASURED_SECONDS", 0.0)
     assert run(tmp_path).state().state == "finished"

@@ -14,11 +14,11 @@ from support.store_samples import stored
 
 from karolos import checkpoint
 from karolos.errors import RunError
-from karolos.experiment import worker
 from karolos.experiment.events import RunStarted, RunTested, RunWarned
-from karolos.experiment.experiment import Experiment, resume_run
 from karolos.experiment.resume import Snapshot, newest_snapshot
+from karolos.experiment.run import run_or_resume
 from karolos.experiment.signals import StopRequest
+from karolos.launchers.experiment import Experiment, resume_run
 from karolos.records import RunFolder
 from karolos.simulation.engines import installed
 from karolos.store import Store
@@ -188,7 +188,7 @@ def test_a_run_that_ended_while_it_was_looked_at_is_not_executed_again(broken: R
     with broken:
         broken.lock()
         url, stop = Store.default_url(broken.path.parent), StopRequest()
-        assert worker.execute(broken, url, pytest.fail, stop, beside=False).state == "finished"
+        assert run_or_resume(broken, url, pytest.fail, stop, beside=False).state == "finished"
     assert broken.events() == before
 
 
@@ -202,7 +202,7 @@ def test_the_checkpoint_that_a_run_resumed_from_is_not_kept_in_memory(
         assert snapshots[-1].parts["buffer"]
         return snapshots[-1]
 
-    monkeypatch.setattr(worker, "newest_snapshot", newest)
+    monkeypatch.setattr("karolos.experiment.run.newest_snapshot", newest)
     go_on(broken)
     assert [snapshot.parts for snapshot in snapshots] == [{}]
 

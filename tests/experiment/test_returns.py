@@ -17,8 +17,8 @@ from tensorboard.backend.event_processing.event_accumulator import EventAccumula
 from typer import Typer
 
 from karolos import checkpoint
-from karolos.evaluation.transfer_test import transfer_test
-from karolos.experiment.experiment import Experiment
+from karolos.evaluation.zero_shot import zero_shot_test
+from karolos.launchers.experiment import Experiment
 from karolos.records import RunFolder
 from karolos.records.run_records import RunSummary
 from karolos.report.tables import transfers_table
@@ -99,7 +99,7 @@ def test_tables_show_returns_only(run: RunSummary) -> None:
     _, out, _ = call(karolos_cli.runs.app, "show", run.run, *runs, "--json")
     last = json.loads(out)["final_test"]["last"]
     assert (last["success_end"], last["success_end_interval"], last["mean_return"]) == (None, None, run.mean_return)
-    table = transfers_table([transfer_test(RunFolder.open(run.folder), checkpoint="last")])
+    table = transfers_table([zero_shot_test(RunFolder.open(run.folder), checkpoint="last")])
     assert not any("success" in name or name.endswith(" any") for name in table.columns)
     assert table.rows[0][table.columns.index("return")] == f"{run.mean_return:,.2f}"
 

@@ -13,8 +13,8 @@ from karolos.core import Signature
 from karolos.core.seeding import SeedTree
 from karolos.environments.build import build_environment
 from karolos.errors import UsageError
-from karolos.experiment.experiment import Experiment
 from karolos.experiment.start_from import apply, find, pinned
+from karolos.launchers.experiment import Experiment
 from karolos.plugins.contracts.case import state_differences
 from karolos.records import RunFolder
 from karolos.spec import Spec, spec_from_dict

@@ -10,8 +10,8 @@ from support.states import assert_same_runs
 
 from karolos import checkpoint
 from karolos.experiment.events import RunBusy, RunStarted, RunWarned
-from karolos.experiment.experiment import Experiment
 from karolos.experiment.signals import stop_on_signals
+from karolos.launchers.experiment import Experiment
 from karolos.records import RunFolder
 
 REACH: dict[str, Any] = {

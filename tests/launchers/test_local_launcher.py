@@ -14,8 +14,8 @@ import pytest
 from support.processes import child_processes
 
 from karolos.errors import MachineError
-from karolos.experiment.driver import create
-from karolos.launchers.local import Local
+from karolos.launchers.local import LocalLauncher
+from karolos.launchers.runs import Home
 from karolos.records import RunFolder
 from karolos.spec import spec_from_dict
 
@@ -31,8 +31,8 @@ SECONDS = 60.0
 DRIVER = """
 import sys, time
 from pathlib import Path
-from karolos.launchers.local import Local
-launcher = Local(Local.Settings())
+from karolos.launchers.local import LocalLauncher
+launcher = LocalLauncher(LocalLauncher.Settings())
 while not launcher.room(1):
     launcher.wait(1.0)
 launcher.start(Path(sys.argv[1]))
@@ -42,12 +42,12 @@ time.sleep(600)
 
 def new_run(runs: Path, seed: int = 0, steps: int = 40) -> RunFolder:
     spec = spec_from_dict(TOY | {"training": TOY["training"] | {"steps": steps}})
-    folder = create(runs, spec, seed, None)
+    folder = Home(runs, "").create(spec, seed)
     folder.release()
     return folder
 
 
-def prepare(launcher: Local) -> None:
+def prepare(launcher: LocalLauncher) -> None:
     until = time.monotonic() + SECONDS
     while not launcher.room(1) and time.monotonic() < until:
         assert launcher.wait(0.5) is None
@@ -62,7 +62,7 @@ def await_tests(folder: RunFolder) -> None:
 def test_a_process_executes_several_runs_stops_one_by_its_file_and_is_replaced_when_it_dies(tmp_path: Path) -> None:
     first, stopped, killed = (new_run(tmp_path, seed, steps) for seed, steps in enumerate((40, 10**6, 10**6)))
     before = set(child_processes())
-    with Local(Local.Settings()) as launcher:
+    with LocalLauncher(LocalLauncher.Settings()) as launcher:
         prepare(launcher)
         (process,) = set(child_processes()) - before
         launcher.start(first.path)
@@ -100,5 +100,8 @@ def test_a_process_that_cannot_begin_is_an_error_that_says_how_it_ended(
     tmp_path: Path, monkeypatch: pytest.MonkeyPatch
 ) -> None:
     monkeypatch.setattr("karolos.launchers.local.COMMAND", (sys.executable, "-c", "raise SystemExit(3)"))
-    with Local(Local.Settings()) as launcher, pytest.raises(MachineError, match="ended with exit code 3 before"):
+    with (
+        LocalLauncher(LocalLauncher.Settings()) as launcher,
+        pytest.raises(MachineError, match="ended with exit code 3 before"),
+    ):
         prepare(launcher)

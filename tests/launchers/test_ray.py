@@ -11,14 +11,14 @@ from unittest.mock import MagicMock
 import pytest
 
 from karolos.errors import MachineError, UsageError
-from karolos.launchers.ray import Ray, execute
+from karolos.launchers.ray import RayLauncher, hand_to_process
 
 
 def test_more_cores_than_any_machine_has_are_refused_and_signals_stay_ours() -> None:
     pytest.importorskip("ray")
     before = signal.getsignal(signal.SIGTERM)
     with pytest.raises(UsageError, match=r"launcher.cpus: a run needs 999 CPUs, and no machine"):
-        Ray(Ray.Settings(cpus=999, address="local"))
+        RayLauncher(RayLauncher.Settings(cpus=999, address="local"))
     assert signal.getsignal(signal.SIGTERM) is before
 
 
@@ -26,11 +26,11 @@ def test_a_cluster_that_does_not_answer_is_named() -> None:
     pytest.importorskip("ray")
     for address in ("127.0.0.1:1", "ray://127.0.0.1:1"):
         with pytest.raises(MachineError, match=f"no Ray cluster answers at {address}: .* refused"):
-            Ray(Ray.Settings(address=address))
+            RayLauncher(RayLauncher.Settings(address=address))
 
 
 def test_a_machine_that_does_not_see_the_folder_says_so(tmp_path) -> None:
-    assert "cannot see" in str(execute(str(tmp_path / "runs" / "toy"), 1))
+    assert "cannot see" in str(hand_to_process(str(tmp_path / "runs" / "toy"), 1))
 
 
 def test_a_cluster_that_is_gone_is_an_error_before_ray_ends_the_process(monkeypatch: pytest.MonkeyPatch) -> None:
@@ -47,7 +47,7 @@ def test_a_cluster_that_is_gone_is_an_error_before_ray_ends_the_process(monkeypa
     )
     monkeypatch.setitem(sys.modules, "ray", ray)
     monkeypatch.setattr("karolos.launchers.ray.CHECK_SECONDS", 0.0)
-    launcher = Ray(Ray.Settings())
+    launcher = RayLauncher(RayLauncher.Settings())
     launcher.start(Path("run"))
     assert launcher.wait(0.0) is None
     monkeypatch.setattr("karolos.launchers.ray.GONE_SECONDS", 0.0)

@@ -14,9 +14,9 @@ import pytest
 from support import fake_slurm
 
 from karolos.errors import MachineError
-from karolos.experiment.driver import create
-from karolos.experiment.experiment import Experiment
-from karolos.launchers.slurm import Slurm
+from karolos.launchers.experiment import Experiment
+from karolos.launchers.runs import Home
+from karolos.launchers.slurm import SlurmLauncher
 from karolos.records import RunFolder
 from karolos.spec import spec_from_dict
 
@@ -42,7 +42,7 @@ def slurm(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> Path:
         (programs / name).chmod(0o755)
     monkeypatch.setenv("FAKE_SLURM", str(state))
     monkeypatch.setenv("PATH", f"{programs}{os.pathsep}{os.environ['PATH']}")
-    monkeypatch.setattr(Slurm, "poll_seconds", 0.2)
+    monkeypatch.setattr(SlurmLauncher, "poll_seconds", 0.2)
     return state
 
 
@@ -51,7 +51,7 @@ def process_of(task: Path) -> int | None:
     try:
         script = task.read_text().split()[0]
         for child in Path(f"/proc/{script}/task/{script}/children").read_text().split():
-            if b"karolos_cli" in Path(f"/proc/{child}/cmdline").read_bytes():
+            if b"karolos.launchers" in Path(f"/proc/{child}/cmdline").read_bytes():
                 return int(child)
     except (OSError, IndexError):
         pass  # it has not begun
@@ -85,9 +85,10 @@ def test_a_run_that_reaches_its_time_limit_is_queued_again_and_equals_an_undistu
 
 
 def test_a_second_driver_follows_the_jobs_of_the_first(tmp_path: Path, slurm: Path) -> None:
-    folder = create(tmp_path / "runs", spec_from_dict(TOY | {"training": TOY["training"] | {"steps": 10**6}}), 0, None)
+    spec = spec_from_dict(TOY | {"training": TOY["training"] | {"steps": 10**6}})
+    folder = Home(tmp_path / "runs", "").create(spec, 0)
     folder.release()
-    first, second = Slurm(Slurm.Settings()), Slurm(Slurm.Settings())
+    first, second = SlurmLauncher(SlurmLauncher.Settings()), SlurmLauncher(SlurmLauncher.Settings())
     first.start(folder.path)
     assert first.wait(0.1) is None
     second.start(folder.path)
@@ -105,4 +106,4 @@ def test_a_second_driver_follows_the_jobs_of_the_first(tmp_path: Path, slurm: Pa
 def test_without_slurm_the_missing_command_is_named(monkeypatch: pytest.MonkeyPatch) -> None:
     monkeypatch.setenv("PATH", "")
     with pytest.raises(MachineError, match="squeue is not installed"):
-        Slurm(Slurm.Settings())
+        SlurmLauncher(SlurmLauncher.Settings())

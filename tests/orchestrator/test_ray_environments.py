@@ -12,7 +12,7 @@ from support.fake_environments import DIE, FINE, HANG, RAISE, Fake
 from support.layouts import reset, step
 
 from karolos.errors import MachineError, PluginError
-from karolos.experiment.experiment import Experiment
+from karolos.launchers.experiment import Experiment
 from karolos.orchestrator.ray import Ray
 from karolos.records import RunFolder
 from karolos.spec import spec_from_dict

@@ -11,7 +11,7 @@ import numpy as np
 
 from karolos.core import FloatArray
 from karolos.evaluation.policies import SavedAgent, load_agent
-from karolos.experiment.experiment import Experiment
+from karolos.launchers.experiment import Experiment
 from karolos.records import RunFolder
 
 REPLAY: dict[str, Any] = {

@@ -5,8 +5,8 @@ from __future__ import annotations
 from collections import deque
 from pathlib import Path
 
-from karolos.core.launcher import Ended, Launcher
-from karolos.experiment.worker import execute_folder
+from karolos.launchers.interface import Ended, Launcher
+from karolos.launchers.process import execute_folder
 
 
 class FakeLauncher(Launcher):

@@ -16,10 +16,10 @@ from support.sweep_samples import LEARNING_RATE, sweep_spec
 
 from karolos.comparison import gather
 from karolos.errors import RunError, StoreError, UsageError
-from karolos.experiment.driver import Job
 from karolos.experiment.events import RunTested, RunWarned
-from karolos.experiment.experiment import Experiment
 from karolos.files import FileLock
+from karolos.launchers.experiment import Experiment
+from karolos.launchers.runs import Home, RunJob
 from karolos.records import RunFolder
 from karolos.records.sweep_records import read_sweep
 from karolos.spec import load_spec, spec_from_dict
@@ -119,7 +119,7 @@ def test_the_best_is_reported_on_test_episodes_it_was_not_tuned_on_and_ends_with
 
 def test_the_reported_value_is_that_of_the_final_test(killed):
     folder = RunFolder.open(next(killed.folder.parents[1].glob(f"{killed.best.name}-s3-*")))
-    job = Job(load_spec(killed.folder / "best.yaml"))
+    job = RunJob(load_spec(killed.folder / "best.yaml"), Home(folder.path.parent, ""))
     job.read_tests(3, folder)
     assert job.finals == {3: folder.final().last}
     values = measure_all(("success_end", "return"), job.results(), job.spec.training.steps, job.finals)

@@ -16,7 +16,7 @@ from kill_resume import TOY, differences_of, torture
 
 from karolos.experiment import observer
 from karolos.experiment.events import RunAdvanced, RunWarned
-from karolos.experiment.experiment import Experiment, resume_run
+from karolos.launchers.experiment import Experiment, resume_run
 from karolos.records import RunFolder
 from karolos.store import Store
 

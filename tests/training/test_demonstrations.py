@@ -9,7 +9,7 @@ import pytest
 
 from karolos.core.seeding import SeedTree
 from karolos.errors import UsageError
-from karolos.experiment.experiment import Experiment
+from karolos.launchers.experiment import Experiment
 from karolos.records import RunFolder
 from karolos.spec import spec_from_dict
 from karolos.spec.model import DemonstrationSettings

@@ -6,10 +6,10 @@ from pathlib import Path
 
 import pytest
 
+from karolos import Experiment
 from karolos.core import Discrete, Field, Layout, Signature
 from karolos.core.seeding import SeedTree
 from karolos.errors import UsageError
-from karolos.experiment import Experiment
 from karolos.plugins.contracts import check_agent
 from karolos.registry import find, load
 

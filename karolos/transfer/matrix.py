@@ -12,50 +12,37 @@ from __future__ import annotations
 import json
 from collections.abc import Callable, Iterable, Iterator, Mapping
 from contextlib import contextmanager, suppress
-from dataclasses import asdict, dataclass, field, replace
+from dataclasses import dataclass, field, replace
 from itertools import permutations
 from pathlib import Path
 
 from .. import checkpoint
-from ..core import Environment
-from ..core.launcher import Launcher
 from ..core.signature import SAME_LAYOUTS, layout_differences
 from ..errors import RunError, UsageError
-from ..evaluation.playing import Score, score
-from ..evaluation.policies import Policy, environment_of, expert_policy, random_policy, signature_of
-from ..files import FileLock, append_lines, read_lines, writing
+from ..evaluation.policies import signature_of
+from ..evaluation.zero_shot import ZeroShotTest
+from ..experiment.events import Listener
+from ..experiment.resume import find_run
+from ..experiment.signals import StopRequest, StopRequestedError, stop_on_signals
+from ..experiment.start_from import check_agents, pinned
+from ..files import FileLock, writing
+from ..launchers.driver import Driver, Feed, make_launcher
+from ..launchers.runs import Home, RunJob
 from ..records import RunFolder, scan
-from ..records.decode import from_json
 from ..records.transfer_results import TransferResult
 from ..spec import Spec, spec_from_dict, spec_of_variant
 from ..store import Store
 from ..training.assembly import check_parts, located
-from .driver import Driver, Feed, Job, make_launcher
-from .events import Listener
-from .resume import find_run
-from .signals import StopRequest, StopRequestedError, stop_on_signals
-from .start_from import check_agents, pinned
-from .transfer_tests import Request, play_tests
+from .baselines import Baselines, measure_baselines
+from .zero_shot import ZeroShotJob
 
 FOLDER = "transfers"
 CHECKPOINT = "best"
 """The policy of a source that is tested and fine-tuned."""
-BASELINE_EPISODES = 200
-"""Most episodes of the random policy and of the expert: the first ones of the final test."""
 LONGEST_NAME = 64
 
 Pair = tuple[str, str]
 """Source and target."""
-
-
-@dataclass(frozen=True)
-class Baselines:
-    """Success on a variant without learning."""
-
-    floor: Score
-    """Of uniformly random actions."""
-    ceiling: Score | None
-    """Of the task's scripted expert; None without one."""
 
 
 @dataclass
@@ -217,18 +204,18 @@ class Matrix:
         ):
             self._check_begun(variants, root, resume=resume)
             say(f"{self.spec.name}: {self}")
-            driver = Driver(launcher, root, url, listener, existing="resume", text=self._text, retries=1)
-            sources = {label: Job(spec, known=_trained(spec, root, say)) for label, spec in variants.items()}
-            driver.run(Feed(*sources.values()), stop)
+            driver, home = Driver(launcher, listener, stop, retries=1), Home(root, url, "resume", self._text)
+            sources = {label: RunJob(spec, home, known=_trained(spec, root, say)) for label, spec in variants.items()}
+            driver.run(Feed(*sources.values()))
             for label, job in sources.items():
                 found.sources[label] = _finished(job, found)
             with suppress(StopRequestedError):
-                self._measure(found, launcher, stop, say)
-                tuned = dict(self._fine_tuning(found, root))
-                driver.run(Feed(*tuned.values()), stop)
-                for (pair, _), job in tuned.items():
+                self._measure(found, driver, stop, say)
+                tuned = list(self._fine_tuning(found, home))
+                driver.run(Feed(*(job for _, job in tuned)))
+                for pair, job in tuned:
                     found.fine_tuned.setdefault(pair, {}).update(_finished(job, found))
-                if all(job.finished for job in [*sources.values(), *tuned.values()]):
+                if all(job.finished for job in (*sources.values(), *(job for _, job in tuned))):
                     return found
             found.stop_code = stop.exit_code
         return found
@@ -252,39 +239,44 @@ class Matrix:
         for folder in finished:
             _require_checkpoint(folder)
 
-    def _measure(self, found: MatrixRuns, launcher: Launcher, stop: StopRequest, say: Callable[[str], None]) -> None:
+    def _measure(self, found: MatrixRuns, driver: Driver, stop: StopRequest, say: Callable[[str], None]) -> None:
         """Test the sources on the targets, and measure the baselines. Raises StopRequestedError."""
         stop.check()
-        testing, played = self.spec.testing, dict[Request, TransferResult]()
-        count = testing.final_count or testing.episodes
-        cells: dict[Request, tuple[Pair, int]] = {}
-        for source, target in self.pairs:
-            for seed, folder in found.sources[source].items():
-                _require_checkpoint(folder)
-                run, overrides = str(folder.path.resolve()), self.overrides[target]
-                cells[Request(run, CHECKPOINT, overrides, count, testing.final_seed)] = (source, target), seed
+        if "zero_shot" in self.transfer.modes:
+            self._test(found, driver, say)
+            stop.check()
+        for label, spec in self.variants.items():
+            found.baselines[label] = measure_baselines(spec, found.folder / "baselines.jsonl", stop)
 
-        def heard(request: Request, test: TransferResult | None, problem: str | None) -> None:
-            (source, target), seed = cells[request]
+    def _test(self, found: MatrixRuns, driver: Driver, say: Callable[[str], None]) -> None:
+        """Play the zero-shot tests of every pair and seed."""
+        testing, tests, cells = self.spec.testing, dict[Path, ZeroShotTest](), dict[Path, tuple[Pair, int]]()
+        episodes = testing.final_count or testing.episodes
+        for pair in self.pairs:
+            for seed, run in found.sources[pair[0]].items():
+                _require_checkpoint(run)
+                folder = (found.folder / "tests" / f"{_name(self.spec, *pair)}-s{seed}").resolve()
+                cells[folder] = pair, seed
+                tests[folder] = ZeroShotTest(
+                    str(run.path.resolve()), CHECKPOINT, self.overrides[pair[1]], episodes, testing.final_seed
+                )
+        played: dict[Path, TransferResult] = {}
+
+        def heard(folder: Path, test: TransferResult | None, problem: str | None) -> None:
+            (source, target), seed = cells[folder]
             cell = f"{source} to {target}, seed {seed}"
             if test is None:
                 found.problems.append(f"the test of {cell}: {problem}")
                 return
-            played[request] = test
+            played[folder] = test
             say(f"{cell}: success end {test.result.success_end:.3f} of {test.result.episodes:,}")
 
-        if "zero_shot" in self.transfer.modes:
-            folder_of = {request: f"{_name(self.spec, *pair)}-s{seed}" for request, (pair, seed) in cells.items()}
-            folders = ((found.folder / "tests" / name, request) for request, name in folder_of.items())
-            play_tests(folders, launcher, stop, heard)
-            for request, (pair, seed) in cells.items():  # in this order, whichever ended first
-                if request in played:
-                    found.zero_shot.setdefault(pair, {})[seed] = played[request]
-            stop.check()
-        for label, spec in self.variants.items():
-            found.baselines[label] = _baselines(spec, found.folder / "baselines.jsonl", stop)
+        driver.run(Feed(ZeroShotJob(tests, heard)))
+        for folder, (pair, seed) in cells.items():  # in this order, whichever ended first
+            if folder in played:
+                found.zero_shot.setdefault(pair, {})[seed] = played[folder]
 
-    def _fine_tuning(self, found: MatrixRuns, runs: Path) -> Iterator[tuple[tuple[Pair, int], Job]]:
+    def _fine_tuning(self, found: MatrixRuns, home: Home) -> Iterator[tuple[Pair, RunJob]]:
         """A job for each pair and seed with a finished source."""
         for source, target in self.pairs if self._tuned else ():
             for seed, folder in found.sources[source].items():
@@ -292,7 +284,8 @@ class Matrix:
                 spec = self._tuned[target].model_copy(update={"name": name, "seeds": (seed,)})
                 start = {"start_from": folder.id, "start_checkpoint": CHECKPOINT}
                 agent = replace(spec.agent, settings=spec.agent.settings.model_copy(update=start))
-                yield ((source, target), seed), Job(pinned(spec.model_copy(update={"agent": agent}), runs))
+                spec = pinned(spec.model_copy(update={"agent": agent}), home.runs)
+                yield (source, target), RunJob(spec, home)
 
 
 def _name(spec: Spec, source: str, target: str | None = None) -> str:
@@ -306,7 +299,7 @@ def _layout_hint(variants: Iterable[Spec]) -> str:
     return f"{'set robot.control=cartesian: ' if joint else ''}{SAME_LAYOUTS}"
 
 
-def _finished(job: Job, found: MatrixRuns) -> dict[int, RunFolder]:
+def _finished(job: RunJob, found: MatrixRuns) -> dict[int, RunFolder]:
     """Seed -> finished run of a job. Notes the others."""
     for summary in job.summaries.values():
         if summary.state != "finished":
@@ -355,35 +348,3 @@ def _locked(folder: Path) -> Iterator[None]:
         yield
     finally:
         lock.release()
-
-
-def _baselines(spec: Spec, path: Path, stop: StopRequest) -> Baselines:
-    """Success of random actions and of the expert, from the file if they were measured already."""
-    episodes = min(spec.testing.final_count or spec.testing.episodes, BASELINE_EPISODES)
-    key = {"experiment": spec.hash(), "episodes": episodes}
-    for row in read_lines(path).rows:
-        if key.items() <= row.items() and (known := from_json(Baselines, row)) is not None:
-            return known
-    floor = _score(spec, random_policy, episodes, stop)
-    try:
-        ceiling = _score(spec, lambda environment, _: expert_policy(environment), episodes, stop)
-    except UsageError:  # there is no expert
-        ceiling = None
-    measured = Baselines(floor, ceiling)
-    append_lines(path, [key | asdict(measured)])
-    return measured
-
-
-def _score(spec: Spec, make: Callable[[Environment, int], Policy], episodes: int, stop: StopRequest) -> Score:
-    """Success of a policy on the first episodes of the final test. Raises StopRequestedError."""
-    environment, seed = environment_of(spec), spec.testing.final_seed
-    try:
-        policy = make(environment, seed)
-
-        def begin() -> None:
-            stop.check()
-            policy.begin()
-
-        return score(environment, Policy(policy.act, begin), episodes=episodes, seed=seed)
-    finally:
-        environment.close()

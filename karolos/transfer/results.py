@@ -10,17 +10,19 @@ from typing import Any
 import numpy as np
 from numpy.typing import NDArray
 
+from ..comparison import ComparedRun, Estimate, Reaching
+from ..comparison.contenders import Contender, compared
+from ..comparison.curves import places
+from ..comparison.scores import Comparison, compare, estimate
 from ..core.seeding import SeedTree
 from ..evaluation.playing import Score
-from ..experiment.transfer import Baselines, MatrixRuns, Pair
 from ..records import RunFolder
 from ..records.results import TestCounts
 from ..records.transfer_results import TransferResult
 from ..statistics import aggregates, transfer
 from ..statistics.intervals import wilson
-from .contenders import ComparedRun, Contender, compared
-from .curves import places
-from .scores import Comparison, Estimate, Reaching, compare, estimate
+from .baselines import Baselines
+from .matrix import MatrixRuns, Pair
 
 METRICS = ("zero_shot", "retention", "fine_tuned", "jump_start", "asymptote", "time_ratio", "forward_transfer")
 """The estimates of a cell."""

@@ -8,11 +8,11 @@ from pathlib import Path
 import pytest
 from karolos_cli.export import export
 from karolos_cli.runs import show
-from karolos_cli.test import transfer
+from karolos_cli.zero_shot import zero_shot
 from support.commands import call
 from typer import Typer
 
-from karolos.experiment.experiment import Experiment
+from karolos.launchers.experiment import Experiment
 from karolos.report.tables import success
 from karolos.statistics.intervals import wilson
 
@@ -24,8 +24,8 @@ TOY = {
     "training": {"steps": 40, "batch_size": 8, "replay_ratio": 2, "warmup_episodes": 1},
     "testing": {"interval": 40, "episodes": 4},
 }
-transfer_app, export_app, show_app = Typer(), Typer(), Typer()
-transfer_app.command()(transfer)
+policy_app, export_app, show_app = Typer(), Typer(), Typer()
+policy_app.command("test")(zero_shot)
 export_app.command()(export)
 show_app.command()(show)
 
@@ -39,7 +39,7 @@ def runs(tmp_path_factory: pytest.TempPathFactory) -> Path:
 
 def test_a_row_has_the_overrides_and_both_successes_beside_the_runs_own(runs: Path) -> None:
     arguments = ("@last", "environment.threshold=0.9", "--episodes", "5", "--seed", "3", "--runs", str(runs))
-    code, out, err = call(transfer_app, *arguments, "--json")
+    code, out, err = call(policy_app, *arguments, "--json")
     assert code == 0, err
     row = json.loads(out)
     assert (row["overrides"], row["episodes"], row["seed"]) == (["environment.threshold=0.9"], 5, 3)
@@ -47,7 +47,7 @@ def test_a_row_has_the_overrides_and_both_successes_beside_the_runs_own(runs: Pa
         assert row[f"{way}_interval"] == list(wilson(round(row[way] * 5), 5))
     assert row["success_any"] >= row["success_end"]
     assert row["own"]["episodes"] == 5
-    code, out, _ = call(transfer_app, *arguments)
+    code, out, _ = call(policy_app, *arguments)
     assert code == 0
     assert "environment.threshold=0.9" in out
     assert success(row["success_any"], 5) in out
@@ -55,7 +55,7 @@ def test_a_row_has_the_overrides_and_both_successes_beside_the_runs_own(runs: Pa
 
 
 def test_what_was_tested_is_shown_with_the_run(runs: Path) -> None:
-    call(transfer_app, "@last", "environment.max_steps=7", "--runs", str(runs))
+    call(policy_app, "@last", "environment.max_steps=7", "--runs", str(runs))
     _, out, _ = call(show_app, "@last", "--runs", str(runs))
     assert "tests under changed settings" in out
     assert "environment.max_steps=7" in out
@@ -74,7 +74,7 @@ def test_files_are_written_beside_the_run_or_where_they_are_asked_for(runs: Path
     assert (tmp_path / "out" / "policy.npz").is_file()
 
 
-@pytest.mark.parametrize("app", [transfer_app, export_app])
+@pytest.mark.parametrize("app", [policy_app, export_app])
 def test_checkpoints_and_runs_that_are_not_there_are_refused(app: Typer, runs: Path) -> None:
     code, _, err = call(app, "@last", "--checkpoint", "worst", "--runs", str(runs))
     assert code == 2

@@ -9,10 +9,10 @@ import numpy as np
 import pytest
 from support.transfer_samples import run_matrix
 
-from karolos.comparison.transfer import TransferReport, transfer_report
-from karolos.experiment.transfer import MatrixRuns
-from karolos.report.transfer import cells_table, heat_map, matrix_table, notes, page, transfer_figures, variants_table
 from karolos.statistics.intervals import wilson
+from karolos.transfer.matrix import MatrixRuns
+from karolos.transfer.page import cells_table, heat_map, matrix_table, notes, page, transfer_figures, variants_table
+from karolos.transfer.results import TransferReport, transfer_report
 
 
 @pytest.fixture(scope="module")

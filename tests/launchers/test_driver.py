@@ -1,4 +1,4 @@
-"""The driver: jobs through a launcher, followed in their folders."""
+"""The driver: runs through a launcher, followed in their folders."""
 
 from __future__ import annotations
 
@@ -12,23 +12,14 @@ import pytest
 from support import toy_runs
 from support.fake_launcher import FakeLauncher
 
-from karolos.experiment.driver import Driver, Existing, Feed, Follower, Job, create
-from karolos.experiment.events import (
-    RunAdvanced,
-    RunBusy,
-    RunEnded,
-    RunEvent,
-    RunFinalTested,
-    RunStarted,
-    RunTested,
-    RunWarned,
-)
-from karolos.experiment.experiment import Experiment
-from karolos.experiment.run_index import RunIndex
+from karolos.experiment.events import RunBusy, RunEnded, RunEvent, RunFinalTested, RunStarted, RunTested, RunWarned
 from karolos.experiment.signals import StopRequest
-from karolos.experiment.worker import execute_folder
 from karolos.files import write_json
-from karolos.records import provenance
+from karolos.launchers.driver import Driver, Feed
+from karolos.launchers.experiment import Experiment
+from karolos.launchers.process import execute_folder
+from karolos.launchers.runs import Existing, Home, RunJob
+from karolos.records import RunFolder, provenance
 from karolos.spec import Spec, spec_from_dict
 from karolos.store import Store, check
 
@@ -42,20 +33,26 @@ def toy(**changes: Any) -> Spec:
     return spec_from_dict(TOY | changes)
 
 
+def new_run(runs: Path, seed: int = 0) -> RunFolder:
+    folder = Home(runs, "").create(toy(), seed)
+    folder.release()
+    return folder
+
+
 def drive(
-    runs: Path, launcher: FakeLauncher, feed: Feed, *, existing: Existing = "ignore", retries: int = 0
-) -> list[RunEvent]:
+    runs: Path, launcher: FakeLauncher, *, existing: Existing = "ignore", retries: int = 0, **job: Any
+) -> tuple[RunJob, list[RunEvent]]:
+    """The job, executed; and what the listener heard."""
     events: list[RunEvent] = []
-    url = Store.default_url(runs)
-    driver = Driver(launcher, runs, url, events.append, existing=existing, text="# mine\n", retries=retries)
-    driver.run(feed, StopRequest())
-    return events
+    done = RunJob(job.pop("spec", toy()), Home(runs, Store.default_url(runs), existing), **job)
+    Driver(launcher, events.append, StopRequest(), retries).run(Feed(done))
+    return done, events
 
 
 def test_the_listener_hears_of_a_launched_run_what_it_hears_of_one_in_this_process(tmp_path: Path) -> None:
     here: list[RunEvent] = []
     Experiment(toy()).run(tmp_path / "here", listener=here.append)
-    there = drive(tmp_path / "there", FakeLauncher(), Feed(Job(toy())))
+    _, there = drive(tmp_path / "there", FakeLauncher())
     kinds = RunStarted, RunTested, RunFinalTested, RunWarned, RunEnded
     assert [type(event) for event in there if isinstance(event, kinds)] == [
         type(event) for event in here if isinstance(event, kinds)
@@ -73,12 +70,11 @@ def test_a_run_that_waits_on_a_cluster_stands_in_the_index(tmp_path: Path) -> No
                 assert [(run.run, run.state) for run in store.runs()] == [(folder.name, "created")]
             super().start(folder)
 
-    drive(tmp_path, Waiting(), Feed(Job(toy())))
+    drive(tmp_path, Waiting())
 
 
 def test_only_the_driver_indexes_and_the_index_equals_the_folders(tmp_path: Path) -> None:
-    job = Job(toy(seeds=[0, 1]))
-    drive(tmp_path, FakeLauncher(), Feed(job))
+    job, _ = drive(tmp_path, FakeLauncher(), spec=toy(seeds=[0, 1]))
     with Store(Store.default_url(tmp_path)) as store:
         assert {run.run for run in store.runs()} == {summary.run for summary in job.summaries.values()}
         assert list(check(store, tmp_path)) == []
@@ -87,8 +83,8 @@ def test_only_the_driver_indexes_and_the_index_equals_the_folders(tmp_path: Path
 
 
 def test_a_run_whose_process_died_is_started_again_as_often_as_allowed(tmp_path: Path) -> None:
-    job, launcher = Job(toy()), FakeLauncher(True, False)
-    events = drive(tmp_path, launcher, Feed(job), retries=1)
+    launcher = FakeLauncher(True, False)
+    job, events = drive(tmp_path, launcher, retries=1)
     assert len(launcher.started) == 2
     assert len(set(launcher.started)) == 1, "the second process resumes the first one's run"
     assert job.finished
@@ -96,32 +92,31 @@ def test_a_run_whose_process_died_is_started_again_as_often_as_allowed(tmp_path:
 
 
 def test_a_run_whose_process_died_too_often_is_lost_and_the_other_seeds_go_on(tmp_path: Path) -> None:
-    job = Job(toy(seeds=[0, 1]))
-    events = drive(tmp_path, FakeLauncher(True), Feed(job))
+    job, events = drive(tmp_path, FakeLauncher(True), spec=toy(seeds=[0, 1]))
     assert [job.summaries[seed].state for seed in (0, 1)] == ["lost", "finished"]
     assert job.summaries[0].error == job.error == "its process died"
     assert [event.error for event in events if isinstance(event, RunEnded)] == ["its process died", None]
 
 
 def test_a_lost_run_stops_the_others_of_a_job_whose_runs_belong_together(tmp_path: Path) -> None:
-    job, launcher = Job(toy(seeds=[0, 1]), together=True), FakeLauncher(True)
-    drive(tmp_path, launcher, Feed(job))
+    launcher = FakeLauncher(True)
+    job, _ = drive(tmp_path, launcher, spec=toy(seeds=[0, 1]), together=True)
     assert (job.halted, list(job.summaries)) == ("another run of this trial failed", [0])
     assert len(launcher.started) == 1
 
 
 @pytest.fixture
 def stopped(tmp_path: Path) -> Path:
-    """A runs folder with a run that was stopped, and the reason."""
-    with create(tmp_path, toy(), 0, None) as folder:
-        folder.set_state("stopped")
-        folder.event("stopped", steps=0, reason="SIGUSR1")
+    """A runs folder with a run that was stopped."""
+    folder = new_run(tmp_path)
+    folder.set_state("stopped")
+    folder.event("stopped", steps=0, reason="SIGUSR1")
     return tmp_path
 
 
 def test_a_stopped_run_whose_process_dies_before_it_resumes_is_not_at_an_end(stopped: Path) -> None:
-    job, launcher = Job(toy()), FakeLauncher(True, False)
-    drive(stopped, launcher, Feed(job), existing="resume", retries=1)
+    launcher = FakeLauncher(True, False)
+    job, _ = drive(stopped, launcher, existing="resume", retries=1)
     assert len(launcher.started) == 2
     assert job.finished
 
@@ -130,47 +125,44 @@ def test_a_stopped_run_whose_process_dies_before_it_resumes_is_not_at_an_end(sto
 def test_a_process_that_refuses_to_resume_a_stopped_run_says_why(
     stopped: Path, monkeypatch: pytest.MonkeyPatch, blind: bool
 ) -> None:
-    job, launcher = Job(toy()), FakeLauncher(blind=blind)
+    launcher = FakeLauncher(blind=blind)
     monkeypatch.setattr(provenance, "software", lambda: {"versions": provenance.versions() | {"torch": "1.0"}})
-    events = drive(stopped, launcher, Feed(job), existing="resume", retries=3)
+    job, events = drive(stopped, launcher, existing="resume", retries=3)
     assert len(launcher.started) == 1, "it would refuse again"
     assert f"would run other software: torch is {version('torch')} here and 1.0 there" in (job.error or "")
     assert [event.error for event in events if isinstance(event, RunEnded)] == [job.error]
     monkeypatch.undo()
-    drive(stopped, FakeLauncher(blind=blind), Feed(job := Job(toy())), existing="resume")
+    job, _ = drive(stopped, FakeLauncher(blind=blind), existing="resume")
     assert (job.finished, job.error) == (True, None)
 
 
 @pytest.mark.parametrize(("existing", "started"), [("ignore", 2), ("skip", 1), ("resume", 1)])
 def test_existing_runs_are_used_as_asked(tmp_path: Path, existing: Existing, started: int) -> None:
-    drive(tmp_path, FakeLauncher(), Feed(Job(toy())))
-    create(tmp_path, toy(seeds=[1]), 1, None).release()  # its process never started
-    launcher, job = FakeLauncher(), Job(toy(seeds=[0, 1]))
-    drive(tmp_path, launcher, Feed(job), existing=existing)
+    drive(tmp_path, FakeLauncher())
+    new_run(tmp_path, 1)  # its process never started
+    launcher = FakeLauncher()
+    job, _ = drive(tmp_path, launcher, existing=existing, spec=toy(seeds=[0, 1]))
     assert len(launcher.started) == started
     assert job.finished
     assert len(list(tmp_path.glob("toy-s*"))) == 2 + (existing == "ignore") + (existing != "resume")
 
 
 def test_a_run_that_is_halted_before_it_begins_is_not_executed(tmp_path: Path) -> None:
-    folder = create(tmp_path, toy(), 0, None)
-    folder.release()
+    folder = new_run(tmp_path)
     folder.stop.write_text("pruned")
     assert execute_folder(folder.path, 1) is None
     assert (folder.state().state, folder.events()) == ("created", ())
 
 
 def test_a_damaged_folder_is_a_problem_and_not_an_end(tmp_path: Path) -> None:
-    folder = create(tmp_path, toy(), 0, None)
-    folder.release()
+    folder = new_run(tmp_path)
     (folder.path / "resolved.json").unlink()
     assert "name" in str(execute_folder(folder.path, 1))
     assert "not a run folder" in str(execute_folder(tmp_path / "missing", 1))
 
 
 def test_a_process_with_other_software_refuses_and_says_what_differs(tmp_path: Path) -> None:
-    folder = create(tmp_path, toy(), 0, None)
-    folder.release()
+    folder = new_run(tmp_path)
     launch = {"versions": provenance.versions(), "source": provenance.source()}
     write_json(folder.launch, launch | {"versions": launch["versions"] | {"torch": "1.0"}})
     assert "torch is " in (problem := str(execute_folder(folder.path, 1)))
@@ -182,17 +174,18 @@ def test_a_process_with_other_software_refuses_and_says_what_differs(tmp_path: P
     assert json.loads(folder.launch.read_text())["host"] == platform.node()
 
 
-def test_the_follower_reports_only_what_is_new_and_whole(tmp_path: Path) -> None:
-    folder = create(tmp_path, toy(), 0, None)
+def test_only_what_is_new_and_whole_is_told(tmp_path: Path) -> None:
+    folder = new_run(tmp_path)
     folder.event("warning", error="old", consequence="none")
-    follower = Follower(Job(toy()), 0, folder, RunIndex(None, folder))
-    assert list(follower.events()) == []
+    [task] = RunJob(toy(), Home(tmp_path, Store.default_url(tmp_path), "resume")).tasks()
+    task.begin()
+    assert len(list(task.events())) == 1, "that it is launched"
     folder.event("started")
     folder.event("warning", error="new", consequence="none")
     folder.progress.write_text('{"RunBusy": {"run": "r", "activity": "testing", "done": 1, "total": 2}}')
     with (folder.path / "events.jsonl").open("a") as file:
         file.write('{"event": "warn')
-    assert [type(event) for event in follower.events()] == [RunStarted, RunBusy, RunWarned]
+    assert [type(event) for event in task.events()] == [RunStarted, RunBusy, RunWarned]
     folder.progress.write_text('{"RunAdvanced": {"run": 1}}')
-    assert list(follower.events()) == []
-    assert not isinstance(next(iter(follower.events()), None), RunAdvanced)
+    assert list(task.events()) == []
+    task.close()

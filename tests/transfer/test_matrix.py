@@ -14,13 +14,13 @@ import pytest
 from support.fake_launcher import FakeLauncher
 from support.transfer_samples import LINE, line, run_matrix
 
-from karolos.comparison.transfer import transfer_report
 from karolos.errors import RunError, SpecError, UsageError
-from karolos.experiment.transfer import Matrix, MatrixRuns
-from karolos.experiment.transfer_tests import STOP
+from karolos.launchers.interface import STOP
 from karolos.records import RunFolder, provenance, transfer_results
 from karolos.spec import load_spec, spec_from_dict
 from karolos.store import Store, check
+from karolos.transfer.matrix import Matrix, MatrixRuns
+from karolos.transfer.results import transfer_report
 
 TIMES = ("seconds", "source_runs", "fine_tuned_runs", "runs")
 
@@ -122,7 +122,7 @@ def test_a_test_whose_process_died_is_played_again_once(undisturbed: MatrixRuns,
     found, started = run_matrix(runs, resume=True, launcher=launcher)
     assert started == ["(line-fast-to-slow)"] * 3
     assert [folder.name for folder in launcher.started] == [f"line-fast-to-slow-s{seed}" for seed in (0, 0, 1)]
-    assert found.problems == ["the test of fast to slow, seed 0: its process died"]
+    assert found.problems == ["the test of fast to slow, seed 0: its process died, 2 times"]
     assert (list(found.zero_shot["fast", "slow"]), found.exit_code) == ([1], 1)
     assert not (found.folder / "tests").exists()
     found, started = run_matrix(runs, resume=True, launcher=FakeLauncher(blind=blind))

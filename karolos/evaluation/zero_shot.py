@@ -1,12 +1,18 @@
-"""Tests a run's saved policy under changed settings: another robot, other physics, randomization."""
+"""Zero-shot tests: a run's saved policy under changed settings, e.g. on another robot or in other physics."""
 
 from __future__ import annotations
 
 import time
 from collections.abc import Callable, Sequence
+from dataclasses import asdict, dataclass
+from pathlib import Path
 
+from .. import checkpoint as checkpoints
 from ..core import Failure
+from ..errors import RunError
+from ..files import read_object, write_json, writing
 from ..records import RunFolder, provenance, transfer_results
+from ..records.decode import from_json
 from ..records.results import TestCounts, TestResult
 from ..records.run_records import timestamp
 from ..records.transfer_results import TransferResult
@@ -16,8 +22,65 @@ from .changed_spec import changed_spec
 from .policies import SavedAgent, load_agent
 from .testing import play_episodes, test_seeds
 
+REQUEST = "test.json"
 
-def transfer_test(
+
+@dataclass(frozen=True)
+class ZeroShotTest:
+    """A test that another process plays: the content of test.json in a folder of its own.
+
+    The result goes into the folder of the policy's run, as that of `karolos test`.
+    """
+
+    run: str
+    """Folder of the policy's run."""
+    checkpoint: str
+    overrides: tuple[str, ...]
+    """Changes to the run's spec."""
+    episodes: int
+    seed: int
+    """Root of the episodes' seeds."""
+
+    @classmethod
+    def read(cls, folder: Path) -> ZeroShotTest | None:
+        """The test of a folder; None if it is not a test's. Raises RunError if it is damaged."""
+        path = folder / REQUEST
+        if not path.is_file():
+            return None
+        test = from_json(cls, read_object(path) or {})
+        if test is None:
+            raise RunError("it says no test", where=str(path), hint="remove the folder")
+        return test
+
+    def write(self, folder: Path) -> None:
+        """Make the test's folder. Raises MachineError."""
+        with writing(folder):
+            folder.mkdir(parents=True, exist_ok=True)
+        write_json(folder / REQUEST, asdict(self))
+
+    def result(self) -> TransferResult | None:
+        """The result in the run's folder; None if this policy has not played these episodes yet."""
+        folder = RunFolder.open(self.run)
+        sha256 = checkpoints.digest(folder.checkpoints, self.checkpoint, "agent")
+        wanted = (sha256, self.overrides, False, self.seed, self.episodes)
+        for done in transfer_results.read(folder)[0]:
+            if (done.sha256, done.overrides, done.randomized, done.seed, done.result.episodes) == wanted:
+                return done
+        return None
+
+    def play(self, on_round: Callable[[int], object]) -> None:
+        """Play it; nothing is written if `on_round` raises an error. Raises as `zero_shot_test`."""
+        zero_shot_test(
+            RunFolder.open(self.run),
+            self.overrides,
+            checkpoint=self.checkpoint,
+            episodes=self.episodes,
+            seed=self.seed,
+            on_round=on_round,
+        )
+
+
+def zero_shot_test(
     folder: RunFolder,
     overrides: Sequence[str] = (),
     *,

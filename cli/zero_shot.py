@@ -11,7 +11,7 @@ from .arguments import Checkpoint, Database, Json, OneRun, Runs, open_run
 from .output import print_rows, print_table, say, warn
 
 
-def transfer(
+def zero_shot(
     run: OneRun,
     overrides: Annotated[
         list[str] | None,
@@ -38,10 +38,10 @@ def transfer(
     (transfers.jsonl), and `karolos runs show` shows it.
     """
     folder = open_run(run, runs, database)
-    from karolos.evaluation.transfer_test import transfer_test
+    from karolos.evaluation.zero_shot import zero_shot_test
     from karolos.report.tables import transfers_table
 
-    done = transfer_test(
+    done = zero_shot_test(
         folder,
         overrides or (),
         checkpoint=checkpoint,

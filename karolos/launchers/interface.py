@@ -1,4 +1,4 @@
-"""The interface of launchers, which start the processes of runs and of transfer tests."""
+"""The interface of launchers, which start the processes that execute folders."""
 
 from __future__ import annotations
 
@@ -7,18 +7,20 @@ from abc import ABC, abstractmethod
 from pathlib import Path
 from typing import ClassVar, NamedTuple
 
-COMMAND = (sys.executable, "-P", "-m", "karolos_cli", "_run")
+COMMAND = (sys.executable, "-P", "-m", "karolos.launchers.process")
 """The command of a process. Its arguments are `--cores`, the number of cores, and the folder of a run or a test."""
+LAUNCH, STOP = "launch.json", "stop"
+"""Files in a folder that is executed: with which software and, if its process refuses, why; and the reason to stop."""
 
 
 class Ended(NamedTuple):
-    """A run that is no longer executed."""
+    """A folder that is no longer executed."""
 
     folder: Path
     problem: str | None = None
     """Why it did not reach an end of its own, e.g. "its process was killed by signal 9". None: it did."""
     died: bool = False
-    """Whether its process died, so that another one may resume it."""
+    """Whether its process died, so that another one may go on."""
 
 
 class Launcher(ABC):
@@ -29,8 +31,8 @@ class Launcher(ABC):
 
     Runs. A run is a folder that contains everything its process needs. The process is `COMMAND --cores N FOLDER`, or
     COMMAND without a folder, which imports libraries once and executes the folders that come on its stdin. A run that
-    has begun is resumed. All processes see the folder under the same path. A test of a policy under other settings is a
-    folder as well, which is executed in the same way; for a launcher the two are equal.
+    has begun is resumed. All processes see the folder under the same path. A zero-shot test of a policy is a folder as
+    well, which is executed in the same way; for a launcher the two are equal.
 
     Results. A launcher reports only that a run has ended. Everything else stands in the run's folder: state.json,
     events.jsonl, tests.jsonl and progress.json.

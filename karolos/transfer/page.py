@@ -7,19 +7,18 @@ from collections.abc import Callable, Sequence
 from dataclasses import dataclass
 from pathlib import Path
 
-import numpy as np
-
 from .. import __version__
 from ..comparison import ComparedRun, Estimate, Reaching
-from ..comparison.transfer import Cell, TransferReport, Variant
 from ..evaluation.playing import Score
 from ..files import write_whole
-from .comparison_figures import learning, write_figures
-from .comparison_tables import estimate
-from .figures import COLOURS, Drawing, look, short
-from .markup import Markup, tag
-from .page import document, figure_grid, items, plain_table
-from .tables import Columns, Table, count, duration, success
+from ..report.comparison_figures import learning, write_figures
+from ..report.comparison_tables import estimate
+from ..report.figures import Drawing, look, short
+from ..report.heat_map import shade_cells
+from ..report.markup import Markup, tag
+from ..report.page import document, figure_grid, items, plain_table
+from ..report.tables import Columns, Table, count, duration, success
+from .results import Cell, TransferReport, Variant
 
 
 @dataclass(frozen=True)
@@ -125,34 +124,15 @@ def notes(report: TransferReport) -> list[str]:
 @look()
 def heat_map(report: TransferReport, name: str) -> Drawing:
     """One metric, a row per source and a column per target; below zero-shot success the expert and random actions."""
-    from matplotlib.colors import LinearSegmentedColormap  # noqa: PLC0415  (takes half a second)
-
     metric, labels = METRICS[name], [variant.label for variant in report.variants]
     found = {(cell.source, cell.target): getattr(cell, name) for cell in report.cells}
     rows = [(source, [_cell(found[source, target]) for target in labels]) for source in labels]
     if name == "zero_shot":
         rows.append(("expert", [_cell(variant.ceiling) for variant in report.variants]))
         rows.append(("random", [_cell(variant.floor) for variant in report.variants]))
-    values = np.array([[value for value, _ in cells] for _, cells in rows])
-    shades, low, colours = values, 0, ["#ffffff", COLOURS[0]]
-    if metric.neutral is not None:
-        shades = np.clip(values - metric.neutral, -1, 1) * (1 if metric.larger_is_better else -1)
-        low, colours = -1, [COLOURS[1], *colours]
     drawing = Drawing(f"transfer_{name}", metric.title, f"{metric.meaning[0].upper()}{metric.meaning[1:]}.")
-    axes, shading = drawing.axes, LinearSegmentedColormap.from_list("shades", colours)
-    axes.pcolormesh(np.ma.masked_invalid(shades), cmap=shading, vmin=low, vmax=1, edgecolors="#ffffff", linewidth=2)
-    for (row, column), shade in np.ndenumerate(shades):
-        label, (value, text) = rows[row][0], rows[row][1][column]
-        number, colour = "-" if np.isnan(value) else f"{value:.3f}", "#ffffff" if abs(shade) > 0.6 else "#1c1c1c"
-        drawn = axes.text(column + 0.5, row + 0.5, number, ha="center", va="center", color=colour)
-        drawing.part(drawn, "cell", f"{label} to {labels[column]}: {text}")
-    axes.set_xticks(np.arange(len(labels)) + 0.5, [short(label, 14) for label in labels])
-    axes.set_yticks(np.arange(len(rows)) + 0.5, [short(label, 14) for label, _ in rows])
-    axes.set(xlabel="to", ylabel="from")
-    axes.invert_yaxis()
-    axes.tick_params(length=0)
-    axes.spines[:].set_visible(False)
-    axes.set_facecolor("#f6f6f4")
+    shade_cells(drawing, rows, labels, neutral=metric.neutral, larger_is_better=metric.larger_is_better)
+    drawing.axes.set(xlabel="to", ylabel="from")
     return drawing
 
 

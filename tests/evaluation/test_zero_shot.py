@@ -11,9 +11,9 @@ from typing import Any
 import pytest
 
 from karolos.errors import MachineError, RunError, SpecError, UsageError
-from karolos.evaluation.transfer_test import transfer_test
-from karolos.experiment.experiment import Experiment
+from karolos.evaluation.zero_shot import zero_shot_test
 from karolos.files import FileLock
+from karolos.launchers.experiment import Experiment
 from karolos.records import RunFolder, transfer_results
 from karolos.records.results import TestCounts
 from karolos.records.transfer_results import TransferResult
@@ -59,11 +59,11 @@ def test_by_default_it_plays_the_episodes_of_the_final_test_which_nothing_was_ch
     final = toy.final()
     assert final is not None
     for name, own in (("last", final.last), ("best", final.best)):
-        transfer = transfer_test(toy, checkpoint=name)
+        transfer = zero_shot_test(toy, checkpoint=name)
         assert own is not None
         assert transfer.result == replace(own, seconds=transfer.result.seconds)
         assert (transfer.seed, transfer.randomized, transfer.overrides) == (1_000_005, False, ())
-    again = transfer_test(toy, checkpoint="last", seed=5)
+    again = zero_shot_test(toy, checkpoint="last", seed=5)
     assert again.result == replace(toy.tests()[-1], seconds=again.result.seconds)
 
 
@@ -72,15 +72,15 @@ def test_the_same_policy_on_the_same_episodes_stands_beside_it(
     toy: RunFolder, seed: int | None, episodes: int | None
 ) -> None:
     for name in ("best", "last"):
-        changed = transfer_test(toy, ["environment.threshold=0.9"], checkpoint=name, seed=seed, episodes=episodes)
-        unchanged = transfer_test(toy, checkpoint=name, seed=seed, episodes=episodes)
+        changed = zero_shot_test(toy, ["environment.threshold=0.9"], checkpoint=name, seed=seed, episodes=episodes)
+        unchanged = zero_shot_test(toy, checkpoint=name, seed=seed, episodes=episodes)
         assert replace(changed.own, seconds=0.0) == replace(TestCounts.of(unchanged.result), seconds=0.0)
         assert changed.own.episodes == changed.result.episodes == (episodes or 4)
 
 
 def test_results_are_appended_and_come_back_as_they_were(toy: RunFolder) -> None:
-    first = transfer_test(toy, ["environment.threshold=0.9"], checkpoint="last", episodes=3, seed=8)
-    second = transfer_test(toy, ["environment.max_steps=3"])
+    first = zero_shot_test(toy, ["environment.threshold=0.9"], checkpoint="last", episodes=3, seed=8)
+    second = zero_shot_test(toy, ["environment.max_steps=3"])
     assert transfer_results.read(toy) == ((first, second), ())
     assert (first.result.episodes, first.seed, first.result.steps) == (3, 8, 80)
     assert set(second.result.lengths) == {3}
@@ -90,7 +90,7 @@ def test_results_are_appended_and_come_back_as_they_were(toy: RunFolder) -> None
 
 def test_overrides_change_what_is_played_and_seeds_which_episodes(toy: RunFolder) -> None:
     def returns(overrides: Sequence[str] = (), **options: Any) -> tuple[float, ...]:
-        return transfer_test(toy, overrides, **options).result.returns
+        return zero_shot_test(toy, overrides, **options).result.returns
 
     assert returns(["environment.reward=dense"]) == returns(["environment.reward=dense"])
     assert returns(["environment.reward=dense"], seed=1) != returns(["environment.reward=dense"], seed=2)
@@ -98,42 +98,42 @@ def test_overrides_change_what_is_played_and_seeds_which_episodes(toy: RunFolder
 
 
 def test_a_policy_is_tested_on_another_robot_and_with_randomization(reach: RunFolder) -> None:
-    own = transfer_test(reach, checkpoint="last")
-    other = transfer_test(reach, ["robot=ur5"], checkpoint="last")
+    own = zero_shot_test(reach, checkpoint="last")
+    other = zero_shot_test(reach, ["robot=ur5"], checkpoint="last")
     assert own.result.distances != other.result.distances
     gravity = "randomization.task.gravity={name: uniform, low: -12, high: -2}"
-    assert transfer_test(reach, [gravity], checkpoint="last", randomize=True).randomized
+    assert zero_shot_test(reach, [gravity], checkpoint="last", randomize=True).randomized
     assert transfer_results.read(reach)[0][-2] == other
     with pytest.raises(UsageError, match="--randomize"):
-        transfer_test(reach, [gravity], checkpoint="last")
+        zero_shot_test(reach, [gravity], checkpoint="last")
 
 
 def test_a_parameter_of_the_world_takes_a_plain_value(reach: RunFolder) -> None:
-    own = transfer_test(reach, checkpoint="last")
-    changed = transfer_test(reach, ["task.gravity=-5"], checkpoint="last")
+    own = zero_shot_test(reach, checkpoint="last")
+    changed = zero_shot_test(reach, ["task.gravity=-5"], checkpoint="last")
     assert changed.result.distances != own.result.distances
     assert changed.overrides == ("task.gravity=-5",)
     assert not changed.randomized
-    nominal = transfer_test(reach, ["task.gravity=-9.81"], checkpoint="last")
+    nominal = zero_shot_test(reach, ["task.gravity=-9.81"], checkpoint="last")
     assert nominal.result.distances == own.result.distances
     both = ["robot=ur5", "robot.joint_friction=0.4"]
-    assert transfer_test(reach, both, checkpoint="last").overrides == tuple(both)
+    assert zero_shot_test(reach, both, checkpoint="last").overrides == tuple(both)
     with pytest.raises(UsageError, match=r"task\.gravity.*-50 m/s2 .*; allowed is -20 to 0 m/s2"):
-        transfer_test(reach, ["task.gravity=-50"])
+        zero_shot_test(reach, ["task.gravity=-50"])
     with pytest.raises(SpecError, match=r"task\.gravty: no such key"):
-        transfer_test(reach, ["task.gravty=-5"])
+        zero_shot_test(reach, ["task.gravty=-5"])
 
 
 def test_other_layouts_are_refused_and_both_are_shown(reach: RunFolder, toy: RunFolder) -> None:
     before = transfer_results.read(reach)
     with pytest.raises(UsageError, match="with other observations, actions or goals") as caught:
-        transfer_test(reach, ["robot.control=joint"], checkpoint="last")
+        zero_shot_test(reach, ["robot.control=joint"], checkpoint="last")
     text = str(caught.value)
     for told in ("override robot.control=joint", "joint_changes 7 1", "tool_position_change 3 1", "here", "there"):
         assert told in text
     assert transfer_results.read(reach) == before
     with pytest.raises(UsageError, match=r"position 3 1\] here and \[position 2 1\] there"):
-        transfer_test(toy, ["environment.dimensions=3"])
+        zero_shot_test(toy, ["environment.dimensions=3"])
 
 
 @pytest.mark.parametrize(
@@ -146,27 +146,27 @@ def test_other_layouts_are_refused_and_both_are_shown(reach: RunFolder, toy: Run
 )
 def test_overrides_of_training_are_refused(toy: RunFolder, overrides: list[str], message: str) -> None:
     with pytest.raises(UsageError, match=message):
-        transfer_test(toy, overrides)
+        zero_shot_test(toy, overrides)
 
 
 def test_wrong_overrides_and_nothing_to_randomize_are_refused(toy: RunFolder) -> None:
     with pytest.raises(SpecError, match="did you mean 'threshold'"):
-        transfer_test(toy, ["environment.treshold=0.1"])
+        zero_shot_test(toy, ["environment.treshold=0.1"])
     with pytest.raises(UsageError, match="nothing to randomize"):
-        transfer_test(toy, randomize=True)
+        zero_shot_test(toy, randomize=True)
     with pytest.raises(RunError, match="never"):
-        transfer_test(toy, checkpoint="never")
+        zero_shot_test(toy, checkpoint="never")
     assert not (toy.path / transfer_results.FILE).exists()
 
 
 def test_a_run_without_its_spec_says_so(toy: RunFolder) -> None:
     (toy.path / "resolved.json").write_text("{")
     with pytest.raises(RunError, match=r"resolved.json is missing or damaged"):
-        transfer_test(toy)
+        zero_shot_test(toy)
 
 
 def test_damaged_lines_are_left_out_and_named(toy: RunFolder) -> None:
-    first = transfer_test(toy)
+    first = zero_shot_test(toy)
     path = toy.path / transfer_results.FILE
     path.write_text('{"time": 3}\nnot json\n' + path.read_text() + '{"torn')
     found, problems = transfer_results.read(toy)
@@ -181,7 +181,7 @@ def test_damaged_lines_are_left_out_and_named(toy: RunFolder) -> None:
 
 
 def test_many_that_add_at_once_lose_nothing(toy: RunFolder) -> None:
-    first = transfer_test(toy)
+    first = zero_shot_test(toy)
     many = [replace(first, seed=seed) for seed in range(24)]
 
     def add(transfer: TransferResult) -> None:
@@ -193,7 +193,7 @@ def test_many_that_add_at_once_lose_nothing(toy: RunFolder) -> None:
 
 
 def test_a_lock_held_by_another_process_is_an_error(toy: RunFolder, monkeypatch: pytest.MonkeyPatch) -> None:
-    first = transfer_test(toy)
+    first = zero_shot_test(toy)
     monkeypatch.setattr("karolos.files.LOCK_SECONDS", 0.0)
     lock = FileLock(toy.path / "transfers.lock")
     assert lock.acquire()

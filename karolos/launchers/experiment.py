@@ -9,6 +9,10 @@ from pathlib import Path
 from typing import Any
 
 from ..errors import RunError, UsageError
+from ..experiment.events import Listener, print_progress
+from ..experiment.run import run_or_resume
+from ..experiment.signals import StopRequest, stop_on_signals
+from ..experiment.start_from import pinned
 from ..files import FileLock, remove_temporary_leftovers
 from ..machine import cores
 from ..records import RunFolder
@@ -18,11 +22,8 @@ from ..records.run_records import RunSummary
 from ..spec import Spec, spec_from_dict
 from ..store import Store
 from ..training.assembly import check_parts
-from .driver import Driver, Existing, Feed, Job, create, find_existing, make_launcher
-from .events import Listener, print_progress
-from .signals import StopRequest, stop_on_signals
-from .start_from import pinned
-from .worker import execute
+from .driver import Driver, Feed, make_launcher
+from .runs import Existing, Home, RunJob
 
 
 @dataclass(frozen=True)
@@ -132,15 +133,16 @@ class Experiment:
         Store(url).close()  # an unusable database is an error before anything is computed
         listener = listener or (print_progress if progress else lambda _: None)
         spec = pinned(self.spec.alone(), folder)
+        home = Home(folder, url, existing, text)
         with ExitStack() as stack, stop_on_signals(time_limit=time_limit) as stop:
             for seed in spec.seeds:
-                _claim(folder, spec, seed, existing, stack)
+                _claim(home, spec, seed, stack)
             if is_local and jobs == 1:
-                summaries = _run_here(spec, folder, url, listener, stop, existing=existing, text=text)
+                summaries = _run_here(home, spec, listener, stop)
             else:
-                job = Job(spec)
+                job = RunJob(spec, home)
                 with make_launcher(self.spec, jobs) as launcher:
-                    Driver(launcher, folder, url, listener, existing=existing, text=text).run(Feed(job), stop)
+                    Driver(launcher, listener, stop).run(Feed(job))
                 summaries = [job.summaries[seed] for seed in spec.seeds if seed in job.summaries]
         outcome = Outcome(tuple(summaries), len(spec.seeds), stop.exit_code)
         if check:
@@ -170,23 +172,23 @@ def resume_run(
     Store(url).close()  # an unusable database is an error before anything is computed
     with stop_on_signals(time_limit=time_limit) as stop, folder:
         folder.lock()
-        summary = execute(folder, url, listener or (lambda _: None), stop, beside=cores() >= 2)
+        summary = run_or_resume(folder, url, listener or (lambda _: None), stop, beside=cores() >= 2)
     return Outcome((summary,), 1, stop.exit_code)
 
 
-def _claim(runs: Path, spec: Spec, seed: int, existing: Existing, stack: ExitStack) -> None:
+def _claim(home: Home, spec: Spec, seed: int, stack: ExitStack) -> None:
     """Let no other process run this seed as well, which would be a second copy of its run. Released by the stack.
 
     Raises:
         RunError: another process has claimed the seed, and its run is not finished.
     """
-    lock = FileLock(runs / f".{spec.name}-{spec.hash()[:12]}-s{seed}.lock")
+    lock = FileLock(home.runs / f".{spec.name}-{spec.hash()[:12]}-s{seed}.lock")
     if lock.acquire():
         stack.callback(lock.release)
         stack.callback(lock.path.unlink, missing_ok=True)
         return
-    found = find_existing(runs, spec, seed, existing)
-    if existing != "ignore" and (found is None or found.state().state != "finished"):
+    found = home.find(spec, seed)
+    if home.existing != "ignore" and (found is None or found.state().state != "finished"):
         raise RunError(
             f"another process runs seed {seed}, or has it waiting",
             where=spec.name,
@@ -194,24 +196,15 @@ def _claim(runs: Path, spec: Spec, seed: int, existing: Existing, stack: ExitSta
         )
 
 
-def _run_here(
-    spec: Spec,
-    runs: Path,
-    url: str,
-    listener: Listener,
-    stop: StopRequest,
-    *,
-    existing: Existing,
-    text: str | None,
-) -> list[RunSummary]:
+def _run_here(home: Home, spec: Spec, listener: Listener, stop: StopRequest) -> list[RunSummary]:
     """Run the seeds one after the other in this process."""
     summaries = []
     for seed in spec.seeds:
         if stop.requested:
             break
-        with find_existing(runs, spec, seed, existing) or create(runs, spec, seed, text) as folder:
+        with home.find(spec, seed) or home.create(spec, seed) as folder:
             if folder.state().state != "finished":
                 folder.lock()
-                execute(folder, url, listener, stop, beside=cores() >= 2)
+                run_or_resume(folder, home.url, listener, stop, beside=cores() >= 2)
             summaries.append(folder.summary())
     return summaries

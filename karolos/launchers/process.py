@@ -1,0 +1,110 @@
+"""The process that a launcher starts: `python -m karolos.launchers.process --cores N [FOLDER]`.
+
+It executes the run, or plays the zero-shot test, of a folder that exists. Without a folder it executes those that come
+on stdin, one a line.
+"""
+
+from __future__ import annotations
+
+import argparse
+import json
+import os
+import platform
+import sys
+from contextlib import ExitStack, suppress
+from dataclasses import asdict
+from pathlib import Path
+from typing import Any
+
+from ..errors import KarolosError, MachineError
+from ..evaluation.zero_shot import ZeroShotTest
+from ..experiment.events import Listener, RunAdvanced, RunBusy, RunEvent
+from ..experiment.run import run_or_resume
+from ..experiment.signals import StopRequestedError, stop_on_signals
+from ..files import read_object, write_json, write_whole
+from ..records import RunFolder, provenance
+from .interface import LAUNCH, STOP
+
+EARLIER_PROCESS_SECONDS = 60.0
+"""How long a run waits for an earlier process of the run, which writes a checkpoint and ends."""
+
+
+def execute_folder(path: Path, cores: int, driver: int | None = None) -> str | None:
+    """Execute the run or the test of a folder that a driver follows. Returns why it could not be executed.
+
+    Args:
+        path: of the folder.
+        cores: number of cores for a run.
+        driver: id of the process with whose end it stops.
+    """
+    launch = path / LAUNCH
+    try:
+        with ExitStack() as stack:
+            test = ZeroShotTest.read(path)
+            run = None if test is not None else stack.enter_context(RunFolder.open(path))
+            stop = stack.enter_context(stop_on_signals(file=path / STOP, driver=driver))
+            if run is not None:
+                run.lock(EARLIER_PROCESS_SECONDS)
+            launched = read_object(launch) or {}
+            launched.pop("problem", None)  # of an earlier process
+            if launched:
+                provenance.check_software(launched, path.name)
+            write_json(launch, launched | {"host": platform.node()})
+            if test is not None:
+                with suppress(StopRequestedError):
+                    test.play(lambda _: stop.check())
+            elif run is not None:
+                if not stop.requested:
+                    run_or_resume(run, None, _progress_writer(run), stop, beside=cores >= 2)
+                run.progress.unlink(missing_ok=True)
+    except KarolosError as error:
+        if path.is_dir():
+            with suppress(MachineError):
+                write_json(launch, (read_object(launch) or {}) | {"problem": str(error)})
+        return str(error)
+    return None
+
+
+def serve(cores: int) -> None:
+    """Execute the folders that come on stdin, one a line; answer each on stdout when it has ended.
+
+    The first answer says that libraries are imported. The others are what `execute_folder` returns, as JSON.
+    """
+    answers = os.fdopen(os.dup(1), "w", buffering=1)
+    os.dup2(2, 1)  # what libraries print does not mix with the answers
+    from ..agents import device  # noqa: F401, PLC0415  (imports torch)
+
+    driver = os.getppid()
+    with suppress(BrokenPipeError):  # the driver has ended
+        answers.write("null\n")
+        for line in sys.stdin:
+            answers.write(json.dumps(execute_folder(Path(line.removesuffix("\n")), cores, driver)) + "\n")
+
+
+def _progress_writer(folder: RunFolder) -> Listener:
+    """A listener that writes the latest progress into the folder."""
+    latest: dict[str, Any] = {}
+
+    def write(event: RunEvent) -> None:
+        if isinstance(event, RunAdvanced | RunBusy):
+            latest[type(event).__name__] = asdict(event)
+            with suppress(MachineError):  # it is for display only
+                write_whole(folder.progress, json.dumps(latest), durable=False)
+
+    return write
+
+
+def main() -> None:
+    """Read the arguments; a folder that could not be executed is exit code 1."""
+    parser = argparse.ArgumentParser(description=(__doc__ or "").splitlines()[0])
+    parser.add_argument("--cores", type=int, default=1, help="of a run")
+    parser.add_argument("folder", type=Path, nargs="?", help="of a run or a test")
+    arguments = parser.parse_args()
+    if arguments.folder is None:
+        serve(arguments.cores)
+    else:
+        sys.exit(execute_folder(arguments.folder, arguments.cores))
+
+
+if __name__ == "__main__":
+    main()

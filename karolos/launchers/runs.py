@@ -1,0 +1,228 @@
+"""The runs of a spec as a job of the driver, which are followed in their folders and entered into the database."""
+
+from __future__ import annotations
+
+from collections.abc import Iterator, Mapping
+from dataclasses import dataclass, field, replace
+from pathlib import Path
+from typing import Any, Literal
+
+from typing_extensions import override
+
+from ..errors import StoreError
+from ..experiment.events import (
+    RunAdvanced,
+    RunBusy,
+    RunEnded,
+    RunEvent,
+    RunFinalTested,
+    RunLaunched,
+    RunStarted,
+    RunTested,
+    RunWarned,
+)
+from ..experiment.resume import find_run
+from ..experiment.run_index import RunIndex
+from ..files import new_lines, read_object, write_json
+from ..records import RunFolder, provenance
+from ..records.decode import from_json
+from ..records.results import TestResult, decode_test
+from ..records.run_records import UNFINISHED, RunSummary
+from ..spec import Spec
+from .driver import Job, Task
+
+Existing = Literal["ignore", "skip", "resume"]
+
+
+@dataclass(frozen=True)
+class Home:
+    """Where runs are kept, and what becomes of those that exist.
+
+    Args:
+        runs: folder of the run folders.
+        url: SQLAlchemy URL of the results database.
+        existing: what to do with existing runs, as for `Experiment.run`.
+        text: the spec as its author wrote it.
+    """
+
+    runs: Path
+    url: str
+    existing: Existing = "ignore"
+    text: str | None = None
+
+    def find(self, spec: Spec, seed: int) -> RunFolder | None:
+        """The run to use instead of a new one: a finished one, or one to resume."""
+        found = None if self.existing == "ignore" else find_run(self.runs, spec.name, spec.hash(), seed)
+        return found if found and (self.existing == "resume" or found.state().state == "finished") else None
+
+    def create(self, spec: Spec, seed: int) -> RunFolder:
+        """A new run's folder, locked."""
+        folder = RunFolder.create(self.runs, spec.name, seed)
+        folder.describe(spec.dump(), experiment=spec.hash(), text=self.text)
+        return folder
+
+
+@dataclass(eq=False)
+class RunJob(Job):
+    """A spec with several seeds, and the results of its runs.
+
+    Args:
+        spec: with its seeds.
+        home: where its runs are kept.
+        together: whether the failure of one run stops the others.
+        known: seed -> finished run that counts for it, whatever its name.
+    """
+
+    spec: Spec
+    home: Home
+    together: bool = False
+    known: Mapping[int, RunFolder] = field(default_factory=dict)
+    tests: dict[int, dict[int, TestResult]] = field(default_factory=dict)
+    """Seed -> steps -> test."""
+    steps: dict[int, int] = field(default_factory=dict)
+    """Seed -> environment steps of its run."""
+    finals: dict[int, TestResult] = field(default_factory=dict)
+    """Seed -> the policy `last` in the final test, for runs that have one."""
+    summaries: dict[int, RunSummary] = field(default_factory=dict)
+    """Seed -> its run, when it has ended."""
+
+    @property
+    def finished(self) -> bool:
+        """Whether every run is finished."""
+        states = [summary.state for summary in self.summaries.values()]
+        return states == ["finished"] * len(self.spec.seeds)
+
+    @property
+    def fraction(self) -> float:
+        """Fraction of the environment steps of all runs that are taken."""
+        return sum(self.steps.values()) / (self.spec.training.steps * len(self.spec.seeds))
+
+    @override
+    def tasks(self) -> Iterator[Task]:
+        """The runs that are not finished."""
+        for seed in self.spec.seeds:
+            found = self.known.get(seed) or self.home.find(self.spec, seed)
+            if found is not None and found.state().state == "finished":
+                self.read_tests(seed, found)
+                self.record(found.summary())
+            else:
+                yield RunTask(self, seed, found)
+
+    def read_tests(self, seed: int, folder: RunFolder) -> None:
+        """Read the tests and the final test in a run's folder."""
+        self.tests[seed] = {test.steps: test for test in folder.tests()}
+        if (final := folder.final()) is not None:
+            self.finals[seed] = final.last
+
+    def record(self, summary: RunSummary) -> None:
+        """Record the end of a run."""
+        self.summaries[summary.seed] = summary
+        self.steps[summary.seed] = self.spec.training.steps
+
+    def results(self) -> dict[int, list[TestResult]]:
+        """Seed -> its tests in order; seeds in the spec's order."""
+        return {seed: [test for _, test in sorted(self.tests.get(seed, {}).items())] for seed in self.spec.seeds}
+
+
+class RunTask(Task):
+    """A run that a process executes. Turns what the process writes into the folder into events."""
+
+    def __init__(self, job: RunJob, seed: int, found: RunFolder | None) -> None:
+        self._job, self._seed, self._found = job, seed, found
+        self._index: RunIndex | None = None
+
+    @override
+    def begin(self) -> Path:
+        job = self._job
+        folder = self._found = self._folder = self._found or job.home.create(job.spec, self._seed)
+        folder.release()
+        folder.stop.unlink(missing_ok=True)  # of an earlier process
+        write_json(folder.launch, provenance.software())
+        job.read_tests(self._seed, folder)
+        self._ends = {name: new_lines(folder.path / name, 0)[1] for name in ("events.jsonl", "tests.jsonl")}
+        self._progress = read_object(folder.progress) or {}
+        self._before = folder.state()
+        self._failure: tuple[str | None, str | None] = None, None
+        self.close()
+        self._index = RunIndex(job.home.url, folder)
+        self._launched: list[RunEvent] = [*self._update_index(), RunLaunched(folder.id)]  # it may wait for long
+        return folder.path
+
+    @override
+    def events(self) -> Iterator[RunEvent]:
+        launched, self._launched = self._launched, []
+        yield from launched
+        for event in self._news():
+            if isinstance(event, RunTested):
+                self._job.tests[self._seed][event.result.steps] = event.result
+                yield from self._update_index(event.result)
+            elif isinstance(event, RunAdvanced):
+                self._job.steps[self._seed] = min(event.steps, self._job.spec.training.steps)
+            elif isinstance(event, RunFinalTested):
+                self._job.finals[self._seed] = event.final.last
+            elif isinstance(event, RunStarted):
+                yield from self._update_index()
+            yield event
+
+    def _news(self) -> Iterator[RunEvent]:
+        """What the process has written since the last call."""
+        folder = self._folder
+        earlier, self._progress = self._progress, read_object(folder.progress) or {}
+        happened = self._new_lines("events.jsonl")
+        tests = [decode_test(row) for row in self._new_lines("tests.jsonl")]  # written before these events
+        if any(row["event"] in ("started", "resumed") for row in happened):
+            yield RunStarted(folder.id, self._seed, self._job.spec.training.steps, str(folder.path))
+        for name, row in self._progress.items():
+            event = from_json(RunAdvanced, row) if name == "RunAdvanced" else from_json(RunBusy, row)
+            if event is not None and row != earlier.get(name):
+                yield event
+        yield from (RunTested(folder.id, result) for result in tests if result is not None)
+        for row in happened:
+            if row["event"] == "warning":
+                yield RunWarned(folder.id, f"{row['error']} ({row['consequence']})")
+            elif row["event"] == "final_test" and (final := folder.final()) is not None:
+                yield RunFinalTested(folder.id, final)
+            elif row["event"] == "failed":
+                self._failure = row["error"], row["traceback"]
+
+    def _new_lines(self, name: str) -> list[dict[str, Any]]:
+        rows, self._ends[name] = new_lines(self._folder.path / name, self._ends[name])
+        return rows
+
+    def _update_index(self, result: TestResult | None = None) -> Iterator[RunEvent]:
+        """Update the run in the database; a failure is a warning."""
+        assert self._index is not None  # it has begun
+        try:
+            self._index.update()
+        except StoreError as error:
+            what = "its folder is complete" if result is None else "the test is in the run folder"
+            yield RunWarned(self._folder.id, f"{error} (the run continues; {what})")
+
+    @override
+    def is_over(self) -> bool:
+        """Whether the process brought the run to an end, or did not begin it because the job is halted."""
+        state = self._folder.state()
+        if state == self._before:
+            return self._job.halted is not None
+        return self._folder.summary().state not in (*UNFINISHED, "lost")
+
+    @override
+    def end(self, problem: str | None) -> Iterator[RunEvent]:
+        job, folder, (error, traceback) = self._job, self._folder, self._failure
+        folder.stop.unlink(missing_ok=True)
+        summary = folder.summary()
+        if problem is not None and summary.state != "finished":
+            state = "lost" if summary.state in UNFINISHED else summary.state
+            summary, error, traceback = replace(summary, state=state, error=problem), problem, None
+        else:
+            yield from self._update_index()
+        self.close()
+        job.record(summary)
+        yield RunEnded(summary.run, summary.state, error, traceback)
+        if summary.error is not None and not job.halted:
+            job.error = job.error or summary.error
+
+    @override
+    def close(self) -> None:
+        if self._index is not None:
+            self._index.close()
