@@ -15,7 +15,7 @@ from karolos import __version__
 from karolos.errors import KarolosError, PluginError
 from karolos.registry import closest
 
-from . import bench, db, inspect, plugins, runs, spec, sweeps
+from . import db, inspect, plugins, runs, spec, sweeps
 from .board import board
 from .check import check
 from .compare import compare
@@ -81,7 +81,6 @@ app.command()(transfer)
 app.command()(play)
 app.command()(export)
 app.command()(board)
-app.add_typer(bench.app, cls=Commands)
 
 
 def _print_version(asked: bool) -> None:

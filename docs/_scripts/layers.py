@@ -18,7 +18,7 @@ END = "<!-- end of layers -->"
 
 def table() -> str:
     """The layers as a Markdown table, from the top layer down: package and first line of its docstring."""
-    rows = ["| package | subject |", "|---|---|", _row("cli")]
+    rows = ["| package | subject |", "|---|---|", _row("cli"), _row("bench")]
     for layer in _layers():
         rows += [_row(f"karolos/{name.strip()}") for name in layer.replace(":", "|").split("|")]
     return "\n".join(rows)

@@ -4,13 +4,11 @@ from __future__ import annotations
 
 import re
 import warnings
-from collections.abc import Iterator, Mapping, Sequence
+from collections.abc import Iterator, Sequence
 from contextlib import contextmanager
-from dataclasses import dataclass
 from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
-from ..errors import UsageError
 from ..files import writing
 from .markup import Markup, tag
 from .tables import clean
@@ -63,12 +61,6 @@ def look() -> Iterator[None]:
     with matplotlib.rc_context(LOOK), warnings.catch_warnings():
         warnings.filterwarnings("ignore", "Glyph .* missing from")  # a browser has fonts that matplotlib lacks
         yield
-
-
-def check_format(path: Path) -> None:
-    """Raise a UsageError unless the file's extension is that of a picture."""
-    if path.suffix not in FORMATS:
-        raise UsageError(f"{path.name} has no file extension of a picture", hint=f"let it end in {', '.join(FORMATS)}")
 
 
 def save(figure: Figure, path: Path) -> None:
@@ -170,33 +162,3 @@ class Drawing:
         text = re.sub(r' id="[a-z0-9.]+_\d+"', "", text.replace("xlink:href", "href"))  # ids that nothing names
         label = tag("svg", role="img", aria_label=self.title).removesuffix("></svg>")
         return Markup(label + text[text.index("<svg") + len("<svg") :].rstrip())
-
-
-@dataclass(frozen=True)
-class BoxPlot:
-    """One set of axes: for each label the values of its box."""
-
-    title: str
-    x_label: str
-    y_label: str
-    values: Mapping[str, Sequence[float]]
-
-
-def write_box_plots(plots: Sequence[BoxPlot], path: Path) -> None:
-    """Write box plots side by side into a file, in the format of its extension.
-
-    Raises:
-        UsageError: the extension is not that of a picture.
-        MachineError: the file cannot be written.
-    """
-    check_format(path)
-    with look():
-        from matplotlib.figure import Figure  # noqa: PLC0415
-
-        figure = Figure(figsize=(5 * len(plots), 4), layout="constrained")
-        for axes, plot in zip(figure.subplots(1, len(plots), squeeze=False)[0], plots, strict=True):
-            axes.boxplot(list(plot.values.values()), tick_labels=list(plot.values))
-            axes.set(title=plot.title, xlabel=plot.x_label, ylabel=plot.y_label)
-            axes.set_ylim(bottom=0)
-            axes.grid(axis="y")
-        save(figure, path)

@@ -74,12 +74,6 @@ def test_broken_plugin_ends_with_3_and_the_rest_is_checked(specs, fake_plugins):
     assert out.splitlines()[1].endswith("good.yaml: ok")
 
 
-def test_no_file_is_a_usage_error():
-    code, _, err = call(app)
-    assert code == 2
-    assert "SPEC" in err
-
-
 def test_file_names_cannot_write_control_characters(tmp_path):
     path = tmp_path / "\x1b[31mred.yaml"
     path.write_text(GOOD + "name: red\n")

@@ -2,19 +2,14 @@
 
 from __future__ import annotations
 
-import io
 import re
 
 import pytest
 from karolos_cli.display import Live
+from support.commands import Terminal
 
 from karolos.experiment.events import RunAdvanced, RunBusy, RunEnded, RunEvent, RunStarted, RunTested
 from karolos.records.results import TestResult
-
-
-class Terminal(io.StringIO):
-    def isatty(self) -> bool:
-        return True
 
 
 def last_line(width: int, *events: RunEvent) -> str:
@@ -26,8 +21,7 @@ def last_line(width: int, *events: RunEvent) -> str:
         with Live(screen) as live:
             for event in events:
                 live(event)
-    text = re.sub(r"\x1b\[[0-9;?]*[A-Za-z]", "", screen.getvalue())
-    return [line for line in re.split(r"[\r\n]", text) if line.startswith("seed")][-1].rstrip()
+    return [line for line in re.split(r"[\r\n]", screen.text()) if line.startswith("seed")][-1].rstrip()
 
 
 STARTED = RunStarted("run", 0, 6000, "runs/run")

@@ -1,6 +1,5 @@
 from __future__ import annotations
 
-import io
 import shutil
 import sys
 import time
@@ -11,7 +10,7 @@ import numpy as np
 import pybullet
 import pytest
 from karolos_cli.play import play
-from support.commands import call
+from support.commands import Terminal, call
 from typer import Typer
 
 from karolos.launchers.experiment import Experiment
@@ -40,11 +39,6 @@ def test_the_expert_of_a_spec_is_filmed_and_its_episodes_are_told(spec: Path, tm
     pictures = imageio.imread(film)
     assert pictures.shape[1:3] == (48, 64)
     assert len(pictures) >= 7, "the arm moves"
-
-
-class Terminal(io.StringIO):
-    def isatty(self) -> bool:
-        return True
 
 
 def test_a_film_has_one_episode_by_default_and_a_bar(
@@ -84,14 +78,6 @@ def test_what_cannot_be_filmed_is_refused(spec: Path, arguments: tuple[str, ...]
     code, _, err = call(app, str(spec), "--expert", *defaults, *arguments)
     assert code == 2
     assert message in err
-
-
-def test_a_spec_without_a_task_has_no_expert(tmp_path: Path) -> None:
-    path = tmp_path / "toy.yaml"
-    path.write_text("name: toy\nenvironment: toy\nagent: sac\n")
-    code, _, err = call(app, str(path), "--expert", "--out", str(tmp_path / "film.gif"))
-    assert code == 2
-    assert "there is no expert for this environment" in err
 
 
 def test_a_window_shows_the_episodes_at_the_pace_of_control(spec: Path, monkeypatch: pytest.MonkeyPatch) -> None:

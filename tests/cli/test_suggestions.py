@@ -29,7 +29,6 @@ def runs(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> Path:
     ("command", "suggestion"),
     [
         ("compare reach --metric ennd", "Did you mean 'end'?"),
-        ("bench updates --device cdua", "Did you mean 'cuda'?"),
         ("runs list --state finisched", "did you mean 'finished'?"),
         ("runs list state=finisched", "did you mean 'finished'?"),
         ("runs list task=reech", "no run has task=reech, did you mean reach?"),

@@ -2,10 +2,8 @@
 
 from __future__ import annotations
 
-import io
 import json
 import os
-import re
 import shutil
 import signal
 import subprocess
@@ -19,7 +17,7 @@ import typer
 import yaml
 from karolos_cli.display import SweepDisplay
 from karolos_cli.sweep import report, sweep
-from support.commands import call
+from support.commands import Terminal, call
 from support.sweep_samples import LEARNING_RATE, sweep_spec
 
 from karolos.records.sweep_records import SweepFinal, Trial
@@ -127,11 +125,6 @@ def test_rows_and_words_tell_what_was_chosen_and_how_far_to_trust_it(home, capsy
     assert outcome.exit_code == 0
 
 
-class Terminal(io.StringIO):
-    def isatty(self):
-        return True
-
-
 def test_bar_shows_trials_the_best_so_far_and_the_time_left():
     first = Trial(0, "line-t000", "complete", {"agent.learning_rate": 1e-3}, (0.9,), ("a",), None)
     second = Trial(1, "line-t001", "running", {"agent.learning_rate": 1e-2}, None, (), None)
@@ -151,7 +144,7 @@ def test_bar_shows_trials_the_best_so_far_and_the_time_left():
         display(FinalBegan((0, 1), (2, 3), "choose"))
         display(TrialAdvanced("line-t000", 1.0))
         assert (task.completed, task.total, task.description) == (1.0, 2, "choosing")
-    text = re.sub(r"\x1b\[[0-9;?]*[A-Za-z]", "", screen.getvalue())
+    text = screen.text()
     assert "trial 0 complete: success_end 0.9 with agent.learning_rate=0.001 [1/4]" in text
 
 
@@ -169,7 +162,7 @@ def test_a_row_of_the_table_takes_one_line_on_a_narrow_terminal(path, monkeypatc
     monkeypatch.setenv("COLUMNS", "80")
     monkeypatch.setenv("TERM", "xterm")
     report(SweepOutcome(search, trials, 12, trials[1], trials[:1], final, tmp_path), quiet=False, json=False)
-    text = re.sub(r"\x1b\[[0-9;?]*[A-Za-z]", "", screen.getvalue())
+    text = screen.text()
     lines = [line for line in text.splitlines() if line.strip()]
     head = next(place for place, line in enumerate(lines) if "─" in line)
     assert len(lines) == head + 1 + 12, text

@@ -2,6 +2,9 @@
 
 from __future__ import annotations
 
+import io
+import re
+
 import typer
 from typer.testing import CliRunner
 
@@ -16,3 +19,14 @@ def call(app: typer.Typer, *arguments: str) -> tuple[int, str, str]:
     if result.exception is not None and not isinstance(result.exception, SystemExit):
         raise result.exception
     return result.exit_code, result.stdout, result.stderr
+
+
+class Terminal(io.StringIO):
+    """A screen."""
+
+    def isatty(self) -> bool:
+        return True
+
+    def text(self) -> str:
+        """What was written, without colours and movements of the cursor."""
+        return re.sub(r"\x1b\[[0-9;?]*[A-Za-z]", "", self.getvalue())

@@ -14,6 +14,7 @@ import argparse
 import copy
 import json
 import random
+import re
 import shutil
 import subprocess
 import sys
@@ -59,67 +60,20 @@ VALUES: tuple[Any, ...] = (
     *([], {}, [[]], [{}], {"": 1}, {"name": None}, {"name": []}, {"name": "sac"}, [1, 2, 3], [0] * 300, ["a"] * 5),
     *({"x": {"y": {"z": [1, {"w": 2}]}}}, [1, [2, [3, [4]]]], {"1": 1}, 1.5, 3, 10, 100, 1000, 65536, 1024, 1e6),
 )
-KEYS = (
-    "name",
-    "robot",
-    "steps",
-    "x",
-    "",
-    "extends",
-    "sweep",
-    "a.b",
-    "\N{SNOWMAN}",
-    "seeds ",
-    "Agent",
-    "<<",
-    "null",
-    "1",
-)
+KEYS = ("", "\N{SNOWMAN}", "seeds ", *"name robot steps x extends sweep a.b Agent << null 1".split())  # noqa: SIM905
 OVERRIDES = (
-    *(
-        "",
-        "=",
-        "x",
-        "=1",
-        "a=b=c",
-        ".=1",
-        "agent",
-        "agent=",
-        "agent=null",
-        "agent.=1",
-        "agent..x=1",
-        "agent.name=",
-        "#=1",
-    ),
-    *(
-        "robot.name=[1]",
-        "seeds=[",
-        "seeds={0}",
-        "seeds=[0,0]",
-        "seeds=1",
-        "training={}",
-        "training=null",
-        "extends=x.yaml",
-    ),
-    *("buffer.name=priority", "buffer.name=on_policy", "agent.name=ppo", "agent=dqn", "environment=toy", "task=throw"),
-    *("environment={name: gymnasium, id: CartPole-v1}", "environment={name: gymnasium, id: 'x:Y-v0'}", "robot=null"),
-    *(
-        "environment={name: gymnasium, id: CartPole-v1, kwargs: {x: 1}}",
-        "randomization.task.gravity=-5",
-        "task.gravity=-5",
-    ),
-    *("randomization.task.gravity={name: uniform, low: 1, high: 2}", "randomization=5", "sweep={space: {}}", "\x00=1"),
-    *("sweep={space: {agent.learning_rate: {float: [0, 1], log: true}}}", "training.mode=async", "name=" + "n" * 300),
-    *(
-        "sweep={space: {training.batch_size: {int: [1, 1e18]}}, sampler: grid}",
-        "agent.hidden=[1,2,3]",
-        "a" * 4000 + "=1",
-    ),
-    *(
-        "training.device=cuda",
-        "orchestrator.processes=0",
-        "buffer.hindsight=null",
-        "demonstrations={}",
+    *("", "\x00=1", "name=" + "n" * 300, "a" * 4000 + "=1"),
+    *re.split(
+        r"  |\n",
+        """=  x  =1  a=b=c  .=1  agent  agent=  agent=null  agent.=1  agent..x=1  agent.name=  #=1  robot.name=[1]
+seeds=[  seeds={0}  seeds=[0,0]  seeds=1  training={}  training=null  extends=x.yaml  buffer.name=priority
+buffer.name=on_policy  agent.name=ppo  agent=dqn  environment=toy  task=throw
+environment={name: gymnasium, id: CartPole-v1}  environment={name: gymnasium, id: 'x:Y-v0'}  robot=null
+environment={name: gymnasium, id: CartPole-v1, kwargs: {x: 1}}  randomization.task.gravity=-5  task.gravity=-5
+randomization.task.gravity={name: uniform, low: 1, high: 2}  randomization=5  sweep={space: {}}
+sweep={space: {agent.learning_rate: {float: [0, 1], log: true}}}  training.mode=async
+sweep={space: {training.batch_size: {int: [1, 1e18]}}, sampler: grid}  agent.hidden=[1,2,3]
+training.device=cuda  orchestrator.processes=0  buffer.hindsight=null  demonstrations={}""",
     ),
 )
 

@@ -18,7 +18,7 @@ CONTACT_IMPEDANCE = (0.99, 0.995, 0.001, 0.5, 2.0)
 """`solimp` of contacts, joint limits and the coupling of fingers."""
 OBJECT_IMPEDANCE = (0.995, 0.998, 0.001, 0.5, 2.0)
 """`solimp` of contacts with a free body. Of impedances from .99 to .9999, softer ones let an arm press a cube 7 mm into
-the floor, stiffer ones throw it out with up to 2.8 m/s (`python tests/torture/floor.py`)."""
+the floor, stiffer ones throw it out with up to 2.8 m/s."""
 OLDEST_VERSION = 4_000_001
 """The oldest version that works, 4.0.1."""
 _IMPORTING = Lock()

@@ -13,7 +13,7 @@ from statistics import median
 from time import perf_counter
 from typing import Any, TypeVar
 
-from ..errors import MachineError
+from karolos.errors import MachineError
 
 K = TypeVar("K", bound=Hashable)
 T = TypeVar("T")
@@ -21,38 +21,26 @@ T = TypeVar("T")
 
 @dataclass(frozen=True)
 class Row:
-    """One measurement, and the peer's measurement beside it.
+    """One measurement, and the peer's measurement beside it."""
 
-    Args:
-        benchmark: command below `karolos bench`.
-        case: what is measured.
-        value: the figure, in `unit`.
-        peer: what stands beside it.
-        peer_value: the peer's figure, in the same unit.
-        ratios: value by peer_value in each turn; empty where the two were not measured in turns.
-    """
-
-    benchmark: str
     case: str
     value: float
     unit: str
     peer: str | None = None
     peer_value: float | None = None
     ratios: tuple[float, ...] = field(default=(), repr=False)
-
-    @property
-    def ratio(self) -> float | None:
-        """Median over the turns, or value by peer_value where there are no turns."""
-        if self.ratios:
-            return median(self.ratios)
-        return self.value / self.peer_value if self.peer_value else None
+    """value by peer_value in each turn; empty where the two were not measured in turns."""
+    more: Mapping[str, Any] = field(default_factory=dict)
+    """Further columns."""
 
     def dump(self) -> dict[str, Any]:
-        """The columns that scripts rely on; JSON-able."""
+        """The columns that scripts rely on; JSON-able. `ratio` is the median over the turns."""
         columns = asdict(self)
-        del columns["ratios"]
-        lowest, highest = (min(self.ratios), max(self.ratios)) if self.ratios else (None, None)
-        return {**columns, "ratio": self.ratio, "ratio_min": lowest, "ratio_max": highest}
+        ratios, more = columns.pop("ratios"), columns.pop("more")
+        single = self.value / self.peer_value if self.peer_value else None
+        columns["ratio"] = median(ratios) if ratios else single
+        columns |= {"ratio_min": min(ratios, default=None), "ratio_max": max(ratios, default=None)}
+        return {**columns, **more}
 
 
 def take_turns(
@@ -77,16 +65,22 @@ def take_turns(
     return measured
 
 
-def beside(
-    benchmark: str, case: str, values: Sequence[float], unit: str, peer: str, peer_values: Sequence[float]
-) -> Row:
+def beside(case: str, values: Sequence[float], unit: str, peer: str, peer_values: Sequence[float]) -> Row:
     """The row of a contestant and a peer that were measured in the same turns."""
     ratios = tuple(value / other for value, other in zip(values, peer_values, strict=True))
-    return Row(benchmark, case, median(values), unit, peer, median(peer_values), ratios)
+    return Row(case, median(values), unit, peer, median(peer_values), ratios)
 
 
-def require_modules(hint: str, *modules: str) -> None:
-    """Raise a MachineError with this hint unless the peer's modules are installed."""
-    missing = [name for name in modules if find_spec(name) is None]
-    if missing:
-        raise MachineError(f"{', '.join(missing)} not installed, so there is no peer to measure", hint=hint)
+def seconds_of(work: Callable[[], object], clock: Callable[[], float] = perf_counter) -> float:
+    """Seconds that a call takes by this clock; `process_time` does not count what other programs take meanwhile."""
+    started = clock()
+    work()
+    return clock() - started
+
+
+def require(*modules: str, hint: str) -> list[str]:
+    """Those modules of peers that are installed. Raises a MachineError with this hint where there is none."""
+    found = [name for name in modules if find_spec(name) is not None]
+    if not found:
+        raise MachineError(f"{' and '.join(modules)} not installed, so there is no peer to measure", hint=hint)
+    return found

@@ -1,0 +1,69 @@
+"""Success of the scripted experts beside a random policy: whether each robot can solve each task."""
+
+from __future__ import annotations
+
+import multiprocessing
+import sys
+from collections.abc import Iterator
+from concurrent.futures import ProcessPoolExecutor
+from functools import partial
+from itertools import product
+from typing import Annotated
+
+from typer import Option
+
+from karolos.errors import KarolosError
+from karolos.evaluation.playing import score
+from karolos.evaluation.policies import expert_policy
+from karolos.machine import cores
+from karolos.plugins import inspection
+from karolos.registry import names
+from karolos.simulation.engines import Engine
+
+from .side_by_side import Row
+
+
+def measure(
+    *,
+    pair: Annotated[list[str] | None, Option(metavar="ROBOT/TASK")] = None,
+    episodes: Annotated[int, Option(min=1)] = 200,
+    engine: Engine | None = None,
+    seed: Annotated[int, Option(min=0)] = 0,
+    jobs: Annotated[int, Option(min=1)] = cores(),
+) -> Iterator[Row]:
+    """Success at the end per pair, in their order, as soon as it is known. Both policies play the same test episodes.
+
+    More columns: `low` and `high` (95 % Wilson intervals), `peer_low`, `peer_high`, `any` (success at some step),
+    `steps` (mean step at which the goal was first reached), `episodes`.
+
+    Args:
+        pair: ROBOT/TASK; by default all that go together. Why the others do not is said.
+        episodes: of each policy.
+        seed: root of the episodes' seeds.
+        jobs: processes, each measuring one pair at a time.
+    """
+    cases = []
+    named = [text.partition("/")[::2] for text in pair or ()]
+    for robot, task in named or product(names("robots"), names("tasks")):
+        try:
+            inspection.pair(robot, task, engine).close()
+        except KarolosError as error:
+            if named:
+                raise
+            print(f"left out: {error}", file=sys.stderr)
+        else:
+            cases.append((robot, task))
+    context = multiprocessing.get_context("spawn")
+    with ProcessPoolExecutor(min(jobs, len(cases)), mp_context=context) as pool:
+        yield from pool.map(partial(_row, engine, episodes, seed), cases)
+
+
+def _row(engine: Engine | None, episodes: int, seed: int, case: tuple[str, str]) -> Row:
+    environment = inspection.pair(*case, engine)
+    expert = score(environment, expert_policy(environment), episodes=episodes, seed=seed)
+    environment.close()
+    random = inspection.floor(*case, engine, episodes=episodes, seed=seed)
+    more = {"low": expert.low, "high": expert.high, "any": expert.success_any, "steps": expert.steps}
+    more |= {"peer_low": random.low, "peer_high": random.high, "episodes": episodes}
+    what, value, floor = " ".join(filter(None, (*case, engine))), expert.success_end, random.success_end
+    return Row(what, value, "success at the end", "random policy", floor, more=more)

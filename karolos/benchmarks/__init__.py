@@ -1,1 +1,0 @@
-"""Measurements beside a peer in the same run: `karolos bench`."""

@@ -1,0 +1,181 @@
+"""Each benchmark at toy size: its rows, and what it refuses."""
+
+from __future__ import annotations
+
+import json
+import subprocess
+import sys
+from pathlib import Path
+
+import numpy as np
+import pytest
+import yaml
+
+from bench import experts, updates
+from bench.__main__ import main
+from bench.peer import PEERS
+from karolos.core import random_actions
+from karolos.core.seeding import SeedTree
+from karolos.environments.robot_task import RobotTask
+from karolos.errors import MachineError, UsageError
+from karolos.evaluation.testing import test_seeds as episode_seeds
+from karolos.plugins.inspection import pair
+from karolos.registry import names
+from karolos.spec import load_spec
+from karolos.training.assembly import check_parts
+
+ROOT = Path(__file__).parents[2]
+COLUMNS = ["benchmark", "case", "value", "unit", "peer", "peer_value", "ratio", "ratio_min", "ratio_max"]
+
+
+def rows_of(capfd: pytest.CaptureFixture[str], *arguments: str) -> list[dict]:
+    with pytest.raises(SystemExit) as end:
+        main([*arguments, "--json"])
+    out, err = capfd.readouterr()
+    assert end.value.code == 0, err
+    rows = [json.loads(line) for line in out.splitlines()]
+    assert all(list(row)[:9] == COLUMNS and row["benchmark"] == arguments[0] for row in rows)
+    assert all(row["value"] > 0 for row in rows)
+    return rows
+
+
+def test_each_precision_has_a_row_with_sampling_and_one_without_and_output_begins_with_json() -> None:
+    command = [sys.executable, "-m", "bench", "updates", "--only", "sac", "--seconds", "0.1", "--json"]
+    done = subprocess.run(command, cwd=ROOT, check=True, capture_output=True, text=True)
+    rows = [json.loads(line) for line in done.stdout.splitlines()]
+    assert [row["case"] for row in rows] == [
+        "sac float32, 1 thread",
+        "sac float32, learning alone, 1 thread",
+        "sac bfloat16, 1 thread",
+        "sac bfloat16, learning alone, 1 thread",
+    ]
+    assert all(list(row) == COLUMNS and row["unit"] == "updates/s" and row["value"] > 0 for row in rows)
+
+
+def test_what_libraries_print_does_not_reach_standard_output() -> None:
+    command = [sys.executable, "-m", "bench", "environment", "--control", "joint", "--seconds", "0.1"]
+    for option, beginning in (("--json", '{"benchmark": "environment"'), ("--engine=mujoco", "benchmark    case")):
+        done = subprocess.run([*command, option], cwd=ROOT, check=True, capture_output=True, text=True)
+        assert done.stdout.startswith(beginning)
+        assert len(done.stdout.splitlines()) == (3 if option == "--json" else 4)
+
+
+def test_time_and_memory_of_both_replay_buffers_are_measured(capfd: pytest.CaptureFixture[str]) -> None:
+    rows = {row["case"]: row for row in rows_of(capfd, "buffers", "--transitions", "8000", "--seconds", "0.1")}
+    laid_out = rows["rows of 8,000 transitions as laid out"]
+    assert laid_out["value"] == pytest.approx(8000 * 67 * 4 / 1e9, rel=0.2), "pick-and-place takes some 67 numbers"
+    assert {case: row["unit"] for case, row in rows.items() if "memory" not in case and row is not laid_out} == {
+        "uniform, batch of 256 with hindsight": "ms",
+        "uniform, adding 1,000 transitions of 16 environments": "ms",
+        "priority, batch of 256 with hindsight, priorities updated": "ms",
+        "priority, adding 1,000 transitions of 16 environments": "ms",
+    }
+
+
+def test_steps_stand_beside_their_physics_and_randomization_beside_none(capfd: pytest.CaptureFixture[str]) -> None:
+    rows = rows_of(capfd, "environment", "--seconds", "0.1")
+    ends = ("", " reset", " randomized episode")
+    assert [row["case"] for row in rows] == [
+        f"panda reach {mode}{end}" for mode in ("joint", "cartesian") for end in ends
+    ]
+    for row in rows[::3]:
+        assert row["peer"] == "bare physics loop"
+        assert 0.1 < row["ratio_min"] <= row["ratio"] <= row["ratio_max"] < 1, "physics is a part of a step"
+
+
+def test_resets_steps_and_waiting_environments_are_measured(capfd: pytest.CaptureFixture[str]) -> None:
+    toy = "--resets 20 --more-resets 40 --repeats 2 --seconds 0.05 --threads 2 --environments 2"
+    rows = rows_of(capfd, "orchestrator", *toy.split())
+    assert {row["unit"] for row in rows} == {"s", "steps/s", "us/step"}
+    assert {row["peer"] for row in rows} >= {"gymnasium AsyncVectorEnv", "gymnasium SyncVectorEnv", "1 thread"}
+    for word in ("20 resets", "40 resets", "lockstep", "asynchronous", "waiting environment", "parent's CPU time"):
+        assert any(word in row["case"] for row in rows), word
+
+
+def test_the_store_is_rebuilt_asked_and_written_to(
+    capfd: pytest.CaptureFixture[str], monkeypatch: pytest.MonkeyPatch
+) -> None:
+    monkeypatch.delenv("KAROLOS_DATABASE", raising=False)
+    sizes = ["--runs", "20", "--tests", "2", "--episodes", "5", "--writers", "2"]
+    rows = rows_of(capfd, "store", *sizes)
+    assert [row["unit"] for row in rows] == ["s", "s", "s", "s", "transactions/s"]
+    assert rows[2]["case"] == "filter that 10 of 20 runs fit"
+
+
+EPISODES = 60
+"""In one of these episodes the Panda's expert misses."""
+
+
+def successes(environment: RobotTask, *, expert: bool) -> list[list[bool]]:
+    """Success at every step of the test episodes, played here step by step."""
+    generator = SeedTree(0).child("random policy").generator()
+    episodes = []
+    for seed in episode_seeds(0, EPISODES):
+        step = environment.reset(seed)
+        script = environment.expert() if expert else None
+        if script is not None:
+            script.reset()
+        flags = []
+        while not (step.terminated or step.truncated):
+            action = random_actions(environment.signature, 1, generator)[0] if script is None else script.act()
+            step = environment.step(np.asarray(action, np.float32))
+            flags.append(bool(step.success))
+        episodes.append(flags)
+    return episodes
+
+
+def test_experts_are_counted_as_episodes_played_by_hand_with_any_number_of_processes() -> None:
+    row = next(experts.measure(pair=["panda/push", "ur5/reach"], episodes=EPISODES, jobs=2)).dump()
+    environment = pair("panda", "push")
+    by_expert, by_chance = successes(environment, expert=True), successes(environment, expert=False)
+    environment.close()
+    assert row["case"] == "panda push"
+    assert row["value"] == np.mean([flags[-1] for flags in by_expert])
+    assert row["any"] == np.mean([any(flags) for flags in by_expert])
+    assert row["steps"] == pytest.approx(np.mean([flags.index(True) + 1 for flags in by_expert if any(flags)]))
+    assert row["peer_value"] == np.mean([flags[-1] for flags in by_chance])
+    assert 0 < row["low"] < row["value"] < 1, "a figure that could not be anything else shows nothing"
+    assert row["peer_low"] <= row["peer_value"] <= row["peer_high"]
+    assert row["episodes"] == EPISODES
+
+
+def test_every_pair_that_goes_together_is_measured(monkeypatch: pytest.MonkeyPatch) -> None:
+    monkeypatch.setattr(experts, "names", lambda kind: names(kind)[:2])
+    cases = [row.case for row in experts.measure(episodes=1)]
+    assert cases == [f"{robot} {task}" for robot in names("robots")[:2] for task in names("tasks")[:2]]
+
+
+@pytest.mark.parametrize(
+    ("arguments", "error"),
+    [
+        (["updates", "--only", "sca"], UsageError),
+        (["updates", "--threads", "10000"], MachineError),
+        (["experts", "--pair", "panda"], UsageError),
+        (["experts", "--pair", "panda/raech"], UsageError),
+        (["peer", "specs/toy.yaml"], MachineError),
+    ],
+)
+def test_what_cannot_be_measured_is_refused(
+    arguments: list[str], error: type[Exception], monkeypatch: pytest.MonkeyPatch
+) -> None:
+    monkeypatch.setattr("bench.side_by_side.find_spec", lambda _: None)
+    with pytest.raises(error):
+        main(arguments)
+
+
+def test_peers_that_are_not_installed_are_told(monkeypatch: pytest.MonkeyPatch) -> None:
+    monkeypatch.setattr("bench.side_by_side.find_spec", lambda _: None)
+    with pytest.raises(MachineError, match="no peer"):
+        next(updates.measure(peers=True))
+
+
+@pytest.mark.parametrize("path", sorted((ROOT / "bench/agents").glob("*.yaml")), ids=lambda path: path.stem)
+def test_every_spec_of_an_agent_has_parts_that_go_together_and_a_peer(path: Path) -> None:
+    spec = load_spec(path)
+    assert spec.name == path.stem
+    check_parts(spec)
+    if spec.buffer.name != "on_policy":
+        check_parts(load_spec(path, ["buffer.name=priority"]))
+    recipe = yaml.safe_load(PEERS.read_text())[path.stem]
+    assert recipe["source"]
+    assert recipe["algorithm"].lower() == spec.agent.name
