@@ -12,17 +12,17 @@ from numpy.typing import NDArray
 from pydantic import Field as Setting
 from torch import Tensor
 
-from ..core import Buffer, Discrete, FloatArray, Signature, State
+from ..core import Buffer, Discrete, Signature, State
 from ..core.deployed import Deployed
 from ..core.seeding import SeedTree
 from ..errors import UsageError
 from .device import PRECISION_MEANS, Precision, uses_bfloat16
-from .inputs import TensorBatch, to_array
+from .inputs import TensorBatch
 from .layers import Tape
+from .metrics import Metrics
 from .networks import MLP, Shape
 from .noise import Noise
-from .optimisation import Hidden, OptimiserSettings
-from .torch_agent import Metrics, TorchAgent, value_bounds
+from .torch_agent import Hidden, OptimiserSettings, TorchAgent, value_bounds
 
 
 class ActorCriticSettings(OptimiserSettings):
@@ -92,15 +92,6 @@ class Critic:
 class ActorCritic(TorchAgent):
     """Networks, optimisers, exploration and state; an algorithm adds its losses in `learn`.
 
-    Args:
-        settings: with `noise` and `random_actions`.
-        signature: of the environment.
-        seeds: of this agent.
-        device: cpu or cuda.
-        critic_kind: what the critics' outputs mean.
-        members: critics.
-        policy_columns: outputs of the policy network per action column.
-
     Raises:
         UsageError: the environment takes discrete actions.
     """
@@ -108,24 +99,26 @@ class ActorCritic(TorchAgent):
     on_policy: ClassVar[bool] = False
     shaping: ClassVar[tuple[str, ...]] = ("hidden", "layer_norm")
     arrays: ClassVar[int] = 16  # measured: 21 for SAC
+    critics: ClassVar[int] = 2
     judges: ClassVar[int | None] = None
     """How many of the critics judge the policy's actions; None: all."""
+    policy_columns: ClassVar[int] = 1
+    """Outputs of the policy network per action column."""
+    critic_kind: Critic = Critic()
+    """What the critics' outputs mean."""
 
-    def __init__(
-        self,
-        settings: Any,
-        signature: Signature,
-        seeds: SeedTree,
-        device: str,
-        *,
-        critic_kind: Critic,
-        members: int,
-        policy_columns: int,
-    ) -> None:
-        self.actions = actions = _require_continuous(signature, type(self).__name__.lower())
+    def __init__(self, settings: Any, signature: Signature, seeds: SeedTree, device: str = "cpu") -> None:
+        if isinstance(signature.action, Discrete):
+            raise UsageError(
+                f"{type(self).__name__.lower()} gives continuous actions, and this environment takes one of "
+                f"{len(signature.action.labels)} discrete ones",
+                setting="agent",
+                hint="choose dqn, or continuous actions: a robot has them with environment.actions=continuous",
+            )
+        self.actions = actions = signature.action.size
         super().__init__(settings, signature, seeds, device)
         bfloat16 = uses_bfloat16(settings.precision, device)
-        shape = Shape((self.inputs, *settings.hidden, policy_columns * actions), bfloat16=bfloat16)
+        shape = Shape((self.inputs, *settings.hidden, self.policy_columns * actions), bfloat16=bfloat16)
         self.policy = MLP(shape, self.weights_generator, device)
         self.average = self.policy
         """Acts without exploration. An average over updates errs less than each policy in it (Polyak and Juditsky 1992,
@@ -133,10 +126,9 @@ class ActorCritic(TorchAgent):
         if settings.policy_average < 1:
             self.average = self.policy.copy()
             self.stored = (*self.stored, "average")
-        sizes = (self.inputs + actions, *settings.hidden, critic_kind.columns)
-        shape = Shape(sizes, members=members, layer_norm=settings.layer_norm, bfloat16=bfloat16)
+        sizes = (self.inputs + actions, *settings.hidden, self.critic_kind.columns)
+        shape = Shape(sizes, members=self.critics, layer_norm=settings.layer_norm, bfloat16=bfloat16)
         self.critic = MLP(shape, self.weights_generator, device)
-        self.critic_kind = critic_kind
         self.target = self.critic.copy()
         self.noise = Noise(settings.noise, self.inputs, actions, self.device)
         self.optimisers = {"policy": self.adam(self.policy.vector), "critic": self.adam(self.critic.vector)}
@@ -154,37 +146,40 @@ class ActorCritic(TorchAgent):
                 "transitions, or set agent.imitation=0",
             )
 
-    @torch.inference_mode()
-    def act(
-        self,
-        observation: FloatArray,
-        desired_goal: FloatArray,
-        *,
-        explore: bool,
-        environments: NDArray[int64] | None = None,
-    ) -> FloatArray:
-        """Actions (n, a) in [-1, 1] for observations (n, o) and goals (n, g)."""
-        inputs = self.network_input(observation, desired_goal)
-        if not explore:
-            return to_array(torch.tanh(self.average(inputs, exact=True)[:, : self.actions]))
+    def best(self, inputs: Tensor) -> Tensor:
+        return torch.tanh(self.average(inputs, exact=True)[:, : self.actions])
+
+    def explore(self, inputs: Tensor, environments: NDArray[int64] | None) -> Tensor:
+        """The policy's actions with noise, each replaced with a probability by a uniform one in [-1, 1]."""
         output = self.policy(inputs, exact=True)
-        action = self.explore(output, self.noise.draw(inputs, self.generator, environments))
-        return to_array(_some_random(action, self.settings.random_actions, self.generator))
+        action, share = (
+            self.noisy(output, self.noise.draw(inputs, self.generator, environments)),
+            self.settings.random_actions,
+        )
+        if share == 0:
+            return action
+        drawn = torch.rand((len(action), self.actions + 1), generator=self.generator, device=self.device)
+        return torch.where(drawn[:, :1] < share, drawn[:, 1:] * 2 - 1, action)
 
     @abstractmethod
-    def explore(self, output: Tensor, noise: Tensor) -> Tensor:
+    def noisy(self, output: Tensor, noise: Tensor) -> Tensor:
         """Exploring actions (n, a) from the policy network's output and standard normal noise (n, a)."""
 
     def begin_episodes(self, environments: NDArray[int64]) -> None:
         self.noise.begin(environments)
 
-    def next_values(self, batch: TensorBatch, action: Tensor) -> Tensor:
-        """Q'(s', a') of the target networks: (n, k)."""
-        return self.critic_kind.target_values(self.target(torch.cat((batch.next_input, action), 1)))
+    def targets(self, batch: TensorBatch, next_action: Tensor, entropy: Tensor | None = None) -> Tensor:
+        """y = r + discount (Q'(s', a') + entropy), clipped to the possible values: (n, k).
 
-    def backup(self, batch: TensorBatch, next_values: Tensor) -> Tensor:
-        """y = r + discount next_values, clipped to the possible values: (n, k)."""
-        y = torch.addcmul(batch.reward.unsqueeze(1), batch.discount.unsqueeze(1), next_values)
+        Args:
+            batch: n transitions.
+            next_action: a', (n, a).
+            entropy: - temperature log pi(a' | s'), (n,). Source: Haarnoja et al. 2018, equations 3 and 5.
+        """
+        values = self.critic_kind.target_values(self.target(torch.cat((batch.next_input, next_action), 1)))
+        if entropy is not None:
+            values = values + entropy.unsqueeze(1)
+        y = torch.addcmul(batch.reward.unsqueeze(1), batch.discount.unsqueeze(1), values)
         return y.clamp_(*self._bounds)
 
     def critic_step(self, batch: TensorBatch, targets: Tensor) -> Metrics:
@@ -209,10 +204,7 @@ class ActorCritic(TorchAgent):
         return self.critic_kind.policy_value(outputs)
 
     def values_and_gradient(self, batch: TensorBatch, action: Tensor) -> tuple[Tensor, Tensor]:
-        """Q(s, a), (n,), and the gradient by a of what a policy minimises with it, (n, a).
-
-        That is - sum_i weight_i Q(s_i, a_i) + action_penalty mean(a^2).
-        """
+        """Q(s, a), (n,), and the gradient of - sum_i weight_i Q(s_i, a_i) + action_penalty mean(a^2) by a, (n, a)."""
         outputs, tapes = self.critic.forward(torch.cat((batch.input, action), 1), members=self.judges)
         values = self.critic_kind.policy_value(outputs)
         by_outputs = self.critic_kind.policy_value_gradient(outputs, values, -batch.weight)
@@ -245,35 +237,10 @@ class ActorCritic(TorchAgent):
 def imitation_loss(action: Tensor, preferred: Tensor, batch: TensorBatch) -> tuple[Tensor, Tensor]:
     """sum_i d_i p_i |pi(s_i) - a_i|^2 / sum_i d_i, and its gradient 2 d_i p_i (pi(s_i) - a_i) / sum d by pi(s_i).
 
-    d_i: the transition is demonstrated, or relabelled with `hindsight.imitate`; p_i: the critics prefer a_i.
+    d_i: demonstrated, or relabelled with `hindsight.imitate`; p_i: `preferred`, the critics like a_i more.
     Source: Nair et al. 2018, "Overcoming Exploration in Reinforcement Learning with Demonstrations", equations 3 and 5.
-
-    Args:
-        action: pi(s), (n, a).
-        preferred: Q(s, a) > Q(s, pi(s)), (n,).
-        batch: with `demonstrated`.
     """
     assert batch.demonstrated is not None
     difference = action - batch.action
     weight = batch.demonstrated * preferred / batch.demonstrated.sum().clamp(min=1)
     return torch.dot(weight, difference.square().sum(1)), 2 * weight.unsqueeze(1) * difference
-
-
-def _some_random(action: Tensor, probability: float, generator: torch.Generator) -> Tensor:
-    """Actions (n, a), each replaced with this probability by a uniform one in [-1, 1]."""
-    if probability == 0:
-        return action
-    drawn = torch.rand((len(action), action.shape[1] + 1), generator=generator, device=action.device)
-    return torch.where(drawn[:, :1] < probability, drawn[:, 1:] * 2 - 1, action)
-
-
-def _require_continuous(signature: Signature, agent: str) -> int:
-    """Columns of an action. Raises UsageError where actions are discrete."""
-    if isinstance(signature.action, Discrete):
-        raise UsageError(
-            f"{agent} gives continuous actions, and this environment takes one of "
-            f"{len(signature.action.labels)} discrete ones",
-            setting="agent",
-            hint="choose dqn, or continuous actions: a robot has them with environment.actions=continuous",
-        )
-    return signature.action.size

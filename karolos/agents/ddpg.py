@@ -11,10 +11,11 @@ from torch import Tensor
 
 from ..core import Batch, Signature
 from ..core.seeding import SeedTree
-from .actor_critic import ActorCritic, ActorCriticSettings, Critic, imitation_loss
-from .inputs import TensorBatch
+from .actor_critic import ActorCritic, ActorCriticSettings, imitation_loss
+from .inputs import TensorBatch, tensor_batch
+from .metrics import Metrics, report, saturation
 from .noise import ScaledNoiseSettings
-from .torch_agent import Metrics, saturation
+from .optimisation import set_learning_rates
 
 
 class DDPG(ActorCritic):
@@ -37,33 +38,31 @@ class DDPG(ActorCritic):
     judges: ClassVar[int | None] = 1
 
     def __init__(self, settings: Any, signature: Signature, seeds: SeedTree, device: str = "cpu") -> None:
-        super().__init__(
-            settings, signature, seeds, device, critic_kind=Critic(), members=self.critics, policy_columns=1
-        )
+        super().__init__(settings, signature, seeds, device)
         self.target_policy = self.policy.copy()
-        self.policy_delay = 1
-        """Critic updates for each update of policy and target networks."""
         self.updates = 0
 
-    def explore(self, output: Tensor, noise: Tensor) -> Tensor:
+    @property
+    def policy_delay(self) -> int:
+        """Critic updates for each update of policy and target networks."""
+        return 1
+
+    def noisy(self, output: Tensor, noise: Tensor) -> Tensor:
         return torch.add(torch.tanh(output), noise, alpha=self.settings.noise.std).clamp_(-1, 1)
 
     @torch.inference_mode()
     def learn(self, batch: Batch) -> Mapping[str, Any]:
         """One update: targets, critics, and when it is their turn policy and target networks."""
         update = self.updates
-        data = self.begin_update(batch, update)
+        set_learning_rates(self.optimisers, self.settings.rate(update))
+        data = tensor_batch(batch, self.normaliser, self.device, update)
         self.updates += 1
-        metrics = self.critic_step(data, self.targets(data))
+        metrics = self.critic_step(data, self.targets(data, self.next_action(data.next_input)))
         if self.updates % self.policy_delay == 0:
             metrics |= self.policy_step(data)
             self.target.follow(self.critic, self.settings.tau)
             self.target_policy.follow(self.policy, self.settings.tau)
-        return self.report(metrics, update // self.policy_delay)
-
-    def targets(self, batch: TensorBatch) -> Tensor:
-        """y = r + discount min_j Q'_j(s', a'), clipped to the possible values: (n, 1)."""
-        return self.backup(batch, self.next_values(batch, self.next_action(batch.next_input)))
+        return report(metrics, self.optimisers, update // self.policy_delay)
 
     def next_action(self, next_input: Tensor) -> Tensor:
         """a' = pi'(s'), of the target policy: (n, a)."""

@@ -12,16 +12,17 @@ from pydantic import Field as Setting
 from pydantic import model_validator
 from torch import Tensor
 
-from ..core import Batch, Discrete, FloatArray, Signature
+from ..core import Batch, Discrete, Signature
 from ..core.deployed import Deployed
 from ..core.schedules import Linear
 from ..core.seeding import SeedTree
 from ..errors import UsageError
 from .device import Precision, uses_bfloat16
-from .inputs import TensorBatch, to_array
+from .inputs import TensorBatch, tensor_batch
+from .metrics import Metrics, report
 from .networks import MLP, Shape
-from .optimisation import Hidden, OptimiserSettings
-from .torch_agent import TorchAgent, value_bounds
+from .optimisation import set_learning_rates
+from .torch_agent import Hidden, OptimiserSettings, TorchAgent, value_bounds
 
 
 class DQN(TorchAgent):
@@ -87,31 +88,23 @@ class DQN(TorchAgent):
         """Current probability of a random exploring action."""
         return self._schedule(self.explored)
 
-    @torch.inference_mode()
-    def act(
-        self,
-        observation: FloatArray,
-        desired_goal: FloatArray,
-        *,
-        explore: bool,
-        environments: NDArray[int64] | None = None,  # noqa: ARG002 (each step explores independently)
-    ) -> FloatArray:
-        """Indices of actions (n, 1), whole float32 numbers, for observations (n, o) and goals (n, g)."""
-        inputs = self.network_input(observation, desired_goal)
-        action = self._values(self.network(inputs, exact=True)).argmax(1)
-        if explore:
-            size, epsilon = action.shape, self.epsilon
-            is_random = torch.rand(size, generator=self.generator, device=self.device) < epsilon
-            drawn = torch.randint(self._actions, size, generator=self.generator, device=self.device)
-            action = torch.where(is_random, drawn, action)
-            self.explored += len(action)
-        return to_array(action.float().unsqueeze(1))
+    def best(self, inputs: Tensor) -> Tensor:
+        """Indices of actions (n, 1), as whole float32 numbers."""
+        return self._values(self.network(inputs, exact=True)).argmax(1, keepdim=True).float()
+
+    def explore(self, inputs: Tensor, environments: NDArray[int64] | None) -> Tensor:  # noqa: ARG002 (interface)
+        best, epsilon = self.best(inputs), self.epsilon
+        is_random = torch.rand(best.shape, generator=self.generator, device=self.device) < epsilon
+        drawn = torch.randint(self._actions, best.shape, generator=self.generator, device=self.device)
+        self.explored += len(best)
+        return torch.where(is_random, drawn.float(), best)
 
     @torch.inference_mode()
     def learn(self, batch: Batch) -> Mapping[str, Any]:
         """One update of the network, and of the target network when it is its turn."""
         update = self.updates
-        data = self.begin_update(batch, update)
+        set_learning_rates(self.optimisers, self.settings.rate(update))
+        data = tensor_batch(batch, self.normaliser, self.device, update)
         self.updates += 1
 
         targets = self.targets(data)
@@ -124,7 +117,7 @@ class DQN(TorchAgent):
         self.optimisers["network"].step(self.network.gradient)
         if self.updates % self.settings.target_interval == 0:
             self.target.follow(self.network, self.settings.tau)
-        metrics = {
+        metrics: Metrics = {
             "priorities": errors.abs(),
             "value_loss": lambda: torch.dot(data.weight, td_loss(errors, self.settings.loss)),
             "value_mean": values.mean,
@@ -132,8 +125,9 @@ class DQN(TorchAgent):
             "target_mean": targets.mean,
             "gradient_norm": self.optimisers["network"].gradient_norm,
             "epsilon": lambda: torch.tensor(self.epsilon),
+            "learning_rate": lambda: torch.tensor(self.settings.rate(update)),
         }
-        return self.report(metrics, update)
+        return report(metrics, {}, update)
 
     def targets(self, batch: TensorBatch) -> Tensor:
         """y = r + discount Q'(s', argmax_a Q(s', a)), clipped to the possible values: (n,).

@@ -1,4 +1,4 @@
-"""Forward and backward pass of affine layers with rectifiers between them, by the fastest kernels of this machine.
+"""Affine layers with rectifiers between them: forward and backward pass by the fastest kernels of this machine.
 
 On x86 PyTorch computes float32 products with MKL, which reaches 117 GFLOP/s on one Zen 5 core where oneDNN reaches 240
 (measured, sides of 256). `_linear_pointwise` calls oneDNN; the result is exact up to float32 rounding. Products in
@@ -62,17 +62,16 @@ class Tape(NamedTuple):
         return Tape([h[first:] for h in self.activations], self.last_input[first:], norms)
 
 
-def forward(x: Tensor, hidden: list[Affine], last: Affine, *, layer_norm: bool) -> tuple[Tensor, Tape]:
-    """(n, in) -> (n, out) in float32; hidden layers compute in the type of `x`.
+def forward(x: Tensor, layers: list[Affine], *, layer_norm: bool) -> tuple[Tensor, Tape]:
+    """(n, in) -> (n, out) in float32; all layers but the last one compute in the type of `x`.
 
     Args:
         x: inputs.
-        hidden: layers with a rectifier behind each.
-        last: the layer without one.
+        layers: with a rectifier behind each but the last one.
         layer_norm: normalise before each rectifier.
     """
     h, activations, norms = x, [x], []
-    for layer in hidden:
+    for layer in layers[:-1]:
         if layer_norm:
             raw = _affine(h, layer, relu=False)
             h, mean, scale = torch.native_layer_norm(raw, raw.shape[-1:], None, None, LAYER_NORM_EPSILON)
@@ -82,51 +81,46 @@ def forward(x: Tensor, hidden: list[Affine], last: Affine, *, layer_norm: bool) 
             h = _affine(h, layer, relu=True)
         activations.append(h)
     h = h.float()
-    return _affine(h, last, relu=False), Tape(activations, h, norms)
+    return _affine(h, layers[-1], relu=False), Tape(activations, h, norms)
 
 
 def backward(
-    gradient: Tensor,
-    tape: Tape,
-    hidden: list[Affine],
-    last: Affine,
-    *,
-    out: list[Affine] | None,
-    columns: slice | None,
+    gradient: Tensor, tape: Tape, layers: list[Affine], *, out: list[Affine] | None, columns: slice | None
 ) -> Tensor | None:
     """From the gradient by the outputs to the gradients by the parameters and by the inputs.
 
     Args:
         gradient: by the outputs, (n, out).
         tape: of `forward`.
-        hidden, last: as in `forward`.
+        layers: as in `forward`.
         out: receives the gradients by the parameters of each layer; None: they are not computed.
         columns: input columns whose gradient is wanted.
 
     Returns:
         The gradient by the input columns: (n, columns) in float32. None if `columns` is None.
     """
+    last = layers[-1].weight
     if out is not None:
         _parameter_gradients(gradient, tape.last_input, out[-1])
     # With one output and no parameter gradient, `gradient` only scales rows. It is applied last, to the few columns.
-    row_scale = gradient if len(last.weight) == 1 and out is None else None
+    row_scale = gradient if len(last) == 1 and out is None else None
     if row_scale is not None:
-        d = _relu_backward_of_row(last.weight, tape.activations[-1])
+        d = _relu_backward_of_row(last, tape.activations[-1])
     else:
         # With one output the product is an outer product, which both libraries compute slowly.
-        d = gradient * last.weight if len(last.weight) == 1 else gradient @ last.weight
+        d = gradient * last if len(last) == 1 else gradient @ last
         d = _relu_backward(d, tape.last_input).to(tape.activations[-1].dtype)
-    for number in reversed(range(len(hidden))):
+    for number in reversed(range(len(layers) - 1)):
         if tape.norms:
             raw, mean, scale = tape.norms[number]
             d = _LAYER_NORM_BACKWARD(d, raw, raw.shape[-1:], mean, scale, None, None, [True, False, False])[0]
         if out is not None:
             _parameter_gradients(d, tape.activations[number], out[number])
         if number:
-            d = _relu_backward(_matmul(d, hidden[number].weight), tape.activations[number])
+            d = _relu_backward(_matmul(d, layers[number].weight), tape.activations[number])
     if columns is None:
         return None
-    by_input = torch.matmul(d, hidden[0].weight[:, columns]).float()
+    by_input = torch.matmul(d, layers[0].weight[:, columns]).float()
     return by_input if row_scale is None else by_input.mul_(row_scale)
 
 

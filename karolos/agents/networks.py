@@ -1,8 +1,7 @@
 """Multi-layer perceptrons whose parameters are one vector, alone or several of one shape side by side.
 
-An update of networks of this size is hundreds of operations of a few microseconds each. With one vector a step of an
-optimiser, a step of a target network and a checkpoint are one operation each. Agents of karolos call `forward` and
-`backward`; a plugin can use a network under autograd instead.
+With one vector a step of an optimiser, a step of a target network and a checkpoint are one operation each. Agents of
+karolos call `forward` and `backward`; a plugin can use a network under autograd instead.
 """
 
 from __future__ import annotations
@@ -81,10 +80,9 @@ class MLP:
         self._rounded_gradient = torch.zeros_like(self._rounded)
         """The gradient by the hidden layers' parameters in bfloat16, before it is copied to `gradient`."""
         self._hidden_gradient = gradients[:, :hidden]
-        self._layers, self._rounded_layers = self._layers_in(self._table), self._layers_in(self._rounded)
-        self._gradients = self._layers_in(gradients)
-        rounded = self._layers_in(self._rounded_gradient)
-        self._rounded_gradients = [low + full[-1:] for low, full in zip(rounded, self._gradients, strict=True)]
+        self._layers, self._gradients = self._layers_in(self._table), self._layers_in(gradients)
+        self._rounded_layers = self._with_last(self._rounded, self._layers)
+        self._rounded_gradients = self._with_last(self._rounded_gradient, self._gradients)
 
     def _views(self, memory: Tensor) -> dict[str, Tensor]:
         """Each parameter, or each of the hidden layers, as a view (members, ...) of memory (members, numbers)."""
@@ -102,6 +100,10 @@ class MLP:
             for member in range(len(memory))
         ]
 
+    def _with_last(self, rounded: Tensor, exact: list[list[Affine]]) -> list[list[Affine]]:
+        """Of each member: hidden layers as views of `rounded`, and the last one of `exact`."""
+        return [hidden + layers_[-1:] for hidden, layers_ in zip(self._layers_in(rounded), exact, strict=True)]
+
     @property
     def named(self) -> dict[str, Tensor]:
         """Each parameter, as a view: (members, ...), or without that axis."""
@@ -109,21 +111,19 @@ class MLP:
         return views if self.shape.members else {name: view[0] for name, view in views.items()}
 
     def __call__(self, x: Tensor, *, exact: bool = False) -> Tensor:
-        """(n, in) -> (n, out), or (members, n, out). Differentiable by x and by `vector` where they require it.
+        """(n, in) -> (n, out), or (members, n, out), in float32 if `exact`.
 
-        Args:
-            x: inputs, the same for all members.
-            exact: compute in float32 whatever the shape says.
+        Differentiable by x and by `vector` where they require it.
         """
         if torch.is_grad_enabled() and (x.requires_grad or self.vector.requires_grad):
             outputs: Tensor = _Autograd.apply(x, self.vector, self, exact)  # type: ignore[no-untyped-call]
             return outputs
         return self.forward(x, exact=exact)[0]
 
-    def _hidden_layers(self, *, bfloat16: bool) -> list[list[Affine]]:
-        """The hidden layers of each member in the type they compute in, rounded again if `vector` has changed."""
+    def _computing(self, *, bfloat16: bool) -> list[list[Affine]]:
+        """The layers of each member in the type they compute in, rounded again if `vector` has changed."""
         if not bfloat16:
-            return [each[:-1] for each in self._layers]
+            return self._layers
         if self._rounded_version != self.vector._version:
             self._rounded.copy_(self._table[:, : self._rounded.shape[1]])
             self._rounded_version = self.vector._version
@@ -134,12 +134,12 @@ class MLP:
         bfloat16 = self.shape.bfloat16 and not exact
         if bfloat16:
             x = x.bfloat16()
-        outputs, tapes = [], []
-        for hidden, each in zip(self._hidden_layers(bfloat16=bfloat16)[:members], self._layers, strict=False):
-            output, tape = layers.forward(x, hidden, each[-1], layer_norm=self.shape.layer_norm)
-            outputs.append(output)
-            tapes.append(tape)
-        return torch.stack(outputs) if self.shape.members else outputs[0], tapes
+        passes = [
+            layers.forward(x, member, layer_norm=self.shape.layer_norm)
+            for member in self._computing(bfloat16=bfloat16)[:members]
+        ]
+        outputs = torch.stack([output for output, _ in passes]) if self.shape.members else passes[0][0]
+        return outputs, [tape for _, tape in passes]
 
     def backward(
         self, gradient: Tensor, tapes: Sequence[Tape], *, parameters: bool = True, columns: slice | None = None
@@ -157,14 +157,13 @@ class MLP:
         """
         bfloat16 = tapes[0].bfloat16
         total: Tensor | None = None
-        hidden = self._hidden_layers(bfloat16=bfloat16)
+        computing = self._computing(bfloat16=bfloat16)
         out = self._rounded_gradients if bfloat16 else self._gradients
         for member, tape in enumerate(tapes):
             by_input = layers.backward(
                 gradient[member] if self.shape.members else gradient,
                 tape,
-                hidden[member],
-                self._layers[member][-1],
+                computing[member],
                 out=out[member] if parameters else None,
                 columns=columns,
             )

@@ -1,45 +1,16 @@
-"""Adam (Kingma, Ba 2015) over parameter vectors, and the settings of its steps."""
+"""Adam (Kingma, Ba 2015) over parameter vectors."""
 
 from __future__ import annotations
 
-from typing import Annotated, Any
+from collections.abc import Mapping
+from typing import Any
 
 import torch
-from pydantic import Field as Setting
-from pydantic import model_validator
 from torch import Tensor
 
-from ..core import AgentSettings, State
-from ..core.schedules import Linear
+from ..core import State
 
-Hidden = Annotated[tuple[Annotated[int, Setting(ge=1, le=65_536)], ...], Setting(min_length=1, max_length=32)]
-"""Units of each hidden layer."""
-
-
-class OptimiserSettings(AgentSettings):
-    """Settings of every agent that optimises with Adam."""
-
-    learning_rate: float = Setting(1e-3, gt=0, description="of all networks (Adam)")
-    learning_rate_end: float | None = Setting(
-        None, ge=0, description="learning rate after learning_rate_updates, reached linearly; null: constant"
-    )
-    learning_rate_updates: int | None = Setting(
-        None, ge=1, description="updates of the agent until learning_rate_end is reached, whatever its policy_delay"
-    )
-    gradient_norm: float | None = Setting(None, gt=0, description="longer gradients are clipped to this; null: never")
-
-    @model_validator(mode="after")
-    def _schedule_is_whole(self) -> Any:
-        if (self.learning_rate_end is None) != (self.learning_rate_updates is None):
-            raise ValueError("learning_rate_end and learning_rate_updates go together: give both or neither")
-        return self
-
-    @property
-    def rate(self) -> Linear:
-        """The learning rate by the number of the agent's updates."""
-        if self.learning_rate_end is None:
-            return Linear(self.learning_rate, self.learning_rate, 0)
-        return Linear(self.learning_rate, self.learning_rate_end, self.learning_rate_updates or 0)
+ADAM_REST: dict[str, Any] = {"beta1": 0.9, "beta2": 0.999, "weight_decay": 0.0, "amsgrad": False, "maximize": False}
 
 
 class Adam:
@@ -73,22 +44,19 @@ class Adam:
         if self._norm is not None:
             self._length = torch.linalg.vector_norm(gradient)
             gradient.mul_((self._norm / self._length).clamp_(max=1))
-        self._state["step"].add_(1)
+        step, mean, square = self._state.values()
+        step.add_(1)
         # The kernel of torch.optim.Adam(fused=True), whose Python takes longer than the kernel itself.
         torch._fused_adam_(
             [self._vector],
             [gradient],
-            [self._state["exp_avg"]],
-            [self._state["exp_avg_sq"]],
+            [mean],
+            [square],
             [],
-            [self._state["step"]],
+            [step],
             lr=self.learning_rate,
-            beta1=0.9,
-            beta2=0.999,
-            weight_decay=0.0,
             eps=self._epsilon,
-            amsgrad=False,
-            maximize=False,
+            **ADAM_REST,
         )
         # The fused step does not count as a change of the vector, and networks look at its version.
         torch.autograd.graph.increment_version(self._vector)
@@ -104,3 +72,9 @@ class Adam:
         for name, value in self._state.items():
             value.copy_(torch.as_tensor(state[name]))
         self.steps = int(self._state["step"])
+
+
+def set_learning_rates(optimisers: Mapping[str, Adam], rate: float) -> None:
+    """Set the rate of the next steps."""
+    for optimiser in optimisers.values():
+        optimiser.learning_rate = rate

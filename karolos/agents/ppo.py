@@ -20,9 +20,11 @@ from ..core.deployed import Deployed
 from ..core.seeding import SeedTree
 from ..errors import UsageError
 from .inputs import Normaliser, to_array
+from .metrics import learning_rates, saturation
 from .networks import MLP, Shape
-from .optimisation import Hidden, OptimiserSettings
-from .torch_agent import LOG_STD_BOUNDS, TorchAgent, saturation
+from .optimisation import set_learning_rates
+from .squashed_gaussian import LOG_STD_BOUNDS
+from .torch_agent import Hidden, OptimiserSettings, TorchAgent
 
 PPO_INPUT_CLIP = 10.0
 """Bound of normalised inputs. A better policy reaches states far from those of the first ones, e.g. a cart far from the
@@ -100,20 +102,12 @@ class PPO(TorchAgent[Rollout]):
             vectors["std"] = self.distribution.log_std
         self.optimisers = {name: self.adam(vector, epsilon=1e-5) for name, vector in vectors.items()}
 
-    @torch.inference_mode()
-    def act(
-        self,
-        observation: FloatArray,
-        desired_goal: FloatArray,
-        *,
-        explore: bool,
-        environments: NDArray[np.int64] | None = None,  # noqa: ARG002 (each step explores independently)
-    ) -> FloatArray:
-        """Actions (n, a) for observations (n, o) and goals (n, g): in [-1, 1], or unclipped when exploring."""
-        output = self.policy(self.network_input(observation, desired_goal))
-        if explore:
-            return to_array(self.distribution.sample(output, self.generator))
-        return to_array(self.distribution.mode(output))
+    def best(self, inputs: Tensor) -> Tensor:
+        return self.distribution.mode(self.policy(inputs))
+
+    def explore(self, inputs: Tensor, environments: NDArray[np.int64] | None) -> Tensor:  # noqa: ARG002 (interface)
+        """Unclipped actions."""
+        return self.distribution.sample(self.policy(inputs), self.generator)
 
     @torch.inference_mode()
     def learn(self, batch: Rollout) -> Mapping[str, Any]:
@@ -129,7 +123,8 @@ class PPO(TorchAgent[Rollout]):
             if metrics is None:
                 break
             updates.append(metrics)
-        self._observe(batch)
+        seen = np.concatenate((batch.observation, batch.desired_goal), -1)[batch.stored]
+        self.normaliser.update(torch.from_numpy(seen).to(self.device))
         means = {name: torch.stack([metrics[name] for metrics in updates]).mean() for name in updates[0]}
         return means | self._rollout_metrics(transitions) | {"updates": len(updates)}
 
@@ -149,7 +144,7 @@ class PPO(TorchAgent[Rollout]):
         by_output = self.distribution.backward(output, minibatch.action, gradient, -settings.entropy / len(ratio))
         entropy = self.distribution.entropy(output).mean()
         self.policy.backward(by_output, tapes)
-        self.set_learning_rates(self.optimisers["policy"].steps)
+        set_learning_rates(self.optimisers, settings.rate(self.optimisers["policy"].steps))
         self.optimisers["policy"].step(self.policy.gradient)
         if isinstance(self.distribution, Gaussian):
             self.optimisers["std"].step(self.distribution.gradient)
@@ -223,17 +218,12 @@ class PPO(TorchAgent[Rollout]):
         metrics = {
             "explained_variance": torch.where(total > 0, 1 - unexplained / total, torch.zeros_like(total)),
             "value_mean": transitions.value.mean(),
-            **self.learning_rates(),
+            **learning_rates(self.optimisers),
         }
         if isinstance(self.distribution, Gaussian):
             metrics["action_saturation"] = saturation(transitions.action)
             metrics["std"] = self.distribution.log_std.exp().mean()
         return metrics
-
-    def _observe(self, rollout: Rollout) -> None:
-        """Add the rollout's observations and goals to the statistics of the normaliser."""
-        rows = torch.from_numpy(np.concatenate((rollout.observation, rollout.desired_goal), -1)[rollout.stored])
-        self.normaliser.update(rows.to(self.device))
 
     def deployed(self) -> Deployed:
         """The mean action, clipped to [-1, 1], or the most likely discrete one."""

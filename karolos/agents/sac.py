@@ -1,7 +1,4 @@
-"""Soft actor-critic (Haarnoja et al. 2018, arXiv 1812.05905), with additions for robot tasks with sparse rewards.
-
-Each loss stands with its gradient: under autograd an update takes 9 to 18 % longer (docs/what_was_tried.md).
-"""
+"""Soft actor-critic (Haarnoja et al. 2018, arXiv 1812.05905), with additions for robot tasks with sparse rewards."""
 
 from __future__ import annotations
 
@@ -16,13 +13,13 @@ from torch import Tensor
 
 from ..core import Batch, Signature
 from ..core.seeding import SeedTree
-from .actor_critic import ActorCritic, ActorCriticSettings, Critic, imitation_loss
-from .inputs import TensorBatch
+from .actor_critic import ActorCritic, ActorCriticSettings, imitation_loss
+from .inputs import TensorBatch, tensor_batch
+from .metrics import Metrics, report, saturation
 from .noise import NoiseSettings
-from .optimisation import Adam
+from .optimisation import Adam, set_learning_rates
 from .quantiles import QuantileCritic, Quantiles
 from .squashed_gaussian import Sample, sample
-from .torch_agent import Metrics, saturation
 
 
 class SAC(ActorCritic):
@@ -60,34 +57,38 @@ class SAC(ActorCritic):
     shaping: ClassVar[tuple[str, ...]] = (*ActorCritic.shaping, "critic")
     learned: ClassVar[tuple[str, ...]] = ("policy", "critic", "target", "normaliser", "log_temperature")
     stored: tuple[str, ...] = ("policy", "critic", "target", "normaliser", "noise", "log_temperature")
+    policy_columns: ClassVar[int] = 2
 
     def __init__(self, settings: SAC.Settings, signature: Signature, seeds: SeedTree, device: str = "cpu") -> None:
-        kind = QuantileCritic(settings.critic) if settings.critic else Critic()
-        super().__init__(settings, signature, seeds, device, critic_kind=kind, members=2, policy_columns=2)
+        if settings.critic:
+            self.critic_kind = QuantileCritic(settings.critic)
+        super().__init__(settings, signature, seeds, device)
         self.log_temperature = torch.full((1,), math.log(settings.temperature), device=self.device)
         self.optimisers["temperature"] = Adam(self.log_temperature, settings.learning_rate)
         self._target_entropy = -float(self.actions) if settings.target_entropy is None else settings.target_entropy
 
-    def explore(self, output: Tensor, noise: Tensor) -> Tensor:
+    def noisy(self, output: Tensor, noise: Tensor) -> Tensor:
         return sample(output, noise).action
 
     @torch.inference_mode()
     def learn(self, batch: Batch) -> Mapping[str, Any]:
         """One update: targets, critics, policy, temperature, target networks."""
         update, delay = self.optimisers["critic"].steps, self.settings.policy_delay
-        data = self.begin_update(batch, update)
+        set_learning_rates(self.optimisers, self.settings.rate(update))
+        data = tensor_batch(batch, self.normaliser, self.device, update)
         policy_learns = update % delay == 0
         # One pass of the policy gives the actions in both s' and s: it changes after both are used.
         drawn = self.sample(data.both_inputs if policy_learns else data.next_input)
         next_actions, actions = drawn.split(len(data.action))
 
-        metrics = self.critic_step(data, self.targets(data, next_actions))
+        targets = self.targets(data, next_actions.action, self.counted_entropy(next_actions))
+        metrics = self.critic_step(data, targets)
         if policy_learns:
             log_probability = actions.log_probability()
             metrics |= self.policy_step(data, actions, log_probability)
             metrics |= self.temperature_step(-log_probability.mean())
         self.target.follow(self.critic, self.settings.tau)
-        return self.report(metrics, update // delay)
+        return report(metrics, self.optimisers, update // delay)
 
     def sample(self, inputs: Tensor) -> Sample:
         """a ~ pi(. | s)."""
@@ -95,15 +96,9 @@ class SAC(ActorCritic):
         noise = torch.randn((len(inputs), self.actions), generator=self.generator, device=self.device)
         return sample(output, noise, tapes)
 
-    def targets(self, batch: TensorBatch, next_actions: Sample) -> Tensor:
-        """y = r + discount (Q'(s', a') - temperature log pi(a' | s')), clipped to the possible values: (n, k).
-
-        Source: Haarnoja et al. 2018, equations 3 and 5. The entropy counts with `entropy_in_target` only.
-        """
-        values = self.next_values(batch, next_actions.action)
-        if self.settings.entropy_in_target:
-            values = values - (self.log_temperature.exp() * next_actions.log_probability()).unsqueeze(1)
-        return self.backup(batch, values)
+    def counted_entropy(self, actions: Sample) -> Tensor | None:
+        """- temperature log pi(a | s), (n,), if it counts in the critics' targets."""
+        return -(self.log_temperature.exp() * actions.log_probability()) if self.settings.entropy_in_target else None
 
     def policy_step(self, batch: TensorBatch, own: Sample, log_probability: Tensor) -> Metrics:
         """One gradient step of the policy on L = sum_i weight_i (temperature log pi(a_i | s_i) - Q(s_i, a_i)).

@@ -11,7 +11,9 @@ from torch import Tensor
 from torch.nn import functional
 
 from .layers import Tape
-from .torch_agent import LOG_STD_BOUNDS
+
+LOG_STD_BOUNDS = (-5.0, 2.0)
+"""Of a Gaussian policy: below, log probabilities explode; above, actions are corners only."""
 
 
 class Sample(NamedTuple):

@@ -2,14 +2,12 @@
 
 from __future__ import annotations
 
-from typing import Any, ClassVar
+from typing import ClassVar
 
 import torch
 from pydantic import Field as Setting
 from torch import Tensor
 
-from ..core import Signature
-from ..core.seeding import SeedTree
 from .ddpg import DDPG
 
 
@@ -29,9 +27,10 @@ class TD3(DDPG):
 
     critics: ClassVar[int] = 2
 
-    def __init__(self, settings: Any, signature: Signature, seeds: SeedTree, device: str = "cpu") -> None:
-        super().__init__(settings, signature, seeds, device)
-        self.policy_delay = settings.policy_delay
+    @property
+    def policy_delay(self) -> int:
+        delay: int = self.settings.policy_delay
+        return delay
 
     def next_action(self, next_input: Tensor) -> Tensor:
         """a' = clip(pi'(s') + clip(noise, -c, c), -1, 1): target policy smoothing, equation 14."""

@@ -1,34 +1,57 @@
-"""What the agents of karolos share: seeds, device, inputs, optimisers, metrics and state."""
+"""What the agents of karolos share: seeds, device, inputs, optimisers and state."""
 
 from __future__ import annotations
 
 import math
-from collections.abc import Callable, Iterator, Mapping
+from abc import abstractmethod
+from collections.abc import Iterator
 from itertools import pairwise
-from typing import Any, ClassVar
+from typing import Annotated, Any, ClassVar
 
 import torch
+from numpy import int64
+from numpy.typing import NDArray
+from pydantic import Field as Setting
+from pydantic import model_validator
 from torch import Tensor
 
-from ..core import FLOAT_BYTES, Agent, Batch, Experience, FloatArray, MemoryNeed, RunSize, Signature, State
+from ..core import FLOAT_BYTES, Agent, AgentSettings, Experience, FloatArray, MemoryNeed, RunSize, Signature, State
 from ..core.deployed import Deployed, Layer, Output
+from ..core.schedules import Linear
 from ..core.seeding import SeedTree
-from .inputs import INPUT_CLIP, Normaliser, TensorBatch, tensor_batch, to_array
+from .inputs import INPUT_CLIP, Normaliser, to_array
 from .layers import LAYER_NORM_EPSILON
 from .networks import MLP
 from .optimisation import Adam
 
-ALL_OBSERVED = 500
-"""The batches of this many first updates all enter the statistics of the normaliser."""
-OBSERVED_EVERY = 4
-"""Later one batch in this many does: the statistics hardly move, and it takes 2 % of an update."""
-REPORT_EVERY = 8
-"""One update in this many computes its metrics, which takes 2 % of an update."""
-LOG_STD_BOUNDS = (-5.0, 2.0)
-"""Of a Gaussian policy: below, log probabilities explode; above, actions are corners only."""
+Hidden = Annotated[tuple[Annotated[int, Setting(ge=1, le=65_536)], ...], Setting(min_length=1, max_length=32)]
+"""Units of each hidden layer."""
 
-Metrics = dict[str, Tensor | Callable[[], Tensor]]
-"""Named scalars, some of them not computed yet."""
+
+class OptimiserSettings(AgentSettings):
+    """Settings of every agent that optimises with Adam."""
+
+    learning_rate: float = Setting(1e-3, gt=0, description="of all networks (Adam)")
+    learning_rate_end: float | None = Setting(
+        None, ge=0, description="learning rate after learning_rate_updates, reached linearly; null: constant"
+    )
+    learning_rate_updates: int | None = Setting(
+        None, ge=1, description="updates of the agent until learning_rate_end is reached, whatever its policy_delay"
+    )
+    gradient_norm: float | None = Setting(None, gt=0, description="longer gradients are clipped to this; null: never")
+
+    @model_validator(mode="after")
+    def _schedule_is_whole(self) -> Any:
+        if (self.learning_rate_end is None) != (self.learning_rate_updates is None):
+            raise ValueError("learning_rate_end and learning_rate_updates go together: give both or neither")
+        return self
+
+    @property
+    def rate(self) -> Linear:
+        """The learning rate by the number of the agent's updates."""
+        if self.learning_rate_end is None:
+            return Linear(self.learning_rate, self.learning_rate, 0)
+        return Linear(self.learning_rate, self.learning_rate_end, self.learning_rate_updates or 0)
 
 
 class TorchAgent(Agent[Experience]):
@@ -59,6 +82,26 @@ class TorchAgent(Agent[Experience]):
         """Draws the weights of the networks, on the CPU."""
         self.generator = torch.Generator(self.device).manual_seed(seeds.child("noise").integer())
 
+    @torch.inference_mode()
+    def act(
+        self,
+        observation: FloatArray,
+        desired_goal: FloatArray,
+        *,
+        explore: bool,
+        environments: NDArray[int64] | None = None,
+    ) -> FloatArray:
+        inputs = self.network_input(observation, desired_goal)
+        return to_array(self.explore(inputs, environments) if explore else self.best(inputs))
+
+    @abstractmethod
+    def explore(self, inputs: Tensor, environments: NDArray[int64] | None) -> Tensor:
+        """Exploring actions (n, a) for normalised inputs (n, i)."""
+
+    @abstractmethod
+    def best(self, inputs: Tensor) -> Tensor:
+        """Actions (n, a) without exploration for normalised inputs (n, i)."""
+
     def network_input(self, observation: FloatArray, desired_goal: FloatArray) -> Tensor:
         """Observations (n, o) and goals (n, g) side by side, normalised; the statistics stay unchanged."""
         rows = torch.cat((torch.from_numpy(observation), torch.from_numpy(desired_goal)), 1)
@@ -67,32 +110,6 @@ class TorchAgent(Agent[Experience]):
     def adam(self, vector: Tensor, *, epsilon: float = 1e-8) -> Adam:
         """An optimiser as the settings say."""
         return Adam(vector, self.settings.learning_rate, epsilon=epsilon, norm=self.settings.gradient_norm)
-
-    def set_learning_rates(self, update: int) -> None:
-        """Set those of this update; the first is 0."""
-        rate = self.settings.rate(update)
-        for optimiser in self.optimisers.values():
-            optimiser.learning_rate = rate
-
-    def begin_update(self, batch: Batch, update: int) -> TensorBatch:
-        """Set the learning rates and return the batch as tensors. Most batches do not enter the statistics."""
-        self.set_learning_rates(update)
-        observe = update < ALL_OBSERVED or update % OBSERVED_EVERY == 0
-        return tensor_batch(batch, self.normaliser, self.device, observe=observe)
-
-    def report(self, metrics: Mapping[str, Any], turn: int) -> dict[str, Any]:
-        """Priorities, and in one turn of `REPORT_EVERY` the computed metrics and the learning rates."""
-        if turn % REPORT_EVERY:
-            return {"priorities": metrics["priorities"]}
-        return {name: value() if callable(value) else value for name, value in metrics.items()} | self.learning_rates()
-
-    def learning_rates(self) -> dict[str, Tensor]:
-        """The learning rate of each optimiser, as metrics."""
-        one = len(self.optimisers) == 1
-        return {
-            "learning_rate" if one else f"{name}_learning_rate": torch.tensor(optimiser.learning_rate)
-            for name, optimiser in self.optimisers.items()
-        }
 
     def policy_arrays(self, network: MLP, output: Output, columns: slice = slice(None)) -> Deployed:
         """Normaliser and network for use outside karolos, as copies on the CPU.
@@ -150,8 +167,3 @@ def value_bounds(signature: Signature, discount: float, *, clip: bool) -> tuple[
     low, high = signature.reward_range
     forever = 1 / (1 - discount)  # the return of a reward of 1 at each step; a termination can leave a single step
     return min(low, low * forever), max(high, high * forever)
-
-
-def saturation(action: Tensor) -> Tensor:
-    """Fraction of the action's numbers beyond +- 0.99."""
-    return (action.abs() > 0.99).float().mean()

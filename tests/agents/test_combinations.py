@@ -38,7 +38,7 @@ def combinations() -> Iterator[tuple[str, dict[str, Any]]]:
                     yield agent, {"name": buffer, **options}
 
 
-def spec_of(agent: str, buffer: dict[str, Any]) -> Spec:
+def spec_of(agent: str, buffer: dict[str, Any], environment: dict[str, Any] | None = None) -> Spec:
     tuned = {
         "sac": {"tau": 0.05},
         "td3": {"tau": 0.05},
@@ -50,7 +50,7 @@ def spec_of(agent: str, buffer: dict[str, Any]) -> Spec:
         training = {"steps": 1_600, "batch_size": 64, "replay_ratio": 64, "warmup_episodes": 16}
     return spec_from_dict(
         {
-            "environment": BITS if agent == "dqn" else LINE,
+            "environment": environment or (BITS if agent == "dqn" else LINE),
             "agent": {"name": agent, **SMALL, **tuned.get(agent, {})},
             "buffer": buffer,
             "orchestrator": {"name": "local", "processes": 0, "environments": 8},
@@ -66,7 +66,14 @@ def named(combination: tuple[str, dict[str, Any]]) -> str:
 
 @pytest.mark.parametrize("combination", list(combinations()), ids=named)
 def test_it_learns(combination: tuple[str, dict[str, Any]]) -> None:
-    spec, seeds = spec_of(*combination), SeedTree(0)
+    before, after = learned(spec_of(*combination))
+    assert before < 0.5
+    assert after > 0.9
+
+
+def learned(spec: Spec) -> tuple[float, float]:
+    """Success before and after training."""
+    seeds = SeedTree(0)
     check_parts(spec)
     with make_orchestrator(spec, randomize=True) as environments, make_orchestrator(spec, randomize=False) as tests:
         agent = make_agent(spec, environments.signature, seeds)
@@ -81,8 +88,15 @@ def test_it_learns(combination: tuple[str, dict[str, Any]]) -> None:
         before = success()
         for _ in Training(environments, agent, buffer, spec.training, seeds).rounds():
             pass
-        assert before < 0.5
-        assert success() > 0.9
+        return before, success()
+
+
+@pytest.mark.parametrize(("hindsight", "n_step"), [(True, 1), (True, 2), (False, 1)])
+def test_bits_that_chance_hardly_flips_right_are_learned_with_hindsight_only(hindsight: bool, n_step: int) -> None:
+    buffer = {"name": "uniform", "n_step": n_step} | ({"hindsight": {}} if hindsight else {})
+    spec = spec_of("dqn", buffer, {"name": "bit_flip", "bits": 8})
+    _, after = learned(spec)
+    assert after > 0.8 if hindsight else after < 0.2
 
 
 def test_every_agent_that_ships_is_there() -> None:

@@ -13,10 +13,8 @@ from support.parts import batch, signature
 
 from karolos.agents.dqn import DQN
 from karolos.agents.inputs import TensorBatch, tensor_batch
-from karolos.buffers.uniform import Uniform
-from karolos.core import Discrete, Signature, Transitions
+from karolos.core import Discrete, Signature
 from karolos.core.seeding import SeedTree
-from karolos.environments.bit_flip import BitFlip
 from karolos.errors import UsageError
 
 SMALL = {"hidden": (32, 32), "learning_rate": 3e-3, "tau": 0.1, "precision": "float32"}
@@ -42,18 +40,6 @@ def values(agent: DQN, inputs: TensorBatch) -> np.ndarray:
     return agent._values(head).numpy()
 
 
-@pytest.mark.parametrize("settings", [{}, {"dueling": True}, {"loss": "squared", "layer_norm": True}])
-@pytest.mark.parametrize(("terminated", "value"), [(0.0, 5.0), (1.0, 1.0)])
-def test_values_look_beyond_a_truncation_and_not_beyond_a_termination(
-    terminated: float, value: float, settings: dict[str, Any]
-) -> None:
-    agent = make(discount=0.8, learning_rate=5e-3, **settings)
-    for seed in range(300):
-        agent.learn(some(32, seed % 20, reward=1, terminated=terminated, discount=0.8))
-    found = values(agent, tensor_batch(some(200, 99), agent.normaliser, agent.device))
-    assert found.mean() == pytest.approx(value, rel=0.05)
-
-
 @pytest.mark.parametrize("double_q", [True, False])
 def test_target_is_what_the_target_network_says_of_the_action_that_the_online_network_prefers(double_q: bool) -> None:
     agent = make(double_q=double_q, clip_targets=False)
@@ -66,14 +52,6 @@ def test_target_is_what_the_target_network_says_of_the_action_that_the_online_ne
     expected = data.reward + 0.9 * (1 - ended) * theirs[np.arange(64), preferred]
     np.testing.assert_allclose(agent.targets(inputs).numpy(), expected, rtol=1e-5)
     assert (online.argmax(1) != theirs.argmax(1)).any()
-
-
-def test_targets_stay_within_what_rewards_make_possible() -> None:
-    bounded = replace(discrete(), reward_range=(-1.0, 0.0))
-    for clip, least in ((True, -10.0), (False, -100.0)):
-        agent = make(bounded, discount=0.9, clip_targets=clip)
-        inputs = tensor_batch(some(64, reward=-100, terminated=1), agent.normaliser, agent.device)
-        assert agent.targets(inputs).min() == pytest.approx(least)
 
 
 def test_values_of_an_episode_that_ends_at_once_are_possible_too() -> None:
@@ -171,32 +149,6 @@ def test_exploration_goes_on_bit_for_bit_from_a_saved_state() -> None:
         assert torch.equal(first.target.vector, second.target.vector)
 
 
-def test_an_action_survives_the_buffer_as_the_index_it_was() -> None:
-    of = replace(signature(goal=0), action=Discrete(tuple(map(str, range(1000)))), max_steps=1000)
-    buffer = Uniform(Uniform.Settings(capacity=1000), of, SeedTree(0), environments=1, discount=0.9)
-    none = np.zeros((1, 0), np.float32)
-    for index in range(1000):
-        place = np.full((1, 3), index, np.float32)
-        buffer.add(
-            Transitions(
-                environment=np.zeros(1, np.int64),
-                observation=place,
-                achieved_goal=none,
-                desired_goal=none,
-                action=np.float32([[index]]),
-                reward=np.zeros(1, np.float32),
-                next_observation=place,
-                next_achieved_goal=none,
-                terminated=np.zeros(1, np.bool_),
-                truncated=np.zeros(1, np.bool_),
-            )
-        )
-    sampled = buffer.sample(500)
-    agent = DQN(DQN.Settings.model_validate(SMALL), of, SeedTree(0))
-    index = tensor_batch(sampled, agent.normaliser, agent.device).action.long()
-    np.testing.assert_array_equal(index.numpy()[:, 0], sampled.observation[:, 0].astype(np.int64))
-
-
 def test_learns_the_best_action_of_a_bandit_from_uniform_ones() -> None:
     agent = make(discount=0.0)
     for seed in range(300):
@@ -207,53 +159,6 @@ def test_learns_the_best_action_of_a_bandit_from_uniform_ones() -> None:
     data = some(500, 1000)
     best = (data.observation[:, 0] > 0) + 2 * (data.observation[:, 1] > 0)
     assert (agent.act(data.observation, data.desired_goal, explore=False)[:, 0] == best).mean() > 0.9
-
-
-def play(agent: DQN, worlds: list[BitFlip], first_seed: int, buffer: Uniform | None = None) -> float:
-    """One episode in each world, as long as any goes on; share that reached the goal. With a buffer: learn."""
-    steps = [world.reset(first_seed + number) for number, world in enumerate(worlds)]
-    running = np.arange(len(worlds))
-    while running.size:
-        before = [steps[number] for number in running]
-        observation, achieved, goal = (np.stack(field) for field in list(zip(*before, strict=True))[:3])
-        actions = agent.act(observation, goal, explore=buffer is not None)
-        for number, action in zip(running.tolist(), actions, strict=True):
-            steps[number] = worlds[number].step(action)
-        after = [steps[number] for number in running]
-        over = np.bool_([step.terminated or step.truncated for step in after])
-        if buffer is not None:
-            buffer.add(
-                Transitions(
-                    environment=running,
-                    observation=observation,
-                    achieved_goal=achieved,
-                    desired_goal=goal,
-                    action=actions,
-                    reward=np.float32([step.reward for step in after]),
-                    next_observation=np.stack([step.observation for step in after]),
-                    next_achieved_goal=np.stack([step.achieved_goal for step in after]),
-                    terminated=np.bool_([step.terminated for step in after]),
-                    truncated=np.bool_([step.truncated for step in after]),
-                )
-            )
-            for _ in range(4):
-                agent.learn(buffer.sample(64))
-        running = running[~over]
-    return float(np.mean([step.success for step in steps]))
-
-
-@pytest.mark.parametrize(("hindsight", "n_step"), [(True, 1), (True, 2), (False, 1)])
-def test_bits_that_chance_hardly_flips_right_are_learned_with_hindsight_only(hindsight: bool, n_step: int) -> None:
-    worlds = [BitFlip(BitFlip.Settings(bits=8)) for _ in range(16)]
-    of = worlds[0].signature
-    settings = {**SMALL, "hidden": (64, 64), "tau": 0.05, "epsilon_steps": 1000}
-    agent = DQN(DQN.Settings.model_validate(settings), of, SeedTree(0))
-    replay = Uniform.Settings.model_validate({"hindsight": {} if hindsight else None, "n_step": n_step})
-    buffer = Uniform(replay, of, SeedTree(0), environments=16, discount=agent.discount)
-    for episode in range(16):
-        play(agent, worlds, 16 * episode, buffer)
-    found = np.mean([play(agent, worlds, 100_000 + 16 * k) for k in range(4)])
-    assert found > 0.8 if hindsight else found < 0.2
 
 
 def test_continuous_actions_are_refused_with_the_setting_that_helps() -> None:

@@ -29,6 +29,8 @@ OPTIONS: list[dict[str, Any]] = [
     {"imitation": 2.0},
     {"imitation": 2.0, "action_penalty": 20.0, "layer_norm": True},
 ]
+NOT_OBSERVED = 1001
+"""An update whose batch does not enter the statistics of inputs."""
 STILL = {"hidden": (32, 24), "precision": "float32", "learning_rate": 1e-12}
 
 
@@ -66,7 +68,7 @@ def test_sacs_gradients_are_those_of_its_losses(options: dict[str, Any]) -> None
     agent.learn(data())
     found = {"policy": agent.policy.gradient.clone(), "critic": agent.critic.gradient.clone()}
 
-    inputs = tensor_batch(data(), agent.normaliser, agent.device, observe=False)
+    inputs = tensor_batch(data(), agent.normaliser, agent.device, update=NOT_OBSERVED)
     noise = torch.randn((128, 2), generator=agent.generator.set_state(before))
 
     def policys(values: Tensor) -> Tensor:
@@ -87,7 +89,7 @@ def test_sacs_gradients_are_those_of_its_losses(options: dict[str, Any]) -> None
     torch.testing.assert_close(found["policy"], expected, rtol=1e-3, atol=1e-6)
     if settings.critic is None:
         agent.generator.set_state(before)
-        targets = agent.targets(inputs, agent.sample(inputs.both_inputs).split(64)[0])
+        targets = agent.targets(inputs, agent.sample(inputs.both_inputs).action[:64])
         expected = critics_gradient(agent.critic, inputs, targets)
         torch.testing.assert_close(found["critic"], expected, rtol=1e-3, atol=1e-6)
 
@@ -101,7 +103,7 @@ def test_deterministic_agents_gradients_are_those_of_their_losses(agent: Any, op
     made.learn(data())
     found = {"policy": made.policy.gradient.clone(), "critic": made.critic.gradient.clone()}
 
-    inputs = tensor_batch(data(), made.normaliser, made.device, observe=False)
+    inputs = tensor_batch(data(), made.normaliser, made.device, update=NOT_OBSERVED)
     policy = leaf(made.policy)
     action = torch.tanh(plain(made.policy, inputs.input, policy))
     own, demonstrated = (value(made.critic, inputs, a)[0, :, 0] for a in (action, inputs.action))
@@ -109,7 +111,7 @@ def test_deterministic_agents_gradients_are_those_of_their_losses(agent: Any, op
     loss = loss + settings.imitation * shown(action, demonstrated > own, inputs)
     expected = torch.autograd.grad(loss, policy)[0]
     torch.testing.assert_close(found["policy"], expected, rtol=1e-3, atol=1e-6)
-    expected = critics_gradient(made.critic, inputs, made.targets(inputs))
+    expected = critics_gradient(made.critic, inputs, made.targets(inputs, made.next_action(inputs.next_input)))
     torch.testing.assert_close(found["critic"], expected, rtol=1e-3, atol=1e-6)
 
 
@@ -127,7 +129,7 @@ def test_dqns_gradient_is_that_of_its_loss(options: dict[str, Any], dueling: boo
     told = agent.learn(played)
     found = agent.network.gradient.clone()
 
-    inputs = tensor_batch(played, agent.normaliser, agent.device, observe=False)
+    inputs = tensor_batch(played, agent.normaliser, agent.device, update=NOT_OBSERVED)
     network = leaf(agent.network)
     head = plain(agent.network, inputs.input, network)
     values = head[:, :1] + head[:, 1:] - head[:, 1:].mean(1, keepdim=True) if dueling else head

@@ -10,9 +10,10 @@ from pydantic import ValidationError
 from support.parts import batch, signature
 
 from karolos.agents.ddpg import DDPG
-from karolos.agents.optimisation import Adam, OptimiserSettings
+from karolos.agents.optimisation import Adam
 from karolos.agents.sac import SAC
 from karolos.agents.td3 import TD3
+from karolos.agents.torch_agent import OptimiserSettings
 from karolos.core.seeding import SeedTree
 
 

@@ -7,8 +7,7 @@ import pytest
 import torch
 from torch.distributions import Independent, Normal, TanhTransform, TransformedDistribution
 
-from karolos.agents.squashed_gaussian import sample
-from karolos.agents.torch_agent import LOG_STD_BOUNDS
+from karolos.agents.squashed_gaussian import LOG_STD_BOUNDS, sample
 
 
 def noise_for(head: torch.Tensor, seed: int) -> torch.Tensor:
