@@ -12,7 +12,7 @@ from ..core import Failure
 from ..evaluation.due_tests import DueTest, EvaluationProcess, Evaluator
 from ..evaluation.testing import test_seeds
 from ..records.results import TestResult
-from ..spec import Spec
+from ..specification import Spec
 from ..training.training import Training
 from .announcer import Announce
 from .signals import StopRequest

@@ -21,8 +21,8 @@ from ..records import RunFolder
 from ..records.final_test import FinalTest
 from ..records.results import TestResult
 from ..records.run_records import RunSummary
-from ..spec import Spec, spec_from_dict
-from ..spec.model import DemonstrationSettings
+from ..specification import Spec, spec_from_dict
+from ..specification.model import DemonstrationSettings
 from ..training.assembly import make_agent, make_buffer, make_orchestrator
 from ..training.demonstrations import collect_demonstrations
 from ..training.episodes import Episode

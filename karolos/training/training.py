@@ -25,7 +25,7 @@ from typing import Any
 from ..core import Agent, Buffer, Failure, Orchestrator, State
 from ..core.seeding import SeedTree
 from ..errors import RunError
-from ..spec.model import TrainingSettings
+from ..specification.model import TrainingSettings
 from .collecting import Collector
 from .episodes import Episode
 from .learning import Learner

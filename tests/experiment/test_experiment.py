@@ -16,7 +16,7 @@ from karolos.experiment.events import RunEnded, RunStarted, RunTested, RunWarned
 from karolos.launchers.experiment import Experiment
 from karolos.records import RunFolder
 from karolos.report.tables import runs_table
-from karolos.spec import spec_from_dict
+from karolos.specification import spec_from_dict
 from karolos.store import Store
 from karolos.training.assembly import check_parts
 
