@@ -85,6 +85,7 @@ class World:
         self._markers: list[tuple[Body, float, Colour]] = []
         self._motors: list[Motors] = []
         self._free: list[Body] = []
+        self._stepped = False
         self._window = window
         self.floor = self._create(
             self._shape(api.GEOM_BOX, halfExtents=FLOOR_HALF, collisionFramePosition=(0, 0, -FLOOR_HALF[2])),
@@ -94,6 +95,7 @@ class World:
         self.set_floor_friction(FLOOR_FRICTION)
 
     def step(self) -> None:
+        self._stepped = True
         for substep in range(self.substeps):
             for motors in self._motors:
                 motors.substep(substep)
@@ -158,6 +160,9 @@ class World:
 
     def forget_contacts(self) -> None:
         # PyBullet forgets a contact, which would warm-start the solver, when it detects that the bodies are apart
+        if not self._stepped:  # a detection before the first step would change the order of contacts
+            return
+        self._stepped = False
         poses = [body.pose() for body in self._free]
         for number, body in enumerate(self._free):
             body.place((0.0, 0.0, 10.0 + number))
