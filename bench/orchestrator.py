@@ -24,7 +24,7 @@ from karolos.environments.build import build_environment
 from karolos.orchestrator.local import Local
 from karolos.orchestrator.machine import cores
 from karolos.orchestrator.ray import Ray
-from karolos.spec import spec_from_dict
+from karolos.specification import spec_from_dict
 
 from .side_by_side import Row, beside, seconds_of, take_turns
 

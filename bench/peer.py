@@ -17,7 +17,7 @@ import yaml
 from karolos.environments.build import build_environment
 from karolos.environments.gymnasium.export import GoalEnv
 from karolos.errors import UsageError
-from karolos.spec import Spec, load_spec
+from karolos.specification import Spec, load_spec
 
 from .side_by_side import Row, require
 

@@ -24,7 +24,7 @@ from karolos.records import RunFolder
 from karolos.records.provenance import versions
 from karolos.records.results import TestResult, encode_test
 from karolos.records.run_records import FORMAT, RunState
-from karolos.spec import spec_from_dict
+from karolos.specification import spec_from_dict
 from karolos.store import Store, check, reindex
 
 from .side_by_side import Row, seconds_of

@@ -168,7 +168,7 @@ def select(store: Store, selector: str) -> tuple[RunSummary, ...]:
 
 
 def _of_spec(store: Store, path: str) -> tuple[RunSummary, ...]:
-    from karolos.spec import load_spec
+    from karolos.specification import load_spec
 
     digest = load_spec(Path(path), ()).hash()
     found = store.runs(experiment=digest)

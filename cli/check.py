@@ -29,7 +29,7 @@ def check(
     Exit code 0: all specs are valid; 2: one is invalid; 3: one names a broken plugin.
     """
     from karolos.errors import KarolosError, SpecError, UsageError
-    from karolos.spec import load_spec
+    from karolos.specification import load_spec
 
     worst = 0
     overrides = [argument for argument in arguments if _is_override(argument)]

@@ -48,8 +48,8 @@ def complete_plugin(kind: str | None = None) -> Callable[[typer.Context, str], l
 def complete_setting(ctx: typer.Context, incomplete: str) -> list[str]:
     """PATH= for each setting of a spec and of the plugin whose key is typed, which is imported."""
     from karolos.registry import load
-    from karolos.spec.files import SpecFiles, named_plugins
-    from karolos.spec.model import Spec
+    from karolos.specification.files import SpecFiles, named_plugins
+    from karolos.specification.model import Spec
 
     found = list(_settings(Spec))
     with suppress(KarolosError):
@@ -61,7 +61,7 @@ def complete_setting(ctx: typer.Context, incomplete: str) -> list[str]:
 
 def _settings(model: type[BaseModel]) -> Iterator[str]:
     """The fields of a model, and those of nested models with dotted names."""
-    from karolos.spec.problems import models_in
+    from karolos.specification.problems import models_in
 
     for name, field in model.model_fields.items():
         yield name

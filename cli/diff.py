@@ -51,7 +51,7 @@ def _side(selector: str, runs: Path, database: str | None) -> Side:
     from karolos.comparison import sides
 
     if is_spec(selector):
-        from karolos.spec import load_spec
+        from karolos.specification import load_spec
 
         return sides.of_spec(load_spec(Path(selector)), selector)
     return sides.of_run(open_run(selector, runs, database))

@@ -80,7 +80,7 @@ def play(
     from karolos.report.video import write_video
 
     if expert:
-        from karolos.spec import load_spec
+        from karolos.specification import load_spec
 
         spec = load_spec(run, changed)
         target = _film(out or Path(f"{spec.name}.mp4"), window=window)

@@ -125,7 +125,7 @@ def check(
     A robot is checked with every installed task, and a task with every installed robot. This takes a minute.
     """
     from karolos.plugins.contracts import candidate, cases, results
-    from karolos.spec import parse_settings
+    from karolos.specification import parse_settings
 
     found = cases(candidate(_kind(kind), name, engine, **parse_settings(settings or ())))
     checked, broken = 0, 0
@@ -161,7 +161,7 @@ def _settings(model: type[BaseModel], prefix: str = "") -> list[dict[str, Any]]:
     """One row per setting. The settings of a nested model follow with dotted names."""
     from pydantic_core import to_jsonable_python
 
-    from karolos.spec.problems import models_in
+    from karolos.specification.problems import models_in
 
     schemas = model.model_json_schema()["properties"] if model.model_fields else {}
     found = []

@@ -64,7 +64,7 @@ def run(
     """
     if jobs in (None, 1) and on is None and not detach:
         _start_workers(spec, overrides or ())
-    from karolos.spec import load_spec
+    from karolos.specification import load_spec
 
     found = load_spec(spec, with_launcher(overrides, on))
     if detach:
@@ -110,7 +110,7 @@ def _detach(log: Path) -> NoReturn:
 def _start_workers(spec: Path, overrides: Sequence[str]) -> None:
     """Start the server of the worker processes while this process imports the agent, which takes longer."""
     from karolos.orchestrator.start import start_server
-    from karolos.spec.files import SpecFiles, named_plugins
+    from karolos.specification.files import SpecFiles, named_plugins
 
     with suppress(KarolosError):  # `load_spec` reports it
         tree = SpecFiles(spec).load()

@@ -26,8 +26,8 @@ def show(
     With --origin: one line per value with its file:line:column, override or default.
     """
     from karolos.report.tables import setting
-    from karolos.spec import load_spec, to_yaml
-    from karolos.spec.nodes import leaves
+    from karolos.specification import load_spec, to_yaml
+    from karolos.specification.nodes import leaves
 
     found = load_spec(spec, overrides or ())
     if not (origin or json):
@@ -48,7 +48,7 @@ def show(
 @app.command()
 def schema() -> None:
     """Print the JSON Schema of specs for editors, with the settings of every installed plugin."""
-    from karolos.spec.schema import spec_schema
+    from karolos.specification.schema import spec_schema
 
     found, broken = spec_schema()
     for error in broken:

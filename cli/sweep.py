@@ -48,7 +48,7 @@ def sweep(
     Each trial is the spec with other values, run on the sweep's seeds as ordinary runs. The same command resumes a
     sweep that was interrupted. The sweep's folder is sweeps/NAME in the runs folder; best.yaml is in it.
     """
-    from karolos.spec import load_spec
+    from karolos.specification import load_spec
 
     found = load_spec(spec, with_launcher(overrides, on))
     from karolos.sweep.search import Search

@@ -40,7 +40,7 @@ def transfer(
     Prints a matrix of sources and targets for each metric, and writes a page with heat maps and learning curves,
     transfers/NAME/report.html in the runs folder. The runs are ordinary runs: NAME-SOURCE, NAME-SOURCE-to-TARGET.
     """
-    from karolos.spec import load_spec
+    from karolos.specification import load_spec
 
     found = load_spec(spec, with_launcher(overrides, on))
     from karolos.transfer.matrix import Matrix

@@ -35,8 +35,8 @@ from karolos.registry import KINDS, entries, load, singular
 from karolos.report.comparison_figures import learning
 from karolos.report.figures import save
 from karolos.report.tables import setting
-from karolos.spec.model import Spec
-from karolos.spec.problems import models_in
+from karolos.specification.model import Spec
+from karolos.specification.problems import models_in
 from karolos.store import tables
 
 ROOT = Path(__file__).parents[2]

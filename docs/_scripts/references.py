@@ -24,7 +24,7 @@ from karolos.records import RunFolder, paths
 from karolos.records.decode import from_json
 from karolos.report.comparison_tables import estimate, improvement
 from karolos.report.tables import count, duration
-from karolos.spec import load_spec, spec_from_dict
+from karolos.specification import load_spec, spec_from_dict
 from karolos.statistics.aggregates import median_reaching
 from karolos.store import Store, reindex
 from karolos.transfer.matrix import Matrix

@@ -10,7 +10,7 @@ from pathlib import Path
 from typing import Any
 
 from ..records import RunFolder, provenance
-from ..spec import Spec
+from ..specification import Spec
 from ..store.rows import without_seeds
 from .differences import MISSING, differences
 

@@ -7,7 +7,7 @@ from typing import Any
 from ..core import Environment
 from ..errors import UsageError
 from ..registry import load
-from ..spec.parts import Part, Recipe
+from ..specification.parts import Part, Recipe
 from .robot_task import RobotTask
 from .varied import VariedRobotTask, is_setting, recipes
 

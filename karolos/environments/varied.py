@@ -17,7 +17,7 @@ from ..core.seeding import SeedTree
 from ..core.signature import layout_differences
 from ..errors import UsageError
 from ..randomization.distributions import Choice
-from ..spec.parts import Part, Recipe, validate_strictly
+from ..specification.parts import Part, Recipe, validate_strictly
 from .robot_task import RobotTask
 
 MOST_WORLDS = 8

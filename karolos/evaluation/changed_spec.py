@@ -10,8 +10,8 @@ from ..environments.build import build_environment
 from ..environments.robot_task import RobotTask
 from ..errors import UsageError
 from ..records import RunFolder
-from ..spec import Spec, spec_from_dict
-from ..spec.merge import RANDOMIZATION
+from ..specification import Spec, spec_from_dict
+from ..specification.merge import RANDOMIZATION
 from ..training.assembly import located
 from .policies import Policy, environment_of, load_agent, signature_of
 

@@ -19,7 +19,7 @@ from ..core.seeding import SeedTree
 from ..orchestrator.start import fresh_start
 from ..orchestrator.worker import isolate
 from ..records.results import TestResult
-from ..spec import Spec, spec_from_dict
+from ..specification import Spec, spec_from_dict
 from ..training.assembly import make_agent, make_orchestrator
 from .testing import play_episodes
 

@@ -18,7 +18,7 @@ from ..environments.build import build_environment
 from ..errors import MachineError, RunError, UsageError
 from ..records import RunFolder
 from ..registry import load
-from ..spec import Spec, spec_from_dict
+from ..specification import Spec, spec_from_dict
 from ..store import Store
 
 

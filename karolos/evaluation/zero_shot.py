@@ -16,7 +16,7 @@ from ..records.decode import from_json
 from ..records.results import TestCounts, TestResult
 from ..records.run_records import timestamp
 from ..records.transfer_results import TransferResult
-from ..spec import Spec
+from ..specification import Spec
 from ..training.assembly import make_orchestrator
 from .changed_spec import changed_spec
 from .policies import SavedAgent, load_agent

@@ -17,7 +17,7 @@ from ..errors import RunError, UsageError
 from ..evaluation.policies import signature_of
 from ..records import RunFolder
 from ..registry import load
-from ..spec import Spec, spec_from_dict
+from ..specification import Spec, spec_from_dict
 from ..training.assembly import located
 
 SETTING = "agent.start_from"

@@ -14,7 +14,7 @@ from ..core import Environment
 from ..evaluation.changed_spec import changed_spec
 from ..evaluation.policies import Policy, environment_of, signature_of
 from ..files import read_object
-from ..spec import Spec, spec_from_dict
+from ..specification import Spec, spec_from_dict
 from .numpy_policy import NumpyPolicy
 
 FOLDER = Path(__file__).parent / "policies"

@@ -15,7 +15,7 @@ from ..experiment.events import Listener, RunEvent
 from ..experiment.signals import StopRequest
 from ..files import read_object, write_whole
 from ..registry import load
-from ..spec import Spec
+from ..specification import Spec
 from .interface import LAUNCH, STOP, Ended, Launcher
 from .local import LocalLauncher
 

@@ -19,7 +19,7 @@ from ..records import RunFolder
 from ..records.archive import remove_unfinished_imports
 from ..records.run_folder import remove_lost_leftovers
 from ..records.run_records import RunSummary
-from ..spec import Spec, spec_from_dict
+from ..specification import Spec, spec_from_dict
 from ..store import Store
 from ..training.assembly import check_parts
 from .driver import Driver, Feed, make_launcher

@@ -28,7 +28,7 @@ from ..records import RunFolder, provenance
 from ..records.decode import from_json
 from ..records.results import TestResult, decode_test
 from ..records.run_records import UNFINISHED, RunSummary
-from ..spec import Spec
+from ..specification import Spec
 from .driver import Job, Task
 
 Existing = Literal["ignore", "skip", "resume"]

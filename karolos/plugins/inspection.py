@@ -21,7 +21,7 @@ from ..randomization.randomization import RandomizedParameter
 from ..registry import load
 from ..simulation.engines import Engine, default_engine, make_world
 from ..simulation.interface import Camera
-from ..spec.parts import Part, Recipe
+from ..specification.parts import Part, Recipe
 
 Facts = dict[str, Any]
 """One row: names of columns and JSON-able values."""

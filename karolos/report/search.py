@@ -11,7 +11,7 @@ from numpy.typing import NDArray
 
 from ..files import writing
 from ..records.sweep_records import Trial
-from ..spec.sweep import OBJECTIVES, SweepParameter
+from ..specification.sweep import OBJECTIVES, SweepParameter
 from .figures import look, save
 from .tables import clean
 

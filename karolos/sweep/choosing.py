@@ -14,8 +14,8 @@ from ..experiment.events import RunAdvanced, RunEnded, RunEvent
 from ..launchers.driver import Driver, Feed
 from ..launchers.runs import Home, RunJob
 from ..records.sweep_records import SweepFinal, Trial, merit
-from ..spec import Spec, spec_of_trial
-from ..spec.sweep import FinalSettings
+from ..specification import Spec, spec_of_trial
+from ..specification.sweep import FinalSettings
 from .events import FinalBegan, SweepListener, TrialAdvanced
 from .objectives import directions, measure_all
 from .study import Study

@@ -9,7 +9,7 @@ from typing import Literal
 
 from ..experiment.events import RunWarned
 from ..records.sweep_records import SweepFinal, Trial
-from ..spec import Sweep
+from ..specification import Sweep
 
 
 @dataclass(frozen=True)

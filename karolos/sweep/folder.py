@@ -32,7 +32,7 @@ from ..records.sweep_records import (
     Trial,
     read_sweep_description,
 )
-from ..spec import Spec, load_spec, to_yaml
+from ..specification import Spec, load_spec, to_yaml
 from .objectives import directions
 
 _SWEEP_LOCK_SECONDS = 0.5

@@ -1,4 +1,7 @@
-"""The objectives of a sweep, computed from tests as means over the seeds. Their names are in karolos.spec.sweep."""
+"""The objectives of a sweep, computed from tests as means over the seeds.
+
+Their names stand in `karolos.specification.sweep`.
+"""
 
 from __future__ import annotations
 
@@ -9,7 +12,7 @@ from typing import Literal
 import numpy as np
 
 from ..records.results import TestResult
-from ..spec.sweep import OBJECTIVES
+from ..specification.sweep import OBJECTIVES
 from ..statistics.aggregates import first_reaching
 
 CENSORED_FACTOR = 2

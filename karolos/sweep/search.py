@@ -15,8 +15,8 @@ from ..launchers.driver import Driver, make_launcher
 from ..launchers.runs import Home
 from ..records import RunFolder
 from ..records.sweep_records import FOLDER, SweepFinal, Trial
-from ..spec import Spec, Sweep, spec_from_dict, spec_of_trial
-from ..spec.sweep import DEFAULT_TRIALS
+from ..specification import Spec, Sweep, spec_from_dict, spec_of_trial
+from ..specification.sweep import DEFAULT_TRIALS
 from ..store import Store
 from ..training.assembly import check_parts
 from . import choosing

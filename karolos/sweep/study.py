@@ -21,7 +21,7 @@ from optuna.trial import FrozenTrial, TrialState
 from ..core.seeding import SeedTree
 from ..files import FileLock
 from ..records.sweep_records import SweepTrialState, Trial, rank
-from ..spec import Sweep
+from ..specification import Sweep
 from .objectives import directions
 
 _STATES: dict[TrialState, SweepTrialState] = {

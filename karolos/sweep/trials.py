@@ -12,7 +12,7 @@ from ..experiment.signals import StopRequest
 from ..launchers.driver import Feed
 from ..launchers.runs import Home, RunJob
 from ..records.sweep_records import Trial, read_sweep
-from ..spec import Spec, Sweep, spec_of_trial
+from ..specification import Spec, Sweep, spec_of_trial
 from ..store import Store
 from ..training.assembly import check_parts
 from .choosing import for_search

@@ -12,7 +12,7 @@ from ..core.seeding import SeedTree
 from ..environments.build import build_environment
 from ..errors import KarolosError, UsageError
 from ..registry import load
-from ..spec import Part, Spec
+from ..specification import Part, Spec
 from .demonstrations import demonstrating_expert
 from .memory import check_memory, environments_of
 

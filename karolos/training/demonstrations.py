@@ -12,8 +12,8 @@ from ..core import Environment, Expert, FloatArray, Step, Transitions
 from ..core.seeding import Generator, SeedTree
 from ..environments.build import build_environment
 from ..errors import RunError, UsageError
-from ..spec.model import DemonstrationSettings
-from ..spec.parts import Recipe
+from ..specification.model import DemonstrationSettings
+from ..specification.parts import Recipe
 
 
 @dataclass(frozen=True)

@@ -8,7 +8,7 @@ from ..core import FLOAT_BYTES, MemoryNeed, RunSize, Signature
 from ..errors import UsageError
 from ..orchestrator.machine import memory
 from ..registry import load
-from ..spec import Spec
+from ..specification import Spec
 
 WORKER_BYTES = 30 << 20
 """Memory of a worker process, beside what it shares with the others."""

@@ -25,7 +25,7 @@ from typing import Any
 from ..core import Agent, Buffer, Failure, Orchestrator, State
 from ..core.seeding import SeedTree
 from ..errors import RunError
-from ..spec.model import TrainingSettings
+from ..specification.model import TrainingSettings
 from .collecting import Collector
 from .episodes import Episode
 from .learning import Learner
@@ -126,6 +126,10 @@ class Training:
     @property
     def updates(self) -> int:
         return self.learner.updates
+
+    def totals(self) -> dict[str, Any]:
+        """Steps, updates and seconds so far, by these names."""
+        return {"steps": self.steps, "updates": self.updates, "seconds": self.seconds}
 
     def read_metrics(self) -> dict[str, float]:
         """The means of what `agent.learn` returned since the last call.

@@ -13,7 +13,7 @@ from ..evaluation.policies import Policy, environment_of, expert_policy, random_
 from ..experiment.signals import StopRequest
 from ..files import append_lines, read_lines
 from ..records.decode import from_json
-from ..spec import Spec
+from ..specification import Spec
 
 BASELINE_EPISODES = 200
 """Most episodes of the random policy and of the expert: the first ones of the final test."""

@@ -30,7 +30,7 @@ from ..launchers.driver import Driver, Feed, make_launcher
 from ..launchers.runs import Home, RunJob
 from ..records import RunFolder, scan
 from ..records.transfer_results import TransferResult
-from ..spec import Spec, spec_from_dict, spec_of_variant
+from ..specification import Spec, spec_from_dict, spec_of_variant
 from ..store import Store
 from ..training.assembly import check_parts, located
 from .baselines import Baselines, measure_baselines

@@ -11,7 +11,7 @@ import pytest
 from karolos.core.seeding import SeedTree
 from karolos.evaluation.testing import play_episodes, test_seeds
 from karolos.registry import load, names
-from karolos.spec import Spec, spec_from_dict
+from karolos.specification import Spec, spec_from_dict
 from karolos.training.assembly import check_parts, make_agent, make_buffer, make_orchestrator
 from karolos.training.training import Training
 

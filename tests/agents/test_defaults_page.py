@@ -16,7 +16,7 @@ from karolos.agents.td3 import TD3
 from karolos.buffers.hindsight import Hindsight
 from karolos.buffers.priority import Priority
 from karolos.buffers.uniform import Uniform
-from karolos.spec.model import TrainingSettings
+from karolos.specification.model import TrainingSettings
 
 SETTINGS = {
     "sac": SAC.Settings,

@@ -21,7 +21,7 @@ from karolos.errors import MachineError, UsageError
 from karolos.evaluation.testing import test_seeds as episode_seeds
 from karolos.plugins.inspection import pair
 from karolos.registry import names
-from karolos.spec import load_spec
+from karolos.specification import load_spec
 from karolos.training.assembly import check_parts
 
 ROOT = Path(__file__).parents[2]

@@ -16,7 +16,7 @@ from support.commands import call
 
 from karolos.records import RunFolder
 from karolos.records.results import TestResult
-from karolos.spec import load_spec
+from karolos.specification import load_spec
 from karolos.store import Store, reindex
 from karolos.store.tables import SUCCESSES
 

@@ -144,7 +144,7 @@ def test_exported_runs_come_in_elsewhere(runs: Path, tmp_path: Path) -> None:
 
 
 def test_spec_file_means_the_runs_of_its_experiment(runs: Path, tmp_path: Path) -> None:
-    from karolos.spec import load_spec
+    from karolos.specification import load_spec
 
     path = tmp_path / "toy.yaml"
     path.write_text("environment: toy\nagent: sac\n")

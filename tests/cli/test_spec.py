@@ -9,7 +9,7 @@ from jsonschema import Draft202012Validator
 from karolos_cli.spec import app
 from support.commands import call
 
-from karolos.spec import load_spec
+from karolos.specification import load_spec
 
 pytestmark = pytest.mark.usefixtures("fake_plugins")
 

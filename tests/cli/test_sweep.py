@@ -21,7 +21,7 @@ from support.commands import Terminal, call
 from support.sweep_samples import LEARNING_RATE, sweep_spec
 
 from karolos.records.sweep_records import SweepFinal, Trial
-from karolos.spec import load_spec, spec_from_dict
+from karolos.specification import load_spec, spec_from_dict
 from karolos.sweep.events import FinalBegan, SweepOutcome, TrialAdvanced, TrialBegan, TrialEnded
 from karolos.sweep.study import Study
 

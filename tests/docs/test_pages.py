@@ -17,7 +17,7 @@ from support.plugin_packages import install
 
 from karolos import registry
 from karolos.records import paths, provenance
-from karolos.spec import load_spec
+from karolos.specification import load_spec
 
 ROOT = Path(__file__).parents[2]
 DOCS = ROOT / "docs"

@@ -18,7 +18,7 @@ from karolos.environments.robot_task import RobotTask
 from karolos.errors import UsageError
 from karolos.evaluation.policies import load_expert
 from karolos.orchestrator.local import Local
-from karolos.spec import spec_from_dict
+from karolos.specification import spec_from_dict
 
 CARTESIAN = Layout((Field("tool_position_change", 3), Field("gripper_opening", 1)))
 X_UP, Y_DOWN, OPEN, CLOSE, NOTHING = 0, 3, 6, 7, 8

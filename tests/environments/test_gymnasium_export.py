@@ -15,7 +15,7 @@ from karolos.environments.build import build_environment
 from karolos.environments.gymnasium.export import GoalEnv
 from karolos.errors import UsageError
 from karolos.gym import environment_ids
-from karolos.spec import spec_from_dict
+from karolos.specification import spec_from_dict
 
 IDS = sorted(environment_ids())
 

@@ -12,7 +12,7 @@ from karolos.errors import UsageError
 from karolos.plugins.inspection import pair
 from karolos.registry import names
 from karolos.simulation.picture import view_of
-from karolos.spec.parts import Part, Recipe
+from karolos.specification.parts import Part, Recipe
 
 
 def environment(draws: dict[str, Part] | None = None, **arm: object) -> RobotTask:

@@ -11,7 +11,7 @@ from karolos.environments.build import build_environment
 from karolos.environments.robot_task import RobotTask
 from karolos.environments.varied import VariedRobotTask
 from karolos.errors import UsageError
-from karolos.spec.parts import Part
+from karolos.specification.parts import Part
 
 SIZES = (0.04, 0.045, 0.05)
 

@@ -19,7 +19,7 @@ from karolos.evaluation.policies import expert_policy, load_agent, load_expert, 
 from karolos.launchers.experiment import Experiment
 from karolos.records import RunFolder
 from karolos.registry import load
-from karolos.spec import Spec, spec_from_dict
+from karolos.specification import Spec, spec_from_dict
 
 TOY: dict[str, Any] = {
     "name": "toy",

@@ -16,7 +16,7 @@ from karolos.experiment.events import RunEnded, RunStarted, RunTested, RunWarned
 from karolos.launchers.experiment import Experiment
 from karolos.records import RunFolder
 from karolos.report.tables import runs_table
-from karolos.spec import spec_from_dict
+from karolos.specification import spec_from_dict
 from karolos.store import Store
 from karolos.training.assembly import check_parts
 
@@ -295,11 +295,11 @@ def test_a_database_that_fails_in_the_middle_costs_a_warning_not_the_run(tmp_pat
     def locked(*_):
         raise StoreError("the database is locked")
 
-    monkeypatch.setattr("karolos.store.Store.add_test", locked)
+    monkeypatch.setattr("karolos.store.Store.add_records", locked)
     outcome = Experiment(spec()).run(tmp_path)
     assert outcome.runs[0].state == "finished"
     (folder,) = folders(outcome)
-    assert [event["event"] for event in folder.events()].count("warning") == 2
+    assert [event["event"] for event in folder.events()].count("warning") == 5
     assert len(folder.tests()) == 3
 
 

@@ -17,7 +17,7 @@ from karolos.experiment.start_from import apply, find, pinned
 from karolos.launchers.experiment import Experiment
 from karolos.plugins.contracts.case import state_differences
 from karolos.records import RunFolder
-from karolos.spec import Spec, spec_from_dict
+from karolos.specification import Spec, spec_from_dict
 from karolos.training.assembly import make_agent
 
 TOY: dict[str, Any] = {

@@ -20,7 +20,7 @@ from karolos.launchers.experiment import Experiment
 from karolos.launchers.process import execute_folder
 from karolos.launchers.runs import Existing, Home, RunJob
 from karolos.records import RunFolder, provenance
-from karolos.spec import Spec, spec_from_dict
+from karolos.specification import Spec, spec_from_dict
 from karolos.store import Store, check
 
 TOY = toy_runs.TOY | {

@@ -17,7 +17,7 @@ from karolos.errors import MachineError
 from karolos.launchers.local import LocalLauncher
 from karolos.launchers.runs import Home
 from karolos.records import RunFolder
-from karolos.spec import spec_from_dict
+from karolos.specification import spec_from_dict
 
 TOY: dict[str, Any] = {
     "name": "toy",

@@ -18,7 +18,7 @@ from karolos.launchers.experiment import Experiment
 from karolos.launchers.runs import Home
 from karolos.launchers.slurm import SlurmLauncher
 from karolos.records import RunFolder
-from karolos.spec import spec_from_dict
+from karolos.specification import spec_from_dict
 
 TOY: dict[str, Any] = {
     "name": "toy",

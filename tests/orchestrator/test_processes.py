@@ -92,7 +92,7 @@ def test_building_a_robot_and_task_imports_no_torch(tmp_path):
         """
 from karolos.environments.build import build_environment
 from karolos.registry import load
-from karolos.spec.parts import Part, Recipe
+from karolos.specification.parts import Part, Recipe
 
 def part(kind, name):
     return Part(kind, name, load(kind, name).Settings())

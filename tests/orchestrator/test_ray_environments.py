@@ -15,7 +15,7 @@ from karolos.errors import MachineError, PluginError
 from karolos.launchers.experiment import Experiment
 from karolos.orchestrator.ray import Ray
 from karolos.records import RunFolder
-from karolos.spec import spec_from_dict
+from karolos.specification import spec_from_dict
 
 RAY = toy_runs.TOY | {"orchestrator": {"name": "ray", "workers": 2, "environments": 1, "address": "local"}}
 

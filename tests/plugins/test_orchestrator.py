@@ -12,7 +12,7 @@ from karolos.errors import RunError, WorkerError
 from karolos.orchestrator.local import Local
 from karolos.orchestrator.ray import Ray
 from karolos.registry import load
-from karolos.spec.parts import Part, Recipe
+from karolos.specification.parts import Part, Recipe
 
 SIZE = 6
 TOY = Toy.Settings(dimensions=3, max_steps=5, reward="dense", threshold=0.3)

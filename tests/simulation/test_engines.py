@@ -18,7 +18,7 @@ from karolos.robots.panda import Panda
 from karolos.simulation import engines, urdf
 from karolos.simulation.engines import Engine, make_world
 from karolos.simulation.interface import Body, Camera, JointLimits, Motors, World
-from karolos.spec import spec_from_dict
+from karolos.specification import spec_from_dict
 
 PENDULUM = """
 <robot name="pendulum"><link name="base"/>

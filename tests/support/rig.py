@@ -9,7 +9,7 @@ from karolos.environments.build import build_environment
 from karolos.environments.robot_task import RobotTask
 from karolos.registry import load
 from karolos.simulation.engines import Engine, installed
-from karolos.spec.parts import Part, Recipe
+from karolos.specification.parts import Part, Recipe
 
 ENGINES = [name for name in get_args(Engine) if installed(name)]
 ROBOTS = ("panda", "ur5", "iiwa")

@@ -8,7 +8,7 @@ import pytest
 import yaml
 
 from karolos.errors import SpecError
-from karolos.spec import load_spec
+from karolos.specification import load_spec
 
 GOOD = "robot: arm\ntask: reach\nagent: learner\n"
 REFUSED = yaml.safe_load(Path(__file__).with_name("refused.yaml").read_text("utf-8"))

@@ -7,7 +7,7 @@ from typing import Any
 
 import pytest
 
-from karolos.spec import Spec, spec_from_dict
+from karolos.specification import Spec, spec_from_dict
 from karolos.transfer.matrix import Matrix, MatrixRuns
 from support.fake_launcher import FakeLauncher
 

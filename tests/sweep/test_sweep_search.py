@@ -22,7 +22,7 @@ from karolos.launchers.experiment import Experiment
 from karolos.launchers.runs import Home, RunJob
 from karolos.records import RunFolder
 from karolos.records.sweep_records import read_sweep
-from karolos.spec import load_spec, spec_from_dict
+from karolos.specification import load_spec, spec_from_dict
 from karolos.store import Store, check, reindex
 from karolos.store.sweeps import Sweeps
 from karolos.sweep.events import SweepOutcome, TrialAdvanced, TrialBegan

@@ -8,7 +8,7 @@ import pytest
 from support.sweep_samples import LEARNING_RATE, sweep_spec
 
 from karolos.records.results import TestResult
-from karolos.spec import spec_from_dict
+from karolos.specification import spec_from_dict
 from karolos.sweep.objectives import measure, nominal_steps, so_far
 from karolos.sweep.study import Study
 

@@ -35,7 +35,7 @@ from typer.testing import CliRunner
 from karolos.errors import KarolosError, RunError
 from karolos.records import scan
 from karolos.registry import KINDS, names
-from karolos.spec import load_spec
+from karolos.specification import load_spec
 
 SPECS = Path(__file__).parents[2] / "specs"
 BUDGET = (

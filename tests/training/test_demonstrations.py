@@ -11,8 +11,8 @@ from karolos.core.seeding import SeedTree
 from karolos.errors import UsageError
 from karolos.launchers.experiment import Experiment
 from karolos.records import RunFolder
-from karolos.spec import spec_from_dict
-from karolos.spec.model import DemonstrationSettings
+from karolos.specification import spec_from_dict
+from karolos.specification.model import DemonstrationSettings
 from karolos.training.assembly import check_parts
 from karolos.training.demonstrations import collect_demonstrations
 

@@ -17,7 +17,7 @@ from support.transfer_samples import LINE, line, run_matrix
 from karolos.errors import RunError, SpecError, UsageError
 from karolos.launchers.interface import STOP
 from karolos.records import RunFolder, provenance, transfer_results
-from karolos.spec import load_spec, spec_from_dict
+from karolos.specification import load_spec, spec_from_dict
 from karolos.store import Store, check
 from karolos.transfer.matrix import Matrix, MatrixRuns
 from karolos.transfer.results import transfer_report

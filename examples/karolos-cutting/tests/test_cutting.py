@@ -14,7 +14,7 @@ from karolos.core import Step, random_actions
 from karolos.environments.build import build_environment
 from karolos.plugins.contracts import check
 from karolos.registry import find, load
-from karolos.spec.parts import Part, Recipe
+from karolos.specification.parts import Part, Recipe
 
 ORDERS = (
     Order(length=3, grade="clear", value=1.0, pieces=2),

@@ -17,7 +17,7 @@ from pydantic import ValidationError
 from ...core import Discrete, Environment, Step
 from ...errors import UsageError
 from ...registry import alternatives, load
-from ...spec.parts import OfKind, Part, Recipe
+from ...specification.parts import OfKind, Part, Recipe
 from ..build import build_environment
 
 OBSERVED = ("observation", "achieved_goal", "desired_goal")

@@ -64,7 +64,7 @@ class OfKind:
         return core_schema.no_info_plain_validator_function(self.validate, serialization=dump)
 
     def __get_pydantic_json_schema__(self, *_: Any) -> dict[str, str]:
-        """A mark, which `karolos.spec.schema` replaces."""
+        """A mark, which `karolos.specification.schema` replaces."""
         return {"kind": self.kind}
 
     def validate(self, value: object) -> Part:

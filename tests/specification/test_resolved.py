@@ -13,7 +13,7 @@ from hypothesis import strategies as st
 from pydantic import ValidationError
 from support.spec_files import GOOD, write
 
-from karolos.spec import load_spec, spec_from_dict, to_yaml
+from karolos.specification import load_spec, spec_from_dict, to_yaml
 
 pytestmark = pytest.mark.usefixtures("fake_plugins")
 

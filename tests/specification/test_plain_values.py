@@ -8,7 +8,7 @@ import pytest
 from support.spec_files import problems_of, write
 
 from karolos.errors import UsageError
-from karolos.spec import load_spec
+from karolos.specification import load_spec
 from karolos.training.assembly import check_parts
 
 REACH = "robot: panda\ntask: reach\nagent: sac\n"

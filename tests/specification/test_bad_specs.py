@@ -8,7 +8,7 @@ import pytest
 from support.spec_files import GOOD, REFUSED, problems_of, write
 
 from karolos.errors import PluginError, SpecError
-from karolos.spec import load_spec, spec_from_dict
+from karolos.specification import load_spec, spec_from_dict
 
 pytestmark = pytest.mark.usefixtures("fake_plugins")
 

@@ -6,7 +6,7 @@ import pytest
 from support.spec_files import GOOD, REFUSED, problems_of, write
 
 from karolos.errors import SpecError
-from karolos.spec import load_spec, spec_from_dict, spec_of_trial
+from karolos.specification import load_spec, spec_from_dict, spec_of_trial
 
 pytestmark = pytest.mark.usefixtures("fake_plugins")
 

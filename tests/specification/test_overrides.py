@@ -5,7 +5,7 @@ from __future__ import annotations
 import pytest
 from support.spec_files import GOOD, write
 
-from karolos.spec import load_spec
+from karolos.specification import load_spec
 
 pytestmark = pytest.mark.usefixtures("fake_plugins")
 

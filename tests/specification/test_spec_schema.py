@@ -5,8 +5,8 @@ from __future__ import annotations
 import pytest
 from jsonschema import Draft202012Validator
 
-from karolos.spec.schema import spec_schema
-from karolos.spec.yaml_text import read
+from karolos.specification.schema import spec_schema
+from karolos.specification.yaml_text import read
 
 
 def valid(text: str) -> bool:

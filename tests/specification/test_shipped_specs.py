@@ -9,9 +9,9 @@ from pathlib import Path
 import pytest
 from jsonschema import Draft202012Validator
 
-from karolos.spec import load_spec, spec_from_dict
-from karolos.spec.schema import spec_schema
-from karolos.spec.yaml_text import read
+from karolos.specification import load_spec, spec_from_dict
+from karolos.specification.schema import spec_schema
+from karolos.specification.yaml_text import read
 
 SPECS = Path(__file__).parents[2] / "specs"
 RUNNABLE = sorted([*SPECS.glob("*.yaml"), *SPECS.glob("smoke/*.yaml")])
@@ -43,10 +43,10 @@ def test_shipped_spec_fits_the_schema(path):
 
 def test_environments_are_described_without_torch_or_pybullet():
     code = (
-        "import sys; from karolos.spec.parts import OfKind\n"
+        "import sys; from karolos.specification.parts import OfKind\n"
         "for kind, name in [('environments', 'toy'), ('robots', 'panda'), ('tasks', 'reach')]:\n"
         "    OfKind(kind).validate({'name': name})\n"
-        "import karolos.spec\n"
+        "import karolos.specification\n"
         "assert not {'torch', 'pybullet', 'sqlalchemy', 'typer'} & set(sys.modules)"
     )
     subprocess.run([sys.executable, "-c", code], check=True, timeout=60)
