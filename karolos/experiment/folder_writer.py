@@ -68,7 +68,7 @@ class FolderWriter(RunObserver):
             self.index.update()
 
     @override
-    def final_tested(self, final: FinalTest[TestResult]) -> None:
+    def final_tested(self, final: FinalTest) -> None:
         self.folder.write_final(final)
         self.folder.event(
             "final_test",

@@ -83,7 +83,7 @@ class RunObserver:
     def trained(self, training: Training) -> None:
         """Training is complete, or stops on request."""
 
-    def final_tested(self, final: FinalTest[TestResult]) -> None:
+    def final_tested(self, final: FinalTest) -> None:
         """The final test is over."""
 
     def ended(self, ending: Ending) -> None:
@@ -166,7 +166,7 @@ class Announcer(RunObserver):
         self.listener(RunTested(self.run, result))
 
     @override
-    def final_tested(self, final: FinalTest[TestResult]) -> None:
+    def final_tested(self, final: FinalTest) -> None:
         self.listener(RunFinalTested(self.run, final))
 
     @override
