@@ -52,7 +52,7 @@ class RunDescription(TypedDict):
     """Hash of the settings that results depend on."""
     name: str
     """Of the experiment."""
-    seed: Annotated[int, Field(ge=0)]
+    seed: Annotated[int, Field(ge=0, strict=True)]
     created: str
     """Time in UTC, ISO 8601."""
     resolved_sha256: NotRequired[str]
