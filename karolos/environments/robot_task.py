@@ -19,10 +19,8 @@ from ..randomization.distributions import Distribution
 from ..randomization.randomization import Randomization
 from ..simulation.engines import Engine, check_engine, default_engine, make_world
 from ..simulation.interface import Camera, Robot, Task, World
+from ..simulation.interface.engine import TIMESTEP
 from .action_set import ActionSet, action_index
-
-TIMESTEP = 1 / 240
-"""Seconds of a physics step."""
 
 
 class RobotTask(Environment):
@@ -35,12 +33,10 @@ class RobotTask(Environment):
     Args:
         robot: a robot plugin's instance.
         task: a task plugin's instance.
-        randomization: distributions of what is drawn at each reset, by parameter ("task.gravity").
 
     Raises:
         PluginError: robot and task are incompatible.
-        UsageError: `randomization` names a parameter that neither declares, `omit` a field that there is not, or the
-            engine is not installed.
+        UsageError: `omit` names a field that there is not, or the engine is not installed.
     """
 
     class Settings(BaseSettings):
@@ -63,14 +59,7 @@ class RobotTask(Environment):
             """The settings that results depend on."""
             return self.model_dump(mode="json", exclude={"window"})
 
-    def __init__(
-        self,
-        settings: RobotTask.Settings,
-        *,
-        robot: Robot,
-        task: Task,
-        randomization: Mapping[str, Distribution] | None = None,
-    ) -> None:
+    def __init__(self, settings: RobotTask.Settings, *, robot: Robot, task: Task) -> None:
         check_engine(settings.engine)
         self.settings = settings
         self.robot = robot
@@ -111,7 +100,7 @@ class RobotTask(Environment):
             desired_goal=task.desired_goal,
             goal_rule=task.goal_rule,
         )
-        self.randomize(randomization or {})
+        self.randomize({})
         self._name = f"{type(robot).__name__}{type(task).__name__}"
         self._shape = (robot.action.size,)
         self._world: World | None = None
@@ -136,7 +125,6 @@ class RobotTask(Environment):
             self._world = make_world(
                 self.settings.engine,
                 substeps=self.settings.substeps,
-                timestep=TIMESTEP,
                 window=self.settings.window,
                 camera=self.camera,
             )

@@ -36,10 +36,38 @@ def changed_spec(saved: Spec, overrides: Sequence[str], *, trained: Signature, r
         UsageError: an override is about training, observations, actions or goals have another layout than in training,
             or there is nothing to randomize.
     """
-    _check_keys(overrides)
-    spec = _derived(saved, overrides, randomize=randomize)
+    for override in overrides:
+        root = _key(override).partition(".")[0]
+        if root not in CHANGEABLE:
+            hint = f"a test can change {', '.join(CHANGEABLE)}"
+            if root == "testing":
+                hint = "use --episodes; `karolos test` has --seed, too"
+            raise UsageError(f"{override!r} is about training, not about the test", where="override", hint=hint)
+    parameters = _parameters(saved, overrides)
+    own = [f"{RANDOMIZATION}.{text.strip()}" if _key(text) in parameters else text for text in overrides]
+    spec = spec_from_dict(saved.dump(), own)
+    if randomize and not spec.randomization:
+        raise UsageError(
+            "there is nothing to randomize",
+            setting=RANDOMIZATION,
+            hint="add a distribution: randomization.task.gravity='{name: normal, mean: -9.81, std: 0.5}'",
+        )
+    if not randomize and any(_key(override).startswith(RANDOMIZATION) for override in overrides):
+        raise UsageError(
+            "randomization is off in a test",
+            setting=RANDOMIZATION,
+            hint="give one parameter a value, e.g. task.gravity=-5; `karolos test --randomize` draws as in training",
+        )
+    if not randomize:
+        spec = spec.model_copy(update={RANDOMIZATION: {key: spec.randomization[key] for key in sorted(parameters)}})
     with located(spec):
-        _check_layouts(spec, trained, overrides)
+        if differences := layout_differences(signature_of(spec, randomize=True), trained):
+            changed = [_key(text) for text in overrides if _key(text).startswith(("robot", "task", "environment"))]
+            raise UsageError(
+                "the policy was trained with other observations, actions or goals: " + "; ".join(differences),
+                setting=[*changed, "environment"][0],
+                hint=SAME_LAYOUTS,
+            )
     return spec
 
 
@@ -65,27 +93,6 @@ def load_player(
     return spec, environment_of(spec, randomize=True, window=window), saved.policy()
 
 
-def _check_keys(overrides: Sequence[str]) -> None:
-    """Raise a UsageError for an override outside CHANGEABLE."""
-    for override in overrides:
-        root = _key(override).partition(".")[0]
-        if root not in CHANGEABLE:
-            hint = f"a test can change {', '.join(CHANGEABLE)}"
-            if root == "testing":
-                hint = "use --episodes; `karolos test` has --seed, too"
-            raise UsageError(f"{override!r} is about training, not about the test", where="override", hint=hint)
-
-
-def _derived(saved: Spec, overrides: Sequence[str], *, randomize: bool) -> Spec:
-    parameters = _parameters(saved, overrides)
-    own = [f"{RANDOMIZATION}.{text.strip()}" if _key(text) in parameters else text for text in overrides]
-    spec = spec_from_dict(saved.dump(), own)
-    _check_randomization(spec, overrides, randomize=randomize)
-    if randomize:
-        return spec
-    return spec.model_copy(update={RANDOMIZATION: {key: spec.randomization[key] for key in sorted(parameters)}})
-
-
 def _parameters(saved: Spec, overrides: Sequence[str]) -> set[str]:
     """The keys of overrides that are parameters of the robot or task and not settings."""
     names = [text for text in overrides if _key(text).removesuffix(".name") in ("robot", "task")]
@@ -100,35 +107,3 @@ def _parameters(saved: Spec, overrides: Sequence[str]) -> set[str]:
 
 def _key(override: str) -> str:
     return override.partition("=")[0].strip()
-
-
-def _check_randomization(spec: Spec, overrides: Sequence[str], *, randomize: bool) -> None:
-    """Raise a UsageError if `randomize` has nothing to draw, or if `randomization` is given without it."""
-    if randomize and not spec.randomization:
-        raise UsageError(
-            "there is nothing to randomize",
-            setting=RANDOMIZATION,
-            hint="add a distribution: randomization.task.gravity='{name: normal, mean: -9.81, std: 0.5}'",
-        )
-    if not randomize and any(override.strip().startswith(RANDOMIZATION) for override in overrides):
-        raise UsageError(
-            "randomization is off in a test",
-            setting=RANDOMIZATION,
-            hint="give one parameter a value, e.g. task.gravity=-5; `karolos test --randomize` draws as in training",
-        )
-
-
-def _check_layouts(spec: Spec, trained: Signature, overrides: Sequence[str]) -> None:
-    differences = layout_differences(signature_of(spec, randomize=True), trained)
-    if differences:
-        raise UsageError(
-            "the policy was trained with other observations, actions or goals: " + "; ".join(differences),
-            setting=_changed(overrides),
-            hint=SAME_LAYOUTS,
-        )
-
-
-def _changed(overrides: Sequence[str]) -> str:
-    """The key of the first override that may have changed a layout."""
-    keys = map(_key, overrides)
-    return next((key for key in keys if key.partition(".")[0] in ("robot", "task", "environment")), "environment")

@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import os
 from collections.abc import Callable
+from contextlib import closing
 from dataclasses import dataclass, replace
 from pathlib import Path
 from typing import Any
@@ -134,11 +135,8 @@ def load_run(
 
 def signature_of(spec: Spec, *, randomize: bool = False) -> Signature:
     """The signature of the spec's environment. A robot's world is not simulated."""
-    environment = build_environment(spec.recipe(randomize=randomize))
-    try:
+    with closing(environment_of(spec, randomize=randomize)) as environment:
         return environment.signature
-    finally:
-        environment.close()
 
 
 def expert_policy(environment: Environment) -> Policy:
@@ -174,10 +172,10 @@ def environment_of(spec: Spec, *, randomize: bool = False, window: bool = False)
     Raises MachineError if there is no display for the window.
     """
     recipe = spec.recipe(randomize=randomize)
-    part = recipe.environment
-    if not window:
-        return build_environment(recipe)
-    if "window" not in type(part.settings).model_fields:
-        raise MachineError(f"environment {part.name} has no window", hint="record a film with --out FILE.mp4")
-    settings = part.settings.model_copy(update={"window": True})
-    return build_environment(replace(recipe, environment=replace(part, settings=settings)))
+    if window:
+        part = recipe.environment
+        if "window" not in type(part.settings).model_fields:
+            raise MachineError(f"environment {part.name} has no window", hint="record a film with --out FILE.mp4")
+        settings = part.settings.model_copy(update={"window": True})
+        recipe = replace(recipe, environment=replace(part, settings=settings))
+    return build_environment(recipe)

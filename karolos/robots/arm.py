@@ -189,7 +189,7 @@ def _arm_joints(model: ArmModel) -> list[Joint]:
 
 
 class Arm:
-    """Implements `karolos.simulation.interface.Robot` for a serial arm; a subclass sets `model` and `Settings`.
+    """Implements `karolos.simulation.interface.Robot` for a serial arm; a subclass sets `model` and may set `Settings`.
 
     Observation: tool_position (3, m), tool_velocity (3, m/s); with `yaw` tool_heading (2, cosine and sine of the yaw);
     with a gripper gripper_opening (1, 0 closed to 1 open); with joint control joint_positions (n, rad) and
@@ -200,7 +200,7 @@ class Arm:
     lets go within the control step, the later the less the action exceeds the opening that it has.
     """
 
-    Settings: ClassVar[type[ArmSettings]]
+    Settings: ClassVar[type[ArmSettings]] = ArmSettings
     model: ClassVar[ArmModel]
 
     def __init__(self, settings: ArmSettings) -> None:
@@ -464,7 +464,7 @@ class Arm:
         """Axis of the tool along which the pads face each other, 0 for x or 1 for y, and the side of each pad."""
         tool = self._configuration.tool
         offsets = [
-            np.subtract(self.body.link(link, moved=True).centre, tool.position) @ np.transpose([tool.x, tool.y])
+            np.subtract(self.body.link(link).centre, tool.position) @ np.transpose([tool.x, tool.y])
             for link in self._motors.pads
         ]
         axis = int(np.abs(offsets[0] - offsets[1]).argmax())

@@ -6,7 +6,7 @@ from math import pi
 from pathlib import Path
 
 from ..simulation.interface import Box
-from .arm import Arm, ArmModel, ArmSettings
+from .arm import Arm, ArmModel
 from .robotiq import ROBOTIQ_2F_85
 
 
@@ -15,9 +15,6 @@ class Iiwa(Arm):
 
     Sources: KUKA's data sheet, iiwa_stack, iiwa_ros; see urdf/iiwa.urdf.
     """
-
-    class Settings(ArmSettings):
-        """The settings of every arm."""
 
     model = ArmModel(
         urdf=Path(__file__).parent / "urdf" / "iiwa.urdf",

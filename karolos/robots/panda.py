@@ -6,7 +6,7 @@ from math import pi
 from pathlib import Path
 
 from ..simulation.interface import Box, Fingers, Gripper
-from .arm import Arm, ArmModel, ArmSettings
+from .arm import Arm, ArmModel
 
 
 class Panda(Arm):
@@ -14,9 +14,6 @@ class Panda(Arm):
 
     Sources: Franka Emika's data sheet and interface documentation, Gaz et al. 2019; see urdf/panda.urdf.
     """
-
-    class Settings(ArmSettings):
-        """The settings of every arm."""
 
     model = ArmModel(
         urdf=Path(__file__).parent / "urdf" / "panda.urdf",

@@ -27,9 +27,7 @@ class Reach(PointGoalTask):
     Termination: never; the episode is truncated after `max_steps`.
     """
 
-    class Settings(PointGoalSettings):
-        """The settings of every point goal."""
-
+    Settings = PointGoalSettings
     uses_gripper = False
     achieved_goal = Layout((Field("tool_position", 3, "m"),))
 

@@ -166,7 +166,7 @@ def test_a_link_has_the_frame_and_the_speed_of_its_joint(world: World) -> None:
     motors.drive([1.0], [1.0], None)
     world.step()
     angle, speed, *_ = body.joints([0])[0]
-    state = body.link(0, moved=True)
+    state = body.link(0)
     assert state.position == pytest.approx((0.0, 0.0, 3.0), abs=1e-6)
     assert state.centre == pytest.approx((0.5 * np.cos(angle), 0.0, 3 - 0.5 * np.sin(angle)), abs=1e-5)
     assert state.angular_velocity == pytest.approx((0.0, speed, 0.0), abs=1e-5)

@@ -114,7 +114,7 @@ def the_state_of_the_tool_is_that_of_the_physics(environment: RobotTask) -> None
         environment.step(action)
         speed = float(np.linalg.norm((np.array(robot.tool_position) - before) * 24))
         demand(speed < 3, f"the tool moves at {speed:.2f} m/s, faster than 3 m/s")
-        state = _body(environment).link(len(robot.limits.lower) - 1, moved=True)
+        state = _body(environment).link(len(robot.limits.lower) - 1)
         offset = np.linalg.norm(np.array(robot.tool_position) - state.position)
         length = np.linalg.norm(robot.model.tool)
         demand(abs(offset - length) < 1e-6, f"the tool is {offset:.6f} m from the last link instead of {length:.6f}")

@@ -41,8 +41,8 @@ class Body:
         linear, angular = self.api.getBaseVelocity(self.index)
         return linear, angular
 
-    def link(self, link: int, *, moved: bool = False) -> LinkState:
-        state = self.api.getLinkState(self.index, link, 1, moved)
+    def link(self, link: int) -> LinkState:
+        state = self.api.getLinkState(self.index, link, 1, 1)
         return LinkState(state[4], state[5], state[6], state[7], state[0])
 
     def joints(self, joints: Sequence[int]) -> tuple[tuple[float, float, Any, float], ...]:

@@ -7,7 +7,7 @@ from functools import partial
 
 import numpy as np
 
-from ..interface.engine import FINGER_GAIN, OPENS, Fingers, JointLimits
+from ..interface.engine import FINGER_GAIN, OPENS, TIMESTEP, Fingers, JointLimits
 from .body import Body
 
 STABLE_DAMPING = 0.5
@@ -22,7 +22,6 @@ class Motors:
         substeps: physics steps per control step.
         joints: of the arm, from base to wrist, as the body counts them.
         pads: joints of the two fingers; empty without a gripper.
-        timestep: of a physics step in s.
     """
 
     def __init__(
@@ -33,8 +32,6 @@ class Motors:
         joints: Sequence[int],
         fingers: Fingers | None,
         pads: Sequence[int],
-        *,
-        timestep: float,
     ) -> None:
         self.pads = pads
         self._body = body
@@ -81,7 +78,7 @@ class Motors:
             moving = sum(info[2] != api.JOINT_FIXED for info in infos)
             masses = np.array(api.calculateMassMatrix(body.index, [0.0] * moving))
             inertias = 1 / np.diagonal(np.linalg.inv(masses))[: len(joints)]
-            self._dampings = np.minimum(self._dampings, STABLE_DAMPING * inertias / timestep).tolist()
+            self._dampings = np.minimum(self._dampings, STABLE_DAMPING * inertias / TIMESTEP).tolist()
             self.set_joint_damping(0.0)
         self._begin: Sequence[float] = (0.0,) * len(joints)
         self._end: Sequence[float] = self._begin

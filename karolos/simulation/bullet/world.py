@@ -15,7 +15,7 @@ from ...core import Array, FloatArray
 from ...errors import PluginError
 from ...files import temporary_prefix
 from ..geometry import Vector
-from ..interface.engine import FLOOR_FRICTION, GRAVITY, Camera, Colour, Contact, Fingers, JointLimits
+from ..interface.engine import FLOOR_FRICTION, GRAVITY, TIMESTEP, Camera, Colour, Contact, Fingers, JointLimits
 from ..interface.engine import Body as AnyBody
 from ..picture import FLOOR_COLOUR, GRID_COLOUR, GRIDS, SKY_COLOUR, Eye, Marker, draw
 from .body import Body
@@ -43,7 +43,7 @@ by .0005, lands 2 cm apart (standard deviation), with this .7 cm, with MuJoCo .1
 
 
 class World:
-    """Implements `interface.World`; a control step is `substeps` physics steps of `timestep` seconds.
+    """Implements `interface.World`.
 
     Each physics step is a call of its own: with PyBullet's `numSubSteps` torques, contact forces and joint damping are
     those of the whole control step, and motors keep one target speed through it. Forces here are in N.
@@ -61,15 +61,12 @@ class World:
     Raises MachineError when a window is requested and there is no display.
     """
 
-    def __init__(
-        self, *, substeps: int = 10, timestep: float = 1 / 240, window: bool = False, camera: Camera | None = None
-    ) -> None:
+    def __init__(self, *, substeps: int = 10, window: bool = False, camera: Camera | None = None) -> None:
         self.api = api = Client(window=window)
         self.substeps = substeps
-        self.timestep = timestep
-        self.period = substeps * timestep
+        self.period = substeps * TIMESTEP
         api.setPhysicsEngineParameter(
-            fixedTimeStep=timestep,
+            fixedTimeStep=TIMESTEP,
             numSubSteps=0,
             numSolverIterations=SOLVER_ROUNDS,
             solverResidualThreshold=SOLVER_RESIDUAL,
@@ -130,10 +127,8 @@ class World:
     def motors(self, body: AnyBody, joints: Sequence[str], limits: JointLimits, fingers: Fingers | None) -> Motors:
         links = body.links()
         pads = [links[name] for name in fingers.links] if fingers else []
-        own = Body(self.api, body.index)
-        motors = Motors(
-            own, self.substeps, limits, [links[name] for name in joints], fingers, pads, timestep=self.timestep
-        )
+        arm = [links[name] for name in joints]
+        motors = Motors(Body(self.api, body.index), self.substeps, limits, arm, fingers, pads)
         self._motors.append(motors)
         return motors
 

@@ -14,6 +14,8 @@ from xml.etree.ElementTree import Element
 from ...core import Array
 from ..geometry import UPRIGHT, Quaternion, Vector
 
+TIMESTEP = 1 / 240
+"""Seconds of a physics step."""
 GRAVITY = -9.81
 """m/s2 along z."""
 FLOOR_FRICTION = 0.5
@@ -137,8 +139,8 @@ class Body(Protocol):
     def velocity(self) -> tuple[Vector, Vector]:
         """Linear (m/s) and angular (rad/s) velocity of the base."""
 
-    def link(self, link: int, *, moved: bool = False) -> LinkState:
-        """State of a link. `moved`: joints were written since the last step, so the frames are computed again."""
+    def link(self, link: int) -> LinkState:
+        """State of a link, computed from the joints."""
 
     def joints(self, joints: Sequence[int]) -> tuple[tuple[float, float, Any, float], ...]:
         """For each joint its position (rad or m), velocity (per s), reaction forces and motor torque (N m or N)."""

@@ -93,7 +93,7 @@ class Body:
         i, j, k = 2 * (y * c - z * b), 2 * (z * a - x * c), 2 * (x * b - y * a)
         return (vx, vy, vz), (a + w * i + y * k - z * j, b + w * j + z * i - x * k, c + w * k + x * j - y * i)
 
-    def link(self, link: int, *, moved: bool = False) -> LinkState:  # noqa: ARG002 (frames are always computed)
+    def link(self, link: int) -> LinkState:
         data = self._simulation.ready()
         api, model, body = self._simulation.api, self._simulation.model, self.ids[link + 1]
         for compute in (api.mj_kinematics, api.mj_comPos, api.mj_comVel):

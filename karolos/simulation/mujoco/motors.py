@@ -7,7 +7,7 @@ from typing import Any
 
 import numpy as np
 
-from ..interface.engine import FINGER_GAIN, Fingers, JointLimits
+from ..interface.engine import FINGER_GAIN, TIMESTEP, Fingers, JointLimits
 from .body import Body
 from .simulation import Simulation
 
@@ -52,7 +52,7 @@ class Motors:
         """What they aim at from that physics step of the control step on."""
         self._damping = self._friction = 0.0
         self._mass = 1.0
-        self._rates = np.full(len(self._joints), 1 / simulation.timestep)
+        self._rates = np.full(len(self._joints), 1 / TIMESTEP)
         """Fraction of a difference in speed that a motor removes per physics step, per s."""
         if fingers is not None:
             self.set_pad_friction(fingers.gripper.pad_friction)
@@ -76,7 +76,7 @@ class Motors:
         damping[: self._size] += self._damping
         model.dof_damping[dofs] = damping
         # implicit damping: (M + h D) a = f - D v, in the same metric as the constraints
-        model.dof_armature[dofs] = self._simulation.timestep * damping
+        model.dof_armature[dofs] = TIMESTEP * damping
 
     def set_joint_friction(self, fraction: float) -> None:
         self._friction = fraction
@@ -87,7 +87,7 @@ class Motors:
         self._simulation.reparametrise()
 
     def set_gain(self, factor: float) -> None:
-        self._rates[: self._size] = factor / self._simulation.timestep
+        self._rates[: self._size] = factor / TIMESTEP
 
     def set_mass(self, factor: float) -> None:
         self._mass = factor
@@ -124,7 +124,7 @@ class Motors:
         if self._fingers is not None:
             if step == self._moves_at:
                 self._goal = self._next_goal
-            most, gain = self._fingers.gripper.speed, FINGER_GAIN / self._simulation.timestep
+            most, gain = self._fingers.gripper.speed, FINGER_GAIN / TIMESTEP
             for place in (-2, -1):  # plain floats take half the time of numpy arrays here
                 wanted = gain * (self._goal - float(data.qpos[self._positions[place]]))
                 speeds[place] = min(max(wanted, -most), most)

@@ -10,7 +10,7 @@ from typing import Any
 import numpy as np
 
 from ...errors import MachineError, PluginError
-from ..interface.engine import GRAVITY
+from ..interface.engine import GRAVITY, TIMESTEP
 
 IMPEDANCE_RATIO = 10.0
 """Ratio of the stiffness of friction to that of the normal direction; a held object creeps less the larger it is."""
@@ -21,6 +21,8 @@ OBJECT_IMPEDANCE = (0.995, 0.998, 0.001, 0.5, 2.0)
 the floor, stiffer ones throw it out with up to 2.8 m/s."""
 OLDEST_VERSION = 4_000_001
 """The oldest version that works, 4.0.1."""
+STIFF = (2 * TIMESTEP, 1.0)
+"""`solref` of the stiffest constraints that the time step allows."""
 _IMPORTING = Lock()
 
 
@@ -53,7 +55,6 @@ class Simulation:
     implicit by `Motors`, and MuJoCo's own implicit damping is off. With `implicitfast`, pads would slip.
 
     Args:
-        timestep: of a physics step in s.
         substeps: physics steps per control step.
         declare: adds what depends on all bodies to the spec, before it is compiled.
         write: writes the parameters of what `declare` added into the model.
@@ -63,18 +64,15 @@ class Simulation:
             starting from the masses and inertias of the structure.
     """
 
-    def __init__(
-        self, timestep: float, substeps: int, declare: Callable[[], None], write: Callable[[Any], None]
-    ) -> None:
+    def __init__(self, substeps: int, declare: Callable[[], None], write: Callable[[Any], None]) -> None:
         self.api = api = _mujoco()
-        self.timestep = timestep
         self.substeps = substeps
         self.parts: list[Any] = []
         self.model: Any = None
         self.spec = api.MjSpec()
         self.spec.compiler.degree = False
         option = self.spec.option
-        option.timestep = timestep
+        option.timestep = TIMESTEP
         option.integrator = api.mjtIntegrator.mjINT_EULER
         option.cone = api.mjtCone.mjCONE_ELLIPTIC
         option.impratio = IMPEDANCE_RATIO
@@ -88,11 +86,6 @@ class Simulation:
         self._structure_changed = self._parameters_changed = True
         self.stepped = False
         """Whether forces and contacts are known: no state was written since they were computed."""
-
-    @property
-    def stiff(self) -> tuple[float, float]:
-        """`solref` of the stiffest constraints that the time step allows."""
-        return 2 * self.timestep, 1.0
 
     def restructure(self) -> None:
         """Compile the model before its next use."""
@@ -145,7 +138,7 @@ class Simulation:
     def _write_parameters(self) -> None:
         model = self.model
         model.body_mass[:], model.body_inertia[:] = self._masses, self._inertias
-        model.jnt_solref[:], model.jnt_solimp[:] = self.stiff, CONTACT_IMPEDANCE
+        model.jnt_solref[:], model.jnt_solimp[:] = STIFF, CONTACT_IMPEDANCE
         for part in self.parts:
             part.write_parameters(model)
         self._write(model)

@@ -15,17 +15,17 @@ from numpy.typing import NDArray
 from ...core import Array, FloatArray
 from ...errors import MachineError, PluginError
 from ..geometry import Vector
-from ..interface.engine import FLOOR_FRICTION, Camera, Colour, Contact, Fingers, JointLimits
+from ..interface.engine import FLOOR_FRICTION, TIMESTEP, Camera, Colour, Contact, Fingers, JointLimits
 from ..interface.engine import Body as AnyBody
 from ..picture import Eye, Marker, draw
 from .body import Body
 from .motors import Motors
 from .renderer import Renderer
-from .simulation import CONTACT_IMPEDANCE, OBJECT_IMPEDANCE, Simulation
+from .simulation import CONTACT_IMPEDANCE, OBJECT_IMPEDANCE, STIFF, Simulation
 
 
 class World:
-    """Implements `interface.World`; a control step is `substeps` physics steps of `timestep` seconds.
+    """Implements `interface.World`.
 
     Contacts have the product of the friction coefficients of both bodies, as with PyBullet. Therefore every pair of
     shapes that may touch is declared; MuJoCo by itself would take the larger coefficient.
@@ -36,17 +36,16 @@ class World:
 
     def __init__(
         self,
-        substeps: int = 10,
         *,
-        timestep: float = 1 / 240,
+        substeps: int = 10,
         window: bool = False,
         camera: Camera | None = None,  # noqa: ARG002 (of a window)
     ) -> None:
         if window:
             raise MachineError("the engine mujoco has no window", hint="set environment.engine=bullet, or make a film")
         self.substeps = substeps
-        self.period = substeps * timestep
-        self._simulation = simulation = Simulation(timestep, substeps, self._declare_pairs, self._write_friction)
+        self.period = substeps * TIMESTEP
+        self._simulation = simulation = Simulation(substeps, self._declare_pairs, self._write_friction)
         self._spec, self.api = simulation.spec, simulation.api
         self._bodies: list[Body] = []
         self._motors: list[Motors] = []
@@ -69,19 +68,19 @@ class World:
 
     def step(self) -> None:
         simulation = self._simulation
-        data, model, timestep = simulation.ready(), simulation.model, simulation.timestep
+        data, model = simulation.ready(), simulation.model
         begin, end, integrate = self.api.mj_step1, self.api.mj_step2, self.api.mj_integratePos
         positions, velocities = data.qpos, data.qvel
         for substep in range(self.substeps):
             start = positions.copy()
-            integrate(model, positions, velocities, timestep / 2)
+            integrate(model, positions, velocities, TIMESTEP / 2)
             begin(model, data)
             rows = data.ne + simulation.rows
             for motors in self._motors:
                 motors.substep(substep, data, rows)
             end(model, data)
             positions[:] = start
-            integrate(model, positions, velocities, timestep)
+            integrate(model, positions, velocities, TIMESTEP)
         simulation.stepped = True
 
     def set_gravity(self, gravity: float) -> None:
@@ -138,7 +137,7 @@ class World:
                 name1=first,
                 name2=second,
                 data=[0.0, 1.0] + [0.0] * 10,
-                solref=self._simulation.stiff,
+                solref=STIFF,
                 solimp=CONTACT_IMPEDANCE,
             )
         self._simulation.restructure()
@@ -247,7 +246,7 @@ class World:
                 geomname1=shape,
                 geomname2=opposite,
                 condim=3,
-                solref=self._simulation.stiff,
+                solref=STIFF,
                 solimp=OBJECT_IMPEDANCE if one.free or other.free else CONTACT_IMPEDANCE,
             )
 
