@@ -19,8 +19,7 @@ from optuna.storages.journal import JournalFileBackend, JournalFileOpenLock
 from optuna.trial import FrozenTrial, TrialState
 
 from ..core.seeding import SeedTree
-from ..files import FileLock
-from ..records.sweep_records import SweepTrialState, Trial, rank
+from ..records.sweep_records import SweepTrialState, Trial
 from ..specification import Sweep
 from .objectives import directions
 
@@ -30,25 +29,20 @@ _STATES: dict[TrialState, SweepTrialState] = {
     TrialState.PRUNED: "pruned",
     TrialState.FAIL: "failed",
 }
-_JOURNAL_LOCK_SECONDS = 60.0
 _RUNS, _ERROR = "runs", "error"
 optuna.logging.set_verbosity(optuna.logging.ERROR)  # the sweep reports its own progress
 FEW_TRIALS = 4
 """Smallest number of complete trials for parameter importances."""
 
 
-class _JournalLock(JournalFileOpenLock):
-    """The journal's lock. Unlike Optuna's own, it is released when its process dies."""
-
-    def __init__(self, journal: Path) -> None:
-        super().__init__(str(journal))
-        self._lock = FileLock(journal.with_suffix(".lock"))
+class _NoLock(JournalFileOpenLock):
+    """Takes the place of Optuna's lock, which outlives a killed process. The lock of the sweep's folder is enough."""
 
     def acquire(self) -> bool:
-        return self._lock.acquire(_JOURNAL_LOCK_SECONDS)
+        return True
 
     def release(self) -> None:
-        self._lock.release()
+        pass
 
 
 class OpenTrial:
@@ -93,7 +87,7 @@ class Study:
         self._name = name
         self._directions = directions(sweep.objectives)
         self._grid = list(sweep.combinations()) if sweep.sampler == "grid" else []
-        storage = JournalStorage(JournalFileBackend(str(journal), lock_obj=_JournalLock(journal)))
+        storage = JournalStorage(JournalFileBackend(str(journal), lock_obj=_NoLock(str(journal))))
         self._study = optuna.create_study(
             storage=storage,
             study_name=name,
@@ -114,9 +108,6 @@ class Study:
         """All trials that have begun, by number."""
         return tuple(self._record(one) for one in self._all() if one.state in _STATES)
 
-    def trial(self, number: int) -> Trial:
-        return self._record(self._all()[number])
-
     def unfinished(self) -> list[OpenTrial]:
         """Trials to resume after an interruption. No other process runs them, because this one has the lock."""
         trials = []
@@ -135,14 +126,8 @@ class Study:
         self._study.sampler = self._sampler(len(trials) - waiting)
         return _drawn(self._study.ask(), self._sweep)
 
-    def ranked(self) -> list[Trial]:
-        """The complete trials, best first, by the objectives in order; ties by number."""
-        return rank(self.trials(), self._directions)
-
     def front(self) -> tuple[Trial, ...]:
-        """The Pareto front of the objectives; with one objective the best trial."""
-        if len(self._sweep.objectives) == 1:
-            return tuple(self.ranked()[:1])
+        """The Pareto front of the objectives."""
         return tuple(self._record(one) for one in self._study.best_trials)
 
     def importances(self) -> dict[str, float]:
