@@ -13,7 +13,7 @@ import typer
 
 from karolos.errors import MachineError, SpecError, UsageError
 
-from .arguments import Database, Json, On, Overrides, Quiet, Runs, TimeLimit, seconds, with_launcher
+from .arguments import Database, Json, On, Overrides, Quiet, Runs, SpecFile, TimeLimit, seconds, with_launcher
 from .output import drawn_text, print_rows, say, short_text
 
 if TYPE_CHECKING:
@@ -27,7 +27,7 @@ DASHBOARD = "optuna-dashboard"
 
 
 def sweep(
-    spec: Annotated[Path, typer.Argument(metavar="SPEC", help="A YAML spec with a sweep.")],
+    spec: SpecFile,
     overrides: Overrides = None,
     runs: Runs = Path("runs"),
     database: Database = None,
@@ -54,7 +54,7 @@ def sweep(
 
     from .display import SweepDisplay
 
-    search = Search(found, text=spec.read_text("utf-8"), trials=trials)
+    search = Search(found, trials=trials)
     if dashboard:
         raise typer.Exit(_open_dashboard(search.folder(runs) / "journal.log"))
     if dry_run:

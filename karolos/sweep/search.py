@@ -34,7 +34,6 @@ class Search:
 
     Args:
         spec: a Spec with a sweep, or a dictionary of the same shape as a spec file.
-        text: the text of the spec file, written into every run's folder.
         trials: number of trials; None: the spec's.
 
     Raises:
@@ -42,12 +41,11 @@ class Search:
         UsageError: the spec has no sweep, or its name is too long.
     """
 
-    def __init__(self, spec: Spec | Mapping[str, Any], *, text: str | None = None, trials: int | None = None) -> None:
+    def __init__(self, spec: Spec | Mapping[str, Any], *, trials: int | None = None) -> None:
         base = spec if isinstance(spec, Spec) else spec_from_dict(dict(spec))
         sweep = _sweep_of(base)
         self.sweep = sweep if trials is None else sweep.model_copy(update={"trials": trials})
         self.spec = base.model_copy(update={"sweep": self.sweep})
-        self._text = text
 
     @property
     def asked(self) -> int:
@@ -113,7 +111,7 @@ class Search:
             study = Study(folder.journal, self.sweep, self.spec.name, self.spec.training.steps)
             writer = TrialWriter(folder, study, store, listener)
             writer.write()
-            driver, home = Driver(launcher, warn, stop, retries=1), Home(root, url, "resume", self._text)
+            driver, home = Driver(launcher, warn, stop, retries=1), Home(root, url, "resume", self.spec.text)
             driver.run(Trials(base, home, self.sweep, jobs, stop, writer))
             final, ranked = None, writer.write().ranked
             if self.sweep.final is not None and not stop.requested and ranked:

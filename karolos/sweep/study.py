@@ -8,8 +8,7 @@ from __future__ import annotations
 
 import math
 import warnings
-from collections.abc import Iterator, Mapping, Sequence
-from contextlib import contextmanager
+from collections.abc import Mapping, Sequence
 from pathlib import Path
 from typing import Any
 
@@ -31,6 +30,7 @@ _STATES: dict[TrialState, SweepTrialState] = {
 }
 _RUNS, _ERROR = "runs", "error"
 optuna.logging.set_verbosity(optuna.logging.ERROR)  # the sweep reports its own progress
+warnings.filterwarnings("ignore", category=optuna.exceptions.ExperimentalWarning)  # constraints.txt pins the version
 FEW_TRIALS = 4
 """Smallest number of complete trials for parameter importances."""
 
@@ -95,8 +95,7 @@ class Study:
             pruner=self._pruner(steps),
             load_if_exists=True,
         )
-        with _experiments_allowed():  # names for optuna-dashboard
-            self._study.set_metric_names(list(sweep.objectives))
+        self._study.set_metric_names(list(sweep.objectives))  # for optuna-dashboard
 
     @staticmethod
     def draws(sweep: Sweep, count: int) -> list[dict[str, Any]]:
@@ -168,8 +167,8 @@ class Study:
             return optuna.samplers.GPSampler(seed=seed, warn_independent_sampling=False)
         if self._sweep.sampler == "tpe":
             conditional = any(parameter.when for parameter in self._sweep.space.values())
-            with _experiments_allowed():  # `group`, which draws together what is drawn under the same conditions
-                return optuna.samplers.TPESampler(seed=seed, multivariate=True, group=conditional)
+            # `group` draws together what is drawn under the same conditions.
+            return optuna.samplers.TPESampler(seed=seed, multivariate=True, group=conditional)
         return optuna.samplers.RandomSampler(seed=seed)
 
     def _pruner(self, steps: int) -> optuna.pruners.BasePruner:
@@ -178,14 +177,6 @@ class Study:
             return optuna.pruners.NopPruner()
         warmup = math.ceil(settings.warmup * steps)
         return optuna.pruners.MedianPruner(n_startup_trials=settings.startup, n_warmup_steps=warmup)
-
-
-@contextmanager
-def _experiments_allowed() -> Iterator[None]:
-    """Suppress warnings of experimental features; the project's constraints pin Optuna's version."""
-    with warnings.catch_warnings():
-        warnings.simplefilter("ignore", optuna.exceptions.ExperimentalWarning)
-        yield
 
 
 def _seed(sweep: Sweep, number: int) -> int:

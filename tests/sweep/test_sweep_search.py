@@ -225,7 +225,7 @@ def grid(tmp_path_factory) -> SweepOutcome:
 
     stopped = search.run(runs, listener=stop)
     assert ([trial.state for trial in stopped.trials], stopped.exit_code) == (["running"], 143)
-    assert not (stopped.folder / "figures").exists()
+    assert not (Path(stopped.folder) / "figures").exists()
     return search.run(runs)
 
 
