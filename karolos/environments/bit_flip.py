@@ -59,8 +59,6 @@ class BitFlip(Environment):
             desired_goal=Layout((Field("goal_bits", bits),)),
             goal_rule=self._rule,
         )
-        self._bits = np.zeros(bits, np.float32)
-        self._goal = np.zeros(bits, np.float32)
         self._steps = bits  # no episode is running
 
     def reset(self, seed: int) -> Step:
@@ -91,13 +89,10 @@ class BitFlip(Environment):
 
     def render(self, width: int = 640, height: int = 480) -> np.ndarray:
         """The bits above, the goal below, ones dark; bits that differ from the goal are red."""
-        picture = np.full((height, width, 3), 255, np.uint8)
-        edges = np.linspace(0, width, self.settings.bits + 1).astype(int)
-        rows = ((0, height // 2, self._bits), (height // 2, height, self._goal))
-        for top, bottom, bits in rows:
-            for bit, value in enumerate(bits.tolist()):
-                wrong = bits is self._bits and value != self._goal[bit]
-                colour = (200, 60, 40) if wrong else (40, 80, 200)
-                shade = colour if value else tuple(255 - (255 - part) // 4 for part in colour)
-                picture[top + 1 : bottom - 1, edges[bit] + 1 : edges[bit + 1] - 1] = shade
-        return picture
+        bits, goal = self._bits > 0, self._goal > 0
+        colours = np.full((2, bits.size, 3), (40, 80, 200))
+        colours[0, bits != goal] = 200, 60, 40
+        zeros = ~np.stack([bits, goal])
+        colours[zeros] = 255 - (255 - colours[zeros]) // 4
+        rows, columns = np.arange(height) * 2 // height, np.arange(width) * bits.size // width
+        return colours[rows][:, columns].astype(np.uint8)

@@ -75,8 +75,6 @@ class Toy(Environment):
         )
         self._rule = rule
         self._speed = np.float32(settings.speed)
-        self._position = np.zeros(size, np.float32)
-        self._goal = np.zeros(size, np.float32)
         self._steps = settings.max_steps  # no episode is running
 
     def reset(self, seed: int) -> Step:

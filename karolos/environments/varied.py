@@ -123,20 +123,18 @@ def _with(recipe: Recipe, values: Mapping[str, float]) -> Recipe:
 
 def _check_alike(signatures: Mapping[tuple[float, ...], Signature], names: Sequence[str]) -> None:
     first, signature = next(iter(signatures.items()))
-    for index, name in enumerate(names):
-        for values, other in signatures.items():
-            if any(values[at] != first[at] for at in range(len(names)) if at != index):
-                continue
-            differences = layout_differences(other, signature)
-            if not differences and _rules(other) != _rules(signature):
-                differences = ["episodes have another length, or another rule of reward and success"]
-            if differences:
-                raise UsageError(
-                    "a setting that is drawn must leave observations, actions, goals and rewards as they are: "
-                    + "; ".join(differences),
-                    setting=f"randomization.{name}",
-                    hint=f"give it one value: {name}={values[index]:g}",
-                )
+    for values, other in signatures.items():  # the first of them that is not alike differs in one setting
+        differences = layout_differences(other, signature)
+        if not differences and _rules(other) != _rules(signature):
+            differences = ["episodes have another length, or another rule of reward and success"]
+        if differences:
+            index = next(index for index, value in enumerate(values) if value != first[index])
+            raise UsageError(
+                "a setting that is drawn must leave observations, actions, goals and rewards as they are: "
+                + "; ".join(differences),
+                setting=f"randomization.{names[index]}",
+                hint=f"give it one value: {names[index]}={first[index]:g}",
+            )
 
 
 def _rules(signature: Signature) -> tuple[Any, ...]:

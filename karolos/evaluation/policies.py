@@ -75,11 +75,8 @@ class SavedAgent:
 
     def policy(self) -> Policy:
         """Acts without exploration."""
-
-        def act(step: Step) -> NDArray[np.float32]:
-            return np.asarray(self.agent.act(step.observation[None], step.desired_goal[None], explore=False)[0])
-
-        return Policy(act)
+        act = self.agent.act
+        return Policy(lambda step: np.asarray(act(step.observation[None], step.desired_goal[None], explore=False)[0]))
 
 
 def load_agent(folder: RunFolder, name: str = "best") -> SavedAgent:

@@ -128,11 +128,6 @@ class ArmModel:
         return urdf.load(self.urdf, tuple(sorted(self.locked.items())), fingers)
 
 
-def _difference(point: Vector, origin: Vector) -> Vector:
-    (x, y, z), (a, b, c) = point, origin
-    return x - a, y - b, z - c
-
-
 def _check_model(model: ArmModel, arm: Sequence[Joint], home: Vector) -> None:
     """Refuse a model that does not fit its URDF. `home`: position of the tool at home in the base's frame, in m.
 
@@ -151,14 +146,12 @@ def _check_model(model: ArmModel, arm: Sequence[Joint], home: Vector) -> None:
     outside = f"at home the tool is at {place}, outside the workspace from {low} to {high}"
     demand(model.workspace.contains(home), outside, hint="change `home`, `tool` or `workspace`")
     slides = {joint.name: joint for joint in model.description.joints if not joint.revolute}
-    fingers = model.fingers
-    if fingers is not None:
+    if (fingers := model.fingers) is not None:
         for name, link in zip(fingers.joints, fingers.links, strict=True):
-            known = f"prismatic joints: {', '.join(slides)}"
-            demand(name in slides, f"no finger joint is called {name!r}", hint=known)
+            demand(name in slides, f"no finger joint is called {name!r}", hint=f"prismatic joints: {', '.join(slides)}")
             slide = slides.pop(name)
-            moves = f"it moves {slide.child!r}"
-            demand(slide.child == link, f"finger joint {name!r} does not move a link {link!r}", hint=moves)
+            what = f"finger joint {name!r} does not move a link {link!r}"
+            demand(slide.child == link, what, hint=f"it moves {slide.child!r}")
             far = f"finger joint {name!r} moves by {slide.upper:g} m, `travel` is {fingers.travel:g}"
             demand(fingers.travel <= slide.upper + 1e-6, far)
     unmoved = f"nothing moves the prismatic joints {', '.join(sorted(slides))}"
@@ -229,21 +222,12 @@ class Arm:
         pose = self._configuration.tool
         self.home = pose.position
         self.home_yaw = atan2(pose.x[1], pose.x[0])
-        _check_model(model, self._joints, _difference(pose.position, self.base))
+        _check_model(model, self._joints, tuple(np.subtract(pose.position, self.base).tolist()))
         self.reset_noise = settings.reset_noise
         self._fingers = model.fingers
         self._values = {name: parameter.nominal for name, parameter in ARM_PARAMETERS.items()}
         self.gripper: Gripper | None = model.fingers.gripper if model.fingers else None
         self.home_joints = model.home
-        self.joint_positions: Sequence[float] = model.home
-        self.joint_velocities: Sequence[float] = (0.0,) * len(model.home)
-        self._delayed: deque[list[float]] = deque()
-        self.opening_command = 0.0
-        self._opens = False
-        self.tool_position: Vector = self.home
-        self.observed_tool_position: Vector = self.home
-        self.tool_velocity: Vector = (0.0, 0.0, 0.0)
-        self.opening = 0.0
         self.prepare(gripper=False, period=1 / 24)
 
     def forward(self, joints: Sequence[float]) -> Configuration:

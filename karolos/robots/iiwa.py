@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+from itertools import product
 from math import pi
 from pathlib import Path
 
@@ -23,9 +24,5 @@ class Iiwa(Arm):
         tool=(0.0, 0.0, 0.182),  # flange .045, tool centre point .137 beyond it
         tool_rpy=(0.0, 0.0, pi),
         fingers=ROBOTIQ_2F_85,
-        self_collisions=tuple(
-            (distal, proximal)
-            for distal in ("link5", "link6", "link7", "finger1", "finger2")
-            for proximal in ("link0", "link1", "link2")
-        ),
+        self_collisions=tuple(product(("link5", "link6", "link7", "finger1", "finger2"), ("link0", "link1", "link2"))),
     )

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+from itertools import product
 from math import pi
 from pathlib import Path
 
@@ -32,10 +33,6 @@ class Panda(Arm):
         # what the joint limits leave possible
         self_collisions=(
             ("link7", "link5"),
-            *(
-                (distal, proximal)
-                for distal in ("link5", "link6", "link7", "finger1", "finger2")
-                for proximal in ("link0", "link1", "link2")
-            ),
+            *product(("link5", "link6", "link7", "finger1", "finger2"), ("link0", "link1", "link2")),
         ),
     )

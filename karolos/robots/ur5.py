@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+from itertools import product
 from math import pi
 from pathlib import Path
 
@@ -24,9 +25,7 @@ class UR5(Arm):
         tool_rpy=(-pi / 2, 0.0, 0.0),
         fingers=ROBOTIQ_2F_85,
         self_collisions=tuple(
-            (distal, proximal)
-            for distal in ("wrist_1", "wrist_2", "wrist_3", "finger1", "finger2")
-            for proximal in ("base", "shoulder", "upper_arm")
+            product(("wrist_1", "wrist_2", "wrist_3", "finger1", "finger2"), ("base", "shoulder", "upper_arm"))
         )
         + tuple((distal, "forearm") for distal in ("base", "shoulder", "wrist_3", "finger1", "finger2")),
     )

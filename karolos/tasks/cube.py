@@ -66,14 +66,9 @@ class Cube:
         self.body.place((x, y, z), orientation)
         self.read()
 
-    def put_in_gripper(self, robot: RobotView, position: Vector) -> None:
-        """During a reset: put the cube there at rest, the tool around it with the pads at its sides.
-
-        Raises PluginError where the tool cannot be there, or for a robot without a gripper.
-        """
-        if robot.gripper is None:
-            raise PluginError("this robot has no gripper", where=type(robot).__name__, hint="a cube cannot be held")
-        self.place_with_tool(robot, position, position, 2 * self.half / robot.gripper.width, closing=True)
+    def put_in_gripper(self, robot: RobotView, gripper: Gripper, position: Vector) -> None:
+        """As `place_with_tool`, the tool around the cube with the pads at its sides, closing."""
+        self.place_with_tool(robot, position, position, 2 * self.half / gripper.width, closing=True)
 
     def place_with_tool(
         self, robot: RobotView, position: Sequence[float], tool: Vector, opening: float, *, closing: bool = False

@@ -114,7 +114,7 @@ class PickPlace(PointGoalTask, CubeTask):
         robot, (x, y, z) = self._robot, sample_position(generator, self.ground, "the cube").tolist()
         grasped, start = self.drawn.start_grasped, generator.uniform()
         if start < grasped:
-            self.cube.put_in_gripper(robot, (x, y, z))
+            self.cube.put_in_gripper(robot, self.gripper, (x, y, z))
         elif start < grasped + (1 - grasped) * self.drawn.start_near:
             self.cube.place_with_tool(robot, (x, y, z), (x, y, z + generator.uniform(GRIP_HEIGHT, HOVER_HEIGHT)), 1.0)
         else:

@@ -118,7 +118,7 @@ class Throw(CubeTask):
 
     def fit(self, robot: RobotView) -> None:
         settings, self._robot = self.settings, robot
-        check_gripper(robot, type(self).__name__, settings.object_size)
+        self.gripper = check_gripper(robot, type(self).__name__, settings.object_size)
         self.planner = planner = ThrowPlanner(robot, settings.object_size / 2)
         self.nearest, self.furthest = planner.reach + settings.threshold, settings.share * planner.furthest
         if self.nearest >= self.furthest:
@@ -154,7 +154,7 @@ class Throw(CubeTask):
 
     def reset(self, generator: Generator) -> None:
         x, y, z = sample_position(generator, self._starts(), "the cube").tolist()
-        self.cube.put_in_gripper(self._robot, (x, y, z))
+        self.cube.put_in_gripper(self._robot, self.gripper, (x, y, z))
         self._flight: Flight | None = None
         self._landing: tuple[float, float] | None = None
         self._status = 0.0

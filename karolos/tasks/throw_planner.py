@@ -88,10 +88,11 @@ class ThrowPlanner:
         self._home = np.array(robot.home_joints)
         speed = np.minimum(limits.velocity, np.array(robot.joint_step) / robot.period)
         # a joint that can make several turns is used from -pi to pi
-        low = np.maximum(limits.lower, self._home - pi)
-        high = np.minimum(limits.upper, self._home + pi)
-        self._low, self._high, self._speed = low[self._swinging], high[self._swinging], speed[self._swinging]
-        planar, self._span = self._search_reach()
+        self._low = low = np.maximum(limits.lower, self._home - pi)[self._swinging]
+        self._high = high = np.minimum(limits.upper, self._home + pi)[self._swinging]
+        self._speed = speed[self._swinging]
+        planar = self._search(lambda positions: self._points(positions)[:, -1].real, low, high)[1]
+        self._span = self._search(lambda positions: abs(self._points(positions)[:, -1] - self._first), low, high)[1]
         self.reach = hypot(planar, self._offset)
         self._release, self._velocities = self._search_throw()
         # landing distance and time of release of slower throws
@@ -172,12 +173,6 @@ class ThrowPlanner:
             step = (end - begin) / (GRID_POINTS - 1)
             begin, end = np.maximum(best - 1.5 * step, low), np.minimum(best + 1.5 * step, high)
         return best, maximum
-
-    def _search_reach(self) -> tuple[float, float]:
-        """The largest horizontal distance of the tool from the axis, and its largest distance from the first joint."""
-        planar = self._search(lambda positions: self._points(positions)[:, -1].real, self._low, self._high)[1]
-        span = self._search(lambda positions: abs(self._points(positions)[:, -1] - self._first), self._low, self._high)
-        return planar, span[1]
 
     def _search_throw(self) -> tuple[Array, Array]:
         """Joint positions at the release and joint velocities of the furthest throw."""

@@ -142,7 +142,7 @@ def test_a_cube_that_is_carried_to_the_floor_has_not_landed() -> None:
     task = task_of(environment)
     environment.reset(0)
     x, y, _ = environment.robot.home
-    task.cube.put_in_gripper(environment.robot, (x, y, 0.021))
+    task.cube.put_in_gripper(environment.robot, task.gripper, (x, y, 0.021))
     for _ in range(3):
         step = environment.step(holding(environment))
         if step.terminated:

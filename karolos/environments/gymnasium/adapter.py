@@ -96,8 +96,7 @@ class Gymnasium(Environment):
         registered = getattr(env.spec, "reward_threshold", None)
         self._success_return = registered if settings.success_return is None else settings.success_return
         try:
-            self._space: Any = env.observation_space
-            observation = _observation(self._space, settings)
+            self._space: Any = _observed(env.observation_space, settings)
             steps = settings.max_steps or getattr(env.spec, "max_episode_steps", None) or _registered_steps(settings.id)
             if not steps:
                 raise UsageError(
@@ -108,9 +107,10 @@ class Gymnasium(Environment):
             if settings.goals:
                 make = partial(make_environment, settings)
                 self._rule = GymnasiumGoals(make, env, settings.id, settings.success_reward, settings.goal_terminates)
-                goals = {name: Layout((Field(name, int(np.prod(self._space[name].shape))),)) for name in GOALS}
+                shapes = {name: env.observation_space[name].shape for name in GOALS}
+                goals = {name: Layout((Field(name, int(np.prod(shape))),)) for name, shape in shapes.items()}
             self.signature = Signature(
-                observation=observation,
+                observation=_layout(self._space),
                 action=_action(env.action_space),
                 max_steps=steps,
                 reward_range=settings.reward_range or (-np.inf, np.inf),
@@ -170,11 +170,7 @@ class Gymnasium(Environment):
             success = bool(info.get("is_success", False))
         else:
             success = (terminated or truncated) and self._return >= self._success_return
-        if self._rule is not None:
-            parts: Any = [flatten(space, observation[key]) for key, space in self._space.items() if key not in GOALS]
-            flat = np.concatenate(parts, dtype=np.float32)
-        else:
-            flat = np.array(flatten(self._space, observation), np.float32)
+        flat = np.array(flatten(self._space, observation), np.float32)
         return Step(flat, achieved, desired, reward, terminated, truncated, success)
 
     def _converted(self, action: Array) -> Any:
@@ -266,7 +262,8 @@ def _registered_steps(name: str) -> int | None:
     return spec(name.rpartition(":")[2]).max_episode_steps  # its module is imported by now
 
 
-def _observation(space: Any, settings: Gymnasium.Settings) -> Layout:
+def _observed(space: Any, settings: Gymnasium.Settings) -> Any:
+    """What is observed: all of the space, or all but the goals."""
     from gymnasium import spaces  # noqa: PLC0415
 
     has_goals = isinstance(space, spaces.Dict) and set(GOALS) <= set(space.spaces)
@@ -283,11 +280,14 @@ def _observation(space: Any, settings: Gymnasium.Settings) -> Layout:
         )
     if not space.is_np_flattenable:
         raise UsageError(f"its observations, {_line(space)}, cannot be laid out flat", setting=ID_SETTING)
-    if isinstance(space, spaces.Dict):
-        left_out = GOALS if settings.goals else ()
-        sizes = {str(key): int(spaces.flatdim(part)) for key, part in space.spaces.items() if key not in left_out}
-        return Layout(tuple(Field(name, size) for name, size in sizes.items()))
-    return Layout((Field("observation", int(spaces.flatdim(space))),))
+    return spaces.Dict({key: part for key, part in space.items() if key not in GOALS}) if settings.goals else space
+
+
+def _layout(space: Any) -> Layout:
+    from gymnasium import spaces  # noqa: PLC0415
+
+    parts = space.items() if isinstance(space, spaces.Dict) else [("observation", space)]
+    return Layout(tuple(Field(str(key), int(spaces.flatdim(part))) for key, part in parts))
 
 
 def _action(space: Any) -> Layout | Discrete:

@@ -5,6 +5,7 @@ from __future__ import annotations
 import os
 import tempfile
 from collections.abc import Sequence
+from typing import Any
 from xml.etree import ElementTree
 from xml.etree.ElementTree import Element
 
@@ -85,7 +86,9 @@ class World:
         self._stepped = False
         self._window = window
         self.floor = self._create(
-            self._shape(api.GEOM_BOX, halfExtents=FLOOR_HALF, collisionFramePosition=(0, 0, -FLOOR_HALF[2])),
+            api.createCollisionShape(
+                api.GEOM_BOX, halfExtents=FLOOR_HALF, collisionFramePosition=(0, 0, -FLOOR_HALF[2])
+            ),
             self._floor_look(),
             0.0,
         )
@@ -139,8 +142,10 @@ class World:
 
     def box(self, size: Vector, mass: float, colour: Colour) -> Body:
         half = tuple(edge / 2 for edge in size)
-        shape = self._shape(self.api.GEOM_BOX, halfExtents=half)
-        body = self._create(shape, self._look(self.api.GEOM_BOX, colour, halfExtents=half), mass)
+        shape = self.api.createCollisionShape(self.api.GEOM_BOX, halfExtents=half)
+        body = self._create(
+            shape, self.api.createVisualShape(self.api.GEOM_BOX, rgbaColor=colour, halfExtents=half), mass
+        )
         body.let_drift()
         if mass > 0:
             self._free.append(body)
@@ -148,7 +153,7 @@ class World:
 
     def marker(self, radius: float, colour: Colour) -> Body:
         # pictures draw markers themselves
-        look = self._look(self.api.GEOM_SPHERE, colour, radius=radius) if self._window else -1
+        look = self.api.createVisualShape(self.api.GEOM_SPHERE, rgbaColor=colour, radius=radius) if self._window else -1
         marker = self._create(-1, look, 0.0)
         self._markers.append((marker, radius, colour))
         return marker
@@ -193,30 +198,22 @@ class World:
         away = eye.far * eye.near / (eye.far - (eye.far - eye.near) * depth[..., 0].astype(np.float32))
         return colours[..., :3].astype(np.uint8), np.where(bodies[..., 0] >= 0, away, np.float32(np.inf))
 
-    def _floor_look(self) -> int:
+    def _floor_look(self) -> Any:
         """The visual shape of the floor: that of the pictures in a window. Pictures draw theirs themselves."""
         api = self.api
-        if not self._window:  # a body without visual shape is drawn as it collides
-            return self._look(api.GEOM_BOX, (0, 0, 0, 1), halfExtents=(1e-3,) * 3, visualFramePosition=HIDDEN_PLACE)
-        spacing, _, _ = GRIDS[-1]
-        colour = [level / 255 for level in GRID_COLOUR]
-        for at in (spacing * line for line in range(-10, 11)):
-            api.addUserDebugLine((at, -10 * spacing, 0.001), (at, 10 * spacing, 0.001), lineColorRGB=colour)
-            api.addUserDebugLine((-10 * spacing, at, 0.001), (10 * spacing, at, 0.001), lineColorRGB=colour)
-        red, green, blue = (level / 255 for level in FLOOR_COLOUR)
-        place = (0, 0, -FLOOR_HALF[2])
-        return self._look(api.GEOM_BOX, (red, green, blue, 1.0), halfExtents=FLOOR_HALF, visualFramePosition=place)
+        half, place, colour = (1e-3,) * 3, HIDDEN_PLACE, (0.0, 0.0, 0.0)  # one without would be drawn as it collides
+        if self._window:
+            spacing, _, _ = GRIDS[-1]
+            lines = [level / 255 for level in GRID_COLOUR]
+            for at in (spacing * line for line in range(-10, 11)):
+                api.addUserDebugLine((at, -10 * spacing, 0.001), (at, 10 * spacing, 0.001), lineColorRGB=lines)
+                api.addUserDebugLine((-10 * spacing, at, 0.001), (10 * spacing, at, 0.001), lineColorRGB=lines)
+            half, place, colour = FLOOR_HALF, (0, 0, -FLOOR_HALF[2]), FLOOR_COLOUR
+        rgba = [*(level / 255 for level in colour), 1.0]
+        return api.createVisualShape(api.GEOM_BOX, rgbaColor=rgba, halfExtents=half, visualFramePosition=place)
 
     def close(self) -> None:
         self.api.close()
-
-    def _shape(self, kind: int, **size: object) -> int:
-        index: int = self.api.createCollisionShape(kind, **size)
-        return index
-
-    def _look(self, kind: int, colour: Colour, **size: object) -> int:
-        index: int = self.api.createVisualShape(kind, rgbaColor=colour, **size)
-        return index
 
     def _create(self, shape: int, look: int, mass: float) -> Body:
         index: int = self.api.createMultiBody(mass, shape, look, useMaximalCoordinates=mass == 0)
