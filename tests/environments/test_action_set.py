@@ -3,21 +3,18 @@
 from __future__ import annotations
 
 from collections.abc import Iterator
-from functools import partial
 from typing import Any
 
 import gymnasium
 import numpy as np
 import pytest
-from support.rig import made, recipe
+from support.rig import made
 
 from karolos.core import Discrete, Field, Layout
 from karolos.environments.action_set import ActionSet, action_index
-from karolos.environments.build import build_environment
 from karolos.environments.robot_task import RobotTask
 from karolos.errors import UsageError
 from karolos.evaluation.policies import load_expert
-from karolos.orchestrator.local import Local
 from karolos.specification import spec_from_dict
 
 CARTESIAN = Layout((Field("tool_position_change", 3), Field("gripper_opening", 1)))
@@ -102,22 +99,6 @@ def test_an_action_that_is_none_of_the_set_is_refused_and_the_episode_goes_on(ac
 def test_an_index_is_found_in_any_form_it_travels_in() -> None:
     actions = Discrete(("a", "b", "c"))
     assert [action_index(form, actions, "x") for form in (2, np.int64(2), np.array(2), np.float32([2]))] == [2] * 4
-
-
-def test_workers_take_the_set_and_give_the_same_episode_as_the_environment_itself() -> None:
-    bare = discrete()
-    expected = [bare.reset(5), *(bare.step(np.array(index)) for index in (0, 6, 3))]
-    build = partial(build_environment, recipe("reach", environment={"actions": "discrete"}))
-    with Local(Local.Settings(processes=1, environments=1), build) as orchestrator:
-        assert orchestrator.signature.action == bare.signature.action
-        orchestrator.reset([0], [5])
-        found = [orchestrator.receive().step]
-        for index in (0, 6, 3):
-            orchestrator.step([0], np.float32([[index]]))
-            found.append(orchestrator.receive().step)
-    for step, other in zip(found, expected, strict=True):
-        np.testing.assert_array_equal(step.observation[0], other.observation)
-    bare.close()
 
 
 def test_gymnasium_has_the_set_as_a_discrete_space() -> None:

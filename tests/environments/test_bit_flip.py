@@ -6,7 +6,6 @@ import numpy as np
 import pytest
 from hypothesis import given
 from hypothesis import strategies as st
-from pydantic import ValidationError
 
 from karolos.core import Step
 from karolos.environments.bit_flip import BitFlip
@@ -96,12 +95,6 @@ def test_a_bit_that_is_not_there_is_refused_by_name(action: object) -> None:
     environment.reset(0)
     with pytest.raises(ValueError, match="BitFlip: an action is a number from 0 to 5"):
         environment.step(np.array(action))
-
-
-@pytest.mark.parametrize("settings", [{"bits": 0}, {"bits": 51}, {"bit": 3}])
-def test_settings_without_sense_are_refused(settings: dict[str, int]) -> None:
-    with pytest.raises(ValidationError):
-        BitFlip.Settings(**settings)
 
 
 def test_picture_shows_which_bits_are_wrong() -> None:

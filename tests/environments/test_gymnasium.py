@@ -52,14 +52,6 @@ def test_box_actions_are_rescaled() -> None:
         environment.step(np.array([np.nan]))
 
 
-def test_same_seed_gives_same_episode_in_a_fresh_and_in_a_used_environment() -> None:
-    used, fresh = make(id="Pendulum-v1"), make(id="Pendulum-v1")
-    play(used, 5, [0.3])
-    for one, other in zip(play(used, 7, [0.1]), play(fresh, 7, [0.1]), strict=True):
-        np.testing.assert_array_equal(one.observation, other.observation)
-        assert one.reward == other.reward
-
-
 def test_own_limit_of_steps_truncates() -> None:
     steps = play(make(id="Pendulum-v1", max_steps=7), 0, [0.0])
     assert len(steps) == 8

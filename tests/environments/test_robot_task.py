@@ -101,17 +101,6 @@ def test_randomized_values_are_recorded_applied_and_follow_from_the_seed() -> No
     made.close()
 
 
-def test_fixed_distribution_at_the_nominal_value_changes_no_motion() -> None:
-    plain, fixed = environment(), environment({"task.gravity": normal(-9.81, 0.0), "robot.link_mass": normal(1.0, 0)})
-    plain.reset(0)
-    fixed.reset(0)
-    for _ in range(10):
-        action = np.array([1.0, 0.3, -0.7])
-        np.testing.assert_array_equal(plain.step(action).observation, fixed.step(action).observation)
-    plain.close()
-    fixed.close()
-
-
 def test_parameter_that_nobody_declares_is_refused_with_the_closest() -> None:
     with pytest.raises(UsageError, match=r"did you mean 'task.gravity'\?.*robot.link_mass"):
         environment({"task.gravty": normal(-9.81, 1)})

@@ -39,29 +39,6 @@ def test_gripper_opens_and_closes_and_its_fingers_agree(control: str) -> None:
     made.close()
 
 
-def test_gripped_cube_is_lifted_and_survives_a_shake() -> None:
-    made = environment(Grasping)
-    made.reset(0)
-    robot = made.robot
-    cube = made.world.box((0.04, 0.04, 0.04), 0.1, (0.9, 0.4, 0.1, 1.0))
-    cube.place((0.5, 0.0, 0.02))
-    for position, opening, count in (
-        ((0.5, 0.0, 0.02), 1.0, 25),
-        ((0.5, 0.0, 0.02), 0.0, 12),
-        ((0.5, 0, 0.3), 0.0, 20),
-    ):
-        for _ in range(count):
-            made.step(robot.towards(position, opening))
-    assert robot.pads_touching(cube) == 2
-    assert cube.pose()[0][2] > 0.25
-    for shake in range(24):
-        made.step(np.array([0.0, 1.0 if shake % 2 else -1.0, 1.0 if shake % 4 < 2 else -1.0, -1.0]))
-        first, second = robot.body.joints([7, 8])  # type: ignore[attr-defined]
-        assert abs(first[0] - second[0]) < 1e-3
-    assert np.linalg.norm(np.subtract(cube.pose()[0], robot.tool_position)) < 0.02
-    made.close()
-
-
 def test_yaw_turns_the_gripper_and_is_seen() -> None:
     made = environment(yaw=True)
     start = made.reset(0)

@@ -19,31 +19,6 @@ def test_goals_fill_their_box_in_the_middle_of_the_workspace(goals: str, edges: 
     environment.close()
 
 
-def test_goal_is_reached_and_the_rewards_say_so() -> None:
-    environment = made("reach")
-    assert environment.signature.reward_range == (-1.0, 0.0)
-    step = environment.reset(0)
-    goal = tuple(step.desired_goal.tolist())
-    rewards = []
-    while not step.truncated:
-        step = environment.step(environment.robot.towards(goal, 0.0))
-        assert step.reward == (0.0 if step.success else -1.0)
-        assert not step.terminated
-        rewards.append(step.reward)
-    assert step.success
-    assert rewards[0] == -1
-    assert len(rewards) == environment.signature.max_steps == 50
-    environment.close()
-
-
-def test_dense_reward_is_minus_the_distance() -> None:
-    environment = made("reach", reward="dense")
-    step = environment.reset(0)
-    step = environment.step(np.zeros(3))
-    assert step.reward == pytest.approx(-np.linalg.norm(step.achieved_goal - step.desired_goal), abs=1e-6)
-    environment.close()
-
-
 def test_threshold_that_leaves_no_goal_is_refused() -> None:
     with pytest.raises(UsageError, match=r"task.threshold: 0.3 m leaves no goal"):
         made("reach", threshold=0.3)

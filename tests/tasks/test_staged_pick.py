@@ -27,10 +27,16 @@ def away_from_the_goal(cube: Array, goal: Array = GOAL) -> bool:
 
 
 @given(places, shares, shares, st.sampled_from([0.0, 0.5, 1.0]))
-def test_the_nearer_the_tool_to_the_cube_the_more(direction: tuple[float, ...], near: float, far: float, pads: float):
-    cube, offset = np.array([0.3, 0.0, 0.02]), np.array(direction)
+def test_the_nearer_the_tool_to_the_cube_the_higher_a_held_cube_and_the_nearer_it_to_the_goal_the_more(
+    direction: tuple[float, ...], near: float, far: float, pads: float
+):
     near, far = sorted((near, far))
+    cube, offset, level = np.array([0.3, 0.0, 0.02]), np.array(direction), np.array([*direction[:2], 0.0])
     assert worth(cube, cube + near * offset, pads) >= worth(cube, cube + far * offset, pads) - 1e-6
+    low, high = (cube + np.array([0.0, 0.0, share * 0.18]) for share in (near, far))
+    assert worth(high, high, 1.0) >= worth(low, low, 1.0) - 1e-6
+    close, away = (GOAL + share * level for share in (near, far))  # at the goal's height the lift is done
+    assert worth(close, close, 1.0) >= worth(away, away, 1.0)
 
 
 @given(places, places)
@@ -39,24 +45,6 @@ def test_each_pad_that_touches_is_worth_a_part(cube: tuple[float, ...], tool: tu
         none, one, both = (worth(np.array(cube), np.array(tool), pads) for pads in (0.0, 0.5, 1.0))
         assert none < one < both
         np.testing.assert_allclose(both - none, 0.25, atol=1e-5)
-
-
-@given(shares, shares)
-def test_the_higher_a_held_cube_the_more_up_to_the_height_of_the_goal(low: float, high: float):
-    low, high = sorted((low, high))
-
-    def lifted(share: float) -> float:
-        cube = np.array([0.3, 0.0, 0.02 + share * 0.18])
-        return worth(cube, cube, 1.0)
-
-    assert lifted(high) >= lifted(low) - 1e-6
-
-
-@given(places, shares, shares)
-def test_the_nearer_a_held_cube_to_the_goal_the_more(direction: tuple[float, ...], near: float, far: float):
-    level = np.array([direction[0], direction[1], 0.0])  # at the goal's height, so that the lift is done
-    near, far = sorted((near, far))
-    assert worth(GOAL + near * level, GOAL + near * level, 1.0) >= worth(GOAL + far * level, GOAL + far * level, 1.0)
 
 
 @given(
