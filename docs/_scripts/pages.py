@@ -26,9 +26,8 @@ from karolos_cli.plugins import _settings
 from typer.testing import CliRunner
 
 from karolos.comparison import Contender, compare
-from karolos.export import shipped
 from karolos.plugins.inspection import inspect_robot, inspect_task
-from karolos.records import RunFolder, paths, run_records
+from karolos.records import RunFolder, paths, run_records, shipped
 from karolos.records.results import TestCounts
 from karolos.records.transfer_results import TransferResult
 from karolos.registry import KINDS, entries, load, singular
