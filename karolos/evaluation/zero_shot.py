@@ -144,7 +144,7 @@ def zero_shot_test(
         own = _from_final_test(folder, saved, seed, count) or play(saved.spec, drawing=False)
     transfer = TransferResult(
         time=timestamp(),
-        checkpoint=checkpoint,
+        checkpoint=saved.checkpoint,
         sha256=saved.sha256,
         overrides=tuple(overrides),
         randomized=randomize,

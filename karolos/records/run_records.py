@@ -55,6 +55,8 @@ class RunDescription(TypedDict):
     seed: Annotated[int, Field(ge=0)]
     created: str
     """Time in UTC, ISO 8601."""
+    changed: NotRequired[dict[str, Any] | None]
+    """Settings that differ from their defaults; None if that is not known."""
     versions: NotRequired[dict[str, str]]
     """Of Python, karolos, plugins and their dependencies when the run began."""
     source: NotRequired[str]

@@ -15,7 +15,6 @@ from ..records import RunFolder
 from ..records.run_records import RunSummary
 from ..records.shipped import FOLDER, shipped_names
 from ..registry import alternatives, closest
-from ..specification import load_spec
 from .database import Database
 from .runs import find_runs
 from .tables import RUNS
@@ -60,6 +59,8 @@ def select(database: Database, selector: str, *, all_prefixed: bool = False) -> 
             raise NoSuchRunError(f"{selector!r} means no run", hint=f"there are {len(newest)}, from @last on")
         return newest[-1:]
     if is_spec(selector):
+        from ..specification import load_spec  # noqa: PLC0415  (yaml)
+
         found = find_runs(database, experiment=load_spec(Path(selector), ()).hash())
         if not found:
             raise UsageError(f"there are no runs of {selector}", hint=f"`karolos run {selector}` makes them")
