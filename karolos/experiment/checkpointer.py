@@ -6,8 +6,6 @@ from collections.abc import Mapping
 from dataclasses import dataclass, field, fields
 from typing import Any
 
-from typing_extensions import override
-
 from .. import checkpoint
 from ..core import State
 from ..errors import MachineError
@@ -15,33 +13,31 @@ from ..evaluation.due_tests import DueTest
 from ..records import RunFolder
 from ..records.results import TestResult
 from ..training.training import Training
-from .observer import Announce, RunObserver, RunWarnings
+from .announcer import Announce
 from .resume import LAST, PREVIOUS
+from .writer import RunWriter
 
 BEST = "best"
 
 
 @dataclass
-class Checkpointer(RunObserver):
+class Checkpointer:
     """Writes checkpoints after each test and at the end of training.
 
     A checkpoint that cannot be written is a warning; the one before it stays.
 
     Args:
-        folder: the run's.
-        warnings: of the run.
+        writer: of the run.
         experiment: hash of the run's spec.
         seed: the run's.
-        pending: tests without a recorded result, which the caller changes.
+        pending: tests without a recorded result, which the caller changes; `last` contains them.
         announce: is told when a checkpoint `last` is written.
     """
 
-    folder: RunFolder
-    warnings: RunWarnings
+    writer: RunWriter
     experiment: str
     seed: int
     pending: list[DueTest]
-    """Tests without a result; `last` contains them."""
     announce: Announce
     demonstrated: bool = field(default=True, init=False)
     """Whether the buffer holds the demonstrations of the spec, if it has any."""
@@ -50,15 +46,15 @@ class Checkpointer(RunObserver):
     _saved_at: tuple[int, int] = field(default=(-1, 0), init=False)
     """Environment steps and pending tests at the last checkpoint `last`."""
 
-    @override
+    @property
+    def _folder(self) -> RunFolder:
+        return self.writer.folder
+
     def tested(self, training: Training, test: DueTest, result: TestResult) -> None:
+        """A test is over. Training may have gone on since it was due."""
         self._choose(test, result)
         if test.steps == training.steps:
             self.save(training)
-
-    @override
-    def trained(self, training: Training) -> None:
-        self.save(training)
 
     def _choose(self, test: DueTest, result: TestResult) -> None:
         """Write the tested agent as `best` if no earlier test is better."""
@@ -76,7 +72,7 @@ class Checkpointer(RunObserver):
         Raises:
             CheckpointError: the parts do not fit the run's spec.
         """
-        with checkpoint.fitting(str(self.folder.checkpoints)):
+        with checkpoint.fitting(str(self._folder.checkpoints)):
             run = parts["run"]
             self.demonstrated = bool(run["demonstrated"])
             self._best = tuple(map(float, run["best"]))
@@ -91,12 +87,12 @@ class Checkpointer(RunObserver):
             training.buffer.load_state(parts["buffer"])
             training.load_state(parts["training"])
         if training.collector.strayed:
-            self.warnings.add(
+            self.writer.warn(
                 f"the running episodes of these environments were played again and ended elsewhere: "
                 f"{', '.join(map(str, training.collector.strayed))}",
                 "the run resumes, but not bit for bit: seeds and actions do not determine these episodes",
             )
-        results = {result.steps: result for result in self.folder.tests()}
+        results = {result.steps: result for result in self._folder.tests()}
         left = []
         for test in tests:
             if test.steps in results:  # it was recorded after the checkpoint
@@ -120,9 +116,9 @@ class Checkpointer(RunObserver):
                 "tests": [{one.name: getattr(test, one.name) for one in fields(test)} for test in self.pending],
             },
         }
-        with self.warnings.tolerated(MachineError, "the checkpoint before is kept"):
-            checkpoint.rename(self.folder.checkpoints, LAST, PREVIOUS)
-        if self._write(LAST, parts, training, {"episodes_bytes": self.folder.episodes_bytes()}):
+        with self.writer.tolerated(MachineError, "the checkpoint before is kept"):
+            checkpoint.rename(self._folder.checkpoints, LAST, PREVIOUS)
+        if self._write(LAST, parts, training, {"episodes_bytes": self._folder.episodes_bytes()}):
             self._saved_at = training.steps, len(self.pending)
         self.announce("checkpoint", 1, 1)
 
@@ -136,8 +132,8 @@ class Checkpointer(RunObserver):
             "seconds": at.seconds,
             **more,
         }
-        with self.warnings.tolerated(MachineError, f"the checkpoint {name!r} was not written; the one before is kept"):
-            checkpoint.save(self.folder.checkpoints, name, parts, meta)
+        with self.writer.tolerated(MachineError, f"the checkpoint {name!r} was not written; the one before is kept"):
+            checkpoint.save(self._folder.checkpoints, name, parts, meta)
             return True
         return False
 

@@ -14,8 +14,9 @@ from ..evaluation.testing import test_seeds
 from ..records.results import TestResult
 from ..specification import Spec
 from ..training.training import Training
-from .observer import Announce, RunWarnings
+from .announcer import Announce
 from .signals import StopRequest
+from .writer import RunWriter
 
 MEASURED_SECONDS = 1.0
 """Seconds of testing in the run's own process after which it considers a second process."""
@@ -57,7 +58,7 @@ class PendingTests:
         spec: of the run.
         training: is tested.
         pending: tests without a recorded result, in the order of their steps; `finished` removes tests.
-        warnings: of the run.
+        writer: of the run, for warnings.
         stop: a request abandons the test that is played here.
         announce: is called with the progress of a test.
         beside: whether a second process may be started.
@@ -68,14 +69,14 @@ class PendingTests:
         spec: Spec,
         training: Training,
         pending: list[DueTest],
-        warnings: RunWarnings,
+        writer: RunWriter,
         stop: StopRequest,
         announce: Announce,
         *,
         beside: bool,
     ) -> None:
         self._spec, self._training, self.pending = spec, training, pending
-        self._warnings, self._stop, self._announce = warnings, stop, announce
+        self._writer, self._stop, self._announce = writer, stop, announce
         self.activity = "testing"
         """For announcements."""
         self._parts: dict[DueTest, list[_Part]] = {}
@@ -107,7 +108,7 @@ class PendingTests:
                 part, future = self._beside
                 result, failures = future.result()
                 for failure in failures:
-                    self._warnings.add_failure(failure)
+                    self._writer.warn_of_failure(failure)
                 if part.result is None:
                     self._record(part, result)
                 self._beside = None
@@ -115,7 +116,7 @@ class PendingTests:
                 self._beside = next_part, self._process.submit(next_part.test)
                 next_part.taken = True
         except Exception as error:  # whatever it is, it must not cost the run
-            self._warnings.add(f"the test process failed: {type(error).__name__}: {error}", "its test is played again")
+            self._writer.warn(f"the test process failed: {type(error).__name__}: {error}", "its test is played again")
             self._processes_left -= 1
             self._close_process()
 
@@ -196,7 +197,7 @@ class PendingTests:
                 raise _AbandonedError
 
         try:
-            result = self._evaluator.play(part.test, self._warnings.add_failure, on_round)
+            result = self._evaluator.play(part.test, self._writer.warn_of_failure, on_round)
         except _AbandonedError:
             part.taken = taken or part.result is not None
         else:

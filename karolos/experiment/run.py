@@ -1,6 +1,6 @@
 """One run: one spec, one seed, from an empty folder to the end.
 
-Run prepares training, alternates it with tests and tells its observers. The observers write everything down.
+Run prepares training, alternates it with tests, has everything written down and then tells the listener.
 """
 
 from __future__ import annotations
@@ -27,16 +27,16 @@ from ..training.assembly import make_agent, make_buffer, make_orchestrator
 from ..training.demonstrations import collect_demonstrations
 from ..training.episodes import Episode
 from ..training.training import Training
+from .announcer import Announcer
 from .checkpointer import BEST, Checkpointer
-from .events import Listener, RunStarted
-from .folder_writer import FolderWriter
-from .observer import Announcer, Ending, RunObserver, RunWarnings
+from .events import Listener, RunEnded, RunFinalTested, RunStarted, RunTested
 from .pending_tests import PendingTests
 from .resume import LAST, Snapshot, newest_snapshot
 from .run_index import RunIndex
 from .signals import StopRequest, StopRequestedError
 from .start_from import apply, find
 from .tensorboard_writer import TensorBoardWriter
+from .writer import Ending, RunWriter
 
 REPORTS_PER_TEST = 10
 
@@ -65,32 +65,20 @@ class Run:
     snapshot: Snapshot | None = None
     beside: bool = False
     _pending: list[DueTest] = field(default_factory=list, init=False)
-    _warnings: RunWarnings = field(init=False)
-    _announcer: Announcer = field(init=False)
-    _checkpointer: Checkpointer = field(init=False)
-    _observers: tuple[RunObserver, ...] = field(init=False)
+    """Tests without a recorded result."""
 
     def __post_init__(self) -> None:
-        folder, snapshot = self.folder, self.snapshot
-        exact = self.spec.training.at_least is None
-        self._warnings = RunWarnings(folder, self.listener)
-        self._announcer = Announcer(folder.id, self.spec.training.steps, self.listener)
+        self._writer = RunWriter(self.folder, self.index, self.listener)
+        self._announcer = Announcer(self.folder.id, self.spec.training.steps, self.listener)
         self._checkpointer = Checkpointer(
-            folder, self._warnings, self.spec.hash(), self.seed, self._pending, self._announcer.announce
-        )
-        self._observers = (
-            FolderWriter(folder, self.index, self._warnings, snapshot, exact),
-            TensorBoardWriter(folder.tensorboard, self._warnings, snapshot),
-            self._checkpointer,
-            self._announcer,
+            self._writer, self.spec.hash(), self.seed, self._pending, self._announcer.announce
         )
 
     def execute(self) -> RunSummary:
         """Train, test and write down. An error ends this run only: it is written down, and other seeds can run."""
         self.listener(RunStarted(self.folder.id, self.seed, self.spec.training.steps, str(self.folder.path)))
         try:
-            for observer in self._observers:
-                observer.started()
+            self._writer.start(self.snapshot, exact=self.spec.training.at_least is None)
             ending = self._train()
         except KeyboardInterrupt:
             self._end(Ending("stopped", reason="SIGINT, at once"))
@@ -104,8 +92,8 @@ class Run:
         return self.folder.summary()
 
     def _end(self, ending: Ending) -> None:
-        for observer in self._observers:
-            observer.ended(ending)
+        self._writer.end(ending)
+        self.listener(RunEnded(self.folder.id, ending.state, ending.error, ending.traceback))
 
     def _train(self) -> Ending:
         """Build everything, train and test."""
@@ -114,6 +102,8 @@ class Run:
         spec, seeds = self.spec, SeedTree(self.seed)
         use_threads(spec.training.threads or 1)
         with ExitStack() as stack:
+            self._points = TensorBoardWriter(self.folder.tensorboard, self._writer, self.snapshot)
+            stack.callback(self._points.close)
             environments = stack.enter_context(make_orchestrator(spec, randomize=True))
             self.folder.event("layout", **environments.describe())
             signature, size = environments.signature, environments.size
@@ -123,23 +113,16 @@ class Run:
             training = Training(
                 environments, agent, buffer, spec.training, seeds, spec.training.at_least, pretraining_updates
             )
-            tests = PendingTests(
-                spec,
-                training,
-                self._pending,
-                self._warnings,
-                self.stop,
-                self._announcer.announce,
-                beside=self.beside,
-            )
+            announce = self._announcer.announce
+            tests = PendingTests(spec, training, self._pending, self._writer, self.stop, announce, beside=self.beside)
             stack.callback(tests.close)
             self._announcer.seconds_left = tests.seconds_left
             finished = self._prepare(training) and self._train_and_test(training, tests)
             finished = finished and self._final_test(training, tests)
         if finished and not training.updates:
-            self._warnings.add("the run made no gradient update", "its policy is that of an untrained agent")
-        amounts = training.steps, training.seconds, training.updates
-        return Ending("finished", *amounts) if finished else Ending("stopped", *amounts, self.stop.reason)
+            self._writer.warn("the run made no gradient update", "its policy is that of an untrained agent")
+        totals = training.totals()
+        return Ending("finished", totals) if finished else Ending("stopped", totals, self.stop.reason)
 
     def _prepare(self, training: Training) -> bool:
         """Start or resume, and collect demonstrations that are missing. Returns False if a stop is requested."""
@@ -187,12 +170,12 @@ class Run:
 
     def _resume(self, training: Training, snapshot: Snapshot) -> None:
         for warning in snapshot.warnings:
-            self._warnings.add(warning, "the run resumes from the checkpoint before")
+            self._writer.warn(warning, "the run resumes from the checkpoint before")
         if snapshot.parts:
             self._pending += self._checkpointer.restore(training, snapshot.parts)
             snapshot.parts.clear()  # the run goes on for hours, and the buffer need not be in memory twice
         else:
-            self._warnings.add("the run has no checkpoint", "it begins again")
+            self._writer.warn("the run has no checkpoint", "it begins again")
 
     def _train_and_test(self, training: Training, tests: PendingTests) -> bool:
         """Train and test until all is done or a stop is requested. Returns whether all is done."""
@@ -205,9 +188,8 @@ class Run:
         for progress in training.rounds():
             episodes += progress.finished
             for failure in progress.failures:
-                self._warnings.add_failure(failure)
-            for observer in self._observers:
-                observer.progressed(progress)
+                self._writer.warn_of_failure(failure)
+            self._announcer.progressed(progress)
             testing = test_due(progress.steps) or progress.steps >= total
             if report_due(progress.steps) or testing:
                 self._report(training, episodes)
@@ -220,15 +202,14 @@ class Run:
         if training.steps >= total:
             for test, result in tests.play_remaining():
                 self._tested(training, test, result)
-        for observer in self._observers:
-            observer.trained(training)
+        self._checkpointer.save(training)
         return training.steps >= total and not tests.pending
 
     def _report(self, training: Training, episodes: list[Episode]) -> None:
         """Report the episodes and the agent's metrics since the last report. Raises RunError if one is not finite."""
         metrics = training.read_metrics()
-        for observer in self._observers:
-            observer.reported(training, episodes, metrics)
+        self._writer.write_episodes(episodes, training.orchestrator.signature.parameters.names)
+        self._points.add_report(training, episodes, metrics)
 
     def _test(self, training: Training, tests: PendingTests, *, due: bool) -> None:
         """Add a test if one is due, and record the tests that are over."""
@@ -241,8 +222,11 @@ class Run:
             self._checkpointer.save(training)
 
     def _tested(self, training: Training, test: DueTest, result: TestResult) -> None:
-        for observer in self._observers:
-            observer.tested(training, test, result)
+        """Write a test down, and tell the listener when everything is written."""
+        self._writer.write_test(training, result)
+        self._points.add_test(result)
+        self._checkpointer.tested(training, test, result)
+        self.listener(RunTested(self.folder.id, result))
 
     def _final_test(self, training: Training, tests: PendingTests) -> bool:
         """Play the final test, if the spec has one. Returns False if a stop is requested before it is complete."""
@@ -252,9 +236,9 @@ class Run:
         seeds = test_seeds(settings.final_seed, settings.final_count)
         last = DueTest(training.steps, training.updates, training.seconds, training.agent.state(), seeds)
         best, last_sha256, best_sha256 = None, "", None
-        with self._warnings.tolerated(CheckpointError, "the final test does not say which checkpoint was `last`"):
+        with self._writer.tolerated(CheckpointError, "the final test does not say which checkpoint was `last`"):
             last_sha256 = checkpoint.digest(folder, LAST, "agent")
-        with self._warnings.tolerated(CheckpointError, "the final test of this checkpoint is missing"):
+        with self._writer.tolerated(CheckpointError, "the final test of this checkpoint is missing"):
             agent, meta, best_sha256 = checkpoint.load_part(folder, BEST, "agent")
             amounts = int(meta["steps"]), int(meta["updates"]), float(meta["seconds"])
             best = last if amounts[0] == training.steps else DueTest(*amounts, agent, seeds)
@@ -264,8 +248,8 @@ class Run:
         if tests.pending:
             return False
         final = FinalTest(settings.final_seed, results[last], results[best] if best else None, last_sha256, best_sha256)
-        for observer in self._observers:
-            observer.final_tested(final)
+        self._writer.write_final(final)
+        self.listener(RunFinalTested(self.folder.id, final))
         return True
 
 

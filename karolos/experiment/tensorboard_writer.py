@@ -10,86 +10,51 @@ from collections.abc import Mapping, Sequence
 from pathlib import Path
 
 import numpy as np
-from typing_extensions import override
 
 from ..errors import MachineError
-from ..evaluation.due_tests import DueTest
 from ..files import writing
 from ..records.results import TestResult
 from ..training.episodes import Episode
 from ..training.training import Training
-from .observer import Ending, RunObserver, RunWarnings
 from .resume import Snapshot
+from .writer import RunWriter
 
 
-class EventFile:
-    """A TensorBoard event file below `folder`, written in this thread.
+class TensorBoardWriter:
+    """Writes one point of each scalar at every report and every test. A point that cannot be written is a warning.
 
-    TensorBoard's own writer uses a thread whose errors nobody notices.
+    The event file is written in this thread: TensorBoard's own writer uses a thread whose errors nobody notices.
 
     Args:
-        folder: is created if it is missing.
-        purge: TensorBoard hides the points at this step and after it in older files; None: a new run.
+        folder: of the event files; is created if it is missing.
+        writer: of the run, for warnings.
+        snapshot: where the run resumes; None if it starts. TensorBoard hides the points after it in older files.
 
     Raises:
-        MachineError: from every method, when the file cannot be written.
+        MachineError: the file cannot be created.
     """
 
-    def __init__(self, folder: Path, *, purge: int | None = None) -> None:
+    def __init__(self, folder: Path, writer: RunWriter, snapshot: Snapshot | None) -> None:
         # Importing takes 0.2 s, which only a process that trains shall pay.
         from tensorboard.compat.proto.event_pb2 import Event, SessionLog  # noqa: PLC0415
         from tensorboard.compat.proto.summary_pb2 import Summary  # noqa: PLC0415
         from tensorboard.summary.writer.record_writer import RecordWriter  # noqa: PLC0415
 
-        self._event, self._summary = Event, Summary
+        self._event, self._summary, self._writer = Event, Summary, writer
+        self._steps: int = snapshot.meta["steps"] if snapshot else 0
+        self._updates: int = snapshot.meta["updates"] if snapshot else 0
         self._path = folder / f"events.out.tfevents.{time.time_ns()}.karolos"
         with writing(self._path):
             folder.mkdir(parents=True, exist_ok=True)
             self._file = self._path.open("xb")
         self._records = RecordWriter(self._file)
         self._records.write(Event(wall_time=time.time(), file_version="brain.Event:2").SerializeToString())
-        if purge is not None:
-            start = SessionLog(status=SessionLog.START)
+        if snapshot is not None:
+            start, purge = SessionLog(status=SessionLog.START), self._steps + 1  # points here are not made again
             self._records.write(Event(wall_time=time.time(), step=purge, session_log=start).SerializeToString())
 
-    def add(self, groups: Mapping[str, Mapping[str, float]], step: int) -> None:
-        """Write one point of each scalar `group/name` at this environment step."""
-        for group, values in groups.items():
-            points = [self._summary.Value(tag=f"{group}/{name}", simple_value=value) for name, value in values.items()]
-            event = self._event(wall_time=time.time(), step=step, summary=self._summary(value=points))
-            with writing(self._path):
-                self._records.write(event.SerializeToString())
-        with writing(self._path):
-            self._records.flush()
-
-    def close(self) -> None:
-        with writing(self._path):
-            self._file.close()
-
-
-class TensorBoardWriter(RunObserver):
-    """Writes one point of each scalar at every report and every test. A point that cannot be written is a warning.
-
-    Args:
-        folder: of the event files.
-        warnings: of the run.
-        snapshot: where the run resumes; None if it starts.
-    """
-
-    def __init__(self, folder: Path, warnings: RunWarnings, snapshot: Snapshot | None) -> None:
-        self._folder, self._warnings = folder, warnings
-        self._purge = snapshot.meta["steps"] + 1 if snapshot else None  # points at the checkpoint are not made again
-        self._file: EventFile | None = None
-        self._steps = self._updates = 0
-        if snapshot is not None:
-            self._steps, self._updates = snapshot.meta["steps"], snapshot.meta["updates"]
-
-    @override
-    def started(self) -> None:
-        self._file = EventFile(self._folder, purge=self._purge)
-
-    @override
-    def reported(self, training: Training, episodes: Sequence[Episode], metrics: Mapping[str, float]) -> None:
+    def add_report(self, training: Training, episodes: Sequence[Episode], metrics: Mapping[str, float]) -> None:
+        """Points of a part of training. Arguments as those of `Run._report`."""
         speed = {
             "steps_per_second": training.steps / training.seconds,
             "updates_per_second": training.updates / training.seconds,
@@ -100,22 +65,25 @@ class TensorBoardWriter(RunObserver):
         has_success = training.orchestrator.signature.has_success
         self._add(groups | {"train": _episode_means(episodes, has_success=has_success)}, training.steps)
 
-    @override
-    def tested(self, training: Training, test: DueTest, result: TestResult) -> None:
+    def add_test(self, result: TestResult) -> None:
+        """Points of a test."""
         success = {"success_any": result.success_any, "success_end": result.success_end} if result.has_success else {}
         means = {"return": result.mean_return, "episode_length": float(np.mean(result.lengths))}
         self._add({"test": success | means}, result.steps)
 
-    @override
-    def ended(self, ending: Ending) -> None:
-        with self._warnings.tolerated(MachineError, "the last points are missing in TensorBoard"):
-            if self._file is not None:
-                self._file.close()
+    def close(self) -> None:
+        with self._writer.tolerated(MachineError, "the last points are missing in TensorBoard"), writing(self._path):
+            self._file.close()
 
     def _add(self, groups: Mapping[str, Mapping[str, float]], steps: int) -> None:
-        with self._warnings.tolerated(MachineError, f"points at {steps} steps are missing in TensorBoard"):
-            if self._file is not None:
-                self._file.add(groups, steps)
+        """Write one point of each scalar `group/name` at this environment step."""
+        consequence = f"points at {steps} steps are missing in TensorBoard"
+        with self._writer.tolerated(MachineError, consequence), writing(self._path):
+            for group, values in groups.items():
+                points = [self._summary.Value(tag=f"{group}/{name}", simple_value=one) for name, one in values.items()]
+                event = self._event(wall_time=time.time(), step=steps, summary=self._summary(value=points))
+                self._records.write(event.SerializeToString())
+            self._records.flush()
 
     def _replay_ratio(self, training: Training) -> dict[str, float]:
         """Transitions learned from per environment step since the last point; empty for an on-policy agent.
@@ -134,12 +102,6 @@ def _episode_means(episodes: Sequence[Episode], *, has_success: bool) -> dict[st
     """Means over training episodes; empty without episodes."""
     if not episodes:
         return {}
-    success = {
-        "success_any": float(np.mean([episode.any for episode in episodes])),
-        "success_end": float(np.mean([episode.end for episode in episodes])),
-    }
-    return (success if has_success else {}) | {
-        "return": float(np.mean([episode.total_reward for episode in episodes])),
-        "episode_length": float(np.mean([episode.steps for episode in episodes])),
-        "diverged": float(np.mean([episode.diverged for episode in episodes])),
-    }
+    names = {"success_any": "any", "success_end": "end"} if has_success else {}
+    names |= {"return": "total_reward", "episode_length": "steps", "diverged": "diverged"}
+    return {name: float(np.mean([getattr(one, field) for one in episodes])) for name, field in names.items()}

@@ -127,6 +127,10 @@ class Training:
     def updates(self) -> int:
         return self.learner.updates
 
+    def totals(self) -> dict[str, Any]:
+        """Steps, updates and seconds so far, by these names."""
+        return {"steps": self.steps, "updates": self.updates, "seconds": self.seconds}
+
     def read_metrics(self) -> dict[str, float]:
         """The means of what `agent.learn` returned since the last call.
 

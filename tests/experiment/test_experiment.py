@@ -295,11 +295,11 @@ def test_a_database_that_fails_in_the_middle_costs_a_warning_not_the_run(tmp_pat
     def locked(*_):
         raise StoreError("the database is locked")
 
-    monkeypatch.setattr("karolos.store.Store.add_test", locked)
+    monkeypatch.setattr("karolos.store.Store.add_records", locked)
     outcome = Experiment(spec()).run(tmp_path)
     assert outcome.runs[0].state == "finished"
     (folder,) = folders(outcome)
-    assert [event["event"] for event in folder.events()].count("warning") == 2
+    assert [event["event"] for event in folder.events()].count("warning") == 5
     assert len(folder.tests()) == 3
 
 

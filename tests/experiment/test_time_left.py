@@ -6,15 +6,15 @@ import itertools
 
 import pytest
 
-from karolos.experiment import observer
+from karolos.experiment import announcer as announcing
+from karolos.experiment.announcer import Announcer
 from karolos.experiment.events import RunAdvanced, RunBusy
-from karolos.experiment.observer import Announcer
 from karolos.training.training import Progress
 
 
 def test_estimate_follows_the_speed_of_training_and_adds_the_tests(monkeypatch: pytest.MonkeyPatch) -> None:
     clock = itertools.count(1)
-    monkeypatch.setattr(observer.time, "monotonic", lambda: float(next(clock)))
+    monkeypatch.setattr(announcing.time, "monotonic", lambda: float(next(clock)))
     events: list[RunAdvanced] = []
     announcer = Announcer("run", 1000, events.append)
     announcer.seconds_left = lambda training, steps: training + steps / 10

@@ -1,0 +1,122 @@
+"""Writes a run into its folder, which is the truth, and then into the store, which is an index."""
+
+from __future__ import annotations
+
+from collections.abc import Iterator, Mapping, Sequence
+from contextlib import contextmanager
+from dataclasses import asdict, dataclass, field
+from typing import Any
+
+from ..core import Failure
+from ..errors import KarolosError, StoreError
+from ..records import RunFolder
+from ..records.final_test import FinalTest
+from ..records.results import TestCounts, TestResult
+from ..records.run_records import State
+from ..training.episodes import Episode
+from ..training.training import Training
+from .events import Listener, RunWarned
+from .resume import Snapshot
+from .run_index import RunIndex
+
+
+@dataclass(frozen=True)
+class Ending:
+    """How a run ended."""
+
+    state: State
+    """finished, stopped or failed."""
+    amounts: Mapping[str, Any] = field(default_factory=dict)
+    """Steps, seconds and updates of training; empty if training broke off."""
+    reason: str | None = None
+    """Why it stopped."""
+    error: str | None = None
+    """Why it failed."""
+    traceback: str | None = None
+    """Of the error, if karolos or a plugin is at fault."""
+
+
+@dataclass(frozen=True)
+class RunWriter:
+    """Writes state, events, tests and episodes of one run.
+
+    Args:
+        folder: the run's own, created and locked.
+        index: its entry in the database; an error of the database is a warning only.
+        listener: is told of warnings.
+
+    Raises:
+        MachineError: from every method, when the folder cannot be written.
+    """
+
+    folder: RunFolder
+    index: RunIndex
+    listener: Listener
+
+    def warn(self, warning: str, consequence: str) -> None:
+        """Write a problem that the run survives, and tell the listener."""
+        self.folder.event("warning", error=warning, consequence=consequence)
+        self.listener(RunWarned(self.folder.id, f"{warning} ({consequence})"))
+
+    def warn_of_failure(self, failure: Failure) -> None:
+        """Environments failed and begin their episodes again."""
+        environments = ", ".join(map(str, failure.environment.tolist()))
+        self.warn(str(failure.error), f"the episodes of these environments begin again: {environments}")
+
+    @contextmanager
+    def tolerated(self, kind: type[KarolosError], consequence: str) -> Iterator[None]:
+        """Turn an error of this kind into a warning."""
+        try:
+            yield
+        except kind as error:
+            self.warn(str(error), consequence)
+
+    def start(self, snapshot: Snapshot | None, *, exact: bool) -> None:
+        """The run starts, or resumes from a snapshot: bit for bit if `exact`. Nothing is built yet."""
+        if snapshot is not None and not exact:
+            self.folder.cut_tests(snapshot.meta["steps"])
+        self._set_state("running")
+        if snapshot is None:
+            self.folder.event("started")
+            return
+        attempt = self.folder.state().attempt
+        self.folder.event("resumed", attempt=attempt, steps=snapshot.meta["steps"], bit_exact=exact)
+        self.folder.cut_episodes(snapshot.meta["episodes_bytes"])
+
+    def write_episodes(self, episodes: Sequence[Episode], parameters: Sequence[str]) -> None:
+        """Training episodes; the values that domain randomization drew stand under the parameters' names."""
+        rows = []
+        for episode in episodes:
+            values = asdict(episode)
+            drawn = dict(zip(parameters, values.pop("parameters"), strict=True))
+            rows.append(values | ({"parameters": drawn} if drawn else {}))
+        if rows:
+            self.folder.add_episodes(rows)
+
+    def write_test(self, training: Training, result: TestResult) -> None:
+        """A test is over. Training may have gone on since it was due."""
+        self.folder.add_test(result)
+        self.folder.set_state("running", **training.totals())
+        with self.tolerated(StoreError, "the test is in the run folder, but not in the database"):
+            self.index.update()
+
+    def write_final(self, final: FinalTest[TestResult]) -> None:
+        """The final test is over."""
+        self.folder.write_final(final)
+        best = asdict(TestCounts.of(final.best)) if final.best else None
+        self.folder.event("final_test", seed=final.seed, last=asdict(TestCounts.of(final.last)), best=best)
+
+    def end(self, ending: Ending) -> None:
+        """The run is over. Environments are closed."""
+        if ending.error is not None:
+            self._set_state(ending.state, error=ending.error.splitlines()[0])
+            self.folder.event(ending.state, error=ending.error, traceback=ending.traceback)
+            return
+        self._set_state(ending.state, **ending.amounts)
+        details = {"steps": ending.amounts.get("steps"), "reason": ending.reason}
+        self.folder.event(ending.state, **{key: value for key, value in details.items() if value is not None})
+
+    def _set_state(self, state: State, **more: Any) -> None:
+        self.folder.set_state(state, **more)
+        with self.tolerated(StoreError, "the run continues; its folder is complete"):
+            self.index.update()
