@@ -121,7 +121,7 @@ def open_run(selector: str, runs: Path, database: str | None) -> RunFolder:
         RunError: the run's folder is missing or damaged.
     """
     from karolos.records import RunFolder
-    from karolos.store.selectors import find_folder
+    from karolos.store.meant import find_folder
 
     if os.path.isfile(Path(selector) / "run.json"):  # needs no index; Path.is_file raises for a long name
         return RunFolder.open(selector)

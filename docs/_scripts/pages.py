@@ -335,7 +335,7 @@ def _film(names: Sequence[str]) -> str:
 
 def _pair(robot: str, task: str, names: Sequence[str], found: dict[str, Contender], folder: Path) -> str:
     film = _film(names)
-    policy = f"../../../karolos/export/policies/{film}"
+    policy = f"../../../karolos/records/shipped_runs/{film}"
     text = (
         f"# {robot}: {task}\n\n![{robot} {task}](../../films/{film}.gif)\n\n"
         f"The film shows the policy `{film}` that ships with karolos, in test episodes of its run. `karolos play "

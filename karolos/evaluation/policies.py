@@ -23,7 +23,7 @@ from ..records.shipped import POLICY, is_shipped
 from ..registry import load
 from ..specification import Spec, spec_from_dict
 from ..store import Store
-from ..store.selectors import find_folder
+from ..store.meant import find_folder
 
 
 @dataclass(frozen=True)

@@ -6,21 +6,15 @@ import os
 import re
 from collections.abc import Sequence
 from pathlib import Path
-from typing import TYPE_CHECKING
 
 import sqlalchemy
 
 from ..errors import NoSuchRunError, UsageError
-from ..records import RunFolder
 from ..records.run_records import RunSummary
-from ..records.shipped import FOLDER, shipped_names
-from ..registry import alternatives, closest
+from ..registry import closest
 from .database import Database
 from .runs import find_runs
 from .tables import RUNS
-
-if TYPE_CHECKING:
-    from .store import Store
 
 SHORTEST_HASH = 6
 """Fewest digits that are taken for the beginning of a hash."""
@@ -85,36 +79,6 @@ def select(database: Database, selector: str, *, all_prefixed: bool = False) -> 
 def is_spec(selector: str) -> bool:
     """Whether a selector is a spec file."""
     return selector.endswith((".yaml", ".yml")) and os.path.isfile(selector)
-
-
-def find_folder(selector: str, store: Store | None, runs: str | Path) -> RunFolder:
-    """The folder of the one run that a selector means: a path, what `Store.find` takes, or the name of a shipped run.
-
-    A run of one's own with the name of a run that ships comes first. `runs` is named where there is no index.
-
-    Raises:
-        UsageError: it means no run, or several.
-        RunError: the folder is missing or damaged.
-    """
-    if os.path.isfile(Path(selector) / "run.json"):  # Path.is_file raises for a name that is too long
-        return RunFolder.open(selector)
-    if shipped := shipped_run(selector, store):
-        return shipped
-    try:
-        if store is None:
-            what = f"{selector!r} means no run: there are no runs in {runs} yet"
-            raise NoSuchRunError(what, hint="`karolos run SPEC` makes one")
-        return RunFolder.open(store.find(selector).folder)
-    except NoSuchRunError as error:
-        ships = alternatives(selector, shipped_names(), what="policies that ship")
-        raise NoSuchRunError(error.what, hint=f"{error.hint}; {ships}") from error
-
-
-def shipped_run(selector: str, store: Store | None) -> RunFolder | None:
-    """The run that ships of this name, unless there are runs of one's own with it."""
-    if selector not in shipped_names() or (store and store.runs(name=selector, limit=1)):
-        return None
-    return RunFolder.open(FOLDER / selector)
 
 
 def only(selector: str, found: Sequence[RunSummary]) -> RunSummary:
