@@ -209,7 +209,7 @@ def show(
         [record] = store.records([summary])
     about: Mapping[str, Any] = {}
     results: Sequence[TestResult] = ()
-    final: FinalTest[TestResult] | None = None
+    final: FinalTest | None = None
     transfers: Sequence[TransferResult] = ()
     checkpoints: Sequence[Mapping[str, Any]] = ()
     if os.path.isdir(summary.folder):
@@ -357,8 +357,10 @@ def export_runs(
     store, found = select_runs(run or (), where, runs, database)
     store.close()
     folders = [RunFolder.open(summary.folder) for summary in found]
-    files = archive.export_runs(folders, file, checkpoints=checkpoints)
-    say(f"{len(folders)} runs, {files} files, {file.stat().st_size / 1e6:.1f} MB in {file}")
+    exported = archive.export_runs(folders, file, checkpoints=checkpoints)
+    for name in exported.left_out:
+        warn(f"{name}: not a file of a run; left out")
+    say(f"{len(folders)} runs, {exported.files} files, {file.stat().st_size / 1e6:.1f} MB in {file}")
 
 
 @app.command("import")
@@ -389,7 +391,7 @@ def import_runs(
     print_rows([record.summary.row() for record in imported], json=json, line="{run}")
 
 
-def _show_row(record: RunRecord, results: Sequence[TestResult], final: FinalTest[TestResult] | None) -> dict[str, Any]:
+def _show_row(record: RunRecord, results: Sequence[TestResult], final: FinalTest | None) -> dict[str, Any]:
     """The summary of a run, its tests and its final test as one row."""
     from karolos.records.results import WITHIN, TestCounts
 
@@ -446,9 +448,7 @@ def _print_facts(run: RunSummary, about: Mapping[str, Any], checkpoints: Sequenc
     print_table(facts_table(facts))
 
 
-def _print_results(
-    record: RunRecord, results: Sequence[TestResult], final: FinalTest[TestResult] | None, *, every: bool
-) -> None:
+def _print_results(record: RunRecord, results: Sequence[TestResult], final: FinalTest | None, *, every: bool) -> None:
     """Print the final test, or the last test before it; or every test."""
     from karolos.records.results import TestCounts
 

@@ -16,7 +16,7 @@ from ..core import Agent, Environment, Signature, State, Step, random_actions
 from ..core.deployed import Deployed
 from ..core.seeding import SeedTree
 from ..environments.build import build_environment
-from ..errors import MachineError, RunError, UsageError
+from ..errors import MachineError, UsageError
 from ..files import read_object
 from ..records import RunFolder
 from ..records.shipped import POLICY, is_shipped
@@ -121,10 +121,8 @@ def read_learned(folder: RunFolder, name: str) -> Learned:
 
 
 def spec_of(folder: RunFolder) -> Spec:
-    """The run's resolved spec. Raises RunError if it is missing or damaged."""
+    """The run's resolved spec. Raises RunError if it is missing, damaged or changed."""
     resolved = folder.spec()
-    if not resolved:
-        raise RunError("resolved.json is missing or damaged", where=folder.id, hint="restore the folder from a copy")
     if is_shipped(folder):
         del resolved["environment"]["engine"]  # any installed engine does
     return spec_from_dict(resolved)
