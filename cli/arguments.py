@@ -45,6 +45,9 @@ Database = Annotated[
         help="SQLAlchemy URL of the results database. Default: karolos.sqlite in the runs folder.",
     ),
 ]
+SpecFile = Annotated[
+    Path, typer.Argument(metavar="SPEC", help="A YAML spec, or the name of one that ships: see `karolos spec list`.")
+]
 Overrides = Annotated[
     list[str] | None,
     typer.Argument(

@@ -77,8 +77,8 @@ def select(database: Database, selector: str, *, all_prefixed: bool = False) -> 
 
 
 def is_spec(selector: str) -> bool:
-    """Whether a selector is a spec file."""
-    return selector.endswith((".yaml", ".yml")) and os.path.isfile(selector)
+    """Whether a selector is a spec file, or karolos:NAME."""
+    return selector.startswith("karolos:") or (selector.endswith((".yaml", ".yml")) and os.path.isfile(selector))
 
 
 def only(selector: str, found: Sequence[RunSummary]) -> RunSummary:
