@@ -8,6 +8,7 @@ timeout, synchronous FULL, foreign keys on.
 from __future__ import annotations
 
 import contextlib
+import json
 import os
 import sqlite3
 from collections.abc import Iterator, Sequence
@@ -165,6 +166,9 @@ def explained(url: URL) -> Iterator[None]:
     """Turn an error of the driver inside the block into a StoreError that names the URL."""
     try:
         yield
+    except json.JSONDecodeError as error:
+        what = "the database is damaged: a column does not hold JSON"
+        raise StoreError(what, where=_without_secrets(url), hint=_REBUILD) from error
     except (DataError, IntegrityError, OverflowError, UnicodeError) as error:
         what = f"the database refuses a value ({_first_line(error)})"
         hint = "a file of the run was damaged or edited"
