@@ -192,7 +192,7 @@ def _first_line(error: Exception) -> str:
 def _parse_url(text: str) -> URL:
     try:
         url = make_url(text)
-    except ArgumentError as error:
+    except (ArgumentError, ValueError) as error:  # a ValueError: the port is not a number
         shown = "the database URL" if "@" in text else repr(text)  # an invalid URL may still hold a password
         raise StoreError(f"{shown} is not a database URL", hint="e.g. sqlite:///runs/karolos.sqlite") from error
     if url.get_backend_name() == "sqlite" and (url.database in {None, "", ":memory:"} or "uri" in url.query):
