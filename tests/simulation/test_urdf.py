@@ -80,7 +80,7 @@ def turning(name: str, parent: str, child: str, more: str = LIMIT) -> str:
 
 
 J = turning("j", "a", "b")
-LIMITS = r"robot\.urdf:1: joint j: limits must satisfy lower < upper, effort > 0, velocity > 0; .* exporters leave zeros"
+LIMITS = r"urdf:1: joint j: limits must satisfy lower < upper, effort > 0, velocity > 0; .* exporters leave zeros"
 
 
 @pytest.mark.parametrize(
