@@ -31,14 +31,13 @@ def join(robot: Candidate, task: Candidate, *, drawn: Mapping[str, float] | None
         settings: of the task.
     """
     engine = robot.engine or task.engine
-    return RobotTask(
+    environment = RobotTask(
         RobotTask.Settings.model_validate({} if engine is None else {"engine": engine}),
         robot=robot.plugin(robot.settled()),
         task=task.plugin(task.settled(**settings)),
-        randomization={
-            name: Choice(Choice.Settings.model_validate({"values": (value,)})) for name, value in (drawn or {}).items()
-        },
     )
+    environment.randomize({name: Choice(Choice.Settings(values=(value,))) for name, value in (drawn or {}).items()})
+    return environment
 
 
 def refusal(robot: Candidate, task: Candidate) -> str | None:
