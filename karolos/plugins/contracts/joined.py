@@ -36,7 +36,8 @@ def join(robot: Candidate, task: Candidate, *, drawn: Mapping[str, float] | None
         robot=robot.plugin(robot.settled()),
         task=task.plugin(task.settled(**settings)),
     )
-    environment.randomize({name: Choice(Choice.Settings(values=(value,))) for name, value in (drawn or {}).items()})
+    fixed = {name: Choice.Settings.model_validate({"values": (value,)}) for name, value in (drawn or {}).items()}
+    environment.randomize({name: Choice(settings) for name, settings in fixed.items()})
     return environment
 
 
