@@ -2,9 +2,10 @@
 
 from __future__ import annotations
 
-import os
+import copy
 import tempfile
 from collections.abc import Sequence
+from pathlib import Path
 from xml.etree import ElementTree
 from xml.etree.ElementTree import Element
 
@@ -17,6 +18,7 @@ from ...files import temporary_prefix
 from ..geometry import Vector
 from ..interface.engine import FLOOR_FRICTION, GRAVITY, Camera, Colour, Contact, Fingers, JointLimits
 from ..interface.engine import Body as AnyBody
+from ..meshes import stl
 from ..picture import FLOOR_COLOUR, GRID_COLOUR, GRIDS, SKY_COLOUR, Eye, Marker, draw
 from .body import Body
 from .client import Client
@@ -108,23 +110,26 @@ class World:
         self.floor.set_friction(friction)
 
     def load(self, robot: Element, *, position: Vector = (0.0, 0.0, 0.0)) -> Body:
-        handle, path = tempfile.mkstemp(prefix=temporary_prefix(), suffix=".urdf")
-        try:
-            with os.fdopen(handle, "wb") as file:
-                file.write(ElementTree.tostring(robot))
-            index: int = self.api.loadURDF(
-                path,
-                basePosition=position,
-                useFixedBase=True,
-                # inertias would otherwise be guessed from the shapes; `Body.collide_only` chooses the pairs
-                flags=self.api.URDF_USE_INERTIA_FROM_FILE | self.api.URDF_USE_SELF_COLLISION,
-            )
-        except self.api.error as error:
-            raise PluginError(
-                f"pybullet cannot load this URDF: {error}", where=f"robot {robot.get('name', '?')}"
-            ) from error
-        finally:
-            os.unlink(path)
+        robot = copy.deepcopy(robot)
+        with tempfile.TemporaryDirectory(prefix=temporary_prefix()) as folder:
+            for number, mesh in enumerate(robot.iter("mesh")):
+                file = Path(folder, f"{number}.stl")
+                file.write_bytes(stl(Path(mesh.get("filename", ""))))
+                mesh.set("filename", str(file))
+            ElementTree.indent(robot)  # PyBullet breaks lines of more than 1,024 characters
+            path = Path(folder, "robot.urdf")
+            path.write_bytes(ElementTree.tostring(robot))
+            try:
+                index: int = self.api.loadURDF(
+                    str(path),
+                    basePosition=position,
+                    useFixedBase=True,
+                    # inertias would otherwise be guessed from the shapes; `Body.collide_only` chooses the pairs
+                    flags=self.api.URDF_USE_INERTIA_FROM_FILE | self.api.URDF_USE_SELF_COLLISION,
+                )
+            except self.api.error as error:
+                what = f"pybullet cannot load this URDF: {error}"
+                raise PluginError(what, where=f"robot {robot.get('name', '?')}") from error
         return Body(self.api, index)
 
     def motors(self, body: AnyBody, joints: Sequence[str], limits: JointLimits, fingers: Fingers | None) -> Motors:
@@ -146,7 +151,7 @@ class World:
         half = tuple(edge / 2 for edge in size)
         shape = self._shape(self.api.GEOM_BOX, halfExtents=half)
         body = self._create(shape, self._look(self.api.GEOM_BOX, colour, halfExtents=half), mass)
-        body.set_air_drag(0.0)
+        body.let_drift()
         if mass > 0:
             self._free.append(body)
         return body
@@ -199,21 +204,18 @@ class World:
         return colours[..., :3].astype(np.uint8), np.where(bodies[..., 0] >= 0, away, np.float32(np.inf))
 
     def _floor_look(self) -> int:
-        """The visual shape of the floor. A window shows the floor of the pictures, which draw theirs without it."""
+        """The visual shape of the floor: that of the pictures in a window. Pictures draw theirs themselves."""
+        api = self.api
         if not self._window:  # a body without visual shape is drawn as it collides
-            return self._look(
-                self.api.GEOM_BOX, (0, 0, 0, 1), halfExtents=(1e-3,) * 3, visualFramePosition=HIDDEN_PLACE
-            )
+            return self._look(api.GEOM_BOX, (0, 0, 0, 1), halfExtents=(1e-3,) * 3, visualFramePosition=HIDDEN_PLACE)
         spacing, _, _ = GRIDS[-1]
-        for line in range(-10, 11):
-            for start, end in (((line, -10), (line, 10)), ((-10, line), (10, line))):
-                self.api.addUserDebugLine(
-                    *((spacing * x, spacing * y, 0.001) for x, y in (start, end)),
-                    lineColorRGB=[level / 255 for level in GRID_COLOUR],
-                )
+        colour = [level / 255 for level in GRID_COLOUR]
+        for at in (spacing * line for line in range(-10, 11)):
+            api.addUserDebugLine((at, -10 * spacing, 0.001), (at, 10 * spacing, 0.001), lineColorRGB=colour)
+            api.addUserDebugLine((-10 * spacing, at, 0.001), (10 * spacing, at, 0.001), lineColorRGB=colour)
         red, green, blue = (level / 255 for level in FLOOR_COLOUR)
         place = (0, 0, -FLOOR_HALF[2])
-        return self._look(self.api.GEOM_BOX, (red, green, blue, 1.0), halfExtents=FLOOR_HALF, visualFramePosition=place)
+        return self._look(api.GEOM_BOX, (red, green, blue, 1.0), halfExtents=FLOOR_HALF, visualFramePosition=place)
 
     def close(self) -> None:
         self.api.close()
