@@ -13,11 +13,9 @@ GOOD = "robot: arm\ntask: reach\nagent: learner\n"
 app = typer.Typer()
 app.command()(check)
 
-pytestmark = pytest.mark.usefixtures("fake_plugins")
-
 
 @pytest.fixture
-def specs(tmp_path):
+def specs(tmp_path, fake_plugins):
     (tmp_path / "good.yaml").write_text(GOOD)
     (tmp_path / "bad.yaml").write_text(
         "robot: amr\ntask: {name: reach, treshold: 1}\nagent: {name: learner, discount: 2}\n"
@@ -74,11 +72,28 @@ def test_broken_plugin_ends_with_3_and_the_rest_is_checked(specs, fake_plugins):
     assert out.splitlines()[1].endswith("good.yaml: ok")
 
 
-def test_file_names_cannot_write_control_characters(tmp_path):
+def test_file_names_cannot_write_control_characters(tmp_path, fake_plugins):
     path = tmp_path / "\x1b[31mred.yaml"
     path.write_text(GOOD + "name: red\n")
     _, out, _ = call(app, str(path))
     assert "\x1b" not in out
+
+
+def test_a_run_to_start_from_that_is_missing_is_refused_as_by_run(tmp_path):
+    code, out, _ = call(app, "karolos:panda_reach", "agent.start_from=nothing", "--runs", str(tmp_path))
+    assert code == 2
+    assert out.startswith("override agent.start_from=nothing: agent.start_from: 'nothing': ")
+
+
+def test_a_device_that_is_missing_is_told_with_its_place(monkeypatch):
+    monkeypatch.setattr("torch.cuda.is_available", lambda: False)
+    code, out, _ = call(app, "karolos:panda_reach", "training.device=cuda")
+    assert (code, out.partition(": ")[0]) == (3, "override training.device=cuda")
+
+
+def test_a_long_value_is_not_repeated_whole(specs):
+    _, out, _ = call(app, str(specs / "good.yaml"), "agent.name=" + "x" * 70_000, f"name={'y' * 70_000}")
+    assert max(map(len, out.splitlines())) < 2000
 
 
 def test_an_override_longer_than_a_file_name_is_an_override(specs):

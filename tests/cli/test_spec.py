@@ -1,4 +1,4 @@
-"""`karolos spec show` and `karolos spec schema`."""
+"""`karolos spec`."""
 
 from __future__ import annotations
 
@@ -19,6 +19,19 @@ def spec(tmp_path):
     path = tmp_path / "try.yaml"
     path.write_text("robot: arm\ntask: reach\nagent: {name: learner, discount: 0.5}\n")
     return path
+
+
+def test_every_spec_that_ships_is_listed_and_copied(tmp_path, monkeypatch):
+    monkeypatch.chdir(tmp_path)
+    rows = [json.loads(line) for line in call(app, "list", "--json")[1].splitlines()]
+    assert {"panda_reach", "bases/sac_grasp", "smoke/toy"} <= {row["name"] for row in rows}
+    assert call(app, "copy", "smoke/transfer_pick")[:2] == (0, "transfer_pick.yaml\n")
+    text = (tmp_path / "transfer_pick.yaml").read_text()
+    assert "extends: [karolos:transfer_pick.yaml, karolos:smoke/panda_pick.yaml]" in text
+    code, _, err = call(app, "copy", "panda_reach", "transfer_pick.yaml")
+    assert (code, "exists already" in err) == (2, True)
+    code, _, err = call(app, "copy", "panda_raech", "x.yaml")
+    assert (code, "did you mean panda_reach?" in err) == (2, True)
 
 
 def test_show_prints_a_spec_that_loads_as_the_same(spec):

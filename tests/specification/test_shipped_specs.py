@@ -10,6 +10,7 @@ import pytest
 from jsonschema import Draft202012Validator
 
 from karolos.specification import load_spec, spec_from_dict
+from karolos.specification.files import shipped_text
 from karolos.specification.schema import spec_schema
 from karolos.specification.yaml_text import read
 
@@ -39,6 +40,26 @@ def test_shipped_spec_fits_the_schema(path):
     wrong = sorted(error.json_path for error in Draft202012Validator(schema).iter_errors(node.plain()))
     needs_base = path.parent.name == "bases"  # a base may leave robot and task to the spec that extends it
     assert [place for place in wrong if not (needs_base and place == "$")] == []
+
+
+def test_shipped_spec_is_found_by_name_and_a_file_comes_first(tmp_path, monkeypatch):
+    monkeypatch.chdir(tmp_path)
+    shipped = load_spec("panda_reach")
+    assert shipped == load_spec(SPECS / "panda_reach.yaml") == load_spec("karolos:panda_reach.yaml")
+    assert shipped.text == (SPECS / "panda_reach.yaml").read_text("utf-8")
+    assert shipped.origins["robot.name"].startswith("karolos:panda_reach.yaml:3:")
+    Path("panda_reach").write_text("extends: karolos:panda_push.yaml\nseeds: [7]\n")
+    assert (load_spec("panda_reach").seeds, load_spec("panda_reach").task.name) == ((7,), "push")
+    assert load_spec("karolos:panda_reach") == shipped
+
+
+@pytest.mark.parametrize("path", ALL, ids=lambda path: str(path.relative_to(SPECS)))
+def test_copy_of_a_shipped_spec_is_the_same_spec(tmp_path, path):
+    name = str(path.relative_to(SPECS).with_suffix(""))
+    copied = tmp_path / path.name
+    copied.write_text(shipped_text(name))
+    if path in RUNNABLE:
+        assert load_spec(copied) == load_spec(path)
 
 
 def test_environments_are_described_without_torch_or_pybullet():

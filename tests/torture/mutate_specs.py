@@ -1,11 +1,12 @@
 """Mutate the shipped specs and see that `karolos check` prints lines and never a traceback.
 
-    python tests/torture/mutate_specs.py --count 2000 --run 100 [--seed 0] [--only N]
+    python tests/torture/mutate_specs.py --count 10000 [--run 100] [--seed 0] [--only N]
 
 A mutant has one to four mutations: keys deleted, duplicated, renamed or moved, values of other types and sizes, deep
-nesting, anchors and aliases, names of missing plugins, broken text, overrides of any kind. Of the mutants that `check`
-accepts, `--run` are then run with a small budget, each in a process of its own. A run ends well if it is finished, or
-if the command ends with an error of one line. Ends with 1 if there was a traceback, or a run that ended otherwise.
+nesting, anchors and aliases, names of missing plugins, files to extend, broken text, overrides of any kind. Of the
+mutants that `check` accepts, `--run` are then run with a small budget, each in a process of its own. A run ends well
+if it is finished, or if the command ends with an error of one line. Ends with 1 if there was a traceback, a check of
+more than LONGEST_CHECK seconds, a line of more than LONGEST_LINE characters, or a run that ended otherwise.
 """
 
 from __future__ import annotations
@@ -19,9 +20,10 @@ import shutil
 import subprocess
 import sys
 import tempfile
+import time
 import traceback
 from collections import Counter
-from collections.abc import Callable
+from collections.abc import Callable, Iterable
 from functools import cache
 from itertools import pairwise
 from pathlib import Path
@@ -51,12 +53,28 @@ MORE = {
     "demonstrations": ("demonstrations.episodes=2", "demonstrations.updates=2"),
 }
 """Overrides for specs whose agent replays, or that have demonstrations."""
+LONGEST_CHECK = 10.0
+"""Seconds on the processor, which a busy machine does not change."""
+LONGEST_LINE = 4000
+EXTENDED = (
+    *(
+        "karolos:panda_reach.yaml",
+        "karolos:bases/sac_grasp.yaml",
+        "karolos:",
+        "karolos:../x",
+        "/etc/passwd",
+        "loop.yaml",
+    ),
+    *("mutant.yaml", "bases", "", "/dev/zero", "\ud800.yaml", "\0", "x" * 70_000, 5, None, {"a": 1}),
+    *(["karolos:panda_pick.yaml", "karolos:bases/ppo.yaml"], ["bases/pick.yaml", "mutant.yaml"], [[]], ["nothing"]),
+)
+"""What a mutant may extend."""
 PATIENCE = 90.0
 """Seconds that such a run may take, start-up included."""
 VALUES: tuple[Any, ...] = (
     *(None, True, False, 0, 1, -1, 2, 0.5, -0.5, 1e-300, 1e300, -1e300, 10**18, 10**30, -(10**30), 2**63, 2**31),
     *(float("inf"), float("nan"), "", " ", "x", "null", "1e5", "0x10", "sac", "panda", "../../etc/passwd", "a:b:c"),
-    *("\N{SNOWMAN}" * 3, "\N{RIGHT-TO-LEFT OVERRIDE}x", "\x1b[31m", "x" * 5000, "\N{GREEK SMALL LETTER ALPHA}\u0301"),
+    *("\N{SNOWMAN}" * 3, "\N{RIGHT-TO-LEFT OVERRIDE}x", "\x1b[31m", "x" * 70_000, "\N{GREEK SMALL LETTER ALPHA}\u0301"),
     *([], {}, [[]], [{}], {"": 1}, {"name": None}, {"name": []}, {"name": "sac"}, [1, 2, 3], [0] * 300, ["a"] * 5),
     *({"x": {"y": {"z": [1, {"w": 2}]}}}, [1, [2, [3, [4]]]], {"1": 1}, 1.5, 3, 10, 100, 1000, 65536, 1024, 1e6),
 )
@@ -138,8 +156,12 @@ def name_plugin(tree: Tree, draw: random.Random) -> None:
     tree[key] = {"task.gravity": {"name": name}} if kind == "distributions" else draw.choice((name, {"name": name}))
 
 
+def extend(tree: Tree, draw: random.Random) -> None:
+    tree["extends"] = copy.deepcopy(draw.choice(EXTENDED))
+
+
 TREE_MUTATIONS: tuple[Callable[[Tree, random.Random], None], ...] = (
-    *(put_value, put_value, scale_number, scale_number, delete, rename, add_key, move, nest, name_plugin),
+    *(put_value, put_value, scale_number, scale_number, delete, rename, add_key, move, nest, name_plugin, extend),
 )
 
 
@@ -242,49 +264,68 @@ APP = Typer()
 APP.command()(check)
 
 
+def check_mutants(
+    numbers: Iterable[int], seed: int, folder: Path, *, show: bool = False
+) -> tuple[str, list[str], list[int]]:
+    """Check mutants in a copy of the shipped specs.
+
+    Returns:
+        A line of counts; what went wrong, by mutant; and the numbers of the mutants that are valid specs.
+    """
+    codes: Counter[int] = Counter()
+    accepted, wrong, slowest = [], [], 0.0
+    for number in numbers:
+        path, overrides = write_mutant(number, seed, folder)
+        start = time.process_time()
+        code, output, trace = checked(APP, path, overrides)
+        seconds = time.process_time() - start
+        codes[code] += 1
+        slowest = max(slowest, seconds)
+        if show:
+            print(path.read_text("utf-8"), overrides, code, output, sep="\n")
+        if trace is not None:
+            wrong.append(f"mutant {number}: {overrides}\n{trace}")
+        if seconds > LONGEST_CHECK:
+            wrong.append(f"mutant {number}: checked in {seconds:.1f} s")
+        if longest := [len(line) for line in output.splitlines() if len(line) > LONGEST_LINE]:
+            wrong.append(f"mutant {number}: lines of {longest} characters")
+        if code == 0:
+            accepted.append(number)
+    counts = f"{sum(codes.values())} mutants, exit codes {dict(sorted(codes.items()))}, slowest {slowest:.1f} s"
+    return counts, wrong, accepted
+
+
+def write_mutant(number: int, seed: int, folder: Path) -> tuple[Path, list[str]]:
+    """Write a mutant into a copy of the shipped specs; returns its file and its overrides."""
+    specs = folder / "specs"
+    if not specs.exists():
+        shutil.copytree(SPECS, specs)
+        (specs / "loop.yaml").symlink_to("loop.yaml")
+    text, overrides = mutant(random.Random(f"{seed} {number}"), sorted(SPECS.glob("*.yaml")))
+    path = specs / "mutant.yaml"
+    path.write_text(text, "utf-8", errors="surrogatepass")
+    return path, overrides
+
+
 def main() -> int:
     parser = argparse.ArgumentParser(description=(__doc__ or "").splitlines()[0])
-    parser.add_argument("--count", type=int, default=2000, help="mutants to check")
+    parser.add_argument("--count", type=int, default=10_000, help="mutants to check")
     parser.add_argument("--run", type=int, default=0, help="accepted mutants to run")
     parser.add_argument("--seed", type=int, default=0)
     parser.add_argument("--only", type=int, help="only the mutant of this number, which is printed")
     options = parser.parse_args()
-    specs = sorted(SPECS.glob("*.yaml"))
-    codes: Counter[int] = Counter()
-    accepted: list[int] = []
-    failed = 0
     with tempfile.TemporaryDirectory() as temporary:
-        folder = shutil.copytree(SPECS, Path(temporary) / "specs")
-        path = folder / "mutant.yaml"
-
-        def write(number: int) -> list[str]:
-            text, overrides = mutant(random.Random(f"{options.seed} {number}"), specs)
-            path.write_text(text, "utf-8", errors="surrogatepass")
-            return overrides
-
-        for number in range(options.count) if options.only is None else [options.only]:
-            overrides = write(number)
-            code, output, trace = checked(APP, path, overrides)
-            codes[code] += 1
-            if options.only is not None:
-                print(path.read_text("utf-8"), overrides, code, output, sep="\n")
-            if trace is not None:
-                failed += 1
-                print(f"mutant {number}: {overrides}\n{trace}", flush=True)
-            elif code == 0:
-                accepted.append(number)
-        print(
-            f"{sum(codes.values())} mutants, exit codes {dict(sorted(codes.items()))}, {failed} tracebacks", flush=True
-        )
-        chosen = random.Random(options.seed).sample(accepted, min(options.run, len(accepted)))
+        numbers = range(options.count) if options.only is None else [options.only]
+        show = options.only is not None
+        counts, wrong, accepted = check_mutants(numbers, options.seed, Path(temporary), show=show)
+        print(*wrong, f"{counts}, {len(wrong)} wrong", sep="\n", flush=True)
         bad = 0
-        for place, number in enumerate(chosen, 1):
-            problem = ended(path, write(number), Path(temporary) / f"runs-{number}")
+        for number in random.Random(options.seed).sample(accepted, min(options.run, len(accepted))):
+            path, overrides = write_mutant(number, options.seed, Path(temporary))
+            problem = ended(path, overrides, Path(temporary) / f"runs-{number}")
             bad += problem is not None
-            print(f"run {place} of mutant {number}: {problem or 'ended well'}", flush=True)
-        if options.run:
-            print(f"{len(chosen)} accepted mutants run, {bad} ended badly")
-    return int(failed + bad > 0)
+            print(f"run of mutant {number}: {problem or 'ended well'}", flush=True)
+    return int(bool(wrong) or bad > 0)
 
 
 if __name__ == "__main__":
