@@ -102,13 +102,8 @@ class Poses:
                 distance = float(np.minimum(pose - self.low, self.high - pose).min())
                 elbow = max(self.chain.forward(pose.tolist()).axes[2::6]) / self.length
                 bent = float(np.abs(pose - self.rest).sum())
-                score = (
-                    min(distance, 0.5)
-                    + 12 * min(self._tool_step(pose), 2 * self.largest_step)
-                    + 0.5 * elbow
-                    - 0.1 * bent
-                )
-                found.append((score, pose.tolist(), yaw))
+                fast = 12 * min(self._tool_step(pose), 2 * self.largest_step)
+                found.append((min(distance, 0.5) + fast + 0.5 * elbow - 0.1 * bent, pose.tolist(), yaw))
 
         for yaw, start in product(YAWS, range(STARTS)):
             look(self.rest + (1.0 if start % 2 else 0.3) * (draws.uniform(self.low, self.high) - self.rest), yaw)

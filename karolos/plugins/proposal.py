@@ -101,10 +101,8 @@ def propose(path: Path, tool: str | None = None) -> Proposal:
     if still:
         notes.append(f"locked: {', '.join(joint.name for joint in still)} do not move")
     notes += [f"inertia of {link}: no body can have it; its smaller moments are raised" for link in found.corrected]
-    if fast := [joint.name for joint in joints if joint.velocity > DOUBTED_SPEED]:
-        notes.append(
-            f"speed: the URDF lets {', '.join(fast)} turn faster than a turn per second; compare the data sheet"
-        )
+    if fast := ", ".join(joint.name for joint in joints if joint.velocity > DOUBTED_SPEED):
+        notes.append(f"speed: the URDF lets {fast} turn faster than a turn per second; compare the data sheet")
     position, rotation, note = _tool(found, path, joints[-1], hand, tool)
     notes.append(note)
     usual: float = ArmSettings.model_fields["tool_step"].default
@@ -120,9 +118,7 @@ def propose(path: Path, tool: str | None = None) -> Proposal:
     notes.append(f"home: tool at {_metres(best.tool)} m, pointing down; by inverse kinematics, far from joint limits")
     notes.append(f"workspace: {_metres(low)} to {_metres(high)} m; the tool reaches it pointing down")
     if best.tool_step < usual:
-        notes.append(
-            f"tool_step: {best.tool_step} m per control step instead of {usual}, because the joints are slower"
-        )
+        notes.append(f"tool_step: {best.tool_step} m per control step instead of {usual}: the joints are slower")
     model = ArmModel(
         urdf=path,
         home=best.home,
@@ -225,11 +221,8 @@ def _hand(found: urdf.Description, last: Joint, slides: tuple[str, ...]) -> _Han
     closes = bool((pads[0].min(0) + pads[0].max(0) - pads[1].min(0) - pads[1].max(0)) @ across < 0)
     inwards = -across if closes else across
     gap = float((pads[0] @ inwards).min() - (pads[1] @ inwards).max()) - closes * 2 * travel
-    width, force, speed = (
-        round(2 * travel + (gap if gap > 0.005 else 0.0), 4),
-        min(joint.effort for joint in pair),
-        min(joint.velocity for joint in pair),
-    )
+    width = round(2 * travel + (gap if gap > 0.005 else 0.0), 4)
+    force, speed = min(joint.effort for joint in pair), min(joint.velocity for joint in pair)
     note = (
         f"gripper: {first.name} and {second.name}, {'closing' if closes else 'opening'} from 0 to {travel:g} m, "
         f"{width:g} m wide when open; {force:g} N and {speed:g} m/s are the limits in the URDF; "

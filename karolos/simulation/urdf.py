@@ -203,7 +203,7 @@ class _Source:
     def _text(self, element: Element, key: str, within: str) -> str:
         text, most = element.get(key, ""), 2000 if key == "filename" else LONGEST_NAME
         if text.isprintable() and len(text) <= most and (text.strip() or element.tag in ("material", "robot")):
-            return text or "unnamed"
+            return text or ("unnamed" if element.tag == "robot" else "")
         hint = f"1 to {most} letters without control characters"
         raise self.error(element, f"its {key} is {_short(text)}", within, hint)
 
@@ -335,14 +335,10 @@ def _held(order: Iterable[Element], locked: dict[str, float], path: Path) -> dic
             raise PluginError(f"no joint is called {name!r}", where=str(path), hint=f"joints: {', '.join(names)}")
     held.update(locked)
     mimics = {element.get("name", ""): one for element in order if (one := element.find("mimic")) is not None}
-    found = True
-    while found:  # a mimic joint may follow another
-        found = False
-        for name, mimic in mimics.items():
-            leader = mimic.get("joint", "")
-            if leader in held and name not in held:
-                held[name] = held[leader] * float(mimic.get("multiplier", "1")) + float(mimic.get("offset", "0"))
-                found = True
+    while ready := [name for name, one in mimics.items() if name not in held and one.get("joint") in held]:
+        for name in ready:  # a mimic joint may follow another
+            factor, offset = (float(mimics[name].get(key, usual)) for key, usual in (("multiplier", 1), ("offset", 0)))
+            held[name] = held[mimics[name].get("joint", "")] * factor + offset
     return held
 
 
