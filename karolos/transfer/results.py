@@ -11,7 +11,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from ..comparison import ComparedRun, Estimate, Reaching
-from ..comparison.contenders import Contender, compared
+from ..comparison.contenders import Contender, load_compared
 from ..comparison.curves import places
 from ..comparison.scores import Comparison, compare, estimate
 from ..core.seeding import SeedTree
@@ -149,7 +149,7 @@ def transfer_report(found: MatrixRuns) -> TransferReport:
 
 
 def _compared(runs: Mapping[int, RunFolder]) -> dict[int, ComparedRun]:
-    return {seed: compared(folder) for seed, folder in runs.items()}
+    return {seed: load_compared(folder.record()) for seed, folder in runs.items()}
 
 
 def _variant(
