@@ -152,10 +152,8 @@ class ActorCritic(TorchAgent):
     def explore(self, inputs: Tensor, environments: NDArray[int64] | None) -> Tensor:
         """The policy's actions with noise, each replaced with a probability by a uniform one in [-1, 1]."""
         output = self.policy(inputs, exact=True)
-        action, share = (
-            self.noisy(output, self.noise.draw(inputs, self.generator, environments)),
-            self.settings.random_actions,
-        )
+        action = self.noisy(output, self.noise.draw(inputs, self.generator, environments))
+        share = self.settings.random_actions
         if share == 0:
             return action
         drawn = torch.rand((len(action), self.actions + 1), generator=self.generator, device=self.device)
@@ -227,7 +225,7 @@ class ActorCritic(TorchAgent):
         """As `Agent.start_from`; the policy begins as the one that acts in the other agent's tests."""
         super().start_from({**state, "policy": state.get("average", state["policy"])})
         if self.average is not self.policy:
-            self.average.vector.copy_(self.policy.vector.detach())
+            self.average.vector.copy_(self.policy.vector)
 
     def adopt(self, policy: Deployed) -> None:
         for network in (self.policy, self.average):

@@ -12,10 +12,9 @@ from torch import Tensor
 from ..core import Batch, Signature
 from ..core.seeding import SeedTree
 from .actor_critic import ActorCritic, ActorCriticSettings, imitation_loss
-from .inputs import TensorBatch, tensor_batch
+from .inputs import TensorBatch
 from .metrics import Metrics, report, saturation
 from .noise import ScaledNoiseSettings
-from .optimisation import set_learning_rates
 
 
 class DDPG(ActorCritic):
@@ -36,16 +35,13 @@ class DDPG(ActorCritic):
     stored: tuple[str, ...] = (*learned, "noise", "updates")
     critics: ClassVar[int] = 1
     judges: ClassVar[int | None] = 1
+    policy_delay: int = 1
+    """Critic updates for each update of policy and target networks."""
 
     def __init__(self, settings: Any, signature: Signature, seeds: SeedTree, device: str = "cpu") -> None:
         super().__init__(settings, signature, seeds, device)
         self.target_policy = self.policy.copy()
         self.updates = 0
-
-    @property
-    def policy_delay(self) -> int:
-        """Critic updates for each update of policy and target networks."""
-        return 1
 
     def noisy(self, output: Tensor, noise: Tensor) -> Tensor:
         return torch.add(torch.tanh(output), noise, alpha=self.settings.noise.std).clamp_(-1, 1)
@@ -54,8 +50,7 @@ class DDPG(ActorCritic):
     def learn(self, batch: Batch) -> Mapping[str, Any]:
         """One update: targets, critics, and when it is their turn policy and target networks."""
         update = self.updates
-        set_learning_rates(self.optimisers, self.settings.rate(update))
-        data = tensor_batch(batch, self.normaliser, self.device, update)
+        data = self.begin_update(batch, update)
         self.updates += 1
         metrics = self.critic_step(data, self.targets(data, self.next_action(data.next_input)))
         if self.updates % self.policy_delay == 0:

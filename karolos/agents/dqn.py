@@ -18,10 +18,9 @@ from ..core.schedules import Linear
 from ..core.seeding import SeedTree
 from ..errors import UsageError
 from .device import Precision, uses_bfloat16
-from .inputs import TensorBatch, tensor_batch
+from .inputs import TensorBatch
 from .metrics import Metrics, report
 from .networks import MLP, Shape
-from .optimisation import set_learning_rates
 from .torch_agent import Hidden, OptimiserSettings, TorchAgent, value_bounds
 
 
@@ -110,8 +109,7 @@ class DQN(TorchAgent):
     def learn(self, batch: Batch) -> Mapping[str, Any]:
         """One update of the network, and of the target network when it is its turn."""
         update = self.updates
-        set_learning_rates(self.optimisers, self.settings.rate(update))
-        data = tensor_batch(batch, self.normaliser, self.device, update)
+        data = self.begin_update(batch, update)
         self.updates += 1
 
         targets = self.targets(data)

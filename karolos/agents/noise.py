@@ -90,7 +90,10 @@ class Noise:
             return torch.randn((len(rows), self._memory.shape[2]), generator=generator, device=rows.device)
         if environments is None:
             environments = np.arange(len(rows))
-        self._grow(int(environments.max(initial=-1)) + 1)
+        more = int(environments.max(initial=-1)) + 1 - len(self._age)
+        if more > 0:  # new environments are at the beginning of an episode
+            self._age = np.concatenate((self._age, np.zeros(more, np.int64)))
+            self._memory = torch.cat((self._memory, self._memory.new_zeros((more, *self._memory.shape[1:]))))
         memory = self._next_memory(environments, generator)
         self._age[environments] += 1
         where = torch.from_numpy(environments).to(rows.device)
@@ -110,17 +113,9 @@ class Noise:
         if not correlated and not renewed.any():
             return memory
         drawn = torch.randn(memory.shape, generator=generator, device=device)
-        unrenewed = (
-            (1 - self._theta) * memory + (self._theta * (2 - self._theta)) ** 0.5 * drawn if correlated else memory
-        )
-        return torch.where(torch.from_numpy(renewed).to(device).view(-1, 1, 1), drawn, unrenewed)
-
-    def _grow(self, count: int) -> None:
-        """Make room for `count` environments; new ones are at the beginning of an episode."""
-        more = count - len(self._age)
-        if more > 0:
-            self._age = np.concatenate((self._age, np.zeros(more, np.int64)))
-            self._memory = torch.cat((self._memory, self._memory.new_zeros((more, *self._memory.shape[1:]))))
+        if correlated:
+            memory = (1 - self._theta) * memory + (self._theta * (2 - self._theta)) ** 0.5 * drawn
+        return torch.where(torch.from_numpy(renewed).to(device).view(-1, 1, 1), drawn, memory)
 
     def state(self) -> State:
         return {"memory": self._memory.clone(), "age": self._age.copy()}

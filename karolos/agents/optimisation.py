@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-from collections.abc import Mapping
 from typing import Any
 
 import torch
@@ -72,9 +71,3 @@ class Adam:
         for name, value in self._state.items():
             value.copy_(torch.as_tensor(state[name]))
         self.steps = int(self._state["step"])
-
-
-def set_learning_rates(optimisers: Mapping[str, Adam], rate: float) -> None:
-    """Set the rate of the next steps."""
-    for optimiser in optimisers.values():
-        optimiser.learning_rate = rate

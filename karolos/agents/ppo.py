@@ -23,7 +23,6 @@ from ..errors import UsageError
 from .inputs import Normaliser, to_array
 from .metrics import learning_rates, saturation
 from .networks import MLP, Shape
-from .optimisation import set_learning_rates
 from .squashed_gaussian import LOG_STD_BOUNDS
 from .torch_agent import Hidden, OptimiserSettings, TorchAgent
 
@@ -164,7 +163,8 @@ class PPO(TorchAgent[Rollout]):
         by_output = self.distribution.backward(output, minibatch.action, gradient, -settings.entropy / len(ratio))
         entropy = self.distribution.entropy(output).mean()
         self.policy.backward(by_output, tapes)
-        set_learning_rates(self.optimisers, settings.rate(self.optimisers["policy"].steps))
+        for optimiser in self.optimisers.values():
+            optimiser.learning_rate = settings.rate(self.optimisers["value"].steps)
         self.optimisers["policy"].step(self.policy.gradient)
         if isinstance(self.distribution, Gaussian):
             self.optimisers["std"].step(self.distribution.gradient)

@@ -38,7 +38,21 @@ class QuantileCritic(Critic):
         return pooled.sort(dim=1).values[:, : members * (quantiles - self._drop)]
 
     def loss(self, outputs: Tensor, targets: Tensor, weight: Tensor) -> tuple[Tensor, Tensor]:
-        return quantile_huber_loss(outputs, targets, weight)
+        """sum over members and rows of weight mean_jk |tau_j - 1{u < 0}| huber(u), and its gradient by the quantiles.
+
+        u = y_k - theta_j, tau_j = (2 j + 1) / 2 q, huber(u) = u^2 / 2 where |u| <= 1, else |u| - 1/2. Source: Dabney
+        et al. 2018, equation 10, kappa = 1. Both come from cumulative sums over the ascending targets; the members x n
+        x q x k differences take twice as long, most of it for fresh memory.
+        """
+        members, rows, quantiles = outputs.shape
+        tau = ((torch.arange(quantiles, device=outputs.device) + 0.5) / quantiles).repeat(members)
+        weight = (weight / (quantiles * targets.shape[1])).unsqueeze(1)
+        centre = targets.mean(1, keepdim=True)  # sums of squares about the mean lose the fewest digits
+        flat = outputs.movedim(0, 1).flatten(1)
+        below, above = _huber_sums((targets - centre).double(), (flat - centre).double())
+        loss = (weight * ((1 - tau) * below[0] + tau * above[0])).sum()
+        gradient = weight * ((1 - tau) * below[1] + tau * above[1])
+        return loss.to(outputs.dtype), gradient.view(rows, members, quantiles).movedim(1, 0).to(outputs.dtype)
 
     def mean(self, outputs: Tensor) -> Tensor:
         return outputs.mean(-1)
@@ -48,29 +62,6 @@ class QuantileCritic(Critic):
 
     def policy_value_gradient(self, outputs: Tensor, value: Tensor, gradient: Tensor) -> Tensor:  # noqa: ARG002
         return (gradient / (outputs.shape[0] * outputs.shape[2])).view(1, -1, 1).expand_as(outputs)
-
-
-def quantile_huber_loss(outputs: Tensor, targets: Tensor, weight: Tensor) -> tuple[Tensor, Tensor]:
-    """sum over members and rows of weight mean_jk |tau_j - 1{u < 0}| huber(u), and its gradient by the quantiles.
-
-    u = y_k - theta_j, tau_j = (2 j + 1) / 2 q, huber(u) = u^2 / 2 where |u| <= 1, else |u| - 1/2. Source: Dabney et al.
-    2018, equation 10, kappa = 1. Both come from cumulative sums over the ascending targets; the members x n x q x k
-    differences take twice as long, most of it for fresh memory.
-
-    Args:
-        outputs: theta, (members, n, q).
-        targets: y, (n, k), ascending.
-        weight: (n,).
-    """
-    members, rows, quantiles = outputs.shape
-    tau = ((torch.arange(quantiles, device=outputs.device) + 0.5) / quantiles).repeat(members)
-    weight = (weight / (quantiles * targets.shape[1])).unsqueeze(1)
-    centre = targets.mean(1, keepdim=True)  # sums of squares about the mean lose the fewest digits
-    flat = outputs.movedim(0, 1).flatten(1)
-    below, above = _huber_sums((targets - centre).double(), (flat - centre).double())
-    loss = (weight * ((1 - tau) * below[0] + tau * above[0])).sum()
-    gradient = weight * ((1 - tau) * below[1] + tau * above[1])
-    return loss.to(outputs.dtype), gradient.view(rows, members, quantiles).movedim(1, 0).to(outputs.dtype)
 
 
 def _huber_sums(targets: Tensor, values: Tensor) -> tuple[tuple[Tensor, Tensor], tuple[Tensor, Tensor]]:

@@ -14,10 +14,10 @@ from torch import Tensor
 from ..core import Batch, Signature
 from ..core.seeding import SeedTree
 from .actor_critic import ActorCritic, ActorCriticSettings, imitation_loss
-from .inputs import TensorBatch, tensor_batch
+from .inputs import TensorBatch
 from .metrics import Metrics, report, saturation
 from .noise import NoiseSettings
-from .optimisation import Adam, set_learning_rates
+from .optimisation import Adam
 from .quantiles import QuantileCritic, Quantiles
 from .squashed_gaussian import Sample, sample
 
@@ -74,8 +74,7 @@ class SAC(ActorCritic):
     def learn(self, batch: Batch) -> Mapping[str, Any]:
         """One update: targets, critics, policy, temperature, target networks."""
         update, delay = self.optimisers["critic"].steps, self.settings.policy_delay
-        set_learning_rates(self.optimisers, self.settings.rate(update))
-        data = tensor_batch(batch, self.normaliser, self.device, update)
+        data = self.begin_update(batch, update)
         policy_learns = update % delay == 0
         # One pass of the policy gives the actions in both s' and s: it changes after both are used.
         drawn = self.sample(data.both_inputs if policy_learns else data.next_input)

@@ -8,6 +8,8 @@ import torch
 from pydantic import Field as Setting
 from torch import Tensor
 
+from ..core import Signature
+from ..core.seeding import SeedTree
 from .ddpg import DDPG
 
 
@@ -27,10 +29,9 @@ class TD3(DDPG):
 
     critics: ClassVar[int] = 2
 
-    @property
-    def policy_delay(self) -> int:
-        delay: int = self.settings.policy_delay
-        return delay
+    def __init__(self, settings: TD3.Settings, signature: Signature, seeds: SeedTree, device: str = "cpu") -> None:
+        super().__init__(settings, signature, seeds, device)
+        self.policy_delay = settings.policy_delay
 
     def next_action(self, next_input: Tensor) -> Tensor:
         """a' = clip(pi'(s') + clip(noise, -c, c), -1, 1): target policy smoothing, equation 14."""

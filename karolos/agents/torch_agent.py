@@ -15,11 +15,22 @@ from pydantic import Field as Setting
 from pydantic import model_validator
 from torch import Tensor
 
-from ..core import FLOAT_BYTES, Agent, AgentSettings, Experience, FloatArray, MemoryNeed, RunSize, Signature, State
+from ..core import (
+    FLOAT_BYTES,
+    Agent,
+    AgentSettings,
+    Batch,
+    Experience,
+    FloatArray,
+    MemoryNeed,
+    RunSize,
+    Signature,
+    State,
+)
 from ..core.deployed import Deployed, Layer, Output
 from ..core.schedules import Linear
 from ..core.seeding import SeedTree
-from .inputs import INPUT_CLIP, Normaliser, to_array
+from .inputs import INPUT_CLIP, Normaliser, TensorBatch, tensor_batch, to_array
 from .layers import LAYER_NORM_EPSILON
 from .networks import MLP
 from .optimisation import Adam
@@ -107,6 +118,12 @@ class TorchAgent(Agent[Experience]):
         rows = torch.cat((torch.from_numpy(observation), torch.from_numpy(desired_goal)), -1).flatten(0, -2)
         return self.normaliser(rows.to(self.device))
 
+    def begin_update(self, batch: Batch, update: int) -> TensorBatch:
+        """Set the learning rates of this update (the first is 0); returns its batch on the device."""
+        for optimiser in self.optimisers.values():
+            optimiser.learning_rate = self.settings.rate(update)
+        return tensor_batch(batch, self.normaliser, self.device, update)
+
     def adam(self, vector: Tensor, *, epsilon: float = 1e-8) -> Adam:
         """An optimiser as the settings say."""
         return Adam(vector, self.settings.learning_rate, epsilon=epsilon, norm=self.settings.gradient_norm)
@@ -119,7 +136,7 @@ class TorchAgent(Agent[Experience]):
             output: how the network's outputs become an action.
             columns: of the outputs that the action needs.
         """
-        parts = [to_array(part.detach()).copy() for part in network.named.values()]
+        parts = [to_array(part).copy() for part in network.named.values()]
         layers = [Layer(weight, bias.reshape(-1)) for weight, bias in zip(parts[::2], parts[1::2], strict=True)]
         layers[-1] = Layer(layers[-1].weight[columns], layers[-1].bias[columns])
         shift, scale = (to_array(part).copy() for part in (self.normaliser.shift, self.normaliser.scale))

@@ -110,18 +110,18 @@ class Hindsight:
             moved = np.flatnonzero(np.vecdot(displacement, displacement) >= self.settings.min_displacement**2)
             chosen, goals = chosen[moved], goals.take(moved, axis=0)
         achieved = rows["next_achieved_goal"].take(chosen, axis=0)
-        desired, terminated = rows["desired_goal"], rows.number("terminated")
+        desired, terminated = rows["desired_goal"], rows["terminated"]
         if self._goal_terminates:
             # A termination that the old goal does not explain (e.g. a fall) remains under the new goal.
             other_cause = (terminated[chosen] > 0) & ~self._rule.terminated(achieved, desired[chosen])
             terminated[chosen] = other_cause | self._rule.terminated(achieved, goals)
-        rows.number("reward")[chosen] = self._rule.reward(achieved, goals)
+        rows["reward"][chosen] = self._rule.reward(achieved, goals)
         desired[chosen] = goals
         return chosen
 
     def _goal_slots(self, rows: Rows, slots: Slots, storage: Storage, generator: np.random.Generator) -> Array:
         """The slot of each row's new goal: a stored step of the row's own episode."""
-        step = rows.number("step").astype(np.int64)
+        step = rows["step"].astype(np.int64)
         remaining = storage.lengths(slots, rows) - step  # including this step and the last
         if self.settings.strategy == "final":
             return storage.shifted(slots, remaining - 1)

@@ -83,12 +83,7 @@ class Priority(Replay):
             self._pending.clear()
 
     def sample(self, size: int) -> Batch:
-        """`size` transitions; the arrays are views that the next call overwrites.
-
-        Raises:
-            RunError: the buffer is empty.
-        """
-        self._require_transitions()
+        """`size` transitions; the arrays are views that the next call overwrites. Raises RunError if it is empty."""
         self._insert_pending()
         slots, relative = self._draw(size)
         weights = relative**-self.beta

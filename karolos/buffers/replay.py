@@ -14,7 +14,7 @@ from ..core import Settings as BaseSettings
 from ..core.seeding import SeedTree, generator_state, load_generator_state
 from ..errors import RunError
 from .hindsight import Hindsight
-from .n_step import NStep
+from .n_step import extend
 from .storage import Slots, Storage, row_layout
 
 
@@ -41,13 +41,12 @@ class Replay(Buffer):
     def __init__(
         self, settings: Replay.Settings, signature: Signature, seeds: SeedTree, *, environments: int, discount: float
     ) -> None:
-        n_step, hindsight = settings.n_step, settings.hindsight
+        hindsight = settings.hindsight
         self.capacity = settings.capacity
         self.marks_relabelled = hindsight is not None and hindsight.imitate
         self.storage = Storage(signature, settings.capacity, environments)
         self._hindsight = Hindsight(hindsight, signature) if hindsight is not None else None
-        self._n_step = NStep(n_step, discount, self.storage, signature.goal_rule) if n_step > 1 else None
-        self._discount = np.float32(discount)
+        self._n_step, self._rule, self._discount = settings.n_step, signature.goal_rule, discount
         self._discounts = np.zeros(0, np.float32)
         self._share: float | None = None
         self._generator = seeds.child("sample").generator()
@@ -89,16 +88,13 @@ class Replay(Buffer):
     def _demonstration_rows(self, size: int) -> int | None:
         """Number of demonstrated transitions in a batch; None without a fixed share or without demonstrations.
 
-        All rows while only demonstrations are stored.
+        All rows while only demonstrations are stored. Raises RunError while the buffer is empty.
         """
+        if not len(self):
+            raise RunError("the buffer is empty", setting="buffer", hint="add transitions before sampling")
         if self._share is None or not self.storage.demonstrations:
             return None
         return size if self.storage.demonstrations == len(self.storage) else round(self._share * size)
-
-    def _require_transitions(self) -> None:
-        """Raise a RunError while the buffer is empty."""
-        if not len(self.storage):
-            raise RunError("the buffer is empty", setting="buffer", hint="add transitions before sampling")
 
     def _batch(self, slots: Slots, weights: FloatArray, identifiers: Slots) -> Batch:
         """The transitions at these slots as a batch, partly with new goals; the next call overwrites the arrays.
@@ -112,8 +108,10 @@ class Replay(Buffer):
         relabelled = np.zeros(0, np.int64)
         if self._hindsight is not None:
             relabelled = self._hindsight.relabel(rows, slots, self.storage, self._generator)
-        if self._n_step is not None:
-            self._discounts = self._n_step.extend(rows, slots, relabelled)
+        if self._n_step > 1:
+            self._discounts = extend(
+                rows, slots, relabelled, self.storage, self._rule, steps=self._n_step, discount=self._discount
+            )
         elif self._discounts.size != slots.size:
             self._discounts = np.full(slots.size, self._discount, np.float32)
         demonstrated = self.storage.demonstrated(slots)
@@ -124,9 +122,9 @@ class Replay(Buffer):
             observation=rows["observation"],
             desired_goal=rows["desired_goal"],
             action=rows["action"],
-            reward=rows.number("reward"),
+            reward=rows["reward"],
             next_observation=rows["next_observation"],
-            terminated=rows.number("terminated"),
+            terminated=rows["terminated"],
             discount=self._discounts,
             weight=weights,
             slot=identifiers,

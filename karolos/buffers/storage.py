@@ -17,6 +17,10 @@ Slots = np.ndarray
 """Row numbers of the table: (n,) int64. Ring r holds the rows r * ring_size ... (r + 1) * ring_size - 1."""
 
 
+SCALARS = ("reward", "terminated", "step", "length")
+"""Fields of one number."""
+
+
 def row_layout(signature: Signature) -> Layout:
     """The columns of a stored transition.
 
@@ -31,36 +35,27 @@ def row_layout(signature: Signature) -> Layout:
             Field("next_achieved_goal", achieved),
             Field("desired_goal", signature.desired_goal.size),
             Field("action", signature.action.size),
-            Field("reward", 1),
-            Field("terminated", 1),
-            Field("step", 1),
-            Field("length", 1),
+            *(Field(name, 1) for name in SCALARS),
         )
     )
 
 
-class Rows:
-    """Rows gathered from the table, (n, width), with access by column name. Valid until the next gather."""
+class Rows(dict[str, FloatArray]):
+    """Rows of the table by the names of their columns, as writable views. Valid until the next gather.
 
-    def __init__(self, layout: Layout) -> None:
-        self._columns = {field.name: layout.slice(field.name) for field in layout.fields}
-        self.table = np.zeros((0, layout.size), np.float32)
-        self._views: dict[str, FloatArray] = {}
-        self._numbers: dict[str, FloatArray] = {}
+    A field is (n, size of the field), one of `SCALARS` is (n,).
+    """
 
-    def resize(self, size: int) -> None:
-        if size != self.table.shape[0]:
-            self.table = np.empty((size, self.table.shape[1]), np.float32)
-            self._views = {name: self.table[:, columns] for name, columns in self._columns.items()}
-            self._numbers = {name: view[:, 0] for name, view in self._views.items() if view.shape[1] == 1}
+    def __init__(self, layout: Layout, size: int = 0) -> None:
+        self.layout = layout
+        self.table = np.empty((size, layout.size), np.float32)
+        for field in layout.fields:
+            view = self.table[:, layout.slice(field.name)]
+            self[field.name] = view[:, 0] if field.name in SCALARS else view
 
-    def __getitem__(self, name: str) -> FloatArray:
-        """The columns of a field, (n, size of the field): a writable view."""
-        return self._views[name]
-
-    def number(self, name: str) -> FloatArray:
-        """A field of one column, (n,): a writable view."""
-        return self._numbers[name]
+    def resized(self, size: int) -> Rows:
+        """These rows, or new ones if they are not `size`."""
+        return self if size == len(self.table) else Rows(self.layout, size)
 
 
 class Storage:
@@ -87,10 +82,11 @@ class Storage:
             )
         self.layout = row_layout(signature)
         self.table = np.zeros((0, self.layout.size), np.float32)
-        self.rows = Rows(self.layout)
-        self._incoming = Rows(self.layout)
-        self._columns = {field.name: self.layout.slice(field.name) for field in self.layout.fields}
-        self._length = self._columns["length"].start
+        self._gathered, self._incoming = Rows(self.layout), Rows(self.layout)
+        self._columns: dict[str, int | slice] = {
+            field.name: self.layout.slice(field.name) for field in self.layout.fields
+        }
+        self._columns |= {name: self.layout.slice(name).start for name in SCALARS}
         self.written = np.zeros(0, np.int64)
         """Transitions written to each ring since the start: (rings,)."""
         self.running = np.zeros(0, np.int64)
@@ -141,15 +137,12 @@ class Storage:
     def add(self, transitions: Transitions) -> Slots:
         """Store at most one transition of each environment; returns their slots."""
         rings = transitions.environment
-        rows = self._incoming
-        rows.resize(rings.size)
-        for name in ("observation", "next_observation", "achieved_goal", "next_achieved_goal", "desired_goal"):
-            rows[name][:] = getattr(transitions, name)
-        rows["action"][:] = transitions.action
-        rows.number("reward")[:] = transitions.reward
-        rows.number("terminated")[:] = transitions.terminated
-        rows.number("step")[:] = self.running[rings]
-        rows.number("length")[:] = 0
+        self._incoming = rows = self._incoming.resized(rings.size)
+        for name, column in rows.items():
+            if name not in {"step", "length"}:
+                column[:] = getattr(transitions, name)
+        rows["step"][:] = self.running[rings]
+        rows["length"][:] = 0
         slots: Slots = rings * self.ring_size + self.written[rings] % self.ring_size
         self.table[slots] = rows.table
         self.written[rings] += 1
@@ -194,7 +187,7 @@ class Storage:
         steps = int(self.running[ring])
         last = int(self.written[ring]) - 1
         places = np.arange(last - min(steps, self.ring_size) + 1, last + 1) % self.ring_size
-        self.table[ring * self.ring_size + places, self._length] = steps
+        self.table[ring * self.ring_size + places, self._columns["length"]] = steps
         self.running[ring] = 0
 
     def at(self, ranks: Array) -> Slots:
@@ -219,18 +212,18 @@ class Storage:
 
     def gather(self, slots: Slots) -> Rows:
         """The transitions at these slots; the rows are overwritten by the next call."""
-        self.rows.resize(slots.size)
-        np.take(self.table, slots, axis=0, out=self.rows.table, mode="clip")
-        return self.rows
+        self._gathered = self._gathered.resized(slots.size)
+        np.take(self.table, slots, axis=0, out=self._gathered.table, mode="clip")
+        return self._gathered
 
     def column(self, name: str, slots: Slots) -> FloatArray:
-        """One field of the transitions at these slots, (n, size of the field): a copy."""
+        """One field of the transitions at these slots, as in `Rows`: a copy."""
         column: FloatArray = self.table[slots, self._columns[name]]
         return column
 
     def lengths(self, slots: Slots, rows: Rows) -> Array:
         """Steps of each row's episode, so far if it still runs: (n,) int64."""
-        lengths = rows.number("length").astype(np.int64)
+        lengths = rows["length"].astype(np.int64)
         return np.where(lengths > 0, lengths, self.running[slots // self.ring_size])
 
     def older(self, slots: Slots) -> Array:

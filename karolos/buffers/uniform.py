@@ -12,12 +12,7 @@ class Uniform(Replay):
     """A replay buffer that samples each stored transition with equal probability, with replacement."""
 
     def sample(self, size: int) -> Batch:
-        """`size` transitions with replacement; the arrays are views that the next call overwrites.
-
-        Raises:
-            RunError: the buffer is empty.
-        """
-        self._require_transitions()
+        """`size` transitions; the arrays are views that the next call overwrites. Raises RunError if it is empty."""
         demonstrated, draw = self._demonstration_rows(size), self._generator.integers
         if demonstrated is None:
             ranks = draw(0, len(self), size)

@@ -6,8 +6,6 @@ from dataclasses import dataclass
 from pathlib import Path
 from typing import Literal
 
-import numpy as np
-
 from .arrays import FloatArray
 
 Output = Literal["tanh", "clip", "argmax"]
@@ -57,8 +55,3 @@ class Deployed:
         shapes = [layer.weight.shape for layer in self.layers]
         if self.scale.shape != self.shift.shape or shapes != list(zip(columns[1:], columns[:-1], strict=True)):
             raise ValueError(f"{columns[0]} inputs do not fit layers of shapes {shapes}")
-
-    def is_finite(self) -> bool:
-        """Whether every number is finite."""
-        parts = [self.shift, self.scale, *(part for layer in self.layers for part in (layer.weight, layer.bias))]
-        return all(bool(np.isfinite(part).all()) for part in parts)

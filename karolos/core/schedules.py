@@ -9,8 +9,6 @@ class Every:
     """Due whenever a growing count reaches or passes a positive multiple of `interval`."""
 
     def __init__(self, interval: int) -> None:
-        if interval < 1:
-            raise ValueError(f"an interval must be at least 1, not {interval}")
         self.interval = interval
         self.reached = 0
 
@@ -26,8 +24,6 @@ class Ratio:
     """The number of events due, so that they keep a fixed ratio to another count; fractions carry over."""
 
     def __init__(self, ratio: float) -> None:
-        if not 0 <= ratio < math.inf:
-            raise ValueError(f"a ratio must be finite and not negative, not {ratio}")
         self.ratio = ratio
         self.counted = 0
 
@@ -43,8 +39,6 @@ class Linear:
     """Linear interpolation from `start` at count 0 to `end` at count `over`, constant afterwards."""
 
     def __init__(self, start: float, end: float, over: int) -> None:
-        if over < 0:
-            raise ValueError(f"the length of a schedule must not be negative, not {over}")
         self.start, self.end, self.over = start, end, over
 
     def __call__(self, count: int) -> float:

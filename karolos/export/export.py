@@ -67,7 +67,8 @@ def export_policy(folder: RunFolder, out: Path, *, checkpoint: str = "best", onn
         check_onnx()
     saved = load_agent(folder, checkpoint)
     policy = saved.agent.deployed()
-    if not policy.is_finite():
+    numbers = [policy.shift, policy.scale, *(part for layer in policy.layers for part in (layer.weight, layer.bias))]
+    if not all(np.isfinite(part).all() for part in numbers):
         raise RunError("the policy has weights that are nan or infinite", where=folder.id)
     described = description(folder, saved, policy)
     golden = golden_samples(saved, policy)

@@ -10,12 +10,14 @@ from __future__ import annotations
 import numpy as np
 from numpy.typing import ArrayLike, NDArray
 
+from .aggregates import mean
+
 _Floats = NDArray[np.float64]
 
 
 def ratio_of_means(values: ArrayLike, baseline: ArrayLike) -> _Floats:
     """Mean of the values by the mean of the baseline, (..., n) each to (...); nan where that is 0."""
-    above, below = _mean(values), _mean(baseline)
+    above, below = mean(values), mean(baseline)
     return np.divide(above, below, out=np.full_like(above, np.nan), where=below > 0)
 
 
@@ -25,7 +27,7 @@ def forward_transfer(areas: ArrayLike, scratch: ArrayLike) -> _Floats:
     1: success from the first test on; 0: no gain over training from scratch; negative: worse than from scratch. nan
     where training from scratch leaves nothing to gain. Source: Wolczyk et al. 2021, section 4.
     """
-    tuned, baseline = _mean(areas), _mean(scratch)
+    tuned, baseline = mean(areas), mean(scratch)
     return np.divide(tuned - baseline, 1 - baseline, out=np.full_like(tuned, np.nan), where=baseline < 1)
 
 
@@ -78,7 +80,3 @@ def median_time_ratio(times: ArrayLike, reached: ArrayLike, scratch: ArrayLike, 
     tuned, baseline = median_time(times, reached), median_time(scratch, scratch_reached)
     known = np.isfinite(tuned) & np.isfinite(baseline)
     return np.divide(tuned, baseline, out=np.full_like(tuned, np.nan), where=known)
-
-
-def _mean(values: ArrayLike) -> _Floats:
-    return np.asarray(np.mean(np.asarray(values, float), axis=-1))

@@ -9,7 +9,7 @@ from dataclasses import dataclass
 import numpy as np
 
 from ..core import Environment, Expert, FloatArray, Step, Transitions
-from ..core.seeding import Generator, SeedTree
+from ..core.seeding import SeedTree
 from ..environments.build import build_environment
 from ..errors import RunError, UsageError
 from ..specification.model import DemonstrationSettings
@@ -61,13 +61,7 @@ def collect_demonstrations(
     try:
         for index in range(2 * settings.episodes):
             node = tree.child(index)
-            steps, actions = _play(
-                environment,
-                settings,
-                node.child("episode").integer(),
-                node.generator(),
-                lambda: on_step(len(episodes)),
-            )
+            steps, actions = _play(environment, settings, node, lambda: on_step(len(episodes)))
             if steps[-1].diverged:
                 continue
             episodes.append(_transitions(steps, actions))
@@ -90,14 +84,11 @@ def demonstrating_expert(environment: Environment) -> Expert:
 
 
 def _play(
-    environment: Environment,
-    settings: DemonstrationSettings,
-    seed: int,
-    generator: Generator,
-    on_step: Callable[[], object],
+    environment: Environment, settings: DemonstrationSettings, node: SeedTree, on_step: Callable[[], object]
 ) -> tuple[list[Step], list[FloatArray]]:
     """One episode: its n + 1 steps, the reset's first, and its n actions."""
-    steps, actions = [environment.reset(seed)], []
+    generator, actions = node.generator(), []
+    steps = [environment.reset(node.child("episode").integer())]
     expert = demonstrating_expert(environment)
     expert.reset()
     while not (steps[-1].terminated or steps[-1].truncated):
@@ -112,16 +103,16 @@ def _play(
 
 
 def _transitions(steps: list[Step], actions: list[FloatArray]) -> Transitions:
-    before, after = steps[:-1], steps[1:]
+    played = Step(*(np.stack(column) for column in zip(*steps, strict=True)))
     return Transitions(
         environment=np.zeros(len(actions), np.int64),
-        observation=np.stack([step.observation for step in before]),
-        achieved_goal=np.stack([step.achieved_goal for step in before]),
-        desired_goal=np.stack([step.desired_goal for step in before]),
+        observation=played.observation[:-1],
+        achieved_goal=played.achieved_goal[:-1],
+        desired_goal=played.desired_goal[:-1],
         action=np.stack(actions),
-        reward=np.array([step.reward for step in after], np.float32),
-        next_observation=np.stack([step.observation for step in after]),
-        next_achieved_goal=np.stack([step.achieved_goal for step in after]),
-        terminated=np.array([step.terminated for step in after], np.bool_),
-        truncated=np.array([step.truncated for step in after], np.bool_),
+        reward=played.reward[1:].astype(np.float32),
+        next_observation=played.observation[1:],
+        next_achieved_goal=played.achieved_goal[1:],
+        terminated=played.terminated[1:].astype(np.bool_),
+        truncated=played.truncated[1:].astype(np.bool_),
     )

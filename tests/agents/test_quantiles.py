@@ -11,7 +11,7 @@ from pydantic import ValidationError
 from support.parts import batch, signature
 
 from karolos.agents.inputs import tensor_batch
-from karolos.agents.quantiles import QuantileCritic, Quantiles, quantile_huber_loss
+from karolos.agents.quantiles import QuantileCritic, Quantiles
 from karolos.agents.sac import SAC
 from karolos.core.seeding import SeedTree
 
@@ -41,9 +41,8 @@ def test_the_loss_is_the_quantile_huber_loss_and_the_gradient_is_its_own() -> No
     generator = np.random.default_rng(0)
     values, targets = generator.normal(size=(2, 3, 4)) * 2, np.sort(generator.normal(size=(3, 7)) * 2, axis=1)
     weight = np.array([1.0, 0.5, 0.0])
-    loss, gradient = quantile_huber_loss(
-        torch.tensor(values), torch.tensor(targets), torch.tensor(weight) / len(weight)
-    )
+    critic = QuantileCritic(Quantiles(quantiles=4))
+    loss, gradient = critic.loss(torch.tensor(values), torch.tensor(targets), torch.tensor(weight) / len(weight))
     assert loss.item() == pytest.approx(written_out(values, targets, weight))
     slopes = np.zeros_like(values)
     for place in np.ndindex(values.shape):
