@@ -283,6 +283,13 @@ def _observation(space: Any, settings: Gymnasium.Settings) -> Layout:
         )
     if not space.is_np_flattenable:
         raise UsageError(f"its observations, {_line(space)}, cannot be laid out flat", setting=ID_SETTING)
+    parts = space.spaces.values() if isinstance(space, spaces.Dict) else (space,)
+    if any(part.dtype == np.uint8 and len(part.shape or ()) > 1 for part in parts):
+        raise UsageError(
+            f"its observations, {_line(space)}, are pictures, and karolos's networks have no convolutions",
+            setting=ID_SETTING,
+            hint="choose one that observes vectors, or wrap it: gymnasium.wrappers.FlattenObservation",
+        )
     if isinstance(space, spaces.Dict):
         left_out = GOALS if settings.goals else ()
         sizes = {str(key): int(spaces.flatdim(part)) for key, part in space.spaces.items() if key not in left_out}
