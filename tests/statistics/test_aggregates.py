@@ -53,8 +53,8 @@ def test_interval_covers_the_mean_of_ten_normal_values_about_as_often_as_it_says
 
 def test_interval_is_the_same_for_the_same_generator() -> None:
     values = [0.1, 0.5, 0.6, 0.7, 0.9]
-    assert aggregates.paired_interval([values], aggregates.iqm, generator()) == aggregates.interval(
-        values, aggregates.iqm, generator()
+    assert aggregates.paired_interval([values], aggregates.iqm, generator()) == aggregates.paired_interval(
+        [values], aggregates.iqm, generator()
     )
 
 
