@@ -66,23 +66,10 @@ app = typer.Typer(
     rich_markup_mode="markdown",
     pretty_exceptions_enable=False,
 )
-app.command()(run)
-app.command()(resume)
-app.command()(check)
-app.add_typer(spec.app, cls=Commands)
-app.add_typer(plugins.app, cls=Commands)
-app.add_typer(inspect.app, cls=Commands)
-app.add_typer(runs.app, cls=Commands)
-app.add_typer(db.app, cls=Commands)
-app.command()(sweep)
-app.add_typer(sweeps.app, cls=Commands)
-app.command()(compare)
-app.command()(diff)
-app.command("test")(zero_shot)
-app.command()(transfer)
-app.command()(play)
-app.command()(export)
-app.command()(board)
+for command in (run, resume, check, sweep, compare, diff, zero_shot, transfer, play, export, board):
+    app.command("test" if command is zero_shot else None)(command)
+for group in (spec, plugins, inspect, runs, db, sweeps):
+    app.add_typer(group.app, cls=Commands)
 
 
 def _print_version(asked: bool) -> None:
