@@ -172,20 +172,16 @@ def _pictures(moments: Iterator[Moment], width: int, height: int) -> Iterator[ND
 
 def _with_bar(moments: Iterator[Moment], episodes: int) -> Iterator[Moment]:
     """Pass moments on, with a bar on stderr if it is a terminal."""
-    if not sys.stderr.isatty():
-        yield from moments
-        return
     from rich.console import Console
-    from rich.progress import BarColumn, Progress, TextColumn, TimeRemainingColumn
+    from rich.progress import Progress
 
-    columns = (TextColumn("recording episode {task.fields[episode]}"), BarColumn(), TimeRemainingColumn())
-    with Progress(*columns, console=Console(stderr=True), transient=True) as bar:
-        task, done = bar.add_task("", total=episodes, episode=f"1/{episodes}"), 0
+    with Progress(console=Console(stderr=True), transient=True, disable=not sys.stderr.isatty()) as bar:
+        task, done = bar.add_task("recording", total=episodes), 0
         for moment in moments:
             yield moment
-            part = 0 if moment.over else moment.step / moment.environment.signature.max_steps
             done += moment.over
-            bar.update(task, completed=done + part, episode=f"{min(done + 1, episodes)}/{episodes}")
+            part = 0 if moment.over else moment.step / moment.environment.signature.max_steps
+            bar.update(task, completed=done + part)
 
 
 def _report_episodes(moments: Iterator[Moment]) -> Iterator[Moment]:

@@ -32,7 +32,6 @@ from .checkpointer import BEST, Checkpointer
 from .events import Listener, RunEnded, RunFinalTested, RunStarted, RunTested
 from .pending_tests import PendingTests
 from .resume import LAST, Snapshot, newest_snapshot
-from .run_index import RunIndex
 from .signals import StopRequest, StopRequestedError
 from .start_from import apply, find
 from .tensorboard_writer import TensorBoardWriter
@@ -49,7 +48,7 @@ class Run:
         spec: what to run.
         seed: root of the run's random numbers.
         folder: the run's own, created and locked.
-        index: its entry in the results database.
+        url: SQLAlchemy URL of the results database; None: another process indexes the run.
         listener: is told what happens.
         stop: is checked after each round.
         snapshot: where an unfinished run resumes; None: the run starts.
@@ -59,7 +58,7 @@ class Run:
     spec: Spec
     seed: int
     folder: RunFolder
-    index: RunIndex
+    url: str | None
     listener: Listener
     stop: StopRequest
     snapshot: Snapshot | None = None
@@ -68,7 +67,7 @@ class Run:
     """Tests without a recorded result."""
 
     def __post_init__(self) -> None:
-        self._writer = RunWriter(self.folder, self.index, self.listener)
+        self._writer = RunWriter(self.folder, self.url, self.listener)
         self._announcer = Announcer(self.folder.id, self.spec.training.steps, self.listener)
         self._checkpointer = Checkpointer(
             self._writer, self.spec.hash(), self.seed, self._pending, self._announcer.announce
@@ -275,5 +274,4 @@ def run_or_resume(
     snapshot = newest_snapshot(folder) if folder.events() else None
     if snapshot is not None:
         folder.next_attempt()
-    with RunIndex(url, folder) as index:
-        return Run(spec, seed, folder, index, listener, stop, snapshot, beside).execute()
+    return Run(spec, seed, folder, url, listener, stop, snapshot, beside).execute()

@@ -218,7 +218,9 @@ def _tests(found: Mapping[Pair, Mapping[int, TransferResult]], pair: Pair) -> di
     return {seed: TestCounts.of(test.result) for seed, test in found.get(pair, {}).items()}
 
 
-def _zero_shot(found: Mapping[Pair, Mapping[int, TransferResult]], pair: Pair, tree: SeedTree) -> dict[str, Estimate | None]:
+def _zero_shot(
+    found: Mapping[Pair, Mapping[int, TransferResult]], pair: Pair, tree: SeedTree
+) -> dict[str, Estimate | None]:
     """The estimates of a cell that tests of the source's policies give."""
     counts = _tests(found, pair)
     if not counts:
