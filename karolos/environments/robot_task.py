@@ -157,6 +157,7 @@ class RobotTask(Environment):
                 self.task.apply(world, parameter, value)
         generator = np.random.Generator(np.random.PCG64(seed))
         self.robot.reset(generator)
+        world.forget_contacts()
         self.task.reset(generator)
         if self._action_set is not None:
             self._action_set.reset(self.robot.opening_command)

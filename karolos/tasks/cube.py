@@ -53,7 +53,6 @@ class Cube:
         self.half = edge / 2
         self.body = world.box((edge, edge, edge), mass, CUBE_COLOUR)
         self.body.set_friction(settings.object_friction)
-        self._world = world
         self.set_mass(mass)
 
     def set_mass(self, mass: float) -> None:
@@ -83,9 +82,6 @@ class Cube:
 
         Raises PluginError where the tool cannot be there.
         """
-        # contacts of the previous episode's grip would warm-start the solver: the same episode would differ
-        self.body.place((0.0, 0.0, LOST_DISTANCE))
-        self._world.update_contacts()
         robot.place_tool(tool, opening, closing=closing)
         self.place(position, aligned(robot))
 

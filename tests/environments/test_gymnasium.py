@@ -13,7 +13,7 @@ from karolos.core import Discrete, Transitions
 from karolos.core.seeding import SeedTree
 from karolos.environments.gymnasium.adapter import Gymnasium
 from karolos.errors import KarolosError, PluginError
-from karolos.plugins.contracts import check_environment
+from karolos.plugins.contracts import check
 
 POINT = "support.goal_environments:Point-v0"
 ENDING = "support.goal_environments:Ending-v0"
@@ -171,7 +171,7 @@ def test_hindsight_relabels_the_goals_of_anybodys_environment(settings: dict[str
 def test_anybodys_goal_environment_keeps_the_promises_of_an_environment(settings: dict[str, Any]) -> None:
     if "karolos" not in settings["id"]:  # may begin at its goal
         settings = {**settings, "kwargs": {**settings.get("kwargs", {}), "apart": True}}
-    check_environment("gymnasium", **settings, goals=True)
+    check("environments", "gymnasium", **settings, goals=True)
 
 
 def test_a_goal_rule_goes_to_other_processes_without_its_environment() -> None:

@@ -12,7 +12,7 @@ from typer.testing import CliRunner
 
 import karolos.plugins.contracts
 from karolos.errors import UsageError
-from karolos.plugins.contracts import Candidate, cases, check_agent
+from karolos.plugins.contracts import Candidate, cases, check
 from karolos.registry import load
 
 
@@ -118,7 +118,7 @@ def test_settings_and_kinds_that_cannot_be_checked_are_refused() -> None:
     with pytest.raises(UsageError, match="no contracts for orchestrator local"):
         cases(karolos.plugins.contracts.candidate("orchestrators", "local"))
     with pytest.raises(UsageError, match="did you mean 'sac'"):
-        check_agent("sacc")
+        check("agents", "sacc")
 
 
 def test_the_command_line_names_broken_promises_and_ends_with_3(monkeypatch: pytest.MonkeyPatch) -> None:

@@ -10,7 +10,7 @@ from karolos import Experiment
 from karolos.core import Discrete, Field, Layout, Signature
 from karolos.core.seeding import SeedTree
 from karolos.errors import UsageError
-from karolos.plugins.contracts import check_agent
+from karolos.plugins.contracts import check
 from karolos.registry import find, load
 
 SPEC = {
@@ -28,7 +28,7 @@ def test_it_is_found_by_its_entry_point() -> None:
 
 
 def test_it_keeps_what_every_agent_promises() -> None:
-    check_agent("actor_critic")
+    check("agents", "actor_critic")
 
 
 def test_it_learns_to_reach_a_point(tmp_path: Path) -> None:

@@ -12,7 +12,7 @@ from karolos_cutting.greedy import greedy
 
 from karolos.core import Step, random_actions
 from karolos.environments.build import build_environment
-from karolos.plugins.contracts import check_environment
+from karolos.plugins.contracts import check
 from karolos.registry import find, load
 from karolos.specification.parts import Part, Recipe
 
@@ -54,7 +54,7 @@ def test_the_package_is_found_by_its_entry_point_and_made_from_a_recipe() -> Non
 
 
 def test_it_keeps_what_every_environment_promises() -> None:
-    check_environment("cutting")
+    check("environments", "cutting")
 
 
 def test_a_delivered_piece_pays_its_value_and_the_return_is_the_yield(saw: Cutting) -> None:

@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from karolos.plugins.contracts import check_robot
+from karolos.plugins.contracts import check
 from karolos.registry import find
 
 
@@ -11,4 +11,4 @@ def test_it_is_found_by_its_entry_point() -> None:
 
 
 def test_it_keeps_what_every_robot_promises() -> None:
-    check_robot("desk_arm")
+    check("robots", "desk_arm")

@@ -6,17 +6,25 @@ from typing import Any
 
 import numpy as np
 
-from ...core import Batch, Buffer, FloatArray, Rollout, Transitions
+from ...core import Batch, Buffer, Field, FloatArray, Layout, Rollout, Signature, Transitions, random_actions
 from ...core.seeding import SeedTree
 from ...errors import KarolosError
-from .agents import CONTINUOUS as SIGNATURE
-from .case import Candidate, demand, demand_refusal, demand_same, demand_same_fields, demand_shape
+from .case import Candidate, Promises, demand, demand_refusal, demand_same, demand_same_fields, demand_shape
 
 ENVIRONMENTS = 3
 CALLS = 20
 ROLLOUT = CALLS * ENVIRONMENTS
+REPLAY, ON_POLICY = Promises(), Promises()
+SIGNATURE = Signature(
+    observation=Layout((Field("x", 4),)),
+    action=Layout((Field("a", 2),)),
+    max_steps=10,
+    achieved_goal=Layout((Field("reached", 2),)),
+    desired_goal=Layout((Field("goal", 2),)),
+)
 
 
+@REPLAY
 def a_batch_has_the_shapes_of_the_signature(one: Candidate) -> None:
     """A batch has the signature's shapes in float32, positive weights, and discounts in (0, discount]."""
     buffer = _made(one)
@@ -35,6 +43,7 @@ def a_batch_has_the_shapes_of_the_signature(one: Candidate) -> None:
     demand(set(batch.terminated) <= {0.0, 1.0}, "a value of terminated is neither 0 nor 1")
 
 
+@REPLAY
 def transitions_can_be_sampled_before_their_episode_ends(one: Candidate) -> None:
     """Transitions can be sampled as soon as they are added, before their episode ends."""
     buffer = _made(one)
@@ -43,6 +52,8 @@ def transitions_can_be_sampled_before_their_episode_ends(one: Candidate) -> None
     demand(set(buffer.sample(9).reward) <= set(range(9)), "a batch holds a reward that was never added")
 
 
+@REPLAY
+@ON_POLICY
 def sampling_from_an_empty_buffer_is_an_error(one: Candidate) -> None:
     """Sampling from an empty buffer raises a KarolosError."""
     buffer = _made(one)
@@ -50,6 +61,7 @@ def sampling_from_an_empty_buffer_is_an_error(one: Candidate) -> None:
     demand_refusal(lambda: buffer.sample(1), KarolosError, "sampling from an empty buffer raises no KarolosError")
 
 
+@REPLAY
 def sampling_goes_on_bit_for_bit_from_a_saved_state(one: Candidate) -> None:
     """A buffer that loads a saved state continues to sample bit for bit like the buffer that saved it."""
     first, second = _made(one), _made(one, 5)
@@ -63,6 +75,7 @@ def sampling_goes_on_bit_for_bit_from_a_saved_state(one: Candidate) -> None:
     demand_same_fields(batch, second.sample(15), "a batch after load_state")
 
 
+@REPLAY
 def the_same_seed_samples_the_same_and_another_does_not(one: Candidate) -> None:
     """The seed determines which transitions are sampled; another seed samples others."""
     slots = []
@@ -74,6 +87,7 @@ def the_same_seed_samples_the_same_and_another_does_not(one: Candidate) -> None:
     demand(not np.array_equal(slots[0], slots[2]), "another seed samples the same transitions")
 
 
+@ON_POLICY
 def a_rollout_has_the_shapes_of_the_signature_and_is_given_once(one: Candidate) -> None:
     """A complete rollout is returned once and has the signature's shapes."""
     buffer = _made(one)
@@ -91,6 +105,7 @@ def a_rollout_has_the_shapes_of_the_signature_and_is_given_once(one: Candidate) 
     demand_refusal(lambda: buffer.sample(ROLLOUT), KarolosError, "a rollout is returned twice")
 
 
+@ON_POLICY
 def a_rollout_goes_on_bit_for_bit_from_a_saved_state(one: Candidate) -> None:
     """A buffer that loads a saved state completes the rollout bit for bit like the buffer that saved it."""
     first, second = _made(one), _made(one, 5)
@@ -102,20 +117,6 @@ def a_rollout_goes_on_bit_for_bit_from_a_saved_state(one: Candidate) -> None:
     demand_same_fields(first.sample(len(first)), second.sample(len(second)), "a rollout after load_state")
 
 
-REPLAY = (
-    a_batch_has_the_shapes_of_the_signature,
-    transitions_can_be_sampled_before_their_episode_ends,
-    sampling_from_an_empty_buffer_is_an_error,
-    sampling_goes_on_bit_for_bit_from_a_saved_state,
-    the_same_seed_samples_the_same_and_another_does_not,
-)
-ON_POLICY = (
-    a_rollout_has_the_shapes_of_the_signature_and_is_given_once,
-    sampling_from_an_empty_buffer_is_an_error,
-    a_rollout_goes_on_bit_for_bit_from_a_saved_state,
-)
-
-
 def _made(one: Candidate, seed: int = 0) -> Buffer[Any]:
     """The buffer. Rollouts are complete after CALLS calls."""
     settings = one.settled(rollout=CALLS) if one.plugin.on_policy else one.settled()
@@ -125,20 +126,26 @@ def _made(one: Candidate, seed: int = 0) -> Buffer[Any]:
 
 def _feed(buffer: Buffer[Any], *, first: int = 0, calls: int = CALLS) -> None:
     """Noise from all environments; each transition's reward is its number."""
-    numbers = np.arange(ENVIRONMENTS)
     for call in range(first, first + calls):
-        noise: FloatArray = np.random.default_rng(call).normal(size=(ENVIRONMENTS, 16)).astype(np.float32)
-        buffer.add(
-            Transitions(
-                environment=numbers,
-                observation=noise[:, :4],
-                achieved_goal=noise[:, 4:6],
-                desired_goal=noise[:, 6:8],
-                action=np.tanh(noise[:, 8:10]),
-                reward=(call * ENVIRONMENTS + numbers).astype(np.float32),
-                next_observation=noise[:, 10:14],
-                next_achieved_goal=noise[:, 14:],
-                terminated=np.full(ENVIRONMENTS, call % 7 == 6),
-                truncated=np.full(ENVIRONMENTS, call % 10 == 9),
-            )
-        )
+        buffer.add(noise(SIGNATURE, call, ENVIRONMENTS))
+
+
+def noise(signature: Signature, call: int, environments: int) -> Transitions:
+    """Random transitions of this call; each one's reward is its number."""
+    generator, numbers = np.random.default_rng(call), np.arange(environments)
+
+    def columns(layout: Layout) -> FloatArray:
+        return generator.normal(size=(environments, layout.size)).astype(np.float32)
+
+    return Transitions(
+        environment=numbers,
+        observation=columns(signature.observation),
+        achieved_goal=columns(signature.achieved_goal),
+        desired_goal=columns(signature.desired_goal),
+        action=random_actions(signature, environments, generator),
+        reward=(call * environments + numbers).astype(np.float32),
+        next_observation=columns(signature.observation),
+        next_achieved_goal=columns(signature.achieved_goal),
+        terminated=np.full(environments, call % 7 == 6),
+        truncated=np.full(environments, call % 10 == 9),
+    )

@@ -3,7 +3,8 @@
 from __future__ import annotations
 
 import inspect
-from collections.abc import Callable, Iterable, Mapping
+from collections.abc import Callable, Mapping
+from contextlib import AbstractContextManager
 from dataclasses import dataclass, field
 from typing import Any
 
@@ -64,11 +65,17 @@ class Case:
 
     promise: Callable[..., None]
     candidates: tuple[Candidate, ...]
+    opened: Callable[..., AbstractContextManager[Any]] | None = None
+    """Makes what the promise is about of the candidates; None: the promise gets the candidates."""
     basic: bool = False
     """Whether no other promise can be kept without this one."""
 
     def __call__(self) -> None:
-        self.promise(*self.candidates)
+        if self.opened is None:
+            self.promise(*self.candidates)
+            return
+        with self.opened(*self.candidates) as subject:
+            self.promise(subject)
 
     def __str__(self) -> str:
         who = [
@@ -82,9 +89,26 @@ class Case:
         return (inspect.getdoc(self.promise) or "").partition("\n\n")[0].replace("\n", " ")
 
 
-def cases_of(promises: Iterable[Callable[..., None]], *candidates: Candidate) -> list[Case]:
-    """One case per promise."""
-    return [Case(promise, candidates) for promise in promises]
+class Promises(list[Callable[..., None]]):
+    """Promises in the order in which they are checked. As a decorator it adds one.
+
+    Args:
+        opened: see `Case`.
+        basic: see `Case`.
+    """
+
+    def __init__(
+        self, opened: Callable[..., AbstractContextManager[Any]] | None = None, *, basic: bool = False
+    ) -> None:
+        super().__init__()
+        self.opened, self.basic = opened, basic
+
+    def __call__(self, promise: Callable[..., None]) -> Callable[..., None]:
+        self.append(promise)
+        return promise
+
+    def cases(self, *candidates: Candidate) -> list[Case]:
+        return [Case(promise, candidates, self.opened, self.basic) for promise in self]
 
 
 def demand(holds: object, otherwise: str) -> None:

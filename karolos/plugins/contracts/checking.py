@@ -4,14 +4,13 @@ from __future__ import annotations
 
 import traceback
 from collections.abc import Iterable, Iterator
-from functools import partial
 from typing import Any
 
 from ...errors import KarolosError, UsageError
 from ...registry import alternatives, names, singular
 from ...robots.arm import Arm
 from . import agents, buffers, distributions, environments, pairs, robots, tasks
-from .case import Candidate, Case, candidate, cases_of
+from .case import Candidate, Case, candidate
 from .joined import controls, goes_with, refusal, under
 
 KINDS = ("robots", "tasks", "agents", "buffers", "environments", "distributions")
@@ -35,20 +34,17 @@ def cases(one: Candidate, *, alone: bool = False) -> list[Case]:
         return _of_robot(one) + ([] if alone else [case for task in _all("tasks") for case in of_pair(one, task)])
     if one.kind == "tasks":
         usual = candidate("robots", USUAL_ROBOT, one.engine)
-        found = [Case(environments.an_episode_begins_and_takes_a_step, (usual, one), basic=True)]
-        found += cases_of(tasks.PROMISES, usual, one)
+        found = environments.BEGINS.cases(usual, one) + tasks.PROMISES.cases(usual, one)
         return found + ([] if alone else [case for robot in _all("robots") for case in of_pair(robot, one)])
     one.settled()
     if one.kind == "agents":
-        return cases_of(agents.PROMISES, one)
+        return agents.PROMISES.cases(one)
     if one.kind == "buffers":
-        on_policy = one.plugin.on_policy
-        return cases_of(buffers.ON_POLICY if on_policy else buffers.REPLAY, one)
+        return (buffers.ON_POLICY if one.plugin.on_policy else buffers.REPLAY).cases(one)
     if one.kind == "distributions":
-        return cases_of(distributions.PROMISES, one)
+        return distributions.PROMISES.cases(one)
     if one.kind == "environments" and one.name != "robot_task":
-        begins = Case(environments.an_episode_begins_and_takes_a_step, (one,), basic=True)
-        return [begins, *cases_of(environments.PROMISES, one)]
+        return environments.BEGINS.cases(one) + environments.REPEATS.cases(one) + environments.PROMISES.cases(one)
     hint = "check a robot or a task" if one.kind == "environments" else alternatives(one.kind, KINDS)
     raise UsageError(f"there are no contracts for {singular(one.kind)} {one.name}", hint=hint)
 
@@ -61,14 +57,14 @@ def of_pair(robot: Candidate, task: Candidate) -> list[Case]:
     if task.plugin.uses_gripper and not _has_gripper(robot):
         return []
     if refusal(robot, task) is not None:
-        return cases_of((pairs.the_task_refuses_the_robot,), robot, task)
-    modes = [mode for mode in controls(robot) if goes_with(task, mode.settings.get("control"))]
-    found = [case for mode in modes for case in cases_of(environments.PROMISES, mode, task)]
-    found += cases_of(pairs.PROMISES, robot, task)
+        return pairs.REFUSED.cases(robot, task)
+    groups = [pairs.PROMISES]
     if task.name == "reach":
-        found += cases_of(pairs.IN_REACH, robot, task)
-        found += cases_of(pairs.ARM_IN_REACH, robot, task) if issubclass(robot.plugin, Arm) else []
-    return found
+        groups += [pairs.IN_REACH, pairs.ARM_IN_REACH] if issubclass(robot.plugin, Arm) else [pairs.IN_REACH]
+    modes = [mode for mode in controls(robot) if goes_with(task, mode.settings.get("control"))]
+    both = environments.REPEATS, environments.PROMISES
+    found = [case for mode in modes for group in both for case in group.cases(mode, task)]
+    return found + [case for group in groups for case in group.cases(robot, task)]
 
 
 def results(found: Iterable[Case]) -> Iterator[tuple[Case, str | None]]:
@@ -94,7 +90,7 @@ def _problem(case: Case) -> str | None:
 
 
 def check(kind: str, name: str, **settings: Any) -> None:
-    """Check every promise of an installed plugin.
+    """Check every promise of an installed plugin. A robot and a task take about a minute.
 
     Args:
         kind: robots, tasks, agents, buffers, environments or distributions.
@@ -114,26 +110,18 @@ def check(kind: str, name: str, **settings: Any) -> None:
         raise AssertionError("\n".join(f"{case}: {problem}" for case, problem in broken.items()))
 
 
-check_robot = partial(check, "robots")
-"""`check` for a robot, with every installed task. Takes about a minute."""
-check_task = partial(check, "tasks")
-"""`check` for a task, with every installed robot. Takes about a minute."""
-check_agent = partial(check, "agents")
-check_buffer = partial(check, "buffers")
-check_environment = partial(check, "environments")
-check_distribution = partial(check, "distributions")
-
-
 def _of_robot(one: Candidate) -> list[Case]:
-    modes = controls(one)
-    found = [Case(robots.an_episode_begins_and_takes_a_step, (mode,), basic=True) for mode in modes]
-    found += [case for mode in modes for case in cases_of(robots.ANY_ROBOT, mode)]
-    if not issubclass(one.plugin, Arm):
-        return found
-    found += [case for mode in modes for case in cases_of(robots.ARM, mode)]
-    found += cases_of(robots.JOINT_CONTROL, under(one, "joint"))
-    found += cases_of(robots.CARTESIAN_CONTROL, under(one, "cartesian"))
-    return found + (cases_of(robots.GRIPPER, under(one, "cartesian")) if _has_gripper(one) else [])
+    modes, is_arm = controls(one), issubclass(one.plugin, Arm)
+    groups = [robots.ANY_ROBOT, robots.ARM] if is_arm else [robots.ANY_ROBOT]
+    found = [case for mode in modes for case in robots.BEGINS.cases(mode)]
+    found += [case for group in groups for mode in modes for case in group.cases(mode)]
+    if is_arm:
+        joint, cartesian = under(one, "joint"), under(one, "cartesian")
+        found += robots.JOINT_CONTROL.cases(joint)
+        found += robots.SHEET.cases(joint) if one.plugin.model.accelerations is not None else []
+        found += robots.CARTESIAN_CONTROL.cases(cartesian)
+        found += robots.GRIPPER.cases(cartesian) if _has_gripper(one) else []
+    return found
 
 
 def _has_gripper(robot: Candidate) -> bool:

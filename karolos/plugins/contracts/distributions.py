@@ -6,11 +6,13 @@ import math
 
 import numpy as np
 
-from .case import Candidate, demand
+from .case import Candidate, Promises, demand
 
 DRAWS = 1000
+PROMISES = Promises()
 
 
+@PROMISES
 def values_are_finite_floats(one: Candidate) -> None:
     """`draw` returns a finite Python float."""
     found = _drawn(one, 0)
@@ -18,14 +20,12 @@ def values_are_finite_floats(one: Candidate) -> None:
     demand(all(map(math.isfinite, found)), "a value is not finite")
 
 
+@PROMISES
 def the_generator_alone_determines_the_values(one: Candidate) -> None:
     """The same generator gives the same values; another gives others, unless there is only one value."""
     first = _drawn(one, 1)
     demand(first == _drawn(one, 1), "the same generator gives other values: draw from the given generator")
     demand(len(set(first)) == 1 or first != _drawn(one, 2), "another generator gives the same values")
-
-
-PROMISES = (values_are_finite_floats, the_generator_alone_determines_the_values)
 
 
 def _drawn(one: Candidate, seed: int) -> list[float]:

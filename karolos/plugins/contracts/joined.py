@@ -2,8 +2,8 @@
 
 from __future__ import annotations
 
-from collections.abc import Iterator, Mapping
-from contextlib import contextmanager
+from collections.abc import Mapping
+from contextlib import AbstractContextManager, closing
 from dataclasses import replace
 from typing import Any
 
@@ -16,12 +16,9 @@ from .case import Candidate, candidate
 CONTROLS = ("joint", "cartesian")
 
 
-def build(first: Candidate, task: Candidate | None = None) -> Environment:
-    """An environment, or a robot with a task."""
-    if task is not None:
-        return join(first, task)
-    made: Environment = first.plugin(first.settled())
-    return made
+def opened(first: Candidate, task: Candidate | None = None) -> AbstractContextManager[Environment]:
+    """An environment, or a robot with a task, until it is closed."""
+    return closing(join(first, task) if task is not None else first.plugin(first.settled()))
 
 
 def join(robot: Candidate, task: Candidate, *, drawn: Mapping[str, float] | None = None, **settings: Any) -> RobotTask:
@@ -55,21 +52,14 @@ def refusal(robot: Candidate, task: Candidate) -> str | None:
     return None
 
 
-@contextmanager
-def joined(robot: Candidate, task: Candidate, **how: Any) -> Iterator[RobotTask]:
+def joined(robot: Candidate, task: Candidate, **how: Any) -> AbstractContextManager[RobotTask]:
     """`join` as a context, which closes the environment."""
-    environment = join(robot, task, **how)
-    try:
-        yield environment
-    finally:
-        environment.close()
+    return closing(join(robot, task, **how))
 
 
-@contextmanager
-def reaching(robot: Candidate, *, steps: int = 100_000) -> Iterator[RobotTask]:
+def reaching(robot: Candidate) -> AbstractContextManager[RobotTask]:
     """A robot with the task reach, in episodes without a practical limit."""
-    with joined(robot, candidate("tasks", "reach"), max_steps=steps) as environment:
-        yield environment
+    return joined(robot, candidate("tasks", "reach"), max_steps=100_000)
 
 
 def controls(robot: Candidate) -> list[Candidate]:

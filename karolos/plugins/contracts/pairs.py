@@ -4,20 +4,26 @@ from __future__ import annotations
 
 import numpy as np
 
+from ...core import random_actions
 from ...environments.robot_task import RobotTask
 from ...evaluation.playing import score
 from ...evaluation.policies import expert_policy, random_policy
-from .case import Candidate, demand, demand_same
+from .case import Candidate, Promises, demand, demand_same
 from .joined import joined, refusal
 
 EPISODES = 10
+REFUSED, PROMISES, IN_REACH = Promises(), Promises(), Promises()
+ARM_IN_REACH = Promises()
+"""Gravity need not move a robot that is no arm."""
 
 
+@REFUSED
 def the_task_refuses_the_robot(robot: Candidate, task: Candidate) -> None:
     """The task says why it cannot be done with the robot, e.g. too slow to throw, before anything is simulated."""
     demand(refusal(robot, task), "the task refuses the robot without a reason")
 
 
+@PROMISES
 def the_expert_solves_the_pair_and_random_actions_do_not(robot: Candidate, task: Candidate) -> None:
     """The task's expert succeeds in at least 70 % of the episodes, random actions in at most 30 %."""
     with joined(robot, task) as environment:
@@ -28,6 +34,7 @@ def the_expert_solves_the_pair_and_random_actions_do_not(robot: Candidate, task:
     demand(chance.success_end <= 0.3, f"random actions succeed in {chance.success_end:.0%} of {EPISODES} episodes")
 
 
+@PROMISES
 def drawing_the_nominal_values_changes_nothing(robot: Candidate, task: Candidate) -> None:
     """Randomization that draws every nominal value gives the episodes of the plain environment."""
     with joined(robot, task) as plain:
@@ -35,19 +42,15 @@ def drawing_the_nominal_values_changes_nothing(robot: Candidate, task: Candidate
         with joined(robot, task, drawn=nominal) as drawn:
             for seed in range(2):
                 demand_same(plain.reset(seed).observation, drawn.reset(seed).observation, "observations after a reset")
-                generator = np.random.default_rng(seed)
-                actions = generator.uniform(-1, 1, (8, plain.signature.action.size)).astype(np.float32)
-                for action in actions:
+                for action in random_actions(plain.signature, 8, np.random.default_rng(seed)):
                     one, other = plain.step(action), drawn.step(action)
                     demand_same(one.observation, other.observation, "observations with every nominal value drawn")
-                    demand(
-                        one.terminated == other.terminated,
-                        "with every nominal value drawn an episode ends at another step",
-                    )
+                    demand(one.terminated == other.terminated, "an episode with every nominal value drawn ends apart")
                     if one.terminated:
                         break
 
 
+@PROMISES
 def extreme_values_of_every_parameter_can_be_drawn(robot: Candidate, task: Candidate) -> None:
     """The environment steps with all parameters at their lowest, or highest, values at once."""
     with joined(robot, task) as plain:
@@ -62,6 +65,7 @@ def extreme_values_of_every_parameter_can_be_drawn(robot: Candidate, task: Candi
             environment.step(np.ones(environment.signature.action.size, np.float32))
 
 
+@ARM_IN_REACH
 def every_parameter_changes_the_episodes_of_its_own_environment_alone(robot: Candidate, task: Candidate) -> None:
     """Each parameter changes the episodes of its own environment and of no other."""
     with joined(robot, task) as plain:
@@ -74,6 +78,7 @@ def every_parameter_changes_the_episodes_of_its_own_environment_alone(robot: Can
             demand(_trace(plain, 3) == nominal, f"{name} also changes another environment")
 
 
+@IN_REACH
 def the_expert_reaches_the_goal_at_both_ends_of_each_parameter(robot: Candidate, task: Candidate) -> None:
     """At both ends of each parameter the expert still succeeds in at least three of four episodes."""
     with joined(robot, task) as plain:
@@ -87,33 +92,17 @@ def the_expert_reaches_the_goal_at_both_ends_of_each_parameter(robot: Candidate,
             demand(found >= 0.75, f"with {name} = {value:g} the expert succeeds in only {found:.0%} of 4 episodes")
 
 
-PROMISES = (
-    the_expert_solves_the_pair_and_random_actions_do_not,
-    drawing_the_nominal_values_changes_nothing,
-    extreme_values_of_every_parameter_can_be_drawn,
-)
-IN_REACH = (the_expert_reaches_the_goal_at_both_ends_of_each_parameter,)
-ARM_IN_REACH = (every_parameter_changes_the_episodes_of_its_own_environment_alone,)
-"""Gravity need not move a robot that is no arm."""
-
-
 def _declared(environment: RobotTask) -> dict[str, tuple[float, float, float]]:
     """Parameters with nominal, lowest and highest value."""
-    parts = (("robot", environment.robot), ("task", environment.task))
-    return {
-        f"{what}.{name}": (parameter.nominal, parameter.low, parameter.high)
-        for what, owner in parts
-        for name, parameter in owner.parameters.items()
-    }
+    return {name: (one.nominal, one.low, one.high) for name, one in environment.declared.items()}
 
 
 def _trace(environment: RobotTask, seed: int) -> bytes:
     """Observations of up to 30 steps with random actions, of which the first 14 lower the arm."""
-    generator = np.random.default_rng(0)
     seen = [environment.reset(seed).observation]
-    for step in range(30):
-        action = generator.uniform(-1, 1, environment.signature.action.size).astype(np.float32)
-        action[2] = -1.0 if step < 14 else action[2]
+    actions = random_actions(environment.signature, 30, np.random.default_rng(0))
+    actions[:14, 2] = -1.0
+    for action in actions:
         after = environment.step(action)
         seen.append(after.observation)
         if after.terminated or after.truncated:

@@ -6,19 +6,22 @@ import pickle
 
 import numpy as np
 
-from .case import Candidate, demand, demand_same
+from .case import Candidate, Promises, demand, demand_same
 from .joined import joined
 
 HEADINGS = ("What to do:", "What is randomised:", "What counts as success:")
 REWARDS = ("sparse", "dense")
+PROMISES = Promises()
 
 
+@PROMISES
 def the_docstring_says_what_to_do_what_is_randomised_and_what_counts(_: Candidate, task: Candidate) -> None:
     """The class's docstring has the headings "What to do:", "What is randomised:" and "What counts as success:"."""
     for heading in HEADINGS:
         demand(heading in (task.plugin.__doc__ or ""), f'the docstring lacks "{heading}"')
 
 
+@PROMISES
 def the_goal_rule_survives_pickling_and_works_on_leading_axes(robot: Candidate, task: Candidate) -> None:
     """The goal rule can be pickled, and its results for arrays of goals are those for each goal."""
     known = task.plugin.Settings.model_fields
@@ -40,6 +43,7 @@ def the_goal_rule_survives_pickling_and_works_on_leading_axes(robot: Candidate, 
                 demand_same(getattr(rule, name)(achieved[index], desired[index]), whole[index], f"{name} of one goal")
 
 
+@PROMISES
 def declared_parameters_have_a_nominal_value_in_their_range(robot: Candidate, task: Candidate) -> None:
     """Every parameter of task and robot has a unit, a description and a nominal value within its range."""
     with joined(robot, task) as environment:
@@ -51,10 +55,3 @@ def declared_parameters_have_a_nominal_value_in_their_range(robot: Candidate, ta
                     f"{name}: the nominal value {one.nominal} is not in {one.low} .. {one.high}",
                 )
                 demand(one.unit and one.description, f"{name} has no unit or no description")
-
-
-PROMISES = (
-    the_docstring_says_what_to_do_what_is_randomised_and_what_counts,
-    the_goal_rule_survives_pickling_and_works_on_leading_axes,
-    declared_parameters_have_a_nominal_value_in_their_range,
-)

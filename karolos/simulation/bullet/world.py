@@ -84,6 +84,8 @@ class World:
         self.set_gravity(GRAVITY)
         self._markers: list[tuple[Body, float, Colour]] = []
         self._motors: list[Motors] = []
+        self._free: list[Body] = []
+        self._stepped = False
         self._window = window
         self.floor = self._create(
             self._shape(api.GEOM_BOX, halfExtents=FLOOR_HALF, collisionFramePosition=(0, 0, -FLOOR_HALF[2])),
@@ -93,6 +95,7 @@ class World:
         self.set_floor_friction(FLOOR_FRICTION)
 
     def step(self) -> None:
+        self._stepped = True
         for substep in range(self.substeps):
             for motors in self._motors:
                 motors.substep(substep)
@@ -144,6 +147,8 @@ class World:
         shape = self._shape(self.api.GEOM_BOX, halfExtents=half)
         body = self._create(shape, self._look(self.api.GEOM_BOX, colour, halfExtents=half), mass)
         body.set_air_drag(0.0)
+        if mass > 0:
+            self._free.append(body)
         return body
 
     def marker(self, radius: float, colour: Colour) -> Body:
@@ -153,8 +158,17 @@ class World:
         self._markers.append((marker, radius, colour))
         return marker
 
-    def update_contacts(self) -> None:
+    def forget_contacts(self) -> None:
+        # PyBullet forgets a contact, which would warm-start the solver, when it detects that the bodies are apart
+        if not self._stepped:  # a detection before the first step would change the order of contacts
+            return
+        self._stepped = False
+        poses = [body.pose() for body in self._free]
+        for number, body in enumerate(self._free):
+            body.place((0.0, 0.0, 10.0 + number))
         self.api.performCollisionDetection()
+        for body, (position, orientation) in zip(self._free, poses, strict=True):
+            body.place(position, orientation)
 
     def contacts(self, first: AnyBody, second: AnyBody, link: int) -> list[Contact]:
         points = self.api.getContactPoints(first.index, second.index, linkIndexA=link)

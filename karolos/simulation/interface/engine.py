@@ -229,8 +229,8 @@ class World(Protocol):
     def marker(self, radius: float, colour: Colour) -> Body:
         """Add a translucent sphere that collides with nothing."""
 
-    def update_contacts(self) -> None:
-        """Detect contacts without a step. Contacts that no longer exist are forgotten, with their impulses."""
+    def forget_contacts(self) -> None:
+        """Forget the contacts of free bodies, with their impulses, so that an episode does not depend on the last."""
 
     def contacts(self, first: Body, second: Body, link: int) -> Sequence[Contact]:
         """The contact points between `link` of the first body and any link of the second."""

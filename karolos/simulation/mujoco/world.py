@@ -173,11 +173,8 @@ class World:
         self._markers.append((marker, radius, colour))
         return marker
 
-    def update_contacts(self) -> None:
-        data = self._simulation.writable()
-        self.api.mj_fwdPosition(self._simulation.model, data)
-        data.efc_force[:] = 0.0
-        self._simulation.stepped = True
+    def forget_contacts(self) -> None:
+        self._simulation.writable()
 
     def contacts(self, first: AnyBody, second: AnyBody, link: int) -> list[Contact]:
         data = self._simulation.ready()
