@@ -73,6 +73,7 @@ def play(
         raise UsageError(f"a film of {width} x {height} pixels cannot be encoded", hint="use even numbers")
     changed = overrides or ()
     window = out is None and _has_display()
+    from karolos.environments.build import used
     from karolos.evaluation.changed_spec import load_player
     from karolos.evaluation.playing import play as play_all
     from karolos.evaluation.playing import play_failures
@@ -97,7 +98,7 @@ def play(
         target = _film(out or folder.path / "play.mp4", window=window)
         spec, environment, policy = load_player(folder, checkpoint or _best_or_last(folder), changed, window=window)
     count = episodes or (5 if window else 1)
-    try:
+    with used(environment):
         played = (play_failures if failures else play_all)(environment, policy, episodes=count, seed=spec.testing.seed)
         moments = _report_episodes(played)
         if window:
@@ -106,8 +107,6 @@ def play(
             return
         moments = _with_bar(moments, count)
         write_video(target, _pictures(moments, width, height), environment.rate)
-    finally:
-        environment.close()
     print(target)
 
 

@@ -60,6 +60,15 @@ def _rebuild(kind: type[KarolosError], attributes: dict[str, object]) -> Karolos
     return error
 
 
+def described(error: BaseException) -> str:
+    """Class and first line of an exception of anybody's."""
+    try:
+        lines = str(error).strip().splitlines()
+    except Exception:  # its text is anybody's as well
+        lines = []
+    return f"{type(error).__name__}: {lines[0]}" if lines else type(error).__name__
+
+
 class UsageError(KarolosError):
     """An invalid command, selector or argument."""
 

@@ -14,7 +14,7 @@ from numpy.typing import ArrayLike, NDArray
 from .. import checkpoint
 from ..core import Agent, Environment, Signature, Step, random_actions
 from ..core.seeding import SeedTree
-from ..environments.build import build_environment
+from ..environments.build import build_environment, opened
 from ..errors import MachineError, RunError, UsageError
 from ..records import RunFolder
 from ..registry import load
@@ -137,11 +137,8 @@ def load_run(
 
 def signature_of(spec: Spec, *, randomize: bool = False) -> Signature:
     """The signature of the spec's environment. A robot's world is not simulated."""
-    environment = build_environment(spec.recipe(randomize=randomize))
-    try:
+    with opened(spec.recipe(randomize=randomize)) as environment:
         return environment.signature
-    finally:
-        environment.close()
 
 
 def expert_policy(environment: Environment) -> Policy:
