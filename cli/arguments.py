@@ -44,6 +44,9 @@ Database = Annotated[
         help="SQLAlchemy URL of the results database. Default: karolos.sqlite in the runs folder.",
     ),
 ]
+SpecFile = Annotated[
+    Path, typer.Argument(metavar="SPEC", help="A YAML spec, or the name of one that ships: see `karolos spec list`.")
+]
 Overrides = Annotated[
     list[str] | None,
     typer.Argument(
@@ -178,8 +181,8 @@ def _of_spec(store: Store, path: str) -> tuple[RunSummary, ...]:
 
 
 def is_spec(selector: str) -> bool:
-    """Whether a selector is a spec file."""
-    return selector.endswith(_SPECS) and os.path.isfile(selector)
+    """Whether a selector is a spec file, or karolos:NAME."""
+    return selector.startswith("karolos:") or (selector.endswith(_SPECS) and os.path.isfile(selector))
 
 
 def existing_store(selector: str, runs: Path, database: str | None) -> Store:

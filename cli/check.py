@@ -3,12 +3,15 @@
 from __future__ import annotations
 
 import os
+from collections.abc import Sequence
 from pathlib import Path
 from typing import Annotated, Any
 
 import typer
 
-from .arguments import Json
+from karolos.errors import KarolosError, Problem, SpecError, UsageError
+
+from .arguments import Json, Runs
 from .output import print_line, print_rows
 
 
@@ -20,6 +23,7 @@ def check(
             help="YAML specs to check, and settings that replace those of every spec.",
         ),
     ],
+    runs: Runs = Path("runs"),
     json: Json = False,
 ) -> None:
     """Check specs and print every problem as file:line:column: key: what is wrong.
@@ -28,7 +32,6 @@ def check(
     transfer. Nothing is trained.
     Exit code 0: all specs are valid; 2: one is invalid; 3: one names a broken plugin.
     """
-    from karolos.errors import KarolosError, SpecError, UsageError
     from karolos.specification import load_spec
 
     worst = 0
@@ -37,31 +40,30 @@ def check(
     if not specs:
         raise UsageError(f"{' '.join(overrides)} is not a spec", hint="karolos check SPEC... [PATH=VALUE]...")
     for path in specs:
-        found: list[dict[str, Any]] = []
+        found: Sequence[Problem | KarolosError] = ()
         note = None
         try:
             spec = load_spec(path, overrides)
             from karolos.training.assembly import check_parts  # not for an invalid spec: it takes half a second
 
             note = check_parts(spec)
+            if getattr(spec.agent.settings, "start_from", None) is not None:
+                from karolos.experiment.start_from import pinned
+
+                pinned(spec, runs)
             if spec.transfer is not None:
                 from karolos.transfer.matrix import Matrix
 
                 Matrix(spec).check()
-        except SpecError as error:
-            worst = max(worst, error.exit_code)
-            found = [_row(path, str(one.where), one.setting, one.what, one.hint) for one in error.problems]
         except KarolosError as error:
             worst = max(worst, error.exit_code)
-            found = [_row(path, error.where, error.setting or "", error.what, error.hint)]
+            found = error.problems if isinstance(error, SpecError) else (error,)
         if json:
-            print_rows(found or [_row(path, str(path), "", None, note)], json=True)
-            continue
-        if not found:
+            print_rows([_row(path, one) for one in found] or [_row(path, None, note)], json=True)
+        elif not found:
             print_line(f"{path}: ok, but {note}" if note else f"{path}: ok")
-        for row in found:
-            line = ": ".join(part for part in (row["where"], row["key"], row["problem"]) if part)
-            print_line(f"{line}; {row['hint']}" if row["hint"] else line)
+        for one in () if json else found:
+            print_line(str(one))
     raise typer.Exit(worst)
 
 
@@ -70,5 +72,9 @@ def _is_override(argument: str) -> bool:
     return "=" in argument and not os.path.exists(argument)  # Path.exists raises for a long text
 
 
-def _row(path: Path, where: str | None, key: str, what: str | None, hint: str | None) -> dict[str, Any]:
-    return {"spec": str(path), "ok": what is None, "where": where, "key": key, "problem": what, "hint": hint}
+def _row(path: Path, found: Problem | KarolosError | None, note: str | None = None) -> dict[str, Any]:
+    row = {"spec": str(path), "ok": found is None, "where": str(path), "key": "", "problem": None, "hint": note}
+    if found is not None:
+        where = None if found.where is None else str(found.where)
+        row |= {"where": where, "key": found.setting or "", "problem": found.what, "hint": found.hint}
+    return row

@@ -163,7 +163,7 @@ def _activity(event: RunBusy) -> str:
     return event.activity if event.total == 1 else f"{event.activity} {event.done}/{event.total}"
 
 
-def _final(final: FinalTest[TestResult]) -> str:
+def _final(final: FinalTest) -> str:
     """The scores of the policies `last` and `best`."""
     last, best = final.last.score, final.best
     if best is None:

@@ -95,6 +95,8 @@ def play(
         spec, environment, policy = load_shipped(run, changed, window=window)
     else:
         folder = _open(run, runs, database)
+        if modules := _modules(folder):
+            say(f"{folder.id} names code of this machine: {', '.join(modules)} will be imported")
         target = _film(out or folder.path / "play.mp4", window=window)
         spec, environment, policy = load_player(folder, checkpoint or _best_or_last(folder), changed, window=window)
     count = episodes or (5 if window else 1)
@@ -142,6 +144,20 @@ def _open(name: str, runs: Path, database: str | None) -> RunFolder:
     except NoSuchRunError as error:
         shipped = alternatives(name, shipped_names(), what="policies that ship")
         raise UsageError(error.what, hint=f"{error.hint}; {shipped}") from error
+
+
+def _modules(folder: RunFolder) -> list[str]:
+    """The modules that the run's spec makes karolos import: of plugins that are not karolos's, and of gymnasium ids."""
+    from karolos.records.run_records import part_name
+    from karolos.registry import entries
+    from karolos.specification.merge import PARTS
+
+    spec = folder.spec()
+    named = [(entry, part_name(spec, key)) for key, kind in PARTS.items() for entry in entries(kind)]
+    found = [entry.target for entry, name in named if entry.name == name and entry.distribution != "karolos"]
+    environment = spec.get("environment")
+    found += [str(environment.get("id", ""))] if isinstance(environment, dict) else []
+    return sorted({module for module, colon, _ in (target.rpartition(":") for target in found) if colon})
 
 
 def _best_or_last(folder: RunFolder) -> str:

@@ -21,6 +21,7 @@ from .arguments import (
     Overrides,
     Quiet,
     Runs,
+    SpecFile,
     TimeLimit,
     open_run,
     seconds,
@@ -35,7 +36,7 @@ if TYPE_CHECKING:
 
 
 def run(
-    spec: Annotated[Path, typer.Argument(metavar="SPEC", help="The YAML spec to run.")],
+    spec: SpecFile,
     overrides: Overrides = None,
     runs: Runs = Path("runs"),
     database: Database = None,
@@ -84,7 +85,6 @@ def run(
             existing="resume" if resume else "skip" if if_needed else "ignore",
             time_limit=seconds(time_limit),
             listener=display,
-            text=spec.read_text("utf-8"),
             check=False,
         )
     report(outcome, runs, quiet=quiet, json=json)

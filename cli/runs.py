@@ -278,8 +278,10 @@ def export_runs(
     store, found = select_runs(run or (), where, runs, database)
     store.close()
     folders = [RunFolder.open(summary.folder) for summary in found]
-    files = archive.export_runs(folders, file, checkpoints=checkpoints)
-    say(f"{len(folders)} runs, {files} files, {file.stat().st_size / 1e6:.1f} MB in {file}")
+    exported = archive.export_runs(folders, file, checkpoints=checkpoints)
+    for name in exported.left_out:
+        warn(f"{name}: not a file of a run; left out")
+    say(f"{len(folders)} runs, {exported.files} files, {file.stat().st_size / 1e6:.1f} MB in {file}")
 
 
 @app.command("import")
@@ -317,7 +319,7 @@ class _View:
     record: RunRecord
     results: Sequence[TestResult] = ()
     """The tests episode by episode, as far as the folder has them."""
-    final: FinalTest[TestResult] | None = None
+    final: FinalTest | None = None
     transfers: Sequence[TransferResult] = ()
     """Tests under changed settings (`karolos test`)."""
     checkpoints: Sequence[Mapping[str, Any]] = ()
@@ -345,7 +347,7 @@ def _test_row(test: TestCounts) -> dict[str, Any]:
     return {"steps": test.steps, "seconds": test.seconds, **test.row(), "solved_at_reset": test.solved_at_reset}
 
 
-def _final_row(final: FinalTest[TestResult]) -> dict[str, Any]:
+def _final_row(final: FinalTest) -> dict[str, Any]:
     from karolos.records.results import TestCounts
 
     policies = {"last": final.last, "best": final.best}

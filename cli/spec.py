@@ -1,22 +1,58 @@
-"""`karolos spec`: what a spec resolves to, and the schema of specs."""
+"""`karolos spec`: the specs that ship, what a spec resolves to, and the schema of specs."""
 
 from __future__ import annotations
 
 import json as json_text
+import os
 from pathlib import Path
 from typing import Annotated
 
 import typer
 
-from .arguments import Json, Overrides
+from karolos.errors import UsageError
+from karolos.files import write_whole
+
+from .arguments import Json, Overrides, SpecFile
 from .output import print_line, print_rows, warn
 
-app = typer.Typer(name="spec", help="Show what a spec resolves to, and the schema of specs.", no_args_is_help=True)
+app = typer.Typer(
+    name="spec",
+    help="The specs that ship, what a spec resolves to, and the schema.",
+    no_args_is_help=True,
+)
+
+
+@app.command("list")
+def list_specs(json: Json = False) -> None:
+    """List the specs that ship with karolos: `karolos run NAME` runs one, `extends: karolos:NAME` extends it."""
+    from karolos.specification.files import shipped_specs
+
+    rows = [
+        {"name": name, "about": path.read_text("utf-8").partition("\n")[0].removeprefix("# ")}
+        for name, path in shipped_specs().items()
+    ]
+    print_rows(sorted(rows, key=lambda row: row["name"].count("/")), json=json)
+
+
+@app.command()
+def copy(
+    name: Annotated[str, typer.Argument(metavar="NAME", help="Of a spec that ships.")],
+    file: Annotated[Path | None, typer.Argument(metavar="[FILE]", help="The copy. Default: NAME.yaml here.")] = None,
+) -> None:
+    """Copy a spec that ships, to change it. What it extends stays in the package, as karolos:NAME."""
+    from karolos.specification.files import shipped_text
+
+    text = shipped_text(name)
+    target = file or Path(f"{Path(name.removeprefix('karolos:')).stem}.yaml")
+    if os.path.lexists(target):
+        raise UsageError("exists already", where=str(target), hint="name another FILE")
+    write_whole(target, text)
+    print_line(str(target))
 
 
 @app.command()
 def show(
-    spec: Annotated[Path, typer.Argument(metavar="SPEC", help="The YAML spec.")],
+    spec: SpecFile,
     overrides: Overrides = None,
     origin: Annotated[bool, typer.Option("--origin", help="Show where each value comes from.")] = False,
     json: Json = False,

@@ -6,7 +6,6 @@ import shutil
 import subprocess
 import sys
 from collections import Counter
-from collections.abc import Iterable, Sequence
 from pathlib import Path
 from typing import TYPE_CHECKING, Annotated, Any
 
@@ -14,11 +13,11 @@ import typer
 
 from karolos.errors import MachineError, SpecError, UsageError
 
-from .arguments import Database, Json, On, Overrides, Quiet, Runs, TimeLimit, seconds, with_launcher
+from .arguments import Database, Json, On, Overrides, Quiet, Runs, SpecFile, TimeLimit, seconds, with_launcher
 from .output import drawn_text, print_rows, say, short_text
 
 if TYPE_CHECKING:
-    from karolos.records.sweep_records import SweepFinal, Trial
+    from karolos.records.sweep_records import SweepRecord, Trial
     from karolos.sweep.events import SweepOutcome
     from karolos.sweep.search import Search
 
@@ -28,7 +27,7 @@ DASHBOARD = "optuna-dashboard"
 
 
 def sweep(
-    spec: Annotated[Path, typer.Argument(metavar="SPEC", help="A YAML spec with a sweep.")],
+    spec: SpecFile,
     overrides: Overrides = None,
     runs: Runs = Path("runs"),
     database: Database = None,
@@ -55,7 +54,7 @@ def sweep(
 
     from .display import SweepDisplay
 
-    search = Search(found, text=spec.read_text("utf-8"), trials=trials)
+    search = Search(found, trials=trials)
     if dashboard:
         raise typer.Exit(_open_dashboard(search.folder(runs) / "journal.log"))
     if dry_run:
@@ -69,57 +68,48 @@ def sweep(
 
 def report(outcome: SweepOutcome, *, quiet: bool, json: bool) -> None:
     """Print the trials on stdout, and the best of them on stderr."""
-    objectives = outcome.sweep.objectives
     if json:
-        parameters = outcome.sweep.space
-        print_rows((trial_row(one, objectives, parameters, outcome.final) for one in outcome.trials), json=True)
+        print_rows((_trial_row(one, outcome) for one in outcome.trials), json=True)
     elif not quiet:
-        print_trials(outcome.trials, objectives, outcome.sweep.space, outcome.final)
+        print_trials(outcome)
     if not quiet:
-        for trial in outcome.front if len(objectives) > 1 else ():
+        for trial in outcome.front if len(outcome.objectives) > 1 else ():
             say(f"no trial is better than trial {trial.number} in every objective: {drawn_text(trial)}")
-        report_best(outcome.best, outcome.final, objectives, outcome.folder)
+        report_best(outcome)
 
 
-def trial_row(
-    trial: Trial, objectives: Sequence[str], parameters: Iterable[str], final: SweepFinal | None
-) -> dict[str, Any]:
+def _trial_row(trial: Trial, sweep: SweepRecord) -> dict[str, Any]:
     """A trial as a row: state, objectives, settings, error, runs.
 
     After the final choice there are two more columns per objective: on the fresh seeds that the choice was made on, and
     on the unused seeds that only the chosen trial was run on.
     """
     row: dict[str, Any] = {"trial": trial.number, "state": trial.state}
-    for place, name in enumerate(objectives):
+    final = sweep.final
+    for place, name in enumerate(sweep.objectives):
         row[name] = trial.values[place] if trial.values else None
         if final is not None:
             fresh = final.fresh.get(trial.number)
             row[f"{name}_fresh"] = fresh[place] if fresh else None
             unused = final.reported if trial.number == final.chosen else None
             row[f"{name}_unused"] = unused[place] if unused else None
-    settings = {key: trial.drawn.get(key) for key in parameters}  # None for a setting that the trial did not draw
+    settings = {key: trial.drawn.get(key) for key in sweep.parameters}  # None for a setting that the trial did not draw
     return {**row, **settings, "error": trial.error, "runs": list(trial.runs)}
 
 
-def print_trials(
-    trials: Iterable[Trial],
-    objectives: Sequence[str],
-    parameters: Iterable[str],
-    final: SweepFinal | None,
-    *,
-    running: bool = False,
-) -> None:
+def print_trials(sweep: SweepRecord) -> None:
     """Print a table of trials that fits a terminal: without runs, errors and `unused`, and with short headings.
 
     Only the last part of a setting's name is shown if it is unique. A trial that has not ended is `open` unless the
     sweep is running: it waits until the sweep is resumed.
     """
-    rows = [trial_row(trial, objectives, parameters, final) for trial in trials]
-    left_out = ("error", "runs", *(f"{name}_unused" for name in objectives))
+    rows = [_trial_row(trial, sweep) for trial in sweep.trials]
+    running = sweep.state() == "running"
+    left_out = ("error", "runs", *(f"{name}_unused" for name in sweep.objectives))
     names = [name for name in (rows[0] if rows else {}) if name not in left_out]
     short = {name: name.rpartition(".")[2] for name in names}
-    if len(objectives) == 1:
-        short[f"{objectives[0]}_fresh"] = "fresh"
+    if len(sweep.objectives) == 1:
+        short[f"{sweep.objectives[0]}_fresh"] = "fresh"
     count = Counter(short.values())
     headings = {name: short[name] if count[short[name]] == 1 else name for name in names}
     for row in rows:
@@ -128,14 +118,15 @@ def print_trials(
     print_rows([{headings[name]: short_text(row[name], digits=3) for name in names} for row in rows], json=False)
 
 
-def report_best(best: Trial | None, final: SweepFinal | None, objectives: Sequence[str], folder: Path) -> None:
+def report_best(sweep: SweepRecord) -> None:
     """Print the best trial on stderr: its settings, how good it is on which seeds, and how to run it."""
+    best, final, path = sweep.best, sweep.final, Path(sweep.folder) / "best.yaml"
     if best is None:
         say("no trial is complete yet")
         return
     say(f"best: trial {best.number}, {drawn_text(best)}")
     if final is not None:
-        for place, name in enumerate(objectives):
+        for place, name in enumerate(sweep.objectives):
             tuned, fresh = final.tuned[place], final.fresh[final.chosen][place]
             line = f"{name}: {tuned:.4g} on the seeds it was tuned on, {fresh:.4g} on {len(final.seeds)} fresh seeds "
             line += "that it was chosen by"
@@ -143,8 +134,8 @@ def report_best(best: Trial | None, final: SweepFinal | None, objectives: Sequen
                 unused = final.reported[place]
                 line += f", {unused:.4g} on {len(final.report_seeds)} used for nothing else: gap {tuned - unused:+.4g}"
             say(line)
-    if (folder / "best.yaml").is_file():
-        say(f"`karolos run {folder / 'best.yaml'}` runs it; figures in {folder}")
+    if path.is_file():
+        say(f"`karolos run {path}` runs it; figures in {path.parent}")
 
 
 def _open_dashboard(journal: Path) -> int:

@@ -47,14 +47,12 @@ def show(
     if json:
         print_rows([sweep.row()], json=True)
         return
-    state = sweep.state()
-    running = state == "running"
-    print_trials(sweep.trials, sweep.objectives, sweep.parameters, sweep.final, running=running)
+    print_trials(sweep)
     for trial in sweep.trials:
         if trial.error is not None:
             say(f"trial {trial.number} failed: {trial.error}")
-    say(f"{sweep.sweep} {state}, {sweep.ended} of {sweep.asked} trials, {sweep.folder}")
-    report_best(sweep.best, sweep.final, sweep.objectives, Path(sweep.folder))
+    say(f"{sweep.sweep} {sweep.state()}, {sweep.ended} of {sweep.asked} trials, {sweep.folder}")
+    report_best(sweep)
 
 
 def _short_row(sweep: SweepRecord) -> dict[str, Any]:

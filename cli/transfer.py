@@ -7,7 +7,7 @@ from typing import TYPE_CHECKING, Annotated
 
 import typer
 
-from .arguments import Database, Json, On, Overrides, Quiet, Runs, TimeLimit, seconds, with_launcher
+from .arguments import Database, Json, On, Overrides, Quiet, Runs, SpecFile, TimeLimit, seconds, with_launcher
 from .output import print_rows, print_table, say, warn
 
 if TYPE_CHECKING:
@@ -15,7 +15,7 @@ if TYPE_CHECKING:
 
 
 def transfer(
-    spec: Annotated[Path, typer.Argument(metavar="SPEC", help="A YAML spec with a transfer.")],
+    spec: SpecFile,
     overrides: Overrides = None,
     runs: Runs = Path("runs"),
     database: Database = None,
@@ -49,7 +49,7 @@ def transfer(
     from .display import Quiet as Silent
 
     with Silent() if quiet else Plain() as display:
-        outcome = Matrix(found, text=spec.read_text("utf-8")).run(
+        outcome = Matrix(found).run(
             runs,
             database=database,
             jobs=jobs,

@@ -10,6 +10,13 @@ from collections.abc import Sequence
 from dataclasses import dataclass
 from typing import Any
 
+LONGEST = 1000
+"""Most characters that an error says of what is wrong: a value that it repeats may have any length."""
+
+
+def _cut(text: str) -> str:
+    return text if len(text) <= LONGEST else f"{text[:LONGEST]}..."
+
 
 class KarolosError(Exception):
     """A failure with a cause outside karolos.
@@ -34,7 +41,7 @@ class KarolosError(Exception):
         hint: str | None = None,
     ) -> None:
         super().__init__(what)
-        self.what = what
+        self.what = _cut(what)
         self.where = where
         self.setting = setting
         self.plugin = plugin
@@ -43,21 +50,10 @@ class KarolosError(Exception):
     def __str__(self) -> str:
         return _line(self.where, self.setting, self.what, self.hint)
 
-    def __reduce__(self) -> tuple[object, ...]:
-        """Pickle all attributes: an error may cross a process boundary."""
-        return _rebuild, (type(self), self.__dict__.copy())
-
 
 def _line(where: object, setting: str | None, what: str, hint: str | None) -> str:
     line = ": ".join(str(part) for part in (where, setting, what) if part)
     return f"{line}; {hint}" if hint else line
-
-
-def _rebuild(kind: type[KarolosError], attributes: dict[str, object]) -> KarolosError:
-    error = kind.__new__(kind)
-    Exception.__init__(error, attributes.get("what", ""))
-    error.__dict__.update(attributes)
-    return error
 
 
 def described(error: BaseException) -> str:
@@ -89,6 +85,9 @@ class Problem:
     what: str
     hint: str | None = None
 
+    def __post_init__(self) -> None:
+        object.__setattr__(self, "what", _cut(self.what))
+
     def __str__(self) -> str:
         return _line(self.where, self.setting, self.what, self.hint)
 
@@ -99,8 +98,10 @@ class SpecError(KarolosError):
     exit_code = 2
 
     def __init__(self, problems: Sequence[Problem]) -> None:
-        super().__init__("\n".join(str(problem) for problem in problems))
+        super().__init__("")
+        self.what = "\n".join(str(problem) for problem in problems)
         self.problems = tuple(problems)
+        self.args = (self.problems,)  # pickle calls the class with them: an error may cross a process boundary
 
 
 class PluginError(KarolosError):

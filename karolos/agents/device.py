@@ -26,7 +26,8 @@ def resolve_device(name: str) -> str:
     available = torch.cuda.is_available()
     if name == "cuda" and not available:
         raise MachineError(
-            "training.device is cuda, and torch finds no CUDA device on this machine",
+            "torch finds no CUDA device on this machine",
+            setting="training.device",
             hint="set training.device=cpu or auto",
         )
     return "cuda" if available else "cpu"

@@ -91,10 +91,7 @@ def load_agent(folder: RunFolder, name: str = "best") -> SavedAgent:
     Raises:
         RunError: the checkpoint is missing, or the checkpoint or the resolved spec is damaged.
     """
-    resolved = folder.spec()
-    if not resolved:
-        raise RunError("resolved.json is missing or damaged", where=folder.id, hint="restore the folder from a copy")
-    spec = spec_from_dict(resolved)
+    spec = spec_from_dict(folder.spec())
     state, meta, sha256 = checkpoint.load_part(folder.checkpoints, name, "agent")
     signature = signature_of(spec)
     agent: Agent = load("agents", spec.agent.name)(spec.agent.settings, signature, SeedTree(0), "cpu")

@@ -69,7 +69,7 @@ class RunFinalTested:
     """The final test is over and written into the run folder."""
 
     run: str
-    final: FinalTest[TestResult]
+    final: FinalTest
 
 
 @dataclass(frozen=True)

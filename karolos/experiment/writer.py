@@ -107,7 +107,7 @@ class RunWriter:
         with self.tolerated(StoreError, "the test is in the run folder, but not in the database"):
             index_run(self.url, self.folder)
 
-    def write_final(self, final: FinalTest[TestResult]) -> None:
+    def write_final(self, final: FinalTest) -> None:
         """The final test is over."""
         self.folder.write_final(final)
         best = asdict(TestCounts.of(final.best)) if final.best else None

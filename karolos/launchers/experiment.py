@@ -80,7 +80,7 @@ class Experiment:
     def __init__(self, spec: Spec | Mapping[str, Any]) -> None:
         self.spec = spec if isinstance(spec, Spec) else spec_from_dict(dict(spec))
 
-    def run(  # noqa: PLR0913  (options by keyword)
+    def run(
         self,
         runs: str | Path = "runs",
         *,
@@ -90,7 +90,6 @@ class Experiment:
         time_limit: float | None = None,
         listener: Listener | None = None,
         progress: bool = False,
-        text: str | None = None,
         check: bool = True,
     ) -> Outcome:
         """Run every seed and index the results.
@@ -109,7 +108,6 @@ class Experiment:
             time_limit: seconds after which to stop.
             listener: is called with every RunEvent.
             progress: without `listener`: whether to print a line on stderr for each start, test, warning and end.
-            text: the spec as its author wrote it, to be saved beside the resolved one.
             check: whether to raise an error once all runs have ended, if one failed.
 
         Raises:
@@ -131,7 +129,7 @@ class Experiment:
         remove_lost_leftovers(folder, f"{self.spec.name}-s*")
         Store(url).close()  # an unusable database is an error before anything is computed
         listener = listener or (print_progress if progress else lambda _: None)
-        home = Home(folder, url, existing, text)
+        home = Home(folder, url, existing, self.spec.text)
         with ExitStack() as stack, stop_on_signals(time_limit=time_limit) as stop:
             check_parts(self.spec, jobs or 1)  # within the time limit, because an environment may hang
             spec = pinned(self.spec.alone(), folder)

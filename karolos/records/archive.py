@@ -1,7 +1,13 @@
-"""Archives of run folders (.tar.gz): export and import. An imported archive is not trusted."""
+"""Archives of run folders (.tar.gz): export and import. An imported archive is not trusted.
+
+An archive holds the files that a run has and no others. Its last member, SHA256SUMS, lists them as `sha256sum` does.
+"""
 
 from __future__ import annotations
 
+import gzip
+import hashlib
+import io
 import os
 import re
 import shutil
@@ -9,30 +15,49 @@ import tarfile
 import tempfile
 import zlib
 from collections.abc import Callable, Iterator, Sequence
-from gzip import BadGzipFile
 from pathlib import Path
-from typing import NoReturn
+from typing import NamedTuple
 
+from ..checkpoint.manifest import PART
 from ..errors import RunError, UsageError
 from ..files import FileLock, remove_leftovers, sync_folder, writing
 from . import RunFolder
 from .run_records import ID, RunRecord
 
 SUFFIX = ".tar.gz"
+SUMS = "SHA256SUMS"
+_MOST_LISTED = 1 << 28
+"""Bytes of the list that are read."""
 MOST_FILES = 1_000_000
 MOST_BYTES = 64 << 30
 """Default limit of an archive's unpacked size."""
 UNFINISHED_IMPORT = ".import-"
 """Beginning of the names of folders in which archives are unpacked."""
-_DEEPEST = 12
-_LEFT_OUT = re.compile(r"(?:.*\.)?lock|\..*\.tmp")
-"""Files of processes, which do not belong to the run."""
-_PART = re.compile(r"(?!\.{1,2}$)[^\x00-\x1f\x7f/\\]{1,255}")
-"""A name of a file or folder that does not lead elsewhere."""
+_AGAIN = "was it copied completely? Export it again"
+_FILE = re.compile(
+    r"spec\.yaml|code\.diff|play\.mp4"
+    r"|(?:run|resolved|state|labels)\.json|(?:tests|final|events|episodes|transfers)\.jsonl"
+    r"|tensorboard/events\.out\.tfevents\.[0-9A-Za-z._-]{1,100}"
+    r"|export/(?:policy\.(?:npz|json|onnx)|golden\.npz)"
+    rf"|checkpoints/(?:{PART.pattern}|\.{PART.pattern}\.previous)/(?:{PART.pattern}\.pt|manifest\.json)"
+    r"|checkpoints/\.arrays/[0-9a-f]{64}"
+)
+"""A file that a run has, by its path below the run's folder."""
+_OF_PROCESSES = re.compile(r"(?:.*\.)?lock|\..*\.tmp|launch\.json|progress\.json|stop")
+"""Names of files between a run's process and others. They are not told as left out."""
+_MEMBER = re.compile(rf"({ID.pattern})/(?:{_FILE.pattern})")
 
 
-def export_runs(folders: Sequence[RunFolder], target: Path, *, checkpoints: bool = True) -> int:
-    """Write run folders into a new archive; returns the number of files in it.
+class ExportedRuns(NamedTuple):
+    """What is in an archive."""
+
+    files: int
+    left_out: tuple[str, ...]
+    """Files in the run folders that no run has, as run/path."""
+
+
+def export_runs(folders: Sequence[RunFolder], target: Path, *, checkpoints: bool = True) -> ExportedRuns:
+    """Write run folders into a new archive.
 
     Args:
         folders: none of which a process is running.
@@ -49,37 +74,42 @@ def export_runs(folders: Sequence[RunFolder], target: Path, *, checkpoints: bool
         raise UsageError("the file exists already", where=str(target), hint="name another, or remove it")
     remove_leftovers(target.parent, rf"\.{re.escape(target.name)}\.(\d+)\.tmp")
     beside = target.with_name(f".{target.name}.{os.getpid()}.tmp")
+    sums: dict[str, str] = {}
+    left_out: list[str] = []
     with writing(target):
         try:
-            files = 0
             with tarfile.open(beside, "x:gz", compresslevel=6) as archive:
                 for folder in folders:
                     with folder:
                         folder.lock()  # no process writes meanwhile
-                        for path in _files(folder, checkpoints=checkpoints):
-                            _add(archive, path, f"{folder.id}/{path.relative_to(folder.path).as_posix()}")
-                            files += 1
+                        for name in _files(folder):
+                            if not _FILE.fullmatch(name):
+                                left_out.append(f"{folder.id}/{name}")
+                            elif checkpoints or not name.startswith("checkpoints/"):
+                                data = (folder.path / name).read_bytes()
+                                sums[f"{folder.id}/{name}"] = hashlib.sha256(data).hexdigest()
+                                _add(archive, f"{folder.id}/{name}", data)
+                _add(archive, SUMS, "".join(f"{sha256}  {name}\n" for name, sha256 in sums.items()).encode())
             os.replace(beside, target)
         finally:
             beside.unlink(missing_ok=True)
-    return files
+    return ExportedRuns(len(sums), tuple(left_out))
 
 
-def _add(archive: tarfile.TarFile, path: Path, name: str) -> None:
-    # TarFile.add would store hard links as links, and the names of users.
-    entry = tarfile.TarInfo(name)
-    with path.open("rb") as file:
-        status = os.fstat(file.fileno())
-        entry.size, entry.mtime = status.st_size, int(status.st_mtime)
-        archive.addfile(entry, file)
+def _add(archive: tarfile.TarFile, name: str, data: bytes) -> None:
+    entry = tarfile.TarInfo(name)  # without links, times and the names of users
+    entry.size = len(data)
+    archive.addfile(entry, io.BytesIO(data))
 
 
-def _files(folder: RunFolder, *, checkpoints: bool) -> Iterator[Path]:
+def _files(folder: RunFolder) -> Iterator[str]:
+    """The paths of files below a run's folder; without those of processes."""
     for path in sorted(folder.path.rglob("*")):
-        if not checkpoints and folder.checkpoints in path.parents:
-            continue
-        if path.is_file() and not path.is_symlink() and not _LEFT_OUT.fullmatch(path.name):
-            yield path
+        name = path.relative_to(folder.path).as_posix()
+        if path.is_symlink():
+            yield f"{name} (a link)"
+        elif path.is_file() and not _OF_PROCESSES.fullmatch(path.name):
+            yield name
 
 
 def import_runs(
@@ -92,7 +122,7 @@ def import_runs(
     """Unpack an archive's runs into a runs folder: all of them, or none.
 
     Args:
-        source: from `export_runs`, or made by hand: a folder per run, named by its id.
+        source: from `export_runs`.
         runs: the runs folder; created if it does not exist.
         most_bytes: limit of the unpacked size.
         enter: enters the runs into the index. After an error of it their folders are removed again.
@@ -118,7 +148,7 @@ def import_runs(
         for name in names:
             _examine(place / name, source)
             if (runs / name).exists():
-                _refuse(source, f"the run {name} exists already", "`karolos runs rm` removes it")
+                raise _refused(source, f"the run {name} exists already", "`karolos runs rm` removes it")
         for name in names:
             with writing(runs / name):
                 os.rename(place / name, runs / name)
@@ -151,70 +181,77 @@ def _examine(path: Path, source: Path) -> None:
     try:
         folder = RunFolder.open(path)
     except RunError as error:
-        _refuse(source, f"{path.name}: {error.what}", "export it again")
+        raise _refused(source, f"{path.name}: {error.what}", "export it again") from error
     if folder.id != path.name:
-        _refuse(source, f"the folder {path.name} says that it is the run {folder.id}", "name it by its run")
+        raise _refused(source, f"the folder {path.name} says that it is the run {folder.id}", "name it by its run")
 
 
 def _unpack(source: Path, place: Path, most_bytes: int) -> list[str]:
     """Write the files of an archive below `place`; returns the names of the folders in it."""
-    members = _Members(source, most_bytes)
     try:
         file = source.open("rb")
     except OSError as error:
         raise UsageError(f"the archive cannot be opened ({error.strerror})", where=str(source)) from error
     with file, writing(place):
         try:
-            with tarfile.open(fileobj=file, mode="r:gz") as tar:
-                tar.extractall(place, filter=members.check)
-        except (BadGzipFile, EOFError, OverflowError, ValueError, tarfile.TarError, zlib.error) as error:
+            with gzip.GzipFile(fileobj=file) as stream, tarfile.open(fileobj=stream, mode="r:") as tar:
+                found, listed = _extract(tar, place, source, most_bytes)
+                # The checksum of the stream stands at its end; tarfile stops before it.
+                rest = stream.read(2 * tarfile.RECORDSIZE)
+        except (gzip.BadGzipFile, EOFError, OverflowError, ValueError, tarfile.TarError, zlib.error) as error:
             reason = str(error).splitlines()[0] if str(error) else type(error).__name__
-            _refuse(source, f"the archive cannot be read ({reason})", "was it copied completely? Export it again")
-    if not members.folders:
-        _refuse(source, "there is no run in it", "`karolos runs export` makes archives")
-    return list(members.folders)
+            raise _refused(source, f"the archive cannot be read ({reason})", _AGAIN) from error
+    if len(rest) == 2 * tarfile.RECORDSIZE or rest.strip(b"\0"):
+        raise _refused(source, "something follows its last member", _AGAIN)
+    if found != listed:
+        names = sorted(name for name in {*found, *listed} if found.get(name) != listed.get(name))
+        raise _refused(source, f"{names[0]!r} is not what {SUMS} says", _AGAIN)
+    if not found:
+        raise _refused(source, "there is no run in it", "`karolos runs export` makes archives")
+    return list(dict.fromkeys(name.partition("/")[0] for name in found))
 
 
-class _Members:
-    """Checks the members of an archive one after the other: plain files in run folders, not too many or too large.
+def _extract(tar: tarfile.TarFile, place: Path, source: Path, most_bytes: int) -> tuple[dict[str, str], dict[str, str]]:
+    """Write the members of an archive below `place`: plain files that runs have, not too many or too large.
 
-    The sizes are those that the archive declares; tarfile never unpacks more than that.
+    Returns:
+        The sha256 of each file by its name, and what the archive's list says.
     """
+    found: dict[str, str] = {}
+    left = most_bytes
+    for member in tar:
+        name = member.name
+        if not member.isreg() or member.issparse():
+            raise _refused(source, f"{name!r} is not a plain file", "an archive holds the plain files of runs")
+        left -= member.size
+        if left < 0:
+            raise _refused(source, f"it unpacks to more than {most_bytes:,} bytes", "--most raises the limit")
+        content = tar.extractfile(member)
+        assert content is not None  # it is a plain file
+        if name == SUMS:
+            lines = content.read(_MOST_LISTED).decode().splitlines()
+            return found, {line[66:]: line[:64] for line in lines}
+        if not _MEMBER.fullmatch(name):
+            raise _refused(
+                source, f"{name!r} is not a file of a run", "an archive holds a folder per run, named by its id"
+            )
+        if name in found or len(found) == MOST_FILES:
+            raise _refused(
+                source, f"{name!r} is in it twice, or it holds more than {MOST_FILES:,} files", "export it again"
+            )
+        target = place / name
+        target.parent.mkdir(parents=True, exist_ok=True)
+        with target.open("xb+") as written:
+            shutil.copyfileobj(content, written)
+            written.seek(0)
+            found[name] = hashlib.file_digest(written, "sha256").hexdigest()
+    raise _refused(source, f"its list of files, {SUMS}, is missing", _AGAIN)
 
-    def __init__(self, source: Path, most_bytes: int) -> None:
-        self._source = source
-        self._most_bytes = self._bytes_left = most_bytes
-        self._names: set[str] = set()
-        self.folders: dict[str, None] = {}
-        """Names of the run folders, in order."""
 
-    def check(self, member: tarfile.TarInfo, place: str) -> tarfile.TarInfo | None:
-        """The member as tarfile's data filter leaves it; None for a folder, which is made with its files."""
-        if member.isdir():
-            return None
-        source, name, parts = self._source, member.name, member.name.split("/")
-        if not member.isreg():
-            _refuse(source, f"{name!r} is a link or device", "run folders hold plain files only")
-        if not all(_PART.fullmatch(part) for part in parts):
-            _refuse(source, f"{name!r} is not a valid name in a run folder", "plain names below a folder per run")
-        if not ID.fullmatch(parts[0]) or not 2 <= len(parts) <= _DEEPEST:
-            _refuse(source, f"{name!r} is not in a run folder", "an archive holds a folder per run, named by its id")
-        if name.casefold() in self._names:
-            _refuse(source, f"{name!r} is in it twice", "some systems do not distinguish upper and lower case")
-        self._names.add(name.casefold())
-        if len(self._names) > MOST_FILES:
-            _refuse(source, f"it holds more than {MOST_FILES:,} files", "export fewer runs at a time")
-        self._bytes_left -= member.size
-        if self._bytes_left < 0:
-            _refuse(source, f"it unpacks to more than {self._most_bytes:,} bytes", "--most raises the limit")
-        self.folders[parts[0]] = None
-        return tarfile.data_filter(member, place)
-
-
-def _refuse(source: Path, what: str, hint: str) -> NoReturn:
-    raise UsageError(what, where=str(source), hint=hint)
+def _refused(source: Path, what: str, hint: str) -> UsageError:
+    return UsageError(what, where=str(source), hint=hint)
 
 
 def _check_suffix(path: Path) -> None:
     if not path.name.endswith(SUFFIX):
-        _refuse(path, f"archives end in {SUFFIX}", "name it so")
+        raise _refused(path, f"archives end in {SUFFIX}", "name it so")

@@ -7,27 +7,24 @@ per policy in the format of tests.jsonl.
 from __future__ import annotations
 
 import json
-from collections.abc import Callable
 from dataclasses import asdict, dataclass
 from pathlib import Path
-from typing import Generic, TypeVar
 
 from ..files import write_whole
 from .decode import from_json
-from .results import TestCounts, TestResult, decode_test, encode_test
+from .results import TestResult, decode_test, encode_test
 
 FILE = "final.jsonl"
-Test = TypeVar("Test", TestResult, TestCounts)
 
 
 @dataclass(frozen=True)
-class FinalTest(Generic[Test]):
-    """The final test, episode by episode (TestResult) or as counts (TestCounts)."""
+class FinalTest:
+    """The final test, episode by episode."""
 
     seed: int
     """Root of the test episodes' seeds."""
-    last: Test
-    best: Test | None
+    last: TestResult
+    best: TestResult | None
     """None if the checkpoint `best` could not be written or read."""
     last_sha256: str
     """Of the agent's state in the checkpoint `last`; it identifies the policy."""
@@ -43,7 +40,7 @@ class _Head:
     best: str | None
 
 
-def write(folder: Path, final: FinalTest[TestResult]) -> None:
+def write(folder: Path, final: FinalTest) -> None:
     """Write the final test of the run in this folder, whole or not at all.
 
     Raises:
@@ -54,22 +51,13 @@ def write(folder: Path, final: FinalTest[TestResult]) -> None:
     write_whole(folder / FILE, "".join(json.dumps(row, separators=(",", ":"), allow_nan=False) + "\n" for row in rows))
 
 
-def read(folder: Path) -> FinalTest[TestResult] | None:
+def read(folder: Path) -> FinalTest | None:
     """The final test of the run in this folder; None if there is none, or its file is damaged."""
-    return _read(folder, decode_test)
-
-
-def read_counts(folder: Path) -> FinalTest[TestCounts] | None:
-    """As `read`, but the counts, which takes less time."""
-    return _read(folder, lambda line: from_json(TestCounts, line))
-
-
-def _read(folder: Path, decode: Callable[[bytes], Test | None]) -> FinalTest[Test] | None:
     try:
         first, *lines, end = (folder / FILE).read_bytes().split(b"\n")
     except (OSError, ValueError):  # missing, or a single line
         return None
-    head, tests = from_json(_Head, first), [test for line in lines if (test := decode(line)) is not None]
+    head, tests = from_json(_Head, first), [test for line in lines if (test := decode_test(line)) is not None]
     if head is None or end or not len(lines) == len(tests) == (1 if head.best is None else 2):
         return None
     return FinalTest(head.seed, tests[0], None if head.best is None else tests[1], head.last, head.best)

@@ -7,6 +7,7 @@ from collections.abc import Iterable, Iterator, Mapping, Sequence
 from dataclasses import asdict, replace
 from datetime import UTC, datetime
 from fnmatch import fnmatchcase
+from hashlib import sha256
 from pathlib import Path
 from time import monotonic
 from types import TracebackType
@@ -17,8 +18,8 @@ from ..files import (
     UNFINISHED,
     FileLock,
     append_lines,
+    parse_object,
     read_lines,
-    read_object,
     read_values,
     remove_leftovers,
     write_json,
@@ -46,6 +47,7 @@ from .run_records import (
 
 LOCK_SECONDS = 0.5
 """A reader that checks whether a run is alive holds the lock for an instant; the run waits this long for it."""
+DAMAGED_SPEC = "missing, damaged or changed"
 _FOLDERS = 10_000
 _Test = TypeVar("_Test", TestResult, TestCounts)
 
@@ -168,6 +170,7 @@ class RunFolder:
         write_json(self.path / "resolved.json", resolved)
         self._run |= {
             "experiment": experiment,
+            "resolved_sha256": sha256((self.path / "resolved.json").read_bytes()).hexdigest(),
             "versions": provenance.versions(),
             "source": provenance.source(),
             "machine": provenance.kind_of_machine(),
@@ -182,8 +185,24 @@ class RunFolder:
         return dict(self._run)
 
     def spec(self) -> dict[str, Any]:
-        """The resolved spec; empty if its file is missing or damaged (`record().problems` says so)."""
-        return read_object(self.path / "resolved.json") or {}
+        """The resolved spec.
+
+        Raises:
+            RunError: its file is missing or damaged, or was changed after the run had begun.
+        """
+        spec = self._read_spec()
+        if spec is None:
+            raise RunError(f"resolved.json is {DAMAGED_SPEC}", where=self.id, hint="restore the folder from a copy")
+        return spec
+
+    def _read_spec(self) -> dict[str, Any] | None:
+        """The resolved spec; None if it cannot be trusted."""
+        try:
+            data = (self.path / "resolved.json").read_bytes()
+        except OSError:
+            return None
+        made = self._run.get("resolved_sha256")
+        return parse_object(data) if made in (None, sha256(data).hexdigest()) else None
 
     def set_state(
         self,
@@ -247,11 +266,11 @@ class RunFolder:
         """
         return _by_steps(read_values(self.path / "tests.jsonl", decode_test, "test").rows)
 
-    def write_final(self, final: FinalTest[TestResult]) -> None:
+    def write_final(self, final: FinalTest) -> None:
         """Write the final test, whole or not at all."""
         final_test.write(self.path, final)
 
-    def final(self) -> FinalTest[TestResult] | None:
+    def final(self) -> FinalTest | None:
         """The final test; None before it, or if its file is damaged (`record().problems` says so)."""
         return final_test.read(self.path)
 
@@ -280,17 +299,18 @@ class RunFolder:
 
     def record(self) -> RunRecord:
         """The content of the folder, and what is damaged or missing in it."""
-        spec = read_object(self.path / "resolved.json")
+        spec = self._read_spec()
         state = read_json(RunState, self.path / "state.json")
         now = self._current(state or RunState("running"))
         # After the state: a finished run has all its tests.
         tests, problems = read_values(self.path / "tests.jsonl", _count_test, "test")
-        for name, content in (("resolved.json", spec), ("state.json", state)):
-            if content is None:
-                problems += (f"{name}: missing or damaged",)
+        if spec is None:
+            problems += (f"resolved.json: {DAMAGED_SPEC}",)
+        if state is None:
+            problems += ("state.json: missing or damaged",)
         if labels.is_damaged(self.path):
             problems += ("labels.json: damaged; tags and note cannot be read",)
-        final = final_test.read_counts(self.path)
+        final = self.final()
         if final is None and (self.path / final_test.FILE).exists():
             problems += (f"{final_test.FILE}: damaged; left out",)
         problems += read_lines(self.path / "events.jsonl").problems
@@ -299,10 +319,10 @@ class RunFolder:
         return RunRecord(summary, spec or {}, counts, self._run.get("versions", {}), problems)
 
     def _summarise(
-        self, state: RunState, spec: Mapping[str, Any], tests: Sequence[TestCounts], final: FinalTest[TestCounts] | None
+        self, state: RunState, spec: Mapping[str, Any], tests: Sequence[TestCounts], final: FinalTest | None
     ) -> RunSummary:
-        last = final.last if final else tests[-1] if tests else None
-        best = final.best if final else None
+        last = TestCounts.of(final.last) if final else tests[-1] if tests else None
+        best = TestCounts.of(final.best) if final and final.best else None
         solved = next((test for test in tests if (test.success_end or 0) >= THRESHOLD), None)
         solved_any = next((test for test in tests if (test.success_any or 0) >= THRESHOLD), None)
         same = ("state", "steps", "seconds", "attempt", "error", "updates", "total_seconds")

@@ -52,9 +52,11 @@ class RunDescription(TypedDict):
     """Hash of the settings that results depend on."""
     name: str
     """Of the experiment."""
-    seed: Annotated[int, Field(ge=0)]
+    seed: Annotated[int, Field(ge=0, strict=True)]
     created: str
     """Time in UTC, ISO 8601."""
+    resolved_sha256: NotRequired[str]
+    """Of the file resolved.json."""
     versions: NotRequired[dict[str, str]]
     """Of Python, karolos, plugins and their dependencies when the run began."""
     source: NotRequired[str]
@@ -174,13 +176,19 @@ class RunRecord:
     """One line per damaged file; not in the index."""
 
 
-def flatten(spec: Mapping[str, Any], prefix: str = "") -> Iterator[tuple[str, Any]]:
-    """A nested mapping as pairs of key path and value: ("agent.learning_rate", 0.001). Lists are values."""
+def flatten(spec: Mapping[str, Any], prefix: str = "", only: str | None = None) -> Iterator[tuple[str, Any]]:
+    """A nested mapping as pairs of key path and value: ("agent.learning_rate", 0.001). Lists are values.
+
+    `only` is the one key path that is wanted; by default all are.
+    """
     for key, value in spec.items():
+        path = f"{prefix}{key}"
+        if only is not None and not only.startswith(path):
+            continue
         if isinstance(value, Mapping) and value:
-            yield from flatten(value, f"{prefix}{key}.")
-        else:
-            yield f"{prefix}{key}", value
+            yield from flatten(value, f"{path}.", only)
+        elif only is None or only == path:
+            yield path, value
 
 
 def part_name(spec: Mapping[str, Any], kind: str) -> str | None:

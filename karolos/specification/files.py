@@ -3,19 +3,63 @@
 from __future__ import annotations
 
 import os
+import stat
 from contextlib import suppress
 from dataclasses import dataclass, field
 from pathlib import Path
 
-from ..errors import KarolosError, Problem, SpecError
+from ..errors import KarolosError, Problem, UsageError
 from ..registry import PluginEntry, closest, find
 from .merge import DEFAULT_PLUGINS, PARTS, merged, normalised
 from .nodes import Mark, Node, refuse, shown
 from .yaml_text import MAX_CHARACTERS, BrokenTextError, read
 
-SPECS_FOLDER = "specs"
-"""Name of a project's folder of specs; `extends` cannot refer to files outside it."""
+SHIPPED = "karolos:"
+"""Beginning of the names of the specs that ship with karolos, e.g. karolos:bases/sac_grasp.yaml."""
+SPECS = Path(__file__).parents[1] / "specs"
 SPEC_SUFFIXES = (".yaml", ".yml")
+
+
+def shipped_specs() -> dict[str, Path]:
+    """The specs that ship with karolos, by their names without suffix, e.g. panda_reach and bases/sac_grasp."""
+    return {str(path.relative_to(SPECS).with_suffix("")): path for path in sorted(SPECS.glob("**/*.yaml"))}
+
+
+def find_spec(given: str | Path) -> tuple[Path, str]:
+    """The file that is meant, and its name in positions.
+
+    A file of this name comes first. Without one, panda_reach or panda_reach.yaml means the shipped spec of that name;
+    karolos:panda_reach always does. The file of an unknown name is missing, which reading it reports.
+    """
+    text = os.fspath(given)
+    name = text.removeprefix(SHIPPED).removesuffix(".yaml")
+    if text.startswith(SHIPPED) or not os.path.isfile(text):
+        found = shipped_specs().get(name)
+        if found is not None or text.startswith(SHIPPED):
+            return found or SPECS / os.path.basename(name), f"{SHIPPED}{name}.yaml"
+    return Path(text), text
+
+
+def shipped_text(name: str) -> str:
+    """The text of a shipped spec with `extends: karolos:NAME`, so that it loads from any folder.
+
+    Raises:
+        UsageError: there is no such spec.
+    """
+    path, source = find_spec(f"{SHIPPED}{name.removeprefix(SHIPPED)}")
+    if not path.exists():
+        hint = "`karolos spec list` shows them"
+        near = closest(name, shipped_specs())
+        raise UsageError(f"no spec {name!r} ships with karolos", hint=f"did you mean {near}? {hint}" if near else hint)
+    text = path.read_text("utf-8")
+    lines = text.splitlines(keepends=True)
+    extends = (read(text, source)[0] or Node({}, Mark(source))).get("extends")
+    for target in reversed(list(extends.walk()) if extends else []):
+        if isinstance(target.value, str):
+            row, column = target.at.line - 1, target.at.column - 1
+            rest = lines[row][column:].replace(target.value, _beside(source, target.value), 1)
+            lines[row] = lines[row][:column] + rest
+    return "".join(lines)
 
 
 @dataclass
@@ -23,16 +67,19 @@ class SpecFiles:
     """Reads a spec file and the files that it extends, each file once.
 
     Args:
-        root: the spec file; no file outside its folder tree is read.
+        root: the spec file, or the name of a shipped spec.
     """
 
-    root: Path
+    root: str | Path
     problems: list[Problem] = field(default_factory=list)
     """Problems after which reading can continue."""
     broken: list[Problem] = field(default_factory=list)
     """Problems that leave parts of the spec unknown, so that further checks would mislead."""
+    text: str = ""
+    """The text of the root file."""
     count: int = 0
-    _done: dict[Path, Node] = field(default_factory=dict)
+    _done: dict[str, Node] = field(default_factory=dict)
+    """The trees that are read, by the files' real paths."""
 
     def load(self) -> Node:
         """The merged tree of nodes without shorthand. Collects problems; raises those of the root file.
@@ -40,22 +87,24 @@ class SpecFiles:
         Raises:
             SpecError: the root file cannot be read.
         """
-        shown_name = os.fspath(self.root)
-        missing = _unreadable(self.root)
-        if missing:
-            raise SpecError([Problem(shown(shown_name), "", missing, _similar(self.root))])
+        path, name = find_spec(self.root)
+        if wrong := _unreadable(path):
+            refuse([Problem(Mark(name), "", *wrong)])
         try:
-            return self._load(self.root.resolve(), shown_name, ())
+            return self._load(path, name, ())
         except BrokenTextError as broken:
             refuse([*self.problems, *self.broken, broken.problem])
             raise
 
-    def _load(self, path: Path, name: str, above: tuple[Path, ...]) -> Node:
-        if path in self._done:
-            return self._done[path]
+    def _load(self, path: Path, name: str, above: tuple[str, ...]) -> Node:
+        file = os.path.realpath(path)
+        if file in self._done:
+            return self._done[file]
         rank, self.count = self.count, self.count + 1
         start = Mark(name, 1, 1, rank)
-        node, problems = read(_text(path, Mark(name, rank=rank)), name, rank)
+        text = _text(path, Mark(name, rank=rank))
+        self.text = self.text if above else text
+        node, problems = read(text, name, rank)
         self.problems.extend(problems)
         if node is None:
             raise BrokenTextError(Problem(start, "", "the file is empty", "give at least robot, task and agent"))
@@ -67,9 +116,9 @@ class SpecFiles:
         extends = entries.pop("extends", None)
         tree = normalised(Node(entries, start))
         for target in reversed(self._targets(extends)):
-            base = self._base(target, path, name, (*above, path))
+            base = self._base(target, Path(file), name, (*above, file))
             tree = merged(base, tree) if base else tree
-        self._done[path] = tree
+        self._done[file] = tree
         return tree
 
     def _targets(self, extends: Node | None) -> list[Node]:
@@ -82,29 +131,32 @@ class SpecFiles:
                 self.broken.append(Problem(target.at, "extends", what))
         return [target for target in targets if isinstance(target.value, str) and target.value]
 
-    def _base(self, target: Node, path: Path, name: str, above: tuple[Path, ...]) -> Node | None:
+    def _base(self, target: Node, path: Path, name: str, above: tuple[str, ...]) -> Node | None:
         """The tree of a file that `path` extends; None after recording a problem."""
-        file = (path.parent / target.value.replace("\0", "?")).resolve()
-        wrong = self._extends_problem(target.value, file, above)
-        if wrong:
-            self.broken.append(Problem(target.at, "extends", *wrong))
+        given = target.value
+        if given.startswith(SHIPPED):
+            base, name = find_spec(given)
+        else:
+            base, name = path.parent / given, _beside(name, given)
+        if wrong := _unreadable(base):
+            self.broken.append(Problem(target.at, "extends", f"{shown(given)}: {wrong[0]}", wrong[1]))
+            return None
+        file = os.path.realpath(base)
+        if file in above:
+            chain = " -> ".join(shown(os.path.basename(one)) for one in (*above[above.index(file) :], file))
+            self.broken.append(Problem(target.at, "extends", f"is a circle: {chain}", "remove one of them"))
             return None
         try:
-            return self._load(file, os.path.normpath(os.path.join(os.path.dirname(name), target.value)), above)
+            return self._load(base, name, above)
         except BrokenTextError as broken:
             self.broken.append(broken.problem)
             return None
 
-    def _extends_problem(self, target: str, file: Path, above: tuple[Path, ...]) -> tuple[str, str | None] | None:
-        """The problem and hint if a file cannot be extended; otherwise None."""
-        tree = spec_tree(self.root)
-        if not file.is_relative_to(tree):
-            return f"{shown(target)} is outside {shown(os.fspath(tree))}", "extend files of that folder"
-        if file in above:
-            chain = " -> ".join(shown(one.name) for one in (*above[above.index(file) :], file))
-            return f"is a circle: {chain}", "remove one of them"
-        missing = _unreadable(file)
-        return (f"{shown(target)}: {missing}", _similar(file)) if missing else None
+
+def _beside(name: str, given: str) -> str:
+    """The name in positions of a file that the file `name` extends as `given`."""
+    prefix = SHIPPED if name.startswith(SHIPPED) else ""
+    return prefix + os.path.normpath(os.path.join(os.path.dirname(name.removeprefix(prefix)), given))
 
 
 def named_plugins(tree: Node) -> dict[str, PluginEntry]:
@@ -117,34 +169,33 @@ def named_plugins(tree: Node) -> dict[str, PluginEntry]:
     return found
 
 
-def spec_tree(root: Path) -> Path:
-    """The folder that limits `extends`: the nearest one named `specs` above the file, or the file's own."""
-    folder = root.resolve().parent
-    return next((above for above in (folder, *folder.parents) if above.name == SPECS_FOLDER), folder)
-
-
-def _unreadable(path: Path) -> str | None:
-    """The reason why `path` is unreadable, or None. Refuses pipes and devices, because they may never end."""
+def _unreadable(path: Path) -> tuple[str, str | None] | None:
+    """The reason why `path` is unreadable and a hint, or None. Refuses pipes and devices: they may never end."""
     try:
-        if path.is_dir():
-            return "is a folder, not a spec file"
-        if not path.exists():
-            return "there is no such file"
-        return None if path.is_file() else "is not an ordinary file"
-    except (OSError, ValueError) as error:
-        return f"cannot be read: {getattr(error, 'strerror', None) or error}"
+        mode = os.stat(path).st_mode
+    except (FileNotFoundError, NotADirectoryError, ValueError):  # a ValueError: no file can have this name
+        return "there is no such file", _similar(path)
+    except OSError as error:
+        return f"cannot be read: {error.strerror or error}", None
+    if stat.S_ISDIR(mode):
+        names = ", ".join(_specs_in(path))
+        return "is a folder, not a spec file", f"it contains {shown(names)}" if names else None
+    return None if stat.S_ISREG(mode) else ("is not an ordinary file", None)
+
+
+def _specs_in(folder: Path) -> list[str]:
+    try:
+        return sorted(entry.name for entry in folder.iterdir() if entry.suffix in SPEC_SUFFIXES)
+    except (OSError, ValueError):
+        return []
 
 
 def _similar(path: Path) -> str | None:
-    """A hint at specs in the folder `path`, or at a file with a similar name."""
-    try:
-        folder = path if path.is_dir() else path.parent
-        beside = sorted(entry.name for entry in folder.iterdir() if entry.suffix in SPEC_SUFFIXES and entry != path)
-    except (OSError, ValueError):
-        return None
-    if folder == path:
-        return f"it contains {shown(', '.join(beside))}" if beside else None
+    """A hint at a file beside `path`, or at a shipped spec, with a similar name."""
+    beside = _specs_in(path.parent)
     near = closest(path.name, beside) or closest(path.stem, beside)
+    if near is None and (shipped := closest(path.stem, shipped_specs())):
+        near = f"{SHIPPED}{shipped}"
     return f"did you mean {shown(near)}?" if near else None
 
 

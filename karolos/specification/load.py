@@ -9,7 +9,7 @@ from typing import Any
 
 from ..errors import PluginError, Problem
 from .checks import ROBOT_TASK
-from .files import SpecFiles
+from .files import SpecFiles, find_spec
 from .merge import (
     DEFAULT_PLUGINS,
     PARTS,
@@ -20,28 +20,31 @@ from .merge import (
     nested,
     normalised,
     override_trees,
-    segments,
     with_shared_settings,
 )
 from .model import NAME_PATTERN, Spec
 from .nodes import DEFAULT, Mark, Node, from_plain, leaves, refuse
 from .problems import validate
-from .space import space_problems, trial_spec
+from .space import application_order, space_problems
 
 
 def load_spec(path: str | Path, overrides: Iterable[str] = ()) -> Spec:
     """The spec in a YAML file, merged with the files that it extends and with `path.to.key=value` overrides.
 
+    `path` may be the name of a shipped spec (`find_spec`).
+
     Raises:
         SpecError: the file is unreadable or invalid; carries every problem found, at file:line:column.
         PluginError: a plugin of the spec is broken.
     """
-    files = SpecFiles(Path(path))
+    files = SpecFiles(path)
     tree = files.load()
     trees = override_trees(overrides, files.count, files.broken)
     if files.broken:
         refuse([*files.problems, *files.broken])
-    return _resolve(tree, trees, files.problems, Path(path).stem)
+    spec = _resolve(tree, trees, files.problems, find_spec(path)[0].stem)
+    spec._text = files.text
+    return spec
 
 
 def spec_from_dict(spec: Mapping[str, Any], overrides: Iterable[str] = ()) -> Spec:
@@ -72,12 +75,24 @@ def _resolve(tree: Node, overrides: Iterable[Node], problems: list[Problem], ste
 
 
 def spec_of_trial(base: Spec, drawn: Mapping[str, Any], name: str, seeds: tuple[int, ...], source: str) -> Spec:
-    """The spec of one trial of a sweep. Arguments as those of `trial_spec`.
+    """The spec of one trial of a sweep.
+
+    Args:
+        base: the spec that has the sweep.
+        drawn: parameter -> number, or label of a choice.
+        name: of the trial's runs.
+        seeds: on which it is run.
+        source: what its settings are marked with, e.g. "trial 7".
 
     Raises:
         SpecError: these values are incompatible; reported at `source`.
     """
-    return _resolve(trial_spec(base, drawn, name, seeds, source), [], [], None)
+    assert base.sweep is not None  # only such a spec has trials
+    mark = Mark(source)
+    tree = _with_runs(base, name, seeds, mark)
+    for key in application_order(drawn):
+        tree = merged(tree, nested(key, from_plain(base.sweep.space[key].value(drawn[key]), mark)))
+    return _resolve(tree, [], [], None)
 
 
 def spec_of_variant(base: Spec, variant: str, name: str, seeds: tuple[int, ...], *, fine_tune: bool = False) -> Spec:
@@ -95,15 +110,20 @@ def spec_of_variant(base: Spec, variant: str, name: str, seeds: tuple[int, ...],
     """
     transfer = base.transfer
     assert transfer is not None  # only such a spec has variants
-    tree = from_plain({**base.alone().dump(), "name": name, "seeds": list(seeds)}, Mark(f"variant {variant}"))
     changes = {transfer.place(variant): transfer.settings[variant]}
     if fine_tune:
         changes["transfer.fine_tune"] = transfer.fine_tune
+    overrides, origins = [], base.origins
     for place, settings in changes.items():
         for key, value in settings.items():
-            mark = Mark(base.origins.get(f"{place}.{key}", base.origins.get(place, place)))
-            tree = merged(tree, with_shared_settings(tree, nested(segments(key), from_plain(value, mark))))
-    return _resolve(tree, [], [], None)
+            mark = Mark(origins.get(f"{place}.{key}", origins.get(place, place)))
+            overrides.append(nested(key, from_plain(value, mark)))
+    return _resolve(_with_runs(base, name, seeds, Mark(f"variant {variant}")), overrides, [], None)
+
+
+def _with_runs(base: Spec, name: str, seeds: tuple[int, ...], mark: Mark) -> Node:
+    """The resolved spec as a tree, with the name and the seeds of other runs."""
+    return from_plain({**base.alone().dump(), "name": name, "seeds": list(seeds)}, mark)
 
 
 def _without_nulls(node: Node, path: tuple[str, ...] = ()) -> Node:

@@ -7,7 +7,7 @@ from typing import Any
 
 from ..errors import Problem
 from ..registry import loaded
-from .nodes import Mark, Node, refuse, shown
+from .nodes import Mark, Node, from_plain, refuse, shown
 from .yaml_text import BrokenTextError, read
 
 PARTS = {
@@ -99,25 +99,24 @@ def _override(text: str, mark: Mark, problems: list[Problem]) -> Node:
     key, equals, value = text.partition("=")
     if not equals:
         raise BrokenTextError(Problem(mark, "", "has no =", "write path.to.key=value, e.g. agent.learning_rate=1e-4"))
-    path = segments(key.strip())
-    if not all(path):
+    if not all(path := segments(key.strip())):
         raise BrokenTextError(Problem(mark, "", f"{shown(key)!r} is not a path of keys", "write path.to.key=value"))
     if path[0] == "extends":
         raise BrokenTextError(Problem(mark, "extends", "cannot be overridden", "put it into the spec file"))
     try:
-        node, value_problems = read(value, mark.source, mark.rank, lines=False)
+        node, value_problems = read(value, mark.source, mark.rank)
     except BrokenTextError as broken:
         raise BrokenTextError(_in_value(broken.problem, key)) from None
     problems.extend(_in_value(problem, key) for problem in value_problems)
     if node is None and value.strip():
         raise BrokenTextError(Problem(mark, key, "the value is a comment", "put it in quotes: key='\"#...\"'"))
-    return nested(path, (node or Node(None, mark)).with_key(mark))
+    return nested(key.strip(), from_plain(node and node.plain(), mark))
 
 
-def nested(path: Iterable[str], value: Node) -> Node:
-    """The tree for merging that contains the value at its path."""
+def nested(key: str, value: Node) -> Node:
+    """The tree for merging that contains the value at a dotted path."""
     tree = value
-    for step in reversed(list(path)):
+    for step in reversed(segments(key)):
         tree = Node({step: tree}, value.at, value.key)
     return normalised(tree)
 
@@ -125,7 +124,7 @@ def nested(path: Iterable[str], value: Node) -> Node:
 def _in_value(problem: Problem, key: str) -> Problem:
     """The problem with its column counted in the whole override instead of the value."""
     mark = problem.where
-    column = f"column {len(key) + 1 + mark.column}: " if mark.column else ""
+    column = f"column {len(key) + 1 + mark.column}: " if mark.line == 1 else ""
     return Problem(Mark(mark.source, rank=mark.rank), "", f"{column}{problem.what}", problem.hint)
 
 

@@ -182,11 +182,17 @@ class Spec(Settings):
     transfer: Transfer | None = Setting(None, description="a matrix of transfers, which `karolos transfer` carries out")
 
     _origins: dict[str, str] = PrivateAttr(default_factory=dict)
+    _text: str | None = PrivateAttr(default=None)
 
     @property
     def origins(self) -> dict[str, str]:
         """The origin of each value of `dump`: key path -> "file:line:column", "override ...", "dict", "default"."""
         return dict(self._origins)
+
+    @property
+    def text(self) -> str | None:
+        """The file as its author wrote it; None for a spec without a file."""
+        return self._text
 
     def dump(self) -> dict[str, Any]:
         """The spec with all defaults, as JSON-able data that loads as an equal spec."""

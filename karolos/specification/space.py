@@ -1,19 +1,18 @@
-"""Validation of a sweep's search space against the plugins' settings, and the spec of one trial.
+"""Validation of a sweep's search space against the plugins' settings.
 
 Both ends of each range and every value of each choice are validated. Problems are reported at the number or choice.
 """
 
 from __future__ import annotations
 
-from collections.abc import Callable, Iterator, Mapping, Set
+from collections.abc import Callable, Iterable, Iterator, Set
 from itertools import islice
 from typing import Any
 
 from ..errors import Problem
 from ..registry import alternatives
 from .merge import RANDOMIZATION, SWEEP, merged, nested, segments
-from .model import Spec
-from .nodes import Mark, Node, from_plain
+from .nodes import Node
 from .problems import validate
 from .sweep import Sweep
 
@@ -33,28 +32,9 @@ MAX_COMBINATIONS = 200
 """Largest number of combinations of the choices a parameter depends on with which it is validated."""
 
 
-def application_order(keys: Iterator[str] | Mapping[str, Any]) -> list[str]:
+def application_order(keys: Iterable[str]) -> list[str]:
     """Parameters in the order of merging: those that replace a whole part before those inside it."""
     return sorted(keys, key=lambda key: (len(segments(key)), segments(key)[-1] != "name"))
-
-
-def trial_spec(base: Spec, drawn: Mapping[str, Any], name: str, seeds: tuple[int, ...], source: str) -> Node:
-    """The tree of nodes of a trial: the base merged with the drawn values.
-
-    Args:
-        base: the spec that has the sweep.
-        drawn: parameter -> number, or label of a choice.
-        name: of the trial's runs.
-        seeds: on which it is run.
-        source: what its settings are marked with, e.g. "trial 7".
-    """
-    assert base.sweep is not None  # only such a spec has trials
-    mark = Mark(source)
-    tree = from_plain({**base.alone().dump(), "name": name, "seeds": list(seeds)}, mark)
-    for key in application_order(drawn):
-        value = from_plain(base.sweep.space[key].value(drawn[key]), mark)
-        tree = merged(tree, nested(segments(key), value))
-    return tree
 
 
 def space_problems(tree: Node, sweep: Sweep, complete: Callable[[Node], Node]) -> list[Problem]:
@@ -138,9 +118,9 @@ def _probes(
         if not sweep.is_active(key, drawn) or refused & drawn.items():
             continue
         tree = base
-        above = [name for name in application_order(drawn) if name in drawn]
+        above = application_order(drawn)
         for name in above:
-            tree = merged(tree, nested(segments(name), _values(space, sweep, name)[drawn[name]]))
+            tree = merged(tree, nested(name, _values(space, sweep, name)[drawn[name]]))
         home = tree.get(*segments(key)[:-1])
         if home is not None and home.mapping is None:
             off = next((name for name in reversed(above) if key.startswith(f"{name}.")), None)
@@ -149,7 +129,7 @@ def _probes(
                 yield None, Problem(space[key].place, f"sweep.space.{key}", what, f"add when: {{{off}: ...}}")
                 continue
         for value, node in _values(space, sweep, key).items():
-            yield value, merged(tree, nested(segments(key), node))
+            yield value, merged(tree, nested(key, node))
 
 
 def _depends(sweep: Sweep, key: str) -> list[str]:

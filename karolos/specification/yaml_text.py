@@ -51,14 +51,13 @@ def scalar(text: str) -> Scalar:
     return text
 
 
-def read(text: str, source: str, rank: int = 0, *, lines: bool = True) -> tuple[Node | None, list[Problem]]:
+def read(text: str, source: str, rank: int = 0) -> tuple[Node | None, list[Problem]]:
     """The document in `text`, and the problems after which reading can continue.
 
     Args:
         text: one YAML document.
         source: name of the file or override, for positions.
         rank: index of this source, for sorting problems.
-        lines: whether positions have line and column, or the source alone.
 
     Returns:
         The document's node, None for an empty document; and problems with duplicate or invalid keys and with tags.
@@ -66,7 +65,7 @@ def read(text: str, source: str, rank: int = 0, *, lines: bool = True) -> tuple[
     Raises:
         BrokenTextError: the text is not YAML, holds several documents, or is too large, deep or repetitive.
     """
-    reader = _Reader(source, rank, lines)
+    reader = _Reader(source, rank)
     if len(text) > MAX_CHARACTERS:
         reader.fail(None, f"longer than {MAX_CHARACTERS // 1024} kB")
     try:
@@ -88,7 +87,6 @@ class _Reader:
 
     source: str
     rank: int
-    lines: bool
     problems: list[Problem] = field(default_factory=list)
     _count: int = 0
 
@@ -110,7 +108,7 @@ class _Reader:
             value = [self.node(entry, depth + 1) for entry in found.value]
         else:
             value = self._scalar(found) if found.tag == _PLAIN else found.value
-        return Node(value, self._mark(found))
+        return Node(value, self._place(found.start_mark))
 
     def check_depth(self, mark: Any, depth: int) -> None:
         if depth > MAX_DEPTH:
@@ -134,18 +132,12 @@ class _Reader:
                 first = entries[key.value].place
                 self._report(written, f"duplicate key {shown(key.value)!r}, first at {first}", "remove one of them")
             else:
-                entries[key.value] = value.with_key(self._mark(written))
+                entries[key.value] = value.with_key(self._place(written.start_mark))
         return entries
 
-    def _mark(self, found: Any) -> Mark:
-        return self._place(found.start_mark if self.lines else None)
-
     def _place(self, mark: Any) -> Mark:
-        if mark is None:
-            return Mark(self.source, rank=self.rank)
-        if self.lines:
-            return Mark(self.source, mark.line + 1, mark.column + 1, self.rank)
-        return Mark(self.source, 0, 0 if mark.line else mark.column + 1, self.rank)
+        line, column = (0, 0) if mark is None else (mark.line + 1, mark.column + 1)
+        return Mark(self.source, line, column, self.rank)
 
     def _report(self, found: Any, what: str, hint: str | None = None) -> None:
         self.problems.append(Problem(self._place(found.start_mark), "", what, hint))

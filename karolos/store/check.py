@@ -60,20 +60,20 @@ def _runs(store: Store, expected: list[RunRecord]) -> Iterator[Difference]:
     stored = {record.summary.run: record for record in found}
     for record in expected:
         run = record.summary.run
-        if run not in stored:
+        if (indexed := stored.get(run)) is None:
             yield Difference(run, _MISSING)
             continue
-        indexed, row = stored[run], stored[run].summary.row()
+        row = indexed.summary.row()
         for name, value in record.summary.row().items():
             if row[name] != value:
                 yield Difference(run, f"{name} is {value!r} in its folder and {row[name]!r} in the database")
-        if indexed.tests != record.tests:
-            what = f"its folder has {len(record.tests)} tests, the database has {len(indexed.tests)} or other tests"
-            yield Difference(run, what)
-        if indexed.spec != without_seeds(record.spec):
-            yield Difference(run, "the settings of its spec differ in the database")
-        if indexed.versions != record.versions:
-            yield Difference(run, "the versions of its software differ in the database")
+        for what, recorded, entered in (
+            ("tests", record.tests, indexed.tests),
+            ("settings of its spec", without_seeds(record.spec), indexed.spec),
+            ("versions of its software", record.versions, indexed.versions),
+        ):
+            if recorded != entered:
+                yield Difference(run, f"the {what} differ in the database")
 
 
 def _sweeps(store: Store, root: Path) -> Iterator[Difference]:

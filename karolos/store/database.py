@@ -8,6 +8,7 @@ timeout, synchronous FULL, foreign keys on.
 from __future__ import annotations
 
 import contextlib
+import json
 import os
 import sqlite3
 from collections.abc import Iterator, Sequence
@@ -165,6 +166,9 @@ def explained(url: URL) -> Iterator[None]:
     """Turn an error of the driver inside the block into a StoreError that names the URL."""
     try:
         yield
+    except json.JSONDecodeError as error:
+        what = "the database is damaged: a column does not hold JSON"
+        raise StoreError(what, where=_without_secrets(url), hint=_REBUILD) from error
     except (DataError, IntegrityError, OverflowError, UnicodeError) as error:
         what = f"the database refuses a value ({_first_line(error)})"
         hint = "a file of the run was damaged or edited"
@@ -188,7 +192,7 @@ def _first_line(error: Exception) -> str:
 def _parse_url(text: str) -> URL:
     try:
         url = make_url(text)
-    except ArgumentError as error:
+    except (ArgumentError, ValueError) as error:  # a ValueError: the port is not a number
         shown = "the database URL" if "@" in text else repr(text)  # an invalid URL may still hold a password
         raise StoreError(f"{shown} is not a database URL", hint="e.g. sqlite:///runs/karolos.sqlite") from error
     if url.get_backend_name() == "sqlite" and (url.database in {None, "", ":memory:"} or "uri" in url.query):

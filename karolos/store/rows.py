@@ -8,12 +8,15 @@ from collections.abc import Mapping, Sequence
 from dataclasses import fields
 from importlib import import_module
 from pathlib import Path
-from typing import Any
+from typing import Any, TypeVar
 
-from sqlalchemy import Connection, Table, insert
+from sqlalchemy import Connection, Table
 
+from ..errors import StoreError
+from ..records.decode import from_json
 from ..records.run_records import RunSummary
 
+_T = TypeVar("_T")
 SUMMARY_FIELDS = tuple(field.name for field in fields(RunSummary))
 
 
@@ -41,8 +44,15 @@ def run_row(summary: RunSummary, home: Path | None) -> dict[str, Any]:
 def summary_of(row: Any, home: Path | None) -> RunSummary:
     """The run of a row of `runs`."""
     values = {name: getattr(row, name) for name in SUMMARY_FIELDS}
-    values |= {"folder": folder_path(row.folder, home), "seed": int(row.seed), "tags": tuple(row.tags)}
-    return RunSummary(**values)
+    return valid(RunSummary, values | {"folder": folder_path(row.folder, home)}, f"run {row.run}")
+
+
+def valid(kind: type[_T], values: Mapping[str, Any], what: str) -> _T:
+    """The value of a dataclass in a row; `what` names the row. Raises StoreError if the row is damaged."""
+    value = from_json(kind, values)
+    if value is None:
+        raise StoreError(f"the row of the {what} is damaged", hint="`karolos db reindex` enters it again")
+    return value
 
 
 def without_seeds(spec: Mapping[str, Any]) -> dict[str, Any]:
@@ -55,21 +65,12 @@ def digest(value: Mapping[str, Any]) -> str:
     return hashlib.sha256(json.dumps(value, sort_keys=True, separators=(",", ":")).encode()).hexdigest()
 
 
-def put(
-    connection: Connection, table: Table, rows: Sequence[Mapping[str, Any]], *, replace_old: bool | None = None
-) -> None:
-    """Insert rows, if there are any.
+def put(connection: Connection, table: Table, rows: Sequence[Mapping[str, Any]], *, replace_old: bool = True) -> None:
+    """Insert rows of the same columns, if there are any.
 
-    Args:
-        connection: of a transaction that writes.
-        table: gets the rows.
-        rows: all with the same columns.
-        replace_old: where the primary key exists: replace the row, or leave it (False). None: no key exists.
+    Where the primary key exists, the row is replaced, or left if not `replace_old`.
     """
     if not rows:
-        return
-    if replace_old is None:
-        connection.execute(insert(table), [dict(row) for row in rows])
         return
     # Both dialects have the same methods; importing the other one would take longer than most queries.
     dialect: Any = import_module(f"sqlalchemy.dialects.{connection.dialect.name}")

@@ -6,8 +6,7 @@ import os
 from collections import defaultdict
 from collections.abc import Callable, Sequence
 from dataclasses import replace
-from functools import cached_property
-from operator import attrgetter
+from functools import cache, cached_property
 from pathlib import Path
 from typing import Any, NamedTuple, TypedDict, Unpack
 
@@ -80,18 +79,23 @@ def find_runs(database: Database, **conditions: Unpack[RunConditions]) -> tuple[
             return _summaries(connection, query.limit(limit), database.home)
         unfinished_runs = _summaries(connection, query.where(RUNS.c.state.in_(UNFINISHED)), database.home)
         unfinished = {run.run: run for run in unfinished_runs}
-        values = _Values(connection, database.home)
-        keys = values.of(condition) if condition else {}
+        values = _Values(connection, database.home).of(condition) if condition else {}
         # Only the columns in the filter are read of all runs: most of ten thousand do not match.
-        columns = {"run", "state", *(value.column for value in keys.values())}
+        columns = [value.column for value in values.values()]
+
+        def holds(stored: tuple[Any, ...]) -> bool:
+            found = {key: value.get(one) for (key, value), one in zip(values.items(), stored, strict=True)}
+            return condition is None or condition.matches(found)
+
+        judge = holds if "tags" in values else cache(holds)  # tags are a list, which no cache holds
         matching: list[str] = []
-        for row in connection.execute(query.with_only_columns(*(RUNS.c[name] for name in sorted(columns)))):
-            current = unfinished.get(row.run, row)
-            if state is not None and state != current.state:
-                continue
-            found = {key: value.get(row if value.shared else current) for key, value in keys.items()}
-            if condition is None or condition.matches(found):
-                matching.append(row.run)
+        for run, indexed, *row in connection.execute(
+            query.with_only_columns(RUNS.c.run, RUNS.c.state, *(RUNS.c[name] for name in columns))
+        ):
+            current = unfinished.get(run)
+            stored = (getattr(current, name, one) for name, one in zip(columns, row, strict=True)) if current else row
+            if state in (None, current.state if current else indexed) and judge(tuple(stored)):
+                matching.append(run)
                 if len(matching) == limit:
                     break
         if len(matching) <= MOST_NAMED:
@@ -134,11 +138,9 @@ class _Value(NamedTuple):
     """How to get the value of a filter's key."""
 
     column: str
-    """The column of the run's row to read."""
+    """The column of `runs` to read; a field of RunSummary, or the digest of spec or software."""
     get: Callable[[Any], Any]
-    """The value, from a row or a RunSummary."""
-    shared: bool
-    """Whether only a row has it, not a RunSummary."""
+    """The value, from that of the column or the field."""
 
 
 class _Values:
@@ -165,25 +167,27 @@ class _Values:
             return {tag for tags in self._connection.scalars(select(RUNS.c.tags)) for tag in tags}
         if key in SUMMARY_FIELDS:
             return {text for text in self._connection.scalars(select(RUNS.c[key]).distinct()) if isinstance(text, str)}
-        return {spec[key] for spec in self._specs.values() if isinstance(spec.get(key), str)}
+        return {text for text in self._settings(key).values() if isinstance(text, str)}
 
     def _value(self, key: str) -> _Value | None:
         if key in SUMMARY_FIELDS:
-            if key == "seed":
-                return _Value(key, lambda run: int(run.seed), False)
-            if key == "folder":
-                return _Value(key, lambda run: folder_path(run.folder, self._home), False)
-            return _Value(key, attrgetter(key), False)
+            decode: dict[str, Callable[[Any], Any]] = {"seed": int, "folder": lambda one: folder_path(one, self._home)}
+            return _Value(key, decode.get(key, lambda one: one))
         if (package := key.removeprefix(_PACKAGE)) != key:
             versions = {name: content[package] for name, content in self._software.items() if package in content}
-            return _Value("software", lambda run: versions.get(run.software), True) if versions else None
-        settings = {name: spec[key] for name, spec in self._specs.items() if key in spec}
-        return _Value("spec", lambda run: settings.get(run.spec), True) if settings else None
+            return _Value("software", versions.get) if versions else None
+        settings = self._settings(key)
+        return _Value("spec", settings.get) if settings else None
+
+    def _settings(self, key: str) -> dict[str, Any]:
+        """The values of a setting by the digest of the spec."""
+        found = ((name, list(flatten(spec, only=key))) for name, spec in self._specs.items())
+        return {name: values[0][1] for name, values in found if values}
 
     @cached_property
     def _specs(self) -> dict[str, dict[str, Any]]:
-        """The settings of each spec by their key paths, by digest."""
-        return {name: dict(flatten(spec)) for name, spec in self._connection.execute(select(SPECS))}
+        """The specs by digest."""
+        return dict(iter(self._connection.execute(select(SPECS))))
 
     @cached_property
     def _software(self) -> dict[str, dict[str, str]]:
@@ -192,7 +196,7 @@ class _Values:
 
     def _closest(self, key: str) -> str | None:
         known = {*SUMMARY_FIELDS, *(_PACKAGE + package for content in self._software.values() for package in content)}
-        known = known.union(*self._specs.values())
+        known.update(key for spec in self._specs.values() for key, _ in flatten(spec))
         endings = [name for name in known if name.rpartition(".")[2] == key]  # learning_rate for agent.learning_rate
         return endings[0] if len(endings) == 1 else closest(key, known)
 

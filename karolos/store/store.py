@@ -2,18 +2,25 @@
 
 from __future__ import annotations
 
-from collections.abc import Sequence
+from collections import defaultdict
+from collections.abc import Mapping, Sequence
+from dataclasses import asdict
 from pathlib import Path
 from types import TracebackType
-from typing import Unpack
+from typing import Any, Unpack
+
+from sqlalchemy import Connection, Table, bindparam, delete, select, update
 
 from ..errors import StoreError
-from ..records import RunFolder
+from ..records import RunFolder, labels
+from ..records.results import TestCounts
 from ..records.run_records import RunRecord, RunSummary
-from . import selectors, writing
+from . import selectors
 from .database import BUSY_SECONDS, Database
+from .rows import digest, put, run_row, without_seeds
 from .runs import RunConditions, closest_value, find_runs, records_of
 from .sweeps import Sweeps
+from .tables import RUNS, SOFTWARE, SPECS, SUCCESSES, TESTS
 
 FILE_NAME = "karolos.sqlite"
 
@@ -58,9 +65,30 @@ class Store:
         self.close()
 
     def add_records(self, records: Sequence[RunRecord]) -> None:
-        """Enter runs with all their tests in one transaction; replace those stored."""
+        """Enter runs with all their tests in one transaction. Of runs that are stored, only what changed is written."""
+        contents: dict[Table, dict[str, Mapping[str, Any]]] = {SPECS: {}, SOFTWARE: {}}
+        rows = []
         with self.database.writing() as connection:
-            writing.enter(connection, records, self.database.home)
+            for record in records:
+                folder, spec = Path(record.summary.folder), without_seeds(record.spec)
+                shared = {"spec": digest(spec), "software": digest(record.versions)}
+                contents[SPECS][shared["spec"]], contents[SOFTWARE][shared["software"]] = spec, record.versions
+                # Read inside the transaction: the last writer has read everything that was written before.
+                current = asdict(labels.read(folder)) if folder.is_dir() else {}
+                rows.append(run_row(record.summary, self.database.home) | current | shared)
+            for table, values in contents.items():
+                shared_rows = [{"digest": name, "content": value} for name, value in values.items()]
+                put(connection, table, shared_rows, replace_old=False)
+            stored = connection.execute(select(RUNS.c.run, RUNS.c.name).where(_named(RUNS, records)))
+            names: dict[str, str] = dict(iter(stored))
+            put(connection, RUNS, rows)
+            retested = _put_tests(connection, records)
+            stale = {
+                summary.experiment
+                for summary in (record.summary for record in records)
+                if summary.run in retested or names.get(summary.run) != summary.name
+            }
+            _for_each(connection, delete(SUCCESSES).where(SUCCESSES.c.experiment == bindparam("one")), stale)
 
     def refresh_labels(self, folder: RunFolder) -> None:
         """Copy a run's tags and note from its folder.
@@ -69,7 +97,8 @@ class Store:
             StoreError: the run is not in the database.
         """
         with self.database.writing() as connection:
-            if not writing.refresh_labels(connection, folder.id, folder.path):
+            change = update(RUNS).where(RUNS.c.run == folder.id).values(asdict(folder.labels()))
+            if not connection.execute(change).rowcount:
                 raise StoreError(
                     f"the run {folder.id} is not in the database",
                     where=self.database.name,
@@ -78,11 +107,16 @@ class Store:
 
     def remove_runs(self, runs: Sequence[str]) -> None:
         """Remove runs from the index, with their tests and everything that only they refer to; folders stay."""
+        experiment = select(RUNS.c.experiment).where(RUNS.c.run == bindparam("one")).scalar_subquery()
         with self.database.writing() as connection:
-            writing.remove(connection, runs)
+            _for_each(connection, delete(SUCCESSES).where(SUCCESSES.c.experiment == experiment), runs)
+            _for_each(connection, delete(RUNS).where(RUNS.c.run == bindparam("one")), runs)
+            for digests, references in ((SPECS.c.digest, RUNS.c.spec), (SOFTWARE.c.digest, RUNS.c.software)):
+                used = select(references).where(references == digests).exists()
+                connection.execute(delete(digests.table).where(~used))
 
     def runs(self, **conditions: Unpack[RunConditions]) -> tuple[RunSummary, ...]:
-        """Runs that meet all conditions (`RunConditions`), the newest first; see `find_runs`."""
+        """Runs that meet all conditions, the newest first; see `runs.find_runs`."""
         return find_runs(self.database, **conditions)
 
     def closest_value(self, where: str) -> str | None:
@@ -90,21 +124,41 @@ class Store:
         return closest_value(self.database, where)
 
     def find(self, selector: str) -> RunSummary:
-        """The one run that a selector means (`selectors.select`).
-
-        Raises:
-            UsageError: it means no run, or several; names some.
-        """
+        """The one run that a selector means (`selectors.select`). Raises UsageError if it means none, or several."""
         return selectors.only(selector, selectors.select(self.database, selector, all_prefixed=True))
 
     def select(self, selector: str) -> tuple[RunSummary, ...]:
-        """The runs that a selector means, the newest first: one, or all of an experiment.
-
-        Raises:
-            UsageError: it means no run, or is the beginning of several ids or hashes.
-        """
+        """The runs that a selector means: one, or all of an experiment; see `selectors.select`."""
         return selectors.select(self.database, selector)
 
-    def records(self, runs: Sequence[RunSummary]) -> tuple[RunRecord, ...]:
+    def records(self, found: Sequence[RunSummary]) -> tuple[RunRecord, ...]:
         """Everything that the index has of these runs: their specs without seeds, tests, and versions."""
-        return records_of(self.database, runs)
+        return records_of(self.database, found)
+
+
+def _put_tests(connection: Connection, records: Sequence[RunRecord]) -> set[str]:
+    """Make the stored tests of runs those of their records; returns the runs whose tests changed."""
+    stored: dict[str, dict[int, TestCounts]] = defaultdict(dict)
+    for run, steps, *numbers in connection.execute(select(TESTS).where(_named(TESTS, records))):
+        stored[run][steps] = TestCounts(steps, *numbers)
+    retested = set()
+    for record in records:
+        run, old, new = record.summary.run, stored[record.summary.run], {test.steps: test for test in record.tests}
+        if old != new:
+            retested.add(run)
+            gone = delete(TESTS).where(TESTS.c.run == run, TESTS.c.steps == bindparam("one"))
+            _for_each(connection, gone, old.keys() - new.keys())
+            changed = [{"run": run, **vars(test)} for steps, test in new.items() if old.get(steps) != test]
+            put(connection, TESTS, changed)
+    return retested
+
+
+def _named(table: Table, records: Sequence[RunRecord]) -> Any:
+    """The condition that a row belongs to one of these runs."""
+    return table.c.run.in_([record.summary.run for record in records])
+
+
+def _for_each(connection: Connection, statement: Any, values: Any) -> None:
+    """Execute a statement with each of some values as its parameter `one`."""
+    if values:
+        connection.execute(statement, [{"one": value} for value in values])

@@ -52,7 +52,7 @@ def success_densities(
         new.append(numbers | lists | key | {"steps": steps, "runs": len(values)})
     if store is not None and new:
         with suppress(StoreError), store.database.writing() as connection:
-            put(connection, SUCCESSES, new, replace_old=True)
+            put(connection, SUCCESSES, new)
     return tuple(found)
 
 

@@ -10,12 +10,11 @@ from typing import Any
 
 from sqlalchemy import delete, select
 
-from ..errors import StoreError, UsageError
-from ..records.decode import from_json
+from ..errors import UsageError
 from ..records.sweep_records import SweepRecord
 from ..registry import closest
 from .database import Database
-from .rows import as_stored, folder_path, put
+from .rows import as_stored, folder_path, put, valid
 from .tables import SWEEPS, TRIALS
 
 _LISTED = 5
@@ -81,7 +80,4 @@ def _row(record: SweepRecord, home: Path | None) -> dict[str, Any]:
 
 def _record(row: Any, trials: Sequence[Any], home: Path | None) -> SweepRecord:
     values = row._asdict() | {"folder": folder_path(row.folder, home), "trials": [trial._asdict() for trial in trials]}
-    record = from_json(SweepRecord, values)
-    if record is None:
-        raise StoreError(f"the row of the sweep {row.sweep} is damaged", hint="`karolos db reindex` enters it again")
-    return record
+    return valid(SweepRecord, values, f"sweep {row.sweep}")

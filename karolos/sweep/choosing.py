@@ -15,10 +15,8 @@ from ..launchers.driver import Driver, Feed
 from ..launchers.runs import Home, RunJob
 from ..records.sweep_records import SweepFinal, Trial, merit
 from ..specification import Spec, spec_of_trial
-from ..specification.sweep import FinalSettings
 from .events import FinalBegan, SweepListener, TrialAdvanced
 from .objectives import directions, measure_all
-from .study import Study
 
 REPORT_SEED_OFFSET = 2_000_000
 """Distance of the reporting runs' `testing.seed` from the spec's: nothing was tuned or chosen on their tests."""
@@ -36,12 +34,7 @@ def for_report(trial: Spec) -> Spec:
 
 
 def choose(
-    base: Spec,
-    home: Home,
-    settings: FinalSettings,
-    study: Study,
-    driver: Driver,
-    listener: SweepListener,
+    base: Spec, home: Home, ranked: Sequence[Trial], driver: Driver, listener: SweepListener
 ) -> SweepFinal | None:
     """Run the best trials on new seeds, choose the best of them, and run it on further seeds and test episodes.
 
@@ -49,15 +42,15 @@ def choose(
     Uses finished runs of an earlier call. Returns None if every trial failed on the new seeds, or after a stop request.
     """
     sweep = base.sweep
-    assert sweep is not None  # it has trials
+    assert sweep is not None and sweep.final is not None  # noqa: PT018 (callers see to it)
 
     def run(jobs: Sequence[RunJob]) -> None:
         driver.run(_Candidates(listener, *jobs))
 
     unused = (seed for seed in count() if seed not in sweep.seeds and seed not in base.seeds)
-    seeds = tuple(islice(unused, settings.seeds))
-    report_seeds = tuple(islice(unused, settings.report_seeds))
-    best = study.ranked()[: settings.top]
+    seeds = tuple(islice(unused, sweep.final.seeds))
+    report_seeds = tuple(islice(unused, sweep.final.report_seeds))
+    best = ranked[: sweep.final.top]
     listener(FinalBegan(tuple(trial.number for trial in best), seeds, "choose"))
     fresh = _values(base, home, best, seeds, for_search, run)
     if driver.stop.requested or not fresh:
@@ -85,11 +78,7 @@ def _values(
     jobs = {number: RunJob(change(spec), home, together=True) for number, spec in specs.items()}
     run(list(jobs.values()))
     assert base.sweep is not None  # see `choose`
-    values = {
-        number: measure_all(base.sweep.objectives, job.results(), job.spec.training.steps, job.finals)
-        for number, job in jobs.items()
-        if job.finished
-    }
+    values = {number: measure_all(base.sweep.objectives, job) for number, job in jobs.items() if job.finished}
     return {number: value for number, value in values.items() if all(map(math.isfinite, value))}
 
 

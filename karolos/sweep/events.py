@@ -4,35 +4,24 @@ from __future__ import annotations
 
 from collections.abc import Callable
 from dataclasses import dataclass
-from pathlib import Path
 from typing import Literal
 
 from ..experiment.events import RunWarned
-from ..records.sweep_records import SweepFinal, Trial
-from ..specification import Sweep
+from ..records.sweep_records import SweepRecord, Trial
 
 
 @dataclass(frozen=True)
-class SweepOutcome:
-    """The result of a sweep."""
+class SweepOutcome(SweepRecord):
+    """The sweep after a call of `Search.run`."""
 
-    sweep: Sweep
-    trials: tuple[Trial, ...]
-    asked: int
-    """Number of trials that the sweep should have."""
-    best: Trial | None
-    """The trial that `final` chose; otherwise the best by the first objective."""
-    front: tuple[Trial, ...]
-    """The Pareto front of the objectives; with one objective the best trial."""
-    final: SweepFinal | None
-    folder: Path
+    front: tuple[Trial, ...] = ()
+    """The Pareto front of the objectives."""
     stop_code: int = 0
 
     @property
     def exit_code(self) -> int:
         """0: at least one trial is complete; 1: no trial is; 128 + signal or 124: stopped before the end."""
-        done = sum(trial.state != "running" for trial in self.trials)
-        if self.stop_code and (done < self.asked or (self.sweep.final is not None and self.final is None)):
+        if self.stop_code and (self.ended < self.asked or (self.wants_final and self.final is None)):
             return self.stop_code
         return 0 if self.best is not None else 1
 

@@ -60,7 +60,7 @@ class SweepFolder:
         self.journal = path / "journal.log"
         self.figures = path / "figures"
         self._spec = spec
-        self._asked = asked
+        self.asked = asked
         self._lock = FileLock(path / LOCK)
 
     def __enter__(self) -> SweepFolder:
@@ -126,7 +126,7 @@ class SweepFolder:
             directions=directions(sweep.objectives),
             parameters=tuple(sweep.space),
             seeds=sweep.seeds,
-            asked=self._asked,
+            asked=self.asked,
             wants_final=sweep.final is not None,
             created=created,
             folder=str(self.path),

@@ -11,6 +11,7 @@ from typing import Literal
 
 import numpy as np
 
+from ..launchers.runs import RunJob
 from ..records.results import TestResult
 from ..specification.sweep import OBJECTIVES
 from ..statistics.aggregates import first_reaching
@@ -36,11 +37,9 @@ def measure(objective: str, tests: Tests, steps: int, finals: Mapping[int, TestR
     return float(np.mean([_of_run(objective, results, steps, finals.get(seed)) for seed, results in tests.items()]))
 
 
-def measure_all(
-    objectives: Sequence[str], tests: Tests, steps: int, finals: Mapping[int, TestResult]
-) -> tuple[float, ...]:
-    """The value of each objective, as `measure`."""
-    return tuple(measure(name, tests, steps, finals) for name in objectives)
+def measure_all(objectives: Sequence[str], job: RunJob) -> tuple[float, ...]:
+    """The value of each objective for a job's finished runs, as `measure`."""
+    return tuple(measure(name, job.results(), job.spec.training.steps, job.finals) for name in objectives)
 
 
 def _of_run(objective: str, tests: Sequence[TestResult], steps: int, final: TestResult | None) -> float:

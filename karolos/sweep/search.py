@@ -34,7 +34,6 @@ class Search:
 
     Args:
         spec: a Spec with a sweep, or a dictionary of the same shape as a spec file.
-        text: the text of the spec file, written into every run's folder.
         trials: number of trials; None: the spec's.
 
     Raises:
@@ -42,12 +41,11 @@ class Search:
         UsageError: the spec has no sweep, or its name is too long.
     """
 
-    def __init__(self, spec: Spec | Mapping[str, Any], *, text: str | None = None, trials: int | None = None) -> None:
+    def __init__(self, spec: Spec | Mapping[str, Any], *, trials: int | None = None) -> None:
         base = spec if isinstance(spec, Spec) else spec_from_dict(dict(spec))
         sweep = _sweep_of(base)
         self.sweep = sweep if trials is None else sweep.model_copy(update={"trials": trials})
         self.spec = base.model_copy(update={"sweep": self.sweep})
-        self._text = text
 
     @property
     def asked(self) -> int:
@@ -113,39 +111,29 @@ class Search:
             study = Study(folder.journal, self.sweep, self.spec.name, self.spec.training.steps)
             writer = TrialWriter(folder, study, store, listener)
             writer.write()
-            driver, home = Driver(launcher, warn, stop, retries=1), Home(root, url, "resume", self._text)
-            driver.run(Trials(base, home, self.sweep, study, jobs, self.asked, listener, stop, writer))
-            final = None
-            if self.sweep.final is not None and not stop.requested and study.ranked():
-                final = choosing.choose(base, home, self.sweep.final, study, driver, listener)
+            driver, home = Driver(launcher, warn, stop, retries=1), Home(root, url, "resume", self.spec.text)
+            driver.run(Trials(base, home, self.sweep, jobs, stop, writer))
+            final, ranked = None, writer.write().ranked
+            if self.sweep.final is not None and not stop.requested and ranked:
+                final = choosing.choose(base, home, ranked, driver, listener)
             return self._conclude(writer, final, stop)
 
     def _conclude(self, writer: TrialWriter, final: SweepFinal | None, stop: StopRequest) -> SweepOutcome:
         from ..report.search import write_search_figures  # noqa: PLC0415  (matplotlib takes half a second)
 
         folder, study = writer.folder, writer.study
-        ranked = study.ranked()
-        best = study.trial(final.chosen) if final is not None else ranked[0] if ranked else None
-        if best is not None:
+        folder.write_final(final)
+        record = writer.write()
+        if (best := record.best) is not None:
             seeds = self.spec.seeds if final is None else final.report_seeds
             spec = spec_of_trial(self.spec, best.drawn, f"{self.spec.name}-best", seeds, best.name)
             spec = spec if final is None else choosing.for_report(spec)
             folder.write_best(spec, _comment(self.sweep, best, final))
         if best is not None and not stop.requested:  # the figures take seconds, and a resumed sweep draws them
             write_search_figures(
-                study.trials(), self.sweep.objectives[0], self.sweep.space, study.importances(), folder.figures
+                record.trials, self.sweep.objectives[0], self.sweep.space, study.importances(), folder.figures
             )
-        folder.write_final(final)
-        return SweepOutcome(
-            sweep=self.sweep,
-            trials=writer.write(),
-            asked=self.asked,
-            best=best,
-            front=study.front(),
-            final=final,
-            folder=folder.path,
-            stop_code=stop.exit_code,
-        )
+        return SweepOutcome(**vars(record), front=study.front(), stop_code=stop.exit_code)
 
 
 def samples(spec: Spec, count: int) -> Iterator[tuple[dict[str, Any], Spec | SpecError]]:

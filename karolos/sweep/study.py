@@ -8,8 +8,7 @@ from __future__ import annotations
 
 import math
 import warnings
-from collections.abc import Iterator, Mapping, Sequence
-from contextlib import contextmanager
+from collections.abc import Mapping, Sequence
 from pathlib import Path
 from typing import Any
 
@@ -19,8 +18,7 @@ from optuna.storages.journal import JournalFileBackend, JournalFileOpenLock
 from optuna.trial import FrozenTrial, TrialState
 
 from ..core.seeding import SeedTree
-from ..files import FileLock
-from ..records.sweep_records import SweepTrialState, Trial, rank
+from ..records.sweep_records import SweepTrialState, Trial
 from ..specification import Sweep
 from .objectives import directions
 
@@ -30,25 +28,21 @@ _STATES: dict[TrialState, SweepTrialState] = {
     TrialState.PRUNED: "pruned",
     TrialState.FAIL: "failed",
 }
-_JOURNAL_LOCK_SECONDS = 60.0
 _RUNS, _ERROR = "runs", "error"
 optuna.logging.set_verbosity(optuna.logging.ERROR)  # the sweep reports its own progress
+warnings.filterwarnings("ignore", category=optuna.exceptions.ExperimentalWarning)  # constraints.txt pins the version
 FEW_TRIALS = 4
 """Smallest number of complete trials for parameter importances."""
 
 
-class _JournalLock(JournalFileOpenLock):
-    """The journal's lock. Unlike Optuna's own, it is released when its process dies."""
-
-    def __init__(self, journal: Path) -> None:
-        super().__init__(str(journal))
-        self._lock = FileLock(journal.with_suffix(".lock"))
+class _NoLock(JournalFileOpenLock):
+    """Takes the place of Optuna's lock, which outlives a killed process. The lock of the sweep's folder is enough."""
 
     def acquire(self) -> bool:
-        return self._lock.acquire(_JOURNAL_LOCK_SECONDS)
+        return True
 
     def release(self) -> None:
-        self._lock.release()
+        pass
 
 
 class OpenTrial:
@@ -93,7 +87,7 @@ class Study:
         self._name = name
         self._directions = directions(sweep.objectives)
         self._grid = list(sweep.combinations()) if sweep.sampler == "grid" else []
-        storage = JournalStorage(JournalFileBackend(str(journal), lock_obj=_JournalLock(journal)))
+        storage = JournalStorage(JournalFileBackend(str(journal), lock_obj=_NoLock(str(journal))))
         self._study = optuna.create_study(
             storage=storage,
             study_name=name,
@@ -101,8 +95,7 @@ class Study:
             pruner=self._pruner(steps),
             load_if_exists=True,
         )
-        with _experiments_allowed():  # names for optuna-dashboard
-            self._study.set_metric_names(list(sweep.objectives))
+        self._study.set_metric_names(list(sweep.objectives))  # for optuna-dashboard
 
     @staticmethod
     def draws(sweep: Sweep, count: int) -> list[dict[str, Any]]:
@@ -113,9 +106,6 @@ class Study:
     def trials(self) -> tuple[Trial, ...]:
         """All trials that have begun, by number."""
         return tuple(self._record(one) for one in self._all() if one.state in _STATES)
-
-    def trial(self, number: int) -> Trial:
-        return self._record(self._all()[number])
 
     def unfinished(self) -> list[OpenTrial]:
         """Trials to resume after an interruption. No other process runs them, because this one has the lock."""
@@ -135,14 +125,8 @@ class Study:
         self._study.sampler = self._sampler(len(trials) - waiting)
         return _drawn(self._study.ask(), self._sweep)
 
-    def ranked(self) -> list[Trial]:
-        """The complete trials, best first, by the objectives in order; ties by number."""
-        return rank(self.trials(), self._directions)
-
     def front(self) -> tuple[Trial, ...]:
-        """The Pareto front of the objectives; with one objective the best trial."""
-        if len(self._sweep.objectives) == 1:
-            return tuple(self.ranked()[:1])
+        """The Pareto front of the objectives."""
         return tuple(self._record(one) for one in self._study.best_trials)
 
     def importances(self) -> dict[str, float]:
@@ -183,8 +167,8 @@ class Study:
             return optuna.samplers.GPSampler(seed=seed, warn_independent_sampling=False)
         if self._sweep.sampler == "tpe":
             conditional = any(parameter.when for parameter in self._sweep.space.values())
-            with _experiments_allowed():  # `group`, which draws together what is drawn under the same conditions
-                return optuna.samplers.TPESampler(seed=seed, multivariate=True, group=conditional)
+            # `group` draws together what is drawn under the same conditions.
+            return optuna.samplers.TPESampler(seed=seed, multivariate=True, group=conditional)
         return optuna.samplers.RandomSampler(seed=seed)
 
     def _pruner(self, steps: int) -> optuna.pruners.BasePruner:
@@ -193,14 +177,6 @@ class Study:
             return optuna.pruners.NopPruner()
         warmup = math.ceil(settings.warmup * steps)
         return optuna.pruners.MedianPruner(n_startup_trials=settings.startup, n_warmup_steps=warmup)
-
-
-@contextmanager
-def _experiments_allowed() -> Iterator[None]:
-    """Suppress warnings of experimental features; the project's constraints pin Optuna's version."""
-    with warnings.catch_warnings():
-        warnings.simplefilter("ignore", optuna.exceptions.ExperimentalWarning)
-        yield
 
 
 def _seed(sweep: Sweep, number: int) -> int:

@@ -11,7 +11,7 @@ from ..experiment.events import RunAdvanced, RunEnded, RunEvent, RunTested, RunW
 from ..experiment.signals import StopRequest
 from ..launchers.driver import Feed
 from ..launchers.runs import Home, RunJob
-from ..records.sweep_records import Trial, read_sweep
+from ..records.sweep_records import SweepRecord, read_sweep
 from ..specification import Spec, Sweep, spec_of_trial
 from ..store import Store
 from ..training.assembly import check_parts
@@ -26,23 +26,22 @@ PRUNED = "pruned"
 
 @dataclass(frozen=True)
 class TrialWriter:
-    """Writes a sweep's trials into its folder, and indexes the folder in the store."""
+    """Writes a sweep's trials into its folder, and enters the folder in the store."""
 
     folder: SweepFolder
     study: Study
     store: Store
     listener: SweepListener
 
-    def write(self) -> tuple[Trial, ...]:
-        """Write the current trials, and return them. A store that fails causes a warning and does not end the sweep."""
-        trials = self.study.trials()
-        self.folder.write_trials(trials)
+    def write(self) -> SweepRecord:
+        """Write the trials, and return the sweep. A store that fails causes a warning and does not end the sweep."""
+        self.folder.write_trials(self.study.trials())
         record, _ = read_sweep(self.folder.path)
         try:
             self.store.sweeps.add([record])
         except StoreError as error:
             self.listener(RunWarned(record.sweep, f"{error} (the sweep continues; its folder is complete)"))
-        return trials
+        return record
 
 
 @dataclass
@@ -51,16 +50,12 @@ class Trials(Feed[RunJob]):
 
     Args:
         jobs: largest number of concurrent trials.
-        asked: number of trials that the sweep should have.
     """
 
     base: Spec
     home: Home
     sweep: Sweep
-    study: Study
     jobs: int
-    asked: int
-    listener: SweepListener
     stop: StopRequest
     writer: TrialWriter
     _open: dict[RunJob, OpenTrial] = field(default_factory=dict)
@@ -68,22 +63,19 @@ class Trials(Feed[RunJob]):
     """Number of tests that the pruner has seen."""
 
     def __post_init__(self) -> None:
-        self._unfinished = self.study.unfinished()
+        self._unfinished = self.writer.study.unfinished()
 
     def next(self) -> RunJob | None:
         while len(self._open) < self.jobs:
             if self._unfinished:
                 trial = self._unfinished.pop(0)
-            elif len(self.study.trials()) < self.asked:
-                trial = self.study.ask()
+            elif len(self.writer.study.trials()) < self.writer.folder.asked:
+                trial = self.writer.study.ask()
             else:
                 return None
-            trials = self.writer.write()
-            record = trials[trial.number]
-            self.listener(TrialBegan(record, *self._progress(trials)))
+            name = self._tell(TrialBegan, trial)
             try:
-                spec = spec_of_trial(self.base, trial.drawn, record.name, self.sweep.seeds, record.name)
-                spec = for_search(spec)
+                spec = for_search(spec_of_trial(self.base, trial.drawn, name, self.sweep.seeds, name))
                 check_parts(spec)
             except KarolosError as error:
                 self._end(trial, error=str(error).replace("\n", "; "))
@@ -97,7 +89,7 @@ class Trials(Feed[RunJob]):
     def heard(self, job: RunJob, event: RunEvent) -> str | None:
         """Report the mean at each test that every seed has completed; PRUNED when the pruner stops the trial."""
         if isinstance(event, RunAdvanced | RunEnded):
-            self.listener(TrialAdvanced(job.spec.name, job.fraction))
+            self.writer.listener(TrialAdvanced(job.spec.name, job.fraction))
         if self.sweep.pruner is None or not isinstance(event, RunTested) or job.halted:
             return None
         results, settings = job.results(), job.spec
@@ -116,7 +108,7 @@ class Trials(Feed[RunJob]):
         trial = self._open.pop(job)
         runs = [job.summaries[seed].run for seed in job.spec.seeds if seed in job.summaries]
         if job.finished:
-            values = measure_all(self.sweep.objectives, job.results(), job.spec.training.steps, job.finals)
+            values = measure_all(self.sweep.objectives, job)
             finite = all(math.isfinite(value) for value in values)
             error = None if finite else f"{' and '.join(self.sweep.objectives)} came to {list(values)}"
             self._end(trial, runs, values if finite else None, error)
@@ -134,10 +126,11 @@ class Trials(Feed[RunJob]):
         error: str | None = None,
     ) -> None:
         trial.end(runs, values, error)
-        trials = self.writer.write()
-        self.listener(TrialEnded(trials[trial.number], *self._progress(trials)))
+        self._tell(TrialEnded, trial)
 
-    def _progress(self, trials: Sequence[Trial]) -> tuple[int, int, Trial | None]:
-        """The number of trials that have ended, the number that the sweep should have, and the best so far."""
-        done = sum(one.state != "running" for one in trials)
-        return done, self.asked, next(iter(self.study.ranked()), None)
+    def _tell(self, event: type[TrialBegan] | type[TrialEnded], trial: OpenTrial) -> str:
+        """Write the trials and tell the listener of this one; returns its name."""
+        sweep = self.writer.write()
+        found = sweep.trials[trial.number]
+        self.writer.listener(event(found, sweep.ended, sweep.asked, next(iter(sweep.ranked), None)))
+        return found.name

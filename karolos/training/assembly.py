@@ -165,10 +165,8 @@ def located(spec: Spec) -> Iterator[None]:
     try:
         yield
     except KarolosError as error:
-        origin = _origin(spec, error.setting)
-        if origin is None:
-            raise
-        raise UsageError(error.what, where=origin, setting=error.setting, hint=error.hint) from error
+        error.where = _origin(spec, error.setting) or error.where
+        raise
 
 
 def _origin(spec: Spec, path: str | None) -> str | None:

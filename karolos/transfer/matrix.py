@@ -75,19 +75,18 @@ class Matrix:
 
     Args:
         spec: with a transfer.
-        text: the text of the spec file, written into every run's folder.
 
     Raises:
         SpecError: the settings of a variant or of fine-tuning are invalid.
         UsageError: the spec has no transfer, or its name is too long.
     """
 
-    def __init__(self, spec: Spec, *, text: str | None = None) -> None:
+    def __init__(self, spec: Spec) -> None:
         if spec.transfer is None:
             raise UsageError(
                 f"the spec {spec.name!r} has no transfer", hint="add e.g. transfer: {robots: [panda, ur5]}"
             )
-        self.spec, self.transfer, self._text = spec, spec.transfer, text
+        self.spec, self.transfer = spec, spec.transfer
         labels = list(self.transfer.settings)
         self.pairs = list(permutations(labels, 2))
         longest = max((_name(spec, *pair) for pair in self.pairs), key=len)
@@ -204,7 +203,7 @@ class Matrix:
         ):
             self._check_begun(variants, root, resume=resume)
             say(f"{self.spec.name}: {self}")
-            driver, home = Driver(launcher, listener, stop, retries=1), Home(root, url, "resume", self._text)
+            driver, home = Driver(launcher, listener, stop, retries=1), Home(root, url, "resume", self.spec.text)
             sources = {label: RunJob(spec, home, known=_trained(spec, root, say)) for label, spec in variants.items()}
             driver.run(Feed(*sources.values()))
             for label, job in sources.items():

@@ -14,6 +14,7 @@ from support.commands import Terminal, call
 from typer import Typer
 
 from karolos.launchers.experiment import Experiment
+from karolos.records import RunFolder
 from karolos.report.video import with_caption
 
 app = Typer()
@@ -125,6 +126,14 @@ def test_a_run_without_a_best_checkpoint_plays_its_last_and_says_so(tmp_path: Pa
     code, _, err = call(app, str(folder), *film)
     assert code == 1
     assert "there is no checkpoint 'best'" in err
+
+
+def test_modules_that_a_run_names_are_told_before_they_are_imported(tmp_path: Path) -> None:
+    with RunFolder.create(tmp_path, "evil", 0) as folder:
+        folder.describe({"environment": {"name": "gymnasium", "id": "somebodys.module:X-v0"}}, experiment="x")
+    code, _, err = call(app, str(folder.path), "--out", str(tmp_path / "film.gif"))
+    assert code == 2
+    assert err.startswith(f"{folder.id} names code of this machine: somebodys.module will be imported\n")
 
 
 def test_a_policy_is_played_under_changed_settings(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:

@@ -18,7 +18,7 @@ import yaml
 from karolos_cli.display import SweepDisplay
 from karolos_cli.sweep import report, sweep
 from support.commands import Terminal, call
-from support.sweep_samples import LEARNING_RATE, sweep_spec
+from support.sweep_samples import LEARNING_RATE, sweep_spec, write_sweep
 
 from karolos.records.sweep_records import SweepFinal, Trial
 from karolos.specification import load_spec, spec_from_dict
@@ -101,15 +101,19 @@ def test_the_dashboard_is_given_the_journal_and_left_with_ctrl_c(home):
     assert (process.returncode, told) == (0, "")
 
 
+def outcome_of(folder, search, trials, final):
+    settings = {"objectives": search.objectives, "directions": ("maximize",), "parameters": tuple(search.space)}
+    return SweepOutcome(**vars(write_sweep(folder, "line", trials, final, asked=len(trials), **settings)))
+
+
 def test_rows_and_words_tell_what_was_chosen_and_how_far_to_trust_it(home, capsys):
-    search = spec_from_dict(sweep_spec(LEARNING_RATE)).sweep
     trials = (
         Trial(0, "line-t000", "complete", {"agent.learning_rate": 1e-3}, (0.9,), ("a",), None),
         Trial(1, "line-t001", "failed", {"agent.learning_rate": 1e-1}, None, (), "a loss that is nan\x1b[2J"),
     )
     final = SweepFinal(0, (2,), (3, 4), (0.9,), {0: (0.8,)}, (0.75,))
-    outcome = SweepOutcome(search, trials, 2, trials[0], trials[:1], final, home)
-    display = SweepDisplay(outcome.sweep.objectives, quiet=False)
+    outcome = outcome_of(home, spec_from_dict(sweep_spec(LEARNING_RATE)).sweep, trials, final)
+    display = SweepDisplay(outcome.objectives, quiet=False)
     for place, trial in enumerate(trials):
         display(TrialBegan(trial, place, 2, None))
         display(TrialEnded(trial, place + 1, 2, trials[0]))
@@ -161,7 +165,7 @@ def test_a_row_of_the_table_takes_one_line_on_a_narrow_terminal(path, monkeypatc
     monkeypatch.setattr(sys, "stdout", screen)
     monkeypatch.setenv("COLUMNS", "80")
     monkeypatch.setenv("TERM", "xterm")
-    report(SweepOutcome(search, trials, 12, trials[1], trials[:1], final, tmp_path), quiet=False, json=False)
+    report(outcome_of(tmp_path, search, trials, final), quiet=False, json=False)
     text = screen.text()
     lines = [line for line in text.splitlines() if line.strip()]
     head = next(place for place, line in enumerate(lines) if "─" in line)

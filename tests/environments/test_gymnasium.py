@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import pickle
+from pathlib import Path
 from typing import Any
 
 import numpy as np
@@ -12,7 +13,7 @@ from karolos.buffers.uniform import Uniform
 from karolos.core import Discrete, Transitions
 from karolos.core.seeding import SeedTree
 from karolos.environments.gymnasium.adapter import Gymnasium
-from karolos.errors import KarolosError, PluginError
+from karolos.errors import KarolosError, PluginError, UsageError
 from karolos.plugins.contracts import check
 
 POINT = "support.goal_environments:Point-v0"
@@ -213,3 +214,21 @@ def test_settings_that_exclude_each_other_are_refused() -> None:
     ):
         with pytest.raises(ValueError, match="goals"):
             Gymnasium.Settings(id=POINT, **settings)
+
+
+@pytest.mark.parametrize(
+    "module", ["runs.a-s0-1.evil", "runs.a-s0-1", "runs.evil", "a-s0-1.evil", "evil", "named.evil"]
+)
+def test_a_module_in_a_folder_of_runs_is_not_imported(
+    tmp_path: Path, monkeypatch: pytest.MonkeyPatch, module: str
+) -> None:
+    run = tmp_path / "runs" / "a-s0-1"
+    run.mkdir(parents=True)
+    (run / "run.json").touch()
+    for place in (run / "evil.py", run / "__init__.py", run.parent / "evil.py"):
+        place.write_text("raise SystemExit('imported')")
+    (tmp_path / "named").symlink_to(run)
+    monkeypatch.syspath_prepend(run.parent)
+    monkeypatch.syspath_prepend(tmp_path)
+    with pytest.raises(UsageError, match=r"lies in a folder of runs and is not imported"):
+        make(id=f"{module}:X-v0")

@@ -161,7 +161,7 @@ def test_wrong_overrides_and_nothing_to_randomize_are_refused(toy: RunFolder) ->
 
 def test_a_run_without_its_spec_says_so(toy: RunFolder) -> None:
     (toy.path / "resolved.json").write_text("{")
-    with pytest.raises(RunError, match=r"resolved.json is missing or damaged"):
+    with pytest.raises(RunError, match=r"resolved.json is missing, damaged or changed"):
         zero_shot_test(toy)
 
 

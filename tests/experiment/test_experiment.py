@@ -16,7 +16,7 @@ from karolos.experiment.events import RunEnded, RunStarted, RunTested, RunWarned
 from karolos.launchers.experiment import Experiment
 from karolos.records import RunFolder
 from karolos.report.tables import runs_table
-from karolos.specification import spec_from_dict
+from karolos.specification import load_spec, spec_from_dict
 from karolos.store import Store
 from karolos.training.assembly import check_parts
 
@@ -51,7 +51,9 @@ def folders(outcome):
 def finished(tmp_path_factory):
     """One experiment of two seeds, told event by event."""
     runs, events = tmp_path_factory.mktemp("runs"), []
-    outcome = Experiment(spec(seeds=[3, 1])).run(runs, listener=events.append, text="# mine\n")
+    path = tmp_path_factory.mktemp("specs") / "toy.yaml"
+    path.write_text(f"# mine\n{json.dumps(spec(seeds=[3, 1]))}\n")
+    outcome = Experiment(load_spec(path)).run(runs, listener=events.append)
     return runs, outcome, events
 
 
@@ -79,7 +81,7 @@ def test_the_run_folder_holds_all_that_is_needed_to_tell_what_was_run(finished):
     _, outcome, _ = finished
     folder = folders(outcome)[0]
     assert folder.record().problems == ()
-    assert (folder.path / "spec.yaml").read_text() == "# mine\n"
+    assert (folder.path / "spec.yaml").read_text().startswith("# mine\n")
     assert Experiment(folder.spec()).spec.hash() == outcome.runs[0].experiment
     assert folder.description()["versions"].keys() >= {"python", "karolos", "torch", "numpy"}
     assert [event["event"] for event in folder.events()] == ["started", "layout", "final_test", "finished"]

@@ -164,6 +164,19 @@ def test_checkpoint_of_another_experiment_is_refused(broken: RunFolder, tmp_path
         resume_run(broken, Store.default_url(broken.path.parent))
 
 
+def test_settings_that_were_changed_after_the_start_are_refused(broken: RunFolder) -> None:
+    file = broken.path / "resolved.json"
+    file.write_text(file.read_text().replace('"discount": 0.9', '"discount": 0.5'))
+    for resume in (
+        lambda: resume_run(broken, Store.default_url(broken.path.parent)),
+        lambda: Experiment(BASE | CASES["sac, priority, hindsight"]).run(broken.path.parent, existing="resume"),
+    ):
+        with pytest.raises(RunError, match=r"resolved\.json is missing, damaged or changed"):
+            resume()
+    assert broken.state().state == "stopped"
+    assert "resolved.json: missing, damaged or changed" in broken.record().problems
+
+
 def test_run_that_another_process_has_is_refused(broken: RunFolder) -> None:
     with RunFolder.open(broken.path) as owner:
         owner.lock()

@@ -17,7 +17,6 @@ from karolos.export.shipped import FOLDER, load_shipped, shipped_names
 from karolos.files import read_object
 from karolos.records import RunFolder, paths
 from karolos.records.final_test import FinalTest
-from karolos.records.results import TestResult
 
 REFERENCE = Path(__file__).parents[2] / "runs" / "reference"
 app = Typer()
@@ -29,7 +28,7 @@ def test_a_policy_ships_for_every_pair_of_robot_and_task() -> None:
     assert {f"{robot}_{task}" for robot, task in pairs} == set(shipped_names())
 
 
-def final_test(run: object) -> FinalTest[TestResult]:
+def final_test(run: object) -> FinalTest:
     [final] = [folder.final() for folder in map(RunFolder.open, paths(REFERENCE)) if folder.id == run]
     assert final is not None
     return final

@@ -1,12 +1,14 @@
 from __future__ import annotations
 
 import errno
+import gzip
 import io
 import json
 import os
 import subprocess
 import sys
 import tarfile
+from hashlib import sha256
 from pathlib import Path
 
 import pytest
@@ -25,10 +27,10 @@ def run(tmp_path: Path) -> RunFolder:
         folder.add_test(result(10, 3))
         folder.set_state("finished", steps=10)
         (folder.path / "checkpoints" / "best").mkdir(parents=True)
-        (folder.path / "checkpoints" / "best" / "agent.bin").write_bytes(os.urandom(5000))
-        os.link(folder.path / "checkpoints" / "best" / "agent.bin", folder.path / "checkpoints" / "same.bin")
+        (folder.path / "checkpoints" / "best" / "agent.pt").write_bytes(os.urandom(5000))
+        (folder.path / "checkpoints" / "last").mkdir(parents=True)
+        os.link(folder.path / "checkpoints" / "best" / "agent.pt", folder.path / "checkpoints" / "last" / "agent.pt")
     labels.add_tags(folder.path, ["good"])
-    (folder.path / "out").symlink_to("/etc/hostname")
     return folder
 
 
@@ -38,9 +40,10 @@ def contents(folder: Path) -> dict[str, bytes]:
 
 
 def pack(path: Path, files: dict[str, bytes]) -> Path:
-    """An archive with these names, whatever they are."""
+    """An archive with these names, whatever they are, and the list of them."""
+    sums = "".join(f"{sha256(data).hexdigest()}  {name}\n" for name, data in files.items())
     with tarfile.open(path, "w:gz") as tar:
-        for name, data in files.items():
+        for name, data in {**files, "SHA256SUMS": sums.encode()}.items():
             entry = tarfile.TarInfo(name)
             entry.size = len(data)
             tar.addfile(entry, io.BytesIO(data))
@@ -48,8 +51,8 @@ def pack(path: Path, files: dict[str, bytes]) -> Path:
 
 
 def test_runs_come_out_as_they_went_in(run: RunFolder, tmp_path: Path) -> None:
-    files = export_runs([run], tmp_path / "x.tar.gz")
-    assert files == len(contents(run.path))
+    exported = export_runs([run], tmp_path / "x.tar.gz")
+    assert exported == (len(contents(run.path)), ())
     (came,) = import_runs(tmp_path / "x.tar.gz", tmp_path / "other")
     folder = tmp_path / "other" / run.id
     assert came == RunFolder.open(folder).record()
@@ -112,42 +115,69 @@ def test_the_next_export_removes_what_a_killed_one_wrote(run: RunFolder, tmp_pat
     assert sorted(path.name for path in place.iterdir()) == sorted([other.name, "x.tar.gz"])
 
 
+def test_an_archive_holds_the_files_of_runs_and_no_others(run: RunFolder, tmp_path: Path) -> None:
+    (run.path / "evil.py").write_text("")
+    (run.path / "stop").write_text("")
+    (run.path / "state.txt").symlink_to("/etc/hostname")
+    exported = export_runs([run], tmp_path / "x.tar.gz")
+    assert exported.left_out == (f"{run.id}/evil.py", f"{run.id}/state.txt (a link)")
+    with tarfile.open(tmp_path / "x.tar.gz") as tar:
+        assert not {f"{run.id}/evil.py", f"{run.id}/state.txt", f"{run.id}/stop"} & set(tar.getnames())
+
+
 @pytest.mark.parametrize(
-    ("name", "told"),
+    "name",
     [
-        ("../evil", "is not a valid name in a run folder"),
-        ("a-s0-1/../../evil", "is not a valid name in a run folder"),
-        ("/etc/evil", "is not a valid name in a run folder"),
-        ("a-s0-1/\x1b[2J", "is not a valid name in a run folder"),
-        ("a-s0-1/x\\..\\..\\evil", "is not a valid name in a run folder"),
-        ("evil", "is not in a run folder"),
-        (".trash/x", "is not in a run folder"),
-        ("a-s0-1/" + "d/" * 12 + "x", "is not in a run folder"),
-        ("a-s0-1/RUN.json", "is in it twice"),
+        *("../evil", "/etc/evil", "evil", ".trash/x", "a-s0-1", "a-s0-1/", "a-s0-1/evil.py", "a-s0-1/__init__.py"),
+        *("a-s0-1/../../evil", "a-s0-1/\x1b[2J", "a-s0-1/x\\..\\..\\evil", "a-s0-1/RUN.json", "a-s0-1/run.json\n"),
+        *("a-s0-1/checkpoints/best/evil.py", "a-s0-1/checkpoints/../run.json", "a-s0-1/tensorboard/x/run.json"),
     ],
 )
-def test_name_that_leads_elsewhere_is_refused(tmp_path: Path, name: str, told: str) -> None:
+def test_a_file_that_no_run_has_is_refused(tmp_path: Path, name: str) -> None:
     source = pack(tmp_path / "x.tar.gz", {"a-s0-1/run.json": json.dumps(DESCRIPTION).encode(), name: b"evil"})
-    with pytest.raises(UsageError) as caught:
+    with pytest.raises(UsageError, match="is not a file of a run"):
         import_runs(source, tmp_path / "in" / "runs")
-    assert told in str(caught.value)
     assert list((tmp_path / "in").rglob("*")) == [tmp_path / "in" / "runs"]
     assert not (tmp_path / "evil").exists()
 
 
-@pytest.mark.parametrize("kind", [tarfile.SYMTYPE, tarfile.LNKTYPE, tarfile.FIFOTYPE, tarfile.CHRTYPE])
+@pytest.mark.parametrize("kind", [tarfile.SYMTYPE, tarfile.LNKTYPE, tarfile.FIFOTYPE, tarfile.CHRTYPE, tarfile.DIRTYPE])
 def test_link_or_device_is_refused(tmp_path: Path, kind: bytes) -> None:
     with tarfile.open(tmp_path / "x.tar.gz", "w:gz") as tar:
-        entry = tarfile.TarInfo("a-s0-1/x")
+        entry = tarfile.TarInfo("a-s0-1/run.json")
         entry.type, entry.linkname = kind, "/etc/passwd"
         tar.addfile(entry)
-    with pytest.raises(UsageError, match="is a link or device"):
+    with pytest.raises(UsageError, match="is not a plain file"):
         import_runs(tmp_path / "x.tar.gz", tmp_path / "runs")
     assert list((tmp_path / "runs").iterdir()) == []
 
 
+def test_a_list_of_files_that_is_missing_wrong_or_not_the_last_is_refused(tmp_path: Path) -> None:
+    description = json.dumps(DESCRIPTION).encode()
+    good = f"{sha256(description).hexdigest()}  a-s0-1/run.json\n"
+    for lists in ([], [good.replace("run", "state")], [good + good.replace("run", "state")], [""], [good, good]):
+        with tarfile.open(tmp_path / "x.tar.gz", "w:gz") as tar:
+            for name, data in [("a-s0-1/run.json", description), *(("SHA256SUMS", one.encode()) for one in lists)]:
+                entry = tarfile.TarInfo(name)
+                entry.size = len(data)
+                tar.addfile(entry, io.BytesIO(data))
+        with pytest.raises(UsageError, match=r"is missing|is not what SHA256SUMS says|something follows"):
+            import_runs(tmp_path / "x.tar.gz", tmp_path / "runs")
+        assert list((tmp_path / "runs").iterdir()) == []
+
+
+def test_what_follows_the_stream_is_refused(run: RunFolder, tmp_path: Path) -> None:
+    export_runs([run], tmp_path / "x.tar.gz")
+    whole = (tmp_path / "x.tar.gz").read_bytes()
+    for more in (b"x", gzip.compress(b"x" * 600), whole, gzip.compress(bytes(100_000))):
+        (tmp_path / "y.tar.gz").write_bytes(whole + more)
+        with pytest.raises(UsageError, match=r"something follows|cannot be read"):
+            import_runs(tmp_path / "y.tar.gz", tmp_path / "other")
+        assert list((tmp_path / "other").iterdir()) == []
+
+
 def test_archive_that_unpacks_to_too_much_is_refused(tmp_path: Path) -> None:
-    bomb = pack(tmp_path / "x.tar.gz", {"a-s0-1/zeros": bytes(3_000_000)})
+    bomb = pack(tmp_path / "x.tar.gz", {"a-s0-1/code.diff": bytes(3_000_000)})
     with pytest.raises(UsageError, match="it unpacks to more than 2,000,000 bytes"):
         import_runs(bomb, tmp_path / "runs", most_bytes=2_000_000)
     assert list((tmp_path / "runs").iterdir()) == []
@@ -159,7 +189,7 @@ def test_damaged_archive_is_told_and_brings_nothing(run: RunFolder, tmp_path: Pa
     whole = source.read_bytes()
     for damaged in (whole[: len(whole) // 2], b"", b"hello", whole[:100] + b"\xff" * 500 + whole[600:]):
         source.write_bytes(damaged)
-        with pytest.raises(UsageError, match=r"the archive cannot be read|there is no run in it"):
+        with pytest.raises(UsageError, match=r"the archive cannot be read|SHA256SUMS, is missing"):
             import_runs(source, tmp_path / "other")
         assert list((tmp_path / "other").iterdir()) == []
     with pytest.raises(UsageError, match="the archive cannot be opened"):
@@ -191,7 +221,7 @@ def test_torn_lines_come_in_and_are_told(run: RunFolder, tmp_path: Path) -> None
 @pytest.mark.parametrize(
     ("files", "told"),
     [
-        ({"a-s0-1/x": b""}, "a-s0-1: this is not a run folder"),
+        ({"a-s0-1/code.diff": b""}, "a-s0-1: this is not a run folder"),
         ({"a-s0-1/run.json": b"{"}, "a-s0-1: run.json is damaged"),
         ({"b-s0-1/run.json": json.dumps(DESCRIPTION).encode()}, "says that it is the run a-s0-1"),
         ({"a-s0-1/run.json": json.dumps(DESCRIPTION | {"format": 99}).encode()}, "a newer karolos made"),

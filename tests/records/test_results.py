@@ -3,10 +3,10 @@ from __future__ import annotations
 import json
 import math
 from dataclasses import replace
+from fractions import Fraction
 from pathlib import Path
 from typing import Any
 
-import numpy as np
 import pytest
 from hypothesis import given
 from hypothesis import strategies as st
@@ -52,7 +52,9 @@ def test_counts_have_the_fractions_of_the_test(test: TestResult) -> None:
     counts = TestCounts.of(test)
     expected = (test.success_any, test.success_end) if test.has_success else (None, None)
     assert (counts.success_any, counts.success_end) == expected
-    assert counts.mean_return is None or counts.mean_return == pytest.approx(np.mean(test.returns))
+    assert counts.mean_return is None or counts.mean_return == pytest.approx(
+        float(sum(map(Fraction, test.returns)) / test.episodes)
+    )
     assert (counts.steps, counts.seconds, counts.episodes) == (test.steps, test.seconds, test.episodes)
 
 

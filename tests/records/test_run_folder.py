@@ -202,7 +202,7 @@ def test_sound_folder_has_no_problems_and_missing_files_are_named(tmp_path: Path
     (run.path / "state.json").write_text("{")
     run.release()
     record = RunFolder.open(run.path).record()
-    assert record.problems == ("resolved.json: missing or damaged", "state.json: missing or damaged")
+    assert record.problems == ("resolved.json: missing, damaged or changed", "state.json: missing or damaged")
     assert record.summary.state == "lost"
 
 

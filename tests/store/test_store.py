@@ -13,7 +13,8 @@ from karolos.errors import StoreError, UsageError
 from karolos.records import RunFolder
 from karolos.records.results import TestCounts
 from karolos.store import Store
-from karolos.store.tables import TABLES
+from karolos.store.summaries import success_densities
+from karolos.store.tables import SUCCESSES, TABLES
 
 
 @pytest.fixture
@@ -46,6 +47,26 @@ def test_repeated_test_replaces_the_first(store: Store, tmp_path: Path) -> None:
         run.add_test(each)
         store.add_records([run.record()])
     assert [test.successes_any for test in stored(store, run.id).tests] == [5]
+
+
+def test_a_state_changes_no_test_and_a_test_only_its_own_row(store: Store, tmp_path: Path) -> None:
+    run = new_run(store, tmp_path)
+    for each in (result(100, 3), result(200, 5)):
+        run.add_test(each)
+    store.add_records([run.record()])
+    success_densities(store, "abc", "any", {100: [0.15]})
+    with store.database.writing() as connection:
+        for change in ("INSERT", "UPDATE", "DELETE"):
+            row = "old.steps" if change == "DELETE" else "new.steps"
+            rule = f"WHEN {row} < 300 BEGIN SELECT RAISE(ABORT, 'written again'); END"
+            connection.exec_driver_sql(f"CREATE TRIGGER refuse_{change} BEFORE {change} ON tests {rule}")
+    run.set_state("failed", steps=210)
+    store.add_records([run.record()])
+    assert len(store.database.fetch(select(SUCCESSES))) == 1
+    run.add_test(result(300, 7))
+    store.add_records([run.record()])
+    assert store.database.fetch(select(SUCCESSES)) == []
+    assert stored(store, run.id).tests == run.record().tests
 
 
 def test_run_comes_with_its_spec_without_seeds_and_its_versions(store: Store, tmp_path: Path) -> None:

@@ -85,6 +85,23 @@ def test_damaged_database_is_told(store: Store, tmp_path: Path) -> None:
         Store(str(store.database.url)).runs()
 
 
+@pytest.mark.parametrize(
+    ("change", "told"),
+    [
+        ("UPDATE runs SET tags = '[1'", "a column does not hold JSON"),
+        ("UPDATE specs SET content = 'x'", "a column does not hold JSON"),
+        ("UPDATE runs SET tags = '5'", "the row of the run reach-s3-"),
+        ("UPDATE runs SET seed = 'x', steps = 'y'", "the row of the run reach-s3-"),
+    ],
+)
+def test_damaged_row_is_told(store: Store, tmp_path: Path, change: str, told: str) -> None:
+    new_run(store, tmp_path).release()
+    with database(store) as other:
+        other.execute(change)
+    with pytest.raises(StoreError, match=told):
+        store.records(store.runs())
+
+
 def test_read_only_database_is_told(tmp_path: Path) -> None:
     with sqlite3.connect(tmp_path / "x.sqlite") as other:
         other.execute("CREATE TABLE x (y)")

@@ -9,6 +9,7 @@ import subprocess
 import sys
 import time
 from collections import Counter
+from pathlib import Path
 
 import pytest
 from support.processes import child_processes
@@ -72,7 +73,7 @@ def killed(tmp_path_factory) -> SweepOutcome:
 def test_a_sweep_that_was_killed_and_lost_a_worker_ends_with_its_trials_and_none_is_doubled(killed):
     assert [trial.number for trial in killed.trials] == list(range(TRIALS))
     assert {trial.state for trial in killed.trials} == {"complete"}
-    runs = killed.folder.parents[1]
+    runs = Path(killed.folder).parents[1]
     folders = [RunFolder.open(path.parent) for path in runs.glob("line-t*/run.json")]
     made = Counter((folder.description()["name"], folder.description()["seed"]) for folder in folders)
     assert max(made.values()) == 1
@@ -98,36 +99,36 @@ def test_the_best_is_chosen_and_reported_on_seeds_it_was_not_tuned_on(killed):
     assert (final.seeds, final.report_seeds) == ((1,), (3,))  # 0 tuned it, and 2 is the spec's own
     assert len(final.fresh) == 2
     assert final.fresh[final.chosen] == max(final.fresh.values())
-    row = json.loads((killed.folder / "final.json").read_text())
+    row = json.loads((Path(killed.folder) / "final.json").read_text())
     assert row["gap"] == pytest.approx([final.tuned[0] - final.reported[0]])
 
 
 def test_the_best_trial_is_a_spec_that_runs(killed):
-    spec = load_spec(killed.folder / "best.yaml")
+    spec = load_spec(Path(killed.folder) / "best.yaml")
     assert spec.agent.settings.learning_rate == killed.best.drawn["agent.learning_rate"]
     assert (spec.name, spec.seeds, spec.sweep) == ("line-best", killed.final.report_seeds, None)
-    reported = RunFolder.open(next(killed.folder.parents[1].glob(f"{killed.best.name}-s3-*")))
+    reported = RunFolder.open(next(Path(killed.folder).parents[1].glob(f"{killed.best.name}-s3-*")))
     assert reported.description()["experiment"] == spec.hash()
 
 
 def test_the_best_is_reported_on_test_episodes_it_was_not_tuned_on_and_ends_with_a_final_test(killed):
-    runs = killed.folder.parents[1]
+    runs = Path(killed.folder).parents[1]
     tuned, chosen, reported = (RunFolder.open(next(runs.glob(f"{killed.best.name}-s{seed}-*"))) for seed in (0, 1, 3))
     assert [folder.spec()["testing"]["seed"] for folder in (tuned, chosen, reported)] == [0, 0, 2_000_000]
     assert [folder.final() is not None for folder in (tuned, chosen, reported)] == [False, False, True]
 
 
 def test_the_reported_value_is_that_of_the_final_test(killed):
-    folder = RunFolder.open(next(killed.folder.parents[1].glob(f"{killed.best.name}-s3-*")))
-    job = RunJob(load_spec(killed.folder / "best.yaml"), Home(folder.path.parent, ""))
+    folder = RunFolder.open(next(Path(killed.folder).parents[1].glob(f"{killed.best.name}-s3-*")))
+    job = RunJob(load_spec(Path(killed.folder) / "best.yaml"), Home(folder.path.parent, ""))
     job.read_tests(3, folder)
     assert job.finals == {3: folder.final().last}
-    values = measure_all(("success_end", "return"), job.results(), job.spec.training.steps, job.finals)
+    values = measure_all(("success_end", "return"), job)
     assert values == (folder.final().last.success_end, folder.final().last.mean_return)
 
 
 def test_only_the_reporting_seeds_of_a_trial_are_compared(killed):
-    with Store(Store.default_url(killed.folder.parents[1])) as store:
+    with Store(Store.default_url(Path(killed.folder).parents[1])) as store:
         best = gather(store, store.runs(name=killed.best.name), "best")
         assert [run.summary.seed for run in best.runs] == [3]
         [problem] = best.problems
@@ -139,24 +140,24 @@ def test_only_the_reporting_seeds_of_a_trial_are_compared(killed):
 
 
 def test_a_sweep_that_has_its_trials_runs_nothing_more(killed):
-    before = {path: path.stat().st_mtime_ns for path in killed.folder.parents[1].glob("line-t*/tests.jsonl")}
-    again = Search(SPEC).run(killed.folder.parents[1])
+    before = {path: path.stat().st_mtime_ns for path in Path(killed.folder).parents[1].glob("line-t*/tests.jsonl")}
+    again = Search(SPEC).run(Path(killed.folder).parents[1])
     assert again.trials == killed.trials
     assert again.final == killed.final
-    after = {path: path.stat().st_mtime_ns for path in killed.folder.parents[1].glob("line-t*/tests.jsonl")}
+    after = {path: path.stat().st_mtime_ns for path in Path(killed.folder).parents[1].glob("line-t*/tests.jsonl")}
     assert after == before
 
 
 def test_the_folder_says_it_all_without_optuna(killed):
-    rows = [json.loads(line) for line in (killed.folder / "trials.jsonl").read_text().splitlines()]
+    rows = [json.loads(line) for line in (Path(killed.folder) / "trials.jsonl").read_text().splitlines()]
     assert [row["number"] for row in rows] == list(range(TRIALS))
     assert all(len(row["runs"]) == 1 and row["values"] for row in rows)
-    assert spec_from_dict(SPEC) == load_spec(killed.folder / "sweep.yaml")
-    assert (killed.folder / "figures" / "search.svg").read_text().count("agent.learning_rate") >= 1
+    assert spec_from_dict(SPEC) == load_spec(Path(killed.folder) / "sweep.yaml")
+    assert (Path(killed.folder) / "figures" / "search.svg").read_text().count("agent.learning_rate") >= 1
 
 
 def test_the_store_knows_the_sweep_as_its_folder_does_and_a_rebuilt_one_too(killed):
-    runs = killed.folder.parents[1]
+    runs = Path(killed.folder).parents[1]
     with Store(Store.default_url(runs)) as store:
         assert list(check(store, runs)) == []
         before = store.sweeps.find("line")
@@ -190,16 +191,16 @@ def test_the_store_hears_of_trials_as_they_begin_and_end_and_one_that_fails_ends
     outcome = Search(spec).run(tmp_path, listener=listen)
     assert heard == [["running"], ["complete"], ["complete", "running"], ["complete", "running"]]
     assert [trial.state for trial in outcome.trials] == ["complete", "complete"]
-    found, problems = read_sweep(outcome.folder)
+    found, problems = read_sweep(Path(outcome.folder))
     assert (found.trials, problems) == (outcome.trials, ())
     assert (found.sweep, "the disk is full (the sweep continues; its folder is complete)") in warnings
 
 
 def test_another_search_of_the_same_name_is_refused(killed):
-    runs = killed.folder.parents[1]
+    runs = Path(killed.folder).parents[1]
     with pytest.raises(UsageError, match="other settings"):
         Search({**SPEC, "sweep": {**SPEC["sweep"], "objective": "success_any"}}).run(runs)
-    lock = FileLock(killed.folder / "lock")
+    lock = FileLock(Path(killed.folder) / "lock")
     assert lock.acquire()
     with pytest.raises(RunError, match="another process"):
         Search(SPEC).run(runs)
@@ -224,7 +225,7 @@ def grid(tmp_path_factory) -> SweepOutcome:
 
     stopped = search.run(runs, listener=stop)
     assert ([trial.state for trial in stopped.trials], stopped.exit_code) == (["running"], 143)
-    assert not (stopped.folder / "figures").exists()
+    assert not (Path(stopped.folder) / "figures").exists()
     return search.run(runs)
 
 
@@ -236,7 +237,7 @@ def test_a_stopped_sweep_goes_on_and_trials_that_cannot_work_fail(grid):
 
 
 def test_a_pruned_trials_runs_are_stopped_and_say_why(grid):
-    runs = [RunFolder.open(grid.folder.parents[1] / run) for run in grid.trials[2].runs]
+    runs = [RunFolder.open(Path(grid.folder).parents[1] / run) for run in grid.trials[2].runs]
     assert [run.description()["seed"] for run in runs] == [0, 1]
     assert "stopped" in [run.state().state for run in runs]
     for run in runs:
@@ -246,7 +247,7 @@ def test_a_pruned_trials_runs_are_stopped_and_say_why(grid):
 
 
 def test_a_trials_value_is_the_mean_over_its_seeds(grid):
-    runs = [RunFolder.open(grid.folder.parents[1] / run) for run in grid.trials[0].runs]
+    runs = [RunFolder.open(Path(grid.folder).parents[1] / run) for run in grid.trials[0].runs]
     means = [sum(test.success_any for test in run.tests()) / len(run.tests()) for run in runs]
     assert len(means) == 2
     assert grid.trials[0].values == pytest.approx((sum(means) / 2,))

@@ -97,19 +97,18 @@ def test_the_pruner_gives_up_a_trial_below_the_median_after_the_warm_up_only(tmp
     assert bad.is_hopeless(0.0, 100)
     bad.end()
     assert [trial.state for trial in one.trials()] == ["complete", "pruned"]
-    assert [trial.number for trial in one.ranked()] == [0]
+    assert [trial.number for trial in one.front()] == [0]
 
 
 def one_step(trial, step: int) -> bool:
     return trial.is_hopeless(1.0, step)
 
 
-def test_several_objectives_give_a_front_and_an_order_by_the_first(tmp_path):
+def test_several_objectives_give_a_front(tmp_path):
     one = study(tmp_path, LEARNING_RATE, objective=["success_end", "steps_to_95"])
     for values in ([0.5, 100.0], [0.9, 400.0], [0.4, 150.0]):
         one.ask().end(values=values)
     assert [trial.number for trial in one.front()] == [0, 1]
-    assert [trial.number for trial in one.ranked()] == [1, 0, 2]
 
 
 def test_importance_finds_what_matters(tmp_path):

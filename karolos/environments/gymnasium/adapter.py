@@ -3,6 +3,8 @@
 from __future__ import annotations
 
 from functools import partial
+from importlib.util import find_spec
+from pathlib import Path
 from typing import Any
 
 import numpy as np
@@ -209,6 +211,13 @@ def make_environment(settings: Gymnasium.Settings) -> Any:
     """What `gymnasium.make` makes, without its limit of steps. Raises UsageError or MachineError."""
     import gymnasium  # noqa: PLC0415  (its import takes .2 s, and settings are read without it)
 
+    if (module := settings.id.rpartition(":")[0]) and (run := _run_that_holds(module)):
+        raise UsageError(
+            f"the module {module} lies in a folder of runs and is not imported",
+            setting=ID_SETTING,
+            hint=f"runs hold no code; move it out of {run} if you wrote it",
+        )
+
     def make(**kwargs: Any) -> Any:
         # without the TimeLimit wrapper: steps are counted here, so `max_steps` can exceed the registered limit
         return gymnasium.make(settings.id, max_episode_steps=-1, disable_env_checker=True, **settings.kwargs, **kwargs)
@@ -234,6 +243,21 @@ def make_environment(settings: Gymnasium.Settings) -> Any:
             setting="environment.kwargs" if settings.kwargs else ID_SETTING,
         ) from error
     return env
+
+
+def _run_that_holds(module: str) -> Path | None:
+    """The folder of a run or of runs in which a module lies; nothing is imported to find it."""
+    top, *inner = module.split(".")
+    try:
+        spec = find_spec(top)
+    except ValueError:  # as for __main__
+        return None
+    for place in (spec.submodule_search_locations or (spec.origin or "",)) if spec else ():
+        path, root = Path(place, *inner).resolve(), Path(place).resolve().parent
+        for folder in (path, *path.parents):
+            if (folder / "run.json").exists() or (folder.is_relative_to(root) and any(folder.glob("*/run.json"))):
+                return folder
+    return None
 
 
 def _registered_steps(name: str) -> int | None:

@@ -35,12 +35,13 @@ class ActorCritic(Agent):
 
     on_policy: ClassVar[bool] = False
     learned: ClassVar[tuple[str, ...]] = ("policy", "critic", "target_policy", "target_critic")
+    shaping: ClassVar[tuple[str, ...]] = ("hidden",)
 
     def __init__(
         self, settings: ActorCritic.Settings, signature: Signature, seeds: SeedTree, device: str = "cpu"
     ) -> None:
         if isinstance(signature.action, Discrete):
-            raise UsageError("actor_critic gives continuous actions", where="agent", hint="choose another agent")
+            raise UsageError("actor_critic gives continuous actions", setting="agent", hint="choose another agent")
         self.settings, self.device, self.discount = settings, torch.device(device), settings.discount
         inputs, actions = signature.observation.size + signature.desired_goal.size, signature.action.size
         generator = torch.Generator().manual_seed(seeds.child("weights").integer())
@@ -116,7 +117,7 @@ class ActorCritic(Agent):
             try:
                 getattr(self, name).load_state_dict(state[name])
             except RuntimeError as error:
-                raise UsageError("the stored networks have another shape", where="agent") from error
+                raise UsageError("the stored networks have another shape", setting="agent") from error
         for name, optimiser in self.optimisers.items():
             optimiser.load_state_dict({**optimiser.state_dict(), "state": state["optimisers"][name]})
         self.generator.set_state(torch.as_tensor(state["generator"]))
