@@ -68,7 +68,14 @@ class DQN(TorchAgent):
     stored: tuple[str, ...] = (*learned, "explored", "updates")
 
     def __init__(self, settings: DQN.Settings, signature: Signature, seeds: SeedTree, device: str = "cpu") -> None:
-        self._actions = _require_discrete(signature)
+        if not isinstance(signature.action, Discrete):
+            raise UsageError(
+                f"dqn chooses one of a set of discrete actions, and this environment takes {signature.action.size} "
+                "continuous numbers",
+                setting="agent",
+                hint="a robot has such a set with environment.actions=discrete; elsewhere choose sac, td3, ddpg or ppo",
+            )
+        self._actions = len(signature.action.labels)
         super().__init__(settings, signature, seeds, device)
         shape = Shape(
             (self.inputs, *settings.hidden, self._actions + settings.dueling),
@@ -111,15 +118,20 @@ class DQN(TorchAgent):
         index = data.action.long()  # floats hold every index exactly
         output, tapes = self.network.forward(data.input)
         values = self._values(output).gather(1, index).squeeze(1)
-        errors = values - targets
-        gradient = td_gradient(errors, self.settings.loss)
+        errors, huber = values - targets, self.settings.loss == "huber"
+        gradient = errors.clamp(-1, 1) if huber else 2 * errors
+
+        def value_loss() -> Tensor:
+            """The weighted sum of u^2 over the errors u, or of huber(u) = u^2 / 2 where |u| <= 1, else |u| - 1/2."""
+            return torch.dot(data.weight, gradient * (errors - gradient / 2) if huber else errors.square())
+
         self.network.backward(self._output_gradient(output, index, data.weight * gradient), tapes)
         self.optimisers["network"].step(self.network.gradient)
         if self.updates % self.settings.target_interval == 0:
             self.target.follow(self.network, self.settings.tau)
         metrics: Metrics = {
             "priorities": errors.abs(),
-            "value_loss": lambda: torch.dot(data.weight, td_loss(errors, self.settings.loss)),
+            "value_loss": value_loss,
             "value_mean": values.mean,
             "value_max": values.max,
             "target_mean": targets.mean,
@@ -150,13 +162,7 @@ class DQN(TorchAgent):
         return state + advantages - advantages.mean(1, keepdim=True)
 
     def _output_gradient(self, output: Tensor, index: Tensor, gradient: Tensor) -> Tensor:
-        """The gradient by the network's output from that by the values of the chosen actions.
-
-        Args:
-            output: (n, columns).
-            index: the chosen actions, (n, 1).
-            gradient: by their values, (n,).
-        """
+        """The gradient by the network's output from `gradient`, (n,), by the values of the actions `index`, (n, 1)."""
         column = gradient.unsqueeze(1)
         if not self.settings.dueling:
             return torch.zeros_like(output).scatter_(1, index, column)
@@ -167,31 +173,3 @@ class DQN(TorchAgent):
     def deployed(self) -> Deployed:
         """The action of the largest value, which with a dueling network is that of the largest advantage."""
         return self.policy_arrays(self.network, "argmax", slice(int(self.settings.dueling), None))
-
-
-def td_loss(errors: Tensor, kind: Literal["huber", "squared"]) -> Tensor:
-    """Of each error u = Q - y: u^2, or huber(u) = u^2 / 2 where |u| <= 1, else |u| - 1/2.
-
-    Source: Mnih et al. 2015, methods ("error clipping").
-    """
-    if kind == "squared":
-        return errors.square()
-    gradient = td_gradient(errors, kind)
-    return gradient * (errors - gradient / 2)
-
-
-def td_gradient(errors: Tensor, kind: Literal["huber", "squared"]) -> Tensor:
-    """The derivative of `td_loss` by Q: 2 u, or u clipped to [-1, 1]."""
-    return errors.clamp(-1, 1) if kind == "huber" else 2 * errors
-
-
-def _require_discrete(signature: Signature) -> int:
-    """The number of actions. Raises UsageError where actions are continuous."""
-    if isinstance(signature.action, Discrete):
-        return len(signature.action.labels)
-    raise UsageError(
-        f"dqn chooses one of a set of discrete actions, and this environment takes {signature.action.size} "
-        "continuous numbers",
-        setting="agent",
-        hint="a robot has such a set with environment.actions=discrete; elsewhere choose sac, td3, ddpg or ppo",
-    )

@@ -6,7 +6,8 @@ Gradients are written down: with autograd a run of pendulum_ppo takes 30 to 40 %
 from __future__ import annotations
 
 import math
-from collections.abc import Iterator, Mapping
+from collections.abc import Mapping
+from itertools import chain
 from typing import Any, ClassVar, NamedTuple
 
 import numpy as np
@@ -47,9 +48,6 @@ class RolloutRows(NamedTuple):
     """Under the value network before it learns from the rollout."""
     target: Tensor
     """Of the value: advantage + value."""
-
-    def rows(self, chosen: Tensor) -> RolloutRows:
-        return RolloutRows(*(field[chosen] for field in self))
 
 
 class PPO(TorchAgent[Rollout]):
@@ -111,25 +109,45 @@ class PPO(TorchAgent[Rollout]):
 
     @torch.inference_mode()
     def learn(self, batch: Rollout) -> Mapping[str, Any]:
-        """`epochs` passes through the rollout of `minibatches` updates each; metrics are means over the updates.
-
-        Raises:
-            UsageError: the rollout has fewer transitions than there are minibatches.
-        """
-        transitions = self._transitions(batch)
+        """`epochs` passes through the rollout of `minibatches` updates each; metrics are means over the updates."""
+        transitions, settings = self._transitions(batch), self.settings
+        count = len(transitions.action)
+        # Every epoch uses each row once, in an order of its own. A rollout can be shorter where simulations diverged.
+        orders = (
+            torch.randperm(count, generator=self.generator, device=self.device).tensor_split(
+                min(settings.minibatches, count)
+            )
+            for _ in range(settings.epochs)
+        )
         updates: list[dict[str, Tensor]] = []
-        for rows in self._minibatches(len(transitions.action)):
-            metrics = self.update(transitions.rows(rows))
+        for rows in chain.from_iterable(orders):
+            metrics = self.update(RolloutRows(*(field[rows] for field in transitions)))
             if metrics is None:
                 break
             updates.append(metrics)
         seen = np.concatenate((batch.observation, batch.desired_goal), -1)[batch.stored]
         self.normaliser.update(torch.from_numpy(seen).to(self.device))
+
+        unexplained = (transitions.target - transitions.value).var(correction=0)
+        total = transitions.target.var(correction=0)
         means = {name: torch.stack([metrics[name] for metrics in updates]).mean() for name in updates[0]}
-        return means | self._rollout_metrics(transitions) | {"updates": len(updates)}
+        means |= learning_rates(self.optimisers)
+        if isinstance(self.distribution, Gaussian):
+            means["action_saturation"] = saturation(transitions.action)
+            means["std"] = self.distribution.log_std.exp().mean()
+        return {
+            **means,
+            "explained_variance": torch.where(total > 0, 1 - unexplained / total, torch.zeros_like(total)),
+            "value_mean": transitions.value.mean(),
+            "updates": len(updates),
+        }
 
     def update(self, minibatch: RolloutRows) -> dict[str, Tensor] | None:
-        """One gradient step of policy and value; None, without a step, if the policy has moved too far already."""
+        """One gradient step of policy and value; None, without a step, if the policy has moved too far already.
+
+        The policy's loss is L = - mean min(ratio A, clip(ratio, 1 - clip, 1 + clip) A) - entropy mean H, with the
+        normalised advantages A. Source: Schulman et al. 2017, equations 7 and 9.
+        """
         settings = self.settings
         output, tapes = self.policy.forward(minibatch.inputs)
         log_ratio = self.distribution.log_probability(output, minibatch.action) - minibatch.log_probability
@@ -140,7 +158,9 @@ class PPO(TorchAgent[Rollout]):
         advantage = minibatch.advantage - minibatch.advantage.mean()
         advantage = advantage / (minibatch.advantage.std(correction=0) + 1e-8)
 
-        loss, gradient = clipped_ratio_loss(ratio, advantage, settings.clip)
+        unclipped, clipped = ratio * advantage, ratio.clamp(1 - settings.clip, 1 + settings.clip) * advantage
+        # d ratio / d log p = ratio; the clipped term has no gradient where it is the smaller one.
+        gradient = torch.where(unclipped <= clipped, unclipped, 0) / -len(ratio)
         by_output = self.distribution.backward(output, minibatch.action, gradient, -settings.entropy / len(ratio))
         entropy = self.distribution.entropy(output).mean()
         self.policy.backward(by_output, tapes)
@@ -148,12 +168,12 @@ class PPO(TorchAgent[Rollout]):
         self.optimisers["policy"].step(self.policy.gradient)
         if isinstance(self.distribution, Gaussian):
             self.optimisers["std"].step(self.distribution.gradient)
-            self.distribution.clamp_std()
+            self.distribution.log_std.clamp_(*LOG_STD_BOUNDS)
 
         value_loss = self.value.backward(minibatch.inputs, minibatch.target, minibatch.value, settings.value_clip)
         self.optimisers["value"].step(self.value.network.gradient)
         return {
-            "policy_loss": loss,
+            "policy_loss": -torch.minimum(unclipped, clipped).mean(),
             "value_loss": value_loss,
             "gradient_norm": self.optimisers["policy"].gradient_norm(),
             "value_gradient_norm": self.optimisers["value"].gradient_norm(),
@@ -164,66 +184,34 @@ class PPO(TorchAgent[Rollout]):
 
     def _transitions(self, rollout: Rollout) -> RolloutRows:
         """The stored transitions, with advantages, values and log probabilities before learning from them."""
-        size = rollout.reward.shape
         stored = torch.from_numpy(rollout.stored.ravel()).to(self.device)
-        inputs = self._inputs(rollout.observation, rollout.desired_goal)
-        next_inputs = self._inputs(rollout.next_observation, rollout.desired_goal)
-        values, next_values = (to_array(self.value(rows)).reshape(size) for rows in (inputs, next_inputs))
-        settings = self.settings
-        estimated = advantages(
-            rollout, values, next_values, discount=settings.discount, trace_decay=settings.trace_decay
+        inputs = self.network_input(rollout.observation, rollout.desired_goal)
+        next_inputs = self.network_input(rollout.next_observation, rollout.desired_goal)
+        values, next_values = (
+            to_array(self.value(rows)).reshape(rollout.reward.shape) for rows in (inputs, next_inputs)
         )
-
-        def tensor(array: FloatArray) -> Tensor:
-            return torch.from_numpy(array).to(self.device)[stored]
-
-        action = tensor(rollout.action.reshape(len(inputs), -1))
-        value, advantage, inputs = tensor(values.ravel()), tensor(estimated.ravel()), inputs[stored]
+        discount, trace_decay = self.settings.discount, self.settings.trace_decay
+        estimated = advantages(rollout, values, next_values, discount=discount, trace_decay=trace_decay)
+        action, value, advantage = (
+            torch.from_numpy(array.reshape(len(inputs), *array.shape[2:])).to(self.device)[stored]
+            for array in (rollout.action, values, estimated)
+        )
+        inputs = inputs[stored]
         log_probability = self.distribution.log_probability(self.policy(inputs), action)
         target = advantage + value
         self.value.update_scale(target)
         return RolloutRows(inputs, action, log_probability, advantage, value, target)
 
-    def _inputs(self, observation: FloatArray, goal: FloatArray) -> Tensor:
-        """Observations (T, n, o) and goals (T, n, g) side by side, normalised: (T n, o + g)."""
-        count = observation.shape[0] * observation.shape[1]
-        observation, goal = (rows.reshape(count, rows.shape[2]) for rows in (observation, goal))
-        return self.network_input(observation, goal)
-
     def check(self, buffer: Buffer[Any], *, demonstrations: bool) -> None:
         """Raise a UsageError if a rollout has fewer transitions than there are minibatches."""
         super().check(buffer, demonstrations=demonstrations)
-        if buffer.capacity is not None:
-            self._check_rollout(buffer.capacity)
-
-    def _check_rollout(self, count: int) -> None:
-        if count < self.settings.minibatches:
+        if buffer.capacity is not None and buffer.capacity < self.settings.minibatches:
             raise UsageError(
-                f"a rollout of {count} transitions cannot be split into {self.settings.minibatches} minibatches",
+                f"a rollout of {buffer.capacity} transitions cannot be split into {self.settings.minibatches} "
+                "minibatches",
                 setting="agent.minibatches",
                 hint="raise buffer.rollout, or lower agent.minibatches",
             )
-
-    def _minibatches(self, count: int) -> Iterator[Tensor]:
-        """Rows of each update: every epoch uses each row once, in an order of its own."""
-        self._check_rollout(count)
-        for _ in range(self.settings.epochs):
-            order = torch.randperm(count, generator=self.generator, device=self.device)
-            yield from order.tensor_split(self.settings.minibatches)
-
-    def _rollout_metrics(self, transitions: RolloutRows) -> dict[str, Tensor]:
-        """Metrics of a rollout as a whole."""
-        unexplained = (transitions.target - transitions.value).var(correction=0)
-        total = transitions.target.var(correction=0)
-        metrics = {
-            "explained_variance": torch.where(total > 0, 1 - unexplained / total, torch.zeros_like(total)),
-            "value_mean": transitions.value.mean(),
-            **learning_rates(self.optimisers),
-        }
-        if isinstance(self.distribution, Gaussian):
-            metrics["action_saturation"] = saturation(transitions.action)
-            metrics["std"] = self.distribution.log_std.exp().mean()
-        return metrics
 
     def deployed(self) -> Deployed:
         """The mean action, clipped to [-1, 1], or the most likely discrete one."""
@@ -256,22 +244,6 @@ def advantages(
     return estimates
 
 
-def clipped_ratio_loss(ratio: Tensor, advantage: Tensor, clip: float) -> tuple[Tensor, Tensor]:
-    """L = - mean min(ratio A, clip(ratio, 1 - clip, 1 + clip) A), and its gradient by each log probability.
-
-    d ratio / d log p = ratio, and the clipped term has no gradient where it is the smaller one. Source: Schulman et al.
-    2017, equation 7.
-
-    Args:
-        ratio: of the action's probabilities under the new and the old policy, (n,).
-        advantage: A, (n,).
-        clip: bound of the ratio's distance from 1.
-    """
-    unclipped, clipped = ratio * advantage, ratio.clamp(1 - clip, 1 + clip) * advantage
-    loss = -torch.minimum(unclipped, clipped).mean()
-    return loss, torch.where(unclipped <= clipped, unclipped, 0) / -len(ratio)
-
-
 def value_loss(value: Tensor, target: Tensor, old_value: Tensor, clip: float | None) -> tuple[Tensor, Tensor]:
     """L = mean max((V - y)^2, (V_c - y)^2) / 2 with V_c = V_old + clip(V - V_old, -clip, clip), and its gradient by V.
 
@@ -296,60 +268,49 @@ class Gaussian:
     Samples are unbounded. Environments receive them clipped to [-1, 1]; probabilities are those of the unclipped ones.
 
     Args:
-        columns: of an action.
+        columns: of an action, and of the network's output.
         std: standard deviation at the start.
         device: where it lives.
     """
 
     def __init__(self, columns: int, std: float, device: str) -> None:
         self.columns = columns
-        """Outputs of the policy network."""
         self.log_std = torch.full((columns,), math.log(std), device=device)
         """The learned parameters, (a,). Change them in place."""
         self.gradient = torch.zeros_like(self.log_std)
         """By `log_std`; result of the latest `backward`."""
 
     def sample(self, output: Tensor, generator: torch.Generator) -> Tensor:
-        """Unclipped actions (n, a) from the network's output (n, a)."""
+        """Exploring actions (n, a) from the network's output (n, columns)."""
         noise = torch.randn(output.shape, generator=generator, device=output.device)
         return torch.addcmul(output, self.log_std.exp(), noise)
 
     def mode(self, output: Tensor) -> Tensor:
-        """The mean action, (n, a), clipped to [-1, 1]."""
+        """The actions without exploration, (n, a)."""
         return output.clamp(-1, 1)
 
     def log_probability(self, output: Tensor, action: Tensor) -> Tensor:
-        """Log densities of unclipped actions, (n,)."""
+        """Of the actions (n, a), a density for continuous ones: (n,)."""
         distance = (action - output) * torch.exp(-self.log_std)
         constant = 0.5 * math.log(2 * math.pi) * self.columns
         return -(distance.square().mul(0.5) + self.log_std).sum(-1) - constant
 
     def entropy(self, output: Tensor) -> Tensor:
-        """Of the unclipped action, in nats: (n,)."""
+        """In nats: (n,)."""
         entropy = self.log_std.sum() + 0.5 * self.columns * (1 + math.log(2 * math.pi))
         return entropy.expand(len(output))
 
     def backward(self, output: Tensor, action: Tensor, by_log_probability: Tensor, by_entropy: float) -> Tensor:
-        """The gradient by the network's output (n, a); that by `log_std` is left in `gradient`.
+        """The gradient by the network's output (n, columns), from those by log probabilities (n,) and each entropy.
 
-        With d = (action - output) / std: d log p / d output = d / std, d log p / d log std = d^2 - 1, and
-        d entropy / d log std = 1.
-
-        Args:
-            output: of the network, (n, a).
-            action: unclipped, (n, a).
-            by_log_probability: the loss's gradient by each log density, (n,).
-            by_entropy: the loss's gradient by each entropy.
+        That by `log_std` is left in `gradient`. With d = (action - output) / std: d log p / d output = d / std,
+        d log p / d log std = d^2 - 1, and d entropy / d log std = 1.
         """
         inverse, column = torch.exp(-self.log_std), by_log_probability.unsqueeze(-1)
         distance = (action - output) * inverse
         torch.sum((distance.square() - 1).mul_(column), 0, out=self.gradient)
         self.gradient.add_(by_entropy * len(output))
         return distance.mul_(column).mul_(inverse)
-
-    def clamp_std(self) -> None:
-        """Keep the standard deviation within its bounds; to be called after each step of the optimiser."""
-        self.log_std.clamp_(*LOG_STD_BOUNDS)
 
     def state(self) -> State:
         return {"log_std": self.log_std.clone()}
@@ -359,41 +320,30 @@ class Gaussian:
 
 
 class Categorical:
-    """One of `columns` discrete actions, with the softmax of the network's output as probabilities."""
+    """One of `columns` discrete actions, an index (n, 1) as a float, by the softmax of the network's output.
+
+    Its methods are those of `Gaussian`; the network holds all parameters.
+    """
 
     def __init__(self, columns: int) -> None:
         self.columns = columns
-        """Outputs of the policy network."""
 
     def sample(self, output: Tensor, generator: torch.Generator) -> Tensor:
-        """Indices (n, 1), as floats, from the network's output (n, columns)."""
         return torch.multinomial(torch.softmax(output, -1), 1, generator=generator).float()
 
     def mode(self, output: Tensor) -> Tensor:
-        """The most likely index, (n, 1)."""
         return output.argmax(-1, keepdim=True).float()
 
     def log_probability(self, output: Tensor, action: Tensor) -> Tensor:
-        """Of the indices (n, 1): (n,)."""
         return torch.log_softmax(output, -1).gather(-1, action.long()).squeeze(-1)
 
     def entropy(self, output: Tensor) -> Tensor:
-        """In nats: (n,)."""
         log_probability = torch.log_softmax(output, -1)
         return -(log_probability.exp() * log_probability).sum(-1)
 
     def backward(self, output: Tensor, action: Tensor, by_log_probability: Tensor, by_entropy: float) -> Tensor:
-        """The gradient by the network's output (n, columns).
-
-        With p = softmax(output) and entropy H: d log p_a / d output_j = (j = a) - p_j, d H / d output_j =
-        -p_j (log p_j + H).
-
-        Args:
-            output: of the network, (n, columns).
-            action: indices, (n, 1).
-            by_log_probability: the loss's gradient by each log probability, (n,).
-            by_entropy: the loss's gradient by each entropy.
-        """
+        """As `Gaussian.backward`. With p = softmax(output) and entropy H: d log p_a / d output_j = (j = a) - p_j,
+        d H / d output_j = -p_j (log p_j + H)."""
         log_probability, column = torch.log_softmax(output, -1), by_log_probability.unsqueeze(-1)
         probability = log_probability.exp()
         entropy = -(probability * log_probability).sum(-1, keepdim=True)
@@ -401,7 +351,6 @@ class Categorical:
         return gradient.scatter_add_(-1, action.long(), column)
 
     def state(self) -> State:
-        """Empty: the network holds all parameters."""
         return {}
 
     def load_state(self, state: State) -> None:
@@ -445,14 +394,7 @@ class Value:
         bias.mul_(spread).add_(mean - new_mean).div_(new_spread)
 
     def backward(self, inputs: Tensor, target: Tensor, old_value: Tensor, clip: float | None) -> Tensor:
-        """`value_loss` in units of the returns' standard deviation; its gradient is left in the network's.
-
-        Args:
-            inputs: normalised, (n, i).
-            target: of their values, (n,).
-            old_value: their values before learning from the rollout, (n,).
-            clip: as in `value_loss`.
-        """
+        """`value_loss` of inputs (n, i), in units of the returns' standard deviation; leaves the network's gradient."""
         mean, spread = self._scale()
         output, tapes = self.network.forward(inputs)
         loss, gradient = value_loss(output.squeeze(-1), (target - mean) / spread, (old_value - mean) / spread, clip)

@@ -103,8 +103,8 @@ class TorchAgent(Agent[Experience]):
         """Actions (n, a) without exploration for normalised inputs (n, i)."""
 
     def network_input(self, observation: FloatArray, desired_goal: FloatArray) -> Tensor:
-        """Observations (n, o) and goals (n, g) side by side, normalised; the statistics stay unchanged."""
-        rows = torch.cat((torch.from_numpy(observation), torch.from_numpy(desired_goal)), 1)
+        """Observations (..., o) and goals (..., g) side by side, normalised: (n, i). The statistics stay unchanged."""
+        rows = torch.cat((torch.from_numpy(observation), torch.from_numpy(desired_goal)), -1).flatten(0, -2)
         return self.normaliser(rows.to(self.device))
 
     def adam(self, vector: Tensor, *, epsilon: float = 1e-8) -> Adam:

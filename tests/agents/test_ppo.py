@@ -14,7 +14,6 @@ from support.parts import signature
 from karolos.agents.ppo import PPO, Categorical, Gaussian, advantages, value_loss
 from karolos.core import Discrete, Rollout, Signature
 from karolos.core.seeding import SeedTree
-from karolos.errors import UsageError
 
 SMALL = {"hidden": (16,), "minibatches": 4, "epochs": 3}
 
@@ -88,7 +87,7 @@ def test_a_reward_of_one_is_worth_all_that_would_follow_a_truncated_step_and_one
         here = np.random.default_rng(number).uniform(-1, 1, (8, 4, 3)).astype(np.float32)
         rollout = played(agent, of, seed=number, reward=1.0, ended=over, terminated=over & (kind == "terminated"))
         agent.learn(rollout._replace(observation=here, next_observation=here))
-    rows = agent._inputs(here, rollout.desired_goal)
+    rows = agent.network_input(here, rollout.desired_goal)
     value = agent.value(rows).numpy()
     np.testing.assert_allclose(value, 1 / (1 - 0.5) if kind == "truncated" else 1.0, rtol=0.05)
 
@@ -221,7 +220,7 @@ def test_clipped_values_move_no_further_than_asked_for_gain() -> None:
         agent = made(of, value_clip=clip, learning_rate=1e-2, epochs=20, minibatches=1)
         agent.learn(played(agent, of, reward=0.0))
         rollout = played(agent, of, seed=1, reward=20.0)
-        rows = agent._inputs(rollout.observation, rollout.desired_goal)
+        rows = agent.network_input(rollout.observation, rollout.desired_goal)
         before = agent.value(rows)
         agent.learn(rollout)
         moved.append(float((agent.value(rows) - before).abs().mean()))
@@ -235,14 +234,6 @@ def test_the_policy_starts_near_zero_and_hidden_weights_are_orthogonal() -> None
     last = agent.policy.named["layer2.weight"]
     torch.testing.assert_close(last @ last.T, 1e-4 * torch.eye(2), atol=1e-7, rtol=0)
     assert float(torch.linalg.vector_norm(agent.value.network.named["layer2.weight"])) == pytest.approx(1, abs=1e-4)
-
-
-def test_too_many_minibatches_for_a_rollout_are_refused_and_named() -> None:
-    of = signature()
-    agent = made(of, minibatches=64)
-    with pytest.raises(UsageError, match="32 transitions cannot be split into 64 minibatches") as refused:
-        agent.learn(played(agent, of))
-    assert refused.value.setting == "agent.minibatches"
 
 
 def test_a_value_within_the_clip_range_keeps_its_gradient() -> None:

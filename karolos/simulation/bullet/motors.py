@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 from collections.abc import Sequence
+from functools import partial
 
 import numpy as np
 
@@ -37,27 +38,49 @@ class Motors:
     ) -> None:
         self.pads = pads
         self._body = body
+        self._api = api = body.api
         self._fractions = [(step + 1) / substeps for step in range(substeps)]
         self._limits = limits
-        self._size = len(joints)
         self._arm = list(joints)
         self._joints = [*joints, *pads[:1]]
         self._fingers = fingers
+        self._drive_arm = partial(api.setJointMotorControlArray, body.index, self._arm, api.VELOCITY_CONTROL)
         for link in (-1, *joints):
-            body.set_air_drag(0.0, link)
+            body.let_drift(link)
         if fingers is not None:
+            # one motor with the force of both fingers; the gear moves the other finger
+            self._drive_finger = partial(
+                api.setJointMotorControl2,
+                body.index,
+                pads[0],
+                api.POSITION_CONTROL,
+                force=2 * fingers.gripper.force,
+                positionGain=FINGER_GAIN,
+                velocityGain=1.0,
+            )
             for link in pads:
-                body.limit_motor_speed(link, fingers.gripper.speed)
-                body.set_air_drag(0.0, link)
-                body.anchor_friction(link, on=True)
+                api.setJointMotorControl2(  # later calls keep the largest speed
+                    body.index, link, api.POSITION_CONTROL, force=0.0, maxVelocity=fingers.gripper.speed
+                )
+                body.let_drift(link)
+                body.change(link, frictionAnchor=1)
             self._opening, self._opens, self._releases_in_motion = 0.0, False, False
             self._command, self._moves_at = 0.0, 0
-            body.couple(*pads)
+            origin = (0, 0, 0)
+            gear = api.createConstraint(
+                body.index, pads[0], body.index, pads[1], api.JOINT_GEAR, (0, 1, 0), origin, origin
+            )
+            # erp: fraction of a difference corrected per substep; fingers on an object differ by 2 mm at .2, by .4 at 1
+            api.changeConstraint(gear, gearRatio=-1, maxForce=1000.0, erp=1.0)
             self.set_pad_friction(fingers.gripper.pad_friction)
-        self._masses = [(link, *body.inertia(link)) for link in (*joints, *pads)]
-        self._dampings = [body.joint_damping(link) for link in joints]
+        dynamics = {link: api.getDynamicsInfo(body.index, link) for link in (*joints, *pads)}
+        self._masses = {link: (state[0], state[2]) for link, state in dynamics.items()}
+        infos = [api.getJointInfo(body.index, joint) for joint in range(api.getNumJoints(body.index))]
+        self._dampings = [infos[joint][6] for joint in joints]
         if any(self._dampings):
-            inertias = 1 / np.diagonal(np.linalg.inv(body.mass_matrix()))[: len(joints)]
+            moving = sum(info[2] != api.JOINT_FIXED for info in infos)
+            masses = np.array(api.calculateMassMatrix(body.index, [0.0] * moving))
+            inertias = 1 / np.diagonal(np.linalg.inv(masses))[: len(joints)]
             self._dampings = np.minimum(self._dampings, STABLE_DAMPING * inertias / timestep).tolist()
             self.set_joint_damping(0.0)
         self._begin: Sequence[float] = (0.0,) * len(joints)
@@ -70,13 +93,13 @@ class Motors:
 
     def set_joint_damping(self, damping: float) -> None:
         for link, own in zip(self._arm, self._dampings, strict=True):
-            self._body.set_joint_damping(own + damping, link)
+            self._body.change(link, jointDamping=own + damping)
 
     def set_gain(self, factor: float) -> None:
-        self._gains = [factor] * self._size
+        self._gains = [factor] * len(self._arm)
 
     def set_mass(self, factor: float) -> None:
-        for link, mass, (x, y, z) in self._masses:
+        for link, (mass, (x, y, z)) in self._masses.items():
             self._body.set_inertia(mass * factor, (x * factor, y * factor, z * factor), link)
 
     def set_pad_friction(self, friction: float) -> None:
@@ -88,25 +111,30 @@ class Motors:
         self._releases_in_motion = True
 
     def write(self, positions: Sequence[float], opening: float) -> None:
-        self._begin = self._end = (0.0,) * self._size
-        self._body.write_joints(self._arm, positions)
+        self._begin = self._end = (0.0,) * len(self._arm)
+        self._write(self._arm, positions, self._begin)
         if self._fingers is not None:
             finger = self._fingers.position(opening)
-            self._body.write_joints(self.pads, [finger, finger])
+            self._write(self.pads, [finger, finger], [0.0, 0.0])
             self._opening, self._moves_at = opening, 0
             self._anchor_unless(opens=False)
-            self._drive_fingers(finger)
+            self._drive_finger(targetPosition=finger)
 
-    def _drive_fingers(self, position: float) -> None:
-        """One motor with the force of both fingers; the gear moves the other finger."""
-        if self._fingers is not None:
-            self._body.drive_position(self.pads[0], position, 2 * self._fingers.gripper.force, FINGER_GAIN)
+    def _write(self, joints: Sequence[int], positions: Sequence[float], velocities: Sequence[float]) -> None:
+        """Set joint states without a physics step."""
+        states = [[(value,) for value in values] for values in (positions, velocities)]
+        self._api.resetJointStatesMultiDof(self._body.index, joints, *states)
 
     def _anchor_unless(self, *, opens: bool) -> None:
+        """Let static friction at the pads hold positions, or only speeds while the gripper opens.
+
+        Without anchors a held object creeps by mm per s: friction stops its speed in each physics step, and the hand
+        moves on along a circle. The friction cone stays the same.
+        """
         if self._releases_in_motion and opens != self._opens:
             self._opens = opens
             for link in self.pads:
-                self._body.anchor_friction(link, on=not opens)
+                self._body.change(link, frictionAnchor=int(not opens))
 
     def drive(self, begin: Sequence[float], end: Sequence[float], opening: float | None, wait: float = 0.0) -> None:
         self._begin, self._end = begin, end
@@ -118,7 +146,7 @@ class Motors:
     def _move_fingers(self, opening: float) -> None:
         if self._fingers is not None:
             self._anchor_unless(opens=opening > self._opening + OPENS)
-            self._drive_fingers(self._fingers.position(opening))
+            self._drive_finger(targetPosition=self._fingers.position(opening))
 
     def substep(self, step: int) -> None:
         """Set the target speeds of physics step number `step` of the control step: those at its end."""
@@ -126,7 +154,7 @@ class Motors:
             self._move_fingers(self._command)
         fraction = self._fractions[step]
         speeds = [first + fraction * (last - first) for first, last in zip(self._begin, self._end, strict=True)]
-        self._body.drive_speeds(self._arm, speeds, self._torques, self._gains)
+        self._drive_arm(targetVelocities=speeds, forces=self._torques, velocityGains=self._gains)
 
     def read(self) -> tuple[Sequence[float], Sequence[float], float]:
         positions, velocities, _, _ = zip(*self._body.joints(self._joints), strict=True)
@@ -136,5 +164,5 @@ class Motors:
             positions, velocities = positions[:-1], velocities[:-1]
         slowed = self._limits.slowed(velocities)
         if slowed is not None:
-            self._body.write_joints(self._arm, positions, slowed)
+            self._write(self._arm, positions, slowed)
         return positions, slowed or velocities, opening

@@ -146,7 +146,7 @@ class World:
         half = tuple(edge / 2 for edge in size)
         shape = self._shape(self.api.GEOM_BOX, halfExtents=half)
         body = self._create(shape, self._look(self.api.GEOM_BOX, colour, halfExtents=half), mass)
-        body.set_air_drag(0.0)
+        body.let_drift()
         if mass > 0:
             self._free.append(body)
         return body
@@ -199,21 +199,18 @@ class World:
         return colours[..., :3].astype(np.uint8), np.where(bodies[..., 0] >= 0, away, np.float32(np.inf))
 
     def _floor_look(self) -> int:
-        """The visual shape of the floor. A window shows the floor of the pictures, which draw theirs without it."""
+        """The visual shape of the floor: that of the pictures in a window. Pictures draw theirs themselves."""
+        api = self.api
         if not self._window:  # a body without visual shape is drawn as it collides
-            return self._look(
-                self.api.GEOM_BOX, (0, 0, 0, 1), halfExtents=(1e-3,) * 3, visualFramePosition=HIDDEN_PLACE
-            )
+            return self._look(api.GEOM_BOX, (0, 0, 0, 1), halfExtents=(1e-3,) * 3, visualFramePosition=HIDDEN_PLACE)
         spacing, _, _ = GRIDS[-1]
-        for line in range(-10, 11):
-            for start, end in (((line, -10), (line, 10)), ((-10, line), (10, line))):
-                self.api.addUserDebugLine(
-                    *((spacing * x, spacing * y, 0.001) for x, y in (start, end)),
-                    lineColorRGB=[level / 255 for level in GRID_COLOUR],
-                )
+        colour = [level / 255 for level in GRID_COLOUR]
+        for at in (spacing * line for line in range(-10, 11)):
+            api.addUserDebugLine((at, -10 * spacing, 0.001), (at, 10 * spacing, 0.001), lineColorRGB=colour)
+            api.addUserDebugLine((-10 * spacing, at, 0.001), (10 * spacing, at, 0.001), lineColorRGB=colour)
         red, green, blue = (level / 255 for level in FLOOR_COLOUR)
         place = (0, 0, -FLOOR_HALF[2])
-        return self._look(self.api.GEOM_BOX, (red, green, blue, 1.0), halfExtents=FLOOR_HALF, visualFramePosition=place)
+        return self._look(api.GEOM_BOX, (red, green, blue, 1.0), halfExtents=FLOOR_HALF, visualFramePosition=place)
 
     def close(self) -> None:
         self.api.close()

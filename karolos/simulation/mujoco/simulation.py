@@ -5,7 +5,7 @@ from __future__ import annotations
 import sys
 from collections.abc import Callable
 from threading import Lock
-from typing import Any, Protocol
+from typing import Any
 
 import numpy as np
 
@@ -44,16 +44,6 @@ def _mujoco() -> Any:
         return sys.modules["mujoco"]
 
 
-class ModelPart(Protocol):
-    """Something that has places and parameters in the model."""
-
-    def find(self, model: Any) -> None:
-        """Look up the part's places in a model that was just compiled."""
-
-    def write_parameters(self, model: Any) -> None:
-        """Write the part's parameters into the model. Masses and inertias are those of the structure before."""
-
-
 class Simulation:
     """MuJoCo compiles a model before it simulates. Here it is compiled at the first use after a change of structure.
 
@@ -66,13 +56,20 @@ class Simulation:
         timestep: of a physics step in s.
         substeps: physics steps per control step.
         declare: adds what depends on all bodies to the spec, before it is compiled.
+        write: writes the parameters of what `declare` added into the model.
+
+    Attributes:
+        parts: bodies and motors. After a compilation each finds its places in the model; then it writes its parameters,
+            starting from the masses and inertias of the structure.
     """
 
-    def __init__(self, timestep: float, substeps: int, declare: Callable[[], None]) -> None:
+    def __init__(
+        self, timestep: float, substeps: int, declare: Callable[[], None], write: Callable[[Any], None]
+    ) -> None:
         self.api = api = _mujoco()
         self.timestep = timestep
         self.substeps = substeps
-        self.parts: list[ModelPart] = []
+        self.parts: list[Any] = []
         self.model: Any = None
         self.spec = api.MjSpec()
         self.spec.compiler.degree = False
@@ -85,7 +82,7 @@ class Simulation:
         # a state that diverged must be seen, so it is not reset
         option.disableflags = api.mjtDisableBit.mjDSBL_AUTORESET | api.mjtDisableBit.mjDSBL_EULERDAMP
         option.enableflags = api.mjtEnableBit.mjENBL_DIAGEXACT
-        self._declare = declare
+        self._declare, self._write = declare, write
         self._data: Any = None
         self._scratch: Any = None
         self._structure_changed = self._parameters_changed = True
@@ -151,6 +148,7 @@ class Simulation:
         model.jnt_solref[:], model.jnt_solimp[:] = self.stiff, CONTACT_IMPEDANCE
         for part in self.parts:
             part.write_parameters(model)
+        self._write(model)
         driven = model.dof_frictionloss > 0
         self.rows = np.where(driven, np.cumsum(driven) - 1, -1)
         """Row of each degree of freedom's motor among the constraints, after those of equality; -1 without a motor."""

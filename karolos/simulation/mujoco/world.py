@@ -46,7 +46,7 @@ class World:
             raise MachineError("the engine mujoco has no window", hint="set environment.engine=bullet, or make a film")
         self.substeps = substeps
         self.period = substeps * timestep
-        self._simulation = simulation = Simulation(timestep, substeps, self._declare_pairs)
+        self._simulation = simulation = Simulation(timestep, substeps, self._declare_pairs, self._write_friction)
         self._spec, self.api = simulation.spec, simulation.api
         self._bodies: list[Body] = []
         self._motors: list[Motors] = []
@@ -66,7 +66,6 @@ class World:
         floor.add_geom(name="0/floor", type=self.api.mjtGeom.mjGEOM_PLANE, size=(5.0, 5.0, 0.05), group=2)
         self.floor = self._add(["0/floor"], [["0/floor"]], free=False)
         self.set_floor_friction(FLOOR_FRICTION)
-        simulation.parts.append(self)
 
     def step(self) -> None:
         simulation = self._simulation
@@ -209,18 +208,12 @@ class World:
             self._renderers[size] = Renderer(self.api, self._simulation.model, width, height)
         return self._renderers[size](self._simulation.ready(), eye)
 
-    def _free_renderers(self) -> None:
+    def close(self) -> None:
         for renderer in self._renderers.values():
             renderer.close()
         self._renderers = {}
 
-    def close(self) -> None:
-        self._free_renderers()
-
-    def find(self, model: Any) -> None:
-        """Nothing to look up: contacts are found by their pair."""
-
-    def write_parameters(self, model: Any) -> None:
+    def _write_friction(self, model: Any) -> None:
         """Write the friction of every pair into the model."""
         lateral = [one.frictions[first] * other.frictions[second] for one, first, other, second in self._pairs]
         model.pair_friction[:, :2] = np.maximum(lateral, self.api.mjMINMU)[:, None]
@@ -234,7 +227,7 @@ class World:
 
     def _declare_pairs(self) -> None:
         """Declare every pair of shapes that may touch."""
-        self._free_renderers()
+        self.close()  # renderers are of the model before
         for pair in self._spec.pairs:
             self._spec.delete(pair)
         self._pairs = []
