@@ -159,8 +159,9 @@ def transfer_report(found: MatrixRuns) -> TransferReport:
     settings = found.spec.transfer
     assert settings is not None  # only such a spec has a matrix
     tree = SeedTree(0).child("transfer")
-    scratch = {label: _compared(runs) for label, runs in found.sources.items()}
-    tuned = {pair: _compared(runs) for pair, runs in found.fine_tuned.items()}
+    untested: list[str] = []
+    scratch = {label: _compared(runs, untested) for label, runs in found.sources.items()}
+    tuned = {pair: _compared(runs, untested) for pair, runs in found.fine_tuned.items()}
     cells = []
     for source, target in product(scratch, repeat=2):
         pair, leaf = (source, target), tree.child(source, target)
@@ -179,12 +180,15 @@ def transfer_report(found: MatrixRuns) -> TransferReport:
         ),
         cells=tuple(cells),
         learning={label: _learning(label, runs, tuned) for label, runs in scratch.items() if runs and tuned},
-        warnings=tuple(found.problems),
+        warnings=(*found.problems, *(f"{run} has lost its tests and is left out" for run in untested)),
     )
 
 
-def _compared(runs: Mapping[int, RunFolder]) -> dict[int, ComparedRun]:
-    return {seed: compared(folder) for seed, folder in runs.items()}
+def _compared(runs: Mapping[int, RunFolder], untested: list[str]) -> dict[int, ComparedRun]:
+    """The runs that have tests; notes the others."""
+    tested = {seed: folder for seed, folder in runs.items() if folder.tests()}
+    untested += (folder.id for seed, folder in runs.items() if seed not in tested)
+    return {seed: compared(folder) for seed, folder in tested.items()}
 
 
 def _variant(
