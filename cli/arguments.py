@@ -5,6 +5,7 @@ from __future__ import annotations
 import os
 import re
 from collections.abc import Sequence
+from contextlib import nullcontext
 from pathlib import Path
 from typing import TYPE_CHECKING, Annotated, Literal
 
@@ -29,7 +30,7 @@ FILTER_HELP = (
     "Only runs that match, e.g. 'task=reach and agent.learning_rate<1e-3 and not state in (failed, lost)'. "
     "Operators: = != < <= > >= ~ (contains) in. Names: columns, settings of the spec, tags, note, versions.PACKAGE."
 )
-_SPECS = (".yaml", ".yml")
+POLICY_HELP = f"{RUN_HELP} Or the name of a policy that ships with karolos: panda_pick, ur5_throw, ..."
 
 Runs = Annotated[
     Path,
@@ -56,6 +57,7 @@ Overrides = Annotated[
     ),
 ]
 OneRun = Annotated[str, typer.Argument(metavar="RUN", help=RUN_HELP, autocompletion=complete_run)]
+APolicy = Annotated[str, typer.Argument(metavar="RUN", help=POLICY_HELP, autocompletion=complete_run)]
 ManyRuns = Annotated[list[str] | None, typer.Argument(metavar="[RUN]...", help=MANY_HELP, autocompletion=complete_run)]
 Where = Annotated[str | None, typer.Option(metavar="FILTER", help=FILTER_HELP)]
 On = Annotated[
@@ -115,19 +117,19 @@ def open_or_make_store(runs: Path, database: str | None) -> Store:
 
 
 def open_run(selector: str, runs: Path, database: str | None) -> RunFolder:
-    """The folder of the one run that a selector (MANY_HELP) means.
+    """The folder of the one run that a selector (POLICY_HELP) means.
 
     Raises:
         UsageError: the selector means no run or several.
         RunError: the run's folder is missing or damaged.
     """
     from karolos.records import RunFolder
+    from karolos.store.meant import find_folder
 
-    if os.path.isfile(Path(selector) / "run.json"):  # Path.is_file raises for a long name
+    if os.path.isfile(Path(selector) / "run.json"):  # needs no index; Path.is_file raises for a long name
         return RunFolder.open(selector)
-    store, summary = find_run(selector, runs, database)
-    store.close()
-    return RunFolder.open(summary.folder)
+    with open_store(runs, database) or nullcontext() as store:
+        return find_folder(selector, store, runs)
 
 
 def find_run(selector: str, runs: Path, database: str | None) -> tuple[Store, RunSummary]:
@@ -137,10 +139,6 @@ def find_run(selector: str, runs: Path, database: str | None) -> tuple[Store, Ru
         UsageError: the selector means no run or several.
     """
     store = existing_store(selector, runs, database)
-    if is_spec(selector):
-        from karolos.store.selectors import only
-
-        return store, only(selector, _of_spec(store, selector))
     return store, store.find(selector)
 
 
@@ -155,7 +153,7 @@ def select_runs(
     if not selectors and where is None:
         raise UsageError("which runs?", hint="name RUN, or give --where FILTER")
     store = existing_store(selectors[0] if selectors else str(where), runs, database)
-    selected = {run.run: run for selector in selectors for run in select(store, selector)}
+    selected = {run.run: run for selector in selectors for run in store.select(selector)}
     if where is not None:
         matching = {run.run: run for run in store.runs(where=where)}
         selected = {run: matching[run] for run in selected if run in matching} if selectors else matching
@@ -165,29 +163,13 @@ def select_runs(
     return store, tuple(selected.values())
 
 
-def select(store: Store, selector: str) -> tuple[RunSummary, ...]:
-    """The runs that a selector means: those of `Store.select`, or all runs of the experiment of a spec file."""
-    return _of_spec(store, selector) if is_spec(selector) else store.select(selector)
-
-
-def _of_spec(store: Store, path: str) -> tuple[RunSummary, ...]:
-    from karolos.specification import load_spec
-
-    digest = load_spec(Path(path), ()).hash()
-    found = store.runs(experiment=digest)
-    if not found:
-        raise UsageError(f"there are no runs of {path}", hint=f"`karolos run {path}` makes them")
-    return found
-
-
-def is_spec(selector: str) -> bool:
-    """Whether a selector is a spec file, or karolos:NAME."""
-    return selector.startswith("karolos:") or (selector.endswith(_SPECS) and os.path.isfile(selector))
-
-
 def existing_store(selector: str, runs: Path, database: str | None) -> Store:
     """The index. Raises NoSuchRunError if there are no runs that the selector could mean."""
-    store = open_store(runs, database)
+    return existing(open_store(runs, database), selector, runs)
+
+
+def existing(store: Store | None, selector: str, runs: Path) -> Store:
+    """The index. Raises NoSuchRunError if there is none because there are no runs."""
     if store is None:
         raise NoSuchRunError(
             f"{selector!r} means no run: there are no runs in {runs} yet", hint="`karolos run SPEC` makes one"

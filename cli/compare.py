@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 from collections import Counter
+from contextlib import nullcontext
 from pathlib import Path
 from typing import TYPE_CHECKING, Annotated, Literal
 
@@ -10,7 +11,7 @@ import typer
 
 from karolos.errors import UsageError
 
-from .arguments import MANY_HELP, Database, Json, Runs, existing_store, select
+from .arguments import MANY_HELP, Database, Json, Runs, existing, open_store
 from .completion import complete_run
 from .output import print_rows, print_table, say, warn
 
@@ -19,6 +20,7 @@ if TYPE_CHECKING:
 
     from karolos.comparison import Comparison
     from karolos.records.run_records import RunSummary
+    from karolos.store import Store
 
 
 def compare(
@@ -26,7 +28,7 @@ def compare(
         list[str],
         typer.Argument(
             metavar="EXPERIMENT...",
-            help=f"{MANY_HELP} The first is the one that the others are measured against.",
+            help=f"{MANY_HELP} Or a policy that ships. The first is the one that the others are measured against.",
             autocompletion=complete_run,
         ),
     ],
@@ -70,11 +72,10 @@ def compare(
 
     pages = [path for path in out or () if path.suffix == ".html"]
     folders = [path for path in out or () if path.suffix != ".html"]
-    _check_targets(pages, folders)
-    with existing_store(experiments[0], runs, database) as store:
-        selected = [select(store, selector) for selector in experiments]
-        labels = _chosen(label, experiments) if label else _labels(experiments, selected)
-        contenders = [gather(store, found, label) for found, label in zip(selected, labels, strict=True)]
+    with open_store(runs, database) or nullcontext() as store:
+        selected = [_runs_of(selector, store, runs) for selector in experiments]
+        labels = _chosen(label, experiments) if label else _labels(experiments, [found for _, found in selected])
+        contenders = [gather(index, found, label) for (index, found), label in zip(selected, labels, strict=True)]
         comparison = compare_contenders(contenders, metric, store, at=at)
     for warning in comparison.warnings:
         warn(warning)
@@ -97,15 +98,14 @@ def compare(
         say(f"wrote {len(files)} files into {folder}")
 
 
-def _check_targets(pages: Sequence[Path], folders: Sequence[Path]) -> None:
-    """Refuse what cannot be written before anything is computed."""
-    for page in pages:
-        if page.is_dir() or not page.parent.is_dir():
-            wrong = "is a folder" if page.is_dir() else f"there is no folder {page.parent}"
-            raise UsageError(f"{page} cannot be written: {wrong}", hint="name a file in an existing folder")
-    for folder in folders:
-        if folder.exists() and not folder.is_dir():
-            raise UsageError(f"{folder} is a file", hint="name a folder, or a page FILE.html")
+def _runs_of(selector: str, store: Store | None, runs: Path) -> tuple[Store | None, tuple[RunSummary, ...]]:
+    """The runs that a selector means and the index that has them; None for a run that ships."""
+    from karolos.store.meant import shipped_run
+
+    if shipped := shipped_run(selector, store):
+        return None, (shipped.summary(),)
+    store = existing(store, selector, runs)
+    return store, store.select(selector)
 
 
 def _chosen(labels: Sequence[str], experiments: Sequence[str]) -> list[str]:

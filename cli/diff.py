@@ -7,7 +7,7 @@ from typing import TYPE_CHECKING, Annotated
 
 import typer
 
-from .arguments import Database, Json, Runs, is_spec, open_run
+from .arguments import Database, Json, Runs, open_run
 from .completion import complete_run
 from .output import print_line, print_rows, print_table, say
 
@@ -49,6 +49,7 @@ def diff(
 def _side(selector: str, runs: Path, database: str | None) -> Side:
     """What an argument means."""
     from karolos.comparison import sides
+    from karolos.store.selectors import is_spec
 
     if is_spec(selector):
         from karolos.specification import load_spec

@@ -4,9 +4,10 @@ from __future__ import annotations
 
 import sys
 from collections import defaultdict, deque
+from collections.abc import Sequence
 from contextlib import AbstractContextManager
 from datetime import timedelta
-from typing import TYPE_CHECKING, TextIO
+from typing import TYPE_CHECKING, Any, Self, TextIO
 
 from rich.console import Console
 from rich.progress import BarColumn, MofNCompleteColumn, Progress, TaskID, TextColumn, TimeRemainingColumn
@@ -39,56 +40,60 @@ SPEED_WINDOW = 50
 """Events over which speeds are averaged: about five seconds."""
 
 
-class Speed:
-    """Steps and updates per second of training over the last few seconds, as text."""
+class _Lines(AbstractContextManager[Any]):
+    """Prints lines on stderr or another stream, above the bars if there are any."""
 
-    def __init__(self) -> None:
-        self._points: deque[tuple[float, int, int]] = deque(maxlen=SPEED_WINDOW)
-        self.text = ""
+    def __init__(self, stream: TextIO | None) -> None:
+        self._console = Console(file=stream or sys.stderr, stderr=stream is None, highlight=False, markup=False)
+        self._bars: Progress | None = None
 
-    def add(self, event: RunAdvanced) -> None:
-        self._points.append((event.seconds, event.steps, event.updates))
-        (start, steps, updates), (end, more_steps, more_updates) = self._points[0], self._points[-1]
-        passed = end - start
-        if passed > 0:
-            learning = "warm-up" if event.warming_up else f"{(more_updates - updates) / passed:,.0f} updates/s"
-            self.text = f"{(more_steps - steps) / passed:,.0f} steps/s, {learning}"
+    def __enter__(self) -> Self:
+        if self._bars:
+            self._bars.start()
+        return self
+
+    def __exit__(self, *_: object) -> None:
+        if self._bars:
+            self._bars.stop()
+
+    def _print(self, text: str) -> None:
+        self._console.print(clean(text, allowed="\n\t"), soft_wrap=True)
 
 
-class Quiet(AbstractContextManager["Quiet"]):
+class Quiet(_Lines):
     """Shows only warnings and failures."""
 
     def __init__(self, stream: TextIO | None = None) -> None:
-        self._console = Console(file=stream or sys.stderr, stderr=stream is None, highlight=False, markup=False)
-        self._speeds: defaultdict[str, Speed] = defaultdict(Speed)
-
-    def __exit__(self, *_: object) -> None: ...
+        super().__init__(stream)
 
     def __call__(self, event: RunEvent) -> None:
-        if isinstance(event, RunAdvanced):
-            self._speeds[event.run].add(event)
-        elif isinstance(event, RunWarned):
+        if isinstance(event, RunWarned):
             self._print(f"{event.run} warning: {event.warning}")
         elif isinstance(event, RunEnded) and event.error:
             if event.traceback:
                 self._print(event.traceback.rstrip())
             self._print(f"{event.run} failed: {event.error}")
 
-    def _print(self, text: str) -> None:
-        self._console.print(text, soft_wrap=True)
-
 
 class Plain(Quiet):
     """Shows one line per start of a run, test and end of a run: for logs and pipes."""
+
+    def __init__(self, stream: TextIO | None = None) -> None:
+        super().__init__(stream)
+        self._points: dict[str, list[RunAdvanced]] = {}
+        """Of each run where training was at the line before, and where it is."""
 
     def __call__(self, event: RunEvent) -> None:
         super().__call__(event)
         if isinstance(event, RunStarted):
             self._print(f"{event.run} started: {event.steps:,} steps into {event.folder}")
+        elif isinstance(event, RunAdvanced):
+            self._points[event.run] = [*self._points.get(event.run, [event])[:1], event]
         elif isinstance(event, RunTested):
-            result, speed = event.result, self._speeds[event.run].text
+            result, points = event.result, self._points.get(event.run, [])
             line = f"{event.run} at {result.steps:,} steps, {result.seconds:.1f} s: {result.score}"
-            self._print(f"{line} ({speed})" if speed else line)
+            self._print(f"{line} ({speed})" if (speed := _speed(points)) else line)
+            self._points[event.run] = points[-1:]
         elif isinstance(event, RunFinalTested):
             self._print(f"{event.run} final test: {_final(event.final)}")
         elif isinstance(event, RunEnded) and not event.error:
@@ -101,7 +106,7 @@ class Live(Quiet):
     def __init__(self, stream: TextIO | None = None) -> None:
         super().__init__(stream)
         self._narrow = self._console.width < WIDE
-        self._bars = Progress(
+        self._bars: Progress = Progress(
             TextColumn("{task.description}"),
             BarColumn(bar_width=12 if self._narrow else 24),
             MofNCompleteColumn(),
@@ -112,44 +117,46 @@ class Live(Quiet):
             console=self._console,
         )
         self._tasks: dict[str, TaskID] = {}
-
-    def __enter__(self) -> Live:
-        self._bars.start()
-        return self
-
-    def __exit__(self, *_: object) -> None:
-        self._bars.stop()
+        self._points: defaultdict[str, deque[RunAdvanced]] = defaultdict(lambda: deque(maxlen=SPEED_WINDOW))
 
     def __call__(self, event: RunEvent) -> None:
         super().__call__(event)
-        bars = self._bars
         if isinstance(event, RunStarted):
-            task = bars.add_task(
-                f"seed {event.seed}", total=event.steps, speed="starting", activity="", score="", left=""
-            )
-            self._tasks[event.run] = task
-            return
-        if event.run not in self._tasks:  # its process died before the run began
-            return
-        task = self._tasks[event.run]
+            fields: dict[str, Any] = {"speed": "starting", "activity": "", "score": "", "left": ""}
+            self._tasks[event.run] = self._bars.add_task(f"seed {event.seed}", total=event.steps, **fields)
+        elif event.run in self._tasks:  # otherwise its process died before the run began
+            task = self._tasks[event.run]
+            self._bars.update(task, **self._changes(event, self._bars.tasks[task].completed))
+            if isinstance(event, RunEnded):
+                self._bars.stop_task(task)
+
+    def _changes(self, event: RunEvent, completed: float) -> dict[str, Any]:
+        """The fields of a run's bar that an event changes."""
         if isinstance(event, RunAdvanced):
-            left = _left(event.seconds_left)
-            speed = self._speeds[event.run].text
+            self._points[event.run].append(event)
+            speed = _speed(self._points[event.run])
             speed = speed.partition(",")[0] if self._narrow else speed
-            bars.update(task, completed=event.steps, speed=speed, left=left)
-        elif isinstance(event, RunBusy) and event.seconds_left is None:
-            bars.update(task, activity=_activity(event))
-        elif isinstance(event, RunBusy):  # the speed of training says nothing any more
-            bars.update(task, activity=_activity(event), left=_left(event.seconds_left), speed="")
-        elif isinstance(event, RunTested):
-            if event.result.steps > bars.tasks[task].completed:  # training may have gone on since the test was due
-                bars.update(task, completed=event.result.steps)
-            bars.update(task, score=_brief(event.result) if self._narrow else event.result.score)
-        elif isinstance(event, RunFinalTested):
-            bars.update(task, score=_brief(event.final.last) if self._narrow else _final(event.final))
-        elif isinstance(event, RunEnded):
-            bars.update(task, speed=event.state, activity="", left="")
-            bars.stop_task(task)
+            return {"completed": event.steps, "speed": speed, "left": _left(event.seconds_left)}
+        if isinstance(event, RunBusy):
+            activity = {"activity": _activity(event)}
+            if event.seconds_left is None:
+                return activity
+            return {**activity, "left": _left(event.seconds_left), "speed": ""}  # training is over
+        if isinstance(event, RunTested):  # training may have gone on since the test was due
+            score = _brief(event.result) if self._narrow else event.result.score
+            return {"completed": max(event.result.steps, completed), "score": score}
+        if isinstance(event, RunFinalTested):
+            return {"score": _brief(event.final.last) if self._narrow else _final(event.final)}
+        return {"speed": event.state, "activity": "", "left": ""} if isinstance(event, RunEnded) else {}
+
+
+def _speed(points: Sequence[RunAdvanced]) -> str:
+    """Steps and updates per second of training from the first to the last of some events; empty if no time passed."""
+    if not points or (passed := points[-1].seconds - points[0].seconds) <= 0:
+        return ""
+    first, last = points[0], points[-1]
+    learning = "warm-up" if last.warming_up else f"{(last.updates - first.updates) / passed:,.0f} updates/s"
+    return f"{(last.steps - first.steps) / passed:,.0f} steps/s, {learning}"
 
 
 def _left(seconds: float | None) -> str:
@@ -183,19 +190,18 @@ def choose_display(*, quiet: bool) -> Quiet:
     return Live() if sys.stderr.isatty() else Plain()
 
 
-class SweepDisplay(AbstractContextManager["SweepDisplay"]):
+class SweepDisplay(_Lines):
     """Shows one line per trial, and on a terminal a bar: trials, the best so far, the time left.
 
     Elsewhere a trial's start has a line as well. Shows only warnings and failures if quiet.
     """
 
     def __init__(self, objectives: tuple[str, ...], *, quiet: bool, stream: TextIO | None = None) -> None:
+        super().__init__(stream)
         self._objectives = objectives
         self._quiet = quiet
-        self._console = Console(file=stream or sys.stderr, stderr=stream is None, highlight=False, markup=False)
-        self._bar: Progress | None = None
         if self._console.is_terminal and not quiet:
-            self._bar = Progress(
+            self._bars = Progress(
                 TextColumn("{task.description}"),
                 BarColumn(bar_width=24),
                 TextColumn("{task.fields[done]}"),
@@ -205,20 +211,11 @@ class SweepDisplay(AbstractContextManager["SweepDisplay"]):
                 console=self._console,
                 speed_estimate_period=SWEEP_SPEED_SECONDS,
             )
-            self._task = self._bar.add_task("trials", total=None, done="", best="")
+            self._task = self._bars.add_task("trials", total=None, done="", best="")
         self._ended = 0
         """Trials of this phase that have ended."""
         self._fractions: dict[str, float] = {}
         """Trials that have not ended, by name -> fraction of their steps."""
-
-    def __enter__(self) -> SweepDisplay:
-        if self._bar:
-            self._bar.start()
-        return self
-
-    def __exit__(self, *_: object) -> None:
-        if self._bar:
-            self._bar.stop()
 
     def __call__(self, event: SweepEvent) -> None:
         from karolos.sweep.events import TrialAdvanced, TrialBegan, TrialEnded
@@ -229,18 +226,18 @@ class SweepDisplay(AbstractContextManager["SweepDisplay"]):
             self._print(f"trial {event.trial.number} failed: {event.trial.error} [{event.done}/{event.asked}]")
         elif self._quiet:
             return
-        elif isinstance(event, TrialBegan) and not self._bar:
+        elif isinstance(event, TrialBegan) and not self._bars:
             self._print(f"trial {event.trial.number}: {drawn_text(event.trial)}")
         elif isinstance(event, TrialEnded):
             found = self._values(event.trial)
             text = f"{event.trial.state}: {found}" if found else event.trial.state
-            drawn = f" with {drawn_text(event.trial)}" if self._bar else ""
+            drawn = f" with {drawn_text(event.trial)}" if self._bars else ""
             self._print(f"trial {event.trial.number} {text}{drawn} [{event.done}/{event.asked}]")
         elif not isinstance(event, TrialBegan | TrialAdvanced):
             seeds = ", ".join(map(str, event.seeds))
             self._print(f"trials {', '.join(map(str, event.trials))} on seeds {seeds}, to {event.purpose}")
-        if self._bar:
-            self._update(self._bar, event)
+        if self._bars:
+            self._update(self._bars, event)
 
     def _update(self, bar: Progress, event: SweepEvent) -> None:
         from karolos.sweep.events import FinalBegan, TrialAdvanced, TrialBegan, TrialEnded
@@ -265,6 +262,3 @@ class SweepDisplay(AbstractContextManager["SweepDisplay"]):
         return ", ".join(
             f"{name} {value:.4g}" for name, value in zip(self._objectives, trial.values or (), strict=False)
         )
-
-    def _print(self, text: str) -> None:
-        self._console.print(clean(text), soft_wrap=True)

@@ -7,15 +7,19 @@ from typing import Annotated
 
 import typer
 
-from .arguments import Checkpoint, Database, Json, OneRun, Runs, open_run
+from .arguments import APolicy, Checkpoint, Database, Json, Runs, open_run
 from .output import print_rows, warn
 
 
 def export(
-    run: OneRun,
+    run: APolicy,
     out: Annotated[
         Path | None,
-        typer.Option("--out", metavar="FOLDER", help="Folder to write. Default: export in the run's folder."),
+        typer.Option(
+            "--out",
+            metavar="FOLDER",
+            help="Folder to write. Default: export in the run's folder, or NAME of a policy that ships.",
+        ),
     ] = None,
     checkpoint: Checkpoint = "best",
     onnx: Annotated[
@@ -33,9 +37,11 @@ def export(
     """
     folder = open_run(run, runs, database)
     from karolos.export import export_policy
+    from karolos.records.shipped import is_shipped
 
-    done = export_policy(folder, out or folder.path / "export", checkpoint=checkpoint, onnx=onnx)
-    row = {"run": folder.id, "checkpoint": checkpoint, "steps": done.steps, "folder": str(done.folder)}
+    out = out or (Path(run) if is_shipped(folder) else folder.path / "export")
+    done = export_policy(folder, out, checkpoint=checkpoint, onnx=onnx)
+    row = {"run": folder.id, "checkpoint": done.checkpoint, "steps": done.steps, "folder": str(done.folder)}
     files = [path.name for path in done.files]
     row |= {"files": files if json else " ".join(files), "error": done.error}
     print_rows([row], json=json)

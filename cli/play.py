@@ -5,15 +5,15 @@ from __future__ import annotations
 import os
 import sys
 import time
-from collections.abc import Iterator
+from collections.abc import Iterable, Iterator
 from pathlib import Path
 from typing import TYPE_CHECKING, Annotated, Literal
 
 import typer
 
-from karolos.errors import NoSuchRunError, UsageError
+from karolos.errors import UsageError
 
-from .arguments import RUN_HELP, Database, Runs, open_run, open_store
+from .arguments import POLICY_HELP, Database, Runs, open_run
 from .completion import complete_run
 from .output import say
 
@@ -31,12 +31,7 @@ OUTCOME_SECONDS = 0.7
 def play(
     run: Annotated[
         str,
-        typer.Argument(
-            metavar="RUN",
-            help=f"{RUN_HELP} Or the name of a policy that ships with karolos: panda_reach, panda_throw. With --expert "
-            "a SPEC.yaml.",
-            autocompletion=complete_run,
-        ),
+        typer.Argument(metavar="RUN", help=f"{POLICY_HELP} With --expert a SPEC.yaml.", autocompletion=complete_run),
     ],
     overrides: Annotated[
         list[str] | None,
@@ -73,31 +68,31 @@ def play(
         raise UsageError(f"a film of {width} x {height} pixels cannot be encoded", hint="use even numbers")
     changed = overrides or ()
     window = out is None and _has_display()
+    from rich.console import Console
+    from rich.progress import track
+
     from karolos.environments.build import used
     from karolos.evaluation.changed_spec import load_player
     from karolos.evaluation.playing import play as play_all
     from karolos.evaluation.playing import play_failures
     from karolos.evaluation.policies import load_expert
-    from karolos.report.video import write_video
+    from karolos.records.shipped import is_shipped
+    from karolos.report.video import check_video_path, write_video
+    from karolos.specification import load_spec
 
     if expert:
-        from karolos.specification import load_spec
-
         spec = load_spec(run, changed)
-        target = _film(out or Path(f"{spec.name}.mp4"), window=window)
-        environment, policy = load_expert(spec, window=window)
-    elif _ships(run, runs, database):
-        from karolos.export.shipped import load_shipped
-
-        if checkpoint is not None:
-            raise UsageError(f"{run!r} ships with karolos and has no checkpoints", hint="leave out --checkpoint")
-        target = _film(out or Path(f"{run}.mp4"), window=window)
-        spec, environment, policy = load_shipped(run, changed, window=window)
+        target = out or Path(f"{spec.name}.mp4")
     else:
-        folder = _open(run, runs, database)
+        folder = open_run(run, runs, database)
+        target = out or (Path(f"{run}.mp4") if is_shipped(folder) else folder.path / "play.mp4")
+    if not window:
+        check_video_path(target)
+    if expert:
+        environment, policy = load_expert(spec, window=window)
+    else:
         if modules := _modules(folder):
             say(f"{folder.id} names code of this machine: {', '.join(modules)} will be imported")
-        target = _film(out or folder.path / "play.mp4", window=window)
         spec, environment, policy = load_player(folder, checkpoint or _best_or_last(folder), changed, window=window)
     count = episodes or (5 if window else 1)
     with used(environment):
@@ -107,43 +102,16 @@ def play(
             for _ in moments:
                 time.sleep(1 / environment.rate)
             return
-        moments = _with_bar(moments, count)
-        write_video(target, _pictures(moments, width, height), environment.rate)
+        filmed = track(
+            moments,
+            "recording",
+            total=count * (environment.signature.max_steps + 1),
+            console=Console(stderr=True),
+            transient=True,
+            disable=not sys.stderr.isatty(),
+        )
+        write_video(target, _pictures(filmed, width, height), environment.rate)
     print(target)
-
-
-def _film(target: Path, *, window: bool) -> Path:
-    """The film to write. Raises UsageError if it cannot be written, unless there is a window instead."""
-    from karolos.report.video import check_video_path
-
-    if not window:
-        check_video_path(target)
-    return target
-
-
-def _ships(name: str, runs: Path, database: str | None) -> bool:
-    """Whether a policy that ships with karolos is meant: neither a run of one's own nor a folder has its name."""
-    from karolos.export.shipped import shipped_names
-
-    if name not in shipped_names() or os.path.isdir(name):
-        return False
-    store = open_store(runs, database)
-    if store is None:
-        return True
-    with store:
-        return not store.runs(name=name)
-
-
-def _open(name: str, runs: Path, database: str | None) -> RunFolder:
-    """The folder of a run. Raises UsageError if there is none, which names the policies that ship, too."""
-    from karolos.export.shipped import shipped_names
-    from karolos.registry import alternatives
-
-    try:
-        return open_run(name, runs, database)
-    except NoSuchRunError as error:
-        shipped = alternatives(name, shipped_names(), what="policies that ship")
-        raise UsageError(error.what, hint=f"{error.hint}; {shipped}") from error
 
 
 def _modules(folder: RunFolder) -> list[str]:
@@ -171,7 +139,7 @@ def _best_or_last(folder: RunFolder) -> str:
     return "last"
 
 
-def _pictures(moments: Iterator[Moment], width: int, height: int) -> Iterator[NDArray[np.uint8]]:
+def _pictures(moments: Iterable[Moment], width: int, height: int) -> Iterator[NDArray[np.uint8]]:
     """A picture of each moment that says whether the goal is reached; the last of an episode stands for a while."""
     from karolos.report.video import with_caption
 
@@ -183,20 +151,6 @@ def _pictures(moments: Iterator[Moment], width: int, height: int) -> Iterator[ND
         picture = with_caption(picture, text, success=moment.success, failed=failed)
         for _ in range(1 + moment.over * round(OUTCOME_SECONDS * moment.environment.rate)):
             yield picture
-
-
-def _with_bar(moments: Iterator[Moment], episodes: int) -> Iterator[Moment]:
-    """Pass moments on, with a bar on stderr if it is a terminal."""
-    from rich.console import Console
-    from rich.progress import Progress
-
-    with Progress(console=Console(stderr=True), transient=True, disable=not sys.stderr.isatty()) as bar:
-        task, done = bar.add_task("recording", total=episodes), 0
-        for moment in moments:
-            yield moment
-            done += moment.over
-            part = 0 if moment.over else moment.step / moment.environment.signature.max_steps
-            bar.update(task, completed=done + part)
 
 
 def _report_episodes(moments: Iterator[Moment]) -> Iterator[Moment]:

@@ -4,14 +4,26 @@ from __future__ import annotations
 
 import os
 import time
+from collections import Counter
 from collections.abc import Callable, Mapping, Sequence
-from dataclasses import dataclass, field, replace
 from pathlib import Path
+from statistics import fmean
 from typing import TYPE_CHECKING, Annotated, Any
 
 import typer
 
 from karolos.errors import UsageError
+from karolos.report.tables import (
+    Table,
+    duration,
+    facts_table,
+    flatten,
+    run_state,
+    runs_table,
+    setting,
+    table_of_tests,
+    transfers_table,
+)
 
 from .arguments import (
     FILTER_HELP,
@@ -67,8 +79,12 @@ def list_runs(
         str | None,
         typer.Option(metavar="NAME,...", help="Only these columns: run, success_end, agent.learning_rate, ..."),
     ] = None,
+    sort: Annotated[
+        str | None, typer.Option(metavar="KEY", help="Sort by a column, the smallest first; -KEY: the largest first.")
+    ] = None,
+    group: Annotated[bool, typer.Option("--group", help="One row per experiment, with means over its runs.")] = False,
 ) -> None:
-    """List runs, the newest first."""
+    """List runs, the newest first, or experiments with the means of their runs."""
     if watch:
         _watch(runs)
         return
@@ -86,30 +102,61 @@ def list_runs(
         found = store.runs(state=state, where=where, limit=limit, trials=None if trials else False)
         if not trials and store.runs(state=state, where=where, limit=1, trials=True):
             say("the runs of sweeps' trials are left out; --trials lists them")
-        like = store.closest_value(where) if where is not None and not found else None
-        rows = [run.row() for run in found] if columns is None else _columns(store, found, columns)
-    if json:
-        print_rows(rows, json=True)
-    elif csv:
+        if not found:
+            like = store.closest_value(where) if where is not None else None
+            nothing = "no runs" + (f" are {state}" if state else " yet")
+            say(nothing if where is None else "no runs match the filter" + (f": {like}" if like else ""))
+        listed, rows = _rows(store, found, columns, sort, group=group)
+    if csv:
         print_csv(rows)
-    elif found and columns is not None:
-        from karolos.report.tables import Table, setting
-
+    elif json or group:
+        print_rows(rows, json=json)
+    elif rows and columns is not None:
         print_table(Table(list(rows[0]), [[setting(value) for value in row.values()] for row in rows]))
-    elif found:
-        from karolos.report.tables import runs_table
-
-        print_table(runs_table(found))
-    elif where is not None:
-        say("no runs match the filter" + (f": {like}" if like else ""))
-    else:
-        say("no runs" + (f" are {state}" if state else " yet"))
+    elif rows:
+        print_table(runs_table(listed))
 
 
-def _columns(store: Store, found: Sequence[RunSummary], columns: str) -> list[dict[str, Any]]:
+def _rows(
+    store: Store, found: Sequence[RunSummary], columns: str | None, sort: str | None, *, group: bool
+) -> tuple[Sequence[RunSummary], list[dict[str, Any]]]:
+    """The runs, sorted by a column, and a row for each, or for each experiment."""
     from karolos.store.query import column_values
 
-    return column_values(store, found, columns.split(","))
+    rows = _groups(found) if group else [run.row() for run in found]
+    if columns is not None:
+        rows = column_values(store, found, columns.split(","))
+    if not sort or not rows:
+        return found, rows
+    key = sort.removeprefix("-")
+    if group and key not in rows[0]:
+        raise UsageError(f"there is no column {key!r} with --group", hint=f"one of {', '.join(rows[0])}")
+    keys = [row[key] for row in (rows if group else column_values(store, found, [key]))]
+    number = all(isinstance(value, int | float) for value in keys if value is not None)
+    order = sorted(
+        (place for place, value in enumerate(keys) if value is not None),
+        key=lambda place: keys[place] if number else str(keys[place]),
+        reverse=key != sort,
+    )
+    order += [place for place, value in enumerate(keys) if value is None]
+    return [found[place] for place in order if not group], [rows[place] for place in order]
+
+
+def _groups(found: Sequence[RunSummary]) -> list[dict[str, Any]]:
+    """One row per experiment: its runs, states, and the means of the runs that have a result."""
+    groups: dict[str, list[RunSummary]] = {}
+    for run in found:
+        groups.setdefault(run.experiment, []).append(run)
+    rows = []
+    for experiment, members in groups.items():
+        states = Counter(run.state for run in members)
+        row = {"name": members[0].name, "experiment": experiment[:12], "runs": len(members)}
+        row |= {"states": ", ".join(f"{count} {state}" for state, count in states.items())}
+        for name in ("steps", "seconds", "success_end", "best_end", "mean_return", "steps_to_95"):
+            known = [value for run in members if (value := getattr(run, name)) is not None]
+            row[name] = fmean(known) if known else None
+        rows.append(row)
+    return rows
 
 
 def _watch(runs: Path) -> None:
@@ -118,7 +165,6 @@ def _watch(runs: Path) -> None:
 
     from karolos.files import read_object
     from karolos.records import RunFolder, scan
-    from karolos.report.tables import Table
 
     while True:
         rows = []
@@ -145,19 +191,52 @@ def _list_trash(runs: Path, *, json: bool) -> None:
 
 
 @app.command()
-def show(run: OneRun, runs: Runs = Path("runs"), database: Database = None, json: Json = False) -> None:
-    """Show a run: state, tests with 95 % intervals, spec, checkpoints, versions, command and git commit."""
+def show(
+    run: OneRun,
+    everything: Annotated[
+        bool,
+        typer.Option("--all", help="Show every test and setting, checkpoints, versions, command and git commit, too."),
+    ] = False,
+    runs: Runs = Path("runs"),
+    database: Database = None,
+    json: Json = False,
+) -> None:
+    """Show a run: state, result with 95 % intervals, and the settings that are not defaults."""
+    from karolos.records import RunFolder, transfer_results
+
     store, summary = find_run(run, runs, database)
     with store:
-        if os.path.isdir(summary.folder):
-            view = _from_folder(summary.folder)
-        else:
-            problem = f"the run folder is missing: {summary.folder}"
-            view = _View(replace(store.records([summary])[0], problems=(problem,)))
-    if json:
-        print_rows([view.row()], json=True)
+        [record] = store.records([summary])
+    about: Mapping[str, Any] = {}
+    results: Sequence[TestResult] = ()
+    final: FinalTest | None = None
+    transfers: Sequence[TransferResult] = ()
+    checkpoints: Sequence[Mapping[str, Any]] = ()
+    if os.path.isdir(summary.folder):
+        folder = RunFolder.open(summary.folder)
+        record, about, results, final = folder.record(), folder.description(), folder.tests(), folder.final()
+        transfers, unreadable = transfer_results.read(folder)
+        checkpoints, damaged = _checkpoints(folder)
+        problems = (*record.problems, *damaged, *unreadable)
     else:
-        _print_view(view)
+        problems = (f"the run folder is missing: {summary.folder}",)
+    if json:
+        row = _show_row(record, results, final)
+        about = {key: about[key] for key in ("versions", "machine", "command", "git") if about}
+        row |= {"transfers": [one.row() for one in transfers], "checkpoints": checkpoints, "problems": problems}
+        print_rows([row | {"spec": record.spec, **about}], json=True)
+        return
+    changed = None if everything else about.get("changed")
+    _print_facts(record.summary, about if everything else {}, checkpoints if everything else None)
+    _print_results(record, results, final, every=everything)
+    if transfers:
+        print_table(transfers_table(transfers, title="tests under changed settings"))
+    title = "spec" if changed is None else "settings that are not defaults"
+    print_table(facts_table(dict(flatten(record.spec if changed is None else changed)), title=title))
+    for problem in problems:
+        warn(problem)
+    if not everything:
+        say("--all shows every test and setting, checkpoints, versions and the command")
 
 
 @app.command()
@@ -312,65 +391,23 @@ def import_runs(
     print_rows([record.summary.row() for record in imported], json=json, line="{run}")
 
 
-@dataclass(frozen=True)
-class _View:
-    """Everything known about one run."""
+def _show_row(record: RunRecord, results: Sequence[TestResult], final: FinalTest | None) -> dict[str, Any]:
+    """The summary of a run, its tests and its final test as one row."""
+    from karolos.records.results import WITHIN, TestCounts
 
-    record: RunRecord
-    results: Sequence[TestResult] = ()
-    """The tests episode by episode, as far as the folder has them."""
-    final: FinalTest | None = None
-    transfers: Sequence[TransferResult] = ()
-    """Tests under changed settings (`karolos test`)."""
-    checkpoints: Sequence[Mapping[str, Any]] = ()
-    about: Mapping[str, Any] = field(default_factory=dict)
-    """Versions, machine, command and git commit."""
-
-    def row(self) -> dict[str, Any]:
-        from karolos.records.results import WITHIN
-
-        known = [result for result in self.results if result.distances]
-        near = {one.steps: {"within_m": {f"{far:g}": one.within(far) for far in WITHIN}} for one in known}
-        return {
-            **self.record.summary.row(),
-            "tests": [_test_row(test) | near.get(test.steps, {}) for test in self.record.tests],
-            "final_test": None if self.final is None else _final_row(self.final),
-            "transfers": [transfer.row() for transfer in self.transfers],
-            "checkpoints": self.checkpoints,
-            "problems": self.record.problems,
-            "spec": self.record.spec,
-            **self.about,
-        }
+    known = [result for result in results if result.distances]
+    near = {one.steps: {"within_m": {f"{far:g}": one.within(far) for far in WITHIN}} for one in known}
+    policies = {} if final is None else {"last": final.last, "best": final.best}
+    rows = {name: None if one is None else _test_row(TestCounts.of(one)) for name, one in policies.items()}
+    return {
+        **record.summary.row(),
+        "tests": [_test_row(test) | near.get(test.steps, {}) for test in record.tests],
+        "final_test": None if final is None else {"seed": final.seed, **rows},
+    }
 
 
 def _test_row(test: TestCounts) -> dict[str, Any]:
     return {"steps": test.steps, "seconds": test.seconds, **test.row(), "solved_at_reset": test.solved_at_reset}
-
-
-def _final_row(final: FinalTest) -> dict[str, Any]:
-    from karolos.records.results import TestCounts
-
-    policies = {"last": final.last, "best": final.best}
-    return {"seed": final.seed} | {
-        name: None if result is None else _test_row(TestCounts.of(result)) for name, result in policies.items()
-    }
-
-
-def _from_folder(path: str) -> _View:
-    from karolos.records import RunFolder, transfer_results
-
-    folder = RunFolder.open(path)
-    record, description = folder.record(), folder.description()
-    checkpoints, damaged = _checkpoints(folder)
-    transfers, unreadable = transfer_results.read(folder)
-    return _View(
-        replace(record, problems=(*record.problems, *damaged, *unreadable)),
-        folder.tests(),
-        folder.final(),
-        transfers,
-        checkpoints,
-        {key: description.get(key) for key in ("versions", "machine", "command", "git")},
-    )
 
 
 def _checkpoints(folder: RunFolder) -> tuple[list[dict[str, Any]], list[str]]:
@@ -386,43 +423,41 @@ def _checkpoints(folder: RunFolder) -> tuple[list[dict[str, Any]], list[str]]:
     return found, problems
 
 
-def _print_view(view: _View) -> None:
-    from karolos.records.results import TestCounts
-    from karolos.report.tables import duration, facts_table, flatten, run_state, table_of_tests, transfers_table
-
-    run, about = view.record.summary, view.about
+def _print_facts(run: RunSummary, about: Mapping[str, Any], checkpoints: Sequence[Mapping[str, Any]] | None) -> None:
+    """Print what is known about a run besides its tests and settings; None leaves out the checkpoints."""
     git = about.get("git") or {}
     commit = f"{git.get('commit', '')[:12]}{' with changes (code.diff)' if git.get('dirty') else ''}" if git else None
-    solved = None if run.steps_to_95 is None else f"{run.steps_to_95:,} steps, {duration(run.seconds_to_95)}"
-    checkpoints = ", ".join(f"{point['name']} ({point.get('steps', 0):,} steps)" for point in view.checkpoints)
+    points = [f"{point['name']} ({point.get('steps', 0):,} steps)" for point in checkpoints or ()]
     facts = {
         "run": run.run,
         "state": run_state(run) if run.error is None else f"{run.state}: {run.error}",
         "experiment": run.experiment,
         "steps": f"{run.steps:,}, {duration(run.seconds)} of collecting and learning",
         "total": duration(run.total_seconds),
-        "to .95, end": solved,
+        "to .95, end": run.steps_to_95 and f"{run.steps_to_95:,} steps, {duration(run.seconds_to_95)}",
         "created": run.created,
         "updated": run.updated,
         "folder": run.folder,
         "tags": ", ".join(run.tags) or None,
         "note": run.note,
-        "checkpoints": checkpoints or "none",
+        "checkpoints": None if checkpoints is None else ", ".join(points) or "none",
         "command": " ".join(about.get("command") or ()) or None,
         "git commit": commit,
         "versions": ", ".join(f"{name} {version}" for name, version in (about.get("versions") or {}).items()) or None,
     }
     print_table(facts_table(facts))
-    if view.record.tests:
-        print_table(table_of_tests(view.record.tests, view.results, title="tests"))
-    else:
+
+
+def _print_results(record: RunRecord, results: Sequence[TestResult], final: FinalTest | None, *, every: bool) -> None:
+    """Print the final test, or the last test before it; or every test."""
+    from karolos.records.results import TestCounts
+
+    if not record.tests:
         print("\nno tests yet")
-    if view.final is not None:
-        policies = [result for result in (view.final.last, view.final.best) if result is not None]
-        title = f"final test of last{' and of best' if view.final.best else ''}, from seed {view.final.seed}"
+    elif every or final is None:
+        tests = record.tests if every else record.tests[-1:]
+        print_table(table_of_tests(tests, results, title="tests" if every else "last test"))
+    if final is not None:
+        policies = [result for result in (final.last, final.best) if result is not None]
+        title = f"final test of last{' and of best' if final.best else ''}, from seed {final.seed}"
         print_table(table_of_tests(map(TestCounts.of, policies), policies, title=title))
-    if view.transfers:
-        print_table(transfers_table(view.transfers, title="tests under changed settings"))
-    print_table(facts_table(dict(flatten(view.record.spec)), title="spec"))
-    for problem in view.record.problems:
-        warn(problem)

@@ -2,23 +2,29 @@
 
 from __future__ import annotations
 
+from collections.abc import Sequence
+from dataclasses import asdict
 from pathlib import Path
 from typing import Annotated
 
 import typer
 
-from .arguments import Checkpoint, Database, Json, OneRun, Runs, open_run
+from .arguments import POLICY_HELP, Checkpoint, Database, Json, Runs, open_run
+from .completion import complete_run
 from .output import print_rows, print_table, say, warn
 
 
 def zero_shot(
-    run: OneRun,
+    run: Annotated[
+        str,
+        typer.Argument(metavar="RUN", help=f"{POLICY_HELP} With --expert a SPEC.yaml.", autocompletion=complete_run),
+    ],
     overrides: Annotated[
         list[str] | None,
         typer.Argument(
             metavar="[PATH=VALUE]...",
             help="Settings to change of the run's robot, task, environment, randomization or orchestrator, or "
-            "parameters of the world, e.g. robot=ur5 task.object_mass=0.3 task.gravity=-5",
+            "parameters of the world, e.g. robot=ur5 task.object_mass=0.3 task.gravity=-5. With --expert any setting.",
         ),
     ] = None,
     episodes: Annotated[int | None, typer.Option(min=1, help="Episodes. Default: as in the run's final test.")] = None,
@@ -26,6 +32,7 @@ def zero_shot(
         int | None, typer.Option(min=0, help="Root of the episodes' seeds. Default: that of the run's final test.")
     ] = None,
     checkpoint: Checkpoint = "best",
+    expert: Annotated[bool, typer.Option("--expert", help="Test the expert of a spec's task instead.")] = False,
     randomize: Annotated[bool, typer.Option("--randomize", help="Randomize as in training.")] = False,
     runs: Runs = Path("runs"),
     database: Database = None,
@@ -35,8 +42,11 @@ def zero_shot(
 
     The same policy's success on the same episodes without the changes is printed beside it. By default these are the
     episodes of the run's final test, on which no policy was chosen. The result is also written to the run's folder
-    (transfers.jsonl), and `karolos runs show` shows it.
+    (transfers.jsonl), and `karolos runs show` shows it. With --expert the scripted policy of a spec's task is tested.
     """
+    if expert:
+        _score_expert(Path(run), overrides or (), episodes, seed, json=json)
+        return
     folder = open_run(run, runs, database)
     from karolos.evaluation.zero_shot import zero_shot_test
     from karolos.report.tables import transfers_table
@@ -56,3 +66,20 @@ def zero_shot(
     print_table(transfers_table([done], title=folder.id))
     unused = "" if seed is not None else ", on which no policy was chosen"
     say(f"{done.result.episodes} episodes from seed {done.seed}{unused}")
+
+
+def _score_expert(path: Path, overrides: Sequence[str], episodes: int | None, seed: int | None, *, json: bool) -> None:
+    """Print the success of the expert of a spec's task on the episodes of its final test, or on those asked for."""
+    from karolos.evaluation.playing import score
+    from karolos.evaluation.policies import load_expert
+    from karolos.specification import load_spec
+
+    spec = load_spec(path, overrides)
+    testing = spec.testing
+    seed = testing.final_seed if seed is None else seed
+    environment, policy = load_expert(spec)
+    try:
+        found = score(environment, policy, episodes=episodes or testing.final_count or testing.episodes, seed=seed)
+    finally:
+        environment.close()
+    print_rows([{"spec": spec.name, "policy": "expert", "seed": seed, **asdict(found)}], json=json)

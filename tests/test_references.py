@@ -11,8 +11,8 @@ from pathlib import Path
 import pytest
 
 from karolos.errors import KarolosError
-from karolos.export.shipped import shipped_names
 from karolos.records import paths
+from karolos.records.shipped import shipped_names
 
 ROOT = Path(__file__).parents[1]
 SCRIPT = runpy.run_path(str(ROOT / "docs" / "_scripts" / "references.py"))

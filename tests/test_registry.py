@@ -68,14 +68,45 @@ def test_plugin_that_does_not_import_fails_only_when_used(fake_plugins, target):
     assert caught.value.exit_code == 3
 
 
-def test_error_inside_a_plugin_module_keeps_its_cause(fake_plugins, tmp_path, monkeypatch):
-    (tmp_path / "exploding_plugin.py").write_text("raise RuntimeError('no licence\\nsecond line')")
+HOSTILE = {
+    "raise RuntimeError('no licence\\nsecond line')": "RuntimeError: no licence",
+    "import sys; sys.exit(0)": "SystemExit: 0",
+    "raise GeneratorExit": "GeneratorExit",
+    "while True: pass": "TimeoutError: not done after",
+    "import time; time.sleep(60)": "TimeoutError: not done after",
+    "import sys; sys.modules[__name__] = None": "AttributeError",
+    "class Dumb(Exception):\n  def __str__(self): raise self\nraise Dumb": "exception str",
+    "import sys; sys.modules[__name__] = 5": "AttributeError",
+    "class Odd(type):\n  def __getattribute__(self, key): raise OSError\nclass Robot(metaclass=Odd): 0": "OSError",
+    "def f(): f()\nf()": "RecursionError",
+    "class Robot: Settings = 1": "has no settings",
+}
+"""Modules of a plugin, and what is said of each."""
+
+
+@pytest.mark.parametrize(("module", "what"), HOSTILE.items())
+def test_a_plugin_that_does_not_come_out_of_its_import_is_named_in_one_line(
+    fake_plugins, tmp_path, monkeypatch, module, what
+):
+    (tmp_path / "hostile_plugin.py").write_text(module)
     monkeypatch.syspath_prepend(tmp_path)
-    fake_plugins("robots", "exploding", "exploding_plugin:Robot")
-    with pytest.raises(PluginError, match="RuntimeError: no licence") as caught:
-        registry.load("robots", "exploding")
-    assert isinstance(caught.value.__cause__, RuntimeError)
+    monkeypatch.delitem(sys.modules, "hostile_plugin", raising=False)
+    monkeypatch.setattr(registry, "IMPORT_SECONDS", 0.3)
+    fake_plugins("robots", "hostile", "hostile_plugin:Robot")
+    with pytest.raises(PluginError, match=what) as caught:
+        registry.load("robots", "hostile")
+    assert "robot 'hostile' of fakes" in str(caught.value)
     assert "\n" not in str(caught.value)
+
+
+def test_what_a_plugin_prints_while_it_is_imported_does_not_mix_with_results(
+    fake_plugins, tmp_path, monkeypatch, capsys
+):
+    (tmp_path / "loud_plugin.py").write_text("print('hello')\nfrom support.fake_plugins import Arm as Robot")
+    monkeypatch.syspath_prepend(tmp_path)
+    fake_plugins("robots", "loud", "loud_plugin:Robot")
+    assert registry.load("robots", "loud")
+    assert capsys.readouterr() == ("", "hello\n")
 
 
 @pytest.mark.parametrize(

@@ -12,8 +12,9 @@ from pathlib import Path
 import numpy as np
 from PIL import Image
 
+from karolos.evaluation.changed_spec import load_player
 from karolos.evaluation.playing import play
-from karolos.export import shipped
+from karolos.records import RunFolder, shipped
 from karolos.report.video import with_caption
 
 FILMS = Path(__file__).parents[1] / "films"
@@ -36,7 +37,7 @@ def played_in(film: Path) -> str:
 
 def make(name: str) -> Path:
     """Film the test episodes of a policy that ships."""
-    spec, environment, policy = shipped.load_shipped(name)
+    spec, environment, policy = load_player(RunFolder.open(shipped.FOLDER / name))
     pictures, every = [], round(environment.rate / RATE)
     try:
         for moment in play(environment, policy, episodes=EPISODES, seed=spec.testing.seed):

@@ -26,9 +26,8 @@ from karolos_cli.plugins import _settings
 from typer.testing import CliRunner
 
 from karolos.comparison import Contender, compare
-from karolos.export import shipped
 from karolos.plugins.inspection import inspect_robot, inspect_task
-from karolos.records import RunFolder, paths, run_records
+from karolos.records import RunFolder, paths, run_records, shipped
 from karolos.records.results import TestCounts
 from karolos.records.transfer_results import TransferResult
 from karolos.registry import KINDS, entries, load, singular
@@ -336,7 +335,7 @@ def _film(names: Sequence[str]) -> str:
 
 def _pair(robot: str, task: str, names: Sequence[str], found: dict[str, Contender], folder: Path) -> str:
     film = _film(names)
-    policy = f"../../../karolos/export/policies/{film}"
+    policy = f"../../../karolos/records/shipped_runs/{film}"
     text = (
         f"# {robot}: {task}\n\n![{robot} {task}](../../films/{film}.gif)\n\n"
         f"The film shows the policy `{film}` that ships with karolos, in test episodes of its run. `karolos play "

@@ -229,6 +229,14 @@ class ActorCritic(TorchAgent):
         if self.average is not self.policy:
             self.average.vector.copy_(self.policy.vector.detach())
 
+    def adopt(self, policy: Deployed) -> None:
+        for network in (self.policy, self.average):
+            parts = list(network.named.values())
+            for layer, weight, bias in zip(policy.layers, parts[::2], parts[1::2], strict=True):
+                weight[: len(layer.weight)] = torch.from_numpy(layer.weight)
+                bias.view(-1)[: layer.bias.size] = torch.from_numpy(layer.bias)
+        self.normaliser.adopt(torch.from_numpy(policy.shift), torch.from_numpy(policy.scale))
+
     def deployed(self) -> Deployed:
         """The mean of the policy, squashed by tanh."""
         return self.policy_arrays(self.average, "tanh", slice(self.actions))

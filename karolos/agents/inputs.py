@@ -14,6 +14,8 @@ ALL_OBSERVED = 500
 """The batches of this many first updates all enter the statistics of the normaliser."""
 OBSERVED_EVERY = 4
 """Later one batch in this many does: the statistics hardly move, and it takes 2 % of an update."""
+ADOPTED_ROWS = 1_000_000
+"""How many rows the statistics of an exported policy count for; runs of 30,000 updates see twice as many."""
 INPUT_CLIP = 5.0
 """Default bound of normalised inputs. Source: OpenAI baselines, HER (norm_clip)."""
 SMALLEST_SPREAD = 0.01
@@ -65,6 +67,11 @@ class Normaliser:
     def __call__(self, rows: Tensor) -> Tensor:
         """(n, columns) normalised and clipped; a new tensor."""
         return (rows - self.shift).mul_(self.scale).clamp_(-self.clip, self.clip)
+
+    def adopt(self, shift: Tensor, scale: Tensor) -> None:
+        """Take the statistics behind `(x - shift) * scale`, as those of ADOPTED_ROWS rows."""
+        squares = ADOPTED_ROWS / scale.double().square()
+        self.load_state({"count": ADOPTED_ROWS, "mean": shift, "squares": squares})
 
     def state(self) -> State:
         return {"count": self.count, "mean": self.mean.clone(), "squares": self._squares.clone()}

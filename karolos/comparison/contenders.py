@@ -131,14 +131,17 @@ class Contender:
         return self.runs[0].spec
 
 
-def gather(store: Store, runs: Sequence[RunSummary], label: str) -> Contender:
+def gather(store: Store | None, runs: Sequence[RunSummary], label: str) -> Contender:
     """A contender from runs of one experiment. Of several runs with the same seed, it has the newest finished one.
 
-    Of the runs of a sweep's trial, only those on the seeds that it is reported on count.
+    Of the runs of a sweep's trial, only those on the seeds that it is reported on count. Without a store the runs are
+    read from their folders, and all count.
 
     Raises:
         UsageError: the runs belong to several experiments, or no run has a test yet.
     """
+    if store is None:
+        return Contender(label, tuple(load_compared(RunFolder.open(run.folder).record()) for run in runs))
     runs, problems = _reporting(store, runs, label)
     experiments = sorted({run.experiment for run in runs})
     if len(experiments) > 1:
@@ -156,7 +159,7 @@ def gather(store: Store, runs: Sequence[RunSummary], label: str) -> Contender:
             f"{label}: {len(runs) - len(chosen)} of {len(runs)} runs repeat a seed; of each seed the newest "
             "finished run is used, or the newest if none is finished"
         )
-    loaded = [_load(record) for record in store.records([chosen[seed] for seed in sorted(chosen)])]
+    loaded = [load_compared(record) for record in store.records([chosen[seed] for seed in sorted(chosen)])]
     tested = tuple(run for run in loaded if run.tests)
     if not tested:
         raise UsageError(f"{label} has no test yet", hint="`karolos runs list` shows how far its runs are")
@@ -193,8 +196,8 @@ def _reporting(store: Store, runs: Sequence[RunSummary], label: str) -> tuple[Se
     ]
 
 
-def _load(record: RunRecord) -> ComparedRun:
-    """A run from the index, with what only its folder holds."""
+def load_compared(record: RunRecord) -> ComparedRun:
+    """A run of the index or of a folder, with what only its folder holds."""
     about: Mapping[str, Any] = {}
     spec: Mapping[str, Any] = {}
     rate = None
@@ -203,13 +206,6 @@ def _load(record: RunRecord) -> ComparedRun:
             folder = RunFolder.open(record.summary.folder)
             about, spec, rate = folder.description(), folder.spec(), _updates_per_second(folder.checkpoints)
     return ComparedRun(record.summary, record.tests, spec or record.spec, record.versions, _commit(about), rate)
-
-
-def compared(folder: RunFolder) -> ComparedRun:
-    """The run in a folder, without the store."""
-    record, about = folder.record(), folder.description()
-    rate = _updates_per_second(folder.checkpoints)
-    return ComparedRun(record.summary, record.tests, record.spec, record.versions, _commit(about), rate)
 
 
 def _commit(about: Mapping[str, Any]) -> str | None:

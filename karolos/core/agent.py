@@ -117,6 +117,14 @@ class Agent(ABC, Generic[Experience]):
         """
         raise UsageError(f"{type(self).__name__} cannot be exported", hint="implement `deployed` in its class")
 
+    def adopt(self, policy: Deployed) -> None:  # noqa: ARG002
+        """Act without exploration as an exported policy does; what that does not hold, such as critics, stays.
+
+        Raises:
+            UsageError: this kind of agent cannot take an exported policy.
+        """
+        raise UsageError(f"{type(self).__name__} cannot take a policy", hint="implement `adopt` in its class")
+
     @abstractmethod
     def state(self) -> State:
         """Everything that `load_state` needs to continue bit for bit: weights, optimisers, statistics, generators.

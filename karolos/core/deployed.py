@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 from dataclasses import dataclass
+from pathlib import Path
 from typing import Literal
 
 import numpy as np
@@ -41,6 +42,15 @@ class Deployed:
     output: Output
     layer_norm: float | None = None
     """None: no layer normalisation."""
+
+    @classmethod
+    def read(cls, path: Path) -> Deployed:
+        """The policy in a policy.npz that `karolos export` wrote."""
+        with np.load(path, allow_pickle=False) as file:
+            layers = [Layer(file[f"weight{place}"], file[f"bias{place}"]) for place in range(int(file["layers"]))]
+            norm, output = float(file["layer_norm"]), str(file["output"])
+            norms = None if np.isnan(norm) else norm
+            return cls(file["shift"], file["scale"], float(file["clip"]), tuple(layers), output, norms)  # type: ignore[arg-type]
 
     def __post_init__(self) -> None:
         columns = [self.shift.size, *(layer.bias.size for layer in self.layers)]

@@ -2,8 +2,8 @@
 
 from __future__ import annotations
 
-import os
-from collections.abc import Callable
+from collections.abc import Callable, Mapping
+from contextlib import nullcontext
 from dataclasses import dataclass, replace
 from pathlib import Path
 from typing import Any
@@ -12,14 +12,18 @@ import numpy as np
 from numpy.typing import ArrayLike, NDArray
 
 from .. import checkpoint
-from ..core import Agent, Environment, Signature, Step, random_actions
+from ..core import Agent, Environment, Signature, State, Step, random_actions
+from ..core.deployed import Deployed
 from ..core.seeding import SeedTree
 from ..environments.build import build_environment, opened
-from ..errors import MachineError, RunError, UsageError
+from ..errors import MachineError, UsageError
+from ..files import read_object
 from ..records import RunFolder
+from ..records.shipped import POLICY, is_shipped
 from ..registry import load
 from ..specification import Spec, spec_from_dict
 from ..store import Store
+from ..store.meant import find_folder
 
 
 @dataclass(frozen=True)
@@ -81,31 +85,69 @@ class SavedAgent:
         return Policy(act)
 
 
+@dataclass(frozen=True)
+class Learned:
+    """What the agent of a run has learned."""
+
+    run: str
+    checkpoint: str
+    sha256: str
+    """Of the agent's state in the checkpoint, in hexadecimal digits."""
+    steps: int
+    """Environment steps of its training."""
+    seconds: float
+    """Wall-clock seconds of collecting and learning of its training."""
+    state: State | Deployed
+    """The state; of a run that ships its policy."""
+
+    def record(self) -> dict[str, object]:
+        """For the events of a run that starts from it."""
+        return {"run": self.run, "checkpoint": self.checkpoint, "sha256": self.sha256, "steps": self.steps}
+
+
+def read_learned(folder: RunFolder, name: str) -> Learned:
+    """What a checkpoint holds; of a run that ships, which has no checkpoints, its policy, whatever the name.
+
+    Raises RunError if the checkpoint is missing or damaged.
+    """
+    if is_shipped(folder):
+        about: Mapping[str, Any] = read_object(folder.path / "policy.json") or {}
+        policy = Deployed.read(folder.path / POLICY)
+        known = (about["checkpoint"], about["sha256"], about["steps"])
+        return Learned(folder.id, *known, folder.state().seconds, policy)
+    state, meta, sha256 = checkpoint.load_part(folder.checkpoints, name, "agent")
+    with checkpoint.fitting(f"{folder.id}, checkpoint {name}"):
+        return Learned(folder.id, name, sha256, int(meta["steps"]), float(meta["seconds"]), state)
+
+
+def spec_of(folder: RunFolder) -> Spec:
+    """The run's resolved spec. Raises RunError if it is missing, damaged or changed."""
+    resolved = folder.spec()
+    if is_shipped(folder):
+        del resolved["environment"]["engine"]  # any installed engine does
+    return spec_from_dict(resolved)
+
+
 def load_agent(folder: RunFolder, name: str = "best") -> SavedAgent:
     """The agent of a run's checkpoint.
 
     Args:
         folder: the run's.
-        name: `best` or `last`.
+        name: `best` or `last`; a run that ships has one policy, which is `last`.
 
     Raises:
         RunError: the checkpoint is missing, or the checkpoint or the resolved spec is damaged.
     """
-    spec = spec_from_dict(folder.spec())
-    state, meta, sha256 = checkpoint.load_part(folder.checkpoints, name, "agent")
+    spec, learned = spec_of(folder), read_learned(folder, name)
     signature = signature_of(spec)
     agent: Agent = load("agents", spec.agent.name)(spec.agent.settings, signature, SeedTree(0), "cpu")
-    try:
-        agent.load_state(state)
-        steps, seconds = int(meta["steps"]), float(meta["seconds"])
-    except (ArithmeticError, AttributeError, LookupError, RuntimeError, TypeError, ValueError) as error:
-        reason = (str(error).splitlines() or [""])[0]
-        raise RunError(
-            f"the checkpoint {name!r} does not hold this agent ({type(error).__name__}: {reason})",
-            where=folder.id,
-            hint="use another checkpoint of the run, or train again",
-        ) from error
-    return SavedAgent(spec, signature, agent, name, sha256, steps, seconds)
+    with checkpoint.fitting(f"{folder.id}, checkpoint {learned.checkpoint}"):
+        if isinstance(learned.state, Deployed):
+            agent.adopt(learned.state)
+        else:
+            agent.load_state(learned.state)
+    known = (learned.checkpoint, learned.sha256, learned.steps, learned.seconds)
+    return SavedAgent(spec, signature, agent, *known)
 
 
 def load_run(
@@ -114,7 +156,8 @@ def load_run(
     """`karolos.load`: the policy of a run.
 
     Args:
-        run: the path of a run folder; or what the command line takes: @last, an id, an experiment's name.
+        run: the path of a run folder; or what the command line takes: @last, an id, an experiment's name; or the name
+            of a policy that ships, such as panda_pick.
         checkpoint: `best` or `last`.
         runs: the runs folder.
         database: URL of the database; by default the one in the runs folder.
@@ -123,13 +166,9 @@ def load_run(
         UsageError: `run` means no run, or several.
         RunError: the checkpoint is missing or damaged.
     """
-    if os.path.isfile(Path(run) / "run.json"):  # Path.is_file raises for a name that is too long
-        return load_agent(RunFolder.open(run), checkpoint)
     url = database or Store.default_url(runs)
-    if not Store.exists(url):
-        raise UsageError("there are no runs yet", where=str(runs), hint="`karolos run SPEC` makes one")
-    with Store(url) as store:
-        return load_agent(RunFolder.open(store.find(str(run)).folder), checkpoint)
+    with Store(url) if Store.exists(url) else nullcontext() as store:
+        return load_agent(find_folder(str(run), store, runs), checkpoint)
 
 
 def signature_of(spec: Spec, *, randomize: bool = False) -> Signature:

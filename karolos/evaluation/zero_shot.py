@@ -15,6 +15,7 @@ from ..records import RunFolder, provenance, transfer_results
 from ..records.decode import from_json
 from ..records.results import TestCounts, TestResult
 from ..records.run_records import timestamp
+from ..records.shipped import is_shipped
 from ..records.transfer_results import TransferResult
 from ..specification import Spec
 from ..training.assembly import make_orchestrator
@@ -93,6 +94,8 @@ def zero_shot_test(
 ) -> TransferResult:
     """Play test episodes of a run's policy under its spec with overrides, and write the result into the run's folder.
 
+    Nothing is written for a run that ships.
+
     The same policy's success on the same episodes under the unchanged spec stands beside it. It comes from the final
     test if that played these episodes; otherwise they are played, too.
 
@@ -141,7 +144,7 @@ def zero_shot_test(
         own = _from_final_test(folder, saved, seed, count) or play(saved.spec, drawing=False)
     transfer = TransferResult(
         time=timestamp(),
-        checkpoint=checkpoint,
+        checkpoint=saved.checkpoint,
         sha256=saved.sha256,
         overrides=tuple(overrides),
         randomized=randomize,
@@ -151,7 +154,8 @@ def zero_shot_test(
         own=TestCounts.of(own),
         versions=provenance.versions(),
     )
-    transfer_results.add(folder, transfer)
+    if not is_shipped(folder):
+        transfer_results.add(folder, transfer)
     return transfer
 
 

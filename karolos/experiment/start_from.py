@@ -7,36 +7,22 @@ was overwritten since is noticed. The sha256 belongs to the experiment's identit
 from __future__ import annotations
 
 import os
-from dataclasses import dataclass, replace
+from dataclasses import replace
 from pathlib import Path
 
 from .. import checkpoint
-from ..core import Agent, Signature, State
+from ..core import Agent, Signature
+from ..core.deployed import Deployed
 from ..core.signature import SAME_LAYOUTS, layout_differences
 from ..errors import RunError, UsageError
-from ..evaluation.policies import signature_of
+from ..evaluation.policies import Learned, read_learned, signature_of, spec_of
 from ..records import RunFolder
+from ..records.shipped import FOLDER as SHIPPED
 from ..registry import load
-from ..specification import Spec, spec_from_dict
+from ..specification import Spec
 from ..training.assembly import located
 
 SETTING = "agent.start_from"
-
-
-@dataclass(frozen=True)
-class Start:
-    """What another run's agent has learned."""
-
-    run: str
-    checkpoint: str
-    sha256: str
-    steps: int
-    """Environment steps it had been trained for."""
-    state: State
-
-    def record(self) -> dict[str, object]:
-        """For the run's events."""
-        return {"run": self.run, "checkpoint": self.checkpoint, "sha256": self.sha256, "steps": self.steps}
 
 
 def pinned(spec: Spec, runs: Path) -> Spec:
@@ -49,7 +35,7 @@ def pinned(spec: Spec, runs: Path) -> Spec:
     return spec.model_copy(update={"agent": replace(spec.agent, settings=settings)})
 
 
-def find(spec: Spec, runs: Path) -> Start | None:
+def find(spec: Spec, runs: Path) -> Learned | None:
     """What the spec's agent starts from; None without `agent.start_from`.
 
     Args:
@@ -65,31 +51,33 @@ def find(spec: Spec, runs: Path) -> Start | None:
     run = getattr(settings, "start_from", None)
     if run is None:
         return None
+    path = next((path for path in (Path(run), runs / run, SHIPPED / run) if os.path.isdir(path)), runs / run)
     try:
-        folder = RunFolder.open(Path(run) if os.path.isdir(run) else runs / run)
+        folder = RunFolder.open(path)
     except RunError as error:
         raise UsageError(f"{run!r}: {error.what}", setting=SETTING, hint=error.hint) from error
-    source = spec_from_dict(folder.spec())
+    source = spec_of(folder)
     check_agents(spec, source)
     _check_layouts(signature_of(spec), signature_of(source))
-    name = settings.start_checkpoint
-    state, meta, sha256 = checkpoint.load_part(folder.checkpoints, name, "agent")
-    if settings.start_sha256 not in (None, sha256):
+    learned = read_learned(folder, settings.start_checkpoint)
+    if settings.start_sha256 not in (None, learned.sha256):
         raise UsageError(
-            f"checkpoint {name!r} of run {folder.id} is not the one this spec was first run with "
-            f"(its agent has sha256 {sha256[:12]}..., not {settings.start_sha256[:12]}...)",
+            f"checkpoint {learned.checkpoint!r} of run {folder.id} is not the one this spec was first run with "
+            f"(its agent has sha256 {learned.sha256[:12]}..., not {settings.start_sha256[:12]}...)",
             setting=SETTING,
             hint="set agent.start_sha256=null to start from the present checkpoint, which is another experiment",
         )
-    with checkpoint.fitting(str(folder.checkpoints / name)):
-        return Start(folder.id, name, sha256, int(meta["steps"]), state)
+    return learned
 
 
-def apply(start: Start, agent: Agent) -> None:
+def apply(start: Learned, agent: Agent) -> None:
     """Load what was learned into the agent. Raises UsageError if its networks have another shape."""
     try:
         with checkpoint.fitting(f"{start.run}, checkpoint {start.checkpoint}"):
-            agent.start_from(start.state)
+            if isinstance(start.state, Deployed):
+                agent.adopt(start.state)
+            else:
+                agent.start_from(start.state)
     except UsageError as error:
         raise UsageError(error.what, setting=SETTING, hint=error.hint) from error
 

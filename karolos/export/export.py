@@ -40,6 +40,7 @@ class Exported:
 
     folder: Path
     files: tuple[Path, ...]
+    checkpoint: str
     steps: int
     """Environment steps that the policy was trained for."""
     error: float
@@ -89,7 +90,7 @@ def export_policy(folder: RunFolder, out: Path, *, checkpoint: str = "best", onn
         for path in paths.values():
             path.unlink()  # they must not be used
         raise RunError(f"what was written does not act as the agent does: it differs by {error:.2g}", where=folder.id)
-    return Exported(out, tuple(paths.values()), saved.steps, error)
+    return Exported(out, tuple(paths.values()), saved.checkpoint, saved.steps, error)
 
 
 def arrays(policy: Deployed) -> dict[str, Any]:

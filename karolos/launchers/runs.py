@@ -58,7 +58,7 @@ class Home:
     def create(self, spec: Spec, seed: int) -> RunFolder:
         """A new run's folder, locked."""
         folder = RunFolder.create(self.runs, spec.name, seed)
-        folder.describe(spec.dump(), experiment=spec.hash(), text=self.text)
+        folder.describe(spec.dump(), experiment=spec.hash(), text=self.text, changed=spec.changed())
         return folder
 
 

@@ -78,11 +78,11 @@ class Poses:
         shoulder = self.chain.forward(self.rest.tolist()).axes[8]  # height of the second joint
         lift = max(0.0, shoulder / self.length - 0.45)  # of a base on a pedestal
         best: Place | None = None
-        places = product((0.0, -pi / 2, pi / 2, pi), (0.25, 0.15, 0.08), (0.55, 0.45, 0.65, 0.35))
-        for direction, height, ahead in places:
+        ahead = product((0.0,), (0.25, 0.15, 0.08), (0.55, 0.45, 0.65, 0.35))
+        for direction, height, away in (*ahead, *product((-pi / 2, pi / 2, pi), (0.25, 0.15), (0.55, 0.35))):
             if best is not None and (best.room > 0.9 * GOAL_SPACE**3 or direction):
                 break
-            x, y, z = (ahead * cos(direction), ahead * sin(direction), lift + height)
+            x, y, z = (away * cos(direction), away * sin(direction), lift + height)
             found = self._at((self.length * x, self.length * y, self.length * z))
             if found is not None and found.room > (1.25 * best.room if best else 0.0):
                 best = found

@@ -6,7 +6,6 @@ import re
 import textwrap
 from collections.abc import Sequence
 from dataclasses import dataclass, fields
-from itertools import product
 from math import pi
 from pathlib import Path
 from pprint import pformat
@@ -77,9 +76,6 @@ def propose(path: Path, tool: str | None = None) -> Proposal:
             message names the joint or link.
     """
     loose = urdf.load(path, strict=False)
-    for name in (*loose.carriers, *(joint.name for joint in loose.joints)):
-        if not name.isprintable():
-            raise PluginError(f"a name with control characters: {name!r}", where=str(path), hint="rename it in a copy")
     if tool is not None and tool not in loose.carriers:
         raise PluginError(f"there is no link {tool!r}", where=str(path), hint=f"links: {', '.join(loose.carriers)}")
     arm = _arm(loose, path, tool)
@@ -109,7 +105,7 @@ def propose(path: Path, tool: str | None = None) -> Proposal:
         notes.append(
             f"speed: the URDF lets {', '.join(fast)} turn faster than a turn per second; compare the data sheet"
         )
-    position, rotation, note = _tool(path, joints[-1], hand, tool)
+    position, rotation, note = _tool(found, path, joints[-1], hand, tool)
     notes.append(note)
     usual: float = ArmSettings.model_fields["tool_step"].default
     poses = Poses(joints, (position, rotation), usual)
@@ -244,25 +240,16 @@ def _hand(found: urdf.Description, last: Joint, slides: tuple[str, ...]) -> _Han
     return _Hand(shapes, np.vstack(pads), across, fingers, note)
 
 
-def _frames(path: Path, link: str) -> dict[str, tuple[Array, Array]]:
-    """Translation and rotation, in the frame of `link`, of all links that fixed joints hold to it."""
-    frames = {link: (np.zeros(3), np.eye(3))}
-    fixed = [joint for joint in urdf.read(path).findall("joint") if joint.get("type") == "fixed"]
-    for _, joint in product(fixed, fixed):
-        parent, child = urdf.link_of(joint, "parent"), urdf.link_of(joint, "child")
-        if parent in frames:
-            (translation, rotation), (offset, turn) = frames[parent], urdf.origin_of(joint)
-            frames[child] = translation + rotation @ offset, rotation @ turn
-    return frames
-
-
-def _tool(path: Path, last: Joint, hand: _Hand, named: str | None) -> tuple[Array, Array, str]:
+def _tool(found: urdf.Description, path: Path, last: Joint, hand: _Hand, named: str | None) -> tuple[Array, Array, str]:
     """Position and rotation of the tool in the frame of the last link, z along the direction of approach, and a note.
 
     It is the frame that the user named, or one of a usual name that lies between the fingers; else the tips of the
     fingers, or the end of the last link.
     """
-    frames, axis = _frames(path, last.child), np.array(last.axis)
+    frames, axis = (
+        {name: found.frames[name] for name, one in found.carriers.items() if one == last.child},
+        np.array(last.axis),
+    )
     usual = (name for pattern in TOOL_NAMES for name in frames if pattern.search(name) and name != last.child)
     name = named or next(usual, None)
     if name is not None and name not in frames:

@@ -153,6 +153,7 @@ class RunFolder:
         experiment: str,
         text: str | None = None,
         source: Path | None = None,
+        changed: Mapping[str, Any] | None = None,
     ) -> None:
         """Write what the run is made from. The folder counts as a run from here on, because run.json is written last.
 
@@ -161,6 +162,7 @@ class RunFolder:
             experiment: hash of that spec without seeds and operational fields.
             text: the spec as its author wrote it.
             source: the folder whose git work tree is recorded; the current one by default.
+            changed: the settings of the spec that differ from their defaults, as JSON values.
         """
         code = provenance.code(source or Path.cwd())
         if text is not None:
@@ -170,6 +172,7 @@ class RunFolder:
         write_json(self.path / "resolved.json", resolved)
         self._run |= {
             "experiment": experiment,
+            "changed": changed,
             "resolved_sha256": sha256((self.path / "resolved.json").read_bytes()).hexdigest(),
             "versions": provenance.versions(),
             "source": provenance.source(),

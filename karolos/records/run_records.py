@@ -55,6 +55,8 @@ class RunDescription(TypedDict):
     seed: Annotated[int, Field(ge=0, strict=True)]
     created: str
     """Time in UTC, ISO 8601."""
+    changed: NotRequired[dict[str, Any] | None]
+    """Settings that differ from their defaults; None if that is not known."""
     resolved_sha256: NotRequired[str]
     """Of the file resolved.json."""
     versions: NotRequired[dict[str, str]]

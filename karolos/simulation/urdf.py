@@ -6,28 +6,70 @@ Units: m, rad, kg, N m (N for prismatic joints), rad/s (m/s). No engine is neede
 from __future__ import annotations
 
 import copy
-from collections.abc import Iterable, Iterator, Mapping
-from contextlib import contextmanager
+import os
+import re
+from collections import Counter, defaultdict
+from collections.abc import Iterable, Mapping
 from dataclasses import dataclass
 from functools import cache
-from math import hypot, isfinite, pi
+from math import hypot, nan, pi
 from pathlib import Path
 from xml.etree import ElementTree
 from xml.etree.ElementTree import Element
+from xml.parsers import expat
 
 import numpy as np
 
 from ..core import Array
 from ..errors import PluginError
 from .geometry import Vector
+from .meshes import LARGEST_NUMBER, MESH_SUFFIXES, triangles
 
-MESH_SUFFIXES = (".stl", ".obj", ".dae")
-"""File extensions of the meshes that an engine can read."""
 FINGER_MASS = 0.05
 """Least mass in kg of a finger, with the drive that moves with it. A finger of 15 g grips with 21 instead of 30 N: the
 solver would need more iterations than are worth their time."""
 CONTINUOUS_RANGE = 2 * pi
 """Range in rad to each side of a continuous joint."""
+LEAST_SIZE = 1e-6
+"""Least length of a shape in m, and least mass of a moving link in kg."""
+LEAST_INERTIA = 1e-12
+"""Least principal moment of a moving link in kg m2."""
+MOST_LINKS, MOST_JOINTS = 1000, 12
+"""Links of a file, and joints of it that move. Engines take minutes for a chain of a hundred joints."""
+LONGEST_FILE, LONGEST_NAME = 20_000_000, 100
+"""Of a file in bytes, and of a name in characters: PyBullet copies names into arrays of fixed size."""
+
+_INERTIA = {"ixx": (0, 0), "iyy": (1, 1), "izz": (2, 2), "ixy": (0, 1), "ixz": (0, 2), "iyz": (1, 2)}
+_LIMITS = ("lower", "upper", "effort", "velocity")
+_SHAPES = ("box", "sphere", "cylinder", "capsule")
+_KNOWN = {
+    "robot": "@name link* joint* material*",
+    "link": "@name inertial visual* collision*",
+    "joint": "@name @type origin parent child axis limit dynamics mimic",
+    "inertial": "origin mass inertia",
+    "visual": "origin geometry material",
+    "collision": "origin geometry",
+    "geometry": "box sphere cylinder capsule mesh",
+    "material": "@name color",
+    "parent": "@link",
+    "child": "@link",
+    "mimic": "@joint multiplier=1 offset=1",
+    "origin": "xyz=3 rpy=3",
+    "axis": "xyz=3",
+    "mass": "value=1",
+    "inertia": " ".join(f"{key}=1" for key in _INERTIA),
+    "limit": " ".join(f"{key}=1" for key in _LIMITS),
+    "dynamics": "damping=1 friction=1",
+    "box": "size=3",
+    "sphere": "radius=1",
+    "cylinder": "radius=1 length=1",
+    "capsule": "radius=1 length=1",
+    "mesh": "@filename scale=3",
+    "color": "rgba=4",
+}
+"""What is kept of each element: @texts, numbers with their count, and parts, of which there may be many*."""
+_LEAST = {**dict.fromkeys(_SHAPES, LEAST_SIZE), "mass": 0.0, "dynamics": 0.0}
+_NUMBER = re.compile(r"[-+]?(\d+\.?\d*|\.\d+)([eE][-+]?\d{1,3})?", re.ASCII)
 
 
 @dataclass(frozen=True)
@@ -60,6 +102,8 @@ class Description:
     """The moving joints, from the base outwards."""
     carriers: Mapping[str, str]
     """Link of the file -> link of `robot` into which it is merged."""
+    frames: Mapping[str, tuple[Array, Array]]
+    """Link of the file -> its translation (3,) and rotation (3, 3) in the frame of its carrier."""
     corrected: tuple[str, ...] = ()
     """Links whose inertia no body can have: the smaller principal moments are raised to what is possible."""
 
@@ -85,21 +129,104 @@ def roll_pitch_yaw(rotation: Array) -> tuple[float, float, float]:
     return float(np.arctan2(rotation[2, 1], rotation[2, 2])), pitch, float(np.arctan2(rotation[1, 0], rotation[0, 0]))
 
 
-def read(path: Path) -> Element:
-    """The <robot> element of a URDF. Raises PluginError when the file is missing or not a URDF."""
-    try:
-        root = ElementTree.parse(path).getroot()
+def text_of(path: Path) -> str:
+    """The text of a URDF. Raises PluginError when the file is missing, too large or not in UTF-8."""
     # `from None`: the line says it all, and the command line prints the traceback of a cause.
+    try:
+        if path.stat().st_size > LONGEST_FILE:
+            raise PluginError(f"larger than {LONGEST_FILE / 1e6:g} MB", where=str(path))
+        return path.read_text("utf-8-sig")
     except OSError as error:
         raise PluginError(f"cannot read {path.name}: {error.strerror}", where=str(path.parent)) from None
-    except ElementTree.ParseError as error:
-        raise PluginError(f"not an XML file: {error}", where=str(path), hint="a robot needs a valid URDF") from None
-    if any("ros.org/wiki/xacro" in element.tag for element in root):
-        hint = f"expand it first: xacro {path.name} > robot.urdf"
-        raise PluginError("macros of xacro, which are not expanded", where=str(path), hint=hint)
-    if root.tag != "robot" or root.find("link") is None:
-        raise PluginError("not a URDF: it needs a <robot> with links", where=str(path))
-    return root
+    except UnicodeDecodeError as error:
+        line = error.object.count(b"\n", 0, error.start) + 1
+        raise PluginError("not in UTF-8", where=f"{path}:{line}", hint="save it as UTF-8") from None
+
+
+class _Source:
+    """What is known of a URDF, with the line of each element."""
+
+    def __init__(self, path: Path) -> None:
+        self.path = path
+        self.lines: dict[Element, int] = {}
+        builder, parser = ElementTree.TreeBuilder(), expat.ParserCreate("utf-8", "}")
+
+        def start(tag: str, attributes: dict[str, str]) -> None:
+            self.lines[builder.start(tag, attributes)] = parser.CurrentLineNumber
+
+        parser.StartElementHandler, parser.EndElementHandler = start, builder.end
+        try:
+            parser.Parse(text_of(path).encode(), True)
+        except expat.ExpatError as error:
+            hint = "a robot needs a valid URDF"
+            raise PluginError(f"not an XML file: {error}", where=str(path), hint=hint) from None
+        root = builder.close()
+        if any("ros.org/wiki/xacro" in element.tag for element in root):
+            hint = f"expand it first: xacro {path.name} > robot.urdf"
+            raise PluginError("macros of xacro, which are not expanded", where=str(path), hint=hint)
+        if root.tag != "robot" or root.find("link") is None:
+            raise PluginError("not a URDF: it needs a <robot> with links", where=str(path))
+        if len(root.findall("link")) > MOST_LINKS:
+            raise PluginError(f"more than {MOST_LINKS} links", where=str(path))
+        self.robot = self._checked(root)
+
+    def error(self, element: Element, what: str, within: str = "", hint: str | None = None) -> PluginError:
+        """An error at an element, which is named as a link or joint or by `within`."""
+        place = within or f"{element.tag} {element.get('name')}"
+        return PluginError(what, where=f"{self.path}:{self.lines[element]}: {place}", hint=hint)
+
+    def _checked(self, element: Element, above: str = "") -> Element:
+        """A copy of an element with what is known of a URDF alone; `above` names those that it stands in.
+
+        Raises PluginError for names and numbers that are none, and for parts that are missing or doubled.
+        """
+        tag, parts = element.tag, Counter(part.tag for part in element)
+        within, made = f"{above}<{tag}>", Element(tag)
+        self.lines[made] = self.lines[element]
+        if tag in ("link", "joint"):
+            within = f"{tag} {self._text(element, 'name', within)}"
+        for known in _KNOWN[tag].split():
+            key, separator, count = known.strip("@*").partition("=")
+            if known[0] == "@":
+                made.set(key, self._text(element, key, within))
+            elif separator and (key in element.attrib or tag in _SHAPES):
+                made.set(key, self._numbers(element, key, int(count), within))
+            elif parts[key] > 1 and known[-1] != "*":
+                raise self.error(element, f"{parts[key]} elements <{key}> instead of one", within)
+        for part in element:
+            if part.tag in _KNOWN[tag].replace("*", "").split():
+                made.append(self._checked(part, "" if tag == "robot" else f"{within}: "))
+        if tag in ("visual", "collision") and len(made.findall("geometry/*")) != 1:
+            raise self.error(element, "it needs one shape", within, f"one of {_KNOWN['geometry'].replace(' ', ', ')}")
+        return made
+
+    def _text(self, element: Element, key: str, within: str) -> str:
+        text, most = element.get(key, ""), 2000 if key == "filename" else LONGEST_NAME
+        if text.isprintable() and len(text) <= most and (text.strip() or element.tag in ("material", "robot")):
+            return text or "unnamed"
+        hint = f"1 to {most} letters without control characters"
+        raise self.error(element, f"its {key} is {_short(text)}", within, hint)
+
+    def _numbers(self, element: Element, key: str, count: int, within: str) -> str:
+        text, least = element.get(key, ""), _LEAST.get(element.tag, -LARGEST_NUMBER)
+        numbers = [float(word) if _NUMBER.fullmatch(word) else nan for word in text.split()]
+        if len(numbers) == count and all(least <= number <= LARGEST_NUMBER for number in numbers):
+            return " ".join(text.split())
+        hint = f"{count} number{'s' * (count > 1)} from {least:g} to {LARGEST_NUMBER:g}"
+        raise self.error(element, f"its {key} is {_short(text)}", within, hint)
+
+
+def _short(text: str) -> str:
+    """A text of a stranger for messages."""
+    return ascii(text if len(text) <= 60 else f"{text[:57]}...")
+
+
+def read(path: Path) -> Element:
+    """What is known of a URDF: its links, joints and materials, checked one by one.
+
+    Raises PluginError when the file is missing or not a URDF; it names the element and its line.
+    """
+    return _Source(path).robot
 
 
 @cache
@@ -120,120 +247,116 @@ def load(
         strict: whether limits, masses and meshes must be such that the robot can be simulated.
 
     Raises:
-        PluginError: names the joint or link that is not as a URDF must be, or that cannot be simulated.
+        PluginError: names the joint or link that is not as a URDF must be, or that cannot be simulated, and its line.
     """
-    robot = copy.deepcopy(read(path))
-    for element in [*robot]:
-        if element.tag not in ("link", "joint", "material"):
-            robot.remove(element)
-    order = _tree(robot, path)
+    source = _Source(path)
+    robot, order = source.robot, _tree(source)
     held = _held(order, dict(locked), path)
     carriers: dict[str, str] = {}
+    frames: dict[str, tuple[Array, Array]] = {}
     for element in order:
-        parent, child = link_of(element, "parent"), link_of(element, "child")
+        name, parent, child = element.get("name", ""), link_of(element, "parent"), link_of(element, "child")
         carriers.setdefault(parent, parent)
-        carriers[child] = carriers[parent] if element.get("name") in held else child
-    if strict:
-        _find_meshes(robot, path)
-    with _readable(path, "a number"):
-        robot = weld(robot, held)
+        frames.setdefault(parent, (np.zeros(3), np.eye(3)))
+        carriers[child], frames[child] = child, (np.zeros(3), np.eye(3))
+        if name in held:
+            (above, turned), (translation, rotation) = frames[parent], _placed(element, held[name])
+            carriers[child], frames[child] = carriers[parent], (above + turned @ translation, turned @ rotation)
     moving = [element for element in order if element.get("name") not in held]
-    elements = {element.get("name"): element for element in robot.findall("joint")}
+    if strict:
+        _find_meshes(source)
+        if len(moving) > MOST_JOINTS:
+            hint = "an arm has five to eight; hold others by `locked`"
+            raise PluginError(f"{len(moving)} joints that move, more than {MOST_JOINTS}", where=str(path), hint=hint)
+    _merge(robot, held)
     found = []
-    for element in (elements[one.get("name")] for one in moving):
-        where = f"{path}: joint {element.get('name')}"
-        with _readable(where, "limit or axis"):
-            _make_simple(element, element.get("name") in slides)
-            found.append(_joint(element, where, strict=strict))
+    for element in moving:
+        _make_simple(element, element.get("name") in slides)
+        found.append(_joint(element, source, strict=strict))
     corrected = []
     if strict:
         root = carriers[link_of(order[0], "parent")] if order else ""
         fingers = {joint.child for joint in found if joint.name in slides}
         for link in robot.findall("link"):
             name = link.get("name", "")
-            if _check_link(link, path, base=name == root, least=FINGER_MASS if name in fingers else 0.0):
+            if _check_link(link, source, base=name == root, least=FINGER_MASS if name in fingers else 0.0):
                 corrected.append(name)
-    return Description(robot, tuple(found), carriers, tuple(corrected))
+    return Description(robot, tuple(found), carriers, frames, tuple(corrected))
 
 
-@contextmanager
-def _readable(where: object, what: str) -> Iterator[None]:
-    """Turn the errors of numbers that cannot be read into a PluginError."""
-    try:
-        yield
-    except (KeyError, ValueError) as error:
-        raise PluginError(f"{what} is not readable: {error}", where=str(where)) from error
-
-
-def _tree(robot: Element, path: Path) -> list[Element]:
+def _tree(source: _Source) -> list[Element]:
     """The joints from the base outwards, each after the one that moves its parent. Raises PluginError for no tree."""
-    elements = robot.findall("joint")
-    links = [link.get("name", "?") for link in robot.findall("link")]
-    for what, names in (("link", links), ("joint", [element.get("name", "?") for element in elements])):
-        for name in names:
-            if names.count(name) > 1:
-                raise PluginError("two of this name", where=f"{path}: {what} {name}")
+    known: dict[tuple[str, str], Element] = {}
+    for element in source.robot:
+        if (
+            element.tag != "material"
+            and known.setdefault((element.tag, element.get("name", "")), element) is not element
+        ):
+            raise source.error(element, "two of this name")
     above: dict[str, Element] = {}
+    below: dict[str, list[Element]] = defaultdict(list)
+    elements = source.robot.findall("joint")
     for element in elements:
-        where = f"{path}: joint {element.get('name', '?')}"
-        kind = element.get("type")
+        kind, ends = element.get("type"), (link_of(element, "parent"), link_of(element, "child"))
         if kind not in {"revolute", "continuous", "prismatic", "fixed"}:
-            hint = "joints are revolute, continuous, prismatic or fixed"
-            raise PluginError(f"a {kind} joint", where=where, hint=hint)
+            raise source.error(element, f"a {kind} joint", hint="joints are revolute, continuous, prismatic or fixed")
         if element.find("parent") is None or element.find("child") is None:
-            raise PluginError("a joint without parent or child", where=where)
-        for role in ("parent", "child"):
-            if link_of(element, role) not in links:
-                raise PluginError(f"there is no link {link_of(element, role)!r}", where=where)
-        child = link_of(element, "child")
-        if child in above:
-            raise PluginError(f"link {child!r} is also the child of joint {above[child].get('name')}", where=where)
-        above[child] = element
-    roots = [name for name in links if name not in above]
+            raise source.error(element, "a joint without parent or child")
+        for link in ends:
+            if ("link", link) not in known:
+                raise source.error(element, f"there is no link {link!r}")
+        if ends[1] in above:
+            other = above[ends[1]].get("name")
+            raise source.error(element, f"link {ends[1]!r} is also the child of joint {other}")
+        above[ends[1]] = element
+        below[ends[0]].append(element)
+    roots = [name for tag, name in known if tag == "link" and name not in above]
     if len(roots) != 1:
-        raise PluginError(
-            f"{len(roots)} links without a joint above them: {', '.join(roots) or 'the joints form a circle'}",
-            where=str(path),
-            hint="exactly one link is the base",
-        )
+        some = ", ".join(roots[:5]) or "the joints form a circle"
+        what = f"{len(roots)} links without a joint above them: {some}"
+        raise PluginError(what, where=str(source.path), hint="exactly one link is the base")
     order, reached = [], roots
     while reached:
-        further = [element for element in elements if link_of(element, "parent") == reached[0]]
+        further = below[reached[0]]
         order += further
         reached = [*(link_of(element, "child") for element in further), *reached[1:]]
     if len(order) < len(elements):
-        circle = next(element for element in elements if element not in order)
-        raise PluginError("not connected to the base", where=f"{path}: joint {circle.get('name')}")
+        circle = {*elements}.difference(order)
+        raise source.error(next(one for one in elements if one in circle), "not connected to the base")
     return order
 
 
 def _held(order: Iterable[Element], locked: dict[str, float], path: Path) -> dict[str, float]:
     """The position of every joint that does not move: fixed ones, locked ones and those that mimic a locked one."""
-    held = {element.get("name", "?"): 0.0 for element in order if element.get("type") == "fixed"}
-    names = [element.get("name", "?") for element in order]
+    held = {element.get("name", ""): 0.0 for element in order if element.get("type") == "fixed"}
+    names = [element.get("name", "") for element in order]
     for name in locked:
         if name not in names:
             raise PluginError(f"no joint is called {name!r}", where=str(path), hint=f"joints: {', '.join(names)}")
     held.update(locked)
-    mimics = {element.get("name", "?"): one for element in order if (one := element.find("mimic")) is not None}
-    for _ in mimics:  # a mimic joint may follow another
+    mimics = {element.get("name", ""): one for element in order if (one := element.find("mimic")) is not None}
+    found = True
+    while found:  # a mimic joint may follow another
+        found = False
         for name, mimic in mimics.items():
             leader = mimic.get("joint", "")
             if leader in held and name not in held:
-                with _readable(f"{path}: joint {name}", "mimic"):
-                    held[name] = held[leader] * float(mimic.get("multiplier", "1")) + float(mimic.get("offset", "0"))
+                held[name] = held[leader] * float(mimic.get("multiplier", "1")) + float(mimic.get("offset", "0"))
+                found = True
     return held
 
 
 def _make_simple(element: Element, slide: bool) -> None:
     """Make a continuous joint a revolute one, and let the range of a slide of the gripper begin at 0."""
     limit = element.find("limit")
-    if element.get("type") == "continuous" and limit is not None:
+    if limit is None:
+        return
+    if element.get("type") == "continuous":
         element.set("type", "revolute")
         limit.set("lower", repr(-CONTINUOUS_RANGE))
         limit.set("upper", repr(CONTINUOUS_RANGE))
-    if slide and limit is not None:
-        lower, upper, axis = float(limit.attrib["lower"]), float(limit.attrib["upper"]), np.array(_axis(element))
+    if slide:
+        lower, upper, axis = float(limit.get("lower", "0")), float(limit.get("upper", "0")), np.array(_axis(element))
         if -lower > upper:
             lower, upper, axis = -upper, -lower, -axis
         if lower or not np.array_equal(axis, _axis(element)):
@@ -246,31 +369,25 @@ def _make_simple(element: Element, slide: bool) -> None:
             limit.set("upper", repr(upper - lower))
 
 
-def _joint(element: Element, where: str, *, strict: bool) -> Joint:
+def _joint(element: Element, source: _Source, *, strict: bool) -> Joint:
     limit, mimic, dynamics = element.find("limit"), element.find("mimic"), element.find("dynamics")
-    for other in ("mimic", "safety_controller", "calibration"):
-        for one in element.findall(other):
-            element.remove(one)
-    friction = 0.0
-    if dynamics is not None:  # engines treat it differently, and one ignores it
-        friction = float(dynamics.attrib.pop("friction", "0"))
-    if limit is None and strict:
-        raise PluginError("a joint without limit", where=where, hint="<limit lower upper effort velocity>")
+    if mimic is not None:
+        element.remove(mimic)
+    # engines treat friction differently, and one ignores it
+    friction = float(dynamics.attrib.pop("friction", "0")) if dynamics is not None else 0.0
     values = limit.attrib if limit is not None else {}
-    keys = ("lower", "upper", "effort", "velocity")
-    lower, upper, effort, velocity = (float(values[key] if strict else values.get(key, "0")) for key in keys)
+    numbers = (float(values.get(key, nan if strict else 0)) for key in _LIMITS)
+    lower, upper, effort, velocity = numbers
     axis, effort = _axis(element), effort - friction
     if not any(axis):
-        raise PluginError("its axis is 0 0 0", where=where)
+        raise source.error(element, "its axis is 0 0 0")
     if strict and not (lower < upper and effort > 0 and velocity > 0):
-        raise PluginError(
-            f"limits must satisfy lower < upper, effort > {friction:g}, velocity > 0",
-            where=where,
-            hint="write the numbers of the data sheet into <limit>; exporters leave zeros",
-        )
+        what = f"limits must satisfy lower < upper, effort > {friction:g}, velocity > 0"
+        hint = "write the numbers of the data sheet into <limit>; exporters leave zeros"
+        raise source.error(element, what, hint=hint)
     origin, rotation = origin_of(element)
     return Joint(
-        name=element.get("name", "?"),
+        name=element.get("name", ""),
         parent=link_of(element, "parent"),
         child=link_of(element, "child"),
         revolute=element.get("type") != "prismatic",
@@ -285,50 +402,49 @@ def _joint(element: Element, where: str, *, strict: bool) -> Joint:
     )
 
 
-def _find_meshes(robot: Element, path: Path) -> None:
-    """Give every mesh its absolute file name. Raises PluginError, which names the link, for a mesh that is missing."""
-    for link in robot.findall("link"):
-        where = f"{path}: link {link.get('name')}"
-        for mesh in link.iter("mesh"):
-            name = mesh.get("filename", "")
-            found = find_mesh(name, path.parent)
-            if found is None:
-                raise PluginError(
-                    f"there is no mesh {name!r}",
-                    where=where,
-                    hint="it is looked for beside the URDF and in folders above",
-                )
-            if found.suffix.lower() not in MESH_SUFFIXES:
-                raise PluginError(
-                    f"cannot read the mesh {name!r}", where=where, hint=f"meshes end in {', '.join(MESH_SUFFIXES)}"
-                )
-            mesh.set("filename", str(found))
+def _find_meshes(source: _Source) -> None:
+    """Give every mesh its absolute file name, and leave out looks in Collada: such a link is drawn as it collides."""
+    for link in source.robot.findall("link"):
+        for shape in [*link.findall("visual"), *link.findall("collision")]:
+            for mesh in shape.iter("mesh"):
+                name = mesh.get("filename", "")
+                if shape.tag == "visual" and name.lower().endswith(".dae"):
+                    link.remove(shape)
+                    continue
+                found = find_mesh(name, source.path.parent)
+                if found is None:
+                    hint = "it is looked for beside the URDF and in folders above"
+                    raise source.error(link, f"there is no mesh {_short(name)}", hint=hint)
+                if found.suffix.lower() not in MESH_SUFFIXES:
+                    hint = f"meshes end in {', '.join(MESH_SUFFIXES)}"
+                    raise source.error(link, f"cannot read the mesh {_short(name)}", hint=hint)
+                triangles(found)
+                mesh.set("filename", str(found))
 
 
-def _check_link(link: Element, path: Path, *, base: bool, least: float) -> bool:
+def _check_link(link: Element, source: _Source, *, base: bool, least: float) -> bool:
     """Check the mass and the inertia of a link. Returns whether the inertia had to be corrected.
 
     Args:
         link: the <link>.
-        path: of the URDF.
+        source: where it stands.
         base: whether it is fixed and needs no mass.
         least: mass in kg to which it is raised, and its inertia with it.
     """
-    where = f"{path}: link {link.get('name')}"
-    with _readable(where, "inertial"):
-        mass, centre, tensor = _inertia(link)
+    mass, centre, tensor = _inertia(link)
+    moments, axes = np.linalg.eigh(tensor)
     if base:
-        if link.find("inertial") is None:  # an engine would guess
+        if link.find("inertial") is None or moments[0] < 0:  # an engine would guess, or refuse it
             _set_inertia(link, 1.0, centre, np.eye(3))
         return False
-    if not (isfinite(mass) and mass > 0):
-        raise PluginError("it moves and has no mass", where=where, hint="write its <inertial>")
-    if not (np.isfinite(tensor).all() and np.linalg.eigvalsh(tensor)[0] > 0):
-        raise PluginError("its inertia is not positive definite", where=where, hint="correct its <inertial>")
+    if mass < LEAST_SIZE:
+        raise source.error(link, "it moves and has no mass", hint="write its <inertial>")
+    if moments[0] < LEAST_INERTIA:
+        raise source.error(link, "its inertia is not positive definite", hint="correct its <inertial>")
     if mass < least:
         mass, tensor = least, tensor * (least / mass)
+        moments, axes = np.linalg.eigh(tensor)
         _set_inertia(link, mass, centre, tensor)
-    moments, axes = np.linalg.eigh(tensor)
     missing = 1.001 * moments[2] - moments[0] - moments[1]  # engines set the inertia to 0, or refuse it
     if missing <= 0.001 * moments[2]:
         return False
@@ -349,7 +465,7 @@ def find_mesh(name: str, folder: Path) -> Path | None:
     else:
         rest = rest if separator else name
         places = [folder / rest, folder.parent / rest]
-    return next((place.resolve() for place in places if place.is_file()), None)
+    return next((place.resolve() for place in places if os.path.isfile(place)), None)
 
 
 def _vector(values: Iterable[str | float]) -> Vector:
@@ -358,11 +474,13 @@ def _vector(values: Iterable[str | float]) -> Vector:
 
 
 def _axis(joint: Element) -> Vector:
-    """The axis, of length 1."""
+    """The axis, of length 1; all 0 for one that is shorter than any number of a data sheet."""
     axis = joint.find("axis")
     vector = _vector((axis.get("xyz", "1 0 0") if axis is not None else "1 0 0").split())
     length = hypot(*vector)
-    return vector if length in (0, 1) else _vector(np.divide(vector, length))
+    if length < LEAST_SIZE:
+        return 0.0, 0.0, 0.0
+    return vector if length == 1 else _vector(np.divide(vector, length))
 
 
 def origin_of(element: Element) -> tuple[Array, Array]:
@@ -374,34 +492,46 @@ def origin_of(element: Element) -> tuple[Array, Array]:
     return translation, rotation_matrix(*_vector(origin.get("rpy", "0 0 0").split()))
 
 
+def _placed(joint: Element, position: float) -> tuple[Array, Array]:
+    """Translation (3,) and rotation (3, 3) of a joint's child in its parent's frame, at a position in rad or m."""
+    translation, rotation = origin_of(joint)
+    if joint.get("type") == "prismatic":
+        return translation + rotation @ np.array(_axis(joint)) * position, rotation
+    return translation, rotation @ about(_axis(joint), position) if position else rotation
+
+
 def weld(robot: Element, positions: Mapping[str, float]) -> Element:
     """A copy with the named joints fixed at these positions and their links merged into their parents.
 
     A link costs about a tenth of an arm's physics step, so a gripper that a task never moves is not simulated.
     """
     robot = copy.deepcopy(robot)
+    _merge(robot, positions)
+    return robot
+
+
+def _merge(robot: Element, positions: Mapping[str, float]) -> None:
+    """`weld` in place."""
     links = {link.get("name"): link for link in robot.findall("link")}
+    below: dict[str, list[Element]] = defaultdict(list)
+    for element in robot.findall("joint"):
+        below[link_of(element, "parent")].append(element)
     for element in robot.findall("joint"):
         position = positions.get(element.get("name", ""))
         if position is None:
             continue
         parent, child = (links[link_of(element, role)] for role in ("parent", "child"))
-        translation, rotation = origin_of(element)
-        if element.get("type") == "prismatic":
-            translation = translation + rotation @ np.array(_axis(element)) * position
-        elif position:
-            rotation = rotation @ about(_axis(element), position)
+        translation, rotation = _placed(element, position)
         _merge_inertia(parent, child, translation, rotation)
         for shape in [*child.findall("visual"), *child.findall("collision")]:
             _move(shape, translation, rotation)
             parent.append(shape)
-        for other in robot.findall("joint"):
-            if link_of(other, "parent") == child.get("name"):
-                _move(other, translation, rotation)
-                other.findall("parent")[0].set("link", parent.get("name", ""))
+        for other in below[child.get("name", "")]:
+            _move(other, translation, rotation)
+            other.findall("parent")[0].set("link", parent.get("name", ""))
+            below[parent.get("name", "")].append(other)
         robot.remove(element)
         robot.remove(child)
-    return robot
 
 
 def about(axis: Vector, angle: float) -> Array:
@@ -429,9 +559,6 @@ def _set_origin(element: Element, translation: Array, rotation: Array) -> None:
         origin = ElementTree.SubElement(element, "origin")
     origin.set("xyz", " ".join(repr(float(value)) for value in translation))
     origin.set("rpy", " ".join(repr(value) for value in roll_pitch_yaw(rotation)))
-
-
-_INERTIA = {"ixx": (0, 0), "iyy": (1, 1), "izz": (2, 2), "ixy": (0, 1), "ixz": (0, 2), "iyz": (1, 2)}
 
 
 def _inertia(link: Element) -> tuple[float, Array, Array]:

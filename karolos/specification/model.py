@@ -198,6 +198,10 @@ class Spec(Settings):
         """The spec with all defaults, as JSON-able data that loads as an equal spec."""
         return {key: value for key, value in self.model_dump(mode="json").items() if value is not None}
 
+    def changed(self) -> dict[str, Any]:
+        """The plugins and the settings that differ from their defaults; JSON-able."""
+        return self.model_dump(mode="json", exclude_defaults=True)
+
     def alone(self) -> Spec:
         """This spec without what is not a run's own: sweep, transfer and launcher."""
         return self.model_copy(update={"sweep": None, "transfer": None, "launcher": None})

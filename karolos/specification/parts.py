@@ -27,10 +27,10 @@ class Part:
     settings: Any
     """An instance of the plugin's `Settings`."""
 
-    def dump(self) -> dict[str, Any]:
-        """Name and all settings as in a spec; JSON-able."""
+    def dump(self, *, changed: bool = False) -> dict[str, Any]:
+        """Name and all settings as in a spec, or only those that differ from their defaults; JSON-able."""
         settings: BaseModel = self.settings
-        return {"name": self.name, **settings.model_dump(mode="json")}
+        return {"name": self.name, **settings.model_dump(mode="json", exclude_defaults=changed)}
 
     def identity(self) -> dict[str, Any]:
         """Name and the settings that results depend on: `Settings.identity()` if defined, otherwise all."""
@@ -60,7 +60,9 @@ class OfKind:
     kind: str
 
     def __get_pydantic_core_schema__(self, source: Any, handler: GetCoreSchemaHandler) -> CoreSchema:
-        dump = core_schema.plain_serializer_function_ser_schema(Part.dump)
+        dump = core_schema.plain_serializer_function_ser_schema(
+            lambda part, info: part.dump(changed=info.exclude_defaults), info_arg=True
+        )
         return core_schema.no_info_plain_validator_function(self.validate, serialization=dump)
 
     def __get_pydantic_json_schema__(self, *_: Any) -> dict[str, str]:

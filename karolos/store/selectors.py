@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import os
 import re
 from collections.abc import Sequence
 from pathlib import Path
@@ -31,6 +32,8 @@ def select(database: Database, selector: str, *, all_prefixed: bool = False) -> 
     4. the beginning of an experiment's hash (6 digits or more): all its runs
     5. the beginning of a run's id
 
+    A spec file means all runs of its experiment.
+
     Args:
         database: the index.
         selector: the text.
@@ -49,6 +52,13 @@ def select(database: Database, selector: str, *, all_prefixed: bool = False) -> 
         if len(newest) <= back:
             raise NoSuchRunError(f"{selector!r} means no run", hint=f"there are {len(newest)}, from @last on")
         return newest[-1:]
+    if is_spec(selector):
+        from ..specification import load_spec  # noqa: PLC0415  (yaml)
+
+        found = find_runs(database, experiment=load_spec(Path(selector), ()).hash())
+        if not found:
+            raise UsageError(f"there are no runs of {selector}", hint=f"`karolos run {selector}` makes them")
+        return found
     identity = Path(selector).name
     if identity:
         if found := find_runs(database, ids=[identity]) or find_runs(database, name=selector):
@@ -64,6 +74,11 @@ def select(database: Database, selector: str, *, all_prefixed: bool = False) -> 
     like = closest(identity, [row.name for row in database.fetch(sqlalchemy.select(RUNS.c.name).distinct())])
     hint = "`karolos runs list` shows them; @last is the newest"
     raise NoSuchRunError(f"{selector!r} means no run", hint=f"did you mean {like!r}? {hint}" if like else hint)
+
+
+def is_spec(selector: str) -> bool:
+    """Whether a selector is a spec file, or karolos:NAME."""
+    return selector.startswith("karolos:") or (selector.endswith((".yaml", ".yml")) and os.path.isfile(selector))
 
 
 def only(selector: str, found: Sequence[RunSummary]) -> RunSummary:

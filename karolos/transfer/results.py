@@ -11,7 +11,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from ..comparison import ComparedRun, Estimate, Reaching
-from ..comparison.contenders import Contender, compared
+from ..comparison.contenders import Contender, load_compared
 from ..comparison.curves import places
 from ..comparison.scores import Comparison, compare, estimate
 from ..core.seeding import SeedTree
@@ -188,7 +188,7 @@ def _compared(runs: Mapping[int, RunFolder], untested: list[str]) -> dict[int, C
     """The runs that have tests; notes the others."""
     tested = {seed: folder for seed, folder in runs.items() if folder.tests()}
     untested += (folder.id for seed, folder in runs.items() if seed not in tested)
-    return {seed: compared(folder) for seed, folder in tested.items()}
+    return {seed: load_compared(folder.record()) for seed, folder in tested.items()}
 
 
 def _variant(

@@ -65,6 +65,20 @@ def test_list_gives_a_row_per_run_newest_first(runs: Path) -> None:
     assert all(line == line.rstrip() for line in table.stdout.splitlines())
 
 
+def test_list_sorts_and_groups(runs: Path) -> None:
+    first, second = add_run(runs, 0), add_run(runs, 1, "failed")
+    for sort, expected in (("seed", [first, second]), ("-seed", [second, first]), ("state", [second, first])):
+        assert [row["run"] for row in rows("list", "--sort", sort, "--runs", runs)] == expected
+    assert [row["agent.name"] for row in rows("list", "--columns", "agent.name", "--sort", "seed", "--runs", runs)]
+    [group] = rows("list", "--group", "--sort", "-success_end", "--runs", runs)
+    assert (group["name"], group["runs"], group["states"]) == ("reach", 2, "1 failed, 1 finished")
+    assert (group["success_end"], group["best_end"]) == (0.95, None)
+    with pytest.raises(UsageError, match="no run has a column 'sed'"):
+        call("list", "--sort", "sed", "--runs", runs)
+    with pytest.raises(UsageError, match="there is no column 'seed' with --group"):
+        call("list", "--group", "--sort", "seed", "--runs", runs)
+
+
 def test_list_filters_and_limits(runs: Path) -> None:
     add_run(runs, 0)
     failed, lost = add_run(runs, 1, "failed"), add_run(runs, 2, "running")
@@ -131,9 +145,11 @@ def test_show_tells_all_about_a_run(runs: Path) -> None:
     assert found["checkpoints"] == [{"name": "best", "steps": 1000}]
     assert found["versions"]["python"] == sys.version.split()[0]
     assert found["problems"] == []
-    text = call("show", run[:9], "--runs", runs).stdout
+    short, text = (call("show", run[:9], *options, "--runs", runs).stdout for options in ((), ("--all",)))
     for part in (run, "failed: it broke", "0.95 [0.76, 0.99]", "best (1,000 steps)", "agent.name", str(runs), "numpy"):
         assert part in text
+    assert all(part in short for part in (run, "failed: it broke", "0.95 [0.76, 0.99]", str(runs)))
+    assert not [part for part in ("best (1,000 steps)", "numpy") if part in short]
 
 
 def test_show_names_what_is_damaged(runs: Path) -> None:

@@ -134,7 +134,7 @@ def test_bar_shows_trials_the_best_so_far_and_the_time_left():
     second = Trial(1, "line-t001", "running", {"agent.learning_rate": 1e-2}, None, (), None)
     screen = Terminal()
     with SweepDisplay(("success_end",), quiet=False, stream=screen) as display:
-        (task,) = display._bar.tasks
+        (task,) = display._bars.tasks
         display(TrialBegan(replace(first, state="running", values=None), 0, 4, None))
         display(TrialAdvanced("line-t000", 0.5))
         assert (task.completed, task.total, task.fields["done"], task.fields["best"]) == (0.5, 4, "0/4", "")

@@ -29,16 +29,22 @@ def test_missing_key_is_told_from_null() -> None:
     assert differences([{"a": {"b": None, "c": 1}}, {"a": {"c": 1}}]) == {"a.b": (None, MISSING)}
 
 
-def test_part_against_none_lists_its_settings() -> None:
-    assert differences([{"robot": {"name": "ur5"}, "x": 1}, {"robot": None, "x": 1}]) == {
-        "robot": (MISSING, None),
-        "robot.name": ("ur5", MISSING),
+def test_changed_block_is_one_row() -> None:
+    assert differences([{"robot": {"name": "ur5", "base": 0}, "x": 1}, {"robot": None, "x": 1}]) == {
+        "robot": ({"name": "ur5", "base": 0}, None)
     }
+    assert differences([{}, {"noise": {"kind": "a", "theta": 1}}]) == {"noise": (MISSING, {"kind": "a", "theta": 1})}
 
 
-def test_settings_of_one_part_stand_together() -> None:
-    one, other = {"agent": {"name": "sac", "tau": 1}, "buffer": 1}, {"agent": {"name": "ppo", "clip": 1}, "buffer": 2}
-    assert list(differences([one, other])) == ["agent.name", "agent.tau", "agent.clip", "buffer"]
+def test_settings_of_another_plugin_are_one_row_and_shared_ones_their_own() -> None:
+    one = {"agent": {"name": "sac", "rate": 1, "tau": 1}, "buffer": {"a": {"b": 1}}}
+    other = {"agent": {"name": "ppo", "rate": 2, "clip": 1, "epochs": 3}, "buffer": {"a": {"b": 2}}}
+    assert list(differences([one, other]).items()) == [
+        ("agent", ({"tau": 1}, {"clip": 1, "epochs": 3})),
+        ("agent.name", ("sac", "ppo")),
+        ("agent.rate", (1, 2)),
+        ("buffer.a.b", (1, 2)),
+    ]
 
 
 PATCH = "diff --git a/x.py b/x.py\n--- a/x.py\n+++ b/x.py\n@@ -1 +1,2 @@\n-old\n+new\n+newer\n"

@@ -15,7 +15,7 @@ from support.commands import call
 from support.fourth_robot import TOOL, WIDTH, exported_arm
 
 from karolos.errors import PluginError
-from karolos.plugins.meshes import files_of, with_meshes
+from karolos.plugins.meshes import with_meshes
 from karolos.plugins.proposal import propose
 from karolos.plugins.starter import write_starter
 
@@ -58,8 +58,8 @@ def test_a_gripper_with_turning_fingers_is_locked(tmp_path: Path) -> None:
         ('effort="15" velocity="0.06"', 'effort="0" velocity="0"', "joint slide1: limits must satisfy"),
         ("small_description/meshes", "elsewhere", "link base: there is no mesh 'package://elsewhere/mark.obj'"),
         ('<mass value="1.2"/>', '<mass value="0"/>', "link link3: it moves and has no mass"),
-        ('"joint3"', '"j&#10;import os"', r"a name with control characters: 'j\nimport os'"),
-        ('"link3"', '"l&#x202e;"', r"a name with control characters: 'l\u202e'"),
+        ('"joint3"', '"j&#10;import os"', r"<joint>: its name is 'j\nimport os'; 1 to 100"),
+        ('"link3"', '"l&#x202e;"', r"<link>: its name is 'l\u202e'"),
     ],
 )
 def test_a_urdf_that_does_not_work_is_refused_in_one_line_and_nothing_is_written(
@@ -96,24 +96,18 @@ def test_names_become_literals_in_the_module(tmp_path: Path, monkeypatch: pytest
     module.Mine(module.Mine.Settings())  # the model fits the URDF in the package
 
 
-def test_a_mesh_takes_only_materials_and_pictures_below_its_own_folder_with_it(tmp_path: Path) -> None:
+def test_a_package_takes_the_meshes_alone_and_no_file_that_they_name(tmp_path: Path) -> None:
     path = exported_arm(tmp_path).model.urdf
-    meshes = path.parent.parent / "meshes"
-    (meshes / "pictures").mkdir()
-    for file in ("mark.mtl", "pictures/skin.png", "notes.txt", "../secret.mtl", "secret.png", "pictures/hidden.jpg"):
-        (meshes / file).write_text("x")
-    (meshes / "pictures" / "out.png").symlink_to(path)
-    (meshes / "pictures" / "out.mtl").symlink_to(meshes.parent / "secret.mtl")
-    wanted = ("mark.mtl", "notes.txt", "/etc/passwd", "../secret.mtl", "gone.mtl", "pictures/out.mtl")
-    mark = meshes / "mark.obj"
-    mark.write_text("".join(f"mtllib {name}\n" for name in wanted) + mark.read_text())
-    (meshes / "mark.mtl").write_text(f"map_Kd -s 1 1 1 pictures/skin.png\nmap_d {path}\nmap_Ks pictures/out.png\n")
+    mark = path.parent.parent / "meshes" / "mark.obj"
+    mark.with_suffix(".mtl").write_text("map_Kd /etc/passwd\n")
+    mark.write_text("mtllib mark.mtl\nmtllib /dev/zero\nmtllib ../../secret.mtl\n" + mark.read_text())
     text, copies = with_meshes(path)
-    assert sorted(copies) == ["meshes/mark.mtl", "meshes/mark.obj", "meshes/pictures/skin.png"]
-    assert 'filename="meshes/mark.obj"' in text
-    collada = meshes / "mark.dae"
-    collada.write_text("".join(f"<init_from>{name}</init_from>" for name in (*wanted, "pictures/hidden.jpg")))
-    assert [file.name for file in files_of(collada)] == ["mark.dae", "mark.mtl", "hidden.jpg", "skin.png"]
+    assert copies == {"meshes/0_mark.obj": mark}
+    assert 'filename="meshes/0_mark.obj"' in text
+    mark.rename(secret := tmp_path / "secret")
+    mark.symlink_to(secret)
+    with pytest.raises(PluginError, match=r"urdf:1: link base: cannot read the mesh 'package://"):
+        write_starter("robot", "mine", tmp_path / "mine", urdf=path)
 
 
 def test_of_two_arms_one_is_chosen_by_its_tool(tmp_path: Path) -> None:

@@ -18,6 +18,7 @@ from karolos.simulation.bullet.world import World
 PANDA = Panda.model.urdf
 LIMIT = '<limit lower="0" upper="1" effort="1" velocity="1"/>'
 BODY = '<inertial><mass value="1"/><inertia ixx="1" iyy="1" izz="1" ixy="0" ixz="0" iyz="0"/></inertial>'
+BALL = '<geometry><sphere radius="1"/></geometry>'
 A, B = '<link name="a"/>', f'<link name="b">{BODY}</link>'
 MESH = '<visual><geometry><mesh filename="package://x/arm.stl"/></geometry></visual></link>'
 angles = st.floats(-3.1, 3.1)
@@ -79,7 +80,7 @@ def turning(name: str, parent: str, child: str, more: str = LIMIT) -> str:
 
 
 J = turning("j", "a", "b")
-LIMITS = "joint j: limits must satisfy lower < upper, effort > 0, velocity > 0; .* exporters leave zeros"
+LIMITS = r"urdf:1: joint j: limits must satisfy lower < upper, effort > 0, velocity > 0; .* exporters leave zeros"
 
 
 @pytest.mark.parametrize(
@@ -98,11 +99,11 @@ LIMITS = "joint j: limits must satisfy lower < upper, effort > 0, velocity > 0; 
         (robot(A, B), "2 links without a joint above them: a, b; exactly one link is the base"),
         (robot(A, B, J, turning("k", "a", "b")), "joint k: link 'b' is also the child of joint j"),
         (robot('<link name="c"/>', A, B, J, turning("k", "b", "a")), "joint j: not connected to the base"),
-        (robot(A, B, turning("j", "a", "b", "")), "joint j: a joint without limit"),
+        (robot(A, B, turning("j", "a", "b", "")), LIMITS),
         (robot(A, B, J.replace('lower="0"', 'lower="2"')), LIMITS),
         (robot(A, B, J.replace('effort="1"', 'effort="0"')), LIMITS),
-        (robot(A, B, J.replace("velocity", "v")), "joint j: .* not readable"),
-        (robot(A, B, J.replace('upper="1"', 'upper="much"')), "joint j: .* not readable: .*much"),
+        (robot(A, B, J.replace("velocity", "v")), LIMITS),
+        (robot(A, B, J.replace('upper="1"', 'upper="much"')), "joint j: <limit>: its upper is 'much'; 1 number from"),
         (robot(A, B, turning("j", "a", "b", f'{LIMIT}<axis xyz="0 0 0"/>')), "joint j: its axis is 0 0 0"),
         (robot(A, '<link name="b"/>', J), "link b: it moves and has no mass"),
         (robot(A, B.replace('ixx="1"', 'ixx="-1"'), J), "link b: its inertia is not positive definite"),
@@ -165,7 +166,7 @@ def test_dry_friction_takes_torque_from_its_motor(tmp_path: Path) -> None:
 def test_a_locked_joint_takes_along_those_that_mimic_it(tmp_path: Path) -> None:
     path = tmp_path / "robot.urdf"
     mimic = f'{LIMIT}<origin xyz="0 0 1"/><mimic joint="j" multiplier="-1" offset="0.5"/>'  # held at 0
-    links = f'{A}{B}<link name="c">{BODY}<collision><origin xyz="0 1 0"/></collision></link>'
+    links = f'{A}{B}<link name="c">{BODY}<collision><origin xyz="0 1 0"/>{BALL}</collision></link>'
     path.write_text(robot(links, J, turning("k", "b", "c", mimic)))
     found = urdf.load(path, (("j", 0.5),))
     assert not found.joints

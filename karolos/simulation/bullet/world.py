@@ -2,9 +2,10 @@
 
 from __future__ import annotations
 
-import os
+import copy
 import tempfile
 from collections.abc import Sequence
+from pathlib import Path
 from xml.etree import ElementTree
 from xml.etree.ElementTree import Element
 
@@ -17,6 +18,7 @@ from ...files import temporary_prefix
 from ..geometry import Vector
 from ..interface.engine import FLOOR_FRICTION, GRAVITY, Camera, Colour, Contact, Fingers, JointLimits
 from ..interface.engine import Body as AnyBody
+from ..meshes import stl
 from ..picture import FLOOR_COLOUR, GRID_COLOUR, GRIDS, SKY_COLOUR, Eye, Marker, draw
 from .body import Body
 from .client import Client
@@ -108,23 +110,26 @@ class World:
         self.floor.set_friction(friction)
 
     def load(self, robot: Element, *, position: Vector = (0.0, 0.0, 0.0)) -> Body:
-        handle, path = tempfile.mkstemp(prefix=temporary_prefix(), suffix=".urdf")
-        try:
-            with os.fdopen(handle, "wb") as file:
-                file.write(ElementTree.tostring(robot))
-            index: int = self.api.loadURDF(
-                path,
-                basePosition=position,
-                useFixedBase=True,
-                # inertias would otherwise be guessed from the shapes; `Body.collide_only` chooses the pairs
-                flags=self.api.URDF_USE_INERTIA_FROM_FILE | self.api.URDF_USE_SELF_COLLISION,
-            )
-        except self.api.error as error:
-            raise PluginError(
-                f"pybullet cannot load this URDF: {error}", where=f"robot {robot.get('name', '?')}"
-            ) from error
-        finally:
-            os.unlink(path)
+        robot = copy.deepcopy(robot)
+        with tempfile.TemporaryDirectory(prefix=temporary_prefix()) as folder:
+            for number, mesh in enumerate(robot.iter("mesh")):
+                file = Path(folder, f"{number}.stl")
+                file.write_bytes(stl(Path(mesh.get("filename", ""))))
+                mesh.set("filename", str(file))
+            ElementTree.indent(robot)  # PyBullet breaks lines of more than 1,024 characters
+            path = Path(folder, "robot.urdf")
+            path.write_bytes(ElementTree.tostring(robot))
+            try:
+                index: int = self.api.loadURDF(
+                    str(path),
+                    basePosition=position,
+                    useFixedBase=True,
+                    # inertias would otherwise be guessed from the shapes; `Body.collide_only` chooses the pairs
+                    flags=self.api.URDF_USE_INERTIA_FROM_FILE | self.api.URDF_USE_SELF_COLLISION,
+                )
+            except self.api.error as error:
+                what = f"pybullet cannot load this URDF: {error}"
+                raise PluginError(what, where=f"robot {robot.get('name', '?')}") from error
         return Body(self.api, index)
 
     def motors(self, body: AnyBody, joints: Sequence[str], limits: JointLimits, fingers: Fingers | None) -> Motors:

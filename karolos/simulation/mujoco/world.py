@@ -5,6 +5,7 @@ from __future__ import annotations
 import copy
 from collections.abc import Iterator, Sequence
 from itertools import combinations, product
+from pathlib import Path
 from typing import Any
 from xml.etree import ElementTree
 from xml.etree.ElementTree import Element
@@ -17,6 +18,7 @@ from ...errors import MachineError, PluginError
 from ..geometry import Vector
 from ..interface.engine import FLOOR_FRICTION, Camera, Colour, Contact, Fingers, JointLimits
 from ..interface.engine import Body as AnyBody
+from ..meshes import stl
 from ..picture import Eye, Marker, draw
 from .body import Body
 from .motors import Motors
@@ -93,12 +95,12 @@ class World:
         self.floor.set_friction(friction)
 
     def load(self, robot: Element, *, position: Vector = (0.0, 0.0, 0.0)) -> Body:
+        robot, meshes = _readable(robot)
         try:
-            loaded = self.api.MjSpec.from_string(ElementTree.tostring(_readable(robot), encoding="unicode"))
+            loaded = self.api.MjSpec.from_string(ElementTree.tostring(robot, encoding="unicode"), assets=meshes)
         except ValueError as error:
-            raise PluginError(
-                f"mujoco cannot load this URDF: {error}", where=f"robot {robot.get('name', '?')}"
-            ) from error
+            what = f"mujoco cannot load this URDF: {' '.join(str(error).split())}"
+            raise PluginError(what, where=f"robot {robot.get('name', '?')}") from error
         for mesh in loaded.meshes:  # masses come from the URDF; an open mesh has no volume
             mesh.inertia = self.api.mjtMeshInertia.mjMESH_INERTIA_SHELL
         bodies = loaded.bodies[1:]
@@ -252,8 +254,8 @@ class World:
             )
 
 
-def _readable(robot: Element) -> Element:
-    """A copy of a URDF as MuJoCo reads it."""
+def _readable(robot: Element) -> tuple[Element, dict[str, bytes]]:
+    """A copy of a URDF as MuJoCo reads it, and its meshes by the names that they have there."""
     robot = copy.deepcopy(robot)
     keep = {"discardvisual": "false", "fusestatic": "false", "balanceinertia": "true", "strippath": "false"}
     ElementTree.SubElement(ElementTree.SubElement(robot, "mujoco"), "compiler", keep)
@@ -261,8 +263,8 @@ def _readable(robot: Element) -> Element:
         for key in ("name", "link"):  # a link "world" would become MuJoCo's own
             if element.get(key) == "world":
                 element.set(key, "world link")
-    for link in robot.findall("link"):
-        for visual in link.findall("visual"):
-            if any(mesh.get("filename", "").lower().endswith(".dae") for mesh in visual.iter("mesh")):
-                link.remove(visual)  # MuJoCo reads no Collada; the link is drawn as it collides
-    return robot
+    meshes = {}
+    for number, mesh in enumerate(robot.iter("mesh")):
+        meshes[f"{number}.stl"] = stl(Path(mesh.get("filename", "")))
+        mesh.set("filename", f"{number}.stl")
+    return robot, meshes

@@ -1,0 +1,21 @@
+"""Runs that ship with karolos: records of reference runs, each with its exported policy instead of checkpoints."""
+
+from __future__ import annotations
+
+from pathlib import Path
+
+from .run_folder import RunFolder
+
+FOLDER = Path(__file__).resolve().parent / "shipped_runs"
+POLICY = "policy.npz"
+"""The policy `last` of the run; policy.json beside it says which one it is."""
+
+
+def shipped_names() -> tuple[str, ...]:
+    """Names of the runs that ship, in alphabetical order."""
+    return tuple(sorted(path.parent.name for path in FOLDER.glob(f"*/{POLICY}")))
+
+
+def is_shipped(folder: RunFolder) -> bool:
+    """Whether the run ships with karolos. Nothing is written into its folder."""
+    return folder.path.resolve().parent == FOLDER
