@@ -54,7 +54,7 @@ def check(runs: Runs = Path("runs"), database: Database = None, jobs: Jobs = Non
 
 @app.command()
 def upgrade(runs: Runs = Path("runs"), database: Database = None) -> None:
-    """Say whether this karolos can read the database; one of another version is rebuilt by `karolos db reindex`."""
+    """Say whether this karolos can read the database. Move another one away: `db reindex` makes a new one."""
     from karolos.store import Store
 
     Store(_existing(runs, database)).close()

@@ -18,6 +18,8 @@ from collections.abc import Callable, Iterator, Sequence
 from pathlib import Path
 from typing import NamedTuple
 
+from typing_extensions import override
+
 from ..checkpoint.manifest import PART
 from ..errors import RunError, UsageError
 from ..files import FileLock, remove_leftovers, sync_folder, writing
@@ -27,7 +29,9 @@ from .run_records import ID, RunRecord
 SUFFIX = ".tar.gz"
 SUMS = "SHA256SUMS"
 _MOST_LISTED = 1 << 28
-"""Bytes of the list that are read."""
+"""Bytes of the list."""
+_MOST_AT_ONCE = 1 << 20
+"""Bytes that are read at once. Only a header of that size needs more: tarfile reads headers whole."""
 MOST_FILES = 1_000_000
 MOST_BYTES = 64 << 30
 """Default limit of an archive's unpacked size."""
@@ -194,7 +198,7 @@ def _unpack(source: Path, place: Path, most_bytes: int) -> list[str]:
         raise UsageError(f"the archive cannot be opened ({error.strerror})", where=str(source)) from error
     with file, writing(place):
         try:
-            with gzip.GzipFile(fileobj=file) as stream, tarfile.open(fileobj=stream, mode="r:") as tar:
+            with _Stream(fileobj=file) as stream, tarfile.open(fileobj=stream, mode="r:") as tar:
                 found, listed = _extract(tar, place, source, most_bytes)
                 # The checksum of the stream stands at its end; tarfile stops before it.
                 rest = stream.read(2 * tarfile.RECORDSIZE)
@@ -211,6 +215,16 @@ def _unpack(source: Path, place: Path, most_bytes: int) -> list[str]:
     return list(dict.fromkeys(name.partition("/")[0] for name in found))
 
 
+class _Stream(gzip.GzipFile):
+    """An archive's unpacked bytes."""
+
+    @override
+    def read(self, size: int | None = -1) -> bytes:
+        if size is not None and size > _MOST_AT_ONCE:
+            raise tarfile.ReadError("a header is too large")
+        return super().read(size)
+
+
 def _extract(tar: tarfile.TarFile, place: Path, source: Path, most_bytes: int) -> tuple[dict[str, str], dict[str, str]]:
     """Write the members of an archive below `place`: plain files that runs have, not too many or too large.
 
@@ -224,13 +238,12 @@ def _extract(tar: tarfile.TarFile, place: Path, source: Path, most_bytes: int) -
         if not member.isreg() or member.issparse():
             raise _refused(source, f"{name!r} is not a plain file", "an archive holds the plain files of runs")
         left -= member.size
-        if left < 0:
+        if left < 0 or (name == SUMS and member.size > _MOST_LISTED):
             raise _refused(source, f"it unpacks to more than {most_bytes:,} bytes", "--most raises the limit")
         content = tar.extractfile(member)
         assert content is not None  # it is a plain file
         if name == SUMS:
-            lines = content.read(_MOST_LISTED).decode().splitlines()
-            return found, {line[66:]: line[:64] for line in lines}
+            return found, {line[66:-1]: line[:64] for line in io.TextIOWrapper(content, "utf-8", newline="\n")}
         if not _MEMBER.fullmatch(name):
             raise _refused(
                 source, f"{name!r} is not a file of a run", "an archive holds a folder per run, named by its id"

@@ -76,19 +76,9 @@ def read(folder: RunFolder) -> tuple[tuple[TransferResult, ...], tuple[str, ...]
 
 
 def _encode(transfer: TransferResult) -> dict[str, Any]:
-    return {
-        "time": transfer.time,
-        "checkpoint": transfer.checkpoint,
-        "sha256": transfer.sha256,
-        "overrides": list(transfer.overrides),
-        "randomized": transfer.randomized,
-        "seed": transfer.seed,
-        "episodes": transfer.result.episodes,
-        "wall_seconds": transfer.wall_seconds,
-        "test": encode_test(transfer.result),
-        "own": asdict(transfer.own),
-        "versions": dict(transfer.versions),
-    }
+    row = {name: value for name, value in vars(transfer).items() if name != "result"}
+    test = {"episodes": transfer.result.episodes, "test": encode_test(transfer.result)}
+    return row | test | {"own": asdict(transfer.own), "versions": dict(transfer.versions)}
 
 
 def _decode(row: Mapping[str, Any]) -> TransferResult | None:

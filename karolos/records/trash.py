@@ -46,12 +46,10 @@ def find(runs: str | Path, selector: str) -> Path:
     trashed = thrown_away(runs)
     exact = [path for path in trashed if path.name == selector]
     found = exact or [path for path in trashed if selector and path.name.startswith(selector)]
-    if len(found) == 1:
-        return found[0]
-    if found:
-        names = ", ".join(path.name for path in found[:5]) + (" ..." if len(found) > 5 else "")
-        raise UsageError(f"{selector!r} means several runs in the trash", hint=f"one of {names}")
-    raise UsageError(f"{selector!r} means no run in the trash", hint="`karolos runs list --trash` shows them")
+    if len(found) != 1:
+        what = f"{selector!r} means {'several runs' if found else 'no run'} in the trash"
+        raise UsageError(what, hint="`karolos runs list --trash` shows them")
+    return found[0]
 
 
 def restore(path: Path) -> RunFolder:

@@ -3,9 +3,8 @@
 from __future__ import annotations
 
 from collections.abc import Sequence
-from dataclasses import dataclass
 from pathlib import Path
-from typing import Any, overload
+from typing import Any
 
 from ..errors import UsageError
 from ..records.run_records import RunRecord, RunSummary, flatten
@@ -14,23 +13,16 @@ from .rows import SUMMARY_FIELDS
 from .store import Store
 
 
-@dataclass(frozen=True)
-class Records(Sequence[RunSummary]):
-    """The runs that were found, the newest first: a sequence of RunSummary, and tidy rows."""
+class Records(tuple[RunSummary, ...]):
+    """The runs that were found, the newest first: a tuple of RunSummary, and tidy rows."""
 
     records: tuple[RunRecord, ...]
     """Each run with its spec and its tests."""
 
-    @overload
-    def __getitem__(self, index: int) -> RunSummary: ...
-    @overload
-    def __getitem__(self, index: slice) -> Sequence[RunSummary]: ...
-    def __getitem__(self, index: int | slice) -> RunSummary | Sequence[RunSummary]:
-        found = self.records[index]
-        return found.summary if isinstance(found, RunRecord) else tuple(record.summary for record in found)
-
-    def __len__(self) -> int:
-        return len(self.records)
+    def __new__(cls, records: tuple[RunRecord, ...]) -> Records:
+        found = super().__new__(cls, (record.summary for record in records))
+        found.records = records
+        return found
 
     def rows(self) -> Any:
         """One row per run: the fields of RunSummary and the settings. A pandas.DataFrame if pandas is installed."""

@@ -183,6 +183,15 @@ def test_archive_that_unpacks_to_too_much_is_refused(tmp_path: Path) -> None:
     assert list((tmp_path / "runs").iterdir()) == []
 
 
+def test_a_header_that_fills_the_memory_is_refused(tmp_path: Path) -> None:
+    with tarfile.open(tmp_path / "x.tar.gz", "w:gz", format=tarfile.PAX_FORMAT) as tar:
+        entry = tarfile.TarInfo("a-s0-1/run.json")
+        entry.pax_headers = {"comment": "x" * 3_000_000}
+        tar.addfile(entry)
+    with pytest.raises(UsageError, match="a header is too large"):
+        import_runs(tmp_path / "x.tar.gz", tmp_path / "runs")
+
+
 def test_damaged_archive_is_told_and_brings_nothing(run: RunFolder, tmp_path: Path) -> None:
     source = tmp_path / "x.tar.gz"
     export_runs([run], source)

@@ -51,7 +51,7 @@ def test_run_thrown_away_twice_is_kept_twice(run: RunFolder, tmp_path: Path) -> 
     again = trash.throw_away(RunFolder.open(tmp_path / run.id))
     assert {first.name, again.name} == {run.id, f"{run.id}-2"}
     assert trash.find(tmp_path, run.id) == first
-    with pytest.raises(UsageError, match="'reach' means several runs in the trash; one of reach-s3"):
+    with pytest.raises(UsageError, match="'reach' means several runs in the trash"):
         trash.find(tmp_path, "reach")
     for nothing in ("", "x", "..", "../x"):
         with pytest.raises(UsageError, match=r"means no run in the trash; `karolos runs list --trash`"):

@@ -186,7 +186,7 @@ from karolos.records.results import TestResult
 
 runs, url, start = Path(sys.argv[1]), sys.argv[2], os.pipe()
 children = []
-for index in range(16):
+for index in range(20):
     child = os.fork()
     if not child:
         os.close(start[1])
@@ -213,7 +213,7 @@ sys.exit(any(os.waitpid(child, 0)[1] for child in children))
 
 
 @pytest.mark.parametrize("kind", KINDS)
-def test_sixteen_processes_make_the_database_at_once_and_lose_nothing(tmp_path: Path, kind: str) -> None:
+def test_twenty_processes_make_the_database_at_once_and_lose_nothing(tmp_path: Path, kind: str) -> None:
     with empty_database(kind, tmp_path) as url:
         with RunFolder.create(tmp_path, "x", 99) as shared:
             shared.describe({"name": "x"}, experiment="same", source=tmp_path)
@@ -221,9 +221,9 @@ def test_sixteen_processes_make_the_database_at_once_and_lose_nothing(tmp_path: 
         subprocess.run([sys.executable, "-c", MANY, str(tmp_path), url], check=True, timeout=60)
         with Store(url) as store:
             (labelled,) = store.runs(ids=[shared.id])
-            assert set(labelled.tags) == {f"tag{index}" for index in range(16)}
+            assert set(labelled.tags) == {f"tag{index}" for index in range(20)}
             runs = store.runs(where="not seed = 99")
-            assert {(run.seed, run.state, run.steps) for run in runs} == {(seed, "finished", 5) for seed in range(16)}
+            assert {(run.seed, run.state, run.steps) for run in runs} == {(seed, "finished", 5) for seed in range(20)}
             assert all(len(record.tests) == 5 for record in store.records(runs))
 
 
