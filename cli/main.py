@@ -88,7 +88,7 @@ def root(
 
 
 def main() -> None:
-    """Run the command line. A KarolosError becomes a line on stderr and its exit code; a second Ctrl-C is 130."""
+    """Run the command line. A KarolosError becomes a line on stderr and its exit code."""
     gc.set_threshold(OBJECTS_PER_COLLECTION)
     sys.stdout = sys.stdout or open(os.devnull, "w")  # noqa: SIM115  (None if it is closed)
     sys.stderr = sys.stderr or open(os.devnull, "w")  # noqa: SIM115
@@ -109,5 +109,7 @@ def main() -> None:
         for line in str(error).splitlines():
             say(line)
         sys.exit(error.exit_code)
-    except KeyboardInterrupt:
-        sys.exit(130)
+    except KeyboardInterrupt as error:
+        if str(error):
+            say(str(error))
+        sys.exit(124 if str(error) else 130)

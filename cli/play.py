@@ -71,6 +71,7 @@ def play(
     from rich.console import Console
     from rich.progress import track
 
+    from karolos.environments.build import used
     from karolos.evaluation.changed_spec import load_player
     from karolos.evaluation.playing import play as play_all
     from karolos.evaluation.playing import play_failures
@@ -94,7 +95,7 @@ def play(
             say(f"{folder.id} names code of this machine: {', '.join(modules)} will be imported")
         spec, environment, policy = load_player(folder, checkpoint or _best_or_last(folder), changed, window=window)
     count = episodes or (5 if window else 1)
-    try:
+    with used(environment):
         played = (play_failures if failures else play_all)(environment, policy, episodes=count, seed=spec.testing.seed)
         moments = _report_episodes(played)
         if window:
@@ -110,8 +111,6 @@ def play(
             disable=not sys.stderr.isatty(),
         )
         write_video(target, _pictures(filmed, width, height), environment.rate)
-    finally:
-        environment.close()
     print(target)
 
 

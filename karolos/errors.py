@@ -56,6 +56,15 @@ def _line(where: object, setting: str | None, what: str, hint: str | None) -> st
     return f"{line}; {hint}" if hint else line
 
 
+def described(error: BaseException) -> str:
+    """Class and first line of an exception of anybody's."""
+    try:
+        lines = str(error).strip().splitlines()
+    except Exception:  # its text is anybody's as well
+        lines = []
+    return f"{type(error).__name__}: {lines[0]}" if lines else type(error).__name__
+
+
 class UsageError(KarolosError):
     """An invalid command, selector or argument."""
 

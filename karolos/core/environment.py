@@ -2,12 +2,13 @@
 
 from __future__ import annotations
 
+import sys
 from abc import ABC, abstractmethod
 
 import numpy as np
 from numpy.typing import NDArray
 
-from ..errors import UsageError
+from ..errors import UsageError, described
 from .arrays import Array, FloatArray
 from .experience import Step
 from .signature import Signature
@@ -77,3 +78,11 @@ class Environment(ABC):
 
     def close(self) -> None:  # noqa: B027 (nothing to free by default)
         """Release resources. Safe to call twice."""
+
+
+def close(environment: Environment) -> None:
+    """Close an environment whose work is done. An error changes no result, and is a line on stderr."""
+    try:
+        environment.close()
+    except (Exception, SystemExit) as error:  # it is anybody's
+        print(f"warning: {type(environment).__name__}.close failed: {described(error)}", file=sys.stderr)

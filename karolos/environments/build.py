@@ -2,14 +2,33 @@
 
 from __future__ import annotations
 
+from collections.abc import Iterator
+from contextlib import AbstractContextManager, contextmanager
 from typing import Any
 
 from ..core import Environment
-from ..errors import UsageError
+from ..core.environment import close
+from ..errors import PluginError, UsageError
 from ..registry import load
 from ..specification.parts import Part, Recipe
 from .robot_task import RobotTask
 from .varied import VariedRobotTask, is_setting, recipes
+
+
+@contextmanager
+def used(environment: Environment) -> Iterator[Environment]:
+    """Close an environment after the block. Raises PluginError if it ends the program in the block."""
+    try:
+        yield environment
+    except SystemExit as error:
+        raise _exited(type(environment).__name__, error) from error
+    finally:
+        close(environment)
+
+
+def opened(recipe: Recipe) -> AbstractContextManager[Environment]:
+    """The environment of a recipe, which is closed after the block. Raises as `build_environment` and `used`."""
+    return used(build_environment(recipe))
 
 
 def build_environment(recipe: Recipe) -> Environment:
@@ -18,8 +37,20 @@ def build_environment(recipe: Recipe) -> Environment:
     Raises:
         UsageError: a robot or task is missing, or given to an environment that takes none; randomization names what
             cannot be drawn.
-        PluginError: robot and task are incompatible, or a plugin fails to import.
+        PluginError: robot and task are incompatible, or a plugin fails to import or ends the program.
     """
+    try:
+        return _build(recipe)
+    except SystemExit as error:
+        raise _exited(recipe.environment.name, error) from error
+
+
+def _exited(name: str, error: SystemExit) -> PluginError:
+    what = f"{name} ends the program: sys.exit({'' if error.code is None else repr(error.code)})"
+    return PluginError(what, setting="environment", hint="a plugin raises an error instead")
+
+
+def _build(recipe: Recipe) -> Environment:
     part = recipe.environment
     if part.name != "robot_task":
         if recipe.robot or recipe.task or recipe.randomization:

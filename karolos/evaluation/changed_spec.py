@@ -6,7 +6,7 @@ from collections.abc import Sequence
 
 from ..core import Environment, Signature
 from ..core.signature import SAME_LAYOUTS, layout_differences
-from ..environments.build import build_environment
+from ..environments.build import opened
 from ..environments.robot_task import RobotTask
 from ..errors import UsageError
 from ..records import RunFolder
@@ -99,9 +99,8 @@ def _parameters(saved: Spec, overrides: Sequence[str]) -> set[str]:
     spec = spec_from_dict(saved.dump(), names)
     parts = (("robot", spec.robot), ("task", spec.task))
     settings = {f"{key}.{name}" for key, part in parts if part for name in type(part.settings).model_fields}
-    environment = build_environment(spec.recipe(randomize=False))
-    declared = environment.declared if isinstance(environment, RobotTask) else {}
-    environment.close()
+    with opened(spec.recipe(randomize=False)) as environment:
+        declared = environment.declared if isinstance(environment, RobotTask) else {}
     return {_key(text) for text in overrides} & set(declared) - settings
 
 

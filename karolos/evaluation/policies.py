@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 from collections.abc import Callable, Mapping
-from contextlib import closing, nullcontext
+from contextlib import nullcontext
 from dataclasses import dataclass, replace
 from pathlib import Path
 from typing import Any
@@ -15,7 +15,7 @@ from .. import checkpoint
 from ..core import Agent, Environment, Signature, State, Step, random_actions
 from ..core.deployed import Deployed
 from ..core.seeding import SeedTree
-from ..environments.build import build_environment
+from ..environments.build import build_environment, used
 from ..errors import MachineError, UsageError
 from ..files import read_object
 from ..records import RunFolder
@@ -170,7 +170,7 @@ def load_run(
 
 def signature_of(spec: Spec, *, randomize: bool = False) -> Signature:
     """The signature of the spec's environment. A robot's world is not simulated."""
-    with closing(environment_of(spec, randomize=randomize)) as environment:
+    with used(environment_of(spec, randomize=randomize)) as environment:
         return environment.signature
 
 

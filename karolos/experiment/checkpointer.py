@@ -122,6 +122,17 @@ class Checkpointer:
             self._saved_at = training.steps, len(self.pending)
         self.announce("checkpoint", 1, 1)
 
+    def require(self, training: Training) -> None:
+        """Try again to write `last` if it is not on the disk. Raises MachineError if that fails again."""
+        if self._saved_at[0] != training.steps:
+            self.save(training)
+        if self._saved_at[0] != training.steps:
+            raise MachineError(
+                "the policy at the end of training could not be written",
+                where=str(self._folder.checkpoints),
+                hint="free some space; `karolos resume` continues from the last checkpoint that was written, if any",
+            )
+
     def _write(self, name: str, parts: Mapping[str, State], at: Training | DueTest, more: Mapping[str, Any]) -> bool:
         """Write a checkpoint; returns whether it is on the disk."""
         meta = {

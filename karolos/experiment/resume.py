@@ -46,27 +46,18 @@ def newest_snapshot(folder: RunFolder) -> Snapshot:
         except CheckpointError as error:
             warnings.append(str(error))
             continue
-        experiment = folder.description()["experiment"]
+        experiment, what = folder.description()["experiment"], None
         if meta.get("experiment") != experiment:
-            raise RunError(
-                f"its checkpoint belongs to another experiment ({str(meta.get('experiment'))[:12]}) than the run"
-                f" ({experiment[:12]})",
-                where=str(folder.checkpoints / name),
-                hint="the files of two runs were mixed; restore the folder from a copy",
+            what = (
+                f"belongs to another experiment ({str(meta.get('experiment'))[:12]}) than the run ({experiment[:12]})"
             )
-        if set(parts) != set(PARTS):
-            raise RunError(
-                f"its checkpoint contains {', '.join(sorted(parts))} instead of {', '.join(PARTS)}",
-                where=str(folder.checkpoints / name),
-                hint="an older karolos wrote it: it can be played and tested, but not resumed",
-            )
-        wrong = [key for key in ("steps", "updates", "episodes_bytes") if type(meta.get(key)) is not int]
-        if wrong:
-            raise RunError(
-                f"its checkpoint does not say {' and '.join(wrong)} as whole numbers",
-                where=str(folder.checkpoints / name),
-                hint="restore the folder from a copy",
-            )
+        elif set(parts) != set(PARTS):
+            what = f"contains {', '.join(sorted(parts))} instead of {', '.join(PARTS)}"
+        elif wrong := [key for key in ("steps", "updates", "episodes_bytes") if type(meta.get(key)) is not int]:
+            what = f"does not say {' and '.join(wrong)} as whole numbers"
+        if what is not None:
+            where = str(folder.checkpoints / name)
+            raise RunError(f"its checkpoint {what}", where=where, hint="restore the folder from a copy")
         return Snapshot(parts, meta, tuple(warnings))
     if warnings:
         raise RunError("no checkpoint can be used: " + "; ".join(warnings), where=folder.id)

@@ -14,7 +14,7 @@ from ..checkpoint import CheckpointError
 from ..core import Agent
 from ..core.schedules import Every
 from ..core.seeding import SeedTree
-from ..errors import KarolosError, WorkerError
+from ..errors import KarolosError, RunError, WorkerError, described
 from ..evaluation.due_tests import DueTest
 from ..evaluation.testing import test_seeds
 from ..records import RunFolder
@@ -32,13 +32,16 @@ from .checkpointer import BEST, Checkpointer
 from .events import Listener, RunEnded, RunFinalTested, RunStarted, RunTested
 from .pending_tests import PendingTests
 from .resume import LAST, Snapshot, newest_snapshot
-from .run_index import RunIndex
 from .signals import StopRequest, StopRequestedError
 from .start_from import apply, find
 from .tensorboard_writer import TensorBoardWriter
 from .writer import Ending, RunWriter
 
 REPORTS_PER_TEST = 10
+JUDGED_EPISODES = 20
+"""Fewest training episodes of which the share that diverged is judged, but at the end of training."""
+DIVERGING = 0.01
+"""Share of training episodes that diverged from which a run warns."""
 
 
 @dataclass
@@ -49,7 +52,7 @@ class Run:
         spec: what to run.
         seed: root of the run's random numbers.
         folder: the run's own, created and locked.
-        index: its entry in the results database.
+        url: SQLAlchemy URL of the results database; None: another process indexes the run.
         listener: is told what happens.
         stop: is checked after each round.
         snapshot: where an unfinished run resumes; None: the run starts.
@@ -59,7 +62,7 @@ class Run:
     spec: Spec
     seed: int
     folder: RunFolder
-    index: RunIndex
+    url: str | None
     listener: Listener
     stop: StopRequest
     snapshot: Snapshot | None = None
@@ -68,7 +71,7 @@ class Run:
     """Tests without a recorded result."""
 
     def __post_init__(self) -> None:
-        self._writer = RunWriter(self.folder, self.index, self.listener)
+        self._writer = RunWriter(self.folder, self.url, self.listener)
         self._announcer = Announcer(self.folder.id, self.spec.training.steps, self.listener)
         self._checkpointer = Checkpointer(
             self._writer, self.spec.hash(), self.seed, self._pending, self._announcer.announce
@@ -81,13 +84,13 @@ class Run:
             self._writer.start(self.snapshot, exact=self.spec.training.at_least is None)
             ending = self._train()
         except KeyboardInterrupt:
-            self._end(Ending("stopped", reason="SIGINT, at once"))
+            self._end(Ending("stopped", reason=f"{self.stop.reason or 'SIGINT'}, at once"))
             raise
         except KarolosError as error:
             trace = error.traceback if isinstance(error, WorkerError) else None
             ending = Ending("failed", error=str(error), traceback=trace)
-        except Exception as error:  # the boundary: a fault of karolos or a plugin is written down with its traceback
-            ending = Ending("failed", error=f"{type(error).__name__}: {error}", traceback=traceback.format_exc())
+        except (Exception, SystemExit) as error:  # the boundary: a fault of karolos or a plugin is written down
+            ending = Ending("failed", error=described(error), traceback=traceback.format_exc())
         self._end(ending)
         return self.folder.summary()
 
@@ -119,6 +122,8 @@ class Run:
             self._announcer.seconds_left = tests.seconds_left
             finished = self._prepare(training) and self._train_and_test(training, tests)
             finished = finished and self._final_test(training, tests)
+            if finished:
+                self._checkpointer.require(training)
         if finished and not training.updates:
             self._writer.warn("the run made no gradient update", "its policy is that of an untrained agent")
         totals = training.totals()
@@ -185,8 +190,10 @@ class Run:
             due(training.steps)
         reported_at = -1
         episodes: list[Episode] = []
+        diverged: list[bool] = []
         for progress in training.rounds():
             episodes += progress.finished
+            diverged += (episode.diverged for episode in progress.finished)
             for failure in progress.failures:
                 self._writer.warn_of_failure(failure)
             self._announcer.progressed(progress)
@@ -194,6 +201,9 @@ class Run:
             if report_due(progress.steps) or testing:
                 self._report(training, episodes)
                 episodes, reported_at = [], training.steps
+            if testing and (len(diverged) >= JUDGED_EPISODES or progress.steps >= total):
+                self._judge(diverged, progress.steps)
+                diverged = []
             self._test(training, tests, due=testing)
             if self.stop.requested:
                 break
@@ -204,6 +214,18 @@ class Run:
                 self._tested(training, test, result)
         self._checkpointer.save(training)
         return training.steps >= total and not tests.pending
+
+    def _judge(self, diverged: list[bool], steps: int) -> None:
+        """Write down how many episodes diverged. Raises RunError if they are more than the spec allows."""
+        if not (count := sum(diverged)):
+            return
+        self.folder.event("diverged", steps=steps, episodes=len(diverged), diverged=count)
+        what = f"{count} of {len(diverged)} training episodes diverged until {steps} steps"
+        if count > len(diverged) * self.spec.training.diverging:
+            hint = "numbers are not finite or an object is far away: check the environment, or allow more of them"
+            raise RunError(what, setting="training.diverging", hint=hint)
+        if count >= len(diverged) * DIVERGING:
+            self._writer.warn(what, "the agent does not learn from their last steps")
 
     def _report(self, training: Training, episodes: list[Episode]) -> None:
         """Report the episodes and the agent's metrics since the last report. Raises RunError if one is not finite."""
@@ -275,5 +297,4 @@ def run_or_resume(
     snapshot = newest_snapshot(folder) if folder.events() else None
     if snapshot is not None:
         folder.next_attempt()
-    with RunIndex(url, folder) as index:
-        return Run(spec, seed, folder, index, listener, stop, snapshot, beside).execute()
+    return Run(spec, seed, folder, url, listener, stop, snapshot, beside).execute()

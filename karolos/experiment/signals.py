@@ -19,12 +19,18 @@ TIME_LIMIT_EXIT = 124
 """Exit code of an experiment that its time limit stopped; the same as that of timeout(1)."""
 
 
+HANG_SECONDS = 60.0
+"""Time after the time limit from which whatever does not end is interrupted, e.g. an environment that hangs."""
 LOOK_SECONDS = 0.2
 """Time between two looks for the file `stop`."""
 
 
 class StopRequestedError(Exception):
     """Breaks off what is going on, because a stop is requested."""
+
+
+class TimeIsUpError(KeyboardInterrupt):
+    """Interrupts what hangs beyond the time limit, also where any Exception is caught."""
 
 
 @dataclass
@@ -106,12 +112,19 @@ def stop_on_signals(
         elif number == signal.SIGINT:
             raise KeyboardInterrupt
 
+    def interrupt(_number: int, _frame: FrameType | None) -> None:
+        raise TimeIsUpError("the time limit is over, and something does not end: it was interrupted")
+
     handled = [signal.SIGTERM, signal.SIGINT, signal.SIGUSR1]  # batch systems send SIGUSR1 before they kill
     if signal.getsignal(signal.SIGHUP) != signal.SIG_IGN:
         handled.append(signal.SIGHUP)
     before = {number: signal.signal(number, handle) for number in handled}
+    before[signal.SIGALRM] = signal.signal(signal.SIGALRM, interrupt)
+    if time_limit is not None:
+        signal.setitimer(signal.ITIMER_REAL, time_limit + HANG_SECONDS, HANG_SECONDS)
     try:
         yield request
     finally:
+        signal.setitimer(signal.ITIMER_REAL, 0)
         for number, handler in before.items():
             signal.signal(number, handler)

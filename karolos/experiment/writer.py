@@ -13,11 +13,18 @@ from ..records import RunFolder
 from ..records.final_test import FinalTest
 from ..records.results import TestCounts, TestResult
 from ..records.run_records import State
+from ..store import Store
 from ..training.episodes import Episode
 from ..training.training import Training
 from .events import Listener, RunWarned
 from .resume import Snapshot
-from .run_index import RunIndex
+
+
+def index_run(url: str | None, folder: RunFolder) -> None:
+    """Enter a run into the database as its folder is now; without a URL another process does. Raises StoreError."""
+    if url is not None:
+        with Store(url) as store:
+            store.add_records([folder.record()])
 
 
 @dataclass(frozen=True)
@@ -42,7 +49,7 @@ class RunWriter:
 
     Args:
         folder: the run's own, created and locked.
-        index: its entry in the database; an error of the database is a warning only.
+        url: of the database, whose errors are warnings only; None: another process indexes the run.
         listener: is told of warnings.
 
     Raises:
@@ -50,7 +57,7 @@ class RunWriter:
     """
 
     folder: RunFolder
-    index: RunIndex
+    url: str | None
     listener: Listener
 
     def warn(self, warning: str, consequence: str) -> None:
@@ -98,7 +105,7 @@ class RunWriter:
         self.folder.add_test(result)
         self.folder.set_state("running", **training.totals())
         with self.tolerated(StoreError, "the test is in the run folder, but not in the database"):
-            self.index.update()
+            index_run(self.url, self.folder)
 
     def write_final(self, final: FinalTest) -> None:
         """The final test is over."""
@@ -119,4 +126,4 @@ class RunWriter:
     def _set_state(self, state: State, **more: Any) -> None:
         self.folder.set_state(state, **more)
         with self.tolerated(StoreError, "the run continues; its folder is complete"):
-            self.index.update()
+            index_run(self.url, self.folder)

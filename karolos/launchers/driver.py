@@ -50,9 +50,6 @@ class Task(ABC):
     def end(self, problem: str | None) -> Iterator[RunEvent]:
         """Record the end and yield what it means. `problem`: why it has no end of its own."""
 
-    def close(self) -> None:  # noqa: B027  (a task need not have opened anything)
-        """Free what `begin` opened. Safe to call twice."""
-
 
 class Job:
     """Tasks that start and stop together."""
@@ -107,13 +104,6 @@ class Driver:
 
     def run(self, feed: Feed[Any]) -> None:
         """Run the feed's jobs until it has no more."""
-        try:
-            self._run(feed)
-        finally:
-            for _, task in self._active.values():
-                task.close()
-
-    def _run(self, feed: Feed[Any]) -> None:
         jobs: list[Job] = []
         while True:
             while not self.stop.requested and (job := feed.next()) is not None:

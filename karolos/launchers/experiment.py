@@ -124,15 +124,15 @@ class Experiment:
         jobs = min(jobs or 1, len(self.spec.seeds)) if is_local else jobs
         folder = Path(runs)
         url = database or Store.default_url(folder)
-        check_parts(self.spec, jobs or 1)
         RunFolder.check_writable(folder)
         remove_unfinished_imports(folder)
         remove_lost_leftovers(folder, f"{self.spec.name}-s*")
         Store(url).close()  # an unusable database is an error before anything is computed
         listener = listener or (print_progress if progress else lambda _: None)
-        spec = pinned(self.spec.alone(), folder)
         home = Home(folder, url, existing, self.spec.text)
         with ExitStack() as stack, stop_on_signals(time_limit=time_limit) as stop:
+            check_parts(self.spec, jobs or 1)  # within the time limit, because an environment may hang
+            spec = pinned(self.spec.alone(), folder)
             for seed in spec.seeds:
                 _claim(home, spec, seed, stack)
             if is_local and jobs == 1:
@@ -166,9 +166,9 @@ def resume_run(
     if folder.state().state == "finished":
         return Outcome((folder.summary(),), 1)
     spec = spec_from_dict(folder.spec())
-    check_parts(spec)
     Store(url).close()  # an unusable database is an error before anything is computed
     with stop_on_signals(time_limit=time_limit) as stop, folder:
+        check_parts(spec)
         folder.lock()
         summary = run_or_resume(folder, url, listener or (lambda _: None), stop, beside=cores() >= 2)
     return Outcome((summary,), 1, stop.exit_code)

@@ -10,7 +10,7 @@ from typing import ClassVar, NamedTuple
 COMMAND = (sys.executable, "-P", "-m", "karolos.launchers.process")
 """The command of a process. Its arguments are `--cores`, the number of cores, and the folder of a run or a test."""
 LAUNCH, STOP = "launch.json", "stop"
-"""Files in a folder that is executed: with which software and, if its process refuses, why; and the reason to stop."""
+"""Files in a folder that is executed: software, whether the process has ended or refuses; the reason to stop."""
 
 
 class Ended(NamedTuple):
@@ -64,4 +64,4 @@ class Launcher(ABC):
         return self
 
     def __exit__(self, kind: type[BaseException] | None, *_: object) -> None:
-        self.close(kill=kind is KeyboardInterrupt)
+        self.close(kill=kind is not None and issubclass(kind, KeyboardInterrupt))

@@ -8,6 +8,7 @@ import os
 import queue
 import subprocess
 import sys
+from collections.abc import Sequence
 from pathlib import Path
 from threading import Thread
 
@@ -18,20 +19,27 @@ from ..errors import MachineError
 from ..orchestrator.machine import cores
 from .interface import COMMAND, Ended, Launcher
 
+MOST_FAILED_STARTS = 3
+"""Processes in a row that may end before they are ready; another one takes their place."""
+
 
 class RunProcess:
     """A process of this machine that executes runs, one at a time.
 
     It has a process group of its own, so that Ctrl-C in a terminal reaches only the process that decides what to do.
+
+    Args:
+        cores: of a run.
+        command: begins the command of the process, which it follows.
     """
 
-    def __init__(self, cores: int) -> None:
+    def __init__(self, cores: int, command: Sequence[str] = ()) -> None:
         self.ready = False
         """Whether it has imported its libraries."""
         self.folder: Path | None = None
         """The run that it executes."""
         self.child = subprocess.Popen(
-            [*COMMAND, "--cores", str(cores)],
+            [*command, *COMMAND, "--cores", str(cores)],
             stdin=subprocess.PIPE,
             stdout=subprocess.PIPE,
             text=True,
@@ -66,7 +74,7 @@ class LocalLauncher(Launcher):
     """Processes of this machine: one for each of `jobs` runs at the same time.
 
     Raises:
-        MachineError: from `wait`, if a process ends before it can execute a run.
+        MachineError: from `wait`, if several processes in a row end before they can execute a run.
     """
 
     class Settings(BaseSettings):
@@ -75,6 +83,8 @@ class LocalLauncher(Launcher):
     def __init__(self, settings: Settings, jobs: int | None = None) -> None:  # noqa: ARG002  (it has none)
         self._jobs = jobs or 1
         self._processes: list[RunProcess] = []
+        self._failed_starts = 0
+        """Processes in a row that ended before they were ready."""
         self._answers: queue.Queue[tuple[RunProcess, str]] = queue.Queue()
 
     @override
@@ -98,7 +108,8 @@ class LocalLauncher(Launcher):
             return None
         if not answer:
             self._processes.remove(process)
-            if not process.ready:
+            self._failed_starts = 0 if process.ready else self._failed_starts + 1
+            if self._failed_starts > MOST_FAILED_STARTS:
                 raise MachineError(f"a process of a run {process.cause()} before it was ready", hint="see its output")
         return process.ended(answer)
 

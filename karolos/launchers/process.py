@@ -10,6 +10,7 @@ import argparse
 import json
 import os
 import platform
+import signal
 import sys
 from contextlib import ExitStack, suppress
 from dataclasses import asdict
@@ -37,7 +38,7 @@ def execute_folder(path: Path, cores: int, driver: int | None = None) -> str | N
         cores: number of cores for a run.
         driver: id of the process with whose end it stops.
     """
-    launch = path / LAUNCH
+    launch, problem, requeued = path / LAUNCH, None, False
     try:
         with ExitStack() as stack:
             test = ZeroShotTest.read(path)
@@ -46,7 +47,8 @@ def execute_folder(path: Path, cores: int, driver: int | None = None) -> str | N
             if run is not None:
                 run.lock(EARLIER_PROCESS_SECONDS)
             launched = read_object(launch) or {}
-            launched.pop("problem", None)  # of an earlier process
+            for key in ("problem", "ended"):  # of an earlier process
+                launched.pop(key, None)
             if launched:
                 provenance.check_software(launched, path.name)
             write_json(launch, launched | {"host": platform.node()})
@@ -57,12 +59,14 @@ def execute_folder(path: Path, cores: int, driver: int | None = None) -> str | N
                 if not stop.requested:
                     run_or_resume(run, None, _progress_writer(run), stop, beside=cores >= 2)
                 run.progress.unlink(missing_ok=True)
+            requeued = stop.signal == signal.SIGUSR1  # a batch system starts another process
     except KarolosError as error:
-        if path.is_dir():
-            with suppress(MachineError):
-                write_json(launch, (read_object(launch) or {}) | {"problem": str(error)})
-        return str(error)
-    return None
+        problem = str(error)
+    if path.is_dir() and not requeued:
+        with suppress(MachineError):
+            said = {"ended": True} | ({} if problem is None else {"problem": problem})
+            write_json(launch, (read_object(launch) or {}) | said)
+    return problem
 
 
 def serve(cores: int) -> None:

@@ -19,6 +19,8 @@ from .local import RunProcess
 
 CHECK_SECONDS, GONE_SECONDS = 5.0, 20.0
 """Time between two looks whether the cluster is there, and time without it after which it is gone."""
+BETWEEN = ("sh", "-c", '"$@"; exit', "run")
+"""A process between a Ray worker, which kills its children at its end, and its run, which then writes a checkpoint."""
 _processes: list[RunProcess] = []
 """The process that executes the runs of this Ray worker, one after another."""
 
@@ -28,7 +30,7 @@ def hand_to_process(folder: str, cores: int) -> str | None:
     if not Path(folder).is_dir():
         return f"{platform.node()} cannot see {folder}; use a runs folder that all machines share under this path"
     if not _processes:
-        _processes.append(RunProcess(cores))
+        _processes.append(RunProcess(cores, BETWEEN))
         _processes[0].answers.readline()  # libraries are imported
     process = _processes[0]
     process.ready = True

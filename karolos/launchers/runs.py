@@ -22,7 +22,7 @@ from ..experiment.events import (
     RunWarned,
 )
 from ..experiment.resume import find_run
-from ..experiment.run_index import RunIndex
+from ..experiment.writer import index_run
 from ..files import new_lines, read_object, write_json
 from ..records import RunFolder, provenance
 from ..records.decode import from_json
@@ -129,7 +129,6 @@ class RunTask(Task):
 
     def __init__(self, job: RunJob, seed: int, found: RunFolder | None) -> None:
         self._job, self._seed, self._found = job, seed, found
-        self._index: RunIndex | None = None
 
     @override
     def begin(self) -> Path:
@@ -143,8 +142,6 @@ class RunTask(Task):
         self._progress = read_object(folder.progress) or {}
         self._before = folder.state()
         self._failure: tuple[str | None, str | None] = None, None
-        self.close()
-        self._index = RunIndex(job.home.url, folder)
         self._launched: list[RunEvent] = [*self._update_index(), RunLaunched(folder.id)]  # it may wait for long
         return folder.path
 
@@ -191,9 +188,8 @@ class RunTask(Task):
 
     def _update_index(self, result: TestResult | None = None) -> Iterator[RunEvent]:
         """Update the run in the database; a failure is a warning."""
-        assert self._index is not None  # it has begun
         try:
-            self._index.update()
+            index_run(self._job.home.url, self._folder)
         except StoreError as error:
             what = "its folder is complete" if result is None else "the test is in the run folder"
             yield RunWarned(self._folder.id, f"{error} (the run continues; {what})")
@@ -216,13 +212,7 @@ class RunTask(Task):
             summary, error, traceback = replace(summary, state=state, error=problem), problem, None
         else:
             yield from self._update_index()
-        self.close()
         job.record(summary)
         yield RunEnded(summary.run, summary.state, error, traceback)
         if summary.error is not None and not job.halted:
             job.error = job.error or summary.error
-
-    @override
-    def close(self) -> None:
-        if self._index is not None:
-            self._index.close()

@@ -5,6 +5,8 @@ from __future__ import annotations
 import shlex
 import subprocess
 import time
+from collections.abc import Mapping
+from contextlib import suppress
 from pathlib import Path
 from typing import ClassVar
 
@@ -13,11 +15,17 @@ from typing_extensions import override
 
 from ..core.settings import Settings as BaseSettings
 from ..errors import MachineError, UsageError
-from ..files import write_whole
-from .interface import COMMAND, STOP, Ended, Launcher
+from ..files import read_object, write_whole
+from .interface import COMMAND, LAUNCH, STOP, Ended, Launcher
 
 JOB = "slurm.job"
 """The file in a run's folder with the id of its job."""
+PATIENCE_SECONDS = 600.0
+"""How long squeue may fail. Its server is often away for some minutes."""
+GONE_SECONDS = 30.0
+"""How long squeue must not know a job that is then taken for lost."""
+ANSWER_SECONDS = 60.0
+"""How long a command of Slurm may take."""
 SCRIPT = """#!/bin/bash
 # One line of {list} is the folder of this task's run. Before its time limit it writes a checkpoint and is queued again.
 folder=$(sed -n "$((SLURM_ARRAY_TASK_ID + 1))p" {list})
@@ -37,10 +45,11 @@ class SlurmLauncher(Launcher):
     """Jobs of Slurm. The runs folder is on a path that all machines share.
 
     A run that reaches its time limit writes a checkpoint and is queued again. Jobs stay when the driver's process ends:
-    the same command with --resume follows them again. Their output is in the runs folder (.slurm-*.out).
+    the same command with --resume follows them again. Their output is in the runs folder (.slurm-*.out). That a run has
+    ended stands in its folder; squeue is asked for jobs that died before.
 
     Raises:
-        MachineError: a command of Slurm is missing or fails.
+        MachineError: a command of Slurm is missing, or squeue fails for minutes.
     """
 
     class Settings(BaseSettings):
@@ -57,7 +66,11 @@ class SlurmLauncher(Launcher):
         self._new: list[Path] = []
         self._active: dict[str, Path] = {}
         """Job id -> folder of its run."""
+        self._missing: dict[str, float] = {}
+        """Job id -> since when squeue does not know the job."""
         _slurm("squeue", "--version")
+        self._answered = time.monotonic()
+        """When squeue last answered."""
 
     @override
     def room(self, waiting: int) -> int:
@@ -65,34 +78,47 @@ class SlurmLauncher(Launcher):
 
     @override
     def start(self, folder: Path) -> None:
-        job = folder / JOB
-        if job.exists() and (name := job.read_text().strip()) in self._states([name]):
-            self._active[name] = folder  # of a driver that has ended
-        else:
-            self._new.append(folder)
+        self._new.append(folder)
 
     @override
     def wait(self, seconds: float) -> Ended | None:
-        if self._new:
-            self._submit()
-        states = self._states(list(self._active)) if self._active else {}
+        states = self._states()
+        if states is not None and self._new:
+            self._submit(states)
         for name, folder in self._active.items():
-            if states.get(name) == "PENDING" and (folder / STOP).exists():
-                _slurm("scancel", name)
-            elif name in states:
-                continue
-            del self._active[name]
-            return Ended(folder, f"its job {name} ended, see .slurm-{name}.out in the runs folder", died=True)
+            ended = (read_object(folder / LAUNCH) or {}).get("ended") or self._is_gone(name, states)
+            if states is not None and states.get(name) == "PENDING" and (folder / STOP).exists():
+                with suppress(MachineError):  # the next look tries again
+                    _slurm("scancel", name)
+                    ended = True
+            if ended:
+                del self._active[name]
+                return Ended(folder, f"its job {name} ended, see .slurm-{name}.out in the runs folder", died=True)
         time.sleep(seconds)
         return None
 
+    def _is_gone(self, name: str, states: dict[str, str] | None) -> bool:
+        """Whether squeue has not known a job for a while. One answer without it may be wrong."""
+        if states is None or name in states:
+            self._missing.pop(name, None)
+            return False
+        return time.monotonic() - self._missing.setdefault(name, time.monotonic()) >= GONE_SECONDS
+
     @override
     def close(self, *, kill: bool) -> None:
-        if self._active:
-            _slurm("scancel", *([] if kill else ["--batch", "--signal=TERM"]), *self._active)
+        if self._active and kill:  # otherwise a later command follows them
+            with suppress(MachineError):
+                _slurm("scancel", *self._active)
 
-    def _submit(self) -> None:
-        """Submit the new runs as one array job."""
+    def _submit(self, states: Mapping[str, str]) -> None:
+        """Submit the new runs as one array job, but those whose job of an earlier driver goes on."""
+        for folder in list(self._new):
+            job = folder / JOB
+            if job.exists() and (name := job.read_text().strip()) in states:
+                self._active[name] = folder
+                self._new.remove(folder)
+        if not self._new:
+            return
         settings, runs = self._settings, self._new[0].parent
         stem = runs / f".slurm-{time.time_ns()}"
         write_whole(stem.with_suffix(".list"), "".join(f"{folder}\n" for folder in self._new))
@@ -111,24 +137,37 @@ class SlurmLauncher(Launcher):
         }
         given = [f"--{name}={value}" for name, value in options.items() if value is not None]
         out = _slurm("sbatch", "--parsable", "--requeue", *given, *settings.options, str(stem.with_suffix(".sh")))
-        number = out.strip().partition(";")[0]
+        number = next((line.partition(";")[0] for line in out.split() if line[:1].isdigit()), None)
+        if number is None:
+            hint = "`squeue --me` shows whether it has submitted the runs"
+            raise MachineError(f"sbatch gave no number of a job, but {out.strip()[:200]!r}", hint=hint)
         for task, folder in enumerate(self._new):
             self._active[f"{number}_{task}"] = folder
             write_whole(folder / JOB, f"{number}_{task}\n")
         self._new.clear()
 
-    @staticmethod
-    def _states(names: list[str]) -> dict[str, str]:
-        """The states of those jobs that have not ended."""
-        lines = _slurm("squeue", "--noheader", "--array", "--format=%i %T", "--me").splitlines()
-        states = dict(line.split() for line in lines)
-        return {name: states[name] for name in names if name in states}
+    def _states(self) -> dict[str, str] | None:
+        """The states of this user's jobs that have not ended. None while squeue fails; MachineError if it goes on."""
+        try:
+            out = _slurm("squeue", "--noheader", "--array", "--format=%i %T", "--me")
+        except MachineError as error:
+            if time.monotonic() - self._answered < PATIENCE_SECONDS:
+                return None
+            hint = "the jobs go on, and the same command with --resume follows them again"
+            raise MachineError(
+                f"squeue has failed for {PATIENCE_SECONDS / 60:g} minutes: {error.what}", hint=hint
+            ) from error
+        self._answered = time.monotonic()
+        rows = (line.split() for line in out.splitlines())
+        return {row[0]: row[1] for row in rows if len(row) == 2}  # other lines are messages
 
 
 def _slurm(*command: str) -> str:
     """The output of a command of Slurm."""
     try:
-        done = subprocess.run(command, capture_output=True, text=True, check=False)
+        done = subprocess.run(command, capture_output=True, text=True, check=False, timeout=ANSWER_SECONDS)
+    except subprocess.TimeoutExpired as error:
+        raise MachineError(f"{command[0]} did not answer within {ANSWER_SECONDS:g} s") from error
     except FileNotFoundError as error:
         raise MachineError(f"{command[0]} is not installed", hint="run on a machine that submits to Slurm") from error
     if done.returncode:

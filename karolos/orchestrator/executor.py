@@ -9,7 +9,8 @@ from contextlib import ExitStack
 import numpy as np
 
 from ..core import BuildEnvironment, Discrete, Environment, Signature, Step
-from ..errors import KarolosError, PluginError, WorkerError
+from ..core.environment import close
+from ..errors import KarolosError, PluginError, WorkerError, described
 from .shared_memory import EnvironmentArrays
 
 RESET = b"r"
@@ -59,12 +60,12 @@ class Executor:
 
     def _close(self) -> None:
         for environment in self._environments:
-            environment.close()
+            close(environment)
 
     def _reset(self, index: int) -> None:
         position = index - self._first
         if index in self._broken:
-            self._environments[position].close()
+            close(self._environments[position])
             self._environments[position] = self._build()
             self._broken.remove(index)
         environment = self._environments[position]
@@ -106,9 +107,8 @@ def as_karolos_error(error: BaseException, where: str) -> KarolosError:
     """A KarolosError itself; any other error as a WorkerError with the traceback."""
     if isinstance(error, KarolosError):
         return error
-    text = str(error).strip().splitlines()
     return WorkerError(
-        f"{type(error).__name__}: {text[0]}" if text else type(error).__name__,
+        described(error),
         where=where,
         hint="the traceback shows the line that failed in the environment or plugin",
         traceback="".join(traceback.format_exception(error)),

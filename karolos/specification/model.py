@@ -50,6 +50,13 @@ class TrainingSettings(Settings):
         le=MAX_THREADS,
         description="CPU threads of the learner; null leaves it to karolos. Does not count as a change",
     )
+    diverging: float = Setting(
+        default=0.5,
+        ge=0,
+        le=1,
+        description="share of the training episodes that may diverge; more between two tests fails the run. Does not "
+        "count as a change",
+    )
     mode: Literal["lockstep", "async"] = Setting(
         default="lockstep",
         description="lockstep: every round waits for all environments, and a run is the same bit for bit; async: goes "
@@ -75,7 +82,7 @@ class TrainingSettings(Settings):
 
     def identity(self) -> dict[str, Any]:
         """The settings that results depend on. The default mode, lockstep, is not included."""
-        fixed = self.model_dump(mode="json", exclude={"device", "threads", "mode", "minimum_batch"})
+        fixed = self.model_dump(mode="json", exclude={"device", "threads", "diverging", "mode", "minimum_batch"})
         return fixed | ({"mode": self.mode, "minimum_batch": self.at_least} if self.mode == "async" else {})
 
 

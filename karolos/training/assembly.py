@@ -4,13 +4,13 @@ from __future__ import annotations
 
 import math
 from collections.abc import Iterator
-from contextlib import contextmanager
+from contextlib import ExitStack, contextmanager
 from functools import partial
 
 from ..core import Agent, Buffer, Orchestrator, Signature
 from ..core.seeding import SeedTree
-from ..environments.build import build_environment
-from ..errors import KarolosError, UsageError
+from ..environments.build import build_environment, opened
+from ..errors import KarolosError, UsageError, described
 from ..registry import load
 from ..specification import Part, Spec
 from .demonstrations import demonstrating_expert
@@ -63,24 +63,21 @@ def check_parts(spec: Spec, jobs: int = 1) -> str | None:
         UsageError: two parts do not fit together, or need too much memory; names the setting and where it was set.
         KarolosError: a plugin or the machine prevents it.
     """
-    with located(spec):
+    with located(spec), ExitStack() as stack:
         with _making("environment", spec.environment):
-            environment = build_environment(spec.recipe(randomize=True))
-        try:
-            signature, size = environment.signature, environments_of(spec)
-            check_memory(spec, signature, jobs)
-            with _making("agent", spec.agent):
-                agent = make_agent(spec, signature, SeedTree(0))
-            with _making("buffer", spec.buffer):
-                buffer = make_buffer(spec, signature, SeedTree(0), environments=size, discount=agent.discount)
-            _check_amounts(spec, agent, buffer)
-            agent.check(buffer, demonstrations=spec.demonstrations is not None)
-            if spec.demonstrations is not None:
-                buffer.add_demonstrations(())
-                demonstrating_expert(environment)
-            return _without_updates(spec, agent, buffer, signature.max_steps) or _without_success(spec, signature)
-        finally:
-            environment.close()
+            environment = stack.enter_context(opened(spec.recipe(randomize=True)))
+        signature, size = environment.signature, environments_of(spec)
+        check_memory(spec, signature, jobs)
+        with _making("agent", spec.agent):
+            agent = make_agent(spec, signature, SeedTree(0))
+        with _making("buffer", spec.buffer):
+            buffer = make_buffer(spec, signature, SeedTree(0), environments=size, discount=agent.discount)
+        _check_amounts(spec, agent, buffer)
+        agent.check(buffer, demonstrations=spec.demonstrations is not None)
+        if spec.demonstrations is not None:
+            buffer.add_demonstrations(())
+            demonstrating_expert(environment)
+        return _without_updates(spec, agent, buffer, signature.max_steps) or _without_success(spec, signature)
 
 
 @contextmanager
@@ -90,11 +87,9 @@ def _making(key: str, part: Part) -> Iterator[None]:
         yield
     except KarolosError:
         raise
-    except Exception as error:  # the constructor is anybody's
-        reason = (str(error).splitlines() or [""])[0]
-        raise UsageError(
-            f"{key} {part.name!r} cannot be made: {type(error).__name__}: {reason}", setting=f"{key}.name"
-        ) from error
+    except (Exception, SystemExit) as error:  # the constructor is anybody's
+        what = f"{key} {part.name!r} cannot be made: {described(error)}"
+        raise UsageError(what, setting=f"{key}.name") from error
 
 
 def _check_amounts(spec: Spec, agent: Agent, buffer: Buffer) -> None:

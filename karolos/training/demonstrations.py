@@ -10,7 +10,7 @@ import numpy as np
 
 from ..core import Environment, Expert, FloatArray, Step, Transitions
 from ..core.seeding import SeedTree
-from ..environments.build import build_environment
+from ..environments.build import opened
 from ..errors import RunError, UsageError
 from ..specification.model import DemonstrationSettings
 from ..specification.parts import Recipe
@@ -55,10 +55,9 @@ def collect_demonstrations(
     """
     started = time.perf_counter()
     tree = seeds.child("demonstrations")
-    environment = build_environment(recipe)
     episodes: list[Transitions] = []
     successes = 0
-    try:
+    with opened(recipe) as environment:
         for index in range(2 * settings.episodes):
             node = tree.child(index)
             steps, actions = _play(environment, settings, node, lambda: on_step(len(episodes)))
@@ -70,8 +69,6 @@ def collect_demonstrations(
                 break
         else:
             raise RunError("most demonstrations diverge", setting="demonstrations", hint="lower demonstrations.noise")
-    finally:
-        environment.close()
     return Demonstrations(tuple(episodes), successes / len(episodes), time.perf_counter() - started)
 
 

@@ -73,6 +73,8 @@ class Learner:
             interrupted: whether the updates that may wait are left for a later call.
         """
         self._owed += self._due(steps)
+        if self._owed and not len(self._buffer):  # every episode so far has diverged
+            return
         while self._owed > 0 and not (self._owed <= self._may_wait and interrupted()):
             self._learn(self._batch_size)
             self._owed -= 1

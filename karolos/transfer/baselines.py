@@ -7,9 +7,10 @@ from dataclasses import asdict, dataclass
 from pathlib import Path
 
 from ..core import Environment
+from ..environments.build import opened
 from ..errors import UsageError
 from ..evaluation.playing import Score, score
-from ..evaluation.policies import Policy, environment_of, expert_policy, random_policy
+from ..evaluation.policies import Policy, expert_policy, random_policy
 from ..experiment.signals import StopRequest
 from ..files import append_lines, read_lines
 from ..records.decode import from_json
@@ -48,8 +49,8 @@ def measure_baselines(spec: Spec, path: Path, stop: StopRequest) -> Baselines:
 
 def _score(spec: Spec, make: Callable[[Environment, int], Policy], episodes: int, stop: StopRequest) -> Score:
     """Success of a policy on the first episodes of the final test. Raises StopRequestedError."""
-    environment, seed = environment_of(spec), spec.testing.final_seed
-    try:
+    seed = spec.testing.final_seed
+    with opened(spec.recipe(randomize=False)) as environment:
         policy = make(environment, seed)
 
         def begin() -> None:
@@ -57,5 +58,3 @@ def _score(spec: Spec, make: Callable[[Environment, int], Policy], episodes: int
             policy.begin()
 
         return score(environment, Policy(policy.act, begin), episodes=episodes, seed=seed)
-    finally:
-        environment.close()

@@ -4,7 +4,6 @@ from __future__ import annotations
 
 import math
 from collections.abc import Callable, Sequence
-from dataclasses import dataclass
 from pathlib import Path
 
 from .. import __version__
@@ -17,66 +16,18 @@ from ..report.figures import Drawing, look, shade_cells, short
 from ..report.markup import Markup, tag
 from ..report.page import document, figure_grid, items, plain_table
 from ..report.tables import Columns, Table, count, duration, success
-from .results import Cell, TransferReport, Variant
-
-
-@dataclass(frozen=True)
-class Metric:
-    """How an estimate of a cell is named, explained and shaded."""
-
-    title: str
-    meaning: str
-    neutral: float | None = None
-    """Value without shade; larger values are blue, smaller ones red. None: shades from 0 to 1."""
-    larger_is_better: bool = True
-
-
-METRICS = {
-    "zero_shot": Metric(
-        "Zero-shot success",
-        "the source's best policy on the target, on episodes of the final test, on which no policy was chosen; on the "
-        "diagonal on its own variant",
-    ),
-    "retention": Metric("Retention", "zero-shot success by the success of the same policies on their own variant"),
-    "fine_tuned": Metric(
-        "Success after fine-tuning", "the last policy of fine-tuning on the target, in its final test"
-    ),
-    "jump_start": Metric(
-        "Jump-start",
-        "success of fine-tuning minus that of training from scratch at the first step at which both have been tested "
-        "(Taylor and Stone 2009)",
-        neutral=0.0,
-    ),
-    "asymptote": Metric(
-        "Asymptote",
-        "success of fine-tuning minus that of training from scratch, each at its own end (Taylor and Stone 2009)",
-        neutral=0.0,
-    ),
-    "time_ratio": Metric(
-        "Time to threshold",
-        "steps of fine-tuning to the threshold by those from scratch: Kaplan-Meier medians over the seeds, runs that "
-        "never got there censored at their end; the steps of the source are not counted",
-        neutral=1.0,
-        larger_is_better=False,
-    ),
-    "forward_transfer": Metric(
-        "Forward transfer",
-        "(AUC - AUC of scratch) / (1 - AUC of scratch), mean success over the steps of fine-tuning that both were "
-        "tested in (Wolczyk et al. 2021, Continual World)",
-        neutral=0.0,
-    ),
-}
+from .results import METRICS, Cell, Metric, TransferReport, Variant
 
 
 def known(report: TransferReport) -> dict[str, Metric]:
     """The metrics that at least one cell has."""
-    return {name: one for name, one in METRICS.items() if any(getattr(cell, name) for cell in report.cells)}
+    return {name: one for name, one in METRICS.items() if any(cell.estimates.get(name) for cell in report.cells)}
 
 
 def matrix_table(report: TransferReport, name: str) -> Table:
     """One metric: a row per source, a column per target."""
     labels = [variant.label for variant in report.variants]
-    cells = {(cell.source, cell.target): estimate(getattr(cell, name)) for cell in report.cells}
+    cells = {(cell.source, cell.target): estimate(cell.estimates.get(name)) for cell in report.cells}
     rows = [[source, *(cells[source, target] for target in labels)] for source in labels]
     return Table(["from", *(f"to {label}" for label in labels)], rows, METRICS[name].title)
 
@@ -124,7 +75,7 @@ def notes(report: TransferReport) -> list[str]:
 def heat_map(report: TransferReport, name: str) -> Drawing:
     """One metric, a row per source and a column per target; below zero-shot success the expert and random actions."""
     metric, labels = METRICS[name], [variant.label for variant in report.variants]
-    found = {(cell.source, cell.target): getattr(cell, name) for cell in report.cells}
+    found = {(cell.source, cell.target): cell.estimates.get(name) for cell in report.cells}
     rows = [(source, [_cell(found[source, target]) for target in labels]) for source in labels]
     if name == "zero_shot":
         rows.append(("expert", [_cell(variant.ceiling) for variant in report.variants]))
@@ -180,9 +131,9 @@ def _runs_table(report: TransferReport) -> Table:
         rows += [(f"{variant.label}, from scratch", *_run_cells(run)) for run in variant.runs.values()]
     for cell in report.cells:
         name = f"{cell.source} to {cell.target}"
-        for seed, test in (cell.tests or {}).items():
+        for seed, test in cell.tests.items():
             rows.append((f"{name}, zero-shot", str(seed), success(test.success_end, test.episodes), "-", "-"))
-        rows += [(f"{name}, fine-tuned", *_run_cells(run)) for run in (cell.runs or {}).values()]
+        rows += [(f"{name}, fine-tuned", *_run_cells(run)) for run in cell.runs.values()]
     return Table(["what", "seed", "success end", "steps", "run"], rows)
 
 
@@ -199,7 +150,7 @@ def _cell(found: Estimate | Score | None) -> tuple[float, str]:
 
 
 def _column(name: str) -> Callable[[Cell], str]:
-    return lambda cell: estimate(getattr(cell, name))
+    return lambda cell: estimate(cell.estimates.get(name))
 
 
 def _reached(found: Reaching | None) -> str:

@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from collections.abc import Callable, Iterable, Mapping, Sequence
+from collections.abc import Callable, Mapping, Sequence
 from dataclasses import asdict, dataclass
 from itertools import product
 from typing import Any
@@ -24,38 +24,68 @@ from ..statistics.intervals import wilson
 from .baselines import Baselines
 from .matrix import MatrixRuns, Pair
 
-METRICS = ("zero_shot", "retention", "fine_tuned", "jump_start", "asymptote", "time_ratio", "forward_transfer")
-"""The estimates of a cell."""
+
+@dataclass(frozen=True)
+class Metric:
+    """An estimate of a cell: how it is named, explained and shaded."""
+
+    title: str
+    meaning: str
+    neutral: float | None = None
+    """Value without shade; larger values are blue, smaller ones red. None: shades from 0 to 1."""
+    larger_is_better: bool = True
+
+
+METRICS = {
+    "zero_shot": Metric(
+        "Zero-shot success",
+        "the source's best policy on the target, on episodes of the final test, on which no policy was chosen; on the "
+        "diagonal on its own variant",
+    ),
+    "retention": Metric("Retention", "zero-shot success by the success of the same policies on their own variant"),
+    "fine_tuned": Metric(
+        "Success after fine-tuning", "the last policy of fine-tuning on the target, in its final test"
+    ),
+    "jump_start": Metric(
+        "Jump-start",
+        "success of fine-tuning minus that of training from scratch at the first step at which both have been tested "
+        "(Taylor and Stone 2009)",
+        neutral=0.0,
+    ),
+    "asymptote": Metric(
+        "Asymptote",
+        "success of fine-tuning minus that of training from scratch, each at its own end (Taylor and Stone 2009)",
+        neutral=0.0,
+    ),
+    "time_ratio": Metric(
+        "Time to threshold",
+        "steps of fine-tuning to the threshold by those from scratch: Kaplan-Meier medians over the seeds, runs that "
+        "never got there censored at their end; the steps of the source are not counted",
+        neutral=1.0,
+        larger_is_better=False,
+    ),
+    "forward_transfer": Metric(
+        "Forward transfer",
+        "(AUC - AUC of scratch) / (1 - AUC of scratch), mean success over the steps of fine-tuning that both were "
+        "tested in (Wolczyk et al. 2021, Continual World)",
+        neutral=0.0,
+    ),
+}
 
 
 @dataclass(frozen=True)
 class Cell:
-    """Transfer from a source to a target. An estimate is None without the runs or tests that it needs.
-
-    On the diagonal only `zero_shot` is known: the source's policies on their own variant.
-    """
+    """Transfer from a source to a target. On the diagonal only `zero_shot` is known."""
 
     source: str
     target: str
-    zero_shot: Estimate | None = None
-    """Success of the source's policies on the target."""
-    retention: Estimate | None = None
-    """Zero-shot success by the success of the same policies on their own variant, same episodes."""
-    fine_tuned: Estimate | None = None
-    """Success after fine-tuning."""
-    jump_start: Estimate | None = None
-    """Fine-tuned minus scratch at the first step at which both have been tested."""
-    asymptote: Estimate | None = None
-    """Fine-tuned minus scratch, each at its own end."""
-    time_ratio: Estimate | None = None
-    """Steps to the threshold: median of fine-tuning by that of training from scratch."""
-    forward_transfer: Estimate | None = None
-    """Over the steps of fine-tuning."""
-    reaching: Reaching | None = None
+    estimates: Mapping[str, Estimate | None]
+    """By their names in METRICS; those without the runs or tests that they need are missing."""
+    reaching: Reaching | None
     """When fine-tuning reached the threshold."""
-    tests: Mapping[int, TestCounts] | None = None
+    tests: Mapping[int, TestCounts]
     """Seed -> zero-shot test."""
-    runs: Mapping[int, ComparedRun] | None = None
+    runs: Mapping[int, ComparedRun]
     """Seed -> fine-tuned run."""
 
 
@@ -99,10 +129,13 @@ class TransferReport:
         return [self._row(cell, by_label[cell.source], by_label[cell.target]) for cell in self.cells]
 
     def _row(self, cell: Cell, source: Variant, target: Variant) -> dict[str, Any]:
-        estimates = {name: (found := getattr(cell, name)) and asdict(found) for name in METRICS}
-        tests, runs = cell.tests or {}, cell.runs or {}
+        estimates = {name: (found := cell.estimates.get(name)) and asdict(found) for name in METRICS}
         if estimates["zero_shot"]:
-            estimates["zero_shot"] |= _each(tests.values())
+            counts = cell.tests.values()
+            estimates["zero_shot"] |= {
+                "each": [count.success_end for count in counts],
+                "wilson": [wilson(count.successes_end or 0, count.episodes) for count in counts],
+            }
         return {
             "matrix": self.name,
             "source": cell.source,
@@ -116,7 +149,7 @@ class TransferReport:
             "ceiling": target.ceiling and target.ceiling.success_end,
             "source_cost": {"steps": source.steps, "seconds": source.seconds},
             "source_runs": [run.summary.run for run in source.runs.values()],
-            "fine_tuned_runs": [run.summary.run for run in runs.values()],
+            "fine_tuned_runs": [run.summary.run for run in cell.runs.values()],
             "warnings": list(self.warnings),
         }
 
@@ -126,14 +159,17 @@ def transfer_report(found: MatrixRuns) -> TransferReport:
     settings = found.spec.transfer
     assert settings is not None  # only such a spec has a matrix
     tree = SeedTree(0).child("transfer")
-    scratch = {label: _compared(runs) for label, runs in found.sources.items()}
-    tuned = {pair: _compared(runs) for pair, runs in found.fine_tuned.items()}
+    untested: list[str] = []
+    scratch = {label: _compared(runs, untested) for label, runs in found.sources.items()}
+    tuned = {pair: _compared(runs, untested) for pair, runs in found.fine_tuned.items()}
     cells = []
     for source, target in product(scratch, repeat=2):
         pair, leaf = (source, target), tree.child(source, target)
         baseline = scratch[target] if "scratch" in settings.modes else {}
-        after = _fine_tuned(tuned.get(pair, {}), baseline, settings.threshold, leaf)
-        cells.append(Cell(source, target, **_zero_shot(found.zero_shot, pair, leaf), **after))
+        tests, runs = _tests(found.zero_shot, pair), tuned.get(pair, {})
+        estimates = _zero_shot(found.zero_shot, pair, leaf) | _fine_tuned(runs, baseline, settings.threshold, leaf)
+        reaching = _reaching(list(runs.values()), settings.threshold)
+        cells.append(Cell(source, target, estimates, reaching, tests, runs))
     return TransferReport(
         name=found.spec.name,
         threshold=settings.threshold,
@@ -144,12 +180,15 @@ def transfer_report(found: MatrixRuns) -> TransferReport:
         ),
         cells=tuple(cells),
         learning={label: _learning(label, runs, tuned) for label, runs in scratch.items() if runs and tuned},
-        warnings=tuple(found.problems),
+        warnings=(*found.problems, *(f"{run} has lost its tests and is left out" for run in untested)),
     )
 
 
-def _compared(runs: Mapping[int, RunFolder]) -> dict[int, ComparedRun]:
-    return {seed: load_compared(folder.record()) for seed, folder in runs.items()}
+def _compared(runs: Mapping[int, RunFolder], untested: list[str]) -> dict[int, ComparedRun]:
+    """The runs that have tests; notes the others."""
+    tested = {seed: folder for seed, folder in runs.items() if folder.tests()}
+    untested += (folder.id for seed, folder in runs.items() if seed not in tested)
+    return {seed: load_compared(folder.record()) for seed, folder in tested.items()}
 
 
 def _variant(
@@ -175,38 +214,41 @@ def _reported(runs: Sequence[ComparedRun], tree: SeedTree) -> Estimate | None:
     return estimate([[run.reported("end") for run in runs]], aggregates.mean, tree, runs[0].episodes)
 
 
-def _zero_shot(tests: Mapping[Pair, Mapping[int, TransferResult]], pair: Pair, tree: SeedTree) -> dict[str, Any]:
-    """The fields of a cell that tests of the source's policies give. On the diagonal they come from any target's."""
+def _tests(found: Mapping[Pair, Mapping[int, TransferResult]], pair: Pair) -> dict[int, TestCounts]:
+    """Seed -> test of the source's policy on the target. Those on the diagonal come from any target's."""
     source, target = pair
-    own = {seed: test.own for (one, _), found in tests.items() if one == source for seed, test in found.items()}
-    counts = own if source == target else {seed: TestCounts.of(one.result) for seed, one in tests.get(pair, {}).items()}
+    if source == target:
+        return {seed: test.own for (one, _), tests in found.items() if one == source for seed, test in tests.items()}
+    return {seed: TestCounts.of(test.result) for seed, test in found.get(pair, {}).items()}
+
+
+def _zero_shot(
+    found: Mapping[Pair, Mapping[int, TransferResult]], pair: Pair, tree: SeedTree
+) -> dict[str, Estimate | None]:
+    """The estimates of a cell that tests of the source's policies give."""
+    counts = _tests(found, pair)
     if not counts:
         return {}
-    ends = [count.success_end or 0.0 for count in counts.values()]
-    fields = {
-        "tests": counts,
-        "zero_shot": estimate([ends], aggregates.mean, tree.child("zero shot"), next(iter(counts.values())).episodes),
-    }
-    if source != target:
+    ends, episodes = [count.success_end or 0.0 for count in counts.values()], next(iter(counts.values())).episodes
+    estimates = {"zero_shot": estimate([ends], aggregates.mean, tree.child("zero shot"), episodes)}
+    if pair[0] != pair[1]:
+        own = _tests(found, (pair[0], pair[0]))
         before = [own[seed].success_end or 0.0 for seed in counts]
-        fields["retention"] = estimate([ends, before], transfer.ratio_of_means, tree.child("retention"))
-    return fields
+        estimates["retention"] = estimate([ends, before], transfer.ratio_of_means, tree.child("retention"))
+    return estimates
 
 
 def _fine_tuned(
     runs: Mapping[int, ComparedRun], scratch: Mapping[int, ComparedRun], threshold: float, tree: SeedTree
-) -> dict[str, Any]:
-    """The fields of a cell that fine-tuning gives. Those that compare it use the seeds that both have."""
-    if not runs:
+) -> dict[str, Estimate | None]:
+    """The estimates of a cell that fine-tuning gives. Those that compare it use the seeds that both have."""
+    reported = _reported(list(runs.values()), tree.child("fine tuned"))
+    if reported is None:
         return {}
-    fields: dict[str, Any] = {
-        "runs": runs,
-        "fine_tuned": _reported(list(runs.values()), tree.child("fine tuned")),
-        "reaching": _reaching(list(runs.values()), threshold),
-    }
+    estimates: dict[str, Estimate | None] = {"fine_tuned": reported}
     pairs = [(runs[seed], scratch[seed]) for seed in runs if seed in scratch]
     if not pairs:
-        return fields
+        return estimates
     firsts, areas, ends = [], [], []
     for tuned, baseline in pairs:
         curves = [(places(run, "steps"), np.array(run.values("end"))) for run in (tuned, baseline)]
@@ -222,8 +264,8 @@ def _fine_tuned(
         "time_ratio": (times, transfer.median_time_ratio),
     }
     for name, (rows, statistic) in statistics.items():
-        fields[name] = estimate(list(zip(*rows, strict=True)), statistic, tree.child(name))
-    return fields
+        estimates[name] = estimate(list(zip(*rows, strict=True)), statistic, tree.child(name))
+    return estimates
 
 
 def _difference(values: NDArray[np.float64], baseline: NDArray[np.float64]) -> NDArray[np.float64]:
@@ -273,13 +315,4 @@ def _variant_row(variant: Variant) -> dict[str, Any]:
         "steps_to_threshold": _reaching_row(variant.reaching),
         "runs": [run.summary.run for run in variant.runs.values()],
         "experiment": next((run.summary.experiment for run in variant.runs.values()), None),
-    }
-
-
-def _each(tests: Iterable[TestCounts]) -> dict[str, Any]:
-    """Success of each seed's test with its Wilson interval."""
-    counts = list(tests)
-    return {
-        "each": [count.success_end for count in counts],
-        "wilson": [wilson(count.successes_end or 0, count.episodes) for count in counts],
     }

@@ -263,16 +263,26 @@ def test_a_reward_that_is_not_a_number_stops_the_run_and_names_the_environment(t
         Experiment(spec(orchestrator=one, buffer=plain)).run(tmp_path)
 
 
-def test_a_checkpoint_that_finds_the_disk_full_costs_a_warning_not_the_run(tmp_path, monkeypatch):
-    def full(*_):
-        raise MachineError("no space left on the disk", hint="free some")
+@pytest.mark.parametrize(("fails", "state"), [(5, "finished"), (10**6, "failed")])
+def test_a_full_disk_costs_warnings_and_a_run_whose_policy_is_never_written_fails(tmp_path, monkeypatch, fails, state):
+    save, left = checkpoint.save, list(range(fails))  # two of three tests, and the end of training
+
+    def full(*arguments):
+        if left:
+            left.pop()
+            raise MachineError("no space left on the disk", hint="free some")
+        return save(*arguments)
 
     monkeypatch.setattr("karolos.checkpoint.save", full)
     events = []
-    outcome = Experiment(spec()).run(tmp_path, listener=events.append)
-    assert outcome.runs[0].state == "finished"
+    outcome = Experiment(spec()).run(tmp_path, listener=events.append, check=False)
+    assert (outcome.runs[0].state, outcome.exit_code) == (state, int(state == "failed"))
     warnings = [event.warning for event in events if isinstance(event, RunWarned)]
     assert any("no space left" in warning and "'last' was not written" in warning for warning in warnings)
+    if state == "finished":
+        assert weights(*folders(outcome))[1]["steps"] == 240
+    else:
+        assert "the policy at the end of training could not be written" in outcome.runs[0].error
 
 
 def test_a_best_test_whose_checkpoint_was_not_written_keeps_no_later_one_from_being_written(tmp_path, monkeypatch):

@@ -91,7 +91,6 @@ def test_a_database_that_cannot_be_reached_between_seeds_costs_a_warning(tmp_pat
 
 
 def test_an_outage_of_the_database_costs_no_seed_of_several_at_a_time(tmp_path: Path) -> None:
-    """The short version of tests/torture/outage.py."""
     file, aside = tmp_path / "karolos.sqlite", tmp_path / "aside"
     warnings, ended = [], []
 

@@ -188,4 +188,3 @@ def test_only_what_is_new_and_whole_is_told(tmp_path: Path) -> None:
     assert [type(event) for event in task.events()] == [RunStarted, RunBusy, RunWarned]
     folder.progress.write_text('{"RunAdvanced": {"run": 1}}')
     assert list(task.events()) == []
-    task.close()

@@ -14,6 +14,7 @@ import pytest
 from support.processes import child_processes
 
 from karolos.errors import MachineError
+from karolos.launchers.interface import COMMAND
 from karolos.launchers.local import LocalLauncher
 from karolos.launchers.runs import Home
 from karolos.records import RunFolder
@@ -31,6 +32,7 @@ SECONDS = 60.0
 DRIVER = """
 import sys, time
 from pathlib import Path
+from karolos.launchers.interface import COMMAND
 from karolos.launchers.local import LocalLauncher
 launcher = LocalLauncher(LocalLauncher.Settings())
 while not launcher.room(1):
@@ -94,6 +96,14 @@ def test_the_end_of_the_driver_stops_its_runs_with_a_checkpoint(tmp_path: Path) 
         time.sleep(0.05)
     assert (folder.state().state, folder.events()[-1]["reason"]) == ("stopped", "SIGTERM")
     assert (folder.checkpoints / "last" / "manifest.json").is_file()
+
+
+def test_a_process_that_ends_before_it_is_ready_is_replaced(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
+    once = f'mkdir {tmp_path}/once 2>/dev/null && kill -9 $$; exec "$@"'
+    monkeypatch.setattr("karolos.launchers.local.COMMAND", ("sh", "-c", once, "run", *COMMAND))
+    with LocalLauncher(LocalLauncher.Settings()) as launcher:
+        prepare(launcher)
+        assert launcher.room(1) == 1
 
 
 def test_a_process_that_cannot_begin_is_an_error_that_says_how_it_ended(

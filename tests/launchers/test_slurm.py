@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import os
+import random
 import signal
 import sys
 import threading
@@ -29,6 +30,9 @@ TOY: dict[str, Any] = {
     "training": {"steps": 2000, "batch_size": 8, "replay_ratio": 4, "warmup_episodes": 2},
     "testing": {"interval": 100, "episodes": 2},
 }
+
+
+SHORT = TOY | {"training": TOY["training"] | {"steps": 200}}
 
 
 @pytest.fixture
@@ -101,6 +105,35 @@ def test_a_second_driver_follows_the_jobs_of_the_first(tmp_path: Path, slurm: Pa
     assert ended is not None
     assert ended.folder == folder.path
     assert folder.state().state in ("stopped", "created")
+
+
+def test_answers_of_squeue_that_fail_are_empty_or_odd_cost_no_run(tmp_path: Path, slurm: Path) -> None:
+    draw = random.Random(0)
+    troubles = [draw.choice(["fail", "", "slurm: a message of the site", "fine"]) for _ in range(300)]
+    (tmp_path / "troubles").write_text("\n".join(troubles))
+    outcome = Experiment(SHORT | {"launcher": "slurm"}).run(tmp_path / "runs", check=False)
+    assert [(run.state, run.attempt) for run in outcome.runs] == [("finished", 1)] * 2
+    assert len({path.name.split("_")[0] for path in slurm.iterdir()}) == 1, "nothing is submitted twice"
+    assert not (tmp_path / "cancelled").exists()
+
+
+def test_a_command_that_gives_up_leaves_the_jobs_alone(
+    tmp_path: Path, slurm: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    monkeypatch.setattr("karolos.launchers.slurm.PATIENCE_SECONDS", 1.0)
+    (tmp_path / "troubles").write_text("fine\nfail")
+    with pytest.raises(MachineError, match=r"squeue has failed .* Unable to contact .* --resume follows"):
+        Experiment(SHORT | {"launcher": "slurm"}).run(tmp_path / "runs")
+    assert not (tmp_path / "cancelled").exists()
+    (tmp_path / "troubles").unlink()
+    again = Experiment(SHORT | {"launcher": "slurm"}).run(tmp_path / "runs", existing="resume")
+    assert [(run.state, run.attempt) for run in again.runs] == [("finished", 1)] * 2
+
+
+def test_output_of_sbatch_without_a_number_is_shown(tmp_path: Path, slurm: Path) -> None:
+    (tmp_path / "banner").write_text("Welcome to the cluster")
+    with pytest.raises(MachineError, match="sbatch gave no number of a job, but 'Welcome to the cluster'"):
+        Experiment(SHORT | {"launcher": "slurm"}).run(tmp_path / "runs")
 
 
 def test_without_slurm_the_missing_command_is_named(monkeypatch: pytest.MonkeyPatch) -> None:

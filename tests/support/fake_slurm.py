@@ -1,6 +1,8 @@
 """A stand-in for sbatch, squeue, scancel and scontrol: an array's tasks are processes of this machine.
 
-It is called by one of these names. The folder FAKE_SLURM holds one file per task: its process, and its script.
+It is called by one of these names. The folder FAKE_SLURM holds one file per task: its process, and its script. A line
+of the file `troubles` beside it is what the next squeue does instead: fail, or print that line. The file `cancelled`
+gets the arguments of scancel.
 """
 
 from __future__ import annotations
@@ -32,13 +34,28 @@ def is_running(task: Path) -> bool:
     return stat.rpartition(")")[2].split()[0] != "Z"
 
 
+def trouble() -> str | None:
+    """The next trouble of squeue; the last one stays."""
+    try:
+        first, *rest = (STATE.parent / "troubles").read_text().splitlines()
+    except (OSError, ValueError):
+        return None
+    if rest:
+        (STATE.parent / "troubles").write_text("\n".join(rest))
+    return first
+
+
 def main(program: str, arguments: list[str]) -> None:
     if program == "sbatch":
         (last,) = (one.partition("=0-")[2] for one in arguments if one.startswith("--array"))
         number = 1 + len({path.name.split("_")[0] for path in STATE.iterdir()})
         for index in range(int(last) + 1):
             start(f"{number}_{index}", arguments[-1])
-        print(number)
+        print((STATE.parent / "banner").read_text() if (STATE.parent / "banner").exists() else number)
+    elif program == "squeue" and "--version" not in arguments and (wrong := trouble()) not in (None, "fine"):
+        if wrong == "fail":
+            sys.exit("slurm_load_jobs error: Unable to contact slurm controller (connect failure)")
+        print(wrong)
     elif program == "squeue":
         for path in STATE.iterdir():
             if "--version" not in arguments and is_running(path):
@@ -46,6 +63,7 @@ def main(program: str, arguments: list[str]) -> None:
     elif program == "scontrol":
         start(arguments[-1], (STATE / arguments[-1]).read_text().split()[1])
     elif program == "scancel":
+        (STATE.parent / "cancelled").write_text(" ".join(arguments))
         for task in arguments:
             if (STATE / task).exists():
                 os.kill(int((STATE / task).read_text().split()[0]), signal.SIGTERM)

@@ -77,6 +77,9 @@ class Recorder:
     def add(self, transitions):
         self.added.append(type(transitions)(*(np.array(field) for field in transitions)))
 
+    def __len__(self):
+        return len(self.added) or 1  # pretraining learns before anything is added
+
     def cut(self, environments):
         self.cuts.append((len(self.added), environments.tolist()))
 

@@ -19,9 +19,22 @@ import tempfile
 import time
 from pathlib import Path
 
-from outage import SPEC, karolos
-
 ROOT = Path(__file__).parents[2]
+SPEC = """
+name: outage
+seeds: [0, 1, 2, 3]
+environment: toy
+agent: {name: sac, hidden: [16], precision: float32}
+buffer: {capacity: 2000}
+orchestrator: {processes: 0, environments: 4}
+training: {steps: STEPS, batch_size: 16, replay_ratio: 8, warmup_episodes: 4}
+testing: {interval: 100, episodes: 4}
+"""
+
+
+def karolos(*arguments: str) -> subprocess.CompletedProcess[str]:
+    command = [sys.executable, "-m", "karolos_cli", *arguments]
+    return subprocess.run(command, capture_output=True, text=True, timeout=300, check=False)
 
 
 def start(folder: Path) -> str:

@@ -13,11 +13,12 @@ from pydantic import JsonValue, field_validator, model_validator
 
 from ...core import Array, Discrete, Environment, Field, Layout, Signature, Step
 from ...core import Settings as BaseSettings
-from ...errors import KarolosError, MachineError, UsageError
+from ...errors import KarolosError, MachineError, UsageError, described
 from ..action_set import action_index
 from .goals import GOALS, GymnasiumGoals
 
 ID_SETTING = "environment.id"
+MOST_ACTIONS = 100_000
 NO_GOAL = np.zeros(0, np.float32)
 
 
@@ -234,7 +235,7 @@ def make_environment(settings: Gymnasium.Settings) -> Any:
         ) from error
     except Exception as error:  # the constructor is anybody's
         raise UsageError(
-            f"{settings.id} cannot be made: {type(error).__name__}: {_line(error)}",
+            f"{settings.id} cannot be made: {described(error)}",
             setting="environment.kwargs" if settings.kwargs else ID_SETTING,
         ) from error
     return env
@@ -301,6 +302,9 @@ def _action(space: Any) -> Layout | Discrete:
     from gymnasium import spaces  # noqa: PLC0415
 
     if isinstance(space, spaces.Discrete):
+        if space.n > MOST_ACTIONS:
+            what = f"its {space.n:,} actions are more than {MOST_ACTIONS:,}, for which an agent has outputs"
+            raise UsageError(what, setting=ID_SETTING)
         return Discrete(tuple(str(space.start + index) for index in range(int(space.n))))
     if not isinstance(space, spaces.Box):
         raise UsageError(f"its actions, {_line(space)}, are neither Box nor Discrete", setting=ID_SETTING)
