@@ -2,7 +2,9 @@
 
 from __future__ import annotations
 
+import errno
 import gc
+import os
 import re
 import sys
 import traceback
@@ -12,7 +14,7 @@ import typer
 from typer.core import TyperGroup, TyperOption
 
 from karolos import __version__
-from karolos.errors import KarolosError, PluginError
+from karolos.errors import KarolosError, MachineError, PluginError
 from karolos.registry import closest
 
 from . import db, inspect, plugins, runs, spec, sweeps
@@ -64,23 +66,10 @@ app = typer.Typer(
     rich_markup_mode="markdown",
     pretty_exceptions_enable=False,
 )
-app.command()(run)
-app.command()(resume)
-app.command()(check)
-app.add_typer(spec.app, cls=Commands)
-app.add_typer(plugins.app, cls=Commands)
-app.add_typer(inspect.app, cls=Commands)
-app.add_typer(runs.app, cls=Commands)
-app.add_typer(db.app, cls=Commands)
-app.command()(sweep)
-app.add_typer(sweeps.app, cls=Commands)
-app.command()(compare)
-app.command()(diff)
-app.command("test")(zero_shot)
-app.command()(transfer)
-app.command()(play)
-app.command()(export)
-app.command()(board)
+for command in (run, resume, check, sweep, compare, diff, zero_shot, transfer, play, export, board):
+    app.command("test" if command is zero_shot else None)(command)
+for group in (spec, plugins, inspect, runs, db, sweeps):
+    app.add_typer(group.app, cls=Commands)
 
 
 def _print_version(asked: bool) -> None:
@@ -101,8 +90,19 @@ def root(
 def main() -> None:
     """Run the command line. A KarolosError becomes a line on stderr and its exit code; a second Ctrl-C is 130."""
     gc.set_threshold(OBJECTS_PER_COLLECTION)
+    sys.stdout = sys.stdout or open(os.devnull, "w")  # noqa: SIM115  (None if it is closed)
+    sys.stderr = sys.stderr or open(os.devnull, "w")  # noqa: SIM115
     try:
-        app()
+        try:
+            app()
+        finally:
+            sys.stdout.flush()
+    except OSError as error:
+        if error.filename is not None or error.errno not in (errno.ENOSPC, errno.EDQUOT, errno.EIO, errno.EPIPE):
+            raise
+        sys.stdout = open(os.devnull, "w")  # noqa: SIM115  (what it could not print must not be tried again)
+        say(f"standard output cannot be written: {error.strerror}")
+        sys.exit(MachineError.exit_code)
     except KarolosError as error:
         if isinstance(error, PluginError) and error.__cause__ is not None:
             traceback.print_exception(error.__cause__)  # shows the author of the plugin where it failed

@@ -15,7 +15,7 @@ from PIL import Image
 from karolos.evaluation.changed_spec import load_player
 from karolos.evaluation.playing import play
 from karolos.records import RunFolder, shipped
-from karolos.report.video import with_caption
+from karolos.report.video import with_caption, write_gif
 
 FILMS = Path(__file__).parents[1] / "films"
 SIZE = (288, 216)
@@ -47,22 +47,13 @@ def make(name: str) -> Path:
             small = np.asarray(large.resize(SIZE, Image.Resampling.LANCZOS))
             text = "success" if moment.success else ""
             small = with_caption(small, text, success=moment.success, failed=moment.over and not moment.success)
-            pictures += [Image.fromarray(small)] * (HOLD if moment.over else 1)
+            pictures += [small] * (HOLD if moment.over else 1)
     finally:
         environment.close()
-    palette = _palette(pictures)
-    frames = [picture.quantize(palette=palette, dither=Image.Dither.NONE) for picture in pictures]
     FILMS.mkdir(exist_ok=True)
     film = FILMS / f"{name}.gif"
-    milliseconds, comment = round(1000 * every / environment.rate), f"policy {sha256(name)}"
-    frames[0].save(film, save_all=True, append_images=frames[1:], duration=milliseconds, loop=0, comment=comment)
+    write_gif(film, pictures, 1000 * every / environment.rate, colours=COLOURS, comment=f"policy {sha256(name)}")
     return film
-
-
-def _palette(pictures: list[Image.Image]) -> Image.Image:
-    """Colours for all pictures. Each colour counts once, so that small objects keep theirs."""
-    seen = np.unique(np.concatenate([np.asarray(one).reshape(-1, 3) >> 2 for one in pictures[::8]]), axis=0) << 2
-    return Image.fromarray(seen[None].astype(np.uint8)).quantize(COLOURS)
 
 
 if __name__ == "__main__":

@@ -7,6 +7,9 @@ from functools import partial
 
 from .contenders import ComparedRun, Contender
 
+ENGINES = {"pybullet": "bullet", "mujoco-core": "mujoco"}
+"""Package -> name of its engine in a spec."""
+
 
 def cautions(contenders: Sequence[Contender]) -> tuple[str, ...]:
     """One line per warning, the most important first."""
@@ -61,7 +64,10 @@ def _testing(key: str, run: ComparedRun) -> object:
 
 
 def _version(package: str, run: ComparedRun) -> str | None:
-    return run.versions.get(package)
+    """The version of a package; None if it is that of an engine that the run did not use."""
+    engine = (run.spec.get("environment") or {}).get("engine")
+    unused = engine is not None and ENGINES.get(package, engine) != engine
+    return None if unused else run.versions.get(package)
 
 
 def _task(run: ComparedRun) -> str | None:

@@ -2,14 +2,15 @@
 
 from __future__ import annotations
 
-from collections.abc import Iterable
+from collections.abc import Iterable, Sequence
 from pathlib import Path
 from typing import Any
 
 import numpy as np
 from numpy.typing import NDArray
 
-from ..errors import MachineError, UsageError
+from ..errors import UsageError
+from ..files import writing
 
 FORMATS = (".mp4", ".gif")
 TEXT, SUCCESS, FAILURE = "#20262c", "#22a559", "#c8452f"
@@ -49,16 +50,32 @@ def write_video(path: Path, pictures: Iterable[NDArray[np.uint8]], frames_per_se
 
     check_video_path(path)
     partial = path.with_name(f".{path.stem}.partial{path.suffix}")
-    options: dict[str, Any] = {"fps": frames_per_second, "codec": "libx264", "quality": 8, "macro_block_size": 2}
-    if path.suffix.lower() == ".gif":
-        options = {"duration": 1000 / frames_per_second, "loop": 0}
-    try:
-        writer: Any
-        with imageio.get_writer(partial, **options) as writer:
-            for picture in pictures:
-                writer.append_data(picture)
-        partial.replace(path)
-    except OSError as error:
-        raise MachineError(f"cannot write {path}: {error.strerror or error}") from error
-    finally:
-        partial.unlink(missing_ok=True)
+    with writing(path):
+        try:
+            if path.suffix.lower() == ".gif":
+                write_gif(partial, list(pictures), 1000 / frames_per_second)
+            else:
+                writer: Any = imageio.get_writer(
+                    partial, fps=frames_per_second, codec="libx264", quality=8, macro_block_size=2
+                )
+                with writer:
+                    for picture in pictures:
+                        writer.append_data(picture)
+            partial.replace(path)
+        finally:
+            partial.unlink(missing_ok=True)
+
+
+def write_gif(
+    path: Path, pictures: Sequence[NDArray[np.uint8]], milliseconds: float, *, colours: int = 256, comment: str = ""
+) -> None:
+    """Write pictures (height, width, 3), each shown for some milliseconds, in the same colours.
+
+    Each shade counts once for the choice of the colours, so that small objects keep theirs.
+    """
+    from PIL import Image  # noqa: PLC0415
+
+    shades = np.unique(np.concatenate([one.reshape(-1, 3) >> 2 for one in pictures[::8]]), axis=0) << 2
+    palette = Image.fromarray(shades[None].astype(np.uint8)).quantize(colours)
+    first, *others = (Image.fromarray(one).quantize(palette=palette, dither=Image.Dither.NONE) for one in pictures)
+    first.save(path, save_all=True, append_images=others, duration=round(milliseconds), loop=0, comment=comment)

@@ -46,17 +46,12 @@ def reliability(seeds: int) -> Literal["none", "approximate", "usual"]:
     return "none" if seeds < FEW_SEEDS else "approximate" if seeds < 10 else "usual"
 
 
-def interval(values: ArrayLike, statistic: Statistic, generator: Generator) -> tuple[float, float] | None:
-    """95 % percentile bootstrap interval of a statistic of the seeds' values (n,); None for fewer than 5 seeds."""
-    return paired_interval([values], statistic, generator)
-
-
 def paired_interval(
     rows: Sequence[ArrayLike], statistic: Callable[..., _Floats], generator: Generator
 ) -> tuple[float, float] | None:
-    """As `interval`, of a statistic of several values per seed: rows (n,) each, whose seeds are drawn together.
+    """95 % percentile bootstrap interval of a statistic of one or several values per seed: rows (n,) each.
 
-    Resamples without a finite value are left out.
+    The rows' seeds are drawn together. Resamples without a finite value are left out. None for fewer than 5 seeds.
     """
     table = np.asarray(rows, float)
     seeds = table.shape[-1]
@@ -69,7 +64,7 @@ def paired_interval(
 
 
 def band(values: ArrayLike, statistic: Statistic, generator: Generator) -> tuple[_Floats, _Floats] | None:
-    """The interval at each of several points: values (t, n) to low and high (t,); None for fewer than 5 seeds.
+    """As `paired_interval`, at each of several points: values (t, n) to low and high (t,); None for fewer than 5 seeds.
 
     A resample draws whole seeds, the same ones at every point, as a run is drawn as a whole.
     """

@@ -13,8 +13,7 @@ from ..evaluation.playing import Score
 from ..files import write_whole
 from ..report.comparison_figures import learning, write_figures
 from ..report.comparison_tables import estimate
-from ..report.figures import Drawing, look, short
-from ..report.heat_map import shade_cells
+from ..report.figures import Drawing, look, shade_cells, short
 from ..report.markup import Markup, tag
 from ..report.page import document, figure_grid, items, plain_table
 from ..report.tables import Columns, Table, count, duration, success

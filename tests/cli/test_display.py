@@ -2,10 +2,11 @@
 
 from __future__ import annotations
 
+import io
 import re
 
 import pytest
-from karolos_cli.display import Live
+from karolos_cli.display import Live, Plain
 from support.commands import Terminal
 
 from karolos.experiment.events import RunAdvanced, RunBusy, RunEnded, RunEvent, RunStarted, RunTested
@@ -40,6 +41,20 @@ def test_bar_says_what_a_run_does_besides_training_and_the_time_left_with_tests(
         ([trained, RunEnded("run", "finished")], "finished"),
     ):
         assert re.sub(" +", " ", last_line(200, STARTED, *events)).endswith(end)
+
+
+def test_a_line_has_the_speed_since_the_line_before() -> None:
+    screen = io.StringIO()
+    plain = Plain(screen)
+    for event in (
+        *(RunAdvanced("run", 100 * second, 10 * second, 1, float(second), False) for second in range(11)),
+        TESTED,
+        *(RunAdvanced("run", 1000 + 50 * second, 100, 1, 10.0 + second, True) for second in range(1, 101)),
+        TESTED,
+    ):
+        plain(event)
+    speeds = [line.rpartition("(")[2] for line in screen.getvalue().splitlines()]
+    assert speeds == ["100 steps/s, 10 updates/s)", "50 steps/s, warm-up)"]
 
 
 def test_bar_fits_a_narrow_terminal() -> None:

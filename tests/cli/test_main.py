@@ -2,6 +2,8 @@
 
 from __future__ import annotations
 
+import subprocess
+import sys
 from pathlib import Path
 
 import pytest
@@ -13,6 +15,19 @@ from support.run_commands import add_run, call
 
 from karolos import __version__
 from karolos.launchers.experiment import Outcome
+
+
+def test_standard_output_that_is_full_or_closed_is_told_in_one_line_or_nothing() -> None:
+    for redirection, code, err in ((">/dev/full", 3, "standard output cannot be written: No space"), (">&-", 0, "")):
+        ended = subprocess.run(
+            f"{sys.executable} -m karolos_cli plugins list {redirection}",
+            shell=True,
+            capture_output=True,
+            text=True,
+            check=False,
+        )
+        assert (ended.returncode, ended.stderr[: len(err) or None]) == (code, err)
+        assert ended.stderr.count("\n") <= 1
 
 
 def test_version_is_printed() -> None:

@@ -15,7 +15,7 @@ from typer import Typer
 
 from karolos.launchers.experiment import Experiment
 from karolos.records import RunFolder
-from karolos.report.video import with_caption
+from karolos.report.video import with_caption, write_video
 
 app = Typer()
 app.command()(play)
@@ -64,6 +64,15 @@ def test_pictures_of_a_film_say_how_an_episode_goes() -> None:
     assert (running[60:] == plain[60:]).all()
     for success, strongest in ((True, 1), (False, 0)):
         assert with_caption(plain, "", success=success, failed=True)[0, 0].argmax() == strongest
+
+
+def test_small_objects_keep_their_colour_in_a_gif(tmp_path: Path) -> None:
+    pictures = [np.tile(np.arange(k, k + 240, dtype=np.uint8)[:, None, None], (1, 240, 3)) for k in range(16)]
+    for place, picture in enumerate(pictures):
+        picture[place : place + 4, :4] = (220, 30, 30)
+    write_video(tmp_path / "film.gif", pictures, 12)
+    for place, picture in enumerate(imageio.imread(tmp_path / "film.gif")):
+        assert np.abs(picture[place + 1, 1, :3].astype(int) - (220, 30, 30)).max() < 20
 
 
 @pytest.mark.parametrize(

@@ -50,6 +50,17 @@ def test_versions_that_are_not_known_are_no_difference() -> None:
     assert cautions([contender("a", [[5]], versions={"karolos": "1"}), contender("b", [[5]])]) == ()
 
 
+def test_the_version_of_an_engine_counts_where_it_was_used() -> None:
+    spec = SPEC | {"environment": {"name": "robot_task", "engine": "bullet"}}
+    one, two = (
+        contender(label, [[5]], spec=spec, versions={"pybullet": "3", "mujoco-core": label}) for label in ("a", "b")
+    )
+    assert cautions([one, two]) == ()
+    used = SPEC | {"environment": {"name": "robot_task", "engine": "mujoco"}}
+    one, two = (contender(label, [[5]], spec=used, versions={"mujoco-core": label}) for label in ("a", "b"))
+    assert cautions([one, two]) == ("different versions of mujoco-core: a a; b b",)
+
+
 def test_warnings_stand_in_every_row() -> None:
     rows = compare([A, contender("b", [[50]])]).rows()
     assert [row["warnings"] for row in rows] == [["unequal numbers of seeds: a 2; b 1"]] * 2

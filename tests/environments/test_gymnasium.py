@@ -6,6 +6,7 @@ import pickle
 from pathlib import Path
 from typing import Any
 
+import gymnasium
 import numpy as np
 import pytest
 
@@ -190,6 +191,18 @@ def test_whether_a_goal_ends_an_episode_is_said_or_refused(ends: bool, said: boo
     with pytest.raises(PluginError, match="reaches its goal") as caught:
         go_to_the_goal()
     assert caught.value.setting == "environment.goal_terminates"
+
+
+class Pictures(gymnasium.Env[Any, Any]):
+    observation_space = gymnasium.spaces.Box(0, 255, (8, 8), np.uint8)
+    action_space = gymnasium.spaces.Discrete(2)
+
+
+def test_pictures_are_refused_and_not_flattened() -> None:
+    gymnasium.register("Pictures-v0", Pictures, max_episode_steps=3)
+    with pytest.raises(UsageError, match="are pictures, and karolos's networks have no convolutions") as caught:
+        make(id="Pictures-v0")
+    assert caught.value.setting == "environment.id"
 
 
 @pytest.mark.parametrize("name", ["a:b:X", ":X", "x:", ""])

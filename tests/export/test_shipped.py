@@ -53,11 +53,12 @@ def test_a_policy_that_ships_succeeds_where_it_did_in_its_final_test(name: str) 
     assert not (FOLDER / name / "transfers.jsonl").exists()
 
 
+EXPERT = ("test", "karolos:panda_reach", "--expert", "--episodes", "2", "--json")
 TEST = ("test", "panda_reach", "robot=ur5", "--episodes", "4", "--json")
 
 
 @pytest.mark.parametrize(
-    "command", [TEST, ("export", "panda_reach", "--json"), ("compare", "panda_reach", "ur5_reach", "--json")]
+    "command", [EXPERT, TEST, ("export", "panda_reach", "--json"), ("compare", "panda_reach", "ur5_reach", "--json")]
 )
 def test_a_policy_that_ships_is_a_policy_in_every_command(
     command: tuple[str, ...], tmp_path: Path, monkeypatch: pytest.MonkeyPatch
@@ -66,7 +67,7 @@ def test_a_policy_that_ships_is_a_policy_in_every_command(
     code, out, err = call(app, *command)
     assert code == 0, err
     rows = [json.loads(line) for line in out.splitlines()]
-    if command is TEST:
+    if command[0] == "test":
         assert rows[0]["success_end"] >= 0.75
     else:
         assert rows[0].get("checkpoint", "last") == "last"

@@ -36,7 +36,7 @@ def test_improvement_is_mann_whitney_u_over_all_pairs(ours: list[float], theirs:
 )
 def test_intervals_are_given_for_five_seeds_or_more(seeds: int, worth: str) -> None:
     values = np.linspace(0.2, 0.8, seeds)
-    found = aggregates.interval(values, aggregates.mean, generator())
+    found = aggregates.paired_interval([values], aggregates.mean, generator())
     assert aggregates.reliability(seeds) == worth
     assert (found is None) == (worth == "none")
     assert (aggregates.improvement_interval(values, values, generator()) is None) == (worth == "none")
@@ -46,15 +46,15 @@ def test_interval_covers_the_mean_of_ten_normal_values_about_as_often_as_it_says
     draw = generator(1)
     covered = 0
     for _ in range(200):
-        low, high = aggregates.interval(draw.normal(0.5, 0.1, 10), aggregates.mean, draw) or (0, 0)
+        low, high = aggregates.paired_interval([draw.normal(0.5, 0.1, 10)], aggregates.mean, draw) or (0, 0)
         covered += low <= 0.5 <= high
     assert 0.82 <= covered / 200 <= 0.97  # a percentile interval of ten values is a little narrow: .90 in theory
 
 
 def test_interval_is_the_same_for_the_same_generator() -> None:
     values = [0.1, 0.5, 0.6, 0.7, 0.9]
-    assert aggregates.interval(values, aggregates.iqm, generator()) == aggregates.interval(
-        values, aggregates.iqm, generator()
+    assert aggregates.paired_interval([values], aggregates.iqm, generator()) == aggregates.paired_interval(
+        [values], aggregates.iqm, generator()
     )
 
 
