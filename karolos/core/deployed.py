@@ -6,6 +6,8 @@ from dataclasses import dataclass
 from pathlib import Path
 from typing import Literal
 
+import numpy as np
+
 from .arrays import FloatArray
 
 Output = Literal["tanh", "clip", "argmax"]
