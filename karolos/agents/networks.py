@@ -1,6 +1,7 @@
 """Multi-layer perceptrons whose parameters are one vector, alone or several of one shape side by side.
 
-With one vector a step of an optimiser, a step of a target network and a checkpoint are one operation each.
+With one vector a step of an optimiser, a step of a target network and a checkpoint are one operation each. Agents of
+karolos call `forward` and `backward`; a plugin can use a network under autograd instead.
 """
 
 from __future__ import annotations
@@ -9,9 +10,11 @@ import math
 from collections.abc import Mapping, Sequence
 from dataclasses import dataclass
 from itertools import pairwise
+from typing import Any
 
 import torch
 from torch import Tensor
+from torch.autograd.function import once_differentiable
 
 from ..core import State
 from ..errors import UsageError
@@ -49,6 +52,8 @@ class MLP:
 
     Members are computed one after the other: on a CPU two products of half the size take as long as one, and the
     activations stay in the cache.
+
+    Under autograd call `vector.requires_grad_()`, give `[vector]` to an optimiser of torch.optim and call the network.
 
     Args:
         shape: layers, members, options.
@@ -106,7 +111,13 @@ class MLP:
         return views if self.shape.members else {name: view[0] for name, view in views.items()}
 
     def __call__(self, x: Tensor, *, exact: bool = False) -> Tensor:
-        """(n, in) -> (n, out), or (members, n, out), in float32 if `exact`."""
+        """(n, in) -> (n, out), or (members, n, out), in float32 if `exact`.
+
+        Differentiable by x and by `vector` where they require it.
+        """
+        if torch.is_grad_enabled() and (x.requires_grad or self.vector.requires_grad):
+            outputs: Tensor = _Autograd.apply(x, self.vector, self, exact)  # type: ignore[no-untyped-call]
+            return outputs
         return self.forward(x, exact=exact)[0]
 
     def _computing(self, *, bfloat16: bool) -> list[list[Affine]]:
@@ -164,7 +175,7 @@ class MLP:
     def copy(self) -> MLP:
         """A network with equal parameters in a vector of its own: a target network."""
         other = MLP(self.shape, torch.Generator(), str(self.vector.device))
-        other.vector.copy_(self.vector)
+        other.vector.copy_(self.vector.detach())
         return other
 
     def follow(self, other: MLP, tau: float) -> None:
@@ -172,8 +183,9 @@ class MLP:
         self.vector.lerp_(other.vector, tau)
 
     def state(self) -> State:
-        return {name: view.clone() for name, view in self.named.items()}
+        return {name: view.detach().clone() for name, view in self.named.items()}
 
+    @torch.no_grad()
     def load_state(self, state: State) -> None:
         """Raises UsageError when the state is of a network of another shape."""
         own = {name: tuple(view.shape) for name, view in self.named.items()}
@@ -186,6 +198,26 @@ class MLP:
             )
         for name, view in self.named.items():
             view.copy_(torch.as_tensor(state[name]))
+
+
+class _Autograd(torch.autograd.Function):
+    """`MLP.forward` and `MLP.backward` as one differentiable operation of inputs and parameter vector."""
+
+    @staticmethod
+    def forward(ctx: Any, x: Tensor, vector: Tensor, network: MLP, exact: bool) -> Tensor:
+        outputs, ctx.tapes = network.forward(x, exact=exact)
+        ctx.network = network
+        ctx.save_for_backward(vector)  # torch raises an error if it is changed before the backward pass
+        return outputs
+
+    @staticmethod
+    @once_differentiable
+    def backward(ctx: Any, gradient: Tensor) -> tuple[Tensor | None, Tensor | None, None, None]:
+        _ = ctx.saved_tensors
+        by_input, by_vector, *_ = ctx.needs_input_grad
+        columns = slice(None) if by_input else None
+        found = ctx.network.backward(gradient, ctx.tapes, parameters=by_vector, columns=columns)
+        return found, ctx.network.gradient.clone() if by_vector else None, None, None
 
 
 def _words(shapes: Mapping[str, tuple[int, ...]]) -> str:

@@ -166,3 +166,50 @@ def test_members_begin_different() -> None:
 def test_state_of_another_shape_is_refused_with_both_shapes() -> None:
     with pytest.raises(UsageError, match=r"layer0\.weight 17x5.*layer0\.weight 64x20"):
         MLP(Shape(SIZES), generator(), "cpu").load_state(MLP(Shape((5, 17, 2)), generator(), "cpu").state())
+
+
+@pytest.mark.parametrize("members", [0, 2])
+@pytest.mark.parametrize("layer_norm", [False, True])
+def test_under_autograd_outputs_and_gradients_are_those_of_torch_nn(members: int, layer_norm: bool) -> None:
+    network = MLP(Shape(SIZES, members=members, layer_norm=layer_norm), generator(), "cpu")
+    network.vector.requires_grad_()
+    layers = [reference(network, member if members else None) for member in range(max(members, 1))]
+    x = torch.randn((16, 20), generator=generator(1), requires_grad=True)
+    same = x.detach().clone().requires_grad_()
+    outputs = network(torch.tanh(x)).square() + network(x)  # two passes in one graph
+    expected = torch.stack([each(torch.tanh(same)).square() + each(same) for each in layers])
+    outputs.sum().backward()
+    expected.sum().backward()
+    torch.testing.assert_close(outputs, expected if members else expected[0], rtol=1e-4, atol=1e-5)
+    torch.testing.assert_close(network.vector.grad, torch.cat([flat_gradient(e) for e in layers]), rtol=1e-3, atol=1e-4)
+    torch.testing.assert_close(x.grad, same.grad, rtol=1e-3, atol=1e-4)
+
+
+@pytest.mark.parametrize("low", [False, True])
+def test_an_optimiser_of_torch_trains_a_network(low: bool) -> None:
+    network = MLP(Shape((3, 32, 1), bfloat16=low), generator(), "cpu")
+    network.vector.requires_grad_()
+    optimiser = torch.optim.Adam([network.vector], 1e-2)
+    x = torch.randn((64, 3), generator=generator(1))
+    losses = []
+    for _ in range(100):
+        optimiser.zero_grad()
+        loss = (network(x)[:, 0] - x.prod(1)).square().mean()
+        loss.backward()
+        optimiser.step()
+        losses.append(loss.item())
+    assert losses[-1] < 0.2 * losses[0]
+    before = network.state()
+    fresh = MLP(network.shape, generator(1), "cpu")
+    fresh.load_state(before)
+    assert torch.equal(network(x), fresh(x))
+
+
+def test_parameters_that_change_before_the_backward_pass_are_an_error() -> None:
+    network = MLP(Shape(SIZES), generator(), "cpu")
+    network.vector.requires_grad_()
+    loss = network(torch.ones(4, 20)).sum()
+    with torch.no_grad():
+        network.vector.add_(1)
+    with pytest.raises(RuntimeError, match="modified by an inplace operation"):
+        loss.backward()
