@@ -55,19 +55,6 @@ def test_policy_and_targets_move_when_it_is_their_turn(agent: Any, every: int) -
 
 
 @pytest.mark.parametrize("agent", AGENTS)
-def test_learns_the_best_action_of_a_bandit(agent: Any) -> None:
-    made = make(agent, discount=0.0, noise={"std": 0.1})
-    best = np.array([0.4, -0.3], np.float32)
-    for seed in range(1000 * made.policy_delay):
-        data = batch(64, signature(), seed)
-        reward = -3 * np.square(data.action - best).sum(1)
-        made.learn(data._replace(reward=reward, terminated=np.ones(64, np.float32)))
-    data = batch(50, signature(), 7)
-    actions = made.act(data.observation, data.desired_goal, explore=False)
-    assert np.abs(actions - best).mean() < 0.12
-
-
-@pytest.mark.parametrize("agent", AGENTS)
 def test_exploration_is_noise_around_the_policy_and_a_share_of_uniform_actions(agent: Any) -> None:
     made = make(agent, noise={"std": 0.05}, random_actions=0.25)
     data = batch(4000, signature())

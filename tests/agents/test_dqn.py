@@ -12,7 +12,7 @@ from pydantic import ValidationError
 from support.parts import batch, signature
 
 from karolos.agents.dqn import DQN
-from karolos.agents.inputs import TensorBatch, tensor_batch
+from karolos.agents.inputs import tensor_batch
 from karolos.core import Discrete, Signature
 from karolos.core.seeding import SeedTree
 from karolos.errors import UsageError
@@ -35,11 +35,6 @@ def some(size: int, seed: int = 0, of: Signature | None = None, **fixed: Any) ->
     return batch(size, of or discrete(), seed, **{"action": action, **fixed})
 
 
-def values(agent: DQN, inputs: TensorBatch) -> np.ndarray:
-    head = agent.network(inputs.input).detach()
-    return agent._values(head).numpy()
-
-
 @pytest.mark.parametrize("double_q", [True, False])
 def test_target_is_what_the_target_network_says_of_the_action_that_the_online_network_prefers(double_q: bool) -> None:
     agent = make(double_q=double_q, clip_targets=False)
@@ -59,31 +54,6 @@ def test_values_of_an_episode_that_ends_at_once_are_possible_too() -> None:
     for reward, terminated, expected in ((1, 1, 1), (-5, 1, 1), (100, 0, 20)):
         inputs = tensor_batch(some(8, reward=reward, terminated=terminated), agent.normaliser, agent.device)
         np.testing.assert_allclose(agent.targets(inputs).numpy(), expected, rtol=1e-6)
-
-
-def test_the_dueling_head_gives_advantages_with_the_mean_zero() -> None:
-    agent = make(dueling=True)
-    inputs = tensor_batch(some(32), agent.normaliser, agent.device)
-    head = agent.network(inputs.input).detach().numpy()
-    assert head.shape == (32, 1 + ACTIONS)
-    found = values(agent, inputs)
-    np.testing.assert_allclose(found.mean(1), head[:, 0], atol=1e-5)
-    np.testing.assert_array_equal(found.argmax(1), head[:, 1:].argmax(1))
-
-
-@pytest.mark.parametrize("loss", ["huber", "squared"])
-def test_loss_is_the_weighted_mean_over_the_values_of_the_actions_taken(loss: str) -> None:
-    agent = make(loss=loss, clip_targets=False)
-    weight = np.linspace(0, 1, 32).astype(np.float32)
-    data = some(32, reward=3, terminated=1, weight=weight)
-    copy = make(loss=loss, clip_targets=False)
-    inputs = tensor_batch(data, copy.normaliser, copy.device)
-    errors = values(copy, inputs)[np.arange(32), data.action[:, 0].astype(int)] - data.reward
-    size = np.abs(errors)
-    each = np.where(size < 1, size**2 / 2, size - 0.5) if loss == "huber" else size**2
-    metrics = agent.learn(data)
-    assert metrics["value_loss"].item() == pytest.approx((weight * each).mean(), rel=1e-4)
-    np.testing.assert_allclose(metrics["priorities"].numpy(), size, rtol=1e-4)
 
 
 def test_long_gradients_are_cut_to_the_length_that_is_set() -> None:
@@ -130,35 +100,6 @@ def test_each_environment_explores_with_probability_epsilon_and_tests_do_not() -
         assert (explored != best).mean() == pytest.approx(0.4 * (1 - 1 / ACTIONS), abs=0.03)
     greedy = make(epsilon_start=0.0, epsilon_end=0.0)
     np.testing.assert_array_equal(greedy.act(data.observation, data.desired_goal, explore=True), best)
-
-
-def test_exploration_goes_on_bit_for_bit_from_a_saved_state() -> None:
-    first, second = make(epsilon_steps=200), make(epsilon_steps=200)
-    data = some(16)
-    for seed in range(3):
-        first.act(data.observation, data.desired_goal, explore=True)
-        first.learn(some(16, seed))
-    second.load_state(first.state())
-    for seed in range(3, 6):
-        assert first.epsilon == second.epsilon
-        actions = [agent.act(data.observation, data.desired_goal, explore=True) for agent in (first, second)]
-        np.testing.assert_array_equal(*actions)
-        for agent in (first, second):
-            agent.learn(some(16, seed))
-        assert torch.equal(first.network.vector, second.network.vector)
-        assert torch.equal(first.target.vector, second.target.vector)
-
-
-def test_learns_the_best_action_of_a_bandit_from_uniform_ones() -> None:
-    agent = make(discount=0.0)
-    for seed in range(300):
-        data = some(64, seed)
-        best = (data.observation[:, 0] > 0) + 2 * (data.observation[:, 1] > 0)
-        reward = (data.action[:, 0] == best).astype(np.float32)
-        agent.learn(data._replace(reward=reward, terminated=np.ones(64, np.float32)))
-    data = some(500, 1000)
-    best = (data.observation[:, 0] > 0) + 2 * (data.observation[:, 1] > 0)
-    assert (agent.act(data.observation, data.desired_goal, explore=False)[:, 0] == best).mean() > 0.9
 
 
 def test_continuous_actions_are_refused_with_the_setting_that_helps() -> None:

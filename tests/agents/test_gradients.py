@@ -138,6 +138,7 @@ def test_dqns_gradient_is_that_of_its_loss(options: dict[str, Any], dueling: boo
     loss_of = smooth_l1_loss if settings.loss == "huber" else mse_loss
     loss = (inputs.weight * loss_of(mine, targets, reduction="none")).sum()
     torch.testing.assert_close(told["value_loss"], loss.detach())
+    torch.testing.assert_close(told["priorities"], (mine - targets).abs().detach())
     torch.testing.assert_close(found, torch.autograd.grad(loss, network)[0], rtol=1e-3, atol=1e-6)
 
 

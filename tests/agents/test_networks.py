@@ -104,17 +104,6 @@ def test_one_outputs_gradient_by_the_inputs_is_the_same_in_bfloat16() -> None:
     assert torch.cosine_similarity(*[each.flatten() for each in found], dim=0) > 0.99
 
 
-def test_a_network_alone_equals_torch_in_outputs_and_gradients() -> None:
-    network = MLP(Shape(SIZES), generator(), "cpu")
-    layers = reference(network, None)
-    x = torch.randn((16, 20), generator=generator(1))
-    (outputs, tapes), expected = network.forward(x), layers(x)
-    expected.square().sum().backward()
-    network.backward(2 * outputs, tapes)
-    torch.testing.assert_close(outputs, expected, rtol=1e-4, atol=1e-5)
-    torch.testing.assert_close(network.gradient, flat_gradient(layers), rtol=1e-3, atol=1e-4)
-
-
 @pytest.mark.parametrize("layer_norm", [False, True])
 def test_bfloat16_stays_near_float32(layer_norm: bool) -> None:
     low = MLP(Shape(SIZES, members=2, bfloat16=True, layer_norm=layer_norm), generator(), "cpu")

@@ -63,18 +63,6 @@ def test_every_rate_reaches_its_end_with_the_updates_of_the_agent(kind: Any, del
         assert found[-1] == 1e-3
 
 
-def test_steps_go_on_where_they_stopped() -> None:
-    whole, first, second = ((vector := torch.zeros(4), Adam(vector, 0.1)) for _ in range(3))
-    for step in range(6):
-        gradient = torch.arange(4.0) - step
-        whole[1].step(gradient.clone())
-        if step == 3:
-            second[0].copy_(first[0])
-            second[1].load_state(first[1].state())
-        (first if step < 3 else second)[1].step(gradient.clone())
-    assert torch.equal(whole[0], second[0])
-
-
 def test_half_a_schedule_is_refused() -> None:
     with pytest.raises(ValidationError, match="go together"):
         OptimiserSettings(learning_rate_end=1e-4)

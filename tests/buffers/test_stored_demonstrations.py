@@ -85,10 +85,11 @@ def test_returns_over_several_steps_end_with_the_demonstration(buffer: Any) -> N
     np.testing.assert_array_equal(taken, np.minimum(3, STEPS - batch.observation[:, 2]))
 
 
+@pytest.mark.parametrize("share", [None, 0.25])
 @pytest.mark.parametrize("buffer", BUFFERS)
-def test_a_fresh_buffer_goes_on_with_the_demonstrations_of_a_saved_one(buffer: Any) -> None:
+def test_a_fresh_buffer_goes_on_with_the_demonstrations_of_a_saved_one(buffer: Any, share: float | None) -> None:
     first, second = make(buffer), make(buffer)
-    first.add_demonstrations(episodes(5))
+    first.add_demonstrations(episodes(5), share)
     world = filled(first, 17)
     second.load_state(first.state())
     for made in (first, second):
@@ -96,6 +97,7 @@ def test_a_fresh_buffer_goes_on_with_the_demonstrations_of_a_saved_one(buffer: A
     assert len(world.given[0]) == 17
     for _ in range(3):
         ours, theirs = first.sample(64), second.sample(64)
+        assert share is None or theirs.demonstrated.sum() == 16
         for one, other in zip(ours, theirs, strict=True):
             np.testing.assert_array_equal(one, other)
         for made, batch in ((first, ours), (second, theirs)):
@@ -169,16 +171,6 @@ def test_an_empty_list_of_demonstrations_changes_nothing(buffer: Any, share: flo
     for _ in range(3):
         for one, other in zip(plain.sample(16), empty.sample(16), strict=True):
             np.testing.assert_array_equal(one, other)
-
-
-@pytest.mark.parametrize("buffer", BUFFERS)
-def test_the_share_goes_on_in_a_loaded_buffer(buffer: Any) -> None:
-    first, second = make(buffer), make(buffer)
-    first.add_demonstrations(episodes(2), 0.25)
-    filled(first, 12)
-    second.load_state(first.state())
-    np.testing.assert_array_equal(first.sample(64).observation, second.sample(64).observation)
-    assert second.sample(64).demonstrated.sum() == 16
 
 
 @pytest.mark.parametrize("with_demonstrations", [False, True])
