@@ -133,7 +133,7 @@ def crafted(folder: RunFolder, name: str, change: Callable[[dict[str, Any], dict
 )
 def test_a_crafted_checkpoint_is_one_clear_error(folder: RunFolder, change: Any) -> None:
     crafted(folder, "best", change)
-    with pytest.raises(KarolosError, match="does not hold this agent"):
+    with pytest.raises(KarolosError, match="does not fit the run's spec"):
         load_agent(folder, "best")
 
 

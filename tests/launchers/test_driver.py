@@ -157,7 +157,7 @@ def test_a_run_that_is_halted_before_it_begins_is_not_executed(tmp_path: Path) -
 def test_a_damaged_folder_is_a_problem_and_not_an_end(tmp_path: Path) -> None:
     folder = new_run(tmp_path)
     (folder.path / "resolved.json").unlink()
-    assert "name" in str(execute_folder(folder.path, 1))
+    assert "resolved.json" in str(execute_folder(folder.path, 1))
     assert "not a run folder" in str(execute_folder(tmp_path / "missing", 1))
 
 

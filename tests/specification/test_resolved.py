@@ -25,7 +25,7 @@ def test_robot_task_and_agent_are_enough():
     assert (spec.name, spec.seeds) == ("arm_reach", (0,))
     assert (spec.environment.name, spec.buffer.name, spec.orchestrator.name) == ("robot_task", "uniform", "local")
     amounts = {"steps": 100_000, "batch_size": 256, "replay_ratio": 64.0, "warmup_episodes": 20}
-    rest = {"device": "cpu", "threads": None, "mode": "lockstep", "minimum_batch": None}
+    rest = {"device": "cpu", "threads": None, "diverging": 0.5, "mode": "lockstep", "minimum_batch": None}
     assert spec.training.model_dump() == {**amounts, **rest}
     assert spec.testing.model_dump() == {"interval": 5000, "episodes": 100, "seed": 0, "final_episodes": None}
 

@@ -8,7 +8,7 @@ from pathlib import Path
 import pytest
 from support.hostile import spec
 
-from karolos.errors import UsageError
+from karolos.errors import PluginError, UsageError
 from karolos.experiment.signals import TimeIsUpError
 from karolos.launchers.experiment import Experiment
 
@@ -42,7 +42,7 @@ def test_an_environment_that_cannot_be_closed_costs_a_line(
 def test_what_cannot_be_built_is_refused_before_there_is_a_run(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
     monkeypatch.setattr("karolos.experiment.signals.HANG_SECONDS", 0.1)
     for trouble, error in (
-        ("init:exit", UsageError),
+        ("init:exit", PluginError),
         ("init:raise", UsageError),
         ("init:quirky", UsageError),
         ("discrete", UsageError),
