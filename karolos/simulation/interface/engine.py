@@ -22,8 +22,8 @@ FLOOR_FRICTION = 0.5
 """Lateral friction coefficient of the floor. A contact has the product of the coefficients of its two bodies."""
 OPENS = 0.01
 """The gripper opens while its commanded opening (0 to 1) is larger than the measured one by more than this."""
-FINGER_GAIN = 0.1
-"""Fraction of the distance to its target that a finger asks for per physics step."""
+FINGER_RATE = 24.0
+"""Speed in 1/s by which a finger closes the distance to its target."""
 Colour = tuple[float, float, float, float]
 """Red, green, blue, opacity in [0, 1]."""
 
@@ -73,6 +73,21 @@ class Gripper:
     """Speed of each finger, in m/s."""
     pad_friction: float
     """Lateral friction coefficient of the pads."""
+
+
+@dataclass(frozen=True)
+class Material:
+    """How the surface of a body gives way. Two bodies that touch are two springs in a row, and two dampers.
+
+    PyBullet knows the restitution alone: its contacts are as stiff as it can.
+    """
+
+    stiffness: float = 4e5
+    """Of each point of contact, in N/m."""
+    damping: float = 0.0
+    """Of each point of contact, in N s/m."""
+    restitution: float = 0.0
+    """Speed after an impact / speed before it, in [0, 1]; of two bodies that of the livelier."""
 
 
 @dataclass(frozen=True)
