@@ -11,6 +11,7 @@ import re
 from pathlib import Path
 from typing import Any
 
+import mujoco
 import numpy as np
 from llvmlite import binding, ir
 from mujoco.introspect.structs import STRUCTS
@@ -25,6 +26,8 @@ SIZES = {"int": 4, "mjtBool": 1, "mjtByte": 1, "float": 4}
 FIELDS = ("ncon", "ne", "nisland", "contact", "efc_vel", "efc_aref", "efc_R", "efc_D", "efc_force")
 CONTACT_FIELDS = ("dist", "friction", "geom1", "geom2", "efc_address")
 ISLAND_FIELDS = ("map_efc2iefc", "iefc_R", "iefc_D")
+STICKING = 5.0
+"""m/s2; friction stops what slides slower than this times a physics step, so that nothing is to be corrected."""
 SLOWEST_BOUNCE = 0.1
 """m/s; slower than that nothing bounces."""
 
@@ -91,12 +94,10 @@ def _read(place):
     return _address(place)
 
 
-def use_library(folder: Path) -> None:
-    """Make the functions of MuJoCo's library, which lies in that folder, known to the kernel."""
-    library = next(file for pattern in ("libmujoco.so*", "libmujoco.*dylib") for file in folder.glob(pattern))
-    binding.load_library_permanently(str(library))
-
-
+_FOLDER = Path(mujoco.__file__).parent
+binding.load_library_permanently(
+    str(next(file for name in ("libmujoco.so*", "libmujoco.*dylib") for file in _FOLDER.glob(name)))
+)
 _step1 = types.ExternalFunction("mj_step1", types.void(types.int64, types.int64))
 _step2 = types.ExternalFunction("mj_step2", types.void(types.int64, types.int64))
 _integrate = types.ExternalFunction("mj_integratePos", types.void(types.int64, types.int64, types.int64, types.float64))
@@ -160,7 +161,8 @@ def advance(model, data, at, h, positions, velocities, motors, targets, gains, m
                 if bounce > 0 and normal < -SLOWEST_BOUNCE and distance + h * normal < 0:
                     wanted = max(wanted, -(1 + bounce) * normal / h)
                 right, ahead = _number(speed + 8 * row + 8), _number(speed + 8 * row + 16)
-                _store(aref + 8 * row, wanted - _number(contact + at[13]) * np.sqrt(right**2 + ahead**2) / h)
+                sliding = max(np.sqrt(right**2 + ahead**2) - STICKING * h, 0.0)
+                _store(aref + 8 * row, wanted - _number(contact + at[13]) * sliding / h)
                 _store(aref + 8 * row + 8, -right / h)
                 _store(aref + 8 * row + 16, -ahead / h)
                 factor = 1 / ((spring + damping) * _number(compliance + 8 * row))

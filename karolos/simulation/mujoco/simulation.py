@@ -5,7 +5,6 @@ from __future__ import annotations
 import sys
 from collections.abc import Callable, Sequence
 from importlib import import_module
-from pathlib import Path
 from threading import Lock
 from typing import Any
 
@@ -42,9 +41,6 @@ def _mujoco() -> Any:
             log = mujoco.MjLogConfig.get()  # warnings would be written into a file in the current folder
             log.logto_console = log.logto_file = False
             mujoco.MjLogConfig.set(log)
-            from . import kernel  # noqa: PLC0415
-
-            kernel.use_library(Path(mujoco.__file__).parent)
         return sys.modules["mujoco"]
 
 

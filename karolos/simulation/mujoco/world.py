@@ -55,7 +55,6 @@ class World:
         self._bodies: list[Body] = []
         self._motors: list[Motors] = []
         self._markers: list[tuple[Body, float, Colour]] = []
-        self._pairs: list[tuple[Body, int, Body, int]] = []
         self._renderers: dict[tuple[int, int], Renderer] = {}
         self._spec.visual.headlight.active = 0
         self._spec.worldbody.add_light(
@@ -205,8 +204,12 @@ class World:
         self._renderers = {}
 
     def _write_friction(self, model: Any) -> None:
-        """Write the friction of every pair into the model."""
-        lateral = [one.frictions[first] * other.frictions[second] for one, first, other, second in self._pairs]
+        """Write the friction of every pair, which MuJoCo has put into an order of its own, into the model."""
+        own = np.zeros(model.ngeom)
+        for body in self._bodies:
+            for shapes, friction in zip(body.shapes, body.frictions, strict=True):
+                own[[model.geom(shape).id for shape in shapes]] = friction
+        lateral = own[model.pair_geom1] * own[model.pair_geom2]
         model.pair_friction[:, :2] = np.maximum(lateral, self.api.mjMINMU)[:, None]
 
     def _add(self, names: Sequence[str], shapes: Sequence[Sequence[str]], *, free: bool) -> Body:
@@ -221,7 +224,6 @@ class World:
         self.close()  # renderers are of the model before
         for pair in self._spec.pairs:
             self._spec.delete(pair)
-        self._pairs = []
         for one, other in combinations(self._bodies, 2):
             for first, second in product(range(-1, len(one.shapes) - 1), range(-1, len(other.shapes) - 1)):
                 if one.free or other.free or first >= 0 or second >= 0:  # something of the two moves
@@ -233,7 +235,6 @@ class World:
     def _pair(self, one: Body, first: int, other: Body, second: int) -> None:
         """Let all shapes of a link of one body collide with all shapes of a link of another."""
         for shape, opposite in product(one.shapes[first + 1], other.shapes[second + 1]):
-            self._pairs.append((one, first + 1, other, second + 1))
             self._spec.add_pair(
                 geomname1=shape,
                 geomname2=opposite,
