@@ -11,6 +11,7 @@ import pybullet
 import pytest
 from karolos_cli.play import play
 from support.commands import Terminal, call
+from support.toy_runs import toy
 from typer import Typer
 
 from karolos.launchers.experiment import Experiment
@@ -108,14 +109,7 @@ def test_a_window_shows_the_episodes_at_the_pace_of_control(spec: Path, monkeypa
     assert [path.name for path in spec.parent.iterdir()] == [spec.name], "no film is written"
 
 
-TOY = {
-    "name": "toy",
-    "environment": {"name": "toy", "max_steps": 7},
-    "agent": {"name": "sac", "hidden": [8]},
-    "orchestrator": {"processes": 0, "environments": 2},
-    "training": {"steps": 40, "batch_size": 8, "replay_ratio": 2, "warmup_episodes": 2},
-    "testing": {"interval": 40, "episodes": 2},
-}
+TOY = toy(environment={"name": "toy", "max_steps": 7}, training={"steps": 40, "replay_ratio": 2})
 
 
 def test_a_run_without_a_best_checkpoint_plays_its_last_and_says_so(tmp_path: Path) -> None:
