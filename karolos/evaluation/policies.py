@@ -22,7 +22,7 @@ from ..files import read_object
 from ..records import RunFolder
 from ..records.shipped import POLICY, is_shipped
 from ..registry import load
-from ..simulation.engines import Engine, installed, installed_one
+from ..simulation.engines import WINDOWS, Engine, installed, installed_one
 from ..specification import Spec, spec_from_dict
 from ..store import Store
 from ..store.meant import find_folder
@@ -141,7 +141,7 @@ def playable(spec: Spec) -> Spec:
 
 def has_window(spec: Spec) -> bool:
     """Whether the spec's environment can be watched in a window."""
-    return "window" in type(spec.environment.settings).model_fields and engine_of(spec) != "mujoco"
+    return "window" in type(spec.environment.settings).model_fields and engine_of(spec) in (None, *WINDOWS)
 
 
 def load_agent(folder: RunFolder, name: str = "best") -> SavedAgent:
