@@ -85,13 +85,14 @@ def compare(
         _print_comparison(comparison)
     if not out:
         return
-    from karolos.report.comparison_figures import comparison_figures, write_figures
+    from karolos.files import write_whole
+    from karolos.report.comparison_figures import comparison_figures
+    from karolos.report.figures import write_figures
+    from karolos.report.page import comparison_page
 
     drawings = comparison_figures(comparison)
     for path in pages:
-        from karolos.report.page import write_page
-
-        write_page(comparison, drawings, path)
+        write_whole(path, comparison_page(comparison, drawings))
         say(f"wrote {path}")
     for folder in folders:
         files = write_figures(drawings, folder, width=width, font=font)
