@@ -47,7 +47,7 @@ def zero_shot(
         episodes=episodes,
         seed=seed,
         randomize=randomize,
-        on_failure=lambda failure: warn(f"{failure.error}; its episodes are played again"),
+        on_warning=warn,
     )
     if json:
         print_rows([{"run": folder.id, **done.row()}], json=True)

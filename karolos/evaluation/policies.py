@@ -16,11 +16,13 @@ from ..core import Agent, Environment, Signature, State, Step, random_actions
 from ..core.deployed import Deployed
 from ..core.seeding import SeedTree
 from ..environments.build import build_environment, used
+from ..environments.robot_task import RobotTask
 from ..errors import MachineError, UsageError
 from ..files import read_object
 from ..records import RunFolder
 from ..records.shipped import POLICY, is_shipped
 from ..registry import load
+from ..simulation.engines import Engine, installed, installed_one
 from ..specification import Spec, spec_from_dict
 from ..store import Store
 from ..store.meant import find_folder
@@ -40,7 +42,7 @@ class SavedAgent:
     """The agent of a checkpoint, on the CPU."""
 
     spec: Spec
-    """Of the run."""
+    """Of the run. Its engine may be missing here: see `playable`."""
     signature: Signature
     """Of the environment that the agent was trained in."""
     agent: Agent
@@ -119,10 +121,27 @@ def read_learned(folder: RunFolder, name: str) -> Learned:
 
 def spec_of(folder: RunFolder) -> Spec:
     """The run's resolved spec. Raises RunError if it is missing, damaged or changed."""
-    resolved = folder.spec()
-    if is_shipped(folder):
-        del resolved["environment"]["engine"]  # any installed engine does
-    return spec_from_dict(resolved)
+    return spec_from_dict(folder.spec())
+
+
+def engine_of(spec: Spec) -> Engine | None:
+    """The physics engine of a robot with a task; None of another environment."""
+    settings = spec.environment.settings
+    return settings.engine if isinstance(settings, RobotTask.Settings) else None
+
+
+def playable(spec: Spec) -> Spec:
+    """The spec, with another engine where its own is not installed."""
+    engine = engine_of(spec)
+    if engine is None or installed(engine):
+        return spec
+    settings = spec.environment.settings.model_copy(update={"engine": installed_one(engine)})
+    return spec.model_copy(update={"environment": replace(spec.environment, settings=settings)})
+
+
+def has_window(spec: Spec) -> bool:
+    """Whether the spec's environment can be watched in a window."""
+    return "window" in type(spec.environment.settings).model_fields and engine_of(spec) != "mujoco"
 
 
 def load_agent(folder: RunFolder, name: str = "best") -> SavedAgent:
@@ -136,7 +155,7 @@ def load_agent(folder: RunFolder, name: str = "best") -> SavedAgent:
         RunError: the checkpoint is missing, or the checkpoint or the resolved spec is damaged.
     """
     spec, learned = spec_of(folder), read_learned(folder, name)
-    signature = signature_of(spec)
+    signature = signature_of(playable(spec))
     agent: Agent = load("agents", spec.agent.name)(spec.agent.settings, signature, SeedTree(0), "cpu")
     with checkpoint.fitting(f"{folder.id}, checkpoint {learned.checkpoint}"):
         if isinstance(learned.state, Deployed):

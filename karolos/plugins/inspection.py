@@ -19,7 +19,7 @@ from ..evaluation.policies import random_policy
 from ..evaluation.testing import test_seeds
 from ..randomization.randomization import RandomizedParameter
 from ..registry import load
-from ..simulation.engines import Engine, default_engine, make_world
+from ..simulation.engines import Engine, make_world
 from ..simulation.interface import Camera
 from ..specification.parts import Part, Recipe
 
@@ -180,7 +180,7 @@ def _picture(robot: str, task: str | None, size: tuple[int, int] | None) -> NDAr
         return None
     width, height = size
     if task is None:
-        alone, world = _prepared(load("robots", robot), None), make_world(default_engine())
+        alone, world = _prepared(load("robots", robot), None), make_world(RobotTask.Settings.model_validate({}).engine)
         try:
             alone.build(world)
             alone.reset(SeedTree(0).generator())
