@@ -67,7 +67,7 @@ class World:
     def __init__(self, *, substeps: int = 10, window: bool = False, camera: Camera | None = None) -> None:
         self.api = api = Client(window=window)
         self.substeps = substeps
-        self.period = substeps * TIMESTEP
+        self.period, self.lead = substeps * TIMESTEP, TIMESTEP / 2
         api.setPhysicsEngineParameter(
             fixedTimeStep=TIMESTEP,
             numSubSteps=0,
@@ -86,6 +86,8 @@ class World:
         self._motors: list[Motors] = []
         self._free: list[Body] = []
         self._stepped = False
+        self._peaks: dict[tuple[int, int], float] = {}
+        """Largest force between the bodies whose force was asked for, see `peak_force`."""
         self._window = window
         self.floor = self._create(
             api.createCollisionShape(
@@ -102,6 +104,8 @@ class World:
             for motors in self._motors:
                 motors.substep(substep)
             self.api.stepSimulation()
+            for pair in self._peaks:
+                self._peaks[pair] = max(self._peaks[pair] if substep else 0.0, self._force(*pair))
 
     def set_gravity(self, gravity: float) -> None:
         self.api.setGravity(0, 0, gravity)
@@ -178,6 +182,20 @@ class World:
     def contacts(self, first: AnyBody, second: AnyBody, link: int) -> list[Contact]:
         points = self.api.getContactPoints(first.index, second.index, linkIndexA=link)
         return [Contact(point[7], point[9], point[8]) for point in points or ()]
+
+    def peak_force(self, first: AnyBody, second: AnyBody | None = None) -> float:
+        # what is asked for once is recorded from then on: a question in each physics step costs some us
+        pair = first.index, -1 if second is None else second.index
+        return self._peaks.setdefault(pair, self._force(*pair) if self._stepped else 0.0)
+
+    def _force(self, first: int, second: int) -> float:
+        """Normal force in N between any two links of two bodies, the largest; -1: of the first and all others."""
+        points = self.api.getContactPoints(first) if second < 0 else self.api.getContactPoints(first, second)
+        forces: dict[tuple[int, ...], float] = {}
+        for point in points or ():
+            if second >= 0 or point[1] != point[2]:
+                forces[point[1:5]] = forces.get(point[1:5], 0.0) + point[9]
+        return max(forces.values(), default=0.0)
 
     def render(self, width: int, height: int, camera: Camera) -> Array:
         markers = [Marker(body.pose()[0], radius, colour) for body, radius, colour in self._markers]

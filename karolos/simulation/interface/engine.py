@@ -79,15 +79,19 @@ class Gripper:
 class Material:
     """How the surface of a body gives way. Two bodies that touch are two springs in a row, and two dampers.
 
-    PyBullet knows the restitution alone: its contacts are as stiff as it can.
+    PyBullet's contacts are as stiff as its solver can.
     """
 
-    stiffness: float = 4e5
-    """Of each point of contact, in N/m."""
+    stiffness: float = 4e6
+    """Of each point of contact, in N/m. The default is hard enough for an arm that presses on the floor with 1 kN."""
     damping: float = 0.0
     """Of each point of contact, in N s/m."""
     restitution: float = 0.0
     """Speed after an impact / speed before it, in [0, 1]; of two bodies that of the livelier."""
+
+
+OBJECT_MATERIAL = Material(stiffness=4e5)
+"""Of a box, if nothing else is said."""
 
 
 @dataclass(frozen=True)
@@ -163,6 +167,9 @@ class Body(Protocol):
     def set_friction(self, lateral: float, link: int = -1) -> None:
         """Set the lateral friction coefficient of a link."""
 
+    def set_material(self, material: Material, link: int = -1) -> None:
+        """Set how the surface of a link gives way. Raises UsageError where the engine cannot."""
+
     def set_inertia(self, mass: float, diagonal: Vector, link: int = -1) -> None:
         """Set the mass in kg and the diagonal of the inertia in kg m2 of a link."""
 
@@ -218,6 +225,8 @@ class World(Protocol):
 
     substeps: int
     period: float
+    lead: float
+    """Seconds by which the velocities that the world tells are later than its positions."""
 
     def step(self) -> None:
         """Simulate one control step."""
@@ -251,6 +260,13 @@ class World(Protocol):
 
     def contacts(self, first: Body, second: Body, link: int) -> Sequence[Contact]:
         """The contact points between `link` of the first body and any link of the second."""
+
+    def peak_force(self, first: Body, second: Body | None = None) -> float:
+        """Largest normal force in N between any link of the first body and any link of the second.
+
+        Of each two links, in any physics step of the last control step. The second may be the first: the arm with
+        itself; None: all other bodies.
+        """
 
     def render(self, width: int, height: int, camera: Camera) -> Array:
         """A picture (height, width, 3) uint8."""

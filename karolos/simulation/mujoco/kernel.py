@@ -23,11 +23,19 @@ from ...errors import MachineError
 
 SIZES = {"int": 4, "mjtBool": 1, "mjtByte": 1, "float": 4}
 """Bytes of the types in MuJoCo's structures; all others that are no structures have 8."""
-FIELDS = ("ncon", "ne", "nisland", "contact", "efc_vel", "efc_aref", "efc_R", "efc_D", "efc_force")
+FIELDS = (
+    *("ncon", "ne", "nisland", "contact", "efc_vel", "efc_aref", "efc_R", "efc_D", "efc_force"),
+    *("map_efc2iefc", "iefc_R", "iefc_D"),
+)
 CONTACT_FIELDS = ("dist", "friction", "geom1", "geom2", "efc_address")
-ISLAND_FIELDS = ("map_efc2iefc", "iefc_R", "iefc_D")
+CONTACTS, EQUALITIES, ISLANDS, CONTACT, SPEED, AREF, COMPLIANCE, STIFFNESS, FORCE = range(9)
+ISLAND, ISLAND_COMPLIANCE, ISLAND_STIFFNESS = range(9, 12)
+DISTANCE, FRICTION, ONE, OTHER, ROW, STRIDE = range(12, 18)
 STICKING = 5.0
 """m/s2; friction stops what slides slower than this times a physics step, so that nothing is to be corrected."""
+STOPPING = 1.7
+"""Share of the speed of sliding that friction takes in a physics step. Where bodies stick, that speed is due to their
+turning since the step before, and goes on: with 1 a held cube drifts outwards in a swing, with 2 it would tremble."""
 SLOWEST_BOUNCE = 0.1
 """m/s; slower than that nothing bounces."""
 
@@ -54,12 +62,12 @@ def layout(data: Any) -> NDArray[np.int64]:
     """
     offsets = _measure("mjData")[2]
     size, _, contact = _measure("mjContact")
-    for name in ("qpos", "qvel", "qacc_warmstart"):
+    for name in ("mocap_pos", "xpos", "geom_xpos"):
         if _read(data._address + offsets[name]) != getattr(data, name).ctypes.data:
             what = "this version of MuJoCo keeps its data otherwise than it says"
             raise MachineError(what, hint="pip install mujoco-core==4.0.1")
-    places = [offsets[name] for name in (*FIELDS, *ISLAND_FIELDS)]
-    return np.array([*places, *(contact[name] for name in CONTACT_FIELDS), size])
+    inner = [contact[name] for name in CONTACT_FIELDS]
+    return np.array([*(offsets[name] for name in FIELDS), *inner, size])
 
 
 def _loader(kind: Any) -> Any:
@@ -75,9 +83,8 @@ def _loader(kind: Any) -> Any:
     return load
 
 
-@intrinsic
-def _store(typing: Any, address: Any, value: Any) -> Any:  # noqa: ARG001
-    """Write a number to an address."""
+def _storer(typing: Any, address: Any, value: Any) -> Any:  # noqa: ARG001
+    """How a number is written to an address."""
 
     def generate(context: Any, builder: Any, signature: Any, arguments: Any) -> Any:  # noqa: ARG001
         builder.store(arguments[1], builder.inttoptr(arguments[0], ir.DoubleType().as_pointer()))
@@ -86,10 +93,11 @@ def _store(typing: Any, address: Any, value: Any) -> Any:  # noqa: ARG001
     return types.void(types.int64, types.float64), generate
 
 
+_store: Any = intrinsic(_storer)
 _number, _integer, _address = _loader(types.float64), _loader(types.int32), _loader(types.int64)
 
 
-@njit
+@njit(cache=True)
 def _read(place):
     return _address(place)
 
@@ -103,17 +111,63 @@ _step2 = types.ExternalFunction("mj_step2", types.void(types.int64, types.int64)
 _integrate = types.ExternalFunction("mj_integratePos", types.void(types.int64, types.int64, types.int64, types.float64))
 
 
+@njit(cache=True)
+def _touch(data, at, contact, row, h, material):
+    """Write the law of one contact: its target accelerations and compliances."""
+    speed, aref = _address(data + at[SPEED]) + 8 * row, _address(data + at[AREF]) + 8 * row
+    compliance, stiffness = _address(data + at[COMPLIANCE]), _address(data + at[STIFFNESS])
+    one, other = _integer(contact + at[ONE]), _integer(contact + at[OTHER])
+    distance, normal = _number(contact + at[DISTANCE]), _number(speed)
+    damping = h * (material[one, 1] + material[other, 1])
+    spring = h * h / (material[one, 0] + material[other, 0])
+    share = 1.0 if distance > 0 else spring / (spring + damping)
+    wanted = -(normal + share * distance / h) / h
+    bounce = max(material[one, 2], material[other, 2])
+    if bounce > 0 and normal < -SLOWEST_BOUNCE and distance + h * normal < 0:
+        wanted = -(1 + bounce) * normal / h
+    right, ahead = _number(speed + 8), _number(speed + 16)
+    sliding = max(np.sqrt(right**2 + ahead**2) - STICKING * h, 0.0)
+    _store(aref, wanted - _number(contact + at[FRICTION]) * STOPPING * sliding / h)
+    _store(aref + 8, -STOPPING * right / h)
+    _store(aref + 16, -STOPPING * ahead / h)
+    factor = 1 / ((spring + damping) * _number(compliance + 8 * row))
+    for place in range(8 * row, 8 * row + 24, 8):
+        _store(compliance + place, _number(compliance + place) * factor)
+        _store(stiffness + place, _number(stiffness + place) / factor)
+        if _integer(data + at[ISLANDS]) > 0:  # the solver works on copies then
+            inner = 8 * _integer(_address(data + at[ISLAND]) + place // 2)
+            _store(_address(data + at[ISLAND_COMPLIANCE]) + inner, _number(compliance + place))
+            _store(_address(data + at[ISLAND_STIFFNESS]) + inner, _number(stiffness + place))
+
+
+@njit(cache=True)
+def _weigh(data, at, bodies, forces, peaks):
+    """Raise the peaks to the normal forces between each two bodies. `forces` (nbody, nbody): zeros, as afterwards."""
+    force, first = _address(data + at[FORCE]), _address(data + at[CONTACT])
+    last = first + at[STRIDE] * _integer(data + at[CONTACTS])
+    for contact in range(first, last, at[STRIDE]):
+        row = _integer(contact + at[ROW])
+        if row >= 0:
+            one, other = bodies[_integer(contact + at[ONE])], bodies[_integer(contact + at[OTHER])]
+            forces[one, other] += _number(force + 8 * row)
+            peaks[one, other] = max(peaks[one, other], forces[one, other])
+    for contact in range(first, last, at[STRIDE]):
+        forces[bodies[_integer(contact + at[ONE])], bodies[_integer(contact + at[OTHER])]] = 0.0
+
+
 @njit(nogil=True, cache=True)
-def advance(model, data, at, h, positions, velocities, motors, targets, gains, most, rates, places, material, bodies, peaks):
+def advance(
+    model, data, at, h, positions, velocities, motors, targets, gains, most, rates, places, material, bodies, peaks
+):
     """Take a physics step of h seconds for each row of `targets`.
 
     Positions are half a step ahead of the velocities meanwhile (leapfrog): a pendulum keeps its energy, and a body in
     flight follows its parabola.
 
     A contact is a spring and damper, implicit in time. Before two bodies touch, it brakes what would go through the
-    other within the step. MuJoCo's convex friction also pushes sliding bodies apart, with the friction coefficient times
-    the speed of sliding; that speed is taken from the target, which makes friction that of Coulomb
-    (de Saxce's correction: Acary and Brogliato 2008, Numerical Methods for Nonsmooth Dynamical Systems, 3.9).
+    other within the step. MuJoCo's convex friction also pushes sliding bodies apart, by the friction coefficient times
+    the speed of sliding. That speed is taken from the target, which makes friction that of Coulomb (de Saxce's
+    correction: Acary and Brogliato 2008, Numerical Methods for Nonsmooth Dynamical Systems, 3.9).
 
     Args:
         model, data: addresses of MuJoCo's.
@@ -127,65 +181,27 @@ def advance(model, data, at, h, positions, velocities, motors, targets, gains, m
         places: position and velocity of each motor's joint in `positions` and `velocities`: (m, 2).
         material: compliance in m/N, damping in N s/m and restitution of each geom: (ngeom, 3).
         bodies: of each geom.
-        peaks: normal force between each two bodies (nbody, nbody) in N, written: the largest in any of the steps.
+        peaks: written: the largest normal force in N between each two bodies in any of the steps (nbody, nbody).
     """
     steps, count = targets.shape
     peaks[:] = 0.0
-    now = np.zeros_like(peaks)
+    forces = np.zeros_like(peaks)
     _integrate(model, positions.ctypes.data, velocities.ctypes.data, h / 2)
     for step in range(steps):
         _step1(model, data)
-        contacts, islands = _integer(data + at[0]), _integer(data + at[2])
-        speed, aref = _address(data + at[4]), _address(data + at[5])
-        compliance, stiffness = _address(data + at[6]), _address(data + at[7])
-        island, island_compliance, island_stiffness = _address(data + at[9]), _address(data + at[10]), _address(data + at[11])
-        base = aref + 8 * _integer(data + at[1])
+        aref = _address(data + at[AREF]) + 8 * _integer(data + at[EQUALITIES])
         for motor in range(count):
-            target, dof = targets[step, motor], places[motor, 1]
+            target = targets[step, motor]
             if gains[motor] > 0:
                 wanted = gains[motor] * (target - positions[places[motor, 0]])
                 target = min(max(wanted, -most[motor]), most[motor])
-            _store(base + 8 * motors[motor], rates[motor] * (target - velocities[dof]))
-        contact = _address(data + at[3])
-        for _ in range(contacts):
-            row = _integer(contact + at[16])
+            _store(aref + 8 * motors[motor], rates[motor] * (target - velocities[places[motor, 1]]))
+        contact = _address(data + at[CONTACT])
+        for _ in range(_integer(data + at[CONTACTS])):
+            row = _integer(contact + at[ROW])
             if row >= 0:
-                one, other = _integer(contact + at[14]), _integer(contact + at[15])
-                distance, normal = _number(contact + at[12]), _number(speed + 8 * row)
-                damping = h * (material[one, 1] + material[other, 1])
-                spring = h * h / (material[one, 0] + material[other, 0])
-                wanted = -(normal + distance / h) / h
-                if distance <= 0:
-                    wanted = -(normal + distance / h * spring / (spring + damping)) / h
-                bounce = max(material[one, 2], material[other, 2])
-                if bounce > 0 and normal < -SLOWEST_BOUNCE and distance + h * normal < 0:
-                    wanted = max(wanted, -(1 + bounce) * normal / h)
-                right, ahead = _number(speed + 8 * row + 8), _number(speed + 8 * row + 16)
-                sliding = max(np.sqrt(right**2 + ahead**2) - STICKING * h, 0.0)
-                _store(aref + 8 * row, wanted - _number(contact + at[13]) * sliding / h)
-                _store(aref + 8 * row + 8, -right / h)
-                _store(aref + 8 * row + 16, -ahead / h)
-                factor = 1 / ((spring + damping) * _number(compliance + 8 * row))
-                for place in range(8 * row, 8 * row + 24, 8):
-                    _store(compliance + place, _number(compliance + place) * factor)
-                    _store(stiffness + place, _number(stiffness + place) / factor)
-                    if islands > 0:
-                        inner = 8 * _integer(island + place // 2)
-                        _store(island_compliance + inner, _number(compliance + place))
-                        _store(island_stiffness + inner, _number(stiffness + place))
-            contact += at[17]
+                _touch(data, at, contact, row, h, material)
+            contact += at[STRIDE]
         _step2(model, data)
-        contact, force = _address(data + at[3]), _address(data + at[8])
-        for _ in range(contacts):
-            row = _integer(contact + at[16])
-            if row >= 0:
-                one, other = bodies[_integer(contact + at[14])], bodies[_integer(contact + at[15])]
-                now[one, other] += _number(force + 8 * row)
-            contact += at[17]
-        contact = _address(data + at[3])
-        for _ in range(contacts):
-            one, other = bodies[_integer(contact + at[14])], bodies[_integer(contact + at[15])]
-            peaks[one, other] = max(peaks[one, other], now[one, other])
-            now[one, other] = 0.0
-            contact += at[17]
+        _weigh(data, at, bodies, forces, peaks)
     _integrate(model, positions.ctypes.data, velocities.ctypes.data, -h / 2)

@@ -23,7 +23,7 @@ class Motors:
     contacts.
 
     Attributes:
-        targets: speed of each joint of the arm in rad/s, then position of each finger in m, in each physics step (n, m).
+        targets: speed of each joint of the arm in rad/s, then position of each finger in m, per physics step (n, m).
         gains: 0 for joints of the arm; speed in 1/s by which a finger closes its distance.
         most: largest speed of a finger in m/s.
         rates: fraction of a difference from its speed that a motor removes per s.

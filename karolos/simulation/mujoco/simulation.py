@@ -49,8 +49,8 @@ class Simulation:
 
     A state survives that. Parameters are written into the model at the first use after one has changed.
 
-    Constraints and integrator see the same inertia: joint damping is made implicit by `Motors`, and MuJoCo's own implicit
-    damping is off. With `implicitfast`, pads would slip.
+    Constraints and integrator see the same inertia: joint damping is made implicit by `Motors`, and MuJoCo's own
+    implicit damping is off. With `implicitfast`, pads would slip.
 
     Args:
         substeps: physics steps per control step.
@@ -84,12 +84,16 @@ class Simulation:
         option.disableflags = api.mjtDisableBit.mjDSBL_AUTORESET | api.mjtDisableBit.mjDSBL_EULERDAMP
         option.enableflags = api.mjtEnableBit.mjENBL_DIAGEXACT
         self._declare, self._write = declare, write
-        self._kernel = import_module(".kernel", __package__)
+        self._kernel = import_module(".kernel", __package__)  # heavy, so not before a world is built
         self._data: Any = None
         self._scratch: Any = None
         self._structure_changed = self._parameters_changed = True
         self.stepped = False
         """Whether forces and contacts are known: no state was written since they were computed."""
+        self.material: Any = None
+        """Compliance (m/N), damping (N s/m) and restitution of each geom: (ngeom, 3)."""
+        self.peaks: Any = None
+        """Largest normal force between each two bodies in the last control step: (nbody, nbody)."""
 
     def restructure(self) -> None:
         """Compile the model before its next use."""
@@ -175,7 +179,6 @@ class Simulation:
         model.jnt_solref[:], model.jnt_solimp[:] = self.stiff, JOINT_IMPEDANCE
         for part in self.parts:
             part.write_parameters(model)
-        self.material[:] = 1 / 4e5, 0.0, 0.0
         self._write(model)
         driven = model.dof_frictionloss > 0
         self.rows = np.where(driven, np.cumsum(driven) - 1, -1)

@@ -16,7 +16,7 @@ from numpy.typing import NDArray
 from ...core import Array, FloatArray
 from ...errors import MachineError, PluginError
 from ..geometry import Vector
-from ..interface.engine import FLOOR_FRICTION, Camera, Colour, Contact, Fingers, JointLimits, Material
+from ..interface.engine import FLOOR_FRICTION, Camera, Colour, Contact, Fingers, JointLimits
 from ..interface.engine import Body as AnyBody
 from ..meshes import stl
 from ..picture import Eye, Marker, draw
@@ -49,8 +49,8 @@ class World:
         if window:
             raise MachineError("the engine mujoco has no window", hint="set environment.engine=bullet, or make a film")
         self.substeps = substeps
-        self.period = substeps / rate
-        self._simulation = simulation = Simulation(substeps, 1 / rate, self._declare_pairs, self._write_friction)
+        self.period, self.lead = substeps / rate, 0.0
+        self._simulation = simulation = Simulation(substeps, 1 / rate, self._declare_pairs, self._write_surfaces)
         self._spec, self.api = simulation.spec, simulation.api
         self._bodies: list[Body] = []
         self._motors: list[Motors] = []
@@ -185,6 +185,17 @@ class World:
                 found.append(Contact(normal, force, distance))
         return found
 
+    def peak_force(self, first: AnyBody, second: AnyBody | None = None) -> float:
+        simulation, own = self._simulation, self._bodies[first.index].ids
+        if not simulation.stepped:
+            return 0.0
+        if second is None:
+            others = [body for body in range(len(simulation.peaks)) if body not in own]
+        else:
+            others = self._bodies[second.index].ids
+        peaks = simulation.peaks[np.ix_(own, others)], simulation.peaks[np.ix_(others, own)]
+        return float(max(table.max() for table in peaks))
+
     def render(self, width: int, height: int, camera: Camera) -> Array:
         data = self._simulation.ready()
         for compute in (self.api.mj_kinematics, self.api.mj_comPos, self.api.mj_camlight):
@@ -203,12 +214,15 @@ class World:
             renderer.close()
         self._renderers = {}
 
-    def _write_friction(self, model: Any) -> None:
-        """Write the friction of every pair, which MuJoCo has put into an order of its own, into the model."""
+    def _write_surfaces(self, model: Any) -> None:
+        """Write friction and material of every shape. MuJoCo has put the pairs into an order of its own."""
         own = np.zeros(model.ngeom)
         for body in self._bodies:
-            for shapes, friction in zip(body.shapes, body.frictions, strict=True):
-                own[[model.geom(shape).id for shape in shapes]] = friction
+            for shapes, friction, material in zip(body.shapes, body.frictions, body.materials, strict=True):
+                geoms = [model.geom(shape).id for shape in shapes]
+                own[geoms] = friction
+                surface = 1 / material.stiffness, material.damping, material.restitution
+                self._simulation.material[geoms] = surface
         lateral = own[model.pair_geom1] * own[model.pair_geom2]
         model.pair_friction[:, :2] = np.maximum(lateral, self.api.mjMINMU)[:, None]
 
