@@ -29,8 +29,8 @@ class StopRequestedError(Exception):
     """Breaks off what is going on, because a stop is requested."""
 
 
-class TimeIsUpError(KeyboardInterrupt):
-    """Interrupts what hangs beyond the time limit, also where any Exception is caught."""
+class TimeIsUpError(BaseException):
+    """Interrupts what hangs beyond the time limit. No Exception, so that a plugin that catches any does not catch it."""
 
 
 @dataclass
