@@ -30,7 +30,7 @@ class StopRequestedError(Exception):
 
 
 class TimeIsUpError(BaseException):
-    """Interrupts what hangs beyond the time limit. No Exception, so that a plugin that catches any does not catch it."""
+    """Interrupts what hangs beyond the time limit. A plugin that catches any Exception does not catch it."""
 
 
 @dataclass
