@@ -8,10 +8,10 @@ import subprocess
 import sys
 import time
 from pathlib import Path
-from typing import Any
 
 import pytest
 from support.processes import child_processes
+from support.toy_runs import toy
 
 from karolos.errors import MachineError
 from karolos.launchers.interface import COMMAND
@@ -20,14 +20,6 @@ from karolos.launchers.runs import Home
 from karolos.records import RunFolder
 from karolos.specification import spec_from_dict
 
-TOY: dict[str, Any] = {
-    "name": "toy",
-    "environment": "toy",
-    "agent": {"name": "sac", "hidden": [8]},
-    "orchestrator": {"processes": 0, "environments": 2},
-    "training": {"steps": 40, "batch_size": 8, "replay_ratio": 4, "warmup_episodes": 2},
-    "testing": {"interval": 20, "episodes": 2},
-}
 SECONDS = 60.0
 DRIVER = """
 import sys, time
@@ -44,7 +36,7 @@ time.sleep(600)
 
 
 def new_run(runs: Path, seed: int = 0, steps: int = 40) -> RunFolder:
-    spec = spec_from_dict(TOY | {"training": TOY["training"] | {"steps": steps}})
+    spec = spec_from_dict(toy(training={"steps": steps}, testing={"interval": 20}))
     folder = Home(runs, "").create(spec, seed)
     folder.release()
     return folder
