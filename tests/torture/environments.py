@@ -57,7 +57,7 @@ def problem_of(home: Path, trouble: str, processes: int, seconds: float) -> tupl
         return ended, "does not end"
     if (code == 0) != (states == ["finished"]):
         return ended, f"exit code {code} with {states}"
-    if code > 0 and code != 130 and not said.strip():
+    if 0 < code < 124 and not said.strip():
         return ended, f"exit code {code} without a word"
     return ended, ""
 
