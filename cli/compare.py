@@ -11,7 +11,7 @@ import typer
 
 from karolos.errors import UsageError
 
-from .arguments import MANY_HELP, Database, Json, Runs, existing, open_store
+from .arguments import MANY_HELP, Database, Json, Runs, open_store
 from .completion import complete_run
 from .output import print_rows, print_table, say, warn
 
@@ -85,13 +85,14 @@ def compare(
         _print_comparison(comparison)
     if not out:
         return
-    from karolos.report.comparison_figures import comparison_figures, write_figures
+    from karolos.files import write_whole
+    from karolos.report.comparison_figures import comparison_figures
+    from karolos.report.figures import write_figures
+    from karolos.report.page import comparison_page
 
     drawings = comparison_figures(comparison)
     for path in pages:
-        from karolos.report.page import write_page
-
-        write_page(comparison, drawings, path)
+        write_whole(path, comparison_page(comparison, drawings))
         say(f"wrote {path}")
     for folder in folders:
         files = write_figures(drawings, folder, width=width, font=font)
@@ -100,7 +101,7 @@ def compare(
 
 def _runs_of(selector: str, store: Store | None, runs: Path) -> tuple[Store | None, tuple[RunSummary, ...]]:
     """The runs that a selector means and the index that has them; None for a run that ships."""
-    from karolos.store.meant import shipped_run
+    from karolos.store.meant import existing, shipped_run
 
     if shipped := shipped_run(selector, store):
         return None, (shipped.summary(),)

@@ -13,9 +13,8 @@ import typer
 
 from karolos.errors import UsageError
 
-from .arguments import POLICY_HELP, Database, Runs, open_run
-from .completion import complete_run
-from .output import say
+from .arguments import Changes, Database, PolicyOrSpec, Runs, open_run
+from .output import say, warn
 
 if TYPE_CHECKING:
     import numpy as np
@@ -29,18 +28,8 @@ OUTCOME_SECONDS = 0.7
 
 
 def play(
-    run: Annotated[
-        str,
-        typer.Argument(metavar="RUN", help=f"{POLICY_HELP} With --expert a SPEC.yaml.", autocompletion=complete_run),
-    ],
-    overrides: Annotated[
-        list[str] | None,
-        typer.Argument(
-            metavar="[PATH=VALUE]...",
-            help="Settings to change, as for `karolos test`, e.g. robot=ur5 task.floor_friction=1. With --expert any "
-            "setting of the spec.",
-        ),
-    ] = None,
+    run: PolicyOrSpec,
+    overrides: Changes = None,
     expert: Annotated[bool, typer.Option("--expert", help="Play the expert of a spec's task instead.")] = False,
     out: Annotated[Path | None, typer.Option(metavar="FILE", help="Film to write: FILE.mp4 or FILE.gif.")] = None,
     episodes: Annotated[
@@ -60,9 +49,9 @@ def play(
 ) -> None:
     """Play test episodes of a run's saved policy, of one that ships, or with --expert of the scripted one for a spec.
 
-    Opens a window if there is a display. Without a display, or with --out, writes a film. Default: play.mp4 in the
-    run's folder, or NAME.mp4 in the current folder for a spec or a policy that ships. A run of your own with the name
-    of a policy that ships is played instead of it.
+    Opens a window if there is a display and the physics engine has one: environment.engine=bullet. Otherwise, or with
+    --out, writes a film. Default: play.mp4 in the run's folder, or NAME.mp4 in the current folder for a spec or a
+    policy that ships. A run of your own with the name of a policy that ships is played instead of it.
     """
     if width % 2 or height % 2:
         raise UsageError(f"a film of {width} x {height} pixels cannot be encoded", hint="use even numbers")
@@ -75,7 +64,7 @@ def play(
     from karolos.evaluation.changed_spec import load_player
     from karolos.evaluation.playing import play as play_all
     from karolos.evaluation.playing import play_failures
-    from karolos.evaluation.policies import load_expert
+    from karolos.evaluation.policies import engine_of, has_window, load_expert
     from karolos.records.shipped import is_shipped
     from karolos.report.video import check_video_path, write_video
     from karolos.specification import load_spec
@@ -88,12 +77,20 @@ def play(
         target = out or (Path(f"{run}.mp4") if is_shipped(folder) else folder.path / "play.mp4")
     if not window:
         check_video_path(target)
+    note = None
     if expert:
-        environment, policy = load_expert(spec, window=window)
+        environment, policy = load_expert(spec, window=window and has_window(spec))
     else:
         if modules := _modules(folder):
             say(f"{folder.id} names code of this machine: {', '.join(modules)} will be imported")
-        spec, environment, policy = load_player(folder, checkpoint or _best_or_last(folder), changed, window=window)
+        player = load_player(folder, checkpoint or _best_or_last(folder), changed, window=window)
+        spec, environment, policy, note = player.spec, player.environment, player.policy, player.note
+    if note:
+        warn(note)
+    if window and not has_window(spec):
+        hint = " (environment.engine=bullet opens one)" if engine_of(spec) else ""
+        say(f"this environment has no window: a film is written{hint}")
+        window = False
     count = episodes or (5 if window else 1)
     with used(environment):
         played = (play_failures if failures else play_all)(environment, policy, episodes=count, seed=spec.testing.seed)

@@ -115,8 +115,8 @@ def check(
         list[str] | None, typer.Argument(metavar="[SETTING=VALUE]...", help="Settings other than the defaults.")
     ] = None,
     engine: Annotated[
-        Literal["bullet", "mujoco"] | None,
-        typer.Option(help="Physics engine of a robot or a task. Default: bullet where it is installed."),
+        Literal["mujoco", "bullet"] | None,
+        typer.Option(help="Physics engine of a robot or a task. Default: mujoco."),
     ] = None,
     json: Json = False,
 ) -> None:

@@ -37,10 +37,11 @@ def played_in(film: Path) -> str:
 
 def make(name: str) -> Path:
     """Film the test episodes of a policy that ships."""
-    spec, environment, policy = load_player(RunFolder.open(shipped.FOLDER / name))
+    player = load_player(RunFolder.open(shipped.FOLDER / name))
+    environment = player.environment
     pictures, every = [], round(environment.rate / RATE)
     try:
-        for moment in play(environment, policy, episodes=EPISODES, seed=spec.testing.seed):
+        for moment in play(environment, player.policy, episodes=EPISODES, seed=player.spec.testing.seed):
             if moment.step % every and not moment.over:
                 continue
             large = Image.fromarray(environment.render(SCALE * SIZE[0], SCALE * SIZE[1]))

@@ -32,7 +32,6 @@ from karolos.records.results import TestCounts
 from karolos.records.transfer_results import TransferResult
 from karolos.registry import KINDS, entries, load, singular
 from karolos.report.comparison_figures import learning
-from karolos.report.figures import save
 from karolos.report.tables import setting
 from karolos.specification.model import Spec
 from karolos.specification.problems import models_in
@@ -352,11 +351,12 @@ def _of_spec(name: str, one: Contender | None, folder: Path) -> str:
         text += "There is no reference run of this spec yet. This command makes one:\n\n"
     else:
         drawing = learning(compare([one]), "steps")
-        save(drawing.figure, folder / f"{name}.svg")
+        drawing.save(folder / f"{name}.svg")
         text += f"![{drawing.title} of {name}]({name}.svg)\n\n{drawing.caption}\n\n"
         text += f"{references._results({name: one}, [name])}\n\n"
         text += "[How to read the table](../../results.md). The same runs again:\n\n"
-    text += f"```sh\nkarolos run specs/{name}.yaml seeds=[{seeds}]\n```\n\n"
+    words = [f"specs/{name}.yaml", *(() if one is None else references.in_engine(one.runs[0].spec)), f"seeds=[{seeds}]"]
+    text += f"```sh\nkarolos run {' '.join(words)}\n```\n\n"
     for path in _files(ROOT / "specs" / f"{name}.yaml"):
         lines = path.read_text(encoding="utf-8").strip()
         text += f"`{path.relative_to(ROOT).as_posix()}`:\n\n```yaml\n{lines}\n```\n\n"

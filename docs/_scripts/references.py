@@ -69,6 +69,17 @@ def shipped_hash(path: str, changed: tuple[str, ...]) -> str:
     return load_spec(ROOT / path, changed).hash()
 
 
+def engine_in(resolved: dict[str, Any]) -> str | None:
+    """The physics engine that a resolved spec names; None of an environment without one."""
+    return resolved["environment"].get("engine")
+
+
+def in_engine(resolved: dict[str, Any]) -> tuple[str, ...]:
+    """The override that gives a shipped spec the engine of a run."""
+    engine = engine_in(resolved)
+    return () if engine is None else (f"environment.engine={engine}",)
+
+
 def faults(folder: RunFolder) -> Iterator[str]:
     """Why a run cannot be a reference, one line each."""
     record, git = folder.record(), folder.description().get("git")
@@ -82,7 +93,8 @@ def faults(folder: RunFolder) -> Iterator[str]:
         final = folder.final()
         if _steps(path, changed) is None and (final is None or final.best is None or final.last.episodes < 1000):
             yield "it has no final test of last and best with 1,000 episodes"
-        if spec_from_dict(record.spec).hash() != shipped_hash(path, changed):
+        # a run keeps its engine when the default changes; the tables say which one it was
+        if spec_from_dict(record.spec).hash() != shipped_hash(path, (*changed, *in_engine(record.spec))):
             yield "its spec is not the one that ships"
         if _is_shipped(record.summary.name) and shipped_hash(path, changed) != shipped_hash(path, ()):
             yield f"its settings are changed, but it is called {record.summary.name}"
@@ -138,12 +150,27 @@ def tables() -> dict[str, str]:
     found = contenders()
     pairs = [f"{robot}_{task}" for task, robot in product(TARGETS, ROBOTS)]
     others = sorted(set(found) - set(pairs))
+    results = [*pairs, *(name for name in others if _is_shipped(name))]
+    variants = [name for name in others if not _is_shipped(name)]
     return {
-        "pairs": _overview(found),
-        "reference runs": _results(found, [*pairs, *(name for name in others if _is_shipped(name))]),
-        "variants": _variants(found, [name for name in others if not _is_shipped(name)]),
+        "pairs": _overview(found) + _engines(found, pairs),
+        "reference runs": _results(found, results) + _engines(found, results),
+        "variants": _variants(found, variants) + _engines(found, variants),
         "transfers": "\n\n".join(_transfer(path) for path in sorted(TRANSFERS.glob("*"))) or "None yet.",
     }
+
+
+def _engines(found: dict[str, Contender], names: list[str]) -> str:
+    """A line under a table: the physics engines of its runs."""
+    runs = [run for name in names if name in found for run in found[name].runs]
+    engines = sorted({engine for run in runs if (engine := engine_in(run.spec))})
+    return f"\n\nPhysics engine: {' and '.join(engines)}." if engines else ""
+
+
+def _variant(path: Path, label: str) -> dict[str, Any]:
+    """The resolved spec that a matrix keeps of a variant."""
+    resolved: dict[str, Any] = json.loads((path / f"{label}.json").read_text(encoding="utf-8"))
+    return resolved
 
 
 def _rows(path: Path) -> list[dict[str, Any]]:
@@ -172,6 +199,8 @@ def _transfer(path: Path) -> str:
     steps = count(rows[0]["source_cost"]["steps"])
     head = f"`{path.name}`, {len(rows[0]['seeds'])} seeds, sources of {steps} steps; "
     head += f"random actions and the expert: {levels}."
+    engines = {engine_in(_variant(path, row["target"])) for row in rows}
+    head += f" Engine: {engines.pop()}." if len(engines) == 1 else ""
     return f"{head}\n\n{_markdown(columns, pairs)}"
 
 
@@ -185,10 +214,12 @@ def _reached(row: dict[str, Any] | None) -> str:
 
 def transfer_faults(path: Path) -> Iterator[str]:
     """Why a matrix cannot be a reference, one line each."""
+    spec = ROOT / "specs" / f"{path.name}.yaml"
     try:
-        variants = Matrix(load_spec(ROOT / "specs" / f"{path.name}.yaml")).variants
-        for label, variant in variants.items():
-            made_from = json.loads((path / f"{label}.json").read_text(encoding="utf-8"))
+        variants = Matrix(load_spec(spec)).variants
+        for label in variants:
+            made_from = _variant(path, label)
+            variant = Matrix(load_spec(spec, in_engine(made_from))).variants[label]
             if spec_from_dict(made_from).hash() != variant.hash():
                 yield f"the spec of {label} is not the one that ships"
     except (KarolosError, OSError) as error:

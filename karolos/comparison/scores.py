@@ -108,6 +108,16 @@ class Comparison:
     at: int | None = None
     """Environment steps at which the runs are compared; None: at their ends."""
 
+    @property
+    def labels(self) -> list[str]:
+        """The names of the contenders."""
+        return [contender.label for contender in self.contenders]
+
+    @property
+    def what(self) -> Literal["success", "return"]:
+        """What is compared."""
+        return "return" if self.metric == "return" else "success"
+
     def rows(self) -> list[dict[str, Any]]:
         """One JSON object per contender."""
         return list(map(self._row, range(len(self.contenders)), self.contenders, self.scores))

@@ -17,7 +17,7 @@ from ..core.seeding import SeedTree
 from ..errors import UsageError
 from ..randomization.distributions import Distribution
 from ..randomization.randomization import Randomization
-from ..simulation.engines import Engine, check_engine, default_engine, make_world
+from ..simulation.engines import Engine, check_engine, make_world
 from ..simulation.interface import Camera, Robot, Task, World
 from ..simulation.interface.engine import TIMESTEP
 from .action_set import ActionSet, action_index
@@ -40,10 +40,7 @@ class RobotTask(Environment):
     """
 
     class Settings(BaseSettings):
-        engine: Engine = Setting(
-            default_factory=default_engine,
-            description="physics engine; by default bullet where it is installed, else mujoco",
-        )
+        engine: Engine = Setting("mujoco", description="physics engine")
         substeps: int = Setting(
             10, ge=1, le=100, description="physics steps of 1/240 s per control step; 10 make 24 Hz"
         )

@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 from collections.abc import Sequence
+from dataclasses import dataclass
 
 from ..core import Environment, Signature
 from ..core.signature import SAME_LAYOUTS, layout_differences
@@ -10,17 +11,32 @@ from ..environments.build import opened
 from ..environments.robot_task import RobotTask
 from ..errors import UsageError
 from ..records import RunFolder
+from ..simulation.engines import installed
 from ..specification import Spec, spec_from_dict
 from ..specification.merge import RANDOMIZATION
 from ..training.assembly import located
-from .policies import Policy, environment_of, load_agent, signature_of
+from .policies import Policy, engine_of, environment_of, has_window, load_agent, playable, signature_of
 
 CHANGEABLE = ("robot", "task", "environment", "randomization", "orchestrator")
 """Keys of a spec that define the environment of a test. The other keys define the training."""
 
 
+@dataclass(frozen=True)
+class Player:
+    """A policy and the environment to play it in."""
+
+    spec: Spec
+    """Of the run, with what was changed."""
+    environment: Environment
+    policy: Policy
+    note: str | None
+    """One line if the policy learned in another physics engine."""
+
+
 def changed_spec(saved: Spec, overrides: Sequence[str], *, trained: Signature, randomize: bool = False) -> Spec:
     """The spec with overrides of its environment. Its `randomization` is what a test draws.
+
+    Where the run's engine is not installed, another one takes its place.
 
     An override of a parameter that is not a setting, e.g. task.gravity=-5, replaces its distribution. Without
     `randomize` these are the only distributions.
@@ -43,6 +59,7 @@ def changed_spec(saved: Spec, overrides: Sequence[str], *, trained: Signature, r
             if root == "testing":
                 hint = "use --episodes; `karolos test` has --seed, too"
             raise UsageError(f"{override!r} is about training, not about the test", where="override", hint=hint)
+    saved = playable(saved)
     parameters = _parameters(saved, overrides)
     own = [f"{RANDOMIZATION}.{text.strip()}" if _key(text) in parameters else text for text in overrides]
     spec = spec_from_dict(saved.dump(), own)
@@ -73,14 +90,14 @@ def changed_spec(saved: Spec, overrides: Sequence[str], *, trained: Signature, r
 
 def load_player(
     folder: RunFolder, name: str = "best", overrides: Sequence[str] = (), *, window: bool = False
-) -> tuple[Spec, Environment, Policy]:
-    """The spec, one environment and the policy of a run's checkpoint.
+) -> Player:
+    """The policy of a run's checkpoint, and one environment.
 
     Args:
         folder: the run's.
         name: `best` or `last`.
         overrides: as for `changed_spec`. No other parameter is randomized.
-        window: whether to show the world in a window.
+        window: whether to show the world in a window, if the environment has one.
 
     Raises:
         SpecError: an override is not valid.
@@ -90,7 +107,17 @@ def load_player(
     """
     saved = load_agent(folder, name)
     spec = changed_spec(saved.spec, overrides, trained=saved.signature)
-    return spec, environment_of(spec, randomize=True, window=window), saved.policy()
+    environment = environment_of(spec, randomize=True, window=window and has_window(spec))
+    return Player(spec, environment, saved.policy(), engine_note(saved.spec, spec))
+
+
+def engine_note(saved: Spec, played: Spec) -> str | None:
+    """One line if a policy is played in another physics engine than it learned in; None otherwise."""
+    own, other = engine_of(saved), engine_of(played)
+    if own is None or other in (own, None):
+        return None
+    missing = "" if installed(own) else ", which is not installed"
+    return f"the policy learned in the engine {own}{missing}: it is played in {other}"
 
 
 def _parameters(saved: Spec, overrides: Sequence[str]) -> set[str]:

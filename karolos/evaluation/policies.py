@@ -16,11 +16,13 @@ from ..core import Agent, Environment, Signature, State, Step, random_actions
 from ..core.deployed import Deployed
 from ..core.seeding import SeedTree
 from ..environments.build import build_environment, used
+from ..environments.robot_task import RobotTask
 from ..errors import MachineError, UsageError
 from ..files import read_object
 from ..records import RunFolder
 from ..records.shipped import POLICY, is_shipped
 from ..registry import load
+from ..simulation.engines import WINDOWS, Engine, installed, installed_one
 from ..specification import Spec, spec_from_dict
 from ..store import Store
 from ..store.meant import find_folder
@@ -36,14 +38,10 @@ class Policy:
 
 
 @dataclass(frozen=True)
-class SavedAgent:
-    """The agent of a checkpoint, on the CPU."""
+class Learned:
+    """What the agent of a run has learned."""
 
-    spec: Spec
-    """Of the run."""
-    signature: Signature
-    """Of the environment that the agent was trained in."""
-    agent: Agent
+    run: str
     checkpoint: str
     sha256: str
     """Of the agent's state in the checkpoint, in hexadecimal digits."""
@@ -51,6 +49,23 @@ class SavedAgent:
     """Environment steps of its training."""
     seconds: float
     """Wall-clock seconds of collecting and learning of its training."""
+    state: State | Deployed
+    """The state; of a run that ships its policy."""
+
+    def record(self) -> dict[str, object]:
+        """For the events of a run that starts from it."""
+        return {"run": self.run, "checkpoint": self.checkpoint, "sha256": self.sha256, "steps": self.steps}
+
+
+@dataclass(frozen=True)
+class SavedAgent(Learned):
+    """The agent of a checkpoint, on the CPU."""
+
+    spec: Spec
+    """Of the run. Its engine may be missing here: see `playable`."""
+    signature: Signature
+    """Of the environment that the agent was trained in."""
+    agent: Agent
 
     def act(self, observation: ArrayLike, goal: ArrayLike | None = None) -> NDArray[Any]:
         """The action for an observation and its desired goal, without exploration.
@@ -82,26 +97,6 @@ class SavedAgent:
         return Policy(lambda step: np.asarray(act(step.observation[None], step.desired_goal[None], explore=False)[0]))
 
 
-@dataclass(frozen=True)
-class Learned:
-    """What the agent of a run has learned."""
-
-    run: str
-    checkpoint: str
-    sha256: str
-    """Of the agent's state in the checkpoint, in hexadecimal digits."""
-    steps: int
-    """Environment steps of its training."""
-    seconds: float
-    """Wall-clock seconds of collecting and learning of its training."""
-    state: State | Deployed
-    """The state; of a run that ships its policy."""
-
-    def record(self) -> dict[str, object]:
-        """For the events of a run that starts from it."""
-        return {"run": self.run, "checkpoint": self.checkpoint, "sha256": self.sha256, "steps": self.steps}
-
-
 def read_learned(folder: RunFolder, name: str) -> Learned:
     """What a checkpoint holds; of a run that ships, which has no checkpoints, its policy, whatever the name.
 
@@ -119,10 +114,27 @@ def read_learned(folder: RunFolder, name: str) -> Learned:
 
 def spec_of(folder: RunFolder) -> Spec:
     """The run's resolved spec. Raises RunError if it is missing, damaged or changed."""
-    resolved = folder.spec()
-    if is_shipped(folder):
-        del resolved["environment"]["engine"]  # any installed engine does
-    return spec_from_dict(resolved)
+    return spec_from_dict(folder.spec())
+
+
+def engine_of(spec: Spec) -> Engine | None:
+    """The physics engine of a robot with a task; None of another environment."""
+    settings = spec.environment.settings
+    return settings.engine if isinstance(settings, RobotTask.Settings) else None
+
+
+def playable(spec: Spec) -> Spec:
+    """The spec, with another engine where its own is not installed."""
+    engine = engine_of(spec)
+    if engine is None or installed(engine):
+        return spec
+    settings = spec.environment.settings.model_copy(update={"engine": installed_one(engine)})
+    return spec.model_copy(update={"environment": replace(spec.environment, settings=settings)})
+
+
+def has_window(spec: Spec) -> bool:
+    """Whether the spec's environment can be watched in a window."""
+    return "window" in type(spec.environment.settings).model_fields and engine_of(spec) in (None, *WINDOWS)
 
 
 def load_agent(folder: RunFolder, name: str = "best") -> SavedAgent:
@@ -136,15 +148,14 @@ def load_agent(folder: RunFolder, name: str = "best") -> SavedAgent:
         RunError: the checkpoint is missing, or the checkpoint or the resolved spec is damaged.
     """
     spec, learned = spec_of(folder), read_learned(folder, name)
-    signature = signature_of(spec)
+    signature = signature_of(playable(spec))
     agent: Agent = load("agents", spec.agent.name)(spec.agent.settings, signature, SeedTree(0), "cpu")
     with checkpoint.fitting(f"{folder.id}, checkpoint {learned.checkpoint}"):
         if isinstance(learned.state, Deployed):
             agent.adopt(learned.state)
         else:
             agent.load_state(learned.state)
-    known = (learned.checkpoint, learned.sha256, learned.steps, learned.seconds)
-    return SavedAgent(spec, signature, agent, *known)
+    return SavedAgent(**vars(learned), spec=spec, signature=signature, agent=agent)
 
 
 def load_run(

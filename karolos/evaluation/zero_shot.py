@@ -8,7 +8,6 @@ from dataclasses import asdict, dataclass
 from pathlib import Path
 
 from .. import checkpoint as checkpoints
-from ..core import Failure
 from ..errors import RunError
 from ..files import read_object, write_json, writing
 from ..records import RunFolder, provenance, transfer_results
@@ -19,8 +18,8 @@ from ..records.shipped import is_shipped
 from ..records.transfer_results import TransferResult
 from ..specification import Spec
 from ..training.assembly import make_orchestrator
-from .changed_spec import changed_spec
-from .policies import SavedAgent, load_agent
+from .changed_spec import changed_spec, engine_note
+from .policies import SavedAgent, engine_of, load_agent, playable
 from .testing import play_episodes, test_seeds
 
 REQUEST = "test.json"
@@ -89,7 +88,7 @@ def zero_shot_test(
     episodes: int | None = None,
     seed: int | None = None,
     randomize: bool = False,
-    on_failure: Callable[[Failure], object] = lambda _: None,
+    on_warning: Callable[[str], object] = lambda _: None,
     on_round: Callable[[int], object] = lambda _: None,
 ) -> TransferResult:
     """Play test episodes of a run's policy under its spec with overrides, and write the result into the run's folder.
@@ -97,7 +96,8 @@ def zero_shot_test(
     Nothing is written for a run that ships.
 
     The same policy's success on the same episodes under the unchanged spec stands beside it. It comes from the final
-    test if that played these episodes; otherwise they are played, too.
+    test if that played these episodes; otherwise they are played, too. Where the run's engine is not installed, another
+    one takes its place, and the result's overrides name it.
 
     Args:
         folder: the run's.
@@ -106,7 +106,8 @@ def zero_shot_test(
         episodes: number of episodes; by default that of the final test, or of the run's tests without a final test.
         seed: root of the episodes' seeds; by default that of the final test, on whose episodes nothing was chosen.
         randomize: whether to draw the spec's `randomization` at each reset.
-        on_failure: is called with each failure of an environment, whose episode is then played again.
+        on_warning: is called with one line if the policy learned in another physics engine, and for each failure of an
+            environment, whose episode is then played again.
         on_round: as for `play_episodes`; nothing is written if it raises an error.
 
     Raises:
@@ -119,7 +120,12 @@ def zero_shot_test(
     from ..agents.device import use_threads  # noqa: PLC0415  (imports torch)
 
     saved = load_agent(folder, checkpoint)
+    here = playable(saved.spec)
+    if here is not saved.spec:
+        overrides = [f"environment.engine={engine_of(here)}", *overrides]
     spec = changed_spec(saved.spec, overrides, trained=saved.signature, randomize=randomize)
+    if note := engine_note(saved.spec, spec):
+        on_warning(note)
     seed = spec.testing.final_seed if seed is None else seed
     count = (spec.testing.final_count or spec.testing.episodes) if episodes is None else episodes
     use_threads(spec.training.threads or 1)  # as in training: sums in another order could change an episode
@@ -132,7 +138,7 @@ def zero_shot_test(
                 test_seeds(seed, count),
                 steps=saved.steps,
                 seconds=saved.seconds,
-                on_failure=on_failure,
+                on_failure=lambda failure: on_warning(f"{failure.error}; its episodes are played again"),
                 on_round=on_round,
             )
 
@@ -141,7 +147,7 @@ def zero_shot_test(
     wall_seconds = time.perf_counter() - started
     own = result
     if overrides or randomize:
-        own = _from_final_test(folder, saved, seed, count) or play(saved.spec, drawing=False)
+        own = _from_final_test(folder, saved, seed, count) or play(here, drawing=False)
     transfer = TransferResult(
         time=timestamp(),
         checkpoint=saved.checkpoint,

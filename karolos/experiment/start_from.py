@@ -15,7 +15,7 @@ from ..core import Agent, Signature
 from ..core.deployed import Deployed
 from ..core.signature import SAME_LAYOUTS, layout_differences
 from ..errors import RunError, UsageError
-from ..evaluation.policies import Learned, read_learned, signature_of, spec_of
+from ..evaluation.policies import Learned, playable, read_learned, signature_of, spec_of
 from ..records import RunFolder
 from ..records.shipped import FOLDER as SHIPPED
 from ..registry import load
@@ -58,7 +58,7 @@ def find(spec: Spec, runs: Path) -> Learned | None:
         raise UsageError(f"{run!r}: {error.what}", setting=SETTING, hint=error.hint) from error
     source = spec_of(folder)
     check_agents(spec, source)
-    _check_layouts(signature_of(spec), signature_of(source))
+    _check_layouts(signature_of(spec), signature_of(playable(source)))
     learned = read_learned(folder, settings.start_checkpoint)
     if settings.start_sha256 not in (None, learned.sha256):
         raise UsageError(

@@ -3,21 +3,27 @@
 from __future__ import annotations
 
 from collections.abc import Sequence
-from pathlib import Path
+from typing import Literal
 
 import numpy as np
 from numpy.typing import NDArray
 
-from ..comparison import Comparison, Contender, learning_curve
+from ..comparison import Comparison, Contender, Metric, learning_curve
 from ..comparison.curves import Axis, places
 from ..core.seeding import SeedTree
-from ..files import writing
 from ..statistics import aggregates
-from .figures import COLOURS, FONT, WIDTH, Drawing, look, short, style
+from .figures import COLOURS, Drawing, look, short, style
 
 _Floats = NDArray[np.float64]
 _SECONDS = ((7200, 3600, "h"), (120, 60, "min"), (0, 1, "s"))
 """From how many seconds on a time axis has which unit, and the seconds in that unit."""
+
+
+_LABELS: dict[Metric, str] = {
+    "any": "success ratio at any step",
+    "end": "success ratio at the end of the episode",
+    "return": "mean return of an episode",
+}
 
 
 def comparison_figures(comparison: Comparison) -> list[Drawing]:
@@ -34,38 +40,16 @@ def comparison_figures(comparison: Comparison) -> list[Drawing]:
     ]
 
 
-def write_figures(
-    drawings: Sequence[Drawing], folder: Path, *, width: float = WIDTH, font: float = FONT
-) -> tuple[Path, ...]:
-    """Write figures into `folder`, which is made if it is missing, as SVG, PDF and PNG; returns the files.
-
-    Args:
-        drawings: the figures. They keep the size that they are written in.
-        folder: of the files.
-        width: of a figure in inches; the height follows.
-        font: size of the text in points; titles are a little larger.
-
-    Raises:
-        MachineError: they cannot be written.
-    """
-    with writing(folder):
-        folder.mkdir(parents=True, exist_ok=True)
-    for drawing in drawings:
-        drawing.resize(width, font)
-    return tuple(path for drawing in drawings for path in drawing.write(folder))
-
-
 @look()
 def learning(comparison: Comparison, axis: Axis) -> Drawing:
     """Success or return over training: every seed thin, mean or inter-quartile mean bold, its interval as a band."""
     contenders, metric = comparison.contenders, comparison.metric
-    what = "return" if metric == "return" else "success"
     robust = min(len(contender.runs) for contender in contenders) >= aggregates.FEW_SEEDS
     statistic, name = (aggregates.iqm, "inter-quartile mean") if robust else (aggregates.mean, "mean")
     tree = SeedTree(0).child("report", axis)
     drawing = Drawing(
-        f"{what}_over_{axis}",
-        f"{what.title()} over {'environment steps' if axis == 'steps' else 'wall-clock time'}",
+        f"{comparison.what}_over_{axis}",
+        f"{comparison.what.title()} over {'environment steps' if axis == 'steps' else 'wall-clock time'}",
         f"Bold: {name} over seeds; thin: each seed. Band: 95 % bootstrap interval for 5 seeds or more (approximate "
         "below 10), smallest to largest for 2 to 4 seeds, Wilson interval for one run.",
     )
@@ -82,17 +66,16 @@ def learning(comparison: Comparison, axis: Axis) -> Drawing:
         [line] = axes.plot(at, curve.middle, **style(series), linewidth=2, zorder=3)
         drawing.part(line, f"main series-{series}", f"{contender.label}: {name}")
     _metric_axis(drawing, "y", comparison)
-    drawing.legend([contender.label for contender in contenders])
+    drawing.legend(comparison.labels)
     return drawing
 
 
 @look()
 def final(comparison: Comparison) -> Drawing:
     """The reported success or return of every seed as a dot; below them mean and interval as a cross."""
-    what = "return" if comparison.metric == "return" else "success"
     drawing = Drawing(
-        f"final_{what}",
-        f"{what.title()} at the end of training",
+        f"final_{comparison.what}",
+        f"{comparison.what.title()} at the end of training",
         "A dot is a seed. Below: mean and its interval (95 %; smallest to largest for 2 to 4 seeds).",
     )
     axes, count = drawing.axes, len(comparison.contenders)
@@ -112,8 +95,7 @@ def final(comparison: Comparison) -> Drawing:
         text = f"{contender.label}: mean {estimate.value:.3f}, {estimate.low:.3f} to {estimate.high:.3f}"
         drawing.part(tick, f"main series-{series}", text)
     _metric_axis(drawing, "x", comparison)
-    labels = [short(contender.label, 22) for contender in comparison.contenders]
-    axes.set_yticks(range(count, 0, -1), labels)
+    axes.set_yticks(range(count, 0, -1), [short(label, 22) for label in comparison.labels])
     axes.set_ylim(0.4, count + 0.6)
     axes.tick_params(axis="y", length=0)
     return drawing
@@ -122,11 +104,11 @@ def final(comparison: Comparison) -> Drawing:
 @look()
 def profiles(comparison: Comparison) -> Drawing:
     """Performance profile: the fraction of seeds with at least the success or return on the axis."""
-    what = "return" if comparison.metric == "return" else "success"
     drawing = Drawing(
         "performance_profiles",
         "Performance profiles",
-        f"Fraction of seeds with at least that {what} at the end of training. A curve above another is better.",
+        f"Fraction of seeds with at least that {comparison.what} at the end of training. A curve above another is "
+        "better.",
     )
     for series, contender in enumerate(comparison.contenders):
         values = [run.reported(comparison.metric) for run in contender.runs]
@@ -137,8 +119,8 @@ def profiles(comparison: Comparison) -> Drawing:
         )
         drawing.part(line, f"main series-{series}", contender.label)
     _metric_axis(drawing, "x", comparison, "at least this ")
-    _ratio_axis(drawing, "y", "fraction of seeds")
-    drawing.legend([contender.label for contender in comparison.contenders])
+    _value_axis(drawing, "y", "fraction of seeds")
+    drawing.legend(comparison.labels)
     return drawing
 
 
@@ -199,10 +181,16 @@ def _x_axis(drawing: Drawing, contenders: Sequence[Contender], axis: Axis) -> fl
     return scale
 
 
-def _ratio_axis(drawing: Drawing, axis: str, label: str) -> None:
-    """An axis from 0 to 1, with room for what is on the border."""
-    drawing.axes.set(**{f"{axis}label": label, f"{axis}lim": (-0.03, 1.03), f"{axis}ticks": (0, 0.25, 0.5, 0.75, 1)})
-    drawing.axes.grid(visible=True, axis="x" if axis == "x" else "y")
+def _metric_axis(drawing: Drawing, axis: Literal["x", "y"], comparison: Comparison, before: str = "") -> None:
+    """An axis of what is compared."""
+    _value_axis(drawing, axis, f"{before}{_LABELS[comparison.metric]}", ratio=comparison.metric != "return")
+
+
+def _value_axis(drawing: Drawing, axis: Literal["x", "y"], label: str, *, ratio: bool = True) -> None:
+    """An axis with lines across; that of a ratio is from 0 to 1, with room for what is on the border."""
+    ends = {f"{axis}lim": (-0.03, 1.03), f"{axis}ticks": (0, 0.25, 0.5, 0.75, 1)} if ratio else {}
+    drawing.axes.set(**{f"{axis}label": label}, **ends)
+    drawing.axes.grid(visible=True, axis=axis)
 
 
 def _columns(at: _Floats) -> _Floats:
@@ -217,16 +205,6 @@ def _ends(comparison: Comparison) -> tuple[float, float]:
         return 0.0, 1.0
     reported = [run.reported("return") for contender in comparison.contenders for run in contender.runs]
     return min(reported), max(reported)
-
-
-def _metric_axis(drawing: Drawing, axis: str, comparison: Comparison, before: str = "") -> None:
-    """An axis of what is compared."""
-    if comparison.metric == "return":
-        drawing.axes.set(**{f"{axis}label": f"{before}mean return of an episode"})
-        drawing.axes.grid(visible=True, axis="x" if axis == "x" else "y")
-        return
-    label = "success ratio at any step" if comparison.metric == "any" else "success ratio at the end of the episode"
-    _ratio_axis(drawing, axis, before + label)
 
 
 def _run_text(contender: Contender, place: int) -> str:

@@ -3,57 +3,50 @@
 from __future__ import annotations
 
 from collections.abc import Sequence
+from functools import partial
 from typing import Any
 
 from ..comparison import MISSING, Comparison, Estimate, Improvement, Scores
 from ..comparison.sides import SideDifference
-from .tables import Table, count, duration, setting
+from .tables import Columns, Table, count, duration, setting
 
 
 def scores_table(comparison: Comparison) -> Table:
-    """One row per number, one column per contender."""
-    contenders, scores = comparison.contenders, comparison.scores
+    """One row per number that a contender has, one column per contender."""
+    contenders, metric = comparison.contenders, comparison.metric
+    success: Columns[Scores] = {
+        "success end": lambda one: estimate(one.end),
+        "success any": lambda one: estimate(one.any),
+    }
+    returns: Columns[Scores] = {"return": lambda one: estimate(one.returns)}
+    cells = returns | success if metric == "return" else success | returns
+    cells[f"inter-quartile mean, {metric}"] = lambda one: estimate(one.iqm)
+    if metric == "return":
+        cells["best, return"] = lambda one: estimate(one.best_return)
+    else:
+        cells["best, end"] = lambda one: estimate(one.best_end)
+    cells[f"better than {contenders[0].label}"] = lambda one: improvement(one.improvement)
+    for place, reaching in enumerate(comparison.scores[0].reaching):
+        for unit, name in (("steps", "steps"), ("seconds", "time")):
+            cells[f"{name} to {reaching.ratio * 100:g} %, {metric}"] = partial(_reached, place, unit)
+    cells |= {
+        "density over seeds": _density,
+        "steps of a run": lambda one: count(one.steps),
+        "time of a run": lambda one: duration(one.seconds),
+        "updates per second": lambda one: count(one.updates_per_second),
+    }
     rows = [
         ("experiment", *(contender.experiment[:12] for contender in contenders)),
         ("seeds", *(str(len(contender.runs)) for contender in contenders)),
+        *((name, *map(cell, comparison.scores)) for name, cell in cells.items()),
     ]
-    success = [
-        ("success end", *(estimate(one.end) for one in scores)),
-        ("success any", *(estimate(one.any) for one in scores)),
-    ]
-    returns = [("return", *(estimate(one.returns) for one in scores))]
-    rows += [*returns, *success] if comparison.metric == "return" else [*success, *returns]
-    rows += [
-        (f"inter-quartile mean, {comparison.metric}", *(estimate(one.iqm) for one in scores)),
-        ("best, return", *(estimate(one.best_return) for one in scores))
-        if comparison.metric == "return"
-        else ("best, end", *(estimate(one.best_end) for one in scores)),
-    ]
-    rows = [row for row in rows if set(row[1:]) != {"-"}]
-    if len(contenders) > 1:
-        rows.append((f"better than {contenders[0].label}", *(improvement(one.improvement) for one in scores)))
-    for place, reaching in enumerate(scores[0].reaching):
-        for unit, name in (("steps", "steps"), ("seconds", "time")):
-            rows.append(
-                (
-                    f"{name} to {reaching.ratio * 100:g} %, {comparison.metric}",
-                    *(_reached(one, place, unit) for one in scores),
-                )
-            )
-    if any(one.density for one in scores):
-        rows.append(("density over seeds", *map(_density, scores)))
-    rows += [
-        ("steps of a run", *(count(one.steps) for one in scores)),
-        ("time of a run", *(duration(one.seconds) for one in scores)),
-        ("updates per second", *(count(one.updates_per_second) for one in scores)),
-    ]
-    return Table(["", *(contender.label for contender in contenders)], rows)
+    return Table(["", *comparison.labels], [row for row in rows if set(row[1:]) != {"-"}])
 
 
 def parameters_table(comparison: Comparison) -> Table:
     """The settings that differ, one column per contender."""
     rows = [(path, *map(_value, values)) for path, values in comparison.parameters.items()]
-    return Table(["setting", *(contender.label for contender in comparison.contenders)], rows, "settings that differ")
+    return Table(["setting", *comparison.labels], rows, "settings that differ")
 
 
 def differences_table(differences: Sequence[SideDifference], a: str, b: str) -> Table:
@@ -125,7 +118,7 @@ def _value(value: Any) -> str:
     return "-" if value is MISSING else setting(value)
 
 
-def _reached(scores: Scores, place: int, unit: str) -> str:
+def _reached(place: int, unit: str, scores: Scores) -> str:
     found = scores.reaching[place]
     median = count(found.steps) if unit == "steps" else duration(found.seconds)
     return f"{median} ({found.reached} of {found.seeds})"

@@ -6,18 +6,17 @@ import re
 import warnings
 from collections.abc import Iterator, Sequence
 from contextlib import contextmanager
+from html import escape
 from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
 import numpy as np
 
 from ..files import writing
-from .markup import Markup, tag
 from .tables import clean
 
 if TYPE_CHECKING:
     from matplotlib.artist import Artist
-    from matplotlib.figure import Figure
 
 FORMATS = (".svg", ".pdf", ".png")
 COLOURS = ("#0072b2", "#bf4a00", "#00805c", "#a03a80", "#8a6a00", "#5a5a5a")
@@ -65,16 +64,6 @@ def look() -> Iterator[None]:
         yield
 
 
-def save(figure: Figure, path: Path) -> None:
-    """Write a figure in the format of the file's extension; the same figure gives the same bytes.
-
-    Raises:
-        MachineError: the file cannot be written.
-    """
-    with look(), writing(path):
-        figure.savefig(path, metadata=_UNDATED[path.suffix])
-
-
 def short(text: str, length: int = 28) -> str:
     """A name shortened in the middle, since names differ at their ends; control characters are replaced."""
     text = clean(text)
@@ -85,9 +74,9 @@ def short(text: str, length: int = 28) -> str:
 
 
 def style(series: int) -> dict[str, Any]:
-    """Colour and dashes of a contender's lines."""
+    """Colour and dashes of a contender's lines, for matplotlib."""
     dashes = DASHES[series // len(COLOURS) % len(DASHES)]
-    return {"color": COLOURS[series % len(COLOURS)], "linestyle": (0, dashes) if dashes else "-"}
+    return {"color": COLOURS[series % len(COLOURS)], "linestyle": (0, dashes or None)}
 
 
 class Drawing:
@@ -139,14 +128,17 @@ class Drawing:
             text.set_fontsize(float(text.get_fontsize()) * font / FONT)
         self.axes.tick_params(labelsize=font)  # of ticks that do not exist yet
 
-    def write(self, folder: Path) -> list[Path]:
-        """Write the figure into a folder in every format; returns the files."""
-        paths = [folder / f"{self.name}{suffix}" for suffix in FORMATS]
-        for path in paths:
-            save(self.figure, path)
-        return paths
+    def save(self, path: Path) -> Path:
+        """Write the figure in the format of the file's extension; the same figure gives the same bytes.
 
-    def svg(self) -> Markup:
+        Raises:
+            MachineError: the file cannot be written.
+        """
+        with look(), writing(path):
+            self.figure.savefig(path, metadata=_UNDATED[path.suffix])
+        return path
+
+    def svg(self) -> str:
         """The figure as an <svg> element for an HTML page. The groups of artists get their classes and tooltips.
 
         Other ids are hashes salted with the figure's name, so that several figures fit into one page.
@@ -160,10 +152,30 @@ class Drawing:
             self.figure.savefig(stream, format="svg", metadata={"Date": None})
         text = re.sub(r"<metadata>.*?</metadata>| xmlns(:xlink)?=\S+\"", "", stream.getvalue(), flags=re.DOTALL)
         for gid, (classes, tooltip) in self.parts.items():
-            text = text.replace(f'<g id="{gid}">', f'<g class="{classes}">{tag("title", tooltip) if tooltip else ""}')
+            title = f"<title>{escape(tooltip)}</title>" if tooltip else ""
+            text = text.replace(f'<g id="{gid}">', f'<g class="{classes}">{title}')
         text = re.sub(r' id="[a-z0-9.]+_\d+"', "", text.replace("xlink:href", "href"))  # ids that nothing names
-        label = tag("svg", role="img", aria_label=self.title).removesuffix("></svg>")
-        return Markup(label + text[text.index("<svg") + len("<svg") :].rstrip())
+        label = escape(clean(self.title))
+        return f'<svg role="img" aria-label="{label}"{text[text.index("<svg") + len("<svg") :].rstrip()}'
+
+
+def write_figures(drawings: Sequence[Drawing], folder: Path, *, width: float = WIDTH, font: float = FONT) -> list[Path]:
+    """Write figures into `folder`, which is made if it is missing, as SVG, PDF and PNG; returns the files.
+
+    Args:
+        drawings: the figures. They keep the size that they are written in.
+        folder: of the files.
+        width: of a figure in inches; the height follows.
+        font: size of the text in points; titles are a little larger.
+
+    Raises:
+        MachineError: they cannot be written.
+    """
+    with writing(folder):
+        folder.mkdir(parents=True, exist_ok=True)
+    for drawing in drawings:
+        drawing.resize(width, font)
+    return [drawing.save(folder / f"{drawing.name}{suffix}") for drawing in drawings for suffix in FORMATS]
 
 
 def shade_cells(

@@ -9,18 +9,22 @@ from typing import Any, Literal, get_args
 from ..errors import UsageError
 from .interface import World
 
-Engine = Literal["bullet", "mujoco"]
-ENGINE_MODULES: dict[Engine, str] = {"bullet": "pybullet", "mujoco": "mujoco"}
-"""The library that each engine needs. The first that is installed is the default."""
+Engine = Literal["mujoco", "bullet"]
+ENGINE_MODULES: dict[Engine, str] = {"mujoco": "mujoco", "bullet": "pybullet"}
+"""The module that each engine needs."""
+ENGINE_PACKAGES: dict[Engine, str] = {"mujoco": "mujoco-core", "bullet": "pybullet"}
+"""The package that it comes in."""
+WINDOWS: tuple[Engine, ...] = ("bullet",)
+"""Engines that show their world in a window. Each makes pictures."""
 
 
 def installed(engine: Engine) -> bool:
     return find_spec(ENGINE_MODULES[engine]) is not None
 
 
-def default_engine() -> Engine:
-    """PyBullet where it is installed, else MuJoCo."""
-    return next(filter(installed, get_args(Engine)), "bullet")
+def installed_one(wanted: Engine) -> Engine:
+    """The wanted engine; another one where it is not installed."""
+    return next(filter(installed, (wanted, *get_args(Engine))), wanted)
 
 
 def check_engine(engine: Engine) -> None:
@@ -29,7 +33,7 @@ def check_engine(engine: Engine) -> None:
         raise UsageError(
             f"the engine {engine} is not installed",
             setting="environment.engine",
-            hint=f"pip install 'karolos[{engine}]', or choose another engine",
+            hint=f"pip install {ENGINE_PACKAGES[engine]}, or choose another engine",
         )
 
 

@@ -119,7 +119,8 @@ class Search:
             return self._conclude(writer, final, stop)
 
     def _conclude(self, writer: TrialWriter, final: SweepFinal | None, stop: StopRequest) -> SweepOutcome:
-        from ..report.search import write_search_figures  # noqa: PLC0415  (matplotlib takes half a second)
+        from ..report.figures import write_figures  # noqa: PLC0415
+        from ..report.search import search_figures  # noqa: PLC0415
 
         folder, study = writer.folder, writer.study
         folder.write_final(final)
@@ -130,9 +131,9 @@ class Search:
             spec = spec if final is None else choosing.for_report(spec)
             folder.write_best(spec, _comment(self.sweep, best, final))
         if best is not None and not stop.requested:  # the figures take seconds, and a resumed sweep draws them
-            write_search_figures(
-                record.trials, self.sweep.objectives[0], self.sweep.space, study.importances(), folder.figures
-            )
+            sweep = self.sweep
+            drawings = search_figures(record.trials, sweep.objectives[0], sweep.space, study.importances())
+            write_figures(drawings, folder.figures)
         return SweepOutcome(**vars(record), front=study.front(), stop_code=stop.exit_code)
 
 

@@ -6,15 +6,13 @@ import math
 from collections.abc import Callable, Sequence
 from pathlib import Path
 
-from .. import __version__
 from ..comparison import ComparedRun, Estimate, Reaching
 from ..evaluation.playing import Score
 from ..files import write_whole
-from ..report.comparison_figures import learning, write_figures
+from ..report.comparison_figures import learning
 from ..report.comparison_tables import estimate
-from ..report.figures import Drawing, look, shade_cells, short
-from ..report.markup import Markup, tag
-from ..report.page import document, figure_grid, items, plain_table
+from ..report.figures import Drawing, look, shade_cells, short, write_figures
+from ..report.page import Section, document
 from ..report.tables import Columns, Table, count, duration, success
 from .results import METRICS, Cell, Metric, TransferReport, Variant
 
@@ -108,20 +106,14 @@ def write_report(report: TransferReport, path: Path, figures: Path | None = None
 
 def page(report: TransferReport, maps: Sequence[Drawing], curves: Sequence[Drawing]) -> str:
     """The page as text."""
-    sections: list[Markup | None] = [
-        tag("p", f"{len(report.seeds)} seeds, karolos {__version__}."),
-        items("warnings", report.warnings) if report.warnings else None,
-        figure_grid(maps),
-        tag("h2", "In numbers"),
-        plain_table(cells_table(report)),
-        items("notes", notes(report)),
-        tag("h2", "Sources and targets"),
-        plain_table(variants_table(report)),
+    sections = [
+        Section(figures=maps),
+        Section("In numbers", table=cells_table(report), notes=notes(report)),
+        Section("Sources and targets", table=variants_table(report)),
+        *([Section("Learning", figures=curves)] if curves else []),
+        Section("Runs", table=_runs_table(report)),
     ]
-    if curves:
-        sections += [tag("h2", "Learning"), figure_grid(curves)]
-    sections += [tag("h2", "Runs"), plain_table(_runs_table(report))]
-    return document(f"Transfer: {report.name}", sections)
+    return document(f"Transfer: {report.name}", f"{len(report.seeds)} seeds", sections, report.warnings)
 
 
 def _runs_table(report: TransferReport) -> Table:

@@ -7,6 +7,7 @@ from typing import Any
 
 import numpy as np
 import pytest
+from support.toy_runs import toy
 
 from karolos import checkpoint
 from karolos.core import Array
@@ -15,20 +16,17 @@ from karolos.environments.toy import Toy
 from karolos.errors import MachineError, RunError, UsageError
 from karolos.evaluation.changed_spec import load_player
 from karolos.evaluation.playing import play
-from karolos.evaluation.policies import expert_policy, load_agent, load_expert, random_policy, signature_of
+from karolos.evaluation.policies import expert_policy, has_window, load_agent, load_expert, random_policy, signature_of
 from karolos.launchers.experiment import Experiment
 from karolos.records import RunFolder
 from karolos.registry import load
 from karolos.specification import Spec, spec_from_dict
 
-TOY: dict[str, Any] = {
-    "name": "toy",
-    "environment": {"name": "toy", "max_steps": 7},
-    "agent": {"name": "sac", "hidden": [8]},
-    "orchestrator": {"processes": 0, "environments": 2},
-    "training": {"steps": 60, "batch_size": 8, "replay_ratio": 2, "warmup_episodes": 2},
-    "testing": {"interval": 30, "episodes": 4},
-}
+TOY = toy(
+    environment={"name": "toy", "max_steps": 7},
+    training={"steps": 60, "replay_ratio": 2},
+    testing={"interval": 30, "episodes": 4},
+)
 
 
 def reach(**changes: Any) -> Spec:
@@ -56,7 +54,8 @@ def test_a_window_needs_an_environment_that_has_one_and_a_display(monkeypatch: p
         load_expert(spec_from_dict(TOY), window=True)
     monkeypatch.delenv("DISPLAY", raising=False)
     with pytest.raises(MachineError, match="no display"):
-        load_expert(reach(), window=True)
+        load_expert(reach(environment={"name": "robot_task", "engine": "bullet"}), window=True)
+    assert [has_window(one) for one in (spec_from_dict(TOY), reach())] == [False, False]
 
 
 def test_a_random_policy_fills_the_action_range_and_is_determined_by_its_seed() -> None:
@@ -81,10 +80,11 @@ def folder(tmp_path_factory: pytest.TempPathFactory) -> RunFolder:
 
 def test_a_saved_policy_plays_without_exploration_and_the_same_each_time(folder: RunFolder) -> None:
     def positions() -> list[bytes]:
-        spec, environment, policy = load_player(folder, "last")
+        player = load_player(folder, "last")
+        environment, seed = player.environment, player.spec.testing.seed
         assert isinstance(environment, Toy)
-        assert spec.name == "toy"
-        return [environment._position.tobytes() for _ in play(environment, policy, episodes=2, seed=spec.testing.seed)]
+        assert (player.spec.name, player.note) == ("toy", None)
+        return [environment._position.tobytes() for _ in play(environment, player.policy, episodes=2, seed=seed)]
 
     assert positions() == positions()
     assert len(set(positions())) > 8, "the point moves"

@@ -13,12 +13,15 @@ from support.commands import call
 
 import karolos
 from karolos.core.seeding import SeedTree
-from karolos.evaluation.policies import load_agent, signature_of
+from karolos.evaluation.changed_spec import load_player
+from karolos.evaluation.policies import engine_of, load_agent, signature_of
 from karolos.evaluation.zero_shot import zero_shot_test
 from karolos.experiment.start_from import apply, find, pinned
 from karolos.export.numpy_policy import NumpyPolicy
 from karolos.records import RunFolder, paths
 from karolos.records.shipped import FOLDER, POLICY, shipped_names
+from karolos.simulation import engines
+from karolos.simulation.engines import installed
 from karolos.specification import spec_from_dict
 from karolos.training.assembly import make_agent
 
@@ -51,6 +54,34 @@ def test_a_policy_that_ships_succeeds_where_it_did_in_its_final_test(name: str) 
     # its input is normalised with other last bits, and a throw at the edge of its target may miss then
     assert done.own.success_end >= final.last.first(20).success_end - 0.11
     assert not (FOLDER / name / "transfers.jsonl").exists()
+
+
+@pytest.mark.parametrize("missing", [False, True])
+def test_a_policy_keeps_the_engine_of_its_run_and_one_line_says_so_where_it_plays_in_another(
+    missing: bool, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    folder = RunFolder.open(FOLDER / "panda_reach")
+    own = folder.spec()["environment"]["engine"]
+    other = "mujoco" if own == "bullet" else "bullet"
+    changed = [f"environment.engine={other}"]
+    if missing:
+        monkeypatch.setitem(engines.ENGINE_MODULES, own, "a_module_that_nobody_has")
+    elif not installed(own) or not installed(other):
+        pytest.skip("one engine is installed")
+    told: list[str] = []
+    done = zero_shot_test(folder, [] if missing else changed, episodes=2, on_warning=told.append)
+    assert done.overrides == tuple(changed)
+    assert done.own.success_end == done.result.success_end == 1.0
+    player = load_player(folder, overrides=[] if missing else changed)
+    player.environment.close()
+    assert told == [player.note]
+    assert told[0].startswith(f"the policy learned in the engine {own}")
+    assert ("not installed" in told[0], told[0].endswith(other)) == (missing, True)
+    assert engine_of(load_agent(folder).spec) == own, "the saved policy names its own engine"
+    if not missing:
+        player = load_player(folder)
+        player.environment.close()
+        assert (player.note, engine_of(player.spec)) == (None, own)
 
 
 EXPERT = ("test", "karolos:panda_reach", "--expert", "--episodes", "2", "--json")

@@ -43,11 +43,11 @@ def installed_cases() -> Iterator[Case]:
         yield from cases(candidate("distributions", name, **settings))
     for robot, task in product(names("robots"), names("tasks")):
         yield from of_pair(candidate("robots", robot), candidate("tasks", task))
-    if installed("mujoco"):
+    if installed("bullet"):
         for robot in names("robots"):
-            yield from cases(candidate("robots", robot, "mujoco"), alone=True)
-        for task in names("tasks"):  # the other robots: `karolos plugins check robot NAME --engine mujoco`
-            yield from of_pair(candidate("robots", "panda", "mujoco"), candidate("tasks", task))
+            yield from cases(candidate("robots", robot, "bullet"), alone=True)
+        for task in names("tasks"):  # the other robots: `karolos plugins check robot NAME --engine bullet`
+            yield from of_pair(candidate("robots", "panda", "bullet"), candidate("tasks", task))
 
 
 @pytest.mark.parametrize("case", [*installed_cases()], ids=str)

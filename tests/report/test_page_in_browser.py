@@ -16,7 +16,7 @@ from support.compared_runs import comparison, evil
 from karolos.comparison import Comparison
 from karolos.report.comparison_figures import comparison_figures
 from karolos.report.figures import COLOURS
-from karolos.report.page import page
+from karolos.report.page import comparison_page
 
 CHROMIUM = next(filter(None, map(shutil.which, ("chromium", "chromium-browser", "google-chrome"))), None)
 pytestmark = pytest.mark.skipif(CHROMIUM is None, reason="there is no Chromium on this machine")
@@ -43,7 +43,7 @@ _Picture = NDArray[np.int16]
 
 
 def text_of(compared: Comparison) -> str:
-    return page(compared, comparison_figures(compared))
+    return comparison_page(compared, comparison_figures(compared))
 
 
 def opened(text: str, folder: Path, width: int) -> tuple[_Picture, list[str]]:

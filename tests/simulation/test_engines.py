@@ -282,36 +282,30 @@ def test_a_window_without_a_display_is_a_clear_error(engine: Engine, monkeypatch
         make_world(engine, window=True)
 
 
-def test_the_default_engine_is_pybullet_where_it_is_installed(monkeypatch: pytest.MonkeyPatch) -> None:
-    for missing, expected in ((set(), "bullet"), ({"mujoco"}, "bullet"), ({"bullet"}, "mujoco")):
-        monkeypatch.setattr(engines, "installed", lambda name, missing=missing: name not in missing)
-        assert engines.default_engine() == expected
-
-
 def test_a_spec_with_an_engine_that_is_not_installed_is_refused_with_its_place(
     tmp_path: Path, monkeypatch: pytest.MonkeyPatch
 ) -> None:
     pytest.importorskip("torch")
-    monkeypatch.setitem(engines.ENGINE_MODULES, "mujoco", "a_module_that_nobody_has")
+    monkeypatch.setitem(engines.ENGINE_MODULES, "bullet", "a_module_that_nobody_has")
     path = tmp_path / "one.yaml"
-    path.write_text("robot: panda\ntask: reach\nagent: sac\nenvironment:\n  name: robot_task\n  engine: mujoco\n")
+    path.write_text("robot: panda\ntask: reach\nagent: sac\nenvironment:\n  name: robot_task\n  engine: bullet\n")
     result = CliRunner().invoke(app, ["check", str(path)])
     assert result.exit_code != 0
     assert "one.yaml:6:11" in result.output
-    assert "the engine mujoco is not installed" in result.output
-    assert "karolos[mujoco]" in result.output
+    assert "the engine bullet is not installed" in result.output
+    assert "pip install pybullet" in result.output
 
 
-def test_the_engine_is_part_of_an_experiments_identity() -> None:
+def test_the_engine_is_mujoco_by_default_and_part_of_an_experiments_identity() -> None:
     pytest.importorskip("torch")
     parts = {"name": "x", "robot": "panda", "task": "reach", "agent": "sac"}
     one, same, other = (
         spec_from_dict({**parts, "environment": environment})
         for environment in (
             "robot_task",
-            {"name": "robot_task", "engine": engines.default_engine()},
-            {"name": "robot_task", "engine": "mujoco" if engines.default_engine() == "bullet" else "bullet"},
+            {"name": "robot_task", "engine": "mujoco"},
+            {"name": "robot_task", "engine": "bullet"},
         )
     )
     assert one.hash() == same.hash() != other.hash()
-    assert one.dump()["environment"]["engine"] == engines.default_engine()
+    assert one.dump()["environment"]["engine"] == "mujoco"

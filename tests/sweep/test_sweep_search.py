@@ -153,7 +153,7 @@ def test_the_folder_says_it_all_without_optuna(killed):
     assert [row["number"] for row in rows] == list(range(TRIALS))
     assert all(len(row["runs"]) == 1 and row["values"] for row in rows)
     assert spec_from_dict(SPEC) == load_spec(Path(killed.folder) / "sweep.yaml")
-    assert (Path(killed.folder) / "figures" / "search.svg").read_text().count("agent.learning_rate") >= 1
+    assert (Path(killed.folder) / "figures" / "parallel.svg").read_text().count("agent.learning_rate") >= 1
 
 
 def test_the_store_knows_the_sweep_as_its_folder_does_and_a_rebuilt_one_too(killed):

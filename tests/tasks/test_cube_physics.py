@@ -15,7 +15,8 @@ SPEED = 1.0
 
 def slide(drawn: dict[str, float]) -> float:
     """How far in m the cube slides when it is let go at 1 m/s, away from the arm."""
-    environment = made("push", draws={f"task.{name}": values(value) for name, value in drawn.items()})
+    draws = {f"task.{name}": values(value) for name, value in drawn.items()}
+    environment = made("push", draws=draws, environment={"engine": "bullet"})
     environment.reset(0)
     cube = environment.task.cube
     cube.place((-0.6, 0.0, cube.half))

@@ -1,6 +1,6 @@
 """How deep policies that press, squeeze and strike bring the cube into the floor.
 
-    python tests/torture/floor.py --episodes 100 --engine bullet
+    python tests/torture/floor.py --episodes 100 --engine mujoco
 
 plays each policy with each pair of a robot and a task. A cube may be 5 mm deep, and while it falls also the distance
 that it falls in one physics step: contacts are found at the end of a step. It exits with 1 when a cube was deeper or
@@ -102,7 +102,7 @@ def main() -> int:
     parser = argparse.ArgumentParser(description=__doc__)
     parser.add_argument("--episodes", type=int, default=100)
     parser.add_argument("--robots", nargs="*", default=names("robots"))
-    parser.add_argument("--engine", choices=get_args(Engine), default="bullet")
+    parser.add_argument("--engine", choices=get_args(Engine), default="mujoco")
     arguments = parser.parse_args()
     failed = False
     for robot in arguments.robots:

@@ -74,5 +74,5 @@ def _context(width: int, height: int) -> Any:
                 os.environ["PYOPENGL_PLATFORM"] = platform
     raise MachineError(
         f"MuJoCo finds no OpenGL to draw with ({'; '.join(problems)})",
-        hint="apt install libegl1 libgl1-mesa-dri, or libosmesa6; and pip install 'karolos[mujoco]' for PyOpenGL",
+        hint="apt install libegl1 libgl1-mesa-dri, or libosmesa6; and pip install pyopengl",
     )

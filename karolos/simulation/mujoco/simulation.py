@@ -38,7 +38,7 @@ def _mujoco() -> Any:
             if mujoco.mj_version() < OLDEST_VERSION:
                 raise MachineError(
                     f"MuJoCo {mujoco.mj_versionString()} is too old",
-                    hint="pip uninstall mujoco mujoco-core, then pip install 'karolos[mujoco]'",
+                    hint="pip uninstall mujoco mujoco-core, then pip install mujoco-core",
                 )
             log = mujoco.MjLogConfig.get()  # warnings would be written into a file in the current folder
             log.logto_console = log.logto_file = False
