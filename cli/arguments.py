@@ -11,7 +11,7 @@ from typing import TYPE_CHECKING, Annotated, Literal
 
 import typer
 
-from karolos.errors import NoSuchRunError, UsageError
+from karolos.errors import UsageError
 
 from .completion import complete_run, complete_setting
 from .output import say, warn
@@ -58,6 +58,17 @@ Overrides = Annotated[
 ]
 OneRun = Annotated[str, typer.Argument(metavar="RUN", help=RUN_HELP, autocompletion=complete_run)]
 APolicy = Annotated[str, typer.Argument(metavar="RUN", help=POLICY_HELP, autocompletion=complete_run)]
+PolicyOrSpec = Annotated[
+    str, typer.Argument(metavar="RUN", help=f"{POLICY_HELP} With --expert a SPEC.yaml.", autocompletion=complete_run)
+]
+Changes = Annotated[
+    list[str] | None,
+    typer.Argument(
+        metavar="[PATH=VALUE]...",
+        help="Settings to change of the run's robot, task, environment, randomization or orchestrator, or parameters "
+        "of the world, e.g. robot=ur5 task.object_mass=0.3 task.gravity=-5. With --expert any setting.",
+    ),
+]
 ManyRuns = Annotated[list[str] | None, typer.Argument(metavar="[RUN]...", help=MANY_HELP, autocompletion=complete_run)]
 Where = Annotated[str | None, typer.Option(metavar="FILTER", help=FILTER_HELP)]
 On = Annotated[
@@ -132,16 +143,6 @@ def open_run(selector: str, runs: Path, database: str | None) -> RunFolder:
         return find_folder(selector, store, runs)
 
 
-def find_run(selector: str, runs: Path, database: str | None) -> tuple[Store, RunSummary]:
-    """The open index, and the one run in it that a selector means.
-
-    Raises:
-        UsageError: the selector means no run or several.
-    """
-    store = existing_store(selector, runs, database)
-    return store, store.find(selector)
-
-
 def select_runs(
     selectors: Sequence[str], where: str | None, runs: Path, database: str | None
 ) -> tuple[Store, tuple[RunSummary, ...]]:
@@ -152,7 +153,9 @@ def select_runs(
     """
     if not selectors and where is None:
         raise UsageError("which runs?", hint="name RUN, or give --where FILTER")
-    store = existing_store(selectors[0] if selectors else str(where), runs, database)
+    from karolos.store.meant import existing
+
+    store = existing(open_store(runs, database), selectors[0] if selectors else str(where), runs)
     selected = {run.run: run for selector in selectors for run in store.select(selector)}
     if where is not None:
         matching = {run.run: run for run in store.runs(where=where)}
@@ -161,20 +164,6 @@ def select_runs(
         hint = store.closest_value(where) if where is not None else None
         raise UsageError("no runs match the filter", hint=hint or "`karolos runs list FILTER` shows which runs match")
     return store, tuple(selected.values())
-
-
-def existing_store(selector: str, runs: Path, database: str | None) -> Store:
-    """The index. Raises NoSuchRunError if there are no runs that the selector could mean."""
-    return existing(open_store(runs, database), selector, runs)
-
-
-def existing(store: Store | None, selector: str, runs: Path) -> Store:
-    """The index. Raises NoSuchRunError if there is none because there are no runs."""
-    if store is None:
-        raise NoSuchRunError(
-            f"{selector!r} means no run: there are no runs in {runs} yet", hint="`karolos run SPEC` makes one"
-        )
-    return store
 
 
 def seconds(text: str | None) -> float | None:

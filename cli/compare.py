@@ -11,7 +11,7 @@ import typer
 
 from karolos.errors import UsageError
 
-from .arguments import MANY_HELP, Database, Json, Runs, existing, open_store
+from .arguments import MANY_HELP, Database, Json, Runs, open_store
 from .completion import complete_run
 from .output import print_rows, print_table, say, warn
 
@@ -101,7 +101,7 @@ def compare(
 
 def _runs_of(selector: str, store: Store | None, runs: Path) -> tuple[Store | None, tuple[RunSummary, ...]]:
     """The runs that a selector means and the index that has them; None for a run that ships."""
-    from karolos.store.meant import shipped_run
+    from karolos.store.meant import existing, shipped_run
 
     if shipped := shipped_run(selector, store):
         return None, (shipped.summary(),)

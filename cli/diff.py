@@ -9,7 +9,7 @@ import typer
 
 from .arguments import Database, Json, Runs, open_run
 from .completion import complete_run
-from .output import print_line, print_rows, print_table, say
+from .output import print_rows, print_table, say
 
 if TYPE_CHECKING:
     from karolos.comparison.sides import Side
@@ -23,18 +23,11 @@ def diff(
     runs: Runs = Path("runs"),
     database: Database = None,
     json: Json = False,
-    patch: Annotated[
-        bool, typer.Option("--patch", help="Print the differences of their code.diff, line by line, instead.")
-    ] = False,
 ) -> None:
     """Show how two runs differ: settings, versions of karolos, plugins and libraries, git commit, changed files."""
-    from karolos.comparison.sides import compare_sides, patch_difference
+    from karolos.comparison.sides import compare_sides
 
     one, other = _side(a, runs, database), _side(b, runs, database)
-    if patch:
-        for line in patch_difference(one, other).splitlines():
-            print_line(line)
-        return
     found = list(compare_sides(one, other))
     if json:
         print_rows([difference.row() for difference in found], json=True)

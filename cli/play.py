@@ -13,8 +13,7 @@ import typer
 
 from karolos.errors import UsageError
 
-from .arguments import POLICY_HELP, Database, Runs, open_run
-from .completion import complete_run
+from .arguments import Changes, Database, PolicyOrSpec, Runs, open_run
 from .output import say, warn
 
 if TYPE_CHECKING:
@@ -29,18 +28,8 @@ OUTCOME_SECONDS = 0.7
 
 
 def play(
-    run: Annotated[
-        str,
-        typer.Argument(metavar="RUN", help=f"{POLICY_HELP} With --expert a SPEC.yaml.", autocompletion=complete_run),
-    ],
-    overrides: Annotated[
-        list[str] | None,
-        typer.Argument(
-            metavar="[PATH=VALUE]...",
-            help="Settings to change, as for `karolos test`, e.g. robot=ur5 task.floor_friction=1. With --expert any "
-            "setting of the spec.",
-        ),
-    ] = None,
+    run: PolicyOrSpec,
+    overrides: Changes = None,
     expert: Annotated[bool, typer.Option("--expert", help="Play the expert of a spec's task instead.")] = False,
     out: Annotated[Path | None, typer.Option(metavar="FILE", help="Film to write: FILE.mp4 or FILE.gif.")] = None,
     episodes: Annotated[

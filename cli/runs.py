@@ -6,6 +6,7 @@ import os
 import time
 from collections import Counter
 from collections.abc import Callable, Mapping, Sequence
+from contextlib import nullcontext
 from pathlib import Path
 from statistics import fmean
 from typing import TYPE_CHECKING, Annotated, Any
@@ -28,13 +29,12 @@ from karolos.report.tables import (
 from .arguments import (
     FILTER_HELP,
     MANY_HELP,
+    APolicy,
     Database,
     Json,
     ManyRuns,
-    OneRun,
     Runs,
     Where,
-    find_run,
     open_or_make_store,
     open_store,
     select_runs,
@@ -192,7 +192,7 @@ def _list_trash(runs: Path, *, json: bool) -> None:
 
 @app.command()
 def show(
-    run: OneRun,
+    run: APolicy,
     everything: Annotated[
         bool,
         typer.Option("--all", help="Show every test and setting, checkpoints, versions, command and git commit, too."),
@@ -203,23 +203,24 @@ def show(
 ) -> None:
     """Show a run: state, result with 95 % intervals, and the settings that are not defaults."""
     from karolos.records import RunFolder, transfer_results
+    from karolos.store.meant import existing, find_meant
 
-    store, summary = find_run(run, runs, database)
-    with store:
-        [record] = store.records([summary])
     about: Mapping[str, Any] = {}
     results: Sequence[TestResult] = ()
     final: FinalTest | None = None
     transfers: Sequence[TransferResult] = ()
     checkpoints: Sequence[Mapping[str, Any]] = ()
-    if os.path.isdir(summary.folder):
-        folder = RunFolder.open(summary.folder)
-        record, about, results, final = folder.record(), folder.description(), folder.tests(), folder.final()
-        transfers, unreadable = transfer_results.read(folder)
-        checkpoints, damaged = _checkpoints(folder)
-        problems = (*record.problems, *damaged, *unreadable)
-    else:
-        problems = (f"the run folder is missing: {summary.folder}",)
+    with open_store(runs, database) or nullcontext() as store:
+        summary = find_meant(run, store, runs)
+        if os.path.isdir(summary.folder):
+            folder = RunFolder.open(summary.folder)
+            record, about, results, final = folder.record(), folder.description(), folder.tests(), folder.final()
+            transfers, unreadable = transfer_results.read(folder)
+            checkpoints, damaged = _checkpoints(folder)
+            problems = (*record.problems, *damaged, *unreadable)
+        else:
+            [record] = existing(store, run, runs).records([summary])
+            problems = (f"the run folder is missing: {summary.folder}",)
     if json:
         row = _show_row(record, results, final)
         about = {key: about[key] for key in ("versions", "machine", "command", "git") if about}

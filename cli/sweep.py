@@ -2,16 +2,13 @@
 
 from __future__ import annotations
 
-import shutil
-import subprocess
-import sys
 from collections import Counter
 from pathlib import Path
 from typing import TYPE_CHECKING, Annotated, Any
 
 import typer
 
-from karolos.errors import MachineError, SpecError, UsageError
+from karolos.errors import SpecError
 
 from .arguments import Database, Json, On, Overrides, Quiet, Runs, SpecFile, TimeLimit, seconds, with_launcher
 from .output import drawn_text, print_rows, say, short_text
@@ -23,7 +20,6 @@ if TYPE_CHECKING:
 
 SAMPLES = 5
 """Most sampled specs that --dry-run prints."""
-DASHBOARD = "optuna-dashboard"
 
 
 def sweep(
@@ -36,9 +32,6 @@ def sweep(
     dry_run: Annotated[bool, typer.Option("--dry-run", help="Check the search and print some sampled specs.")] = False,
     on: On = None,
     time_limit: TimeLimit = None,
-    dashboard: Annotated[
-        bool, typer.Option("--dashboard", help=f"Open the sweep so far in {DASHBOARD} instead.")
-    ] = False,
     quiet: Quiet = False,
     json: Json = False,
 ) -> None:
@@ -55,8 +48,6 @@ def sweep(
     from .display import SweepDisplay
 
     search = Search(found, trials=trials)
-    if dashboard:
-        raise typer.Exit(_open_dashboard(search.folder(runs) / "journal.log"))
     if dry_run:
         _print_samples(search, json=json)
         return
@@ -136,21 +127,6 @@ def report_best(sweep: SweepRecord) -> None:
             say(line)
     if path.is_file():
         say(f"`karolos run {path}` runs it; figures in {path.parent}")
-
-
-def _open_dashboard(journal: Path) -> int:
-    program = shutil.which(DASHBOARD) or shutil.which(DASHBOARD, path=str(Path(sys.executable).parent))
-    if program is None:
-        raise MachineError(f"{DASHBOARD} is not installed", hint=f"`pip install {DASHBOARD}`, then try again")
-    if not journal.is_file():
-        raise UsageError(f"there is no sweep at {journal.parent} yet", hint="`karolos sweep SPEC` starts one")
-    process = subprocess.Popen([program, str(journal)], process_group=0)  # Ctrl-C would end it with a traceback
-    try:
-        return process.wait()
-    except KeyboardInterrupt:
-        process.terminate()
-        process.wait()
-        return 0
 
 
 def _print_samples(search: Search, *, json: bool) -> None:

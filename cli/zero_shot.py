@@ -9,24 +9,13 @@ from typing import Annotated
 
 import typer
 
-from .arguments import POLICY_HELP, Checkpoint, Database, Json, Runs, open_run
-from .completion import complete_run
+from .arguments import Changes, Checkpoint, Database, Json, PolicyOrSpec, Runs, open_run
 from .output import print_rows, print_table, say, warn
 
 
 def zero_shot(
-    run: Annotated[
-        str,
-        typer.Argument(metavar="RUN", help=f"{POLICY_HELP} With --expert a SPEC.yaml.", autocompletion=complete_run),
-    ],
-    overrides: Annotated[
-        list[str] | None,
-        typer.Argument(
-            metavar="[PATH=VALUE]...",
-            help="Settings to change of the run's robot, task, environment, randomization or orchestrator, or "
-            "parameters of the world, e.g. robot=ur5 task.object_mass=0.3 task.gravity=-5. With --expert any setting.",
-        ),
-    ] = None,
+    run: PolicyOrSpec,
+    overrides: Changes = None,
     episodes: Annotated[int | None, typer.Option(min=1, help="Episodes. Default: as in the run's final test.")] = None,
     seed: Annotated[
         int | None, typer.Option(min=0, help="Root of the episodes' seeds. Default: that of the run's final test.")
@@ -70,6 +59,7 @@ def zero_shot(
 
 def _score_expert(path: Path, overrides: Sequence[str], episodes: int | None, seed: int | None, *, json: bool) -> None:
     """Print the success of the expert of a spec's task on the episodes of its final test, or on those asked for."""
+    from karolos.environments.build import used
     from karolos.evaluation.playing import score
     from karolos.evaluation.policies import load_expert
     from karolos.specification import load_spec
@@ -78,8 +68,6 @@ def _score_expert(path: Path, overrides: Sequence[str], episodes: int | None, se
     testing = spec.testing
     seed = testing.final_seed if seed is None else seed
     environment, policy = load_expert(spec)
-    try:
+    with used(environment):
         found = score(environment, policy, episodes=episodes or testing.final_count or testing.episodes, seed=seed)
-    finally:
-        environment.close()
     print_rows([{"spec": spec.name, "policy": "expert", "seed": seed, **asdict(found)}], json=json)

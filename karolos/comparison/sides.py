@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-import difflib
 import re
 from collections.abc import Iterator, Mapping
 from dataclasses import dataclass
@@ -88,14 +87,6 @@ def compare_sides(a: Side, b: Side) -> Iterator[SideDifference]:
         if ours.get(file) != theirs.get(file):
             one, other = (_lines(side[file]) if file in side else MISSING for side in (ours, theirs))
             yield SideDifference("code", file, one, other)
-
-
-def patch_difference(a: Side, b: Side) -> str:
-    """A unified diff of the two code.diff; empty if they are equal."""
-    lines = difflib.unified_diff(
-        a.patch.splitlines(), b.patch.splitlines(), f"{a.name}/code.diff", f"{b.name}/code.diff", lineterm=""
-    )
-    return "\n".join(lines)
 
 
 def _changed(patch: str) -> dict[str, str]:

@@ -174,6 +174,17 @@ def test_show_without_a_folder_tells_what_the_index_knows(runs: Path) -> None:
     assert found["problems"] == [f"the run folder is missing: {runs / run}"]
 
 
+def test_show_knows_the_runs_that_ship_unless_one_of_ones_own_has_the_name(runs: Path) -> None:
+    (shipped,) = rows("show", "panda_pick", "--runs", runs.parent)
+    assert (shipped["name"], shipped["state"]) == ("panda_pick", "finished")
+    with RunFolder.create(runs, "panda_pick", 0) as run, Store(Store.default_url(runs)) as store:
+        run.describe(SPEC, experiment="abc")
+        store.add_records([run.record()])
+    assert rows("show", "panda_pick", "--runs", runs)[0]["run"] == run.id
+    with pytest.raises(UsageError, match="did you mean 'panda_pick'"):
+        call("show", "panda_pikc", "--runs", runs)
+
+
 def test_text_from_a_spec_cannot_steer_the_terminal(runs: Path) -> None:
     run = add_run(runs, 0, spec={**SPEC, "agent": {"name": "\x1b[2J[bold]x", "\x1b[31m": 1}})
     for shown in (call("show", run, "--runs", runs), call("list", "--runs", runs)):

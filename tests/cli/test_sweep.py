@@ -3,10 +3,6 @@
 from __future__ import annotations
 
 import json
-import os
-import shutil
-import signal
-import subprocess
 import sys
 import time
 from dataclasses import replace
@@ -66,39 +62,6 @@ def test_bad_input_is_told_before_the_first_trial(home, arguments, code, words):
     assert (found, out) == (code, "")
     assert all(word in err for word in words), err
     assert not (home / "runs" / "sweeps").exists()
-
-
-def test_without_the_dashboard_it_says_what_to_install(home, monkeypatch):
-    monkeypatch.setattr(shutil, "which", lambda *_, **__: None)
-    code, _, err = call(app, "line.yaml", "--dashboard")
-    assert code == 3
-    assert "pip install optuna-dashboard" in err
-
-
-def test_the_dashboard_is_given_the_journal_and_left_with_ctrl_c(home):
-    """Optuna's own is not installed for the tests: its place takes a program that answers Ctrl-C as it does."""
-    program = home / "bin" / "optuna-dashboard"
-    program.parent.mkdir()
-    program.write_text(
-        f"#!{sys.executable}\nimport sys, time\nprint('showing', sys.argv[1], flush=True)\ntime.sleep(60)\n"
-    )
-    program.chmod(0o755)
-    journal = home / "runs" / "sweeps" / "line" / "journal.log"
-    journal.parent.mkdir(parents=True)
-    journal.write_text("")
-    command = [sys.executable, "-m", "karolos_cli", "sweep", "line.yaml", "--dashboard"]
-    with subprocess.Popen(
-        command,
-        env={**os.environ, "PATH": f"{program.parent}:{os.environ['PATH']}"},
-        stdout=subprocess.PIPE,
-        stderr=subprocess.PIPE,
-        text=True,
-        start_new_session=True,
-    ) as process:
-        assert process.stdout.readline() == "showing runs/sweeps/line/journal.log\n"
-        os.killpg(process.pid, signal.SIGINT)
-        _, told = process.communicate(timeout=60)
-    assert (process.returncode, told) == (0, "")
 
 
 def outcome_of(folder, search, trials, final):
