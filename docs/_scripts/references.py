@@ -74,7 +74,7 @@ def engine_in(resolved: dict[str, Any]) -> str | None:
     return resolved["environment"].get("engine")
 
 
-def _in_engine(resolved: dict[str, Any]) -> tuple[str, ...]:
+def in_engine(resolved: dict[str, Any]) -> tuple[str, ...]:
     """The override that gives a shipped spec the engine of a run."""
     engine = engine_in(resolved)
     return () if engine is None else (f"environment.engine={engine}",)
@@ -94,7 +94,7 @@ def faults(folder: RunFolder) -> Iterator[str]:
         if _steps(path, changed) is None and (final is None or final.best is None or final.last.episodes < 1000):
             yield "it has no final test of last and best with 1,000 episodes"
         # a run keeps its engine when the default changes; the tables say which one it was
-        if spec_from_dict(record.spec).hash() != shipped_hash(path, (*changed, *_in_engine(record.spec))):
+        if spec_from_dict(record.spec).hash() != shipped_hash(path, (*changed, *in_engine(record.spec))):
             yield "its spec is not the one that ships"
         if _is_shipped(record.summary.name) and shipped_hash(path, changed) != shipped_hash(path, ()):
             yield f"its settings are changed, but it is called {record.summary.name}"
@@ -219,7 +219,7 @@ def transfer_faults(path: Path) -> Iterator[str]:
         variants = Matrix(load_spec(spec)).variants
         for label in variants:
             made_from = _variant(path, label)
-            variant = Matrix(load_spec(spec, _in_engine(made_from))).variants[label]
+            variant = Matrix(load_spec(spec, in_engine(made_from))).variants[label]
             if spec_from_dict(made_from).hash() != variant.hash():
                 yield f"the spec of {label} is not the one that ships"
     except (KarolosError, OSError) as error:

@@ -51,8 +51,8 @@ def environments_of(failures: Sequence[Failure]) -> NDArray[np.int64]:
 class Orchestrator(ABC):
     """Many environments with ids 0 .. size - 1, each with at most one pending command.
 
-    Commands. `reset` and `step` start a command and return; `receive` returns the results. All three raise ValueError
-    for unknown or repeated ids, for an environment with a pending command, and after `close`.
+    Commands. `reset` and `step` start a command and return; `receive` returns the results. Ids are distinct, and their
+    environments have no pending command. All three raise ValueError after `close`.
 
     Determinism. The results of an environment depend on its seeds and actions alone, not on the layout or on timing.
 

@@ -5,13 +5,14 @@ A test depends on the agent's state and on fixed seeds alone. Its result is the 
 
 from __future__ import annotations
 
+import json
 import multiprocessing
 import os
 from collections.abc import Callable
 from concurrent.futures import Future, ProcessPoolExecutor
 from dataclasses import dataclass, replace
+from functools import cache
 from multiprocessing.util import Finalize
-from typing import Any
 
 from .. import checkpoint
 from ..core import Agent, Failure, Orchestrator, State
@@ -49,7 +50,6 @@ class Evaluator:
         self._spec = spec
         self._environments: Orchestrator | None = None
         self._agent: Agent | None = None
-        self._loaded: State | None = None
 
     def play(
         self,
@@ -62,9 +62,7 @@ class Evaluator:
             self._environments = make_orchestrator(self._spec, randomize=False)
         if self._agent is None:
             self._agent = make_agent(self._spec, self._environments.signature, SeedTree(0))
-        if self._loaded is not test.agent:
-            self._agent.load_state(test.agent)
-            self._loaded = test.agent
+        self._agent.load_state(test.agent)
         return play_episodes(
             self._environments,
             self._agent,
@@ -86,11 +84,9 @@ class EvaluationProcess:
     """A second process, of low priority, that plays one test at a time."""
 
     def __init__(self, spec: Spec) -> None:
-        context = multiprocessing.get_context("spawn")
-        self._pool = ProcessPoolExecutor(1, context, initializer=_begin, initargs=(spec.dump(),))
+        self._spec = json.dumps(spec.dump())
+        self._pool = ProcessPoolExecutor(1, multiprocessing.get_context("spawn"), initializer=_begin)
         self._others = set(multiprocessing.active_children())
-        self._sent: State | None = None
-        """The agent of the test before."""
 
     def submit(self, test: DueTest) -> Future[tuple[TestResult, list[Failure]]]:
         """Begin a test; its result comes with the failures of environments.
@@ -98,10 +94,8 @@ class EvaluationProcess:
         Raises:
             OSError, BrokenProcessPool: the machine cannot start the process, or it has ended.
         """
-        agent = None if test.agent is self._sent else checkpoint.pack_state(test.agent)
-        self._sent = test.agent
         with fresh_start():  # the first one starts the process
-            return self._pool.submit(_play, agent, replace(test, agent={}))
+            return self._pool.submit(_play, self._spec, checkpoint.pack_state(test.agent), replace(test, agent={}))
 
     def close(self, *, kill: bool) -> None:
         """End the process. `kill`: also while it plays."""
@@ -113,30 +107,27 @@ class EvaluationProcess:
             process.join()
 
 
-_process: dict[str, Any] = {}
-"""Of the second process: its resolved spec, its evaluator and the agent's latest state."""
-
-
-def _begin(resolved: dict[str, Any]) -> None:
+def _begin() -> None:
     isolate()
     os.nice(NICENESS)
-    _process["spec"] = resolved
 
 
-def _play(agent: bytes | None, test: DueTest) -> tuple[TestResult, list[Failure]]:
-    """Play a test in the second process. `agent`: None if it is that of the test before."""
-    if "evaluator" not in _process:
-        from ..agents.device import use_threads  # noqa: PLC0415  (imports torch)
-
-        spec = spec_from_dict(_process["spec"])
-        use_threads(spec.training.threads or 1)
-        _process["evaluator"] = evaluator = Evaluator(_with_fewer_workers(spec))
-        Finalize(None, evaluator.close, exitpriority=1)  # before the process waits for the environments' workers
-    if agent is not None:
-        _process["agent"] = checkpoint.unpack_state(agent)
+def _play(resolved: str, agent: bytes, test: DueTest) -> tuple[TestResult, list[Failure]]:
+    """Play a test in the second process."""
     failures: list[Failure] = []
-    result = _process["evaluator"].play(replace(test, agent=_process["agent"]), failures.append)
+    result = _evaluator(resolved).play(replace(test, agent=checkpoint.unpack_state(agent)), failures.append)
     return result, failures
+
+
+@cache
+def _evaluator(resolved: str) -> Evaluator:
+    from ..agents.device import use_threads  # noqa: PLC0415  (imports torch)
+
+    spec = spec_from_dict(json.loads(resolved))
+    use_threads(spec.training.threads or 1)
+    evaluator = Evaluator(_with_fewer_workers(spec))
+    Finalize(None, evaluator.close, exitpriority=1)  # before the process waits for the environments' workers
+    return evaluator
 
 
 def _with_fewer_workers(spec: Spec) -> Spec:

@@ -22,7 +22,7 @@ from ..files import read_object
 from ..records import RunFolder
 from ..records.shipped import POLICY, is_shipped
 from ..registry import load
-from ..simulation.engines import Engine, installed, installed_one
+from ..simulation.engines import WINDOWS, Engine, installed, installed_one
 from ..specification import Spec, spec_from_dict
 from ..store import Store
 from ..store.meant import find_folder
@@ -38,14 +38,10 @@ class Policy:
 
 
 @dataclass(frozen=True)
-class SavedAgent:
-    """The agent of a checkpoint, on the CPU."""
+class Learned:
+    """What the agent of a run has learned."""
 
-    spec: Spec
-    """Of the run. Its engine may be missing here: see `playable`."""
-    signature: Signature
-    """Of the environment that the agent was trained in."""
-    agent: Agent
+    run: str
     checkpoint: str
     sha256: str
     """Of the agent's state in the checkpoint, in hexadecimal digits."""
@@ -53,6 +49,23 @@ class SavedAgent:
     """Environment steps of its training."""
     seconds: float
     """Wall-clock seconds of collecting and learning of its training."""
+    state: State | Deployed
+    """The state; of a run that ships its policy."""
+
+    def record(self) -> dict[str, object]:
+        """For the events of a run that starts from it."""
+        return {"run": self.run, "checkpoint": self.checkpoint, "sha256": self.sha256, "steps": self.steps}
+
+
+@dataclass(frozen=True)
+class SavedAgent(Learned):
+    """The agent of a checkpoint, on the CPU."""
+
+    spec: Spec
+    """Of the run. Its engine may be missing here: see `playable`."""
+    signature: Signature
+    """Of the environment that the agent was trained in."""
+    agent: Agent
 
     def act(self, observation: ArrayLike, goal: ArrayLike | None = None) -> NDArray[Any]:
         """The action for an observation and its desired goal, without exploration.
@@ -82,26 +95,6 @@ class SavedAgent:
         """Acts without exploration."""
         act = self.agent.act
         return Policy(lambda step: np.asarray(act(step.observation[None], step.desired_goal[None], explore=False)[0]))
-
-
-@dataclass(frozen=True)
-class Learned:
-    """What the agent of a run has learned."""
-
-    run: str
-    checkpoint: str
-    sha256: str
-    """Of the agent's state in the checkpoint, in hexadecimal digits."""
-    steps: int
-    """Environment steps of its training."""
-    seconds: float
-    """Wall-clock seconds of collecting and learning of its training."""
-    state: State | Deployed
-    """The state; of a run that ships its policy."""
-
-    def record(self) -> dict[str, object]:
-        """For the events of a run that starts from it."""
-        return {"run": self.run, "checkpoint": self.checkpoint, "sha256": self.sha256, "steps": self.steps}
 
 
 def read_learned(folder: RunFolder, name: str) -> Learned:
@@ -141,7 +134,7 @@ def playable(spec: Spec) -> Spec:
 
 def has_window(spec: Spec) -> bool:
     """Whether the spec's environment can be watched in a window."""
-    return "window" in type(spec.environment.settings).model_fields and engine_of(spec) != "mujoco"
+    return "window" in type(spec.environment.settings).model_fields and engine_of(spec) in (None, *WINDOWS)
 
 
 def load_agent(folder: RunFolder, name: str = "best") -> SavedAgent:
@@ -162,8 +155,7 @@ def load_agent(folder: RunFolder, name: str = "best") -> SavedAgent:
             agent.adopt(learned.state)
         else:
             agent.load_state(learned.state)
-    known = (learned.checkpoint, learned.sha256, learned.steps, learned.seconds)
-    return SavedAgent(spec, signature, agent, *known)
+    return SavedAgent(**vars(learned), spec=spec, signature=signature, agent=agent)
 
 
 def load_run(

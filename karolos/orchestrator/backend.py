@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 from abc import ABC, abstractmethod
+from collections.abc import Sequence
 from contextlib import ExitStack
 from typing import NamedTuple
 
@@ -24,7 +25,8 @@ class Group(NamedTuple):
     """A slice if the ids are consecutive, because NumPy indexes faster with slices."""
 
     @classmethod
-    def of(cls, ids: Ids) -> Group:
+    def of(cls, environments: Sequence[int] | Ids) -> Group:
+        ids = np.array(environments, np.int64)
         consecutive = ids.size > 0 and bool((np.diff(ids) == 1).all())
         return cls(ids, slice(int(ids[0]), int(ids[-1]) + 1) if consecutive else ids)
 
@@ -82,7 +84,7 @@ class InProcess(Backend):
                 done.append(index)
             except FAILURES as error:
                 failures.append(Failure(np.array([index]), as_karolos_error(error, f"environment {index}")))
-        return Answers([Group.of(np.array(done, np.int64))], failures)
+        return Answers([Group.of(done)], failures)
 
     def close(self) -> None:
         self._open.close()

@@ -17,7 +17,7 @@ from pydantic import model_validator
 from ..core import BuildEnvironment, Failure, FloatArray, Orchestrator, Received, Step
 from ..core import Settings as BaseSettings
 from ..errors import RunError
-from .backend import Backend, Group, Ids, InProcess
+from .backend import Backend, Group, InProcess
 from .executor import RESET, STEP
 from .processes import ProcessPool
 
@@ -105,7 +105,6 @@ class Local(Orchestrator):
         """Failures of each environment since its last completed episode."""
         self._any_failed = False
         self._pending = self._ready = 0
-        self._groups: dict[bytes, Group] = {}
         self._all_ids = np.arange(self.size)
 
     def _start(self, build: BuildEnvironment) -> Backend:
@@ -122,26 +121,17 @@ class Local(Orchestrator):
         return [ids[first : first + threads] for first in range(0, len(ids), threads)]
 
     def reset(self, environments: EnvironmentIds, seeds: Sequence[int]) -> None:
-        """Begin an episode in each of these environments, with its seed (0 .. 2**64 - 1). Does not wait.
-
-        Raises ValueError for unknown or repeated ids, busy environments and invalid seeds.
-        """
-        backend, group = self._check(environments)
-        if len(seeds) != group.ids.size:
-            raise ValueError(f"{group.ids.size} environments need {group.ids.size} seeds, not {len(seeds)}")
-        try:
-            numbers = np.array([operator.index(seed) for seed in seeds], np.uint64)
-        except OverflowError:
-            raise ValueError(f"seeds must be in 0 .. 2**64 - 1, not {list(seeds)}") from None
-        backend.arrays.seed[group.rows] = numbers
+        """Begin an episode in each of these environments, with its seed (0 .. 2**64 - 1). Does not wait."""
+        backend, group = self._running(), Group.of(environments)
+        backend.arrays.seed[group.rows] = np.array([operator.index(seed) for seed in seeds], np.uint64)
         self._send(backend, RESET, group, -1)
 
     def step(self, environments: EnvironmentIds, actions: FloatArray, *, updates: int = 0) -> None:
         """Step each of these environments with its row of `actions` (n, action.size). Does not wait.
 
-        Raises ValueError for ids as `reset` does and for another shape, RunError for an action that is not finite.
+        Raises ValueError for another shape, RunError for an action that is not finite.
         """
-        backend, group = self._check(environments)
+        backend, group = self._running(), Group.of(environments)
         ids = group.ids
         shape = (ids.size, self._action_size)
         if actions.shape != shape:
@@ -213,8 +203,7 @@ class Local(Orchestrator):
 
     def parameters(self, environments: EnvironmentIds) -> FloatArray:
         """The values that domain randomization drew for the running episodes: (n, signature.parameters.size)."""
-        backend, group = self._check(environments)
-        return backend.arrays.parameters[group.ids]
+        return self._running().arrays.parameters[np.asarray(environments, np.int64)]
 
     def describe(self) -> dict[str, Any]:
         """The layout, and the number of all environments."""
@@ -231,41 +220,6 @@ class Local(Orchestrator):
         if self._backend is None:
             raise ValueError("this orchestrator is closed")
         return self._backend
-
-    def _check(self, environments: EnvironmentIds) -> tuple[Backend, Group]:
-        """The environments as a group. Raises ValueError unless they are known, distinct and idle.
-
-        Groups are cached by the bytes of the ids, because the same few sets recur.
-        """
-        backend = self._running()
-        key = b""
-        if isinstance(environments, np.ndarray) and environments.dtype == np.int64 and environments.ndim == 1:
-            key = environments.tobytes()
-        group = self._groups.get(key)
-        if group is None:
-            group = Group.of(self._ids(environments))
-            if len(self._groups) >= 64:
-                self._groups.clear()
-            if key:
-                self._groups[key] = group
-        if self._pending and self._busy[group.rows].any():
-            busy = group.ids[self._busy[group.ids]][0]
-            raise ValueError(f"environment {busy} has a pending command; receive its answer first")
-        return backend, group
-
-    def _ids(self, environments: EnvironmentIds) -> Ids:
-        given = np.asarray(environments)
-        if not given.size:
-            return np.zeros(0, np.int64)
-        if given.ndim != 1 or given.dtype.kind not in "iu":
-            raise ValueError(f"environments must be a list of ids, not {given.dtype} of shape {given.shape}")
-        ids = given.astype(np.int64)
-        unknown = ids[(ids < 0) | (ids >= self.size)]
-        if unknown.size:
-            raise ValueError(f"environments are numbered 0 to {self.size - 1}; unknown: {unknown[0]}")
-        if np.unique(ids).size < ids.size:
-            raise ValueError(f"an environment takes one command at a time; repeated ids in {ids.tolist()}")
-        return ids
 
     def _send(self, backend: Backend, command: bytes, group: Group, updates: int) -> None:
         if group.ids.size:

@@ -2,18 +2,16 @@
 
 from __future__ import annotations
 
-from collections.abc import Mapping
+from collections.abc import Iterable, Mapping
 from dataclasses import dataclass, field
-from typing import Any, Literal, get_args, get_origin
+from typing import Any
 
 import numpy as np
 from numpy.typing import NDArray
 
 from ..core import Discrete, Layout
 from ..core.seeding import SeedTree
-from ..environments.build import build_environment
 from ..environments.robot_task import RobotTask
-from ..errors import PluginError
 from ..evaluation.playing import Score, score
 from ..evaluation.policies import random_policy
 from ..evaluation.testing import test_seeds
@@ -21,7 +19,8 @@ from ..randomization.randomization import RandomizedParameter
 from ..registry import load
 from ..simulation.engines import Engine, make_world
 from ..simulation.interface import Camera
-from ..specification.parts import Part, Recipe
+from .contracts.case import candidate
+from .contracts.joined import CONTROLS, join
 
 Facts = dict[str, Any]
 """One row: names of columns and JSON-able values."""
@@ -44,54 +43,29 @@ def pair(robot: str, task: str, engine: Engine | None = None, **robot_settings: 
         UsageError: the robot or the task is unknown.
         PluginError: the task does not work with the robot.
     """
-    environment = build_environment(
-        Recipe(
-            environment=_part("environments", "robot_task", **({} if engine is None else {"engine": engine})),
-            robot=_part("robots", robot, **robot_settings),
-            task=_part("tasks", task),
-        )
-    )
-    if not isinstance(environment, RobotTask):
-        raise PluginError("another package replaces it", where="environment robot_task")
-    return environment
-
-
-def _part(kind: str, name: str, **settings: Any) -> Part:
-    return Part(kind, name, load(kind, name).Settings(**settings))
+    return join(candidate("robots", robot, engine, **robot_settings), candidate("tasks", task))
 
 
 def inspect_robot(name: str, *, size: tuple[int, int] | None = (960, 720)) -> Inspection:
     """Facts about a robot and its gripper. `size`: of the picture in pixels; None: no picture."""
     plugin = load("robots", name)
-    control = plugin.Settings.model_fields.get("control")
-    modes = _modes(control.annotation if control else None) or [None]
+    modes = CONTROLS if "control" in plugin.Settings.model_fields else (None,)
     robots = {mode: _prepared(plugin, mode) for mode in modes}
     first = next(iter(robots.values()))
     limits, workspace = first.limits, first.workspace
-    joints = zip(limits.lower, limits.upper, limits.velocity, limits.effort, strict=True)
+    names = map(limits.name, range(len(limits.lower)))
+    joints = zip(names, limits.lower, limits.upper, limits.velocity, limits.effort, strict=True)
+    places = {"home": first.home, "workspace low": workspace.low, "workspace high": workspace.high}
     tables: dict[str, list[Facts]] = {
         "joints": [
-            {
-                "joint": place,
-                "name": limits.name(place - 1),
-                "lower_rad": low,
-                "upper_rad": high,
-                "speed_rad_s": speed,
-                "torque_N_m": torque,
-            }
-            for place, (low, high, speed, torque) in enumerate(joints, 1)
+            {"joint": place, **_named("name lower_rad upper_rad speed_rad_s torque_N_m", values)}
+            for place, values in enumerate(joints, 1)
         ],
-        "tool": [
-            {"what": "home", "x_m": first.home[0], "y_m": first.home[1], "z_m": first.home[2]},
-            {"what": "workspace low", **dict(zip(("x_m", "y_m", "z_m"), workspace.low, strict=True))},
-            {"what": "workspace high", **dict(zip(("x_m", "y_m", "z_m"), workspace.high, strict=True))},
-        ],
+        "tool": [{"what": what, **_named("x_m y_m z_m", place)} for what, place in places.items()],
     }
-    if first.gripper is not None:
-        grip = first.gripper
-        tables["gripper"] = [
-            {"width_m": grip.width, "force_N": grip.force, "speed_m_s": grip.speed, "pad_friction": grip.pad_friction}
-        ]
+    if (grip := first.gripper) is not None:
+        values = grip.width, grip.force, grip.speed, grip.pad_friction
+        tables["gripper"] = [_named("width_m force_N speed_m_s pad_friction", values)]
     for mode, robot in robots.items():
         suffix = f" ({mode})" if mode else ""
         tables[f"action{suffix}"] = _fields(robot.action)
@@ -101,11 +75,8 @@ def inspect_robot(name: str, *, size: tuple[int, int] | None = (960, 720)) -> In
     return Inspection(name, _about(plugin), tables, _picture(name, None, size))
 
 
-def _modes(annotation: Any) -> list[Any]:
-    """The values of a Literal, which may be part of a union, except None."""
-    if get_origin(annotation) is Literal:
-        return [value for value in get_args(annotation) if value is not None]
-    return [mode for part in get_args(annotation) for mode in _modes(part)]
+def _named(columns: str, values: Iterable[Any]) -> Facts:
+    return dict(zip(columns.split(), values, strict=True))
 
 
 def _prepared(plugin: Any, mode: str | None) -> Any:

@@ -7,6 +7,7 @@ again, so that of two processes that write at once neither change is lost.
 from __future__ import annotations
 
 import os
+import re
 from collections.abc import Callable, Iterable
 from dataclasses import asdict, dataclass
 from pathlib import Path
@@ -17,6 +18,9 @@ from .decode import read_json
 
 LONGEST_TAG, LONGEST_NOTE = 200, 100_000
 """Characters."""
+_TAG = re.compile(rf"(?!\s)[^\n\r\0\ud800-\udfff]{{1,{LONGEST_TAG}}}(?<!\s)")
+_NOTE = re.compile(rf"[^\0\ud800-\udfff]{{0,{LONGEST_NOTE}}}")
+"""What every database and file can hold: neither NUL nor a surrogate."""
 _FILE = "labels.json"
 
 
@@ -47,7 +51,7 @@ def add_tags(folder: Path, tags: Iterable[str]) -> None:
     """
     new = set(tags)
     for tag in new:
-        if not _is_tag(tag):
+        if not _TAG.fullmatch(tag):
             raise UsageError(
                 f"{tag!r} is not a tag", hint=f"1 to {LONGEST_TAG} characters on one line, without blanks around them"
             )
@@ -67,7 +71,7 @@ def set_note(folder: Path, note: str) -> None:
         UsageError: it is too long.
         RunError: labels.json is damaged.
     """
-    if not _is_note(note):
+    if not _NOTE.fullmatch(note):
         raise UsageError(f"the note has {len(note):,} characters", hint=f"up to {LONGEST_NOTE:,} can be stored")
     _change(folder, lambda old: Labels(old.tags, note or None))
 
@@ -78,16 +82,3 @@ def _change(folder: Path, change: Callable[[Labels], Labels]) -> None:
         if is_damaged(folder):
             raise RunError(f"{_FILE} is damaged", where=str(folder), hint="repair it, or move it away")
         write_json(folder / _FILE, asdict(change(read(folder))))
-
-
-def _is_tag(text: str) -> bool:
-    return 0 < len(text) <= LONGEST_TAG and text == text.strip() and not set(text) & set("\n\r") and _is_text(text)
-
-
-def _is_note(text: str) -> bool:
-    return len(text) <= LONGEST_NOTE and _is_text(text)
-
-
-def _is_text(text: str) -> bool:
-    """Whether every database and file can hold it: neither NUL nor a surrogate is in it."""
-    return "\0" not in text and not any("\ud800" <= sign <= "\udfff" for sign in text)

@@ -7,10 +7,10 @@ from collections.abc import Iterable, Iterator, Mapping, Sequence
 from dataclasses import asdict, replace
 from datetime import UTC, datetime
 from fnmatch import fnmatchcase
+from functools import partial
 from hashlib import sha256
 from pathlib import Path
 from time import monotonic
-from types import TracebackType
 from typing import Any, TypeVar
 
 from ..errors import MachineError, RunError, UsageError
@@ -122,9 +122,7 @@ class RunFolder:
     def __enter__(self) -> RunFolder:
         return self
 
-    def __exit__(
-        self, kind: type[BaseException] | None, error: BaseException | None, trace: TracebackType | None
-    ) -> None:
+    def __exit__(self, *_: object) -> None:
         self.release()
 
     def lock(self, seconds: float = LOCK_SECONDS) -> None:
@@ -207,27 +205,15 @@ class RunFolder:
         made = self._run.get("resolved_sha256")
         return parse_object(data) if made in (None, sha256(data).hexdigest()) else None
 
-    def set_state(
-        self,
-        state: State,
-        *,
-        steps: int | None = None,
-        seconds: float | None = None,
-        updates: int | None = None,
-        error: str | None = None,
-    ) -> None:
-        """Replace the state; steps, seconds and updates keep their values if None.
+    def set_state(self, state: State, *, error: str | None = None, **amounts: Any) -> None:
+        """Replace the state.
 
         Args:
             state: any but lost.
-            steps: environment steps of training so far.
-            seconds: wall-clock seconds of collecting and learning so far.
-            updates: gradient updates so far.
             error: why it failed, in one line.
+            amounts: steps, seconds and updates of training so far; what is not given keeps its value.
         """
-        given = {"steps": steps, "seconds": seconds, "updates": updates}
-        new: dict[str, Any] = {name: value for name, value in given.items() if value is not None}
-        self._write_state(replace(self._stored_state(), state=state, error=error, **new))
+        self._write_state(replace(self._stored_state(), state=state, error=error, **amounts))
 
     def next_attempt(self) -> int:
         """Count one more process that continues this run; returns its number, from 1."""
@@ -326,31 +312,30 @@ class RunFolder:
     ) -> RunSummary:
         last = TestCounts.of(final.last) if final else tests[-1] if tests else None
         best = TestCounts.of(final.best) if final and final.best else None
-        solved = next((test for test in tests if (test.success_end or 0) >= THRESHOLD), None)
-        solved_any = next((test for test in tests if (test.success_any or 0) >= THRESHOLD), None)
-        same = ("state", "steps", "seconds", "attempt", "error", "updates", "total_seconds")
+        solved: dict[str, Any] = {}
+        for suffix, success in (("", "success_end"), ("_any", "success_any")):
+            first = next((test for test in tests if (getattr(test, success) or 0) >= THRESHOLD), None)
+            for name in ("steps", "seconds"):
+                solved[f"{name}_to_95{suffix}"] = getattr(first, name, None)
         parts: dict[str, Any] = {kind: part_name(spec, kind) for kind in ("environment", "robot", "task", "agent")}
+        same = ("state", "steps", "seconds", "attempt", "error", "updates", "total_seconds")
+        counted = ("success_any", "success_end", "episodes", "mean_return")
+        reported: dict[str, Any] = {name: getattr(last, name, None) for name in counted}
         return RunSummary(
             run=self.id,
             **{name: self._run[name] for name in ("experiment", "seed", "name", "created")},
             **{name: getattr(state, name) for name in same},
             **parts,
             **vars(self.labels()),
+            **reported,
+            **solved,
             updated=state.updated or self._run["created"],
             folder=str(self.path.resolve()),
             final=final is not None,
-            success_any=last.success_any if last else None,
-            success_end=last.success_end if last else None,
-            episodes=last.episodes if last else None,
-            mean_return=last.mean_return if last else None,
-            best_steps=best.steps if best else None,
-            best_any=best.success_any if best else None,
-            best_end=best.success_end if best else None,
-            best_return=best.mean_return if best else None,
-            steps_to_95=solved.steps if solved else None,
-            seconds_to_95=solved.seconds if solved else None,
-            steps_to_95_any=solved_any.steps if solved_any else None,
-            seconds_to_95_any=solved_any.seconds if solved_any else None,
+            best_steps=getattr(best, "steps", None),
+            best_any=getattr(best, "success_any", None),
+            best_end=getattr(best, "success_end", None),
+            best_return=getattr(best, "mean_return", None),
         )
 
     def _current(self, stored: RunState) -> RunState:
@@ -370,8 +355,7 @@ class RunFolder:
         write_json(self.path / "state.json", asdict(replace(state, updated=timestamp())))
 
 
-def _count_test(line: bytes) -> TestCounts | None:
-    return from_json(TestCounts, line)
+_count_test = partial(from_json, TestCounts)
 
 
 def _by_steps(tests: Iterable[_Test]) -> tuple[_Test, ...]:

@@ -14,6 +14,8 @@ ENGINE_MODULES: dict[Engine, str] = {"mujoco": "mujoco", "bullet": "pybullet"}
 """The module that each engine needs."""
 ENGINE_PACKAGES: dict[Engine, str] = {"mujoco": "mujoco-core", "bullet": "pybullet"}
 """The package that it comes in."""
+WINDOWS: tuple[Engine, ...] = ("bullet",)
+"""Engines that show their world in a window. Each makes pictures."""
 
 
 def installed(engine: Engine) -> bool:

@@ -1,23 +1,57 @@
-"""Reading the folders of runs and sweeps for the index; several processes read many of them faster."""
+"""Rebuilding the index from the folders of runs and sweeps, which are the truth, and comparing it with them."""
 
 from __future__ import annotations
 
-from collections.abc import Iterator
-from dataclasses import dataclass
+from collections.abc import Callable, Iterator, Mapping, Sequence
+from dataclasses import asdict, dataclass
+from itertools import islice
 from pathlib import Path
+from typing import Any, TypeVar
+
+from sqlalchemy import text
 
 from ..errors import RunError
 from ..records import RunFolder, paths
+from ..records.run_folder import remove_lost_leftovers
 from ..records.run_records import RunRecord
-from ..records.sweep_records import SweepRecord, read_sweep, sweep_paths
+from ..records.sweep_records import FOLDER, SweepRecord, is_running, read_sweep, sweep_paths
+from .database import RefusedValueError
+from .rows import without_seeds
+from .store import Store
 
 FEW = 200
 """Up to this many run folders are read by one process; more processes take longer to start than to read them."""
 _FOLDERS_PER_TASK = 25
+_RUNS_TOGETHER = 100
+"""Runs of a transaction or a query."""
+_Record = TypeVar("_Record", RunRecord, SweepRecord)
 
 
 @dataclass(frozen=True)
-class FoundFolder:
+class Reindexed:
+    """Numbers of runs and sweeps that were entered and forgotten (folder gone), and one line per damaged file."""
+
+    runs: int
+    forgotten: int
+    problems: tuple[str, ...]
+    sweeps: int
+    forgotten_sweeps: int
+
+
+@dataclass(frozen=True)
+class Difference:
+    """A difference or damage of a run or a sweep, by its id; `run` is None for the database itself."""
+
+    run: str | None
+    what: str
+
+    def row(self) -> dict[str, Any]:
+        """The fields as JSON values."""
+        return asdict(self)
+
+
+@dataclass(frozen=True)
+class _FoundFolder:
     """A run folder; `run` and `record` are None if it is damaged, `record` also if it is locked."""
 
     name: str
@@ -26,8 +60,71 @@ class FoundFolder:
     problems: tuple[str, ...]
 
 
-def read_folders(root: Path, jobs: int = 1, *, locked: bool = True) -> Iterator[FoundFolder]:
-    """The run folders in a runs folder, by name; of two folders of one run, the second is named as a problem.
+def reindex(store: Store, runs: str | Path, *, jobs: int = 1) -> Reindexed:
+    """Make the index agree with the folders in `runs`; runs in other folders stay as they are.
+
+    Args:
+        store: the index.
+        runs: the runs folder.
+        jobs: processes that read the folders; a script that uses several guards its start by `__name__`.
+
+    Raises:
+        StoreError: the database cannot be written.
+    """
+    root = Path(runs).resolve()
+    known: set[str] = set()
+    problems: list[str] = []
+    refused: list[str] = []
+    remove_lost_leftovers(root)
+    for group in _run_folders(root, jobs, locked=True):
+        problems += (problem for found in group for problem in found.problems)
+        known.update(found.run for found in group if found.run is not None)
+        refused += _enter(store.add_records, [found.record for found in group if found.record is not None])
+    gone = _gone_runs(store, root, known)
+    store.remove_runs(gone)
+    sweeps, damaged = _read_sweeps(root)
+    refused_sweeps = _enter(store.sweeps.add, sweeps)
+    lost = _gone_sweeps(store, root, sweeps)
+    store.sweeps.remove(lost)
+    return Reindexed(
+        runs=len(known) - len(refused),
+        forgotten=len(gone),
+        problems=(*problems, *refused, *damaged, *refused_sweeps),
+        sweeps=len(sweeps) - len(refused_sweeps),
+        forgotten_sweeps=len(lost),
+    )
+
+
+def check(store: Store, runs: str | Path, *, jobs: int = 1) -> Iterator[Difference]:
+    """Compare the index with the folders in `runs`, run by run and sweep by sweep; nothing is changed.
+
+    A run or sweep that a process is working on is skipped, because it changes meanwhile. Arguments as for `reindex`.
+
+    Raises:
+        StoreError: the database cannot be read.
+    """
+    yield from _integrity(store)
+    root = Path(runs).resolve()
+    known: set[str] = set()
+    for group in _run_folders(root, jobs, locked=False):
+        known.update(found.run for found in group if found.run is not None)
+        yield from (Difference(found.run, problem) for found in group for problem in found.problems)
+        recorded = {found.record.summary.run: _facts(found.record) for found in group if found.record is not None}
+        entered = {one.summary.run: _facts(one) for one in store.records(store.runs(ids=list(recorded)))}
+        for run, facts in recorded.items():
+            yield from _differences(run, facts, entered.get(run))
+    sweeps, problems = _read_sweeps(root)
+    stored = {record.sweep: vars(record) for record in store.sweeps.all()}
+    yield from (Difference(None, f"a sweep's folder: {problem}") for problem in problems)
+    for record in sweeps:
+        if not is_running(Path(record.folder)):
+            yield from _differences(record.sweep, vars(record), stored.get(record.sweep))
+    for gone in (*_gone_runs(store, root, known), *_gone_sweeps(store, root, sweeps)):
+        yield Difference(gone, "it is in the database, and its folder is gone")
+
+
+def _run_folders(root: Path, jobs: int, *, locked: bool) -> Iterator[list[_FoundFolder]]:
+    """The run folders in a runs folder, by name and in groups; of two of one run, the second is named as a problem.
 
     Args:
         root: the runs folder.
@@ -35,16 +132,17 @@ def read_folders(root: Path, jobs: int = 1, *, locked: bool = True) -> Iterator[
         locked: also read folders of runs that a process is working on.
     """
     known: dict[str, str] = {}
-    for found in _read_all(paths(root), jobs, locked):
-        other = known.setdefault(found.run, found.name) if found.run is not None else found.name
-        if other == found.name:
-            yield found
-        else:
-            problem = f"{found.name}: says that it is the run {found.run}, as {other} does; left out"
-            yield FoundFolder(found.name, None, None, (problem,))
+    folders = _read_all(paths(root), jobs, locked)
+    while group := list(islice(folders, _RUNS_TOGETHER)):
+        for place, found in enumerate(group):
+            other = found.name if found.run is None else known.setdefault(found.run, found.name)
+            if other != found.name:
+                problem = f"{found.name}: says that it is the run {found.run}, as {other} does; left out"
+                group[place] = _FoundFolder(found.name, None, None, (problem,))
+        yield group
 
 
-def _read_all(found: list[Path], jobs: int, locked: bool) -> Iterator[FoundFolder]:
+def _read_all(found: list[Path], jobs: int, locked: bool) -> Iterator[_FoundFolder]:
     if jobs == 1 or len(found) <= FEW:
         yield from (_read(path, locked) for path in found)
         return
@@ -55,18 +153,18 @@ def _read_all(found: list[Path], jobs: int, locked: bool) -> Iterator[FoundFolde
         yield from pool.map(_read, found, [locked] * len(found), chunksize=_FOLDERS_PER_TASK)
 
 
-def _read(path: Path, locked: bool) -> FoundFolder:
+def _read(path: Path, locked: bool) -> _FoundFolder:
     try:
         folder = RunFolder.open(path)
     except RunError as error:
-        return FoundFolder(path.name, None, None, (str(error),))
+        return _FoundFolder(path.name, None, None, (str(error),))
     if not locked and folder.is_locked():
-        return FoundFolder(path.name, folder.id, None, ())
+        return _FoundFolder(path.name, folder.id, None, ())
     record = folder.record()
-    return FoundFolder(path.name, folder.id, record, tuple(f"{path.name}: {problem}" for problem in record.problems))
+    return _FoundFolder(path.name, folder.id, record, tuple(f"{path.name}: {problem}" for problem in record.problems))
 
 
-def read_sweeps(root: Path) -> tuple[tuple[SweepRecord, ...], tuple[str, ...]]:
+def _read_sweeps(root: Path) -> tuple[tuple[SweepRecord, ...], tuple[str, ...]]:
     """The sweeps in a runs folder by folder name, each once, and one line per damaged file."""
     found: dict[str, SweepRecord] = {}
     problems: list[str] = []
@@ -84,7 +182,56 @@ def read_sweeps(root: Path) -> tuple[tuple[SweepRecord, ...], tuple[str, ...]]:
     return tuple(found.values()), tuple(problems)
 
 
-def is_gone(folder: str, home: Path) -> bool:
+def _gone_runs(store: Store, root: Path, known: set[str]) -> list[str]:
+    """The runs of the index that were in the runs folder and are no longer there."""
+    return [run.run for run in store.runs() if run.run not in known and _is_gone(run.folder, root)]
+
+
+def _gone_sweeps(store: Store, root: Path, sweeps: Sequence[SweepRecord]) -> list[str]:
+    known = {record.sweep for record in sweeps}
+    return [one.sweep for one in store.sweeps.all() if one.sweep not in known and _is_gone(one.folder, root / FOLDER)]
+
+
+def _is_gone(folder: str, home: Path) -> bool:
     """Whether a folder that stood in `home` does not exist any more."""
     path = Path(folder)
     return path.parent == home and not path.exists()
+
+
+def _enter(add: Callable[[Sequence[_Record]], None], records: Sequence[_Record]) -> list[str]:
+    """Enter runs or sweeps together, or one by one if the database refuses a value; returns one line per refusal."""
+    try:
+        add(records)
+    except RefusedValueError as error:
+        if len(records) > 1:
+            return [problem for record in records for problem in _enter(add, [record])]
+        folder = records[0].summary.folder if isinstance(records[0], RunRecord) else records[0].folder
+        return [f"{Path(folder).name}: {error.what}; left out"]
+    return []
+
+
+def _facts(record: RunRecord) -> dict[str, Any]:
+    """What folder and index have of a run."""
+    lists = {"settings of its spec": without_seeds(record.spec), "versions of its software": record.versions}
+    return record.summary.row() | {"tests": record.tests} | lists
+
+
+def _differences(identity: str, recorded: Mapping[str, Any], entered: Mapping[str, Any] | None) -> Iterator[Difference]:
+    """How a run or a sweep in its folder differs from that in the database."""
+    if entered is None:
+        yield Difference(identity, "it has a folder, and is not in the database")
+        return
+    for name, value in recorded.items():
+        if entered[name] != value:
+            what = f"{name} is {value!r} in its folder and {entered[name]!r} in the database"
+            long = isinstance(value, tuple | Mapping)
+            yield Difference(identity, f"the {name} differ in the database" if long else what)
+
+
+def _integrity(store: Store) -> Iterator[Difference]:
+    if store.database.url.get_backend_name() != "sqlite":
+        return  # a server checks itself
+    problems = store.database.fetch(text("PRAGMA integrity_check(10)"))
+    broken = store.database.fetch(text("PRAGMA foreign_key_check"))
+    yield from (Difference(None, f"the database is damaged: {problem}") for (problem,) in problems if problem != "ok")
+    yield from (Difference(None, f"a row of {row[0]} refers to a missing row of {row[2]}") for row in broken)

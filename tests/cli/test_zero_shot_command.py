@@ -10,20 +10,12 @@ from karolos_cli.export import export
 from karolos_cli.runs import show
 from karolos_cli.zero_shot import zero_shot
 from support.commands import call
+from support.toy_runs import run_of, toy
 from typer import Typer
 
-from karolos.launchers.experiment import Experiment
 from karolos.report.tables import success
 from karolos.statistics.intervals import wilson
 
-TOY = {
-    "name": "toy",
-    "environment": "toy",
-    "agent": {"name": "sac", "hidden": [8]},
-    "orchestrator": {"processes": 0, "environments": 2},
-    "training": {"steps": 40, "batch_size": 8, "replay_ratio": 2, "warmup_episodes": 1},
-    "testing": {"interval": 40, "episodes": 4},
-}
 policy_app, export_app, show_app = Typer(), Typer(), Typer()
 policy_app.command("test")(zero_shot)
 export_app.command()(export)
@@ -32,9 +24,7 @@ show_app.command()(show)
 
 @pytest.fixture(scope="module")
 def runs(tmp_path_factory: pytest.TempPathFactory) -> Path:
-    folder = tmp_path_factory.mktemp("runs")
-    Experiment(TOY).run(folder)
-    return folder
+    return run_of(toy(training={"steps": 40}, testing={"episodes": 4}), tmp_path_factory.mktemp("runs")).path.parent
 
 
 def test_a_row_has_the_overrides_and_both_successes_beside_the_runs_own(runs: Path) -> None:

@@ -10,9 +10,10 @@ import gymnasium
 import numpy as np
 import pytest
 from gymnasium.utils.env_checker import check_env
+from support.rig import ENGINES
 
 from karolos.environments.build import build_environment
-from karolos.environments.gymnasium.export import GoalEnv
+from karolos.environments.gymnasium.export import GoalEnv, RobotTaskEnv
 from karolos.errors import UsageError
 from karolos.gym import environment_ids
 from karolos.specification import spec_from_dict
@@ -78,6 +79,13 @@ def test_the_spec_says_how_many_steps_an_episode_has() -> None:
 def test_a_film_has_the_control_rate() -> None:
     assert gymnasium.make("karolos/PandaReach-v1").metadata["render_fps"] == 24
     assert gymnasium.make("karolos/PandaReach-v1", substeps=5).metadata["render_fps"] == 48
+
+
+def test_a_window_is_offered_by_the_engine_that_has_one(monkeypatch: pytest.MonkeyPatch) -> None:
+    monkeypatch.setitem(RobotTaskEnv.metadata, "render_modes", ["human", "rgb_array"])
+    for engine in ENGINES:
+        modes = RobotTaskEnv("panda", "reach", engine=engine).metadata["render_modes"]
+        assert ("human" in modes) == (engine == "bullet")
 
 
 @pytest.mark.parametrize("imports", ["gymnasium, karolos.gym", "karolos.gym, gymnasium", "gymnasium"])

@@ -7,6 +7,7 @@ from typing import Any
 
 import numpy as np
 import pytest
+from support.toy_runs import toy
 
 from karolos import checkpoint
 from karolos.core import Array
@@ -21,14 +22,11 @@ from karolos.records import RunFolder
 from karolos.registry import load
 from karolos.specification import Spec, spec_from_dict
 
-TOY: dict[str, Any] = {
-    "name": "toy",
-    "environment": {"name": "toy", "max_steps": 7},
-    "agent": {"name": "sac", "hidden": [8]},
-    "orchestrator": {"processes": 0, "environments": 2},
-    "training": {"steps": 60, "batch_size": 8, "replay_ratio": 2, "warmup_episodes": 2},
-    "testing": {"interval": 30, "episodes": 4},
-}
+TOY = toy(
+    environment={"name": "toy", "max_steps": 7},
+    training={"steps": 60, "replay_ratio": 2},
+    testing={"interval": 30, "episodes": 4},
+)
 
 
 def reach(**changes: Any) -> Spec:

@@ -7,6 +7,7 @@ import numpy as np
 import pytest
 from hypothesis import given, settings
 from hypothesis import strategies as st
+from support.processes import kill_worker
 
 from karolos.core import Environment, Field, GoalRule, Layout, Signature, Step
 from karolos.environments.toy import Toy
@@ -221,8 +222,7 @@ def test_an_episode_whose_environment_fails_is_played_again():
     results, heard = [], []
     for kills in (0, 2):
         with Local(Local.Settings(processes=2, environments=2), partial(Toy, toy)) as orchestrator:
-            agent = Killing(orchestrator, kills)
-            results.append(play_episodes(orchestrator, agent, test_seeds(0, 9), on_failure=heard.append))
+            results.append(play_episodes(orchestrator, Killing(kills), test_seeds(0, 9), on_failure=heard.append))
     assert results[0] == results[1]
     assert [failure.environment.tolist() for failure in heard] == [[0, 1], [0, 1]]
 
@@ -230,13 +230,12 @@ def test_an_episode_whose_environment_fails_is_played_again():
 class Killing(Greedy):
     """Kills worker 0 before its third and sixth action, if it is to kill as often."""
 
-    def __init__(self, orchestrator, kills):
-        self.orchestrator, self.kills, self.acts = orchestrator, kills, 0
+    def __init__(self, kills):
+        self.kills, self.acts = kills, 0
 
     def act(self, observation, desired_goal, *, explore):
         self.acts += 1
         if self.acts % 3 == 0 and self.kills:
             self.kills -= 1
-            self.orchestrator._backend._workers[0].process.kill()
-            self.orchestrator._backend._workers[0].process.join()
+            kill_worker(0)
         return super().act(observation, desired_goal, explore=explore)

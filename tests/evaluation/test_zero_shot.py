@@ -9,50 +9,34 @@ from pathlib import Path
 from typing import Any
 
 import pytest
+from support import toy_runs as toys
 
 from karolos.errors import MachineError, RunError, SpecError, UsageError
 from karolos.evaluation.zero_shot import zero_shot_test
 from karolos.files import FileLock
-from karolos.launchers.experiment import Experiment
 from karolos.records import RunFolder, transfer_results
 from karolos.records.results import TestCounts
 from karolos.records.transfer_results import TransferResult
 
-TOY: dict[str, Any] = {
-    "name": "toy",
-    "environment": "toy",
-    "agent": {"name": "sac", "hidden": [8]},
-    "orchestrator": {"processes": 0, "environments": 2},
-    "training": {"steps": 80, "batch_size": 8, "replay_ratio": 4, "warmup_episodes": 2},
-    "testing": {"interval": 40, "episodes": 4, "seed": 5},
-}
-REACH: dict[str, Any] = {
-    **TOY,
-    "name": "reach",
-    "robot": {"name": "panda", "control": "cartesian"},
-    "task": {"name": "reach", "max_steps": 5},
-    "environment": "robot_task",
-    "training": {**TOY["training"], "steps": 20, "warmup_episodes": 1},
-    "testing": {"interval": 20, "episodes": 2},
-}
-
-
-def run_of(spec: dict[str, Any], runs: Path) -> RunFolder:
-    outcome = Experiment(spec).run(runs)
-    folder = RunFolder.open(outcome.runs[0].folder)
-    assert outcome.exit_code == 0, outcome
-    assert (folder.checkpoints / "best").is_dir(), folder.events()  # warnings say why it was not written
-    return folder
+TOY = toys.toy(testing={"episodes": 4, "seed": 5})
+REACH = toys.toy(
+    name="reach",
+    robot={"name": "panda", "control": "cartesian"},
+    task={"name": "reach", "max_steps": 5},
+    environment="robot_task",
+    training={"steps": 20, "warmup_episodes": 1},
+    testing={"interval": 20},
+)
 
 
 @pytest.fixture
 def toy(tmp_path: Path) -> RunFolder:
-    return run_of(TOY, tmp_path)
+    return toys.run_of(TOY, tmp_path)
 
 
 @pytest.fixture(scope="module")
 def reach(tmp_path_factory: pytest.TempPathFactory) -> RunFolder:
-    return run_of(REACH, tmp_path_factory.mktemp("runs"))
+    return toys.run_of(REACH, tmp_path_factory.mktemp("runs"))
 
 
 def test_by_default_it_plays_the_episodes_of_the_final_test_which_nothing_was_chosen_on(toy: RunFolder) -> None:

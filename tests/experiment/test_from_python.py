@@ -6,24 +6,17 @@ import json
 import subprocess
 import sys
 from pathlib import Path
-from typing import Any
 
 import numpy as np
 import pytest
 from karolos_cli import runs as runs_command
 from support.commands import call
+from support.toy_runs import toy
 
 import karolos
 from karolos.errors import UsageError
 
-TOY: dict[str, Any] = {
-    "name": "toy",
-    "environment": "toy",
-    "agent": {"name": "sac", "hidden": [8]},
-    "orchestrator": {"processes": 0, "environments": 2},
-    "training": {"steps": 40, "batch_size": 8, "replay_ratio": 2, "warmup_episodes": 2},
-    "testing": {"interval": 20, "episodes": 4},
-}
+TOY = toy(training={"steps": 40, "replay_ratio": 2}, testing={"interval": 20, "episodes": 4})
 
 
 @pytest.fixture(scope="module")

@@ -7,6 +7,7 @@ from typing import Any
 
 import pytest
 from support.states import assert_same_state
+from support.toy_runs import toy
 
 from karolos import checkpoint
 from karolos.core import Signature
@@ -20,15 +21,7 @@ from karolos.records import RunFolder
 from karolos.specification import Spec, spec_from_dict
 from karolos.training.assembly import make_agent
 
-TOY: dict[str, Any] = {
-    "name": "toy",
-    "environment": "toy",
-    "agent": {"name": "sac", "hidden": [8], "precision": "float32"},
-    "buffer": {"capacity": 1000},
-    "orchestrator": {"processes": 0, "environments": 2},
-    "training": {"steps": 80, "batch_size": 8, "replay_ratio": 4, "warmup_episodes": 2},
-    "testing": {"interval": 40, "episodes": 2},
-}
+TOY = toy(agent={"precision": "float32"})
 
 
 @pytest.fixture(scope="module")

@@ -8,10 +8,10 @@ import subprocess
 import sys
 import time
 from pathlib import Path
-from typing import Any
 
 import pytest
 from support.processes import child_processes
+from support.toy_runs import toy
 
 from karolos.errors import MachineError
 from karolos.launchers.interface import COMMAND
@@ -20,21 +20,14 @@ from karolos.launchers.runs import Home
 from karolos.records import RunFolder
 from karolos.specification import spec_from_dict
 
-TOY: dict[str, Any] = {
-    "name": "toy",
-    "environment": "toy",
-    "agent": {"name": "sac", "hidden": [8]},
-    "orchestrator": {"processes": 0, "environments": 2},
-    "training": {"steps": 40, "batch_size": 8, "replay_ratio": 4, "warmup_episodes": 2},
-    "testing": {"interval": 20, "episodes": 2},
-}
 SECONDS = 60.0
 DRIVER = """
 import sys, time
 from pathlib import Path
-from karolos.launchers.interface import COMMAND
-from karolos.launchers.local import LocalLauncher
-launcher = LocalLauncher(LocalLauncher.Settings())
+from karolos.launchers import local
+from karolos.launchers.ray import BETWEEN
+local.COMMAND = (*BETWEEN, *local.COMMAND)
+launcher = local.LocalLauncher(local.LocalLauncher.Settings())
 while not launcher.room(1):
     launcher.wait(1.0)
 launcher.start(Path(sys.argv[1]))
@@ -43,7 +36,7 @@ time.sleep(600)
 
 
 def new_run(runs: Path, seed: int = 0, steps: int = 40) -> RunFolder:
-    spec = spec_from_dict(TOY | {"training": TOY["training"] | {"steps": steps}})
+    spec = spec_from_dict(toy(training={"steps": steps}, testing={"interval": 20}))
     folder = Home(runs, "").create(spec, seed)
     folder.release()
     return folder
@@ -86,7 +79,7 @@ def test_a_process_executes_several_runs_stops_one_by_its_file_and_is_replaced_w
     assert set(child_processes()) <= before
 
 
-def test_the_end_of_the_driver_stops_its_runs_with_a_checkpoint(tmp_path: Path) -> None:
+def test_the_end_of_the_driver_stops_its_runs_with_a_checkpoint_also_behind_the_shell_of_ray(tmp_path: Path) -> None:
     folder = new_run(tmp_path, steps=10**6)
     with subprocess.Popen([sys.executable, "-c", DRIVER, str(folder.path)]) as driver:
         await_tests(folder)

@@ -9,10 +9,10 @@ import sys
 import threading
 import time
 from pathlib import Path
-from typing import Any
 
 import pytest
 from support import fake_slurm
+from support.toy_runs import toy
 
 from karolos.errors import MachineError
 from karolos.launchers.experiment import Experiment
@@ -21,18 +21,8 @@ from karolos.launchers.slurm import SlurmLauncher
 from karolos.records import RunFolder
 from karolos.specification import spec_from_dict
 
-TOY: dict[str, Any] = {
-    "name": "toy",
-    "seeds": [0, 1],
-    "environment": "toy",
-    "agent": {"name": "sac", "hidden": [8]},
-    "orchestrator": {"processes": 0, "environments": 2},
-    "training": {"steps": 2000, "batch_size": 8, "replay_ratio": 4, "warmup_episodes": 2},
-    "testing": {"interval": 100, "episodes": 2},
-}
-
-
-SHORT = TOY | {"training": TOY["training"] | {"steps": 200}}
+TOY = toy(seeds=[0, 1], training={"steps": 2000}, testing={"interval": 100})
+SHORT = toy(seeds=[0, 1], training={"steps": 200}, testing={"interval": 100})
 
 
 @pytest.fixture

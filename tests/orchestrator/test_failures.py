@@ -25,6 +25,7 @@ from support.fake_environments import (
     Fickle,
 )
 from support.layouts import IN_PROCESS, ONE, THREADS, TWO, make, reset, step
+from support.processes import kill_worker
 
 from karolos.errors import KarolosError, MachineError, PluginError, WorkerError
 from karolos.orchestrator import pool, processes, start
@@ -189,8 +190,7 @@ def test_a_worker_killed_from_outside_is_noticed_while_others_are_busy():
         threading.Timer(0.1, os.kill, (pids[2], signal.SIGKILL)).start()
         with pytest.raises(WorkerError, match="worker 1: the worker process was killed by SIGKILL"):
             orchestrator.receive()
-        orchestrator._backend._workers[0].process.kill()  # spares the timeout of close
-        orchestrator._backend._workers[0].process.join()
+        kill_worker(0)  # spares the timeout of close
 
 
 def test_one_death_is_a_failure_of_all_threads_of_the_worker():

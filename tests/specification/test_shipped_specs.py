@@ -13,6 +13,7 @@ from karolos.specification import load_spec, spec_from_dict
 from karolos.specification.files import shipped_text
 from karolos.specification.schema import spec_schema
 from karolos.specification.yaml_text import read
+from karolos.training.assembly import check_parts
 
 SPECS = Path(__file__).parents[2] / "specs"
 RUNNABLE = sorted([*SPECS.glob("*.yaml"), *SPECS.glob("smoke/*.yaml")])
@@ -40,6 +41,20 @@ def test_shipped_spec_fits_the_schema(path):
     wrong = sorted(error.json_path for error in Draft202012Validator(schema).iter_errors(node.plain()))
     needs_base = path.parent.name == "bases"  # a base may leave robot and task to the spec that extends it
     assert [place for place in wrong if not (needs_base and place == "$")] == []
+
+
+GENERAL = {"ppo": "reach push pick_place throw", "sac_grasp": "push pick_place throw"}
+"""The tasks of bases that set none."""
+GENERAL["sac_hindsight"] = GENERAL["ppo"]
+
+
+@pytest.mark.parametrize("base", sorted(path.stem for path in SPECS.glob("bases/*.yaml")))
+def test_base_needs_nothing_but_a_robot_and_a_task(tmp_path, base):
+    for task in GENERAL.get(base, "").split() or [None]:
+        (tmp_path / "mine.yaml").write_text(
+            f"extends: karolos:bases/{base}.yaml\nrobot: panda\n{f'task: {task}' if task else ''}\n"
+        )
+        check_parts(load_spec(tmp_path / "mine.yaml"))
 
 
 def test_shipped_spec_is_found_by_name_and_a_file_comes_first(tmp_path, monkeypatch):

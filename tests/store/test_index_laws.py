@@ -258,7 +258,8 @@ def test_check_names_every_difference_of_a_sweep(tmp_path: Path) -> None:
     assert found == {
         ("unknown-20260101-000000", "it has a folder, and is not in the database"),
         ("gone-20260101-000000", "it is in the database, and its folder is gone"),
-        ("stale-20260101-000000", "asked, trials: its folder and the database differ"),
+        ("stale-20260101-000000", "asked is 7 in its folder and 3 in the database"),
+        ("stale-20260101-000000", "the trials differ in the database"),
         ("", "a sweep's folder: torn: trials.jsonl:2: the last line is torn; left out"),
         ("", "a sweep's folder: fine2: says that it is the sweep fine-20260101-000000, as fine does; left out"),
     }

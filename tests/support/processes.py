@@ -1,7 +1,8 @@
-"""Processes of this machine, from /proc."""
+"""Processes of this machine."""
 
 from __future__ import annotations
 
+import multiprocessing
 import os
 from contextlib import suppress
 from pathlib import Path
@@ -16,3 +17,10 @@ def child_processes() -> list[int]:
             if parent == os.getpid():
                 found.append(int(path.parent.name))
     return found
+
+
+def kill_worker(number: int) -> None:
+    """Kill a worker process of the orchestrator, and wait for its end."""
+    (worker,) = [child for child in multiprocessing.active_children() if child.name == f"worker {number}"]
+    worker.kill()
+    worker.join()

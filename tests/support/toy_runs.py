@@ -2,7 +2,11 @@
 
 from __future__ import annotations
 
+from pathlib import Path
 from typing import Any
+
+from karolos.launchers.experiment import Experiment
+from karolos.records import RunFolder
 
 TOY: dict[str, Any] = {
     "name": "toy",
@@ -13,3 +17,15 @@ TOY: dict[str, Any] = {
     "training": {"steps": 80, "batch_size": 8, "replay_ratio": 4, "warmup_episodes": 2},
     "testing": {"interval": 40, "episodes": 2},
 }
+
+
+def toy(**changes: Any) -> dict[str, Any]:
+    """The spec with other settings, which a part keeps beside its own."""
+    own = {key: TOY[key] | value for key, value in changes.items() if isinstance(TOY.get(key), dict)}
+    return TOY | changes | own
+
+
+def run_of(spec: dict[str, Any], runs: Path, **options: Any) -> RunFolder:
+    """Run a spec of one seed."""
+    (summary,) = Experiment(spec).run(runs, **options).runs
+    return RunFolder.open(summary.folder)

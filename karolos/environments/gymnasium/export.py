@@ -17,8 +17,10 @@ from pydantic import ValidationError
 from ...core import Discrete, Environment, Step
 from ...errors import UsageError
 from ...registry import alternatives, load
+from ...simulation.engines import WINDOWS
 from ...specification.parts import OfKind, Part, Recipe
 from ..build import build_environment
+from ..robot_task import RobotTask
 
 OBSERVED = ("observation", "achieved_goal", "desired_goal")
 RENDER_MODES = ["human", "rgb_array"] if os.environ.get("DISPLAY") else ["rgb_array"]
@@ -161,11 +163,13 @@ class RobotTaskEnv(GoalEnv):
         if render_mode not in (None, *RENDER_MODES):
             raise UsageError(
                 f"there is no render mode {render_mode!r}",
-                hint=alternatives(str(render_mode), RENDER_MODES) + "; human needs a display",
+                hint=alternatives(str(render_mode), RENDER_MODES) + "; human needs a display and engine=bullet",
             )
         window = {"window": True} if render_mode == "human" else {}
         environment = build_environment(_recipe(robot, task, {**settings, **window}, randomization or {}))
         super().__init__(environment, render_mode=render_mode, width=width, height=height)
+        if isinstance(environment, RobotTask) and environment.settings.engine not in WINDOWS:
+            self.metadata["render_modes"] = ["rgb_array"]
 
 
 def _observed(step: Step) -> Observation:
