@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import json
 import re
+from pathlib import Path
 
 import numpy as np
 import pytest
@@ -11,7 +12,7 @@ from support.transfer_samples import run_matrix
 
 from karolos.statistics.intervals import wilson
 from karolos.transfer.matrix import MatrixRuns
-from karolos.transfer.page import cells_table, heat_map, matrix_table, notes, page, transfer_figures, variants_table
+from karolos.transfer.page import cells_table, matrix_table, metric_map, notes, page, transfer_figures, variants_table
 from karolos.transfer.results import TransferReport, transfer_report
 
 
@@ -69,6 +70,18 @@ def test_rows_are_json_with_wilson_intervals_of_each_run_and_the_cost_of_the_sou
     assert row["ceiling"] is None  # a toy has no expert
 
 
+def test_a_source_that_has_lost_its_tests_is_left_out_with_a_warning(found: MatrixRuns, tmp_path: Path) -> None:
+    folder = found.sources["fast"][0]
+    tests = folder.path / "tests.jsonl"
+    moved = tests.rename(tmp_path / "tests.jsonl")
+    try:
+        report = transfer_report(found)
+    finally:
+        moved.rename(tests)
+    assert report.warnings == (f"{folder.id} has lost its tests and is left out",)
+    assert [[*variant.runs] for variant in report.variants] == [[1], [0, 1]]
+
+
 def test_zero_shot_alone_needs_no_fine_tuning(tmp_path_factory: pytest.TempPathFactory) -> None:
     overrides = ["transfer.modes=[zero_shot]", "transfer.fine_tune=null", "seeds=[0]", "training.steps=40"]
     runs, started = run_matrix(tmp_path_factory.mktemp("runs"), *overrides)
@@ -92,7 +105,7 @@ def test_the_page_holds_a_heat_map_for_each_metric_and_every_run(report: Transfe
     ):
         assert word in text
     assert not re.search(r"<script|https?://(?!www\.w3\.org)", text)
-    drawing = heat_map(report, "zero_shot")
+    drawing = metric_map(report, "zero_shot")
     rows = [label.get_text() for label in drawing.axes.get_yticklabels()]
     assert rows == ["fast", "slow", "expert", "random"]
     assert len(variants_table(report).rows) == 2

@@ -86,8 +86,8 @@ class World:
         self._motors: list[Motors] = []
         self._free: list[Body] = []
         self._stepped = False
-        self._peaks: dict[tuple[int, int], float] = {}
-        """Largest force between the bodies whose force was asked for, see `peak_force`."""
+        self._peaks: dict[int, dict[tuple[int, int], float]] = {}
+        """Largest forces on the bodies for which they were asked, see `forces`."""
         self._window = window
         self.floor = self._create(
             api.createCollisionShape(
@@ -100,12 +100,14 @@ class World:
 
     def step(self) -> None:
         self._stepped = True
+        self._peaks = {body: {} for body in self._peaks}
         for substep in range(self.substeps):
             for motors in self._motors:
                 motors.substep(substep)
             self.api.stepSimulation()
-            for pair in self._peaks:
-                self._peaks[pair] = max(self._peaks[pair] if substep else 0.0, self._force(*pair))
+            for body, peaks in self._peaks.items():
+                now = self._forces(body)
+                self._peaks[body] = {key: max(peaks.get(key, 0.0), now.get(key, 0.0)) for key in (*peaks, *now)}
 
     def set_gravity(self, gravity: float) -> None:
         self.api.setGravity(0, 0, gravity)
@@ -183,19 +185,18 @@ class World:
         points = self.api.getContactPoints(first.index, second.index, linkIndexA=link)
         return [Contact(point[7], point[9], point[8]) for point in points or ()]
 
-    def peak_force(self, first: AnyBody, second: AnyBody | None = None) -> float:
-        # what is asked for once is recorded from then on: a question in each physics step costs some us
-        pair = first.index, -1 if second is None else second.index
-        return self._peaks.setdefault(pair, self._force(*pair) if self._stepped else 0.0)
+    def forces(self, body: AnyBody) -> dict[tuple[int, int], float]:
+        # recorded from the first question on, because looking in each physics step costs some us
+        return self._peaks.setdefault(body.index, self._forces(body.index) if self._stepped else {})
 
-    def _force(self, first: int, second: int) -> float:
-        """Normal force in N between any two links of two bodies, the largest; -1: of the first and all others."""
-        points = self.api.getContactPoints(first) if second < 0 else self.api.getContactPoints(first, second)
-        forces: dict[tuple[int, ...], float] = {}
-        for point in points or ():
-            if second >= 0 or point[1] != point[2]:
-                forces[point[1:5]] = forces.get(point[1:5], 0.0) + point[9]
-        return max(forces.values(), default=0.0)
+    def _forces(self, body: int) -> dict[tuple[int, int], float]:
+        """As `forces`, of the last physics step."""
+        found: dict[tuple[int, int], float] = {}
+        for _, _, other, link, opposite, *_, force in (point[:10] for point in self.api.getContactPoints(body) or ()):
+            for one in (link, opposite) if other == body else (link,):
+                if force > 0:
+                    found[one, other] = found.get((one, other), 0.0) + force
+        return found
 
     def render(self, width: int, height: int, camera: Camera) -> Array:
         markers = [Marker(body.pose()[0], radius, colour) for body, radius, colour in self._markers]

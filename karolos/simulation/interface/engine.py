@@ -50,10 +50,10 @@ class JointLimits:
     names: tuple[str, ...] = ()
     """Of the joints, for messages; empty where they have none."""
 
-    def slowed(self, velocities: Sequence[float]) -> list[float] | None:
-        """The velocities (n,) with each joint at its largest speed at most; None if no joint is faster."""
+    def slowed(self, velocities: Sequence[float]) -> Sequence[float]:
+        """The velocities (n,) with each joint at its largest speed at most."""
         if not any(map(gt, map(abs, velocities), self.velocity)):
-            return None
+            return velocities
         return [min(max(speed, -most), most) for speed, most in zip(velocities, self.velocity, strict=True)]
 
     def name(self, joint: int) -> str:
@@ -211,10 +211,7 @@ class Motors(Protocol):
         """
 
     def read(self) -> tuple[Sequence[float], Sequence[float], float]:
-        """Positions (n,) in rad and velocities (n,) in rad/s of the arm's joints, opening of the gripper (0 without).
-
-        A joint beyond its largest speed is braked to it.
-        """
+        """Positions (n,) in rad and velocities (n,) in rad/s of the joints, opening of the gripper (0 without)."""
 
 
 class World(Protocol):
@@ -261,11 +258,11 @@ class World(Protocol):
     def contacts(self, first: Body, second: Body, link: int) -> Sequence[Contact]:
         """The contact points between `link` of the first body and any link of the second."""
 
-    def peak_force(self, first: Body, second: Body | None = None) -> float:
-        """Largest normal force in N between any link of the first body and any link of the second.
+    def forces(self, body: Body) -> dict[tuple[int, int], float]:
+        """What presses on a body: the largest total normal force in N in a physics step of the last control step.
 
-        Of each two links, in any physics step of the last control step. The second may be the first: the arm with
-        itself; None: all other bodies.
+        The key is the body's link and the index of the other body. It is the body's own index where two of its links
+        touch; both then have an entry. Forces that were zero throughout are left out.
         """
 
     def render(self, width: int, height: int, camera: Camera) -> Array:

@@ -185,16 +185,19 @@ class World:
                 found.append(Contact(normal, force, distance))
         return found
 
-    def peak_force(self, first: AnyBody, second: AnyBody | None = None) -> float:
-        simulation, own = self._simulation, self._bodies[first.index].ids
+    def forces(self, body: AnyBody) -> dict[tuple[int, int], float]:
+        simulation, own = self._simulation, self._bodies[body.index]
+        found: dict[tuple[int, int], float] = {}
         if not simulation.stepped:
-            return 0.0
-        if second is None:
-            others = [body for body in range(len(simulation.peaks)) if body not in own]
-        else:
-            others = self._bodies[second.index].ids
-        peaks = simulation.peaks[np.ix_(own, others)], simulation.peaks[np.ix_(others, own)]
-        return float(max(table.max() for table in peaks))
+            return found
+        bodies = {place: one.index for one in self._bodies for place in one.ids}
+        links = {place: link for link, place in enumerate(own.ids, -1)}
+        for pair in np.argwhere(simulation.peaks).tolist():
+            for first, second in (pair, pair[::-1]):
+                if first in links:
+                    key = links[first], bodies[second]
+                    found[key] = found.get(key, 0.0) + float(simulation.peaks[tuple(pair)])
+        return found
 
     def render(self, width: int, height: int, camera: Camera) -> Array:
         data = self._simulation.ready()
