@@ -6,9 +6,12 @@ import re
 import textwrap
 from collections.abc import Sequence
 from dataclasses import dataclass, field, fields
+from itertools import product
 from math import pi
 from pathlib import Path
 from pprint import pformat
+from xml.etree.ElementTree import Element
+from xml.sax.saxutils import escape, quoteattr
 
 import numpy as np
 
@@ -18,8 +21,8 @@ from ..robots.arm import ArmModel, ArmSettings
 from ..simulation import urdf
 from ..simulation.geometry import Vector
 from ..simulation.interface import Fingers, Gripper
+from ..simulation.meshes import MESH_SUFFIXES, triangles
 from ..simulation.urdf import Joint
-from .meshes import points_of
 from .poses import SMALLEST_WORKSPACE, Poses
 
 GRIPPER_NAMES = re.compile(r"grip|finger|jaw|claw|knuckle|thumb", re.IGNORECASE)
@@ -209,7 +212,7 @@ def _hand(found: urdf.Description, pair: Sequence[Joint]) -> _Hand:
             where=f"joints {names}",
             hint="make them fixed in a copy of the URDF to use the robot without its gripper",
         )
-    pads = [points_of(found.robot, one.child) @ np.transpose(one.rotation) + one.origin for one in pair]
+    pads = [_points_of(found.robot, one.child) @ np.transpose(one.rotation) + one.origin for one in pair]
     pads = [pad if len(pad) else np.array([joint.origin]) for pad, joint in zip(pads, pair, strict=True)]
     travel, force, speed = (min(getattr(one, limit) for one in pair) for limit in ("upper", "effort", "velocity"))
     closes = bool((pads[0].min(0) + pads[0].max(0) - pads[1].min(0) - pads[1].max(0)) @ across < 0)
@@ -239,7 +242,7 @@ def _tool(found: urdf.Description, path: Path, last: Joint, hand: _Hand, named: 
     if name is not None and name not in frames:
         raise PluginError(f"fixed joints do not hold it to {last.child}", where=f"{path}: link {name}")
     place, turn = frames[name] if name is not None else (np.zeros(3), np.eye(3))
-    tips, axis, shapes = hand.tips, np.array(last.axis), points_of(found.robot, last.child)
+    tips, axis, shapes = hand.tips, np.array(last.axis), _points_of(found.robot, last.child)
     approach, what = turn[:, 2], f"the frame {name}"
     if name is None or (named is None and abs(approach @ axis) < PARALLEL):
         before = np.transpose(last.rotation) @ last.origin  # from the joint before to this one
@@ -263,3 +266,40 @@ def _tool(found: urdf.Description, path: Path, last: Joint, hand: _Hand, named: 
     x = x / np.linalg.norm(x)
     note = f"tool: {what}, {_metres(place)} m in {last.child}; it approaches along {_metres(approach)}"
     return place, np.column_stack([x, np.cross(approach, x), approach]), note
+
+
+def _points_of(robot: Element, link: str) -> Array:
+    """Points (n, 3) that span the collision shapes of a link, or its visual ones, in its frame in m."""
+    element = next(one for one in robot.findall("link") if one.get("name") == link)
+    found = [np.zeros((0, 3))]
+    for shape in element.findall("collision") or element.findall("visual"):
+        translation, rotation = urdf.origin_of(shape)
+        found += [_corners(one) @ rotation.T + translation for one in shape.findall("geometry/*")]
+    return np.vstack(found)
+
+
+def _corners(shape: Element) -> Array:
+    """Points (n, 3) of a shape in its own frame."""
+    size = {key: [float(one) for one in value.split()] for key, value in shape.attrib.items() if key != "filename"}
+    if shape.tag == "mesh":
+        scale = np.array(size.get("scale", [1.0, 1.0, 1.0]))
+        return scale * triangles(Path(shape.get("filename", ""))).reshape(-1, 3)
+    if shape.tag == "box":
+        half = np.array(size["size"]) / 2
+    else:
+        radius, length = size["radius"][0], size.get("length", [0.0])[0]
+        half = np.array([radius, radius, length / 2 if shape.tag == "cylinder" else length / 2 + radius])
+    corners: Array = half * np.array(list(product((-1, 1), repeat=3)))
+    return corners
+
+
+def with_meshes(path: Path) -> tuple[str, dict[str, Path]]:
+    """A URDF whose meshes are in the folder `meshes` beside it, and the files to copy there by their new names."""
+    text, files = urdf.text_of(path), dict[str, Path]()
+    for number, name in enumerate(sorted({mesh.get("filename", "") for mesh in urdf.read(path).iter("mesh")})):
+        mesh = urdf.find_mesh(name, path.parent)
+        if mesh is not None and mesh.suffix.lower() in MESH_SUFFIXES:
+            new = next((to for to, file in files.items() if file == mesh), f"meshes/{number}_{mesh.name}")
+            files[new] = mesh
+            text = quoteattr(new).join(re.split(rf"""(["']){re.escape(escape(name))}\1""", text)[::2])
+    return text, files

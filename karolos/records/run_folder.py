@@ -13,7 +13,7 @@ from pathlib import Path
 from time import monotonic
 from typing import Any, TypeVar
 
-from ..errors import MachineError, RunError, UsageError
+from ..errors import MachineError, RunError
 from ..files import (
     UNFINISHED,
     FileLock,
@@ -40,7 +40,6 @@ from .run_records import (
     RunState,
     RunSummary,
     State,
-    check_name,
     part_name,
     timestamp,
 )
@@ -79,12 +78,8 @@ class RunFolder:
         """Make `runs/<name>-s<seed>-<UTC date>-<time>` and lock it; `-2`, `-3` ... is added to a name that is taken.
 
         Raises:
-            UsageError: the name cannot be a folder's, or the seed is negative.
             MachineError: the runs folder cannot be written.
         """
-        check_name(name)
-        if seed < 0:
-            raise UsageError(f"the seed is {seed}", hint="seeds are not negative")
         now = datetime.now(UTC)
         path = _make_folder(Path(runs), f"{name}-s{seed}-{now:%Y%m%d-%H%M%S}")
         folder = cls(path)

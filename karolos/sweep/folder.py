@@ -15,12 +15,13 @@ from __future__ import annotations
 
 import hashlib
 import json
-from collections.abc import Iterable
+from collections.abc import Iterable, Iterator
+from contextlib import contextmanager
 from datetime import UTC, datetime
 from pathlib import Path
 
 from ..errors import RunError, UsageError
-from ..files import FileLock, append_lines, write_json, write_whole, writing
+from ..files import append_lines, locked, write_json, write_whole, writing
 from ..records.run_records import timestamp
 from ..records.sweep_records import (
     DESCRIPTION,
@@ -42,7 +43,7 @@ _FREE_SETTINGS = ("trials", "final")
 
 
 class SweepFolder:
-    """A sweep's folder, a context manager that holds its lock.
+    """A sweep's folder.
 
     Args:
         path: the folder.
@@ -61,23 +62,15 @@ class SweepFolder:
         self.figures = path / "figures"
         self._spec = spec
         self.asked = asked
-        self._lock = FileLock(path / LOCK)
 
-    def __enter__(self) -> SweepFolder:
-        with writing(self.path):
-            self.path.mkdir(parents=True, exist_ok=True)
-        if not self._lock.acquire(_SWEEP_LOCK_SECONDS):
-            raise RunError("another process runs this sweep", where=str(self.path), hint="wait for it")
-        try:
+    @contextmanager
+    def claimed(self) -> Iterator[None]:
+        """Hold the sweep's lock; its spec and description are written."""
+        refusal = RunError("another process runs this sweep", where=str(self.path), hint="wait for it")
+        with locked(self.path / LOCK, refusal, _SWEEP_LOCK_SECONDS):
             self._claim()
             append_lines(self.journal, ())  # removes an incomplete last line of a killed process
-        except BaseException:
-            self._lock.release()
-            raise
-        return self
-
-    def __exit__(self, *_: object) -> None:
-        self._lock.release()
+            yield
 
     def write_trials(self, trials: Iterable[Trial]) -> None:
         lines = [json.dumps(trial.row(), separators=(",", ":"), allow_nan=False) for trial in trials]

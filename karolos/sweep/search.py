@@ -104,7 +104,7 @@ class Search:
 
         with (
             Store(url) as store,
-            folder,
+            folder.claimed(),
             stop_on_signals(time_limit=time_limit) as stop,
             make_launcher(self.spec, jobs * len(self.sweep.seeds)) as launcher,
         ):

@@ -11,7 +11,7 @@ from __future__ import annotations
 
 import json
 from collections.abc import Callable, Iterable, Iterator, Mapping
-from contextlib import contextmanager, suppress
+from contextlib import suppress
 from dataclasses import dataclass, field, replace
 from itertools import permutations
 from pathlib import Path
@@ -25,7 +25,7 @@ from ..experiment.events import Listener
 from ..experiment.resume import find_run
 from ..experiment.signals import StopRequest, StopRequestedError, stop_on_signals
 from ..experiment.start_from import check_agents, pinned
-from ..files import FileLock, writing
+from ..files import locked
 from ..launchers.driver import Driver, Feed, make_launcher
 from ..launchers.runs import Home, RunJob
 from ..records import RunFolder, scan
@@ -195,9 +195,10 @@ class Matrix:
         url = database or Store.default_url(root)
         Store(url).close()  # an unusable database is an error before anything is computed
         found = MatrixRuns(self.spec, root / FOLDER / self.spec.name)
+        refusal = RunError("another process runs this matrix", where=str(found.folder), hint="wait for it")
         variants = {label: pinned(spec, root) for label, spec in self.variants.items()}
         with (
-            _locked(found.folder),
+            locked(found.folder / "lock", refusal, seconds=0),
             stop_on_signals(time_limit=time_limit) as stop,
             make_launcher(self.spec, jobs) as launcher,
         ):
@@ -333,17 +334,3 @@ def _require_checkpoint(folder: RunFolder) -> None:
             where=folder.id,
             hint=f"restore it, or remove the run (`karolos runs rm {folder.id}`) to train it again with --resume",
         )
-
-
-@contextmanager
-def _locked(folder: Path) -> Iterator[None]:
-    """Make the matrix's folder, and lock it."""
-    with writing(folder):
-        folder.mkdir(parents=True, exist_ok=True)
-    lock = FileLock(folder / "lock")
-    if not lock.acquire():
-        raise RunError("another process runs this matrix", where=str(folder), hint="wait for it")
-    try:
-        yield
-    finally:
-        lock.release()
