@@ -136,7 +136,8 @@ class Experiment:
             for seed in spec.seeds:
                 _claim(home, spec, seed, stack)
             if is_local and jobs == 1:
-                summaries = _run_here(home, spec, listener, stop)
+                folders = (home.find(spec, one) or home.create(spec, one) for one in spec.seeds if not stop.requested)
+                summaries = [_execute(one, url, listener, stop) for one in folders]
             else:
                 job = RunJob(spec, home)
                 with make_launcher(self.spec, jobs) as launcher:
@@ -167,10 +168,9 @@ def resume_run(
         return Outcome((folder.summary(),), 1)
     spec = spec_from_dict(folder.spec())
     Store(url).close()  # an unusable database is an error before anything is computed
-    with stop_on_signals(time_limit=time_limit) as stop, folder:
+    with stop_on_signals(time_limit=time_limit) as stop:
         check_parts(spec)
-        folder.lock()
-        summary = run_or_resume(folder, url, listener or (lambda _: None), stop, beside=cores() >= 2)
+        summary = _execute(folder, url, listener or (lambda _: None), stop)
     return Outcome((summary,), 1, stop.exit_code)
 
 
@@ -194,15 +194,10 @@ def _claim(home: Home, spec: Spec, seed: int, stack: ExitStack) -> None:
         )
 
 
-def _run_here(home: Home, spec: Spec, listener: Listener, stop: StopRequest) -> list[RunSummary]:
-    """Run the seeds one after the other in this process."""
-    summaries = []
-    for seed in spec.seeds:
-        if stop.requested:
-            break
-        with home.find(spec, seed) or home.create(spec, seed) as folder:
-            if folder.state().state != "finished":
-                folder.lock()
-                run_or_resume(folder, home.url, listener, stop, beside=cores() >= 2)
-            summaries.append(folder.summary())
-    return summaries
+def _execute(folder: RunFolder, url: str, listener: Listener, stop: StopRequest) -> RunSummary:
+    """Execute or resume a run in this process, unless it is finished."""
+    with folder:
+        if folder.state().state != "finished":
+            folder.lock()
+            run_or_resume(folder, url, listener, stop, beside=cores() >= 2)
+        return folder.summary()

@@ -114,7 +114,10 @@ def _problem(tree: Node, path: Path, entries: list[dict[str, Any]]) -> Problem:
         return Problem(place, text, "no such key", hint)
     if kind == "missing":
         return Problem(place, text, "is missing", AGENT_HINT if path == ("agent",) else None)
-    messages = list(dict.fromkeys(_reworded(entry["msg"]) for entry in entries))
+    messages = [entry["msg"] for entry in entries]
+    for old, new in _WORDS:
+        messages = [message.replace(old, new) for message in messages]
+    messages = list(dict.fromkeys(message[:1].lower() + message[1:] for message in messages))
     whats = [messages[0], *(message.removeprefix("should be ") for message in messages[1:])]
     what = " or ".join(whats)
     given = entries[0]["input"]
@@ -144,12 +147,6 @@ def _pattern_hint(path: Path) -> str:
     if len(path) == 2 and path[0] == RANDOMIZATION:
         return "write robot.<parameter> or task.<parameter>, e.g. task.gravity"
     return "see `karolos plugins show` for what is"
-
-
-def _reworded(message: str) -> str:
-    for old, new in _WORDS:
-        message = message.replace(old, new)
-    return message[:1].lower() + message[1:]
 
 
 def _written(node: Node) -> str:

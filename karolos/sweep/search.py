@@ -23,7 +23,7 @@ from . import choosing
 from .events import SweepListener, SweepOutcome
 from .folder import SweepFolder
 from .study import Study
-from .trials import Trials, TrialWriter
+from .trials import Trials
 
 LONGEST_NAME = 58
 """Longest name of a sweep, because its trials' runs are named <name>-t0000."""
@@ -104,27 +104,24 @@ class Search:
 
         with (
             Store(url) as store,
-            folder.claimed(),
+            folder.claimed(store, listener),
             stop_on_signals(time_limit=time_limit) as stop,
             make_launcher(self.spec, jobs * len(self.sweep.seeds)) as launcher,
         ):
-            study = Study(folder.journal, self.sweep, self.spec.name, self.spec.training.steps)
-            writer = TrialWriter(folder, study, store, listener)
-            writer.write()
+            folder.write()
             driver, home = Driver(launcher, warn, stop, retries=1), Home(root, url, "resume", self.spec.text)
-            driver.run(Trials(base, home, self.sweep, jobs, stop, writer))
-            final, ranked = None, writer.write().ranked
+            driver.run(Trials(base, home, self.sweep, jobs, stop, folder))
+            final, ranked = None, folder.write().ranked
             if self.sweep.final is not None and not stop.requested and ranked:
                 final = choosing.choose(base, home, ranked, driver, listener)
-            return self._conclude(writer, final, stop)
+            return self._conclude(folder, final, stop)
 
-    def _conclude(self, writer: TrialWriter, final: SweepFinal | None, stop: StopRequest) -> SweepOutcome:
+    def _conclude(self, folder: SweepFolder, final: SweepFinal | None, stop: StopRequest) -> SweepOutcome:
         from ..report.figures import write_figures  # noqa: PLC0415
         from ..report.search import search_figures  # noqa: PLC0415
 
-        folder, study = writer.folder, writer.study
         folder.write_final(final)
-        record = writer.write()
+        record = folder.write()
         if (best := record.best) is not None:
             seeds = self.spec.seeds if final is None else final.report_seeds
             spec = spec_of_trial(self.spec, best.drawn, f"{self.spec.name}-best", seeds, best.name)
@@ -132,9 +129,9 @@ class Search:
             folder.write_best(spec, _comment(self.sweep, best, final))
         if best is not None and not stop.requested:  # the figures take seconds, and a resumed sweep draws them
             sweep = self.sweep
-            drawings = search_figures(record.trials, sweep.objectives[0], sweep.space, study.importances())
+            drawings = search_figures(record.trials, sweep.objectives[0], sweep.space, folder.study.importances())
             write_figures(drawings, folder.figures)
-        return SweepOutcome(**vars(record), front=study.front(), stop_code=stop.exit_code)
+        return SweepOutcome(**vars(record), front=folder.study.front(), stop_code=stop.exit_code)
 
 
 def samples(spec: Spec, count: int) -> Iterator[tuple[dict[str, Any], Spec | SpecError]]:
