@@ -15,6 +15,7 @@ from typer.core import TyperGroup, TyperOption
 
 from karolos import __version__
 from karolos.errors import KarolosError, MachineError, PluginError
+from karolos.experiment.signals import TIME_LIMIT_EXIT, TimeIsUpError
 from karolos.registry import closest
 
 from . import db, inspect, plugins, runs, spec, sweeps
@@ -109,7 +110,6 @@ def main() -> None:
         for line in str(error).splitlines():
             say(line)
         sys.exit(error.exit_code)
-    except KeyboardInterrupt as error:
-        if str(error):
-            say(str(error))
-        sys.exit(124 if str(error) else 130)
+    except TimeIsUpError as error:
+        say(str(error))
+        sys.exit(TIME_LIMIT_EXIT)

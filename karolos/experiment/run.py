@@ -31,7 +31,7 @@ from .checkpointer import BEST, Checkpointer
 from .events import Listener, RunEnded, RunFinalTested, RunStarted, RunTested
 from .pending_tests import PendingTests
 from .resume import LAST, Snapshot, newest_snapshot
-from .signals import StopRequest, StopRequestedError
+from .signals import StopRequest, StopRequestedError, TimeIsUpError
 from .start_from import apply, find
 from .tensorboard_writer import TensorBoardWriter
 from .writer import Ending, RunWriter
@@ -82,7 +82,7 @@ class Run:
         try:
             self._writer.start(self.snapshot, exact=self.spec.training.at_least is None)
             ending = self._train()
-        except KeyboardInterrupt:
+        except (KeyboardInterrupt, TimeIsUpError):
             self._end(Ending("stopped", reason=f"{self.stop.reason or 'SIGINT'}, at once"))
             raise
         except KarolosError as error:

@@ -5,7 +5,7 @@ The signals are SIGINT, SIGTERM, SIGHUP and SIGUSR1. A second SIGINT stops at on
 
 from __future__ import annotations
 
-import os
+import select
 import signal
 import threading
 import time
@@ -29,8 +29,8 @@ class StopRequestedError(Exception):
     """Breaks off what is going on, because a stop is requested."""
 
 
-class TimeIsUpError(KeyboardInterrupt):
-    """Interrupts what hangs beyond the time limit, also where any Exception is caught."""
+class TimeIsUpError(BaseException):
+    """Interrupts what hangs beyond the time limit. A plugin that catches any Exception does not catch it."""
 
 
 @dataclass
@@ -44,7 +44,7 @@ class StopRequest:
     file: Path | None = None
     """A file that requests it and holds the reason, e.g. "pruned"; None: there is no such file."""
     driver: int | None = None
-    """The process with whose end this one, its child, stops; None: it goes on."""
+    """A file descriptor that becomes readable when the process that this one follows has ended."""
     _reason: str | None = field(default=None, init=False)
     """The content of the file."""
     _looked: float = field(default=0.0, init=False)
@@ -59,7 +59,7 @@ class StopRequest:
         self._looked = time.monotonic()
         with suppress(FileNotFoundError):
             self._reason = file.read_text("utf-8")
-        if self.driver not in (None, os.getppid()):
+        if self.driver is not None and select.select([self.driver], [], [], 0)[0]:
             self.signal = signal.SIGTERM
 
     @property

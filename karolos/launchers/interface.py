@@ -64,4 +64,4 @@ class Launcher(ABC):
         return self
 
     def __exit__(self, kind: type[BaseException] | None, *_: object) -> None:
-        self.close(kill=kind is not None and issubclass(kind, KeyboardInterrupt))
+        self.close(kill=kind is not None and not issubclass(kind, Exception))

@@ -36,7 +36,7 @@ def execute_folder(path: Path, cores: int, driver: int | None = None) -> str | N
     Args:
         path: of the folder.
         cores: number of cores for a run.
-        driver: id of the process with whose end it stops.
+        driver: a file descriptor that becomes readable when the driver has ended.
     """
     launch, problem, requeued = path / LAUNCH, None, False
     try:
@@ -78,11 +78,10 @@ def serve(cores: int) -> None:
     os.dup2(2, 1)  # what libraries print does not mix with the answers
     from ..agents import device  # noqa: F401, PLC0415  (imports torch)
 
-    driver = os.getppid()
     with suppress(BrokenPipeError):  # the driver has ended
         answers.write("null\n")
         for line in sys.stdin:
-            answers.write(json.dumps(execute_folder(Path(line.removesuffix("\n")), cores, driver)) + "\n")
+            answers.write(json.dumps(execute_folder(Path(line.removesuffix("\n")), cores, 0)) + "\n")
 
 
 def _progress_writer(folder: RunFolder) -> Listener:

@@ -108,7 +108,7 @@ class RayLauncher(Launcher):
             return Ended(folder, f"its task failed: {error.cause}")
         except (errors.WorkerCrashedError, errors.ObjectLostError, errors.NodeDiedError) as error:
             return Ended(folder, f"its machine or process was lost: {error}".splitlines()[0], died=True)
-        except (errors.RaySystemError, ConnectionError) as error:
+        except (errors.RayError, ConnectionError) as error:  # e.g. of this machine's own part of the cluster
             raise self._gone() from error
 
     def _check_cluster(self) -> None:

@@ -51,6 +51,7 @@ def write_video(path: Path, pictures: Iterable[NDArray[np.uint8]], frames_per_se
     check_video_path(path)
     partial = path.with_name(f".{path.stem}.partial{path.suffix}")
     with writing(path):
+        partial.touch()  # an error before anything is played
         try:
             if path.suffix.lower() == ".gif":
                 write_gif(partial, list(pictures), 1000 / frames_per_second)

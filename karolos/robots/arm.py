@@ -10,7 +10,7 @@ from collections import deque
 from collections.abc import Callable, Mapping, Sequence
 from dataclasses import dataclass, field
 from functools import cached_property
-from math import atan2, cos, dist, hypot, sin
+from math import atan2, cos, dist, hypot, inf, sin, sqrt
 from operator import mul, truediv
 from pathlib import Path
 from typing import ClassVar, Literal
@@ -28,7 +28,7 @@ from ..simulation.interface import Body, Box, Fingers, Gripper, JointLimits, Wor
 from ..simulation.interface.engine import OPENS
 from ..simulation.kinematics import Chain, Configuration
 from ..simulation.urdf import Description, Joint
-from .joint_control import JointControl
+from .joint_control import ACCELERATION_TIME, JointControl
 
 POSTURE_GAIN = 0.1
 """Fraction of the way back to the home pose, per control step, that inverse kinematics takes in the null space."""
@@ -57,9 +57,11 @@ ARM_PARAMETERS: Mapping[str, RandomizedParameter] = {
 
 
 class ArmSettings(Settings):
-    """Settings of every arm. Whatever the steps, motors do not exceed the speeds of the data sheet.
+    """Settings of every arm.
 
-    The default of `tool_step` is a distance that every built-in arm covers in each direction in steady motion.
+    Whatever the steps, motors ask for no speed beyond the data sheet's. A joint that a contact drives faster is
+    braked with the torque of its motor. The default of `tool_step` is a distance that every built-in arm covers in each
+    direction in steady motion.
     """
 
     control: Literal["joint", "cartesian"] | None = Setting(
@@ -75,7 +77,15 @@ class ArmSettings(Settings):
         description="largest change of the tool position per control step and axis, m; joint speeds may allow less",
     )
     acceleration: Literal["sheet"] | None = Setting(
-        None, description="sheet: the largest accelerations that the maker publishes; null: a larger bound"
+        "sheet",
+        description="sheet: the largest accelerations that the maker publishes, where one does (panda); null: a joint "
+        "changes its speed by its limit in 1/24 s at the most",
+    )
+    tool_speed: float | None = Setting(
+        None,
+        gt=0,
+        description="largest speed of the tool centre point, m/s; null: the maker's (panda 1.7, ur5 1.5), or, "
+        "where no maker publishes one (iiwa), what the joints allow",
     )
     yaw: bool = Setting(False, description="whether a cartesian action also turns the gripper about the vertical")
     yaw_step: float = Setting(0.2, gt=0, le=0.5, description="largest turn of the gripper per control step, rad")
@@ -116,6 +126,8 @@ class ArmModel:
     fingers: Fingers | None = None
     accelerations: tuple[float, ...] | None = None
     """Largest acceleration of each joint in rad/s2 as its maker publishes it; None where no maker does."""
+    tool_speed: float | None = None
+    """Largest speed of the tool centre point in m/s as its maker publishes it; None where no maker does."""
     self_collisions: tuple[tuple[str, str], ...] = ()
     """Pairs of links that collide; all other pairs of the arm's links do not."""
     locked: Mapping[str, float] = field(default_factory=dict)
@@ -206,13 +218,9 @@ class Arm:
                 for key in ("lower", "upper", "velocity", "effort", "name")
             )
         )
-        self._accelerations = model.accelerations if settings.acceleration == "sheet" else None
-        if settings.acceleration == "sheet" and model.accelerations is None:
-            raise UsageError(
-                f"the maker of {type(self).__name__} publishes no accelerations",
-                setting="robot.acceleration",
-                hint="leave it out; joints then change their speed by its limit in 1/24 s at the most",
-            )
+        published = model.accelerations if settings.acceleration == "sheet" else None
+        self._accelerations = published or tuple(speed / ACCELERATION_TIME for speed in self.limits.velocity)
+        self.tool_speed = settings.tool_speed or model.tool_speed or inf
         middle_x, middle_y, _ = model.workspace.centre
         self.base: Vector = (-middle_x, -middle_y, 0.0) if settings.base == "centred" else (0.0, 0.0, 0.0)
         tool = np.array(model.tool), urdf.rotation_matrix(*model.tool_rpy)
@@ -292,7 +300,7 @@ class Arm:
         # a welded finger has no link
         pairs = [(links[first], links[second]) for first, second in named if first in links and second in links]
         self.body.collide_only(pairs)
-        self._control = JointControl(self.limits, world.period, self._accelerations)
+        self._control = JointControl(self.limits, world.period, self._accelerations, (self.chain, self.tool_speed))
         arm = [joint.child for joint in self._joints]
         self._motors = motors = world.motors(self.body, arm, self.limits, self._fingers)
         self._apply: dict[str, Callable[[float], None]] = {
@@ -375,11 +383,12 @@ class Arm:
             changes = [step * value for step, value in zip(self.joint_step, values, strict=False)]
         opening = None if self._fingers is None else 0.5 + 0.5 * values[-1]
         self.opening_command = opening or 0.0
-        end = self._control.ramp(self.joint_positions, self.joint_velocities, changes)
+        begin = self.limits.slowed(self.joint_velocities)  # a joint that a contact drives faster is braked at once
+        end = self._control.ramp(self.joint_positions, begin, changes, self._configuration)
         if opening is None or not self.settings.timed_release:
-            self._motors.drive(self.joint_velocities, end, opening)
+            self._motors.drive(begin, end, opening)
         else:
-            self._motors.drive(self.joint_velocities, end, *self._timed(opening))
+            self._motors.drive(begin, end, *self._timed(opening))
 
     def _timed(self, opening: float) -> tuple[float, float]:
         """What the gripper is told in this control step, and the fraction of the step after which it is.
@@ -457,16 +466,21 @@ class Arm:
 
     def towards(self, position: Vector, opening: float) -> FloatArray:
         values: list[float]
+        way = self.chain.step(self._configuration, position, self.home_yaw, self._posture(self.joint_positions))
+        # so fast that half of a joint's acceleration stops it at the end of its way
+        most = (self.period * sqrt(most * abs(ahead)) for most, ahead in zip(self._accelerations, way, strict=True))
+        slower = max(1.0, *(abs(ahead) / (step + 1e-9) for ahead, step in zip(way, most, strict=True)))
         if not self.turns_joints:
             difference = [target - current for target, current in zip(position, self.tool_position, strict=True)]
-            longest = max(1.0, max(abs(value) for value in difference) / self.tool_step)
+            longest = max(slower, max(abs(value) for value in difference) / self.tool_step)
             values = [value / self.tool_step / longest for value in difference]
             if self._yaws:
                 turn = self.home_yaw - self._yaw()
                 values.append(atan2(sin(turn), cos(turn)) / self.settings.yaw_step)
         else:
-            changes = self._joint_changes(position, self.home_yaw)
-            values = [change / step for change, step in zip(changes, self.joint_step, strict=True)]
+            shares = [ahead / step for ahead, step in zip(way, self.joint_step, strict=True)]
+            longest = max(slower, *map(abs, shares))
+            values = [share / longest for share in shares]
         return self._action(values, opening)
 
     def turning(self, changes: Sequence[float], opening: float) -> FloatArray:

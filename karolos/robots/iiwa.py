@@ -14,7 +14,8 @@ from .robotiq import ROBOTIQ_2F_85
 class Iiwa(Arm):
     """Seven joints, reach .82 m, payload 14 kg, a gripper of two fingers that opens 8.5 cm.
 
-    Sources: KUKA's data sheet, iiwa_stack, iiwa_ros; see urdf/iiwa.urdf.
+    Sources: KUKA's data sheet, iiwa_stack, iiwa_ros; see urdf/iiwa.urdf. KUKA publishes the speeds of the joints
+    (specification of the LBR iiwa, axis data), but neither their accelerations nor a speed of the tool.
     """
 
     model = ArmModel(

@@ -30,6 +30,7 @@ class Panda(Arm):
             gripper=Gripper(width=0.08, force=20.0, speed=0.05, pad_friction=1.0),
         ),
         accelerations=(15.0, 7.5, 10.0, 12.5, 15.0, 20.0, 20.0),  # interface documentation, joint limits
+        tool_speed=1.7,  # interface documentation, Cartesian limits, translation
         # what the joint limits leave possible
         self_collisions=(
             ("link7", "link5"),

@@ -15,6 +15,8 @@ class UR5(Arm):
     """Six joints, reach .85 m, payload 5 kg, a gripper of two fingers that opens 8.5 cm.
 
     Sources: Universal Robots' data sheet and Denavit-Hartenberg parameters, ur_description; see urdf/ur5.urdf.
+    Universal Robots publishes torques, but no accelerations (ur_description, joint_limits.yaml). The safety
+    configuration limits the speed of the tool ("General limits" in the manual of UR5/CB3); typical is 1 m/s.
     """
 
     model = ArmModel(
@@ -24,6 +26,7 @@ class UR5(Arm):
         tool=(0.0, 0.2193, 0.0),  # flange .0823, tool centre point .137 beyond it
         tool_rpy=(-pi / 2, 0.0, 0.0),
         fingers=ROBOTIQ_2F_85,
+        tool_speed=1.5,  # default of the safety configuration, "General limits"
         self_collisions=tuple(
             product(("wrist_1", "wrist_2", "wrist_3", "finger1", "finger2"), ("base", "shoulder", "upper_arm"))
         )

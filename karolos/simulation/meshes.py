@@ -35,7 +35,8 @@ def triangles(path: Path) -> NDArray[np.float32]:
         data = path.read_bytes()
     except OSError as error:
         raise PluginError(f"cannot be read: {error.strerror}", where=str(path)) from None
-    found = _obj(data, path) if path.suffix.lower() == ".obj" else _stl(data, path)
+    with np.errstate(over="ignore"):  # infinite, and refused below
+        found = _obj(data, path) if path.suffix.lower() == ".obj" else _stl(data, path)
     if not (len(found) and np.abs(found).max() <= LARGEST_NUMBER):  # NaN is not
         raise PluginError(f"no triangles, or a coordinate beyond {LARGEST_NUMBER:g}", where=str(path))
     return found
@@ -80,6 +81,4 @@ def _obj(data: bytes, path: Path) -> NDArray[np.float32]:
         except ValueError:
             what = "a corner of three numbers" if word == b"v" else f"a face of corners from 1 to {len(corners)}"
             raise PluginError(f"not {what}", where=f"{path}:{number}") from None
-    with np.errstate(over="ignore"):
-        places = np.array(corners, np.float32).reshape(-1, 3)
-    return np.take(places, np.array(faces, int).reshape(-1, 3), axis=0)
+    return np.take(np.array(corners, np.float32).reshape(-1, 3), np.array(faces, int).reshape(-1, 3), axis=0)

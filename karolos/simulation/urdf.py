@@ -154,7 +154,11 @@ class _Source:
         def start(tag: str, attributes: dict[str, str]) -> None:
             self.lines[builder.start(tag, attributes)] = parser.CurrentLineNumber
 
+        def refuse_entity(name: str, *_: object) -> None:  # a few lines of them are gigabytes
+            raise PluginError(f"the entity {_short(name)}; a URDF has none", where=f"{path}:{parser.CurrentLineNumber}")
+
         parser.StartElementHandler, parser.EndElementHandler = start, builder.end
+        parser.EntityDeclHandler = refuse_entity
         try:
             parser.Parse(text_of(path).encode(), True)
         except expat.ExpatError as error:

@@ -193,8 +193,10 @@ def _parse_url(text: str) -> URL:
     try:
         url = make_url(text)
     except (ArgumentError, ValueError) as error:  # a ValueError: the port is not a number
-        shown = "the database URL" if "@" in text else repr(text)  # an invalid URL may still hold a password
-        raise StoreError(f"{shown} is not a database URL", hint="e.g. sqlite:///runs/karolos.sqlite") from error
+        shown = "what was given" if "@" in text else repr(text)  # an invalid URL may still hold a password
+        raise StoreError(
+            f"{shown} is not a database URL", hint="e.g. sqlite:///runs/karolos.sqlite, postgresql://me@host:5432/name"
+        ) from error
     if url.get_backend_name() == "sqlite" and (url.database in {None, "", ":memory:"} or "uri" in url.query):
         raise StoreError(
             "a SQLite URL must name a file", where=_without_secrets(url), hint="e.g. sqlite:///karolos.sqlite"

@@ -67,7 +67,7 @@ class Throw(CubeTask):
 
     What is randomised: the tool's start, within `start_range` of the home position along each axis, and the target: on
     the floor in front of the robot within `sector` degrees to either side, beyond the arm's reach by at least
-    `threshold` and nearer than `share` of the furthest throw.
+    `threshold`, and from there at most the fraction `share` of the way to the furthest throw.
 
     Observation: object_position (3, m), object_rotation (6, two columns of its matrix), object_velocity (3, m/s),
     object_angular_velocity (3, rad/s), object_from_tool (3, m), landing_if_released (2, m) and time_of_flight (1, s):
@@ -83,17 +83,19 @@ class Throw(CubeTask):
     domain randomization in training alone. The computed landing is that of an undisturbed flight: a hand that touches
     the cube again moves the true one by up to a decimetre.
 
-    Reach and furthest throw follow from the speed limits of the joints, see `ThrowPlanner`. Horizontal distances from
-    the robot's axis: panda .95 and 2.13 m, ur5 1.06 and 2.39 m, iiwa 1.08 and 1.73 m. Such throws turn the gripper, so
-    `control: joint` is needed, the default of the robots for this task: pointing down, within the workspace, no throw
-    lands beyond .81 (panda), .86 (ur5) and .79 m (iiwa), within the arm's reach.
+    Reach and furthest throw follow from the speed limits of joints and tool, see `ThrowPlanner`. Horizontal distances
+    from the robot's axis: panda .95 and 1.13 m, ur5 1.06 and 1.21 m, iiwa 1.08 and 1.73 m. Such throws turn the
+    gripper, so `control: joint` is needed, the default of the robots for this task: pointing down, within the
+    workspace, no throw lands beyond .81 (panda), .86 (ur5) and .79 m (iiwa), within the arm's reach.
     """
 
     class Settings(CubeSettings):
         reward: Literal["sparse", "dense"] = Setting("sparse", description="at landing: 1 or 0, or by the distance")
         threshold: float = Setting(0.1, gt=0, le=0.5, description="distance at which the target is hit, m")
-        share: float = Setting(0.85, gt=0, le=1, description="largest distance of a target / furthest throw")
-        sector: float = Setting(30.0, gt=0, le=60, description="of targets, to either side of straight ahead, degrees")
+        share: float = Setting(
+            0.9, gt=0, le=1, description="how far targets lie from the nearest one towards the furthest throw"
+        )
+        sector: float = Setting(45.0, gt=0, le=60, description="of targets, to either side of straight ahead, degrees")
         max_steps: int = Setting(75, ge=1, le=100_000, description="control steps per episode")
         start_range: Annotated[float, Drawn("m", 0.0, 0.5)] = Setting(
             0.05, ge=0, le=0.5, description="of the tool about home along each axis, within the workspace, m"
@@ -120,13 +122,14 @@ class Throw(CubeTask):
         settings, self._robot = self.settings, robot
         self.gripper = check_gripper(robot, type(self).__name__, settings.object_size)
         self.planner = planner = ThrowPlanner(robot, settings.object_size / 2)
-        self.nearest, self.furthest = planner.reach + settings.threshold, settings.share * planner.furthest
+        self.nearest = planner.reach + settings.threshold
+        self.furthest = self.nearest + settings.share * (planner.furthest - self.nearest)
         if self.nearest >= self.furthest:
             raise UsageError(
                 f"no target is left between {self.nearest:.2f} m, the arm's reach and the threshold, and "
-                f"{self.furthest:.2f} m, {settings.share:g} of the furthest throw",
-                setting="task.share",
-                hint="a larger share or robot.joint_step leaves more, a smaller task.threshold too",
+                f"{planner.furthest:.2f} m, the furthest throw",
+                setting="task.threshold",
+                hint="a smaller threshold, or a larger robot.tool_speed or robot.joint_step, leaves more",
             )
         angle, far = radians(settings.sector), self.furthest
         targets = Box((self.nearest * cos(angle), -far * sin(angle), 0.0), (far, far * sin(angle), 0.0))

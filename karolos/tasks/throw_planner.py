@@ -18,7 +18,11 @@ from .flight import flight_time
 RUN_UP = 0.4
 """Seconds at constant speed before the release, in which the arm accelerates to that speed."""
 FOLLOW_THROUGH = 0.15
-"""Seconds at constant speed after the release, in which the gripper opens."""
+"""Seconds at constant speed after the release, in which the gripper opens and the arm brakes."""
+AT_FULL_SPEED = (-0.2, -0.1, 0.0, 0.06)
+"""Seconds from the release at which the speed of the tool is checked: earlier the arm accelerates, later it brakes."""
+PLANNED_TOOL_SPEED = 0.92
+"""Fraction of the tool's largest speed that a plan uses. The rest is for corrections."""
 FLOOR_CLEARANCE = 0.12
 """Smallest height in m of the tool and of the swinging joints above the floor."""
 BASE_CLEARANCE = 0.2
@@ -30,6 +34,8 @@ meet the upper arm."""
 GRID_POINTS = 9
 """Of the search along each joint; the grid then closes in on the best point."""
 GRID_ROUNDS = 5
+FIRST_THROWS, NEXT_THROWS, KEPT_THROWS, SEARCH_ROUNDS = 3000, 300, 30, 16
+"""Of the search for the furthest throw: tried at first, and in each round near the best ones that were kept."""
 SLOWEST_SHARE = 0.3
 """Slowest throw as a fraction of the full speed."""
 
@@ -57,9 +63,9 @@ class ThrowPlanner:
     """Plans throws by kinematics alone: the furthest throw of a robot, and from it the throw at any nearer target.
 
     A throw turns the joints whose axes are horizontal and parallel ("swinging joints"), so that the tool moves in one
-    vertical plane, each at a constant speed within its limit; the base joint turns that plane towards the target. The
-    release is where the landing distance has its maximum along the motion: there an early or late opening matters
-    least. Slower motions throw less far.
+    vertical plane, each at a constant speed within its limit, and the tool within its own; the base joint turns that
+    plane towards the target. The release is where the landing distance has its maximum along the motion: there an early
+    or late opening matters least. Slower motions throw less far.
 
     Args:
         height: of the object's centre above the floor when it has landed, in m.
@@ -91,13 +97,14 @@ class ThrowPlanner:
         self._low = low = np.maximum(limits.lower, self._home - pi)[self._swinging]
         self._high = high = np.minimum(limits.upper, self._home + pi)[self._swinging]
         self._speed = speed[self._swinging]
+        self._tool_speed = PLANNED_TOOL_SPEED * robot.tool_speed
         planar = self._search(lambda positions: self._points(positions)[:, -1].real, low, high)[1]
         self._span = self._search(lambda positions: abs(self._points(positions)[:, -1] - self._first), low, high)[1]
         self.reach = hypot(planar, self._offset)
         self._release, self._velocities = self._search_throw()
         # landing distance and time of release of slower throws
         self._speeds = np.linspace(SLOWEST_SHARE, 1.0, 71)
-        times = np.linspace(-RUN_UP / 2, FOLLOW_THROUGH, 46)
+        times = np.linspace(-RUN_UP / 2, 0.0, 46)
         distances = np.stack([self._distances(speed, times) for speed in self._speeds])
         self._release_times = times[distances.argmax(1)]
         self._landings = np.maximum.accumulate(distances.max(1))
@@ -175,27 +182,53 @@ class ThrowPlanner:
         return best, maximum
 
     def _search_throw(self) -> tuple[Array, Array]:
-        """Joint positions at the release and joint velocities of the furthest throw."""
-        best: tuple[float, Array, Array] | None = None
+        """Joint positions at the release and joint velocities of the furthest throw.
+
+        A search by the cross-entropy method (Rubinstein 1999), once for each combination of the joints' directions.
+        """
+        draws, best = np.random.Generator(np.random.PCG64(0)), None
         for signs in product((-1.0, 1.0), repeat=self._swinging.size):
-            velocities = self._speed * signs
-            before, after = velocities * RUN_UP, velocities * FOLLOW_THROUGH
-            low = np.maximum(self._low, np.maximum(self._low + before, self._low - after))
-            high = np.minimum(self._high, np.minimum(self._high + before, self._high - after))
-            if (low > high).any():
-                continue
-
-            def objective(positions: Array, velocities: Array = velocities) -> Array:
-                points = self._points(positions)
-                distance = landing_distance(points[:, -1], self._velocity(points, velocities), self._height)
-                return np.where(self._collision_free(positions, velocities), distance, -np.inf)
-
-            positions, distance = self._search(objective, low, high)
-            if np.isfinite(distance) and (best is None or distance > best[0]):
-                best = distance, positions, velocities
+            low, high = np.minimum(signs, 0.0), np.maximum(signs, 0.0)
+            shares = np.clip(draws.uniform(1.6 * low, 1.6 * high, (FIRST_THROWS, low.size)), low, high)
+            # where the joints have room for that speed, or for a fraction of it
+            slowed = self._speed * shares * draws.uniform(0.0, 1.0, (FIRST_THROWS, 1))
+            begin = self._low + np.maximum(slowed * RUN_UP, np.maximum(-slowed * FOLLOW_THROUGH, 0.0))
+            end = self._high + np.minimum(slowed * RUN_UP, np.minimum(-slowed * FOLLOW_THROUGH, 0.0))
+            positions = begin + draws.uniform(0.0, 1.0, begin.shape) * (end - begin)
+            for _ in range(SEARCH_ROUNDS):
+                velocities = self._within_tool_speed(positions, self._speed * shares)
+                distances = self._landing_if_possible(positions, velocities)
+                kept = np.argsort(-distances)[:KEPT_THROWS]
+                kept = kept[np.isfinite(distances[kept])]
+                if not kept.size:
+                    break
+                if best is None or distances[kept[0]] > best[0]:
+                    best = float(distances[kept[0]]), positions[kept[0]], velocities[kept[0]]
+                positions, shares = (
+                    draws.normal(one[kept].mean(0), one[kept].std(0) + 1e-3, (NEXT_THROWS, low.size))
+                    for one in (positions, shares)
+                )
+                positions, shares = np.clip(positions, self._low, self._high), np.clip(shares, low, high)
         if best is None:
             raise UsageError("this arm has no room to swing", setting="robot", hint="choose another robot")
         return best[1], best[2]
+
+    def _within_tool_speed(self, release: Array, velocities: Array) -> Array:
+        """Joint velocities (m, k), slowed down where the tool would be too fast in the throw."""
+        for _ in range(2 if np.isfinite(self._tool_speed) else 0):  # slower, the arm is elsewhere
+            ways = release[:, None] + np.multiply.outer(np.array(AT_FULL_SPEED), velocities).swapaxes(0, 1)
+            speeds = np.abs(self._velocity(self._points(ways), velocities[:, None]))
+            velocities = velocities * np.minimum(1.0, self._tool_speed / np.maximum(speeds.max(1), 1e-9))[:, None]
+        return velocities
+
+    def _landing_if_possible(self, release: Array, velocities: Array) -> Array:
+        """Landing distances (m,) of throws (m, k); -inf where joints leave their range or something is in the way."""
+        begin, end = release - velocities * RUN_UP, release + velocities * FOLLOW_THROUGH
+        possible = ((np.minimum(begin, end) >= self._low) & (np.maximum(begin, end) <= self._high)).all(1)
+        possible[possible] = self._collision_free(release[possible], velocities[possible])
+        points = self._points(release)
+        distances = landing_distance(points[:, -1], self._velocity(points, velocities), self._height)
+        return np.where(possible, distances, -np.inf)
 
     def _collision_free(self, release: Array, velocities: Array) -> Array:
         """Whether throws (m, k) stay clear of the floor and the arm itself, on the way to their start too."""

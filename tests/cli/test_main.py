@@ -2,15 +2,17 @@
 
 from __future__ import annotations
 
+import json
 import subprocess
 import sys
 from pathlib import Path
 
 import pytest
 import typer
-from karolos_cli.main import app
+from karolos_cli.main import app, main
 from karolos_cli.run import report
 from support.compared_runs import run
+from support.hostile import spec
 from support.run_commands import add_run, call
 
 from karolos import __version__
@@ -28,6 +30,20 @@ def test_standard_output_that_is_full_or_closed_is_told_in_one_line_or_nothing()
         )
         assert (ended.returncode, ended.stderr[: len(err) or None]) == (code, err)
         assert ended.stderr.count("\n") <= 1
+
+
+def test_an_environment_that_hangs_past_the_time_limit_ends_the_command_with_124_and_says_so(
+    tmp_path: Path, monkeypatch: pytest.MonkeyPatch, capsys: pytest.CaptureFixture[str]
+) -> None:
+    (tmp_path / "spec.yaml").write_text(json.dumps(spec("init:hang")))
+    monkeypatch.setattr("karolos.experiment.signals.HANG_SECONDS", 0.1)
+    monkeypatch.setattr(
+        sys, "argv", ["karolos", "run", f"{tmp_path}/spec.yaml", "--time-limit", "1s", "--runs", f"{tmp_path}"]
+    )
+    with pytest.raises(SystemExit) as end:
+        main()
+    assert end.value.code == 124
+    assert "the time limit is over" in capsys.readouterr().err
 
 
 def test_version_is_printed() -> None:

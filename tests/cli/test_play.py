@@ -13,6 +13,7 @@ from support.commands import Terminal, call
 from support.toy_runs import toy
 from typer import Typer
 
+from karolos.errors import MachineError
 from karolos.launchers.experiment import Experiment
 from karolos.records import RunFolder
 from karolos.report.video import with_caption, write_video
@@ -40,6 +41,14 @@ def test_the_expert_of_a_spec_is_filmed_and_its_episodes_are_told(spec: Path, tm
     pictures = imageio.imread(film)
     assert pictures.shape[1:3] == (48, 64)
     assert len(pictures) >= 7, "the arm moves"
+
+
+def test_a_film_that_cannot_be_written_is_refused_before_anything_is_played(spec: Path) -> None:
+    for film in ("/sys/film.mp4", "/sys/film.gif"):  # even root may not make a file there
+        with pytest.raises(MachineError, match=f"{film}: cannot be written"):
+            write_video(Path(film), iter(lambda: pytest.fail("a picture was made"), None), 24)
+        code, _, err = call(app, str(spec), "--expert", "--out", film)
+        assert (code, err.count("\n")) == (3, 1)
 
 
 def test_a_film_has_one_episode_by_default_and_a_bar(

@@ -24,9 +24,10 @@ SECONDS = 60.0
 DRIVER = """
 import sys, time
 from pathlib import Path
-from karolos.launchers.interface import COMMAND
-from karolos.launchers.local import LocalLauncher
-launcher = LocalLauncher(LocalLauncher.Settings())
+from karolos.launchers import local
+from karolos.launchers.ray import BETWEEN
+local.COMMAND = (*BETWEEN, *local.COMMAND)
+launcher = local.LocalLauncher(local.LocalLauncher.Settings())
 while not launcher.room(1):
     launcher.wait(1.0)
 launcher.start(Path(sys.argv[1]))
@@ -78,7 +79,7 @@ def test_a_process_executes_several_runs_stops_one_by_its_file_and_is_replaced_w
     assert set(child_processes()) <= before
 
 
-def test_the_end_of_the_driver_stops_its_runs_with_a_checkpoint(tmp_path: Path) -> None:
+def test_the_end_of_the_driver_stops_its_runs_with_a_checkpoint_also_behind_the_shell_of_ray(tmp_path: Path) -> None:
     folder = new_run(tmp_path, steps=10**6)
     with subprocess.Popen([sys.executable, "-c", DRIVER, str(folder.path)]) as driver:
         await_tests(folder)

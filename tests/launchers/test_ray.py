@@ -43,7 +43,7 @@ def test_a_cluster_that_is_gone_is_an_error_before_ray_ends_the_process(monkeypa
             f"{name}Error": type(name, (Exception,), {})
             for name in ("RayTask", "WorkerCrashed", "ObjectLost", "NodeDied")
         },
-        RaySystemError=OSError,
+        RayError=OSError,
     )
     monkeypatch.setitem(sys.modules, "ray", ray)
     monkeypatch.setattr("karolos.launchers.ray.CHECK_SECONDS", 0.0)

@@ -65,7 +65,9 @@ print("main is back:", sys.modules["__main__"].MARK_OF_THE_USERS_SCRIPT)
 
 
 def test_importing_the_orchestrator_imports_neither_torch_nor_an_engine(tmp_path):
-    output = run(tmp_path, "print([name for name in ('torch', 'mujoco', 'pybullet', 'sqlalchemy') if name in sys.modules])")
+    output = run(
+        tmp_path, "print([name for name in ('torch', 'pybullet', 'mujoco', 'sqlalchemy') if name in sys.modules])"
+    )
     assert output.strip() == "[]"
 
 

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import subprocess
 import sys
 from collections.abc import Iterator
 from pathlib import Path
@@ -280,6 +281,24 @@ def test_a_window_without_a_display_is_a_clear_error(engine: Engine, monkeypatch
     monkeypatch.delenv("DISPLAY", raising=False)
     with pytest.raises(MachineError, match=r"no (display|window)"):
         make_world(engine, window=True)
+
+
+def test_a_robot_is_described_without_an_engine_or_torch_and_the_engine_greets_nobody(engine: Engine) -> None:
+    code = (
+        "import sys\n"
+        "from karolos.environments.robot_task import RobotTask\n"
+        "from karolos.robots.panda import Panda\n"
+        "from karolos.tasks.reach import Reach\n"
+        "make = lambda kind, **settings: kind.Settings.model_validate(settings)\n"
+        f"made = RobotTask(make(RobotTask, engine='{engine}'), robot=Panda(make(Panda)), task=Reach(make(Reach)))\n"
+        "assert made.signature.action.size == 3\n"
+        "assert not {'pybullet', 'mujoco', 'torch'} & set(sys.modules), 'heavy'\n"
+        "made.reset(0)\n"
+        f"assert {{'pybullet', 'mujoco', 'torch'}} & set(sys.modules) == {{'{engines.ENGINE_MODULES[engine]}'}}\n"
+    )
+    done = subprocess.run([sys.executable, "-c", code], capture_output=True, text=True, check=False)
+    assert done.returncode == 0, done.stderr
+    assert done.stdout == done.stderr == ""
 
 
 def test_a_spec_with_an_engine_that_is_not_installed_is_refused_with_its_place(

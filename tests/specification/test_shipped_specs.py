@@ -13,6 +13,7 @@ from karolos.specification import load_spec, spec_from_dict
 from karolos.specification.files import shipped_text
 from karolos.specification.schema import spec_schema
 from karolos.specification.yaml_text import read
+from karolos.training.assembly import check_parts
 
 SPECS = Path(__file__).parents[2] / "specs"
 RUNNABLE = sorted([*SPECS.glob("*.yaml"), *SPECS.glob("smoke/*.yaml")])
@@ -42,6 +43,20 @@ def test_shipped_spec_fits_the_schema(path):
     assert [place for place in wrong if not (needs_base and place == "$")] == []
 
 
+GENERAL = {"ppo": "reach push pick_place throw", "sac_grasp": "push pick_place throw"}
+"""The tasks of bases that set none."""
+GENERAL["sac_hindsight"] = GENERAL["ppo"]
+
+
+@pytest.mark.parametrize("base", sorted(path.stem for path in SPECS.glob("bases/*.yaml")))
+def test_base_needs_nothing_but_a_robot_and_a_task(tmp_path, base):
+    for task in GENERAL.get(base, "").split() or [None]:
+        (tmp_path / "mine.yaml").write_text(
+            f"extends: karolos:bases/{base}.yaml\nrobot: panda\n{f'task: {task}' if task else ''}\n"
+        )
+        check_parts(load_spec(tmp_path / "mine.yaml"))
+
+
 def test_shipped_spec_is_found_by_name_and_a_file_comes_first(tmp_path, monkeypatch):
     monkeypatch.chdir(tmp_path)
     shipped = load_spec("panda_reach")
@@ -62,13 +77,13 @@ def test_copy_of_a_shipped_spec_is_the_same_spec(tmp_path, path):
         assert load_spec(copied) == load_spec(path)
 
 
-def test_environments_are_described_without_torch_or_pybullet():
+def test_environments_are_described_without_torch_or_an_engine():
     code = (
         "import sys; from karolos.specification.parts import OfKind\n"
         "for kind, name in [('environments', 'toy'), ('robots', 'panda'), ('tasks', 'reach')]:\n"
         "    OfKind(kind).validate({'name': name})\n"
         "import karolos.specification\n"
-        "assert not {'torch', 'pybullet', 'sqlalchemy', 'typer'} & set(sys.modules)"
+        "assert not {'torch', 'pybullet', 'mujoco', 'sqlalchemy', 'typer'} & set(sys.modules)"
     )
     subprocess.run([sys.executable, "-c", code], check=True, timeout=60)
 

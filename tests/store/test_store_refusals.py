@@ -141,7 +141,13 @@ def test_url_that_names_no_database_is_told(url: str) -> None:
 
 
 @pytest.mark.parametrize(
-    "url", ["nosql://me:secret@host/x", "postgresql+nodriver://me:secret@host/x?password=secret", "me:secret@host://x"]
+    "url",
+    [
+        "nosql://me:secret@host/x",
+        "postgresql+nodriver://me:secret@host/x?password=secret",
+        "me:secret@host://x",
+        "postgresql://me:secret@host:port/x",
+    ],
 )
 def test_driver_that_is_missing_is_told_without_the_password(url: str) -> None:
     with pytest.raises(StoreError) as caught:

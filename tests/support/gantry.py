@@ -33,6 +33,7 @@ class Gantry:
     home_joints: tuple[float, ...] = home
     reset_noise = 0.01
     tool_step = 0.02
+    tool_speed = 0.5
     joint_step = (0.02,) * 3
     turns_joints = False
     opening = 0.0

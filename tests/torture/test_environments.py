@@ -31,7 +31,7 @@ def test_trouble_in_an_episode_fails_the_run_in_one_line(tmp_path: Path, trouble
     assert re.search(said, str(outcome.runs[0].error))
 
 
-@pytest.mark.parametrize("trouble", ["close:raise", "close:exit", "close:quirky"])
+@pytest.mark.parametrize("trouble", ["close:raise", "close:exit", "close:quirky", "close:interrupt"])
 def test_an_environment_that_cannot_be_closed_costs_a_line(
     tmp_path: Path, trouble: str, capfd: pytest.CaptureFixture[str]
 ) -> None:

@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import json
 import re
+from pathlib import Path
 
 import numpy as np
 import pytest
@@ -67,6 +68,18 @@ def test_rows_are_json_with_wilson_intervals_of_each_run_and_the_cost_of_the_sou
     assert row["steps_to_threshold"]["of"] == row["scratch"]["steps_to_threshold"]["of"] == 2
     assert 0 <= row["floor"] <= 1
     assert row["ceiling"] is None  # a toy has no expert
+
+
+def test_a_source_that_has_lost_its_tests_is_left_out_with_a_warning(found: MatrixRuns, tmp_path: Path) -> None:
+    folder = found.sources["fast"][0]
+    tests = folder.path / "tests.jsonl"
+    moved = tests.rename(tmp_path / "tests.jsonl")
+    try:
+        report = transfer_report(found)
+    finally:
+        moved.rename(tests)
+    assert report.warnings == (f"{folder.id} has lost its tests and is left out",)
+    assert [[*variant.runs] for variant in report.variants] == [[1], [0, 1]]
 
 
 def test_zero_shot_alone_needs_no_fine_tuning(tmp_path_factory: pytest.TempPathFactory) -> None:

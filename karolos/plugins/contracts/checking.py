@@ -117,7 +117,7 @@ def _of_robot(one: Candidate) -> list[Case]:
     found += [case for group in groups for mode in modes for case in group.cases(mode)]
     if is_arm:
         joint, cartesian = under(one, "joint"), under(one, "cartesian")
-        found += robots.JOINT_CONTROL.cases(joint)
+        found += robots.JOINT_CONTROL.cases(joint) + robots.LIMITS.cases(joint)
         found += robots.SHEET.cases(joint) if one.plugin.model.accelerations is not None else []
         found += robots.CARTESIAN_CONTROL.cases(cartesian)
         found += robots.GRIPPER.cases(cartesian) if _has_gripper(one) else []

@@ -21,18 +21,26 @@ def opened(first: Candidate, task: Candidate | None = None) -> AbstractContextMa
     return closing(join(first, task) if task is not None else first.plugin(first.settled()))
 
 
-def join(robot: Candidate, task: Candidate, *, drawn: Mapping[str, float] | None = None, **settings: Any) -> RobotTask:
+def join(
+    robot: Candidate,
+    task: Candidate,
+    *,
+    drawn: Mapping[str, float] | None = None,
+    substeps: int | None = None,
+    **settings: Any,
+) -> RobotTask:
     """A robot with a task.
 
     Args:
         robot: a robot.
         task: a task.
         drawn: values that randomization gives to parameters of the two.
+        substeps: physics steps per control step; by default the environment's.
         settings: of the task.
     """
-    engine = robot.engine or task.engine
+    chosen = {"engine": robot.engine or task.engine, "substeps": substeps}
     environment = RobotTask(
-        RobotTask.Settings.model_validate({} if engine is None else {"engine": engine}),
+        RobotTask.Settings.model_validate({name: value for name, value in chosen.items() if value is not None}),
         robot=robot.plugin(robot.settled()),
         task=task.plugin(task.settled(**settings)),
     )

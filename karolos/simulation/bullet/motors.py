@@ -159,7 +159,4 @@ class Motors:
         if self._fingers is not None:
             self._opening = opening = self._fingers.opening(positions[-1])
             positions, velocities = positions[:-1], velocities[:-1]
-        slowed = self._limits.slowed(velocities)
-        if slowed is not None:
-            self._write(self._arm, positions, slowed)
-        return positions, slowed or velocities, opening
+        return positions, velocities, opening

@@ -179,6 +179,14 @@ class World:
         points = self.api.getContactPoints(first.index, second.index, linkIndexA=link)
         return [Contact(point[7], point[9], point[8]) for point in points or ()]
 
+    def forces(self, body: AnyBody) -> dict[tuple[int, int], float]:
+        found: dict[tuple[int, int], float] = {}
+        for _, _, other, link, opposite, *_, force in (p[:10] for p in self.api.getContactPoints(body.index) or ()):
+            for one in (link, opposite) if other == body.index else (link,):
+                if force > 0:
+                    found[one, other] = found.get((one, other), 0.0) + force
+        return found
+
     def render(self, width: int, height: int, camera: Camera) -> Array:
         markers = [Marker(body.pose()[0], radius, colour) for body, radius, colour in self._markers]
         return draw(self._render_bodies, width, height, camera, markers)

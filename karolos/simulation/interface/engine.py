@@ -50,10 +50,10 @@ class JointLimits:
     names: tuple[str, ...] = ()
     """Of the joints, for messages; empty where they have none."""
 
-    def slowed(self, velocities: Sequence[float]) -> list[float] | None:
-        """The velocities (n,) with each joint at its largest speed at most; None if no joint is faster."""
+    def slowed(self, velocities: Sequence[float]) -> Sequence[float]:
+        """The velocities (n,) with each joint at its largest speed at most."""
         if not any(map(gt, map(abs, velocities), self.velocity)):
-            return None
+            return velocities
         return [min(max(speed, -most), most) for speed, most in zip(velocities, self.velocity, strict=True)]
 
     def name(self, joint: int) -> str:
@@ -189,10 +189,7 @@ class Motors(Protocol):
         """
 
     def read(self) -> tuple[Sequence[float], Sequence[float], float]:
-        """Positions (n,) in rad and velocities (n,) in rad/s of the arm's joints, opening of the gripper (0 without).
-
-        A joint beyond its largest speed is braked to it.
-        """
+        """Positions (n,) in rad and velocities (n,) in rad/s of the joints, opening of the gripper (0 without)."""
 
 
 class World(Protocol):
@@ -236,6 +233,13 @@ class World(Protocol):
 
     def contacts(self, first: Body, second: Body, link: int) -> Sequence[Contact]:
         """The contact points between `link` of the first body and any link of the second."""
+
+    def forces(self, body: Body) -> dict[tuple[int, int], float]:
+        """What presses on a body: the total normal force in N of the last physics step, if there is any.
+
+        The key is the body's link and the index of the other body. It is the body's own index where two of its links
+        touch; both then have an entry.
+        """
 
     def render(self, width: int, height: int, camera: Camera) -> Array:
         """A picture (height, width, 3) uint8."""

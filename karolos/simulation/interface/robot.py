@@ -33,6 +33,8 @@ class RobotView(Protocol):
     """Largest deviation of each joint from the home pose at a reset, in rad."""
     tool_step: float
     """Largest change of the tool position along each axis in one control step, in m."""
+    tool_speed: float
+    """Largest speed of the tool centre point in m/s; inf where the speeds of the joints alone limit it."""
     joint_step: tuple[float, ...]
     """Largest change of each joint position in one control step, in rad: (n,)."""
     period: float

@@ -139,7 +139,4 @@ class Motors:
         if self._fingers is not None:
             opening = self._fingers.opening((positions[-2] + positions[-1]) / 2)
             positions, velocities = positions[:size], velocities[:size]
-        slowed = self._limits.slowed(velocities)
-        if slowed is not None:
-            data.qvel[self._dofs[:size]] = slowed
-        return positions, slowed or velocities, opening
+        return positions, velocities, opening

@@ -196,6 +196,21 @@ class World:
             found.append(Contact(normal, force, float(data.contact.dist[place])))
         return found
 
+    def forces(self, body: AnyBody) -> dict[tuple[int, int], float]:
+        data = self._simulation.ready()
+        found: dict[tuple[int, int], float] = {}
+        if not (self._simulation.stepped and data.ncon):
+            return found
+        places = {place: (one.index, link) for one in self._bodies for link, place in enumerate(one.ids, -1)}
+        touching = self._simulation.model.geom_bodyid[data.contact.geom].tolist()
+        for (first, second), row in zip(touching, data.contact.efc_address.tolist(), strict=True):
+            force = float(data.efc_force[row]) if row >= 0 else 0.0
+            one, other = places[first], places[second]
+            for (index, link), (opposite, _) in ((one, other), (other, one)):
+                if index == body.index and force > 0:
+                    found[link, opposite] = found.get((link, opposite), 0.0) + force
+        return found
+
     def render(self, width: int, height: int, camera: Camera) -> Array:
         data = self._simulation.ready()
         for compute in (self.api.mj_kinematics, self.api.mj_comPos, self.api.mj_camlight):
