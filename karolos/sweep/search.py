@@ -9,11 +9,10 @@ from typing import Any
 
 from ..errors import SpecError, UsageError
 from ..experiment.events import RunEvent, RunWarned
-from ..experiment.signals import StopRequest, stop_on_signals
+from ..experiment.signals import StopRequest
 from ..experiment.start_from import pinned
-from ..launchers.driver import Driver, make_launcher
+from ..launchers.driver import driving
 from ..launchers.runs import Home
-from ..records import RunFolder
 from ..records.sweep_records import FOLDER, SweepFinal, Trial
 from ..specification import Spec, Sweep, spec_from_dict, spec_of_trial
 from ..specification.sweep import DEFAULT_TRIALS
@@ -87,34 +86,28 @@ class Search:
             MachineError: the runs folder cannot be written, or processes cannot be started.
             StoreError: the database cannot be used.
         """
-        if jobs < 1:
-            raise UsageError(f"jobs is {jobs}", hint="use at least 1")
-        root = Path(runs)
-        url = database or Store.default_url(root)
         note = check_parts(self.spec)
         if note is not None:
             listener(RunWarned(self.spec.name, note))
-        RunFolder.check_writable(root)
-        base = pinned(self.spec.model_copy(update={"launcher": None}), root)
-        folder = SweepFolder(self.folder(root), self.spec, self.asked)
+        home = Home.prepared(self.spec, runs, database, "resume")
+        base = pinned(self.spec.model_copy(update={"launcher": None}), home.runs)
+        folder = SweepFolder(self.folder(runs), self.spec, self.asked)
 
         def warn(event: RunEvent) -> None:
             if isinstance(event, RunWarned):
                 listener(event)
 
         with (
-            Store(url) as store,
+            Store(home.url) as store,
             folder.claimed(store, listener),
-            stop_on_signals(time_limit=time_limit) as stop,
-            make_launcher(self.spec, jobs * len(self.sweep.seeds)) as launcher,
+            driving(self.spec, jobs * len(self.sweep.seeds), warn, time_limit) as driver,
         ):
             folder.write()
-            driver, home = Driver(launcher, warn, stop, retries=1), Home(root, url, "resume", self.spec.text)
-            driver.run(Trials(base, home, self.sweep, jobs, stop, folder))
+            driver.run(Trials(base, home, self.sweep, jobs, driver.stop, folder))
             final, ranked = None, folder.write().ranked
-            if self.sweep.final is not None and not stop.requested and ranked:
+            if self.sweep.final is not None and not driver.stop.requested and ranked:
                 final = choosing.choose(base, home, ranked, driver, listener)
-            return self._conclude(folder, final, stop)
+            return self._conclude(folder, final, driver.stop)
 
     def _conclude(self, folder: SweepFolder, final: SweepFinal | None, stop: StopRequest) -> SweepOutcome:
         from ..report.figures import write_figures  # noqa: PLC0415
