@@ -20,7 +20,7 @@ from karolos.experiment.resume import Snapshot, newest_snapshot
 from karolos.experiment.run import run_or_resume
 from karolos.experiment.signals import StopRequest
 from karolos.launchers.experiment import Experiment, resume_run
-from karolos.records import RunFolder
+from karolos.records import RunFolder, provenance
 from karolos.store import Store
 
 HINDSIGHT = {"strategy": "future"}
@@ -73,6 +73,18 @@ def stopping_from(steps: int):
 def only(outcome: Any) -> RunFolder:
     (run,) = outcome.runs
     return RunFolder.open(run.folder)
+
+
+def test_a_run_that_resumes_with_other_software_says_so(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
+    spec = BASE | CASES["sac, priority, hindsight"]
+    only(Experiment(spec).run(tmp_path, listener=stopping_at(100)))
+    there = provenance.versions()
+    monkeypatch.setattr(provenance, "versions", lambda: there | {"torch": "1.0", "a-new-plugin": "1"})
+    events: list[Any] = []
+    folder = only(Experiment(spec).run(tmp_path, existing="resume", listener=events.append))
+    (warned,) = [event.warning for event in events if isinstance(event, RunWarned)]
+    assert f"it began with other software: torch is 1.0 here and {there['torch']} there (it may differ" in warned
+    assert [event["bit_exact"] for event in folder.events() if event["event"] == "resumed"] == [False]
 
 
 @pytest.mark.parametrize("case", CASES)
