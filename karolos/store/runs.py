@@ -135,7 +135,7 @@ def closest_value(database: Database, where: str) -> str | None:
 
 
 _Value = tuple[str, Callable[[Any], Any]]
-"""The column of `runs` to read for a filter's key (a field of RunSummary, a digest), and how to get the value from it."""
+"""The column of `runs` to read for a filter's key, a field of RunSummary or a digest, and how to get its value."""
 
 
 class _Values:
