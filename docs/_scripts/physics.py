@@ -1,9 +1,8 @@
-"""Measures the physics of both engines and writes the tables of docs/physics.md.
+"""Measures the physics of both engines: the tables of docs/physics.md.
 
-python docs/_scripts/physics.py bodies            bodies without a robot, in some seconds
-python docs/_scripts/physics.py robots [--episodes N] [--policies]
-                                                  experts, or the policies that ship, with the forces of every physics step
-python docs/_scripts/physics.py write             both, into docs/physics.md
+python docs/_scripts/physics.py bodies                    bodies without a robot, in some seconds
+python docs/_scripts/physics.py robots NAME... [--expert] [--rates 240 480]
+    policies that ship or of run folders, or the experts of specs, with the forces of every physics step
 """
 
 from __future__ import annotations
@@ -11,7 +10,7 @@ from __future__ import annotations
 import sys
 from argparse import ArgumentParser
 from collections.abc import Callable, Iterator
-from contextlib import contextmanager
+from contextlib import closing, contextmanager
 from itertools import product
 from pathlib import Path
 from typing import Any, get_args
@@ -19,10 +18,15 @@ from xml.etree import ElementTree
 
 import numpy as np
 
+from karolos.environments.robot_task import RobotTask
+from karolos.evaluation.changed_spec import load_player
+from karolos.evaluation.policies import Policy, load_expert
+from karolos.evaluation.testing import test_seeds
+from karolos.records import RunFolder, shipped
 from karolos.simulation.engines import Engine, installed, make_world
 from karolos.simulation.interface import JointLimits
+from karolos.specification import load_spec
 
-PAGE = Path(__file__).parents[1] / "physics.md"
 GRAVITY, FRICTION, EDGE, MASS = 9.81, 0.5, 0.04, 0.1
 COLOUR = (1.0, 0.0, 0.0, 1.0)
 PENDULUM = """<robot name="pendulum"><link name="base"><inertial><mass value="1"/>
@@ -175,3 +179,159 @@ def measure(engine: Engine, trial: str, rate: int = 240) -> dict[str, float]:
     function, settings = TRIALS[trial]
     with opened(engine, rate) as world:
         return function(world, *settings)
+
+
+MOVING = 0.01
+"""m/s from which on a cube moves."""
+
+
+@contextmanager
+def watched(environment: RobotTask, look: Callable[[], None]) -> Iterator[None]:
+    """Call `look` after every physics step of the environment's world."""
+    world: Any = environment.world
+    if environment.settings.engine == "bullet":
+        simulate = world.api.stepSimulation
+
+        def simulate_and_look() -> None:
+            simulate()
+            look()
+
+        world.api.stepSimulation = simulate_and_look
+        yield
+        world.api.stepSimulation = simulate
+        return
+    simulation, advance = world._simulation, world._simulation.advance
+
+    def advance_and_look(motors: Any) -> None:
+        targets = [part.targets for part in motors]
+        for number in range(simulation.substeps):
+            for part, rows in zip(motors, targets, strict=True):
+                part.targets = rows[number : number + 1]
+            advance(motors)
+            look()
+        for part, rows in zip(motors, targets, strict=True):
+            part.targets = rows
+
+    simulation.advance = advance_and_look
+    yield
+    simulation.advance = advance
+
+
+class Watch:
+    """What happens to a cube and an arm in the physics steps of an episode."""
+
+    def __init__(self, environment: RobotTask) -> None:
+        self.environment = environment
+        self.reset()
+
+    def reset(self) -> None:
+        self.pad = self.into_pads = self.into_floor = self.arm_on_floor = self.joint = self.tool = 0.0
+        self.moving = self.carried = self.touched = 0
+
+    def __call__(self) -> None:
+        robot: Any = self.environment.robot
+        world: Any = self.environment.world
+        body: Any = self.environment.task.cube.body  # type: ignore[attr-defined]
+        touching = False
+        for link in (*robot.body.links().values(), -1):
+            points = world.contacts(robot.body, body, link)
+            force = sum(point.force for point in points)
+            touching |= force > 0
+            if points and link in robot._motors.pads:
+                self.pad = max(self.pad, force)
+            if points:
+                self.into_pads = max(self.into_pads, -min(point.distance for point in points))
+            if link != -1:
+                on_floor = sum(point.force for point in world.contacts(robot.body, world.floor, link))
+                self.arm_on_floor = max(self.arm_on_floor, on_floor)
+        floor = world.contacts(body, world.floor, -1)
+        self.into_floor = max([self.into_floor, *(-point.distance for point in floor)])
+        if np.linalg.norm(body.velocity()[0][:2]) > MOVING:
+            self.moving += 1
+            self.carried += sum(point.force for point in floor) > 0
+            self.touched += touching
+        positions, speeds, _ = robot._motors.read()
+        self.joint = max(self.joint, float(np.max(np.abs(speeds) / robot.limits.velocity)))
+        configuration = robot.chain.forward(positions)
+        self.tool = max(self.tool, float(np.linalg.norm(robot.chain.velocity(configuration, speeds))))
+
+
+def episodes(environment: RobotTask, policy: Policy, count: int, seed: int) -> dict[str, float]:
+    """What `Watch` sees in test episodes: quantiles over episodes, shares of the steps in which the cube moves."""
+    watch, seen, success = Watch(environment), [], []
+    with watched(environment, watch):
+        for number in test_seeds(seed, count):
+            step = environment.reset(number)
+            policy.begin()
+            watch.reset()
+            while not (step.terminated or step.truncated):
+                step = environment.step(policy.act(step))
+            success.append(step.success)
+            seen.append(dict(vars(watch)))
+    moving = max(sum(one["moving"] for one in seen), 1)
+
+    def quantile(key: str, share: float) -> float:
+        return float(np.quantile([one[key] for one in seen], share))
+
+    return {
+        "success": float(np.mean(success)),
+        "pads or hand in the cube, mm, 99 %": 1e3 * quantile("into_pads", 0.99),
+        "cube in the floor, mm, 99 %": 1e3 * quantile("into_floor", 0.99),
+        "force of a pad, N, 95 %": quantile("pad", 0.95),
+        "arm on the floor, N, 99 %": quantile("arm_on_floor", 0.99),
+        "cube carried by the floor": sum(one["carried"] for one in seen) / moving,
+        "cube touched": sum(one["touched"] for one in seen) / moving,
+        "fastest joint, share of its limit, 99 %": quantile("joint", 0.99),
+        "fastest tool, m/s": quantile("tool", 1.0),
+    }
+
+
+def played(name: str, count: int, engine: Engine, rate: int, *, expert: bool) -> dict[str, float]:
+    """`episodes` of a policy that ships or of a run folder, or of the expert of a spec."""
+    changes = [f"environment.engine={engine}", f"environment.physics_rate={rate}"]
+    if expert:
+        spec = load_spec(name, overrides=changes)
+        environment, policy = load_expert(spec)
+    else:
+        folder = Path(name) if Path(name).is_dir() else shipped.FOLDER / name
+        player = load_player(RunFolder.open(folder), "best", changes)
+        spec, environment, policy = player.spec, player.environment, player.policy
+    assert isinstance(environment, RobotTask)
+    with closing(environment):
+        return episodes(environment, policy, count, spec.testing.seed)
+
+
+def table(rows: dict[tuple[str, str], dict[str, float]]) -> str:
+    """A table in Markdown: a row per key and quantity, a column per second part of the keys."""
+    columns = list(dict.fromkeys(column for _, column in rows))
+    lines = ["| what | " + " | ".join(columns) + " |", "|---" * (len(columns) + 1) + "|"]
+    for first in dict.fromkeys(first for first, _ in rows):
+        quantities = dict.fromkeys(key for (name, _), found in rows.items() if name == first for key in found)
+        for quantity in quantities:
+            found = [rows.get((first, column), {}).get(quantity) for column in columns]
+            cells = ["" if value is None else f"{value:.3g}" if abs(value) >= 5e-4 else "0" for value in found]
+            lines.append(f"| {first}: {quantity} | " + " | ".join(cells) + " |")
+    return "\n".join(lines)
+
+
+def main() -> None:
+    parser = ArgumentParser(description=__doc__.partition("\n")[0] if __doc__ else "")
+    parser.add_argument("what", choices=("bodies", "robots"))
+    parser.add_argument("names", nargs="*", help="robots: specs (--expert), run folders or policies that ship")
+    parser.add_argument("--expert", action="store_true", help="play the experts of specs instead of policies")
+    parser.add_argument("--episodes", type=int, default=100)
+    parser.add_argument("--rates", type=int, nargs="*", default=[240])
+    parser.add_argument("--engines", nargs="*", default=[engine for engine in get_args(Engine) if installed(engine)])
+    given = parser.parse_args()
+    rows = {}
+    for engine, rate in product(given.engines, given.rates):
+        column = f"{engine} {rate} Hz"
+        if given.what == "bodies":
+            rows |= {(trial, column): measure(engine, trial, rate) for trial in TRIALS}
+        for name in given.names:
+            rows[name, column] = played(name, given.episodes, engine, rate, expert=given.expert)
+    sys.stdout.write(table(rows) + "\n")
+
+
+if __name__ == "__main__":
+    main()
