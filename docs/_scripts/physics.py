@@ -31,7 +31,8 @@ GRAVITY, FRICTION, EDGE, MASS = 9.81, 0.5, 0.04, 0.1
 COLOUR = (1.0, 0.0, 0.0, 1.0)
 PENDULUM = """<robot name="pendulum"><link name="base"><inertial><mass value="1"/>
 <inertia ixx="1" iyy="1" izz="1" ixy="0" ixz="0" iyz="0"/></inertial></link><joint name="hinge" type="revolute">
-<parent link="base"/><child link="arm"/><axis xyz="0 1 0"/><limit lower="-9" upper="9" effort="1" velocity="99"/></joint>
+<parent link="base"/><child link="arm"/><axis xyz="0 1 0"/>
+<limit lower="-9" upper="9" effort="1" velocity="99"/></joint>
 <link name="arm"><inertial><origin xyz=".5 0 0"/><mass value="2"/>
 <inertia ixx=".1" iyy=".1" izz=".1" ixy="0" ixz="0" iyz="0"/></inertial></link></robot>"""
 
