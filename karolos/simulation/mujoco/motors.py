@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from collections.abc import Sequence
+from collections.abc import Mapping, Sequence
 from typing import Any
 
 import numpy as np
@@ -48,8 +48,8 @@ class Motors:
         """Target speed of each joint in each physics step."""
         self._goal = 0.0
         """Joint position in m that the fingers aim at."""
-        self._next_goal, self._moves_at = 0.0, 0
-        """What they aim at from that physics step of the control step on."""
+        self._goals: dict[int, float] = {}
+        """What they aim at from a physics step of the control step on."""
         self._damping = self._friction = 0.0
         self._mass = 1.0
         self._rates = np.full(len(self._joints), 1 / TIMESTEP)
@@ -101,16 +101,16 @@ class Motors:
         data = self._simulation.writable()
         self._speeds[:] = 0.0
         if self._fingers is not None:
-            self._goal = self._next_goal = self._fingers.position(opening)
+            self._goal, self._goals = self._fingers.position(opening), {}
             positions = [*positions, self._goal, self._goal]
         data.qpos[self._positions] = positions
         data.qvel[self._dofs] = 0.0
 
-    def drive(self, begin: Sequence[float], end: Sequence[float], opening: float | None, wait: float = 0.0) -> None:
+    def drive(self, begin: Sequence[float], end: Sequence[float], openings: Mapping[int, float]) -> None:
         first = np.array(begin)
         self._speeds[:, : self._size] = first + self._fractions * (np.array(end) - first)
-        if self._fingers is not None and opening is not None:
-            self._next_goal, self._moves_at = self._fingers.position(opening), int(wait * len(self._speeds))
+        if self._fingers is not None:
+            self._goals = {step: self._fingers.position(opening) for step, opening in openings.items()}
 
     def substep(self, step: int, data: Any, rows: Any) -> None:
         """Set the target speeds of physics step number `step` of the control step: those at its end.
@@ -122,8 +122,7 @@ class Motors:
         """
         speeds = self._speeds[step]
         if self._fingers is not None:
-            if step == self._moves_at:
-                self._goal = self._next_goal
+            self._goal = self._goals.get(step, self._goal)
             most, gain = self._fingers.gripper.speed, FINGER_GAIN / TIMESTEP
             for place in (-2, -1):  # plain floats take half the time of numpy arrays here
                 wanted = gain * (self._goal - float(data.qpos[self._positions[place]]))
