@@ -79,9 +79,9 @@ def transfer(
 
 
 def _print_report(report: TransferReport) -> None:
-    from karolos.transfer.page import known, matrix_table, notes, variants_table
+    from karolos.transfer.page import matrix_table, notes, variants_table
 
-    for name in known(report):
+    for name in report.metrics:
         print_table(matrix_table(report, name))
     print_table(variants_table(report))
     for line in notes(report):

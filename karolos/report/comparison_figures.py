@@ -8,10 +8,11 @@ from typing import Literal
 import numpy as np
 from numpy.typing import NDArray
 
-from ..comparison import Comparison, Contender, Metric, learning_curve
+from ..comparison import Comparison, Contender, Estimate, Metric, learning_curve
 from ..comparison.curves import Axis, places
 from ..core.seeding import SeedTree
 from ..statistics import aggregates
+from .comparison_tables import estimate
 from .figures import COLOURS, Drawing, look, short, style
 
 _Floats = NDArray[np.float64]
@@ -162,6 +163,49 @@ def density_figures(comparison: Comparison) -> list[Drawing]:
         _metric_axis(drawing, "y", comparison)
         drawings.append(drawing)
     return drawings
+
+
+def heat_map(
+    drawing: Drawing,
+    rows: Sequence[tuple[str, Sequence[Estimate | None]]],
+    columns: Sequence[str],
+    *,
+    neutral: float | None = None,
+    larger_is_better: bool = True,
+) -> None:
+    """Draw estimates as shaded cells.
+
+    Args:
+        drawing: an empty one.
+        rows: label, and an estimate for each column.
+        columns: their labels.
+        neutral: value without shade; better values are blue, worse ones red, fully at a distance of 1. None: shades
+            from 0 to 1.
+        larger_is_better: whether larger values are better.
+    """
+    from matplotlib.colors import LinearSegmentedColormap  # noqa: PLC0415  (takes half a second)
+
+    values = np.array([[np.nan if cell is None else cell.value for cell in cells] for _, cells in rows])
+    shades, low, colours = values, 0, ["#ffffff", COLOURS[0]]
+    if neutral is not None:
+        shades = np.clip(values - neutral, -1, 1) * (1 if larger_is_better else -1)
+        low, colours = -1, [COLOURS[1], *colours]
+    axes, shading = drawing.axes, LinearSegmentedColormap.from_list("shades", colours)
+    axes.pcolormesh(np.ma.masked_invalid(shades), cmap=shading, vmin=low, vmax=1, edgecolors="#ffffff", linewidth=2)
+    for row, (label, cells) in enumerate(rows):
+        for column, cell in enumerate(cells):
+            text, colour = (
+                "-" if cell is None else f"{cell.value:.3f}",
+                "#ffffff" if abs(shades[row, column]) > 0.6 else "#1c1c1c",
+            )
+            drawn = axes.text(column + 0.5, row + 0.5, text, ha="center", va="center", color=colour)
+            drawing.part(drawn, "cell", f"{label} to {columns[column]}: {estimate(cell)}")
+    axes.set_xticks(np.arange(len(columns)) + 0.5, [short(label, 14) for label in columns])
+    axes.set_yticks(np.arange(len(rows)) + 0.5, [short(label, 14) for label, _ in rows])
+    axes.invert_yaxis()
+    axes.tick_params(length=0)
+    axes.spines[:].set_visible(False)
+    axes.set_facecolor("#f6f6f4")
 
 
 def _x_axis(drawing: Drawing, contenders: Sequence[Contender], axis: Axis) -> float:

@@ -101,8 +101,4 @@ def _runs_section(comparison: Comparison) -> Section:
     }
     runs = [run for contender in comparison.contenders for run in contender.runs]
     series = [place for place, contender in enumerate(comparison.contenders) for _ in contender.runs]
-    if not any(run.has_success for run in runs):
-        columns = {name: cell for name, cell in columns.items() if not name.startswith(("success", "best, end"))}
-    if not any(run.summary.tags or run.summary.note for run in runs):
-        del columns["tags"], columns["note"]
     return Section("Runs", table=Table.of(runs, columns), series=series)

@@ -43,9 +43,11 @@ class Table:
         return replace(self, columns=columns, rows=rows, optional=tuple(one for one in self.optional if one != name))
 
     @classmethod
-    def of(cls, rows: Iterable[T], columns: Columns[T], title: str = "") -> Table:
-        """A table with one row for each of some objects."""
-        return cls(list(columns), [[cell(row) for cell in columns.values()] for row in rows], title)
+    def of(cls, rows: Sequence[T], columns: Columns[T], title: str = "") -> Table:
+        """A table with one row for each of some objects, without columns that have a value in no row."""
+        cells = {name: [cell(row) for row in rows] for name, cell in columns.items()}
+        known = {name: texts for name, texts in cells.items() if not {"", "-"}.issuperset(texts)}
+        return cls(list(known), list(zip(*known.values(), strict=True)), title)
 
 
 def clean(text: object, allowed: str = "") -> str:
@@ -109,25 +111,21 @@ def runs_table(runs: Sequence[RunSummary]) -> Table:
         "steps": lambda run: count(run.steps),
         "time": lambda run: duration(run.seconds),
         "total": lambda run: duration(run.total_seconds),
-    }
-    returns: Columns[RunSummary] = {
+        "success end": lambda run: success(run.success_end, run.episodes),
+        "any": lambda run: number(run.success_any),
+        "best end": lambda run: number(run.best_end),
+        "steps to .95 end": lambda run: count(run.steps_to_95),
+        "time to .95 end": lambda run: duration(run.seconds_to_95),
         "return": lambda run: number(run.mean_return),
         "best return": lambda run: number(run.best_return),
+        "tags": lambda run: ", ".join(run.tags),
     }
-    if any(run.success_end is not None or run.mean_return is None for run in runs):
-        columns |= {
-            "success end": lambda run: success(run.success_end, run.episodes),
-            "any": lambda run: number(run.success_any),
-            "best end": lambda run: number(run.best_end),
-            "steps to .95 end": lambda run: count(run.steps_to_95),
-            "time to .95 end": lambda run: duration(run.seconds_to_95),
-        }
-        del returns["best return"]
-    columns |= returns
-    if any(run.tags for run in runs):
-        columns["tags"] = lambda run: ", ".join(run.tags)
-    optional = [name for name in ("time to .95 end", "any", "best end", "total", "return") if name in columns]
-    return replace(Table.of(runs, columns), optional=tuple(optional if "success end" in columns else ()))
+    optional = ["time to .95 end", "any", "best end", "total"]
+    if any(run.success_end is not None for run in runs):
+        del columns["best return"]
+        optional.append("return")
+    table = Table.of(runs, columns)
+    return replace(table, optional=tuple(name for name in optional if name in table.columns))
 
 
 def run_state(run: RunSummary) -> str:
@@ -151,7 +149,6 @@ def table_of_tests(tests: Iterable[TestCounts], results: Iterable[TestResult] = 
         for result in results
         if result.distances
     }
-    tests = list(tests)
     columns: Columns[TestCounts] = {
         "steps": lambda test: count(test.steps),
         "time": lambda test: duration(test.seconds),
@@ -160,22 +157,20 @@ def table_of_tests(tests: Iterable[TestCounts], results: Iterable[TestResult] = 
         "return": lambda test: number(test.mean_return),
         "episodes": lambda test: count(test.episodes),
         "solved at reset": lambda test: count(test.solved_at_reset),
+        f"end within {' / '.join(f'{metres:.2f}' for metres in WITHIN)} m": lambda test: near.get(test.steps, "-"),
     }
-    if all(test.successes_end is None for test in tests):
-        columns = {name: cell for name, cell in columns.items() if not name.startswith(("success", "solved"))}
-    if near:
-        heading = f"end within {' / '.join(f'{metres:.2f}' for metres in WITHIN)} m"
-        columns[heading] = lambda test: near.get(test.steps, "-")
-    return Table.of(tests, columns, title)
+    return Table.of(list(tests), columns, title)
 
 
 def transfers_table(transfers: Iterable[TransferResult], *, title: str = "") -> Table:
     """One row per test under changed settings. Unchanged: this policy and these episodes in its own environment."""
+    from ..records.results import TestCounts  # noqa: PLC0415  (numpy)
+
     columns: Columns[TransferResult] = {
         "changed": lambda one: ", ".join([*one.overrides, *(["randomized"] * one.randomized)]) or "nothing",
         "checkpoint": lambda one: f"{one.checkpoint} ({one.result.steps:,} steps)",
-        "success end": lambda one: success(one.result.success_end, one.result.episodes),
-        "success any": lambda one: success(one.result.success_any, one.result.episodes),
+        "success end": lambda one: success(TestCounts.of(one.result).success_end, one.result.episodes),
+        "success any": lambda one: success(TestCounts.of(one.result).success_any, one.result.episodes),
         "unchanged end": lambda one: success(one.own.success_end, one.own.episodes),
         "unchanged any": lambda one: number(one.own.success_any),
         "return": lambda one: number(one.result.mean_return),
@@ -184,10 +179,7 @@ def transfers_table(transfers: Iterable[TransferResult], *, title: str = "") -> 
         "seed": lambda one: str(one.seed),
         "when": lambda one: one.time[:16].replace("T", " "),
     }
-    transfers = list(transfers)
-    if all(one.own.successes_end is None for one in transfers):
-        columns = {name: cell for name, cell in columns.items() if not name.endswith((" end", " any"))}
-    return Table.of(transfers, columns, title)
+    return Table.of(list(transfers), columns, title)
 
 
 def facts_table(facts: Mapping[str, object], *, title: str = "") -> Table:

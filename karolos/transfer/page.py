@@ -2,32 +2,24 @@
 
 from __future__ import annotations
 
-import math
-from collections.abc import Callable, Sequence
+from collections.abc import Sequence
+from functools import partial
 from pathlib import Path
 
-from ..comparison import ComparedRun, Estimate, Reaching
-from ..evaluation.playing import Score
+from ..comparison import ComparedRun, Reaching
 from ..files import write_whole
-from ..report.comparison_figures import learning
+from ..report.comparison_figures import heat_map, learning
 from ..report.comparison_tables import estimate
-from ..report.figures import Drawing, look, shade_cells, short, write_figures
+from ..report.figures import Drawing, look, short, write_figures
 from ..report.page import Section, document
 from ..report.tables import Columns, Table, count, duration, success
-from .results import METRICS, Cell, Metric, TransferReport, Variant
-
-
-def known(report: TransferReport) -> dict[str, Metric]:
-    """The metrics that at least one cell has."""
-    return {name: one for name, one in METRICS.items() if any(cell.estimates.get(name) for cell in report.cells)}
+from .results import METRICS, Cell, TransferReport, Variant
 
 
 def matrix_table(report: TransferReport, name: str) -> Table:
     """One metric: a row per source, a column per target."""
-    labels = [variant.label for variant in report.variants]
-    cells = {(cell.source, cell.target): estimate(cell.estimates.get(name)) for cell in report.cells}
-    rows = [[source, *(cells[source, target] for target in labels)] for source in labels]
-    return Table(["from", *(f"to {label}" for label in labels)], rows, METRICS[name].title)
+    rows = [(source, *map(estimate, found)) for source, found in report.matrix(name)]
+    return Table(["from", *(f"to {label}" for label in report.labels)], rows, METRICS[name].title)
 
 
 def variants_table(report: TransferReport) -> Table:
@@ -36,8 +28,8 @@ def variants_table(report: TransferReport) -> Table:
         "variant": lambda one: one.label,
         "success from scratch": lambda one: estimate(one.success),
         f"steps to {report.threshold:g}": lambda one: _reached(one.reaching),
-        "random policy": lambda one: _score(one.floor),
-        "expert": lambda one: _score(one.ceiling),
+        "random policy": lambda one: estimate(one.floor),
+        "expert": lambda one: estimate(one.ceiling),
         "steps of a source": lambda one: count(one.steps),
         "its time": lambda one: duration(one.seconds),
     }
@@ -47,15 +39,15 @@ def variants_table(report: TransferReport) -> Table:
 def cells_table(report: TransferReport) -> Table:
     """One row per pair of different variants, all metrics."""
     columns: Columns[Cell] = {"transfer": lambda cell: f"{cell.source} to {cell.target}"}
-    for name, metric in known(report).items():
-        columns[metric.title.lower()] = _column(name)
+    for name, metric in METRICS.items():
+        columns[metric.title.lower()] = partial(_estimate, name)
     columns[f"steps to {report.threshold:g}"] = lambda cell: _reached(cell.reaching)
-    return Table.of((cell for cell in report.cells if cell.source != cell.target), columns)
+    return Table.of([cell for cell in report.cells if cell.source != cell.target], columns)
 
 
 def notes(report: TransferReport) -> list[str]:
     """What the numbers mean."""
-    lines = [f"{metric.title}: {metric.meaning}" for metric in known(report).values()]
+    lines = [f"{metric.title}: {metric.meaning}" for metric in report.metrics.values()]
     seeds = len(report.seeds)
     between = "95 % bootstrap interval over the paired seeds" if seeds >= 5 else "smallest and largest of the seeds"
     lines.append(
@@ -69,17 +61,15 @@ def notes(report: TransferReport) -> list[str]:
     return lines
 
 
-@look()
-def heat_map(report: TransferReport, name: str) -> Drawing:
+def metric_map(report: TransferReport, name: str) -> Drawing:
     """One metric, a row per source and a column per target; below zero-shot success the expert and random actions."""
-    metric, labels = METRICS[name], [variant.label for variant in report.variants]
-    found = {(cell.source, cell.target): cell.estimates.get(name) for cell in report.cells}
-    rows = [(source, [_cell(found[source, target]) for target in labels]) for source in labels]
+    metric, rows = METRICS[name], report.matrix(name)
     if name == "zero_shot":
-        rows.append(("expert", [_cell(variant.ceiling) for variant in report.variants]))
-        rows.append(("random", [_cell(variant.floor) for variant in report.variants]))
-    drawing = Drawing(f"transfer_{name}", metric.title, f"{metric.meaning[0].upper()}{metric.meaning[1:]}.")
-    shade_cells(drawing, rows, labels, neutral=metric.neutral, larger_is_better=metric.larger_is_better)
+        rows.append(("expert", [variant.ceiling for variant in report.variants]))
+        rows.append(("random", [variant.floor for variant in report.variants]))
+    caption = f"{metric.meaning[0].upper()}{metric.meaning[1:]}."
+    drawing = Drawing(f"transfer_{name}", metric.title, caption)
+    heat_map(drawing, rows, report.labels, neutral=metric.neutral, larger_is_better=metric.larger_is_better)
     drawing.axes.set(xlabel="to", ylabel="from")
     return drawing
 
@@ -93,7 +83,7 @@ def transfer_figures(report: TransferReport) -> tuple[list[Drawing], list[Drawin
         drawing.name = f"learning_{len(curves)}"
         drawing.axes.set_title(f"Learning on {short(label)}", loc="left")
         curves.append(drawing)
-    return [heat_map(report, name) for name in known(report)], curves
+    return [metric_map(report, name) for name in report.metrics], curves
 
 
 def write_report(report: TransferReport, path: Path, figures: Path | None = None) -> None:
@@ -134,20 +124,9 @@ def _run_cells(run: ComparedRun) -> tuple[str, str, str, str]:
     return str(summary.seed), success(run.reported("end"), run.episodes), count(summary.steps), summary.run
 
 
-def _cell(found: Estimate | Score | None) -> tuple[float, str]:
-    """Value, nan if it is unknown, and text."""
-    if found is None:
-        return math.nan, "-"
-    return (found.value, estimate(found)) if isinstance(found, Estimate) else (found.success_end, _score(found))
-
-
-def _column(name: str) -> Callable[[Cell], str]:
-    return lambda cell: estimate(cell.estimates.get(name))
+def _estimate(name: str, cell: Cell) -> str:
+    return estimate(cell.estimates.get(name))
 
 
 def _reached(found: Reaching | None) -> str:
     return "-" if found is None else f"{count(found.steps)} ({found.reached} of {found.seeds})"
-
-
-def _score(score: Score | None) -> str:
-    return "-" if score is None else success(score.success_end, score.episodes)

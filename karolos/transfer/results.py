@@ -18,10 +18,8 @@ from ..core.seeding import SeedTree
 from ..evaluation.playing import Score
 from ..records import RunFolder
 from ..records.results import TestCounts
-from ..records.transfer_results import TransferResult
 from ..statistics import aggregates, transfer
 from ..statistics.intervals import wilson
-from .baselines import Baselines
 from .matrix import MatrixRuns, Pair
 
 
@@ -103,10 +101,10 @@ class Variant:
     """Environment steps of a run, mean over seeds: what a source costs."""
     seconds: float
     """Of collecting and learning."""
-    floor: Score
-    """Uniformly random actions."""
-    ceiling: Score | None
-    """The scripted expert."""
+    floor: Estimate
+    """Success of uniformly random actions."""
+    ceiling: Estimate | None
+    """Success of the scripted expert."""
 
 
 @dataclass(frozen=True)
@@ -122,6 +120,23 @@ class TransferReport:
     learning: Mapping[str, Comparison]
     """Target -> training from scratch and fine-tuning from each source."""
     warnings: tuple[str, ...]
+
+    @property
+    def labels(self) -> list[str]:
+        """The names of the variants."""
+        return [variant.label for variant in self.variants]
+
+    @property
+    def metrics(self) -> dict[str, Metric]:
+        """The metrics that at least one cell has."""
+        return {name: one for name, one in METRICS.items() if any(cell.estimates.get(name) for cell in self.cells)}
+
+    def matrix(self, name: str) -> list[tuple[str, list[Estimate | None]]]:
+        """One metric: each source with an estimate per target."""
+        return [
+            (source, [cell.estimates.get(name) for cell in self.cells if cell.source == source])
+            for source in self.labels
+        ]
 
     def rows(self) -> list[dict[str, Any]]:
         """One JSON object per pair of source and target."""
@@ -144,9 +159,14 @@ class TransferReport:
             **estimates,
             "threshold": self.threshold,
             "steps_to_threshold": _reaching_row(cell.reaching),
-            "scratch": _variant_row(target),
-            "floor": target.floor.success_end,
-            "ceiling": target.ceiling and target.ceiling.success_end,
+            "scratch": {
+                "success_end": target.success and asdict(target.success),
+                "steps_to_threshold": _reaching_row(target.reaching),
+                "runs": [run.summary.run for run in target.runs.values()],
+                "experiment": next((run.summary.experiment for run in target.runs.values()), None),
+            },
+            "floor": target.floor.value,
+            "ceiling": target.ceiling and target.ceiling.value,
             "source_cost": {"steps": source.steps, "seconds": source.seconds},
             "source_runs": [run.summary.run for run in source.runs.values()],
             "fine_tuned_runs": [run.summary.run for run in cell.runs.values()],
@@ -154,34 +174,61 @@ class TransferReport:
         }
 
 
+def _reaching_row(found: Reaching | None) -> dict[str, Any] | None:
+    return None if found is None else {"median": found.steps, "reached": found.reached, "of": found.seeds}
+
+
 def transfer_report(found: MatrixRuns) -> TransferReport:
     """The numbers of the runs and tests of a matrix."""
     settings = found.spec.transfer
     assert settings is not None  # only such a spec has a matrix
-    tree = SeedTree(0).child("transfer")
+    tree, threshold = SeedTree(0).child("transfer"), settings.threshold
     untested: list[str] = []
     scratch = {label: _compared(runs, untested) for label, runs in found.sources.items()}
     tuned = {pair: _compared(runs, untested) for pair, runs in found.fine_tuned.items()}
+    tests = {
+        pair: {seed: TestCounts.of(test.result) for seed, test in each.items()}
+        for pair, each in found.zero_shot.items()
+    }
+    for (source, _), each in found.zero_shot.items():  # the own test comes with any target's
+        tests.setdefault((source, source), {}).update({seed: test.own for seed, test in each.items()})
     cells = []
     for source, target in product(scratch, repeat=2):
         pair, leaf = (source, target), tree.child(source, target)
         baseline = scratch[target] if "scratch" in settings.modes else {}
-        tests, runs = _tests(found.zero_shot, pair), tuned.get(pair, {})
-        estimates = _zero_shot(found.zero_shot, pair, leaf) | _fine_tuned(runs, baseline, settings.threshold, leaf)
-        reaching = _reaching(list(runs.values()), settings.threshold)
-        cells.append(Cell(source, target, estimates, reaching, tests, runs))
+        runs, counts = tuned.get(pair, {}), tests.get(pair, {})
+        estimates = _zero_shot(counts, {} if source == target else tests.get((source, source), {}), leaf)
+        estimates |= _fine_tuned(runs, baseline, threshold, leaf)
+        cells.append(Cell(source, target, estimates, _reaching(runs, threshold), counts, runs))
     return TransferReport(
         name=found.spec.name,
-        threshold=settings.threshold,
+        threshold=threshold,
         seeds=found.spec.seeds,
         variants=tuple(
-            _variant(label, runs, found.baselines[label], settings.threshold, tree.child(label))
+            Variant(
+                label,
+                runs,
+                success=_reported(runs, tree.child(label)),
+                reaching=_reaching(runs, threshold),
+                steps=_mean([run.summary.steps for run in runs.values()]),
+                seconds=_mean([run.summary.seconds for run in runs.values()]),
+                floor=_wilson(found.baselines[label].floor),
+                ceiling=None if (expert := found.baselines[label].ceiling) is None else _wilson(expert),
+            )
             for label, runs in scratch.items()
         ),
         cells=tuple(cells),
         learning={label: _learning(label, runs, tuned) for label, runs in scratch.items() if runs and tuned},
         warnings=(*found.problems, *(f"{run} has lost its tests and is left out" for run in untested)),
     )
+
+
+def _mean(values: Sequence[float]) -> float:
+    return float(np.mean(values)) if values else 0.0
+
+
+def _wilson(score: Score) -> Estimate:
+    return Estimate(score.success_end, score.low, score.high, "wilson")
 
 
 def _compared(runs: Mapping[int, RunFolder], untested: list[str]) -> dict[int, ComparedRun]:
@@ -191,49 +238,24 @@ def _compared(runs: Mapping[int, RunFolder], untested: list[str]) -> dict[int, C
     return {seed: load_compared(folder.record()) for seed, folder in tested.items()}
 
 
-def _variant(
-    label: str, runs: Mapping[int, ComparedRun], baselines: Baselines, threshold: float, tree: SeedTree
-) -> Variant:
-    listed = list(runs.values())
-    return Variant(
-        label,
-        runs,
-        success=_reported(listed, tree),
-        reaching=_reaching(listed, threshold),
-        steps=float(np.mean([run.summary.steps for run in listed])) if listed else 0.0,
-        seconds=float(np.mean([run.summary.seconds for run in listed])) if listed else 0.0,
-        floor=baselines.floor,
-        ceiling=baselines.ceiling,
-    )
-
-
-def _reported(runs: Sequence[ComparedRun], tree: SeedTree) -> Estimate | None:
+def _reported(runs: Mapping[int, ComparedRun], tree: SeedTree) -> Estimate | None:
     """Success of the last policies."""
     if not runs:
         return None
-    return estimate([[run.reported("end") for run in runs]], aggregates.mean, tree, runs[0].episodes)
-
-
-def _tests(found: Mapping[Pair, Mapping[int, TransferResult]], pair: Pair) -> dict[int, TestCounts]:
-    """Seed -> test of the source's policy on the target. Those on the diagonal come from any target's."""
-    source, target = pair
-    if source == target:
-        return {seed: test.own for (one, _), tests in found.items() if one == source for seed, test in tests.items()}
-    return {seed: TestCounts.of(test.result) for seed, test in found.get(pair, {}).items()}
+    reported = [run.reported("end") for run in runs.values()]
+    return estimate([reported], aggregates.mean, tree, next(iter(runs.values())).episodes)
 
 
 def _zero_shot(
-    found: Mapping[Pair, Mapping[int, TransferResult]], pair: Pair, tree: SeedTree
+    tests: Mapping[int, TestCounts], own: Mapping[int, TestCounts], tree: SeedTree
 ) -> dict[str, Estimate | None]:
-    """The estimates of a cell that tests of the source's policies give."""
-    counts = _tests(found, pair)
-    if not counts:
+    """The estimates of a cell from tests of the source's policies on the target, and on their own variant."""
+    if not tests:
         return {}
-    ends, episodes = [count.success_end or 0.0 for count in counts.values()], next(iter(counts.values())).episodes
+    ends, episodes = [count.success_end or 0.0 for count in tests.values()], next(iter(tests.values())).episodes
     estimates = {"zero_shot": estimate([ends], aggregates.mean, tree.child("zero shot"), episodes)}
-    if pair[0] != pair[1]:
-        own = _tests(found, (pair[0], pair[0]))
-        before = [own[seed].success_end or 0.0 for seed in counts]
+    if own:
+        before = [own[seed].success_end or 0.0 for seed in tests]
         estimates["retention"] = estimate([ends, before], transfer.ratio_of_means, tree.child("retention"))
     return estimates
 
@@ -242,7 +264,7 @@ def _fine_tuned(
     runs: Mapping[int, ComparedRun], scratch: Mapping[int, ComparedRun], threshold: float, tree: SeedTree
 ) -> dict[str, Estimate | None]:
     """The estimates of a cell that fine-tuning gives. Those that compare it use the seeds that both have."""
-    reported = _reported(list(runs.values()), tree.child("fine tuned"))
+    reported = _reported(runs, tree.child("fine tuned"))
     if reported is None:
         return {}
     estimates: dict[str, Estimate | None] = {"fine_tuned": reported}
@@ -279,10 +301,11 @@ def _time(run: ComparedRun, threshold: float) -> tuple[float, bool]:
     return (at[-1], False) if reached is None else (reached, True)
 
 
-def _reaching(runs: Sequence[ComparedRun], threshold: float) -> Reaching | None:
+def _reaching(found: Mapping[int, ComparedRun], threshold: float) -> Reaching | None:
     """Kaplan-Meier medians of the runs."""
-    if not runs:
+    if not found:
         return None
+    runs = list(found.values())
     times = [_time(run, threshold) for run in runs]
     reached = [done for _, done in times]
     seconds = [
@@ -302,17 +325,3 @@ def _learning(
         if on == target and runs:
             contenders.append(Contender(f"from {source}", tuple(runs.values())))
     return compare(contenders, "end")
-
-
-def _reaching_row(found: Reaching | None) -> dict[str, Any] | None:
-    return None if found is None else {"median": found.steps, "reached": found.reached, "of": found.seeds}
-
-
-def _variant_row(variant: Variant) -> dict[str, Any]:
-    """Training from scratch on a target."""
-    return {
-        "success_end": variant.success and asdict(variant.success),
-        "steps_to_threshold": _reaching_row(variant.reaching),
-        "runs": [run.summary.run for run in variant.runs.values()],
-        "experiment": next((run.summary.experiment for run in variant.runs.values()), None),
-    }

@@ -6,9 +6,9 @@ from dataclasses import replace
 import pytest
 from karolos_cli.output import rich_table
 from rich.console import Console
+from support.compared_runs import run
 
 from karolos.records.results import TestCounts, TestResult
-from karolos.records.run_records import RunSummary
 from karolos.report.tables import (
     Table,
     clean,
@@ -21,29 +21,8 @@ from karolos.report.tables import (
     table_of_tests,
 )
 
-RUN = RunSummary(
-    run="reach-s0-1",
-    experiment="abc",
-    seed=0,
-    state="finished",
-    steps=20_000,
-    seconds=47.21,
-    success_any=0.97,
-    success_end=0.9,
-    steps_to_95=6000,
-    seconds_to_95=12.0,
-    name="reach",
-    episodes=100,
-    environment="robot_task",
-    robot="panda",
-    task="reach",
-    agent="sac",
-    attempt=1,
-    error=None,
-    created="2026-01-01",
-    updated="2026-01-01",
-    folder="runs/reach-s0-1",
-)
+TESTED = {"success_any": 0.97, "success_end": 0.9, "steps_to_95": 6000, "seconds_to_95": 12.0}
+RUN = run(0, [97], interval=20_000, **TESTED).summary
 
 
 def shown(table: Table) -> str:
@@ -52,71 +31,67 @@ def shown(table: Table) -> str:
     return stream.getvalue()
 
 
+def row(table: Table) -> dict[str, str]:
+    """The first row by column."""
+    return dict(zip(table.columns, table.rows[0], strict=True))
+
+
 def test_run_is_shown_with_the_interval_of_its_success() -> None:
-    text = shown(runs_table([RUN]))
-    parts = (
-        "reach-s0-1",
-        "finished",
-        "20,000",
-        "47.2 s",
-        "success end",
-        "0.90 [0.83, 0.94]",
-        "0.97",
-        "steps to .95 end",
-        "6,000",
-        "12.0 s",
-    )
-    for part in parts:
-        assert part in text
+    assert row(runs_table([RUN])) == {
+        "run": "reach-s0",
+        "state": "finished",
+        "steps": "20,000",
+        "time": "3 min 20 s",
+        "total": "0.0 s",
+        "success end": "0.90 [0.83, 0.94]",
+        "any": "0.97",
+        "steps to .95 end": "6,000",
+        "time to .95 end": "12.0 s",
+    }
 
 
-def test_run_without_a_test_is_shown() -> None:
-    empty = dict.fromkeys(("success_any", "success_end", "steps_to_95", "seconds_to_95", "episodes"), None)
-    assert shown(runs_table([replace(RUN, **empty)])).count(" - ") == 6
-
-
-def test_returns_stand_alone_where_nothing_defines_success() -> None:
-    empty = dict.fromkeys(("success_any", "success_end", "steps_to_95", "seconds_to_95"), None)
-    run = replace(RUN, **empty, mean_return=-1234.567, best_return=-130.0)
-    table = runs_table([run])
-    assert [*table.columns[-2:], *table.rows[0][-2:]] == ["return", "best return", "-1,234.57", "-130.00"]
-    assert not any("success" in name or ".95" in name for name in table.columns)
-    both = runs_table([run, replace(RUN, mean_return=-3.0)])
-    assert both.columns[-1] == "return"
-    assert [row[-1] for row in both.rows] == ["-1,234.57", "-3.00"]
-    assert both.rows[0][both.columns.index("success end")] == "-"
+def test_columns_without_a_value_are_left_out_and_returns_stand_alone_where_nothing_defines_success() -> None:
+    untested = replace(RUN, **dict.fromkeys(TESTED, None))
+    assert list(runs_table([untested]).columns) == ["run", "state", "steps", "time", "total"]
+    returns = replace(untested, mean_return=-1234.567, best_return=-130.0)
+    assert row(runs_table([returns])).items() >= {"return": "-1,234.57", "best return": "-130.00"}.items()
+    both = row(runs_table([returns, replace(RUN, mean_return=-3.0)]))
+    assert (both["return"], both["success end"], "best return" in both) == ("-1,234.57", "-", False)
     tests = table_of_tests([TestCounts(1000, 100.0, 20, None, None, None, -12.5)])
     assert list(tests.columns) == ["steps", "time", "return", "episodes"]
 
 
-def test_test_is_shown_with_both_ways_to_count() -> None:
-    text = shown(table_of_tests([TestCounts(1000, 100.0, 20, 18, 0, 3, -12.5)]))
-    for part in ("1,000", "1 min 40 s", "0.90 [0.70, 0.97]", "0.00 [0.00, 0.16]", "20", "3", "-12.50"):
-        assert part in text
-    assert "within" not in text
-
-
-def test_test_is_shown_with_how_many_ended_near_their_goal_where_that_is_known() -> None:
+def test_test_is_shown_with_both_ways_to_count_and_how_many_ended_near_their_goal() -> None:
+    counts = TestCounts(1000, 100.0, 20, 18, 0, 3, -12.5)
+    expected = {
+        "steps": "1,000",
+        "time": "1 min 40 s",
+        "success end": "0.00 [0.00, 0.16]",
+        "success any": "0.90 [0.70, 0.97]",
+        "return": "-12.50",
+        "episodes": "20",
+        "solved at reset": "3",
+    }
+    assert row(table_of_tests([counts])) == expected
     flags = (True, False, False, False)
     far = TestResult(1000, 100.0, flags, flags, flags, (0.0,) * 4, (9,) * 4, (0.04, 0.09, 0.2, float("inf")))
-    tests = [TestCounts(steps, steps / 10, 4, 1, 1, 0, 0.0) for steps in (1000, 2000)]
-    text = shown(table_of_tests(tests, [far]))
-    for part in ("end within 0.05 / 0.10 / 0.25 m", "0.25 / 0.50 / 0.75"):
-        assert part in text
+    table = table_of_tests([counts, replace(counts, steps=2000)], [far])
+    assert row(table) == expected | {"end within 0.05 / 0.10 / 0.25 m": "0.25 / 0.50 / 0.75"}
+    assert table.rows[1][-1] == "-"
 
 
 @pytest.mark.parametrize("evil", ["\x1b[2Jx", "\x9b31mx", "a\rb", "a\nb", "\u202ereversed", "\x07", "\ud800"])
 def test_text_from_a_file_cannot_steer_the_terminal(evil: str) -> None:
     assert clean(evil).isprintable()
-    run = replace(RUN, run=evil, state=evil)
-    text = shown(runs_table([run])) + shown(facts_table({evil: evil}))
+    text = shown(runs_table([replace(RUN, run=evil, state=evil)])) + shown(facts_table({evil: evil}))
     assert evil not in text
     assert all(sign.isprintable() or sign == "\n" for sign in text)
 
 
-def test_markup_in_a_text_is_shown_as_it_is() -> None:
-    assert "[red]x[/red]" in shown(facts_table({"error": "[red]x[/red]", "none": None}))
-    assert "none" not in shown(facts_table({"none": None}))
+def test_markup_in_a_text_is_shown_as_it_is_and_facts_without_a_value_are_not() -> None:
+    text = shown(facts_table({"error": "[red]x[/red]", "none": None}))
+    assert "[red]x[/red]" in text
+    assert "none" not in text
 
 
 @pytest.mark.parametrize(

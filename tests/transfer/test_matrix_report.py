@@ -12,7 +12,7 @@ from support.transfer_samples import run_matrix
 
 from karolos.statistics.intervals import wilson
 from karolos.transfer.matrix import MatrixRuns
-from karolos.transfer.page import cells_table, heat_map, matrix_table, notes, page, transfer_figures, variants_table
+from karolos.transfer.page import cells_table, matrix_table, metric_map, notes, page, transfer_figures, variants_table
 from karolos.transfer.results import TransferReport, transfer_report
 
 
@@ -105,7 +105,7 @@ def test_the_page_holds_a_heat_map_for_each_metric_and_every_run(report: Transfe
     ):
         assert word in text
     assert not re.search(r"<script|https?://(?!www\.w3\.org)", text)
-    drawing = heat_map(report, "zero_shot")
+    drawing = metric_map(report, "zero_shot")
     rows = [label.get_text() for label in drawing.axes.get_yticklabels()]
     assert rows == ["fast", "slow", "expert", "random"]
     assert len(variants_table(report).rows) == 2

@@ -7,7 +7,7 @@ from functools import partial
 
 import numpy as np
 
-from ..interface.engine import FINGER_GAIN, OPENS, TIMESTEP, Fingers, JointLimits
+from ..interface.engine import FINGER_RATE, OPENS, TIMESTEP, Fingers, JointLimits
 from .body import Body
 
 STABLE_DAMPING = 0.5
@@ -52,7 +52,7 @@ class Motors:
                 pads[0],
                 api.POSITION_CONTROL,
                 force=2 * fingers.gripper.force,
-                positionGain=FINGER_GAIN,
+                positionGain=FINGER_RATE * TIMESTEP,
                 velocityGain=1.0,
             )
             for link in pads:
