@@ -322,6 +322,8 @@ class Arm:
         arm = [joint.child for joint in self._joints]
         self._motors = motors = world.motors(self.body, arm, self.limits, self._fingers)
         self._arm_links = [self.body.links()[name] for name in arm]
+        if self._guard is not None:
+            world.forces(self.body)  # the world records them from the first question on
         self._apply: dict[str, Callable[[float], None]] = {
             "joint_damping": motors.set_joint_damping,
             "joint_friction": motors.set_joint_friction,

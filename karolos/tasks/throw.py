@@ -80,7 +80,7 @@ class Throw(CubeTask):
     Reward: at landing; sparse 1 within the threshold, else 0; dense in [0, 1], see `Landing`.
     What counts as success: the cube's first contact with the floor after its release lies within `threshold` of the
     target. Flying over the target or carrying the cube there does not count. Until then the arm touches neither the
-    floor nor itself (at the end of a control step), and its protective stop does not act.
+    floor nor itself, and its protective stop does not act.
     Termination: when the cube touches the floor, thrown or put down, or the arm does; truncated after `max_steps`.
     With probability `end_at_release` already when the cube leaves the hand, at the landing that free flight computes;
     as a parameter of domain randomization in training alone. The computed landing is that of an undisturbed flight: a
@@ -150,6 +150,7 @@ class Throw(CubeTask):
     def build(self, world: World) -> None:
         super().build(world)
         world.release_in_motion()
+        self._robot.touches_others()  # the world records forces from the first question on
         self._lead = world.lead
         self._marker = world.marker(self.settings.threshold, GOAL_COLOUR)
 

@@ -17,7 +17,7 @@ from ...core import Array, FloatArray
 from ...errors import PluginError
 from ...files import temporary_prefix
 from ..geometry import Vector
-from ..interface.engine import FLOOR_FRICTION, GRAVITY, TIMESTEP, Camera, Colour, Contact, Fingers, JointLimits
+from ..interface.engine import FLOOR_FRICTION, GRAVITY, PHYSICS_RATE, Camera, Colour, Contact, Fingers, JointLimits
 from ..interface.engine import Body as AnyBody
 from ..meshes import stl
 from ..picture import FLOOR_COLOUR, GRID_COLOUR, GRIDS, SKY_COLOUR, Eye, Marker, draw
@@ -64,12 +64,14 @@ class World:
     Raises MachineError when a window is requested and there is no display.
     """
 
-    def __init__(self, *, substeps: int = 10, window: bool = False, camera: Camera | None = None) -> None:
+    def __init__(
+        self, *, substeps: int = 10, rate: int = PHYSICS_RATE, window: bool = False, camera: Camera | None = None
+    ) -> None:
         self.api = api = Client(window=window)
         self.substeps = substeps
-        self.period, self.lead = substeps * TIMESTEP, TIMESTEP / 2
+        self.period, self.timestep, self.lead = substeps / rate, 1 / rate, 1 / rate / 2
         api.setPhysicsEngineParameter(
-            fixedTimeStep=TIMESTEP,
+            fixedTimeStep=self.timestep,
             numSubSteps=0,
             numSolverIterations=SOLVER_ROUNDS,
             solverResidualThreshold=SOLVER_RESIDUAL,
@@ -142,7 +144,7 @@ class World:
         links = body.links()
         pads = [links[name] for name in fingers.links] if fingers else []
         arm = [links[name] for name in joints]
-        motors = Motors(Body(self.api, body.index), self.substeps, limits, arm, fingers, pads)
+        motors = Motors(Body(self.api, body.index), self.substeps, limits, arm, fingers, pads, timestep=self.timestep)
         self._motors.append(motors)
         return motors
 

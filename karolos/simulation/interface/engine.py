@@ -8,14 +8,14 @@ from __future__ import annotations
 from collections.abc import Collection, Mapping, Sequence
 from dataclasses import dataclass
 from operator import gt
-from typing import Any, NamedTuple, Protocol
+from typing import Any, Final, NamedTuple, Protocol
 from xml.etree.ElementTree import Element
 
 from ...core import Array
 from ..geometry import UPRIGHT, Quaternion, Vector
 
-TIMESTEP = 1 / 240
-"""Seconds of a physics step."""
+PHYSICS_RATE: Final = 240
+"""Physics steps per second, if nothing else is said."""
 GRAVITY = -9.81
 """m/s2 along z."""
 FLOOR_FRICTION = 0.5
@@ -191,7 +191,7 @@ class Motors(Protocol):
         """Set the viscous friction of the arm's joints in N m s/rad, in addition to that of the URDF."""
 
     def set_gain(self, factor: float) -> None:
-        """Set the fraction of a difference from the target speed that a motor removes per physics step, in (0, 1]."""
+        """Set the fraction of a difference from the target speed that a motor removes in 1/240 s, in (0, 1]."""
 
     def set_mass(self, factor: float) -> None:
         """Scale the masses and inertias of all moving links."""

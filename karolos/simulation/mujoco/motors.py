@@ -7,7 +7,7 @@ from typing import Any
 
 import numpy as np
 
-from ..interface.engine import FINGER_RATE, Fingers, JointLimits
+from ..interface.engine import FINGER_RATE, PHYSICS_RATE, Fingers, JointLimits
 from .body import Body
 from .simulation import Simulation
 
@@ -92,7 +92,8 @@ class Motors:
         self._simulation.reparametrise()
 
     def set_gain(self, factor: float) -> None:
-        self.rates[: self._size] = factor / self._simulation.timestep
+        timestep = self._simulation.timestep
+        self.rates[: self._size] = (1 - (1 - factor) ** (PHYSICS_RATE * timestep)) / timestep
 
     def set_mass(self, factor: float) -> None:
         self._mass = factor

@@ -16,7 +16,7 @@ from numpy.typing import NDArray
 from ...core import Array, FloatArray
 from ...errors import MachineError, PluginError
 from ..geometry import Vector
-from ..interface.engine import FLOOR_FRICTION, Camera, Colour, Contact, Fingers, JointLimits
+from ..interface.engine import FLOOR_FRICTION, PHYSICS_RATE, Camera, Colour, Contact, Fingers, JointLimits
 from ..interface.engine import Body as AnyBody
 from ..meshes import stl
 from ..picture import Eye, Marker, draw
@@ -42,7 +42,7 @@ class World:
         self,
         *,
         substeps: int = 10,
-        rate: int = 240,
+        rate: int = PHYSICS_RATE,
         window: bool = False,
         camera: Camera | None = None,  # noqa: ARG002 (of a window)
     ) -> None:
