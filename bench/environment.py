@@ -49,7 +49,7 @@ def measure(
         seconds: time for all measurements together.
     """
     if peers:
-        yield from _beside_panda_gym(seconds)
+        yield from _beside_panda_gym(engine, seconds)
         return
     modes: tuple[Control, ...] = (control,) if control else get_args(Control)
     contestants: dict[tuple[str, str], Any] = {}
@@ -119,7 +119,7 @@ def _play(environment: RobotTask, actions: FloatArray) -> int:
     return count
 
 
-def _beside_panda_gym(seconds: float) -> Iterator[Row]:
+def _beside_panda_gym(engine: Engine | None, seconds: float) -> Iterator[Row]:
     """Steps per second of random episodes without their resets, both libraries by gymnasium's interface."""
     require("panda_gym", hint="pip install --no-deps panda-gym")
     import panda_gym  # type: ignore[import-not-found]  # noqa: F401, PLC0415  (registers its environments)
@@ -133,7 +133,8 @@ def _beside_panda_gym(seconds: float) -> Iterator[Row]:
         return PANDA_GYM_STEPS / seconds_of(lambda: [environment.step(action) for action in actions], thread_time)
 
     for task, ids in PANDA_GYM_TASKS.items():
-        environments = [gymnasium.make(name).unwrapped for name in ids]
+        settings: list[dict[str, Any]] = [{} if engine is None else {"engine": engine}, {}]
+        environments = [gymnasium.make(name, **more).unwrapped for name, more in zip(ids, settings, strict=True)]
         contestants = {one: partial(rate, one) for one in environments}
         ours, theirs = take_turns(contestants, seconds=seconds / len(PANDA_GYM_TASKS)).values()
         for environment in environments:

@@ -20,7 +20,7 @@ def test_listing_imports_no_plugin():
     code = (
         "import sys; from karolos.registry import KINDS, names; found = {kind: names(kind) for kind in KINDS};"
         "assert 'panda' in found['robots'] and 'toy' in found['environments'] and 'sac' in found['agents'], found;"
-        "heavy = ('torch', 'pybullet', 'pydantic', 'numpy', 'karolos.robots');"
+        "heavy = ('torch', 'pybullet', 'mujoco', 'pydantic', 'numpy', 'karolos.robots');"
         "loaded = [name for name in sys.modules if name.startswith(heavy)];"
         "assert not loaded, loaded"
     )

@@ -15,6 +15,7 @@ def cautions(contenders: Sequence[Contender]) -> tuple[str, ...]:
     """One line per warning, the most important first."""
     found = [problem for contender in contenders for problem in contender.problems]
     found += _different(contenders, "they do different tasks", _task)
+    found += _different(contenders, "different physics engines (environment.engine)", _engine)
     found += _unfinished(contenders)
     found += _different(contenders, "they ended at different steps", lambda run: f"{run.tests[-1].steps:,}")
     counts = [len(contender.runs) for contender in contenders]
@@ -65,9 +66,15 @@ def _testing(key: str, run: ComparedRun) -> object:
 
 def _version(package: str, run: ComparedRun) -> str | None:
     """The version of a package; None if it is that of an engine that the run did not use."""
-    engine = (run.spec.get("environment") or {}).get("engine")
+    engine = _engine(run)
     unused = engine is not None and ENGINES.get(package, engine) != engine
     return None if unused else run.versions.get(package)
+
+
+def _engine(run: ComparedRun) -> str | None:
+    """The physics engine; None of an environment without one."""
+    environment: Mapping[str, str] = run.spec.get("environment") or {}
+    return environment.get("engine")
 
 
 def _task(run: ComparedRun) -> str | None:

@@ -9,7 +9,7 @@ from typing import Any
 
 from ..core import Failure
 from ..errors import KarolosError, StoreError
-from ..records import RunFolder
+from ..records import RunFolder, provenance
 from ..records.final_test import FinalTest
 from ..records.results import TestCounts, TestResult
 from ..records.run_records import State
@@ -79,13 +79,16 @@ class RunWriter:
             self.warn(str(error), consequence)
 
     def start(self, snapshot: Snapshot | None, *, exact: bool) -> None:
-        """The run starts, or resumes from a snapshot: bit for bit if `exact`. Nothing is built yet."""
+        """The run starts, or resumes from a snapshot: bit for bit if `exact` and with the same software."""
         if snapshot is not None and not exact:
             self.folder.cut_tests(snapshot.meta["steps"])
         self._set_state("running")
         if snapshot is None:
             self.folder.event("started")
             return
+        if found := provenance.other_versions(self.folder.description().get("versions", {})):
+            exact = False
+            self.warn(f"it began with other software: {'; '.join(found)}", "it may differ from an unbroken run")
         attempt = self.folder.state().attempt
         self.folder.event("resumed", attempt=attempt, steps=snapshot.meta["steps"], bit_exact=exact)
         self.folder.cut_episodes(snapshot.meta["episodes_bytes"])

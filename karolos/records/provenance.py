@@ -94,11 +94,16 @@ def software() -> dict[str, Any]:
     return {"versions": versions(), "source": source()}
 
 
+def other_versions(other: Mapping[str, str]) -> list[str]:
+    """Which of these versions are other ones here."""
+    own = versions()
+    found = [(name, own.get(name, "missing"), version) for name, version in sorted(other.items())]
+    return [f"{name} is {here} here and {there} there" for name, here, there in found if here != there]
+
+
 def check_software(launched: Mapping[str, Any], where: str) -> None:
     """Raise a MachineError if this process has other software than the one that launched it, see `software`."""
-    other, own = launched.get("versions", {}), versions()
-    names = [name for name in sorted({*other, *own}) if other.get(name) != own.get(name)]
-    found = [f"{name} is {own.get(name, 'missing')} here and {other.get(name, 'missing')} there" for name in names]
+    found = other_versions(launched.get("versions", {}))
     if not found and launched.get("source") != source():
         found = ["the source of karolos or a plugin is another one"]
     if found:

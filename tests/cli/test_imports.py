@@ -14,6 +14,7 @@ HEAVY = (
     "gymnasium",
     "imageio",
     "matplotlib",
+    "mujoco",
     "multiprocessing.connection",
     "numpy",
     "onnx",

@@ -57,6 +57,8 @@ def test_the_version_of_an_engine_counts_where_it_was_used() -> None:
     )
     assert cautions([one, two]) == ()
     used = SPEC | {"environment": {"name": "robot_task", "engine": "mujoco"}}
+    other = contender("c", [[5]], spec=used)
+    assert cautions([one, other]) == ("different physics engines (environment.engine): a bullet; c mujoco",)
     one, two = (contender(label, [[5]], spec=used, versions={"mujoco-core": label}) for label in ("a", "b"))
     assert cautions([one, two]) == ("different versions of mujoco-core: a a; b b",)
 

@@ -221,19 +221,20 @@ def test_settings_that_exclude_each_other_are_refused() -> None:
             Gymnasium.Settings(id=POINT, **settings)
 
 
-@pytest.mark.parametrize(
-    "module", ["runs.a-s0-1.evil", "runs.a-s0-1", "runs.evil", "a-s0-1.evil", "evil", "named.evil"]
-)
+@pytest.mark.parametrize("module", ["runs.a-s0-1.evil", "runs.a-s0-1", "runs.evil", "a-s0-1.evil", "named.evil", "own"])
 def test_a_module_in_a_folder_of_runs_is_not_imported(
     tmp_path: Path, monkeypatch: pytest.MonkeyPatch, module: str
 ) -> None:
     run = tmp_path / "runs" / "a-s0-1"
     run.mkdir(parents=True)
     (run / "run.json").touch()
-    for place in (run / "evil.py", run / "__init__.py", run.parent / "evil.py"):
-        place.write_text("raise SystemExit('imported')")
+    for place in (run / "evil.py", run / "__init__.py", run.parent / "evil.py", run.parent / "own.py"):
+        place.write_text("raise RuntimeError('imported')")
     (tmp_path / "named").symlink_to(run)
     monkeypatch.syspath_prepend(run.parent)
     monkeypatch.syspath_prepend(tmp_path)
-    with pytest.raises(UsageError, match=r"lies in a folder of runs and is not imported"):
+    is_own = module == "own"  # a module on the path, beside runs: --runs .
+    with pytest.raises(
+        UsageError, match="cannot be made" if is_own else "lies in a folder of runs and is not imported"
+    ):
         make(id=f"{module}:X-v0")

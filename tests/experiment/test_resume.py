@@ -9,6 +9,7 @@ from pathlib import Path
 from typing import Any
 
 import pytest
+from support.rig import ENGINES
 from support.states import assert_same_runs
 from support.store_samples import stored
 
@@ -19,8 +20,7 @@ from karolos.experiment.resume import Snapshot, newest_snapshot
 from karolos.experiment.run import run_or_resume
 from karolos.experiment.signals import StopRequest
 from karolos.launchers.experiment import Experiment, resume_run
-from karolos.records import RunFolder
-from karolos.simulation.engines import installed
+from karolos.records import RunFolder, provenance
 from karolos.store import Store
 
 HINDSIGHT = {"strategy": "future"}
@@ -75,6 +75,18 @@ def only(outcome: Any) -> RunFolder:
     return RunFolder.open(run.folder)
 
 
+def test_a_run_that_resumes_with_other_software_says_so(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
+    spec = BASE | CASES["sac, priority, hindsight"]
+    only(Experiment(spec).run(tmp_path, listener=stopping_at(100)))
+    there = provenance.versions()
+    monkeypatch.setattr(provenance, "versions", lambda: there | {"torch": "1.0", "a-new-plugin": "1"})
+    events: list[Any] = []
+    folder = only(Experiment(spec).run(tmp_path, existing="resume", listener=events.append))
+    (warned,) = [event.warning for event in events if isinstance(event, RunWarned)]
+    assert f"it began with other software: torch is 1.0 here and {there['torch']} there (it may differ" in warned
+    assert [event["bit_exact"] for event in folder.events() if event["event"] == "resumed"] == [False]
+
+
 @pytest.mark.parametrize("case", CASES)
 def test_stopped_and_resumed_run_equals_one_without_a_break_bit_for_bit(case: str, tmp_path: Path) -> None:
     spec = BASE | CASES[case]
@@ -90,10 +102,10 @@ def test_stopped_and_resumed_run_equals_one_without_a_break_bit_for_bit(case: st
         assert [test.steps for test in stored(store, again.runs[0].run).tests] == [100, 200, 240]
 
 
-@pytest.mark.skipif(not installed("mujoco"), reason="MuJoCo is not installed")
-def test_a_run_with_mujoco_is_the_same_in_one_process_and_broken_off_in_two(tmp_path: Path) -> None:
+@pytest.mark.parametrize("engine", ENGINES)
+def test_a_run_of_a_robot_is_the_same_in_one_process_and_broken_off_in_two(engine: str, tmp_path: Path) -> None:
     spec = BASE | {
-        "environment": {"name": "robot_task", "engine": "mujoco"},
+        "environment": {"name": "robot_task", "engine": engine},
         "robot": "panda",
         "task": {"name": "pick_place", "start_grasped": 0.5, "max_steps": 12},
         "testing": {"interval": 100, "episodes": 2, "final_episodes": 0},

@@ -81,8 +81,10 @@ print("main is back:", sys.modules["__main__"].MARK_OF_THE_USERS_SCRIPT)
     assert output.splitlines() == ["the script runs", str([[torch, threads, main]] * 4), "main is back: True"]
 
 
-def test_importing_the_orchestrator_imports_neither_torch_nor_pybullet(tmp_path):
-    output = run(tmp_path, "print([name for name in ('torch', 'pybullet', 'sqlalchemy') if name in sys.modules])")
+def test_importing_the_orchestrator_imports_neither_torch_nor_an_engine(tmp_path):
+    output = run(
+        tmp_path, "print([name for name in ('torch', 'pybullet', 'mujoco', 'sqlalchemy') if name in sys.modules])"
+    )
     assert output.strip() == "[]"
 
 
@@ -99,7 +101,7 @@ def part(kind, name):
 
 recipe = Recipe(part("environments", "robot_task"), part("robots", "panda"), part("tasks", "reach"))
 build_environment(recipe).reset(0)
-print("pybullet" in sys.modules, "torch" in sys.modules)
+print("mujoco" in sys.modules, "torch" in sys.modules)
 with Local(Local.Settings(), partial(build_environment, recipe)) as orchestrator:
     orchestrator.reset([0], [0])
     orchestrator.receive()

@@ -78,6 +78,8 @@ def main() -> int:
         if problem:
             problems.append(f"{method}:{kind} with {processes} processes: {problem}")
             print(problems[-1], flush=True)
+        if sum(ends.values()) % 10 == 0:
+            print(f"{sum(ends.values())}: {dict(ends)}", flush=True)
     print(f"{sum(ends.values())} environments: {dict(ends)}; {len(problems)} problems")
     return int(bool(problems))
 

@@ -242,7 +242,7 @@ def make_environment(settings: Gymnasium.Settings) -> Any:
 
 
 def _run_that_holds(module: str) -> Path | None:
-    """The folder of a run or of runs in which a module lies; nothing is imported to find it."""
+    """The folder of a run, or of runs below the path, in which a module lies; nothing is imported to find it."""
     top, *inner = module.split(".")
     try:
         spec = find_spec(top)
@@ -251,7 +251,7 @@ def _run_that_holds(module: str) -> Path | None:
     for place in (spec.submodule_search_locations or (spec.origin or "",)) if spec else ():
         path, root = Path(place, *inner).resolve(), Path(place).resolve().parent
         for folder in (path, *path.parents):
-            if (folder / "run.json").exists() or (folder.is_relative_to(root) and any(folder.glob("*/run.json"))):
+            if (folder / "run.json").exists() or (root in folder.parents and any(folder.glob("*/run.json"))):
                 return folder
     return None
 
