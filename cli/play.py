@@ -87,12 +87,13 @@ def play(
         spec, environment, policy, note = player.spec, player.environment, player.policy, player.note
     if note:
         warn(note)
-    if window and not has_window(spec):
-        hint = " (environment.engine=bullet opens one)" if engine_of(spec) else ""
-        say(f"this environment has no window: a film is written{hint}")
-        window = False
-    count = episodes or (5 if window else 1)
     with used(environment):
+        if window and not has_window(spec):
+            hint = " (environment.engine=bullet opens one)" if engine_of(spec) else ""
+            say(f"this environment has no window: a film is written{hint}")
+            check_video_path(target)
+            window = False
+        count = episodes or (5 if window else 1)
         played = (play_failures if failures else play_all)(environment, policy, episodes=count, seed=spec.testing.seed)
         moments = _report_episodes(played)
         if window:

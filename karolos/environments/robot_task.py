@@ -19,7 +19,7 @@ from ..randomization.distributions import Distribution
 from ..randomization.randomization import Randomization
 from ..simulation.engines import Engine, check_engine, make_world
 from ..simulation.interface import Camera, Robot, Task, World
-from ..simulation.interface.engine import TIMESTEP
+from ..simulation.interface.engine import PHYSICS_RATE
 from .action_set import ActionSet, action_index
 
 
@@ -41,8 +41,9 @@ class RobotTask(Environment):
 
     class Settings(BaseSettings):
         engine: Engine = Setting("mujoco", description="physics engine")
-        substeps: int = Setting(
-            10, ge=1, le=100, description="physics steps of 1/240 s per control step; 10 make 24 Hz"
+        substeps: int = Setting(10, ge=1, le=100, description="length of a control step in 1/240 s; 10 make 24 Hz")
+        physics_rate: Literal[240, 480, 720, 960] = Setting(
+            PHYSICS_RATE, description="physics steps per second; more cost as much more and hardly change what happens"
         )
         actions: Literal["continuous", "discrete"] = Setting(
             "continuous", description="discrete: one full step along each action axis in both directions, and nothing"
@@ -61,10 +62,10 @@ class RobotTask(Environment):
         self.settings = settings
         self.robot = robot
         self.task = task
-        self.rate = round(1 / TIMESTEP) / settings.substeps
+        self.rate = PHYSICS_RATE / settings.substeps
         self.divergences = 0
         """Number of episodes truncated because the physics diverged."""
-        robot.prepare(gripper=task.uses_gripper, period=settings.substeps * TIMESTEP, points_down=task.points_down)
+        robot.prepare(gripper=task.uses_gripper, period=settings.substeps / PHYSICS_RATE, points_down=task.points_down)
         task.fit(robot)
         self.declared = {
             **{f"robot.{name}": parameter for name, parameter in robot.parameters.items()},
@@ -121,7 +122,8 @@ class RobotTask(Environment):
         if self._world is None:
             self._world = make_world(
                 self.settings.engine,
-                substeps=self.settings.substeps,
+                substeps=self.settings.substeps * self.settings.physics_rate // PHYSICS_RATE,
+                rate=self.settings.physics_rate,
                 window=self.settings.window,
                 camera=self.camera,
             )

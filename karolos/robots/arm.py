@@ -375,7 +375,7 @@ class Arm:
             target = (
                 min(max(x + self.tool_step * values[0], low_x), high_x),
                 min(max(y + self.tool_step * values[1], low_y), high_y),
-                min(max(z + self.tool_step * values[2], low_z), high_z),
+                min(max(z + self.tool_step * values[2], self._lowest(low_z)), high_z),
             )
             yaw = self._yaw() + self.settings.yaw_step * values[3] if self._yaws else self.home_yaw
             changes = self._joint_changes(target, yaw)
@@ -389,6 +389,15 @@ class Arm:
             self._motors.drive(begin, end, opening)
         else:
             self._motors.drive(begin, end, *self._timed(opening))
+
+    def _lowest(self, low: float) -> float:
+        """Lowest height to aim at, so that the tool comes to rest at `low` and does not meet the floor at speed.
+
+        A control step moves the tool by the mean of its speeds before and after. Afterwards it may be as fast as leaves
+        it the distance that is then left: s = d - (v T + s) / 2.
+        """
+        z, speed = self.tool_position[2], min(self.tool_velocity[2], 0.0)
+        return max(low, z - (z - low + speed * self.period / 2) / 1.5)
 
     def _timed(self, opening: float) -> tuple[float, float]:
         """What the gripper is told in this control step, and the fraction of the step after which it is.

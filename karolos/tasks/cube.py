@@ -14,6 +14,7 @@ from ..errors import PluginError, UsageError
 from ..randomization.randomization import Drawn
 from ..simulation.geometry import UPRIGHT, Quaternion, Vector
 from ..simulation.interface import Box, Gripper, RobotView, Task, World
+from ..simulation.interface.engine import Material
 
 CUBE_COLOUR = (0.93, 0.45, 0.13, 1.0)
 LOST_DISTANCE = 10.0
@@ -43,6 +44,9 @@ class CubeSettings(BaseSettings):
     object_friction: Annotated[float, Drawn("1", 0.0, 5.0)] = Setting(
         1.0, ge=0, le=5, description="lateral friction coefficient of the cube"
     )
+    object_stiffness: float | None = Setting(
+        None, ge=1e3, le=1e8, description="of each contact of the cube, N/m; null: 4e5 (MuJoCo), or as PyBullet can"
+    )
 
 
 class Cube:
@@ -53,6 +57,8 @@ class Cube:
         self.half = edge / 2
         self.body = world.box((edge, edge, edge), mass, CUBE_COLOUR)
         self.body.set_friction(settings.object_friction)
+        if settings.object_stiffness is not None:
+            self.body.set_material(Material(stiffness=settings.object_stiffness))
         self.set_mass(mass)
 
     def set_mass(self, mass: float) -> None:

@@ -147,7 +147,7 @@ class Throw(CubeTask):
     def build(self, world: World) -> None:
         super().build(world)
         world.release_in_motion()
-        self._timestep = world.period / world.substeps
+        self._lead = world.lead
         self._marker = world.marker(self.settings.threshold, GOAL_COLOUR)
 
     def apply(self, world: World, name: str, value: float) -> None:
@@ -200,10 +200,10 @@ class Throw(CubeTask):
     def _rise(self, speed: float) -> float:
         """The speed upwards in m/s with which free fall follows the simulated one of a cube that rises at `speed`.
 
-        Engines change speeds before positions (semi-implicit Euler): after k physics steps of dt a body is at
+        PyBullet changes speeds before positions (semi-implicit Euler): after k physics steps of dt a body is at
         z + k dt v + k (k + 1) g dt^2 / 2. Without this a throw lands 5 mm nearer than computed.
         """
-        return speed + self._gravity * self._timestep / 2
+        return speed + self._gravity * self._lead
 
     def _current_flight(self) -> Flight:
         cube = self.cube

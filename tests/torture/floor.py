@@ -17,7 +17,7 @@ from typing import Any, NamedTuple, get_args
 import numpy as np
 
 from karolos.core import Array
-from karolos.environments.robot_task import TIMESTEP, RobotTask
+from karolos.environments.robot_task import RobotTask
 from karolos.registry import load, names
 from karolos.simulation.engines import Engine
 
@@ -93,7 +93,7 @@ def trial(environment: RobotTask, policy: Policy, episodes: int) -> Trial:
             step = environment.step(policy(environment, count, draws))
             count += 1
             if has_cube and not step.diverged:
-                fall = (falling + 9.81 * environment.robot.period) * TIMESTEP * (falling > 0.2)
+                fall = (falling + 9.81 * environment.robot.period) / 240 * (falling > 0.2)
                 depth = max(depth, -cube_of(environment).lowest - fall)
     return Trial(depth, environment.divergences - before)
 

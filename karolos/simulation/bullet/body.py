@@ -5,8 +5,9 @@ from __future__ import annotations
 from collections.abc import Collection, Sequence
 from typing import Any
 
+from ...errors import UsageError
 from ..geometry import UPRIGHT, Quaternion, Vector
-from ..interface.engine import LinkState
+from ..interface.engine import LinkState, Material
 from .client import Client
 
 
@@ -51,6 +52,10 @@ class Body:
 
     def set_friction(self, lateral: float, link: int = -1) -> None:
         self.change(link, lateralFriction=lateral)
+
+    def set_material(self, material: Material, link: int = -1) -> None:  # noqa: ARG002 (whatever they are)
+        what = "PyBullet has one stiffness, damping and restitution for all contacts"
+        raise UsageError(what, setting="environment.engine", hint="set environment.engine=mujoco")
 
     def set_inertia(self, mass: float, diagonal: Vector, link: int = -1) -> None:
         # with the mass alone pybullet would guess the inertia from the shape

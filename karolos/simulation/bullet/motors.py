@@ -7,7 +7,7 @@ from functools import partial
 
 import numpy as np
 
-from ..interface.engine import FINGER_GAIN, OPENS, TIMESTEP, Fingers, JointLimits
+from ..interface.engine import FINGER_RATE, OPENS, PHYSICS_RATE, Fingers, JointLimits
 from .body import Body
 
 STABLE_DAMPING = 0.5
@@ -20,6 +20,7 @@ class Motors:
 
     Args:
         substeps: physics steps per control step.
+        timestep: seconds of a physics step.
         joints: of the arm, from base to wrist, as the body counts them.
         pads: joints of the two fingers; empty without a gripper.
     """
@@ -32,8 +33,11 @@ class Motors:
         joints: Sequence[int],
         fingers: Fingers | None,
         pads: Sequence[int],
+        *,
+        timestep: float,
     ) -> None:
         self.pads = pads
+        self._timestep = timestep
         self._body = body
         self._api = api = body.api
         self._fractions = [(step + 1) / substeps for step in range(substeps)]
@@ -52,7 +56,7 @@ class Motors:
                 pads[0],
                 api.POSITION_CONTROL,
                 force=2 * fingers.gripper.force,
-                positionGain=FINGER_GAIN,
+                positionGain=FINGER_RATE * timestep,
                 velocityGain=1.0,
             )
             for link in pads:
@@ -78,7 +82,7 @@ class Motors:
             moving = sum(info[2] != api.JOINT_FIXED for info in infos)
             masses = np.array(api.calculateMassMatrix(body.index, [0.0] * moving))
             inertias = 1 / np.diagonal(np.linalg.inv(masses))[: len(joints)]
-            self._dampings = np.minimum(self._dampings, STABLE_DAMPING * inertias / TIMESTEP).tolist()
+            self._dampings = np.minimum(self._dampings, STABLE_DAMPING * inertias / timestep).tolist()
             self.set_joint_damping(0.0)
         self._begin: Sequence[float] = (0.0,) * len(joints)
         self._end: Sequence[float] = self._begin
@@ -93,7 +97,7 @@ class Motors:
             self._body.change(link, jointDamping=own + damping)
 
     def set_gain(self, factor: float) -> None:
-        self._gains = [factor] * len(self._arm)
+        self._gains = [1 - (1 - factor) ** (PHYSICS_RATE * self._timestep)] * len(self._arm)
 
     def set_mass(self, factor: float) -> None:
         for link, (mass, (x, y, z)) in self._masses.items():

@@ -17,7 +17,7 @@ from ...core import Array, FloatArray
 from ...errors import PluginError
 from ...files import temporary_prefix
 from ..geometry import Vector
-from ..interface.engine import FLOOR_FRICTION, GRAVITY, TIMESTEP, Camera, Colour, Contact, Fingers, JointLimits
+from ..interface.engine import FLOOR_FRICTION, GRAVITY, PHYSICS_RATE, Camera, Colour, Contact, Fingers, JointLimits
 from ..interface.engine import Body as AnyBody
 from ..meshes import stl
 from ..picture import FLOOR_COLOUR, GRID_COLOUR, GRIDS, SKY_COLOUR, Eye, Marker, draw
@@ -64,12 +64,14 @@ class World:
     Raises MachineError when a window is requested and there is no display.
     """
 
-    def __init__(self, *, substeps: int = 10, window: bool = False, camera: Camera | None = None) -> None:
+    def __init__(
+        self, *, substeps: int = 10, rate: int = PHYSICS_RATE, window: bool = False, camera: Camera | None = None
+    ) -> None:
         self.api = api = Client(window=window)
         self.substeps = substeps
-        self.period = substeps * TIMESTEP
+        self.period, self.timestep, self.lead = substeps / rate, 1 / rate, 1 / rate / 2
         api.setPhysicsEngineParameter(
-            fixedTimeStep=TIMESTEP,
+            fixedTimeStep=self.timestep,
             numSubSteps=0,
             numSolverIterations=SOLVER_ROUNDS,
             solverResidualThreshold=SOLVER_RESIDUAL,
@@ -86,6 +88,8 @@ class World:
         self._motors: list[Motors] = []
         self._free: list[Body] = []
         self._stepped = False
+        self._peaks: dict[int, dict[tuple[int, int], float]] = {}
+        """Largest forces on the bodies for which they were asked, see `forces`."""
         self._window = window
         self.floor = self._create(
             api.createCollisionShape(
@@ -98,10 +102,14 @@ class World:
 
     def step(self) -> None:
         self._stepped = True
+        self._peaks = {body: {} for body in self._peaks}
         for substep in range(self.substeps):
             for motors in self._motors:
                 motors.substep(substep)
             self.api.stepSimulation()
+            for body, peaks in self._peaks.items():
+                now = self._forces(body)
+                self._peaks[body] = {key: max(peaks.get(key, 0.0), now.get(key, 0.0)) for key in (*peaks, *now)}
 
     def set_gravity(self, gravity: float) -> None:
         self.api.setGravity(0, 0, gravity)
@@ -136,7 +144,7 @@ class World:
         links = body.links()
         pads = [links[name] for name in fingers.links] if fingers else []
         arm = [links[name] for name in joints]
-        motors = Motors(Body(self.api, body.index), self.substeps, limits, arm, fingers, pads)
+        motors = Motors(Body(self.api, body.index), self.substeps, limits, arm, fingers, pads, timestep=self.timestep)
         self._motors.append(motors)
         return motors
 
@@ -180,9 +188,14 @@ class World:
         return [Contact(point[7], point[9], point[8]) for point in points or ()]
 
     def forces(self, body: AnyBody) -> dict[tuple[int, int], float]:
+        # recorded from the first question on, because looking in each physics step costs some us
+        return self._peaks.setdefault(body.index, self._forces(body.index) if self._stepped else {})
+
+    def _forces(self, body: int) -> dict[tuple[int, int], float]:
+        """As `forces`, of the last physics step."""
         found: dict[tuple[int, int], float] = {}
-        for _, _, other, link, opposite, *_, force in (p[:10] for p in self.api.getContactPoints(body.index) or ()):
-            for one in (link, opposite) if other == body.index else (link,):
+        for _, _, other, link, opposite, *_, force in (point[:10] for point in self.api.getContactPoints(body) or ()):
+            for one in (link, opposite) if other == body else (link,):
                 if force > 0:
                     found[one, other] = found.get((one, other), 0.0) + force
         return found

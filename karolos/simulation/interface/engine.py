@@ -8,22 +8,22 @@ from __future__ import annotations
 from collections.abc import Collection, Sequence
 from dataclasses import dataclass
 from operator import gt
-from typing import Any, NamedTuple, Protocol
+from typing import Any, Final, NamedTuple, Protocol
 from xml.etree.ElementTree import Element
 
 from ...core import Array
 from ..geometry import UPRIGHT, Quaternion, Vector
 
-TIMESTEP = 1 / 240
-"""Seconds of a physics step."""
+PHYSICS_RATE: Final = 240
+"""Physics steps per second, if nothing else is said."""
 GRAVITY = -9.81
 """m/s2 along z."""
 FLOOR_FRICTION = 0.5
 """Lateral friction coefficient of the floor. A contact has the product of the coefficients of its two bodies."""
 OPENS = 0.01
 """The gripper opens while its commanded opening (0 to 1) is larger than the measured one by more than this."""
-FINGER_GAIN = 0.1
-"""Fraction of the distance to its target that a finger asks for per physics step."""
+FINGER_RATE = 24.0
+"""Speed in 1/s by which a finger closes the distance to its target."""
 Colour = tuple[float, float, float, float]
 """Red, green, blue, opacity in [0, 1]."""
 
@@ -73,6 +73,25 @@ class Gripper:
     """Speed of each finger, in m/s."""
     pad_friction: float
     """Lateral friction coefficient of the pads."""
+
+
+@dataclass(frozen=True)
+class Material:
+    """How the surface of a body gives way. Two bodies that touch are two springs in a row, and two dampers.
+
+    PyBullet's contacts are as stiff as its solver can.
+    """
+
+    stiffness: float = 4e6
+    """Of each point of contact, in N/m. The default is hard enough for an arm that presses on the floor with 1 kN."""
+    damping: float = 0.0
+    """Of each point of contact, in N s/m."""
+    restitution: float = 0.0
+    """Speed after an impact / speed before it, in [0, 1]; of two bodies that of the livelier."""
+
+
+OBJECT_MATERIAL = Material(stiffness=4e5)
+"""Of a box, if nothing else is said."""
 
 
 @dataclass(frozen=True)
@@ -148,6 +167,9 @@ class Body(Protocol):
     def set_friction(self, lateral: float, link: int = -1) -> None:
         """Set the lateral friction coefficient of a link."""
 
+    def set_material(self, material: Material, link: int = -1) -> None:
+        """Set how the surface of a link gives way. Raises UsageError where the engine cannot."""
+
     def set_inertia(self, mass: float, diagonal: Vector, link: int = -1) -> None:
         """Set the mass in kg and the diagonal of the inertia in kg m2 of a link."""
 
@@ -169,7 +191,7 @@ class Motors(Protocol):
         """Set the viscous friction of the arm's joints in N m s/rad, in addition to that of the URDF."""
 
     def set_gain(self, factor: float) -> None:
-        """Set the fraction of a difference from the target speed that a motor removes per physics step, in (0, 1]."""
+        """Set the fraction of a difference from the target speed that a motor removes in 1/240 s, in (0, 1]."""
 
     def set_mass(self, factor: float) -> None:
         """Scale the masses and inertias of all moving links."""
@@ -200,6 +222,8 @@ class World(Protocol):
 
     substeps: int
     period: float
+    lead: float
+    """Seconds by which the velocities that the world tells are later than its positions."""
 
     def step(self) -> None:
         """Simulate one control step."""
@@ -235,10 +259,10 @@ class World(Protocol):
         """The contact points between `link` of the first body and any link of the second."""
 
     def forces(self, body: Body) -> dict[tuple[int, int], float]:
-        """What presses on a body: the total normal force in N of the last physics step, if there is any.
+        """What presses on a body: the largest total normal force in N in a physics step of the last control step.
 
         The key is the body's link and the index of the other body. It is the body's own index where two of its links
-        touch; both then have an entry.
+        touch; both then have an entry. Forces that were zero throughout are left out.
         """
 
     def render(self, width: int, height: int, camera: Camera) -> Array:

@@ -8,7 +8,7 @@ from typing import Any
 import numpy as np
 
 from ..geometry import UPRIGHT, Quaternion, Vector
-from ..interface.engine import LinkState
+from ..interface.engine import OBJECT_MATERIAL, LinkState, Material
 from .simulation import Simulation
 
 LINK_FRICTION = 0.5
@@ -35,6 +35,7 @@ class Body:
         self.shapes = shapes
         self.free = free
         self.frictions = [LINK_FRICTION] * len(names)
+        self.materials = [OBJECT_MATERIAL if free else Material()] * len(names)
         self.inertias: dict[int, tuple[float, Vector]] = {}
         self.pairs: set[tuple[int, int]] = set()
         """Links that collide with each other."""
@@ -120,6 +121,10 @@ class Body:
 
     def set_friction(self, lateral: float, link: int = -1) -> None:
         self.frictions[link + 1] = lateral
+        self._simulation.reparametrise()
+
+    def set_material(self, material: Material, link: int = -1) -> None:
+        self.materials[link + 1] = material
         self._simulation.reparametrise()
 
     def set_inertia(self, mass: float, diagonal: Vector, link: int = -1) -> None:

@@ -7,7 +7,7 @@ from typing import Any
 
 import numpy as np
 
-from ..interface.engine import FINGER_GAIN, TIMESTEP, Fingers, JointLimits
+from ..interface.engine import FINGER_RATE, PHYSICS_RATE, Fingers, JointLimits
 from .body import Body
 from .simulation import Simulation
 
@@ -18,9 +18,16 @@ MOTOR_IMPEDANCE = (0.9999, 0.9999, 0.001, 0.5, 2.0)
 class Motors:
     """Implements `interface.Motors`. A motor is a constraint on the speed of its joint, limited in torque.
 
-    MuJoCo has this constraint as dry friction, with the target speed 0: `substep` writes the acceleration that the
+    MuJoCo has this constraint as dry friction, with the target speed 0: the kernel writes the acceleration that the
     constraint asks for. An actuator with a large gain would chatter at its largest force, and is solved apart from the
     contacts.
+
+    Attributes:
+        targets: speed of each joint of the arm in rad/s, then position of each finger in m, per physics step (n, m).
+        gains: 0 for joints of the arm; speed in 1/s by which a finger closes its distance.
+        most: largest speed of a finger in m/s.
+        rates: fraction of a difference from its speed that a motor removes per s.
+        places: position and velocity of each joint in MuJoCo's data (m, 2).
 
     Args:
         joints: of the arm, from base to wrist, as the body counts them.
@@ -44,23 +51,21 @@ class Motors:
         self._joints = [*joints, *pads]
         self._fingers = fingers
         self._fractions = np.arange(1, simulation.substeps + 1)[:, None] / simulation.substeps
-        self._speeds = np.zeros((simulation.substeps, len(self._joints)))
-        """Target speed of each joint in each physics step."""
-        self._goal = 0.0
-        """Joint position in m that the fingers aim at."""
-        self._next_goal, self._moves_at = 0.0, 0
-        """What they aim at from that physics step of the control step on."""
         self._damping = self._friction = 0.0
         self._mass = 1.0
-        self._rates = np.full(len(self._joints), 1 / TIMESTEP)
-        """Fraction of a difference in speed that a motor removes per physics step, per s."""
+        size = len(self._joints)
+        self.targets = np.zeros((simulation.substeps, size))
+        self.rates = np.full(size, 1 / simulation.timestep)
+        self.gains, self.most = np.zeros(size), np.full(size, np.inf)
         if fingers is not None:
+            self.gains[-2:], self.most[-2:] = FINGER_RATE, fingers.gripper.speed
             self.set_pad_friction(fingers.gripper.pad_friction)
 
     def find(self, model: Any) -> None:
         """Look up the joints' places in a model that was just compiled."""
         self._positions = np.array([self._body.positions[joint + 1] for joint in self._joints])
         self._dofs = np.array([self._body.dofs[joint + 1] for joint in self._joints])
+        self.places = np.stack([self._positions, self._dofs], 1)
         self._moving = [self._body.ids[joint + 1] for joint in self._joints]
         self._own_damping = model.dof_damping[self._dofs].copy()
 
@@ -76,7 +81,7 @@ class Motors:
         damping[: self._size] += self._damping
         model.dof_damping[dofs] = damping
         # implicit damping: (M + h D) a = f - D v, in the same metric as the constraints
-        model.dof_armature[dofs] = TIMESTEP * damping
+        model.dof_armature[dofs] = self._simulation.timestep * damping
 
     def set_joint_friction(self, fraction: float) -> None:
         self._friction = fraction
@@ -87,7 +92,8 @@ class Motors:
         self._simulation.reparametrise()
 
     def set_gain(self, factor: float) -> None:
-        self._rates[: self._size] = factor / TIMESTEP
+        timestep = self._simulation.timestep
+        self.rates[: self._size] = (1 - (1 - factor) ** (PHYSICS_RATE * timestep)) / timestep
 
     def set_mass(self, factor: float) -> None:
         self._mass = factor
@@ -99,37 +105,20 @@ class Motors:
 
     def write(self, positions: Sequence[float], opening: float) -> None:
         data = self._simulation.writable()
-        self._speeds[:] = 0.0
+        self.targets[:] = 0.0
         if self._fingers is not None:
-            self._goal = self._next_goal = self._fingers.position(opening)
-            positions = [*positions, self._goal, self._goal]
+            self.targets[:, -2:] = goal = self._fingers.position(opening)
+            positions = [*positions, goal, goal]
         data.qpos[self._positions] = positions
         data.qvel[self._dofs] = 0.0
 
     def drive(self, begin: Sequence[float], end: Sequence[float], opening: float | None, wait: float = 0.0) -> None:
-        first = np.array(begin)
-        self._speeds[:, : self._size] = first + self._fractions * (np.array(end) - first)
+        first, targets = np.array(begin), self.targets
+        targets[:, : self._size] = first + self._fractions * (np.array(end) - first)
         if self._fingers is not None and opening is not None:
-            self._next_goal, self._moves_at = self._fingers.position(opening), int(wait * len(self._speeds))
-
-    def substep(self, step: int, data: Any, rows: Any) -> None:
-        """Set the target speeds of physics step number `step` of the control step: those at its end.
-
-        Args:
-            step: 0 to `substeps` - 1.
-            data: MuJoCo's, between `mj_step1` and `mj_step2`.
-            rows: row of each degree of freedom's motor among the constraints.
-        """
-        speeds = self._speeds[step]
-        if self._fingers is not None:
-            if step == self._moves_at:
-                self._goal = self._next_goal
-            most, gain = self._fingers.gripper.speed, FINGER_GAIN / TIMESTEP
-            for place in (-2, -1):  # plain floats take half the time of numpy arrays here
-                wanted = gain * (self._goal - float(data.qpos[self._positions[place]]))
-                speeds[place] = min(max(wanted, -most), most)
-        dofs = self._dofs
-        data.efc_aref[rows[dofs]] = self._rates * (speeds - data.qvel[dofs])
+            moves_at = int(wait * len(targets))
+            targets[:moves_at, -2:] = targets[-1, -1]
+            targets[moves_at:, -2:] = self._fingers.position(opening)
 
     def read(self) -> tuple[Sequence[float], Sequence[float], float]:
         data, size = self._simulation.ready(), self._size

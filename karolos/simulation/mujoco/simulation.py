@@ -3,26 +3,24 @@
 from __future__ import annotations
 
 import sys
-from collections.abc import Callable
+from collections.abc import Callable, Sequence
+from importlib import import_module
 from threading import Lock
 from typing import Any
 
 import numpy as np
 
 from ...errors import MachineError, PluginError
-from ..interface.engine import GRAVITY, TIMESTEP
+from ..interface.engine import GRAVITY
 
-IMPEDANCE_RATIO = 10.0
+IMPEDANCE_RATIO = 100.0
 """Ratio of the stiffness of friction to that of the normal direction; a held object creeps less the larger it is."""
-CONTACT_IMPEDANCE = (0.99, 0.995, 0.001, 0.5, 2.0)
-"""`solimp` of contacts, joint limits and the coupling of fingers."""
-OBJECT_IMPEDANCE = (0.995, 0.998, 0.001, 0.5, 2.0)
-"""`solimp` of contacts with a free body. Of impedances from .99 to .9999, softer ones let an arm press a cube 7 mm into
-the floor, stiffer ones throw it out with up to 2.8 m/s."""
+JOINT_IMPEDANCE = (0.99, 0.995, 0.001, 0.5, 2.0)
+"""`solimp` of joint limits and the coupling of fingers."""
 OLDEST_VERSION = 4_000_001
 """The oldest version that works, 4.0.1."""
-STIFF = (2 * TIMESTEP, 1.0)
-"""`solref` of the stiffest constraints that the time step allows."""
+DRIVEN = "targets", "gains", "most", "rates", "places"
+"""What the kernel needs of motors."""
 _IMPORTING = Lock()
 
 
@@ -51,11 +49,12 @@ class Simulation:
 
     A state survives that. Parameters are written into the model at the first use after one has changed.
 
-    The integrator is semi-implicit Euler. Constraints and integrator see the same inertia: joint damping is made
-    implicit by `Motors`, and MuJoCo's own implicit damping is off. With `implicitfast`, pads would slip.
+    Constraints and integrator see the same inertia: joint damping is made implicit by `Motors`, and MuJoCo's own
+    implicit damping is off. With `implicitfast`, pads would slip.
 
     Args:
         substeps: physics steps per control step.
+        timestep: seconds of a physics step.
         declare: adds what depends on all bodies to the spec, before it is compiled.
         write: writes the parameters of what `declare` added into the model.
 
@@ -64,15 +63,19 @@ class Simulation:
             starting from the masses and inertias of the structure.
     """
 
-    def __init__(self, substeps: int, declare: Callable[[], None], write: Callable[[Any], None]) -> None:
+    def __init__(
+        self, substeps: int, timestep: float, declare: Callable[[], None], write: Callable[[Any], None]
+    ) -> None:
         self.api = api = _mujoco()
-        self.substeps = substeps
+        self.substeps, self.timestep = substeps, timestep
+        self.stiff = 2 * timestep, 1.0
+        """`solref` of the stiffest constraints that the time step allows."""
         self.parts: list[Any] = []
         self.model: Any = None
         self.spec = api.MjSpec()
         self.spec.compiler.degree = False
         option = self.spec.option
-        option.timestep = TIMESTEP
+        option.timestep = timestep
         option.integrator = api.mjtIntegrator.mjINT_EULER
         option.cone = api.mjtCone.mjCONE_ELLIPTIC
         option.impratio = IMPEDANCE_RATIO
@@ -81,11 +84,16 @@ class Simulation:
         option.disableflags = api.mjtDisableBit.mjDSBL_AUTORESET | api.mjtDisableBit.mjDSBL_EULERDAMP
         option.enableflags = api.mjtEnableBit.mjENBL_DIAGEXACT
         self._declare, self._write = declare, write
+        self._kernel = import_module(".kernel", __package__)  # heavy, so not before a world is built
         self._data: Any = None
         self._scratch: Any = None
         self._structure_changed = self._parameters_changed = True
         self.stepped = False
         """Whether forces and contacts are known: no state was written since they were computed."""
+        self.material: Any = None
+        """Compliance (m/N), damping (N s/m) and restitution of each geom: (ngeom, 3)."""
+        self.peaks: Any = None
+        """Largest normal force between each two bodies in the last control step: (nbody, nbody)."""
 
     def restructure(self) -> None:
         """Compile the model before its next use."""
@@ -113,6 +121,33 @@ class Simulation:
         self.stepped = False
         return data
 
+    def advance(self, motors: Sequence[Any]) -> None:
+        """Simulate one control step."""
+        data = self.ready()
+        if len(motors) == 1:
+            driven = [getattr(motors[0], name) for name in DRIVEN]
+        else:
+            empty = np.zeros((self.substeps, 0)), *[np.zeros(0)] * 3, np.zeros((0, 2), np.int64)
+            driven = [
+                np.concatenate([none, *(getattr(part, name) for part in motors)], axis=1 if name == "targets" else 0)
+                for none, name in zip(empty, DRIVEN, strict=True)
+            ]
+        kernel, model = self._kernel, self.model
+        kernel.advance(
+            model._address,
+            data._address,
+            self._layout,
+            self.timestep,
+            data.qpos,
+            data.qvel,
+            self.rows[driven[-1][:, 1]],
+            *driven,
+            self.material,
+            model.geom_bodyid,
+            self.peaks,
+        )
+        self.stepped = True
+
     def motor_force(self, dof: int) -> float:
         """Torque or force (N m or N) of the motor of a degree of freedom in the last physics step."""
         row = int(self.rows[dof])
@@ -129,6 +164,9 @@ class Simulation:
         except ValueError as error:
             raise PluginError(f"mujoco cannot compile the model: {' '.join(str(error).split())}") from error
         self._scratch = self.api.MjData(self.model)
+        self._layout = self._kernel.layout(self._data)
+        self.material = np.zeros((self.model.ngeom, 3))
+        self.peaks = np.zeros((self.model.nbody, self.model.nbody))
         self._masses, self._inertias = self.model.body_mass.copy(), self.model.body_inertia.copy()
         for part in self.parts:
             part.find(self.model)
@@ -138,7 +176,7 @@ class Simulation:
     def _write_parameters(self) -> None:
         model = self.model
         model.body_mass[:], model.body_inertia[:] = self._masses, self._inertias
-        model.jnt_solref[:], model.jnt_solimp[:] = STIFF, CONTACT_IMPEDANCE
+        model.jnt_solref[:], model.jnt_solimp[:] = self.stiff, JOINT_IMPEDANCE
         for part in self.parts:
             part.write_parameters(model)
         self._write(model)

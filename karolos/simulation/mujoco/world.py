@@ -16,14 +16,18 @@ from numpy.typing import NDArray
 from ...core import Array, FloatArray
 from ...errors import MachineError, PluginError
 from ..geometry import Vector
-from ..interface.engine import FLOOR_FRICTION, TIMESTEP, Camera, Colour, Contact, Fingers, JointLimits
+from ..interface.engine import FLOOR_FRICTION, PHYSICS_RATE, Camera, Colour, Contact, Fingers, JointLimits
 from ..interface.engine import Body as AnyBody
 from ..meshes import stl
 from ..picture import Eye, Marker, draw
 from .body import Body
 from .motors import Motors
 from .renderer import Renderer
-from .simulation import CONTACT_IMPEDANCE, OBJECT_IMPEDANCE, STIFF, Simulation
+from .simulation import JOINT_IMPEDANCE, Simulation
+
+MARGIN = 0.005
+"""m between two bodies within which a contact is looked for: one that comes nearer by more in a physics step is noticed
+when it is inside the other."""
 
 
 class World:
@@ -32,27 +36,25 @@ class World:
     Contacts have the product of the friction coefficients of both bodies, as with PyBullet. Therefore every pair of
     shapes that may touch is declared; MuJoCo by itself would take the larger coefficient.
 
-    A physics step computes contacts and forces half-way between the positions at its start and those at its end. With
-    the positions at the start, a held object drifts outwards where the hand turns: by 3 cm in a throw.
     """
 
     def __init__(
         self,
         *,
         substeps: int = 10,
+        rate: int = PHYSICS_RATE,
         window: bool = False,
         camera: Camera | None = None,  # noqa: ARG002 (of a window)
     ) -> None:
         if window:
             raise MachineError("the engine mujoco has no window", hint="set environment.engine=bullet, or make a film")
         self.substeps = substeps
-        self.period = substeps * TIMESTEP
-        self._simulation = simulation = Simulation(substeps, self._declare_pairs, self._write_friction)
+        self.period, self.lead = substeps / rate, 0.0
+        self._simulation = simulation = Simulation(substeps, 1 / rate, self._declare_pairs, self._write_surfaces)
         self._spec, self.api = simulation.spec, simulation.api
         self._bodies: list[Body] = []
         self._motors: list[Motors] = []
         self._markers: list[tuple[Body, float, Colour]] = []
-        self._pairs: list[tuple[Body, int, Body, int]] = []
         self._renderers: dict[tuple[int, int], Renderer] = {}
         self._spec.visual.headlight.active = 0
         self._spec.worldbody.add_light(
@@ -69,21 +71,7 @@ class World:
         self.set_floor_friction(FLOOR_FRICTION)
 
     def step(self) -> None:
-        simulation = self._simulation
-        data, model = simulation.ready(), simulation.model
-        begin, end, integrate = self.api.mj_step1, self.api.mj_step2, self.api.mj_integratePos
-        positions, velocities = data.qpos, data.qvel
-        for substep in range(self.substeps):
-            start = positions.copy()
-            integrate(model, positions, velocities, TIMESTEP / 2)
-            begin(model, data)
-            rows = data.ne + simulation.rows
-            for motors in self._motors:
-                motors.substep(substep, data, rows)
-            end(model, data)
-            positions[:] = start
-            integrate(model, positions, velocities, TIMESTEP)
-        simulation.stepped = True
+        self._simulation.advance(self._motors)
 
     def set_gravity(self, gravity: float) -> None:
         self._spec.option.gravity = (0.0, 0.0, gravity)
@@ -139,8 +127,8 @@ class World:
                 name1=first,
                 name2=second,
                 data=[0.0, 1.0] + [0.0] * 10,
-                solref=STIFF,
-                solimp=CONTACT_IMPEDANCE,
+                solref=self._simulation.stiff,
+                solimp=JOINT_IMPEDANCE,
             )
         self._simulation.restructure()
         return motors
@@ -190,25 +178,25 @@ class World:
                 sign = 1.0
             else:
                 continue
-            row = int(data.contact.efc_address[place])
-            normal = tuple((sign * data.contact.frame[place, :3]).tolist())
+            row, distance = int(data.contact.efc_address[place]), float(data.contact.dist[place])
             force = float(data.efc_force[row]) if row >= 0 else 0.0
-            found.append(Contact(normal, force, float(data.contact.dist[place])))
+            if force > 0 or distance <= 0:
+                normal = tuple((sign * data.contact.frame[place, :3]).tolist())
+                found.append(Contact(normal, force, distance))
         return found
 
     def forces(self, body: AnyBody) -> dict[tuple[int, int], float]:
-        data = self._simulation.ready()
+        simulation, own = self._simulation, self._bodies[body.index]
         found: dict[tuple[int, int], float] = {}
-        if not (self._simulation.stepped and data.ncon):
+        if not simulation.stepped:
             return found
-        places = {place: (one.index, link) for one in self._bodies for link, place in enumerate(one.ids, -1)}
-        touching = self._simulation.model.geom_bodyid[data.contact.geom].tolist()
-        for (first, second), row in zip(touching, data.contact.efc_address.tolist(), strict=True):
-            force = float(data.efc_force[row]) if row >= 0 else 0.0
-            one, other = places[first], places[second]
-            for (index, link), (opposite, _) in ((one, other), (other, one)):
-                if index == body.index and force > 0:
-                    found[link, opposite] = found.get((link, opposite), 0.0) + force
+        bodies = {place: one.index for one in self._bodies for place in one.ids}
+        links = {place: link for link, place in enumerate(own.ids, -1)}
+        for pair in np.argwhere(simulation.peaks).tolist():
+            for first, second in (pair, pair[::-1]):
+                if first in links:
+                    key = links[first], bodies[second]
+                    found[key] = found.get(key, 0.0) + float(simulation.peaks[tuple(pair)])
         return found
 
     def render(self, width: int, height: int, camera: Camera) -> Array:
@@ -229,9 +217,16 @@ class World:
             renderer.close()
         self._renderers = {}
 
-    def _write_friction(self, model: Any) -> None:
-        """Write the friction of every pair into the model."""
-        lateral = [one.frictions[first] * other.frictions[second] for one, first, other, second in self._pairs]
+    def _write_surfaces(self, model: Any) -> None:
+        """Write friction and material of every shape. MuJoCo has put the pairs into an order of its own."""
+        own = np.zeros(model.ngeom)
+        for body in self._bodies:
+            for shapes, friction, material in zip(body.shapes, body.frictions, body.materials, strict=True):
+                geoms = [model.geom(shape).id for shape in shapes]
+                own[geoms] = friction
+                surface = 1 / material.stiffness, material.damping, material.restitution
+                self._simulation.material[geoms] = surface
+        lateral = own[model.pair_geom1] * own[model.pair_geom2]
         model.pair_friction[:, :2] = np.maximum(lateral, self.api.mjMINMU)[:, None]
 
     def _add(self, names: Sequence[str], shapes: Sequence[Sequence[str]], *, free: bool) -> Body:
@@ -246,7 +241,6 @@ class World:
         self.close()  # renderers are of the model before
         for pair in self._spec.pairs:
             self._spec.delete(pair)
-        self._pairs = []
         for one, other in combinations(self._bodies, 2):
             for first, second in product(range(-1, len(one.shapes) - 1), range(-1, len(other.shapes) - 1)):
                 if one.free or other.free or first >= 0 or second >= 0:  # something of the two moves
@@ -258,13 +252,11 @@ class World:
     def _pair(self, one: Body, first: int, other: Body, second: int) -> None:
         """Let all shapes of a link of one body collide with all shapes of a link of another."""
         for shape, opposite in product(one.shapes[first + 1], other.shapes[second + 1]):
-            self._pairs.append((one, first + 1, other, second + 1))
             self._spec.add_pair(
                 geomname1=shape,
                 geomname2=opposite,
                 condim=3,
-                solref=STIFF,
-                solimp=OBJECT_IMPEDANCE if one.free or other.free else CONTACT_IMPEDANCE,
+                margin=MARGIN,
             )
 
 
