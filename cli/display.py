@@ -23,6 +23,7 @@ from karolos.experiment.events import (
     RunWarned,
 )
 from karolos.report.tables import clean
+from karolos.sweep.events import FinalBegan, TrialAdvanced, TrialBegan, TrialEnded
 
 from .output import drawn_text
 
@@ -39,10 +40,10 @@ SPEED_WINDOW = 50
 """Events over which speeds are averaged: about five seconds."""
 
 
-class _Lines(AbstractContextManager[Any]):
-    """Prints lines on stderr or another stream, above the bars if there are any."""
+class Quiet(AbstractContextManager[Any]):
+    """Shows only warnings and failures, as lines on stderr or another stream, above the bars if there are any."""
 
-    def __init__(self, stream: TextIO | None) -> None:
+    def __init__(self, stream: TextIO | None = None) -> None:
         self._console = Console(file=stream or sys.stderr, stderr=stream is None, highlight=False, markup=False)
         self._bars: Progress | None = None
 
@@ -58,20 +59,15 @@ class _Lines(AbstractContextManager[Any]):
     def _print(self, text: str) -> None:
         self._console.print(clean(text, allowed="\n\t"), soft_wrap=True)
 
-
-class Quiet(_Lines):
-    """Shows only warnings and failures."""
-
-    def __init__(self, stream: TextIO | None = None) -> None:
-        super().__init__(stream)
-
-    def __call__(self, event: RunEvent) -> None:
+    def __call__(self, event: Any) -> None:
         if isinstance(event, RunWarned):
             self._print(f"{event.run} warning: {event.warning}")
         elif isinstance(event, RunEnded) and event.error:
             if event.traceback:
                 self._print(event.traceback.rstrip())
             self._print(f"{event.run} failed: {event.error}")
+        elif isinstance(event, TrialEnded) and event.trial.state == "failed":
+            self._print(f"trial {event.trial.number} failed: {event.trial.error} [{event.done}/{event.asked}]")
 
 
 class Plain(Quiet):
@@ -82,7 +78,7 @@ class Plain(Quiet):
         self._points: dict[str, list[RunAdvanced]] = {}
         """Of each run where training was at the line before, and where it is."""
 
-    def __call__(self, event: RunEvent) -> None:
+    def __call__(self, event: Any) -> None:
         super().__call__(event)
         if isinstance(event, RunStarted):
             self._print(f"{event.run} started: {event.steps:,} steps into {event.folder}")
@@ -118,7 +114,7 @@ class Live(Quiet):
         self._tasks: dict[str, TaskID] = {}
         self._points: defaultdict[str, deque[RunAdvanced]] = defaultdict(lambda: deque(maxlen=SPEED_WINDOW))
 
-    def __call__(self, event: RunEvent) -> None:
+    def __call__(self, event: Any) -> None:
         super().__call__(event)
         if isinstance(event, RunStarted):
             fields: dict[str, Any] = {"speed": "starting", "activity": "", "score": "", "left": ""}
@@ -189,17 +185,16 @@ def choose_display(*, quiet: bool) -> Quiet:
     return Live() if sys.stderr.isatty() else Plain()
 
 
-class SweepDisplay(_Lines):
+class SweepDisplay(Quiet):
     """Shows one line per trial, and on a terminal a bar: trials, the best so far, the time left.
 
-    Elsewhere a trial's start has a line as well. Shows only warnings and failures if quiet.
+    Elsewhere a trial's start has a line as well.
     """
 
-    def __init__(self, objectives: tuple[str, ...], *, quiet: bool, stream: TextIO | None = None) -> None:
+    def __init__(self, objectives: tuple[str, ...], stream: TextIO | None = None) -> None:
         super().__init__(stream)
         self._objectives = objectives
-        self._quiet = quiet
-        if self._console.is_terminal and not quiet:
+        if self._console.is_terminal:
             self._bars = Progress(
                 TextColumn("{task.description}"),
                 BarColumn(bar_width=24),
@@ -216,31 +211,22 @@ class SweepDisplay(_Lines):
         self._fractions: dict[str, float] = {}
         """Trials that have not ended, by name -> fraction of their steps."""
 
-    def __call__(self, event: SweepEvent) -> None:
-        from karolos.sweep.events import TrialAdvanced, TrialBegan, TrialEnded
-
-        if isinstance(event, RunWarned):
-            self._print(f"{event.run}: {event.warning}")
-        elif isinstance(event, TrialEnded) and event.trial.state == "failed":
-            self._print(f"trial {event.trial.number} failed: {event.trial.error} [{event.done}/{event.asked}]")
-        elif self._quiet:
-            return
-        elif isinstance(event, TrialBegan) and not self._bars:
+    def __call__(self, event: Any) -> None:
+        super().__call__(event)
+        if isinstance(event, TrialBegan) and not self._bars:
             self._print(f"trial {event.trial.number}: {drawn_text(event.trial)}")
-        elif isinstance(event, TrialEnded):
+        elif isinstance(event, TrialEnded) and event.trial.state != "failed":
             found = self._values(event.trial)
             text = f"{event.trial.state}: {found}" if found else event.trial.state
             drawn = f" with {drawn_text(event.trial)}" if self._bars else ""
             self._print(f"trial {event.trial.number} {text}{drawn} [{event.done}/{event.asked}]")
-        elif not isinstance(event, TrialBegan | TrialAdvanced):
-            seeds = ", ".join(map(str, event.seeds))
-            self._print(f"trials {', '.join(map(str, event.trials))} on seeds {seeds}, to {event.purpose}")
+        elif isinstance(event, FinalBegan):
+            trials, seeds = (", ".join(map(str, numbers)) for numbers in (event.trials, event.seeds))
+            self._print(f"trials {trials} on seeds {seeds}, to {event.purpose}")
         if self._bars:
             self._update(self._bars, event)
 
     def _update(self, bar: Progress, event: SweepEvent) -> None:
-        from karolos.sweep.events import FinalBegan, TrialAdvanced, TrialBegan, TrialEnded
-
         if isinstance(event, TrialAdvanced):
             self._fractions[event.name] = event.fraction
         elif isinstance(event, TrialBegan | TrialEnded):
@@ -258,6 +244,5 @@ class SweepDisplay(_Lines):
         bar.update(self._task, completed=self._ended + sum(self._fractions.values()))
 
     def _values(self, trial: Trial) -> str:
-        return ", ".join(
-            f"{name} {value:.4g}" for name, value in zip(self._objectives, trial.values or (), strict=False)
-        )
+        values = zip(self._objectives, trial.values or (), strict=False)
+        return ", ".join(f"{name} {value:.4g}" for name, value in values)

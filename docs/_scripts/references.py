@@ -22,7 +22,7 @@ from karolos.errors import KarolosError
 from karolos.files import write_json
 from karolos.records import RunFolder, paths
 from karolos.records.decode import from_json
-from karolos.report.comparison_tables import estimate, improvement
+from karolos.report.comparison_tables import estimate
 from karolos.report.tables import count, duration
 from karolos.specification import load_spec, spec_from_dict
 from karolos.statistics.aggregates import median_reaching
@@ -314,7 +314,7 @@ def _variants(found: dict[str, Contender], names: list[str]) -> str:
                 count(variant.steps),
                 estimate(variant.end),
                 estimate(shipped.end),
-                improvement(variant.improvement),
+                estimate(variant.improvement, 2),
             ]
         )
     return _markdown(columns, rows) if rows else "None yet."

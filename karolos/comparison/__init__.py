@@ -3,7 +3,7 @@
 from .contenders import ComparedRun, Contender, Metric, Success, gather
 from .curves import Curve, densities, learning_curve
 from .differences import MISSING, differences
-from .scores import Comparison, Estimate, Improvement, Reaching, Scores, compare
+from .scores import Comparison, Estimate, Reaching, Scores, compare
 
 __all__ = [
     "MISSING",
@@ -12,7 +12,6 @@ __all__ = [
     "Contender",
     "Curve",
     "Estimate",
-    "Improvement",
     "Metric",
     "Reaching",
     "Scores",

@@ -28,8 +28,9 @@ from .curves import densities, places
 from .differences import MISSING, differences
 
 IntervalKind = Literal["none", "wilson", "range", "approximate", "bootstrap"]
-"""Kind of an interval: none of one run's return; Wilson's of one run; smallest to largest of 2 - 4 seeds; bootstrap
-over 5 - 9 seeds, which covers too little; bootstrap over 10 or more seeds. The last two and Wilson's are at 95 %."""
+"""Kind of an interval: none of one run's return, and of an improvement over fewer than 5 seeds; Wilson's of one run;
+smallest to largest of 2 - 4 seeds; bootstrap over 5 - 9 seeds, which covers too little; bootstrap over 10 or more
+seeds. The last two and Wilson's are at 95 %."""
 RATIOS = (0.5, 0.9)
 """Success ratios (`end` by default) for which steps and time of the first test that reaches them are reported."""
 
@@ -42,19 +43,6 @@ class Estimate:
     low: float
     high: float
     kind: IntervalKind
-
-
-@dataclass(frozen=True)
-class Improvement:
-    """Probability that a run is better than one of the first contender (ties one half), and its bootstrap interval.
-
-    low and high are None if one of the two has fewer than 5 seeds. `approximate`: one has fewer than 10.
-    """
-
-    probability: float
-    low: float | None
-    high: float | None
-    approximate: bool
 
 
 @dataclass(frozen=True)
@@ -83,8 +71,8 @@ class Scores:
     best_end: Estimate | None
     """Success at the end of the policies `best` in the final test; None if a run has none."""
     best_return: Estimate | None
-    improvement: Improvement | None
-    """None for the first contender."""
+    improvement: Estimate | None
+    """Probability that a run is better than one of the first contender (ties one half); None for the first itself."""
     density: Density | None
     """Of the reported success over the seeds; None for a single one and for returns."""
     over_steps: tuple[NDArray[np.float64], tuple[Density, ...]] | None
@@ -147,7 +135,7 @@ class Comparison:
             "iqm": asdict(scores.iqm),
             "density": density and {key: getattr(density, key) for key in ("modes", "mean", "low", "high")},
             **reached,
-            "improvement": scores.improvement and asdict(scores.improvement),
+            "improvement": scores.improvement and _improvement_row(scores.improvement),
             "steps": scores.steps,
             "seconds": scores.seconds,
             "updates_per_second": scores.updates_per_second,
@@ -282,8 +270,16 @@ def _reaching(runs: Sequence[ComparedRun], success: Success, ratio: float) -> Re
 
 def _improvement(
     ours: Sequence[ComparedRun], theirs: Sequence[ComparedRun], metric: Metric, tree: SeedTree
-) -> Improvement:
+) -> Estimate:
     one, other = [run.reported(metric) for run in ours], [run.reported(metric) for run in theirs]
-    low, high = aggregates.improvement_interval(one, other, tree.generator()) or (None, None)
-    approximate = low is not None and "approximate" in {aggregates.reliability(len(side)) for side in (one, other)}
-    return Improvement(aggregates.improvement(one, other), low, high, approximate)
+    probability = aggregates.improvement(one, other)
+    found = aggregates.improvement_interval(one, other, tree.generator())
+    if found is None:
+        return Estimate(probability, probability, probability, "none")
+    usual = aggregates.reliability(min(len(one), len(other))) == "usual"
+    return Estimate(probability, *found, "bootstrap" if usual else "approximate")
+
+
+def _improvement_row(found: Estimate) -> dict[str, Any]:
+    low, high = (None, None) if found.kind == "none" else (found.low, found.high)
+    return {"probability": found.value, "low": low, "high": high, "approximate": found.kind == "approximate"}

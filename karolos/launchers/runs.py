@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 from collections.abc import Iterator, Mapping
+from contextlib import suppress
 from dataclasses import dataclass, field, replace
 from pathlib import Path
 from typing import Any, Literal
@@ -122,6 +123,8 @@ class RunJob(Job):
         for seed in self.spec.seeds:
             found = self.known.get(seed) or self.home.find(self.spec, seed)
             if found is not None and found.state().state == "finished":
+                with suppress(StoreError):  # whoever followed it may have been killed before its last entry
+                    index_run(self.home.url, found)
                 self.read_tests(seed, found)
                 self.record(found.summary())
             else:

@@ -2,13 +2,21 @@
 
 from __future__ import annotations
 
-from collections.abc import Sequence
+from collections.abc import Iterable, Sequence
 from functools import partial
 from typing import Any
 
-from ..comparison import MISSING, Comparison, Estimate, Improvement, Scores
+from ..comparison import MISSING, Comparison, Estimate, Reaching, Scores
 from ..comparison.sides import SideDifference
 from .tables import Columns, Table, count, duration, setting
+
+_INTERVALS = {
+    "bootstrap": "[low, high]: 95 % bootstrap interval over 10 seeds or more",
+    "approximate": "~[low, high]: 95 % bootstrap interval over 5 to 9 seeds, which covers less than 95 %",
+    "range": "(low to high): smallest and largest of 2 to 4 seeds, too few for an interval",
+    "wilson": "[low, high] of a single run: 95 % Wilson interval of its test, which says nothing about seeds",
+}
+"""Kind of an interval -> how it is written and what it is."""
 
 
 def scores_table(comparison: Comparison) -> Table:
@@ -25,7 +33,7 @@ def scores_table(comparison: Comparison) -> Table:
         cells["best, return"] = lambda one: estimate(one.best_return)
     else:
         cells["best, end"] = lambda one: estimate(one.best_end)
-    cells[f"better than {contenders[0].label}"] = lambda one: improvement(one.improvement)
+    cells[f"better than {contenders[0].label}"] = lambda one: estimate(one.improvement, 2)
     for place, reaching in enumerate(comparison.scores[0].reaching):
         for unit, name in (("steps", "steps"), ("seconds", "time")):
             cells[f"{name} to {reaching.ratio * 100:g} %, {metric}"] = partial(_reached, place, unit)
@@ -57,7 +65,6 @@ def differences_table(differences: Sequence[SideDifference], a: str, b: str) -> 
 def explanations(comparison: Comparison) -> list[str]:
     """What the signs in the scores mean, as far as they occur."""
     scores = comparison.scores
-    kinds = {found.kind for one in scores for found in (one.any, one.returns) if found is not None}
     final = [run.summary.final for contender in comparison.contenders for run in contender.runs]
     what = "success and return are those" if any(one.end for one in scores) else "the return is that"
     lines = [f"{what} of {_reported_test(final)}; the unit is the seed"]
@@ -65,14 +72,7 @@ def explanations(comparison: Comparison) -> list[str]:
         lines.append(f"the runs are compared as they were at their tests nearest to {comparison.at:,} steps")
     if any(one.best_end or one.best_return for one in scores):
         lines.append("best: the policy of the best test, in the final test, whose episodes it was not chosen on")
-    if "bootstrap" in kinds:
-        lines.append("[low, high]: 95 % bootstrap interval over 10 seeds or more")
-    if "approximate" in kinds:
-        lines.append("~[low, high]: the same over 5 to 9 seeds, which covers less than 95 %")
-    if "range" in kinds:
-        lines.append("(low to high): smallest and largest of 2 to 4 seeds, too few for an interval")
-    if "wilson" in kinds:
-        lines.append("[low, high] of a single run: 95 % Wilson interval of its test, which says nothing about seeds")
+    lines += interval_notes(found for one in scores for found in (one.any, one.returns))
     if comparison.metric == "return":
         lines.append("steps and time to a threshold and densities over seeds exist for success only")
     else:
@@ -93,24 +93,30 @@ def _reported_test(final: Sequence[bool]) -> str:
     return "the final test, or of the last test where a run has no final test" if any(final) else "the last test"
 
 
-def estimate(found: Estimate | None) -> str:
+def interval_notes(found: Iterable[Estimate | None]) -> list[str]:
+    """What the brackets of some estimates mean."""
+    kinds = {one.kind for one in found if one is not None}
+    return [text for kind, text in _INTERVALS.items() if kind in kinds]
+
+
+def estimate(found: Estimate | None, digits: int = 3) -> str:
     """A number with its interval, whose brackets tell its kind; - for None."""
     if found is None:
         return "-"
+    value, low, high = (f"{number:.{digits}f}" for number in (found.value, found.low, found.high))
     if found.kind == "none":
-        return f"{found.value:.3f}"
+        return value
     if found.kind == "range":
-        return f"{found.value:.3f} ({found.low:.3f} to {found.high:.3f})"
-    return f"{found.value:.3f} {'~' if found.kind == 'approximate' else ''}[{found.low:.3f}, {found.high:.3f}]"
+        return f"{value} ({low} to {high})"
+    return f"{value} {'~' if found.kind == 'approximate' else ''}[{low}, {high}]"
 
 
-def improvement(found: Improvement | None) -> str:
-    """A probability with its interval; - for the contender that the others are measured against."""
+def reached(found: Reaching | None, unit: str = "steps") -> str:
+    """Median steps or seconds to a threshold, and how many runs reached it; - for None."""
     if found is None:
         return "-"
-    if found.low is None or found.high is None:
-        return f"{found.probability:.2f}"
-    return f"{found.probability:.2f} {'~' if found.approximate else ''}[{found.low:.2f}, {found.high:.2f}]"
+    median = count(found.steps) if unit == "steps" else duration(found.seconds)
+    return f"{median} ({found.reached} of {found.seeds})"
 
 
 def _value(value: Any) -> str:
@@ -119,9 +125,7 @@ def _value(value: Any) -> str:
 
 
 def _reached(place: int, unit: str, scores: Scores) -> str:
-    found = scores.reaching[place]
-    median = count(found.steps) if unit == "steps" else duration(found.seconds)
-    return f"{median} ({found.reached} of {found.seeds})"
+    return reached(scores.reaching[place], unit)
 
 
 def _density(scores: Scores) -> str:

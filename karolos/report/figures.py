@@ -16,6 +16,7 @@ from .tables import clean
 if TYPE_CHECKING:
     from matplotlib.artist import Artist
 
+STYLE = Path(__file__).with_suffix(".mplstyle")
 FORMATS = (".svg", ".pdf", ".png")
 COLOURS = ("#0072b2", "#bf4a00", "#00805c", "#a03a80", "#8a6a00", "#5a5a5a")
 """Colours of the contenders, in order, after Okabe and Ito's set for colour-blind readers. They are darkened until each
@@ -25,30 +26,7 @@ DASHES: tuple[tuple[float, ...], ...] = ((), (5, 2), (1.5, 1.5))
 WIDTH, HEIGHT = 4.8, 3.4
 """Of a figure, in inches."""
 FONT = 9
-"""Size of its text, in points."""
-LOOK: dict[Any, Any] = {
-    "font.size": FONT,
-    "axes.titlesize": 10,
-    "axes.titleweight": "bold",
-    "axes.titlelocation": "left",
-    "axes.spines.top": False,
-    "axes.spines.right": False,
-    "axes.axisbelow": True,
-    "axes.edgecolor": "#8a8a86",
-    "axes.labelcolor": "#454545",
-    "xtick.color": "#8a8a86",
-    "ytick.color": "#8a8a86",
-    "xtick.labelcolor": "#454545",
-    "ytick.labelcolor": "#454545",
-    "grid.color": "#e2e2de",
-    "grid.linewidth": 0.6,
-    "legend.frameon": False,
-    "savefig.dpi": 200,
-    "text.parse_math": False,  # a name with two dollar signs is no formula
-    "svg.hashsalt": "karolos",  # without it the ids in a file are random
-    "svg.fonttype": "none",  # text stays text, which can be searched and edited
-    "pdf.fonttype": 42,
-}
+"""Size of its text in points, as in the style."""
 _UNDATED = {".svg": {"Date": None}, ".pdf": {"CreationDate": None}, ".png": {}}
 
 
@@ -57,7 +35,7 @@ def look() -> Iterator[None]:
     """The settings of matplotlib under which figures are drawn and written."""
     import matplotlib  # noqa: PLC0415  (takes half a second)
 
-    with matplotlib.rc_context(LOOK), warnings.catch_warnings():
+    with matplotlib.rc_context(fname=STYLE), warnings.catch_warnings():
         warnings.filterwarnings("ignore", "Glyph .* missing from")  # a browser has fonts that matplotlib lacks
         yield
 

@@ -6,10 +6,10 @@ from collections.abc import Sequence
 from functools import partial
 from pathlib import Path
 
-from ..comparison import ComparedRun, Reaching
+from ..comparison import ComparedRun
 from ..files import write_whole
 from ..report.comparison_figures import heat_map, learning
-from ..report.comparison_tables import estimate
+from ..report.comparison_tables import estimate, interval_notes, reached
 from ..report.figures import Drawing, look, short, write_figures
 from ..report.page import Section, document
 from ..report.tables import Columns, Table, count, duration, success
@@ -27,7 +27,7 @@ def variants_table(report: TransferReport) -> Table:
     columns: Columns[Variant] = {
         "variant": lambda one: one.label,
         "success from scratch": lambda one: estimate(one.success),
-        f"steps to {report.threshold:g}": lambda one: _reached(one.reaching),
+        f"steps to {report.threshold:g}": lambda one: reached(one.reaching),
         "random policy": lambda one: estimate(one.floor),
         "expert": lambda one: estimate(one.ceiling),
         "steps of a source": lambda one: count(one.steps),
@@ -41,20 +41,14 @@ def cells_table(report: TransferReport) -> Table:
     columns: Columns[Cell] = {"transfer": lambda cell: f"{cell.source} to {cell.target}"}
     for name, metric in METRICS.items():
         columns[metric.title.lower()] = partial(_estimate, name)
-    columns[f"steps to {report.threshold:g}"] = lambda cell: _reached(cell.reaching)
+    columns[f"steps to {report.threshold:g}"] = lambda cell: reached(cell.reaching)
     return Table.of([cell for cell in report.cells if cell.source != cell.target], columns)
 
 
 def notes(report: TransferReport) -> list[str]:
     """What the numbers mean."""
     lines = [f"{metric.title}: {metric.meaning}" for metric in report.metrics.values()]
-    seeds = len(report.seeds)
-    between = "95 % bootstrap interval over the paired seeds" if seeds >= 5 else "smallest and largest of the seeds"
-    lines.append(
-        f"in brackets: {between}"
-        if seeds > 1
-        else "one seed: 95 % Wilson intervals of its episodes, which say nothing about other seeds"
-    )
+    lines += interval_notes(found for cell in report.cells for found in cell.estimates.values())
     if any(cell.reaching for cell in report.cells):
         lines.append(f"threshold: success at the end of {report.threshold:g} in a test; (k of n): runs that reached it")
     lines.append("random policy, expert: what is possible without learning, with a 95 % Wilson interval")
@@ -126,7 +120,3 @@ def _run_cells(run: ComparedRun) -> tuple[str, str, str, str]:
 
 def _estimate(name: str, cell: Cell) -> str:
     return estimate(cell.estimates.get(name))
-
-
-def _reached(found: Reaching | None) -> str:
-    return "-" if found is None else f"{count(found.steps)} ({found.reached} of {found.seeds})"

@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from collections.abc import Callable, Mapping, Sequence
+from collections.abc import Mapping, Sequence
 from dataclasses import asdict, dataclass
 from itertools import product
 from typing import Any
@@ -279,13 +279,13 @@ def _fine_tuned(
         areas.append([transfer.area_under_curve(*curve, start, max(start, end)) for curve in curves])
         ends.append([tuned.reported("end"), baseline.reported("end")])
     times = [[*_time(tuned, threshold), *_time(baseline, threshold)] for tuned, baseline in pairs]
-    statistics: dict[str, tuple[Any, Callable[..., Any]]] = {
-        "jump_start": (firsts, _difference),
-        "asymptote": (ends, _difference),
-        "forward_transfer": (areas, transfer.forward_transfer),
-        "time_ratio": (times, transfer.median_time_ratio),
-    }
-    for name, (rows, statistic) in statistics.items():
+    compared: Any = (
+        ("jump_start", firsts, _difference),
+        ("asymptote", ends, _difference),
+        ("forward_transfer", areas, transfer.forward_transfer),
+        ("time_ratio", times, transfer.median_time_ratio),
+    )
+    for name, rows, statistic in compared:
         estimates[name] = estimate(list(zip(*rows, strict=True)), statistic, tree.child(name))
     return estimates
 

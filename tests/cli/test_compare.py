@@ -102,23 +102,16 @@ def test_experiment_is_named_by_name_hash_spec_file_or_run(runs: Path, tmp_path:
         assert (row["n"], row["experiment"] == B) == (n, selector not in {file, "reach", run})
 
 
-def test_of_several_runs_with_one_seed_the_newest_finished_counts(runs: Path) -> None:
+def test_of_several_runs_with_one_seed_the_newest_finished_counts_and_one_without_a_test_is_named(runs: Path) -> None:
     add_run(runs, 0, (1, 2))
     chosen = add_run(runs, 0, (1, 3))
     add_run(runs, 0, (1, 4), state="failed")
-    index(runs)
-    [row] = rows("compare", "reach", "--runs", runs)
-    assert row["runs"] == [chosen]
-    assert "2 of 3 runs repeat a seed" in row["warnings"][0]
-
-
-def test_run_without_a_test_is_left_out_and_named(runs: Path) -> None:
-    add_run(runs, 0)
     untested = add_run(runs, 1, (), state="failed")
     index(runs)
     [row] = rows("compare", "reach", "--runs", runs)
-    assert row["n"] == 1
-    assert row["warnings"] == [f"reach: left out, because they have no test: {untested}"]
+    assert row["runs"] == [chosen]
+    assert "2 of 4 runs repeat a seed" in row["warnings"][0]
+    assert row["warnings"][1] == f"reach: left out, because they have no test: {untested}"
 
 
 def test_experiment_whose_folders_are_gone_is_compared_from_the_index(runs: Path) -> None:
@@ -142,15 +135,20 @@ def test_warnings_go_to_stderr_and_numbers_to_stdout(runs: Path) -> None:
     assert "stopped at 2,000 steps" in err
 
 
-def test_page_and_figures_are_written(runs: Path, tmp_path: Path) -> None:
+def test_page_and_figures_are_written_in_the_chosen_size_and_keep_their_text(runs: Path, tmp_path: Path) -> None:
     for seed in range(2):
         add_run(runs, seed)
     index(runs)
     page, figures = tmp_path / "page.html", tmp_path / "figures"
-    code, _, err = call(app, "compare", "reach", "--runs", str(runs), "--out", str(page), "--out", str(figures))
+    options = ("--out", str(page), "--out", str(figures), "--width", "2.4", "--font", "6")
+    code, _, err = call(app, "compare", "reach", "--runs", str(runs), *options)
     assert (code, err) == (0, f"wrote {page}\nwrote 15 files into {figures}\n")
     assert "<svg" in page.read_text()
     assert len(list(figures.iterdir())) == 15
+    drawn = (figures / "success_over_steps.svg").read_text()
+    assert 'width="172.8pt"' in drawn  # 2.4 inches
+    assert ("6px" in drawn, "9px" in drawn) == (True, False)
+    assert "success ratio at the end of the episode" in drawn
 
 
 def test_densities_are_read_from_the_database(runs: Path) -> None:
@@ -171,27 +169,16 @@ def test_densities_are_read_from_the_database(runs: Path) -> None:
     assert rows("compare", "reach", "--runs", runs)[0]["density"] == before | {"mean": 0.125}
 
 
-def test_labels_name_the_experiments_in_table_and_figures(runs: Path, tmp_path: Path) -> None:
+def test_experiments_are_called_by_their_labels_and_told_apart_if_they_have_one_name(runs: Path) -> None:
     add_run(runs, 0)
-    add_run(runs, 0, name="better", experiment=B)
+    add_run(runs, 1)
+    run = add_run(runs, 0, experiment=B)
     index(runs)
-    both = ("compare", "reach", "better", "--runs", runs)
+    both = ("compare", A[:8], B[:8], "--runs", runs)
+    assert [row["label"] for row in rows(*both)] == [f"reach {A[:8]}", run]
     assert [row["label"] for row in rows(*both, "--label", "plain", "--label", "ours")] == ["plain", "ours"]
-    assert "--label: 1 different labels for 2 experiments" in refused(*both, "--label", "one")
-    assert "--label: 1 different labels for 2 experiments" in refused(*both, "--label", "one", "--label", "one")
-
-
-def test_figures_have_the_chosen_width_and_font_and_keep_their_text(runs: Path, tmp_path: Path) -> None:
-    add_run(runs, 0)
-    index(runs)
-    options = ("--out", str(tmp_path / "small"), "--width", "2.4", "--font", "6")
-    code, _, err = call(app, "compare", "reach", "--runs", str(runs), *options)
-    assert code == 0, err
-    drawn = (tmp_path / "small" / "success_over_steps.svg").read_text()
-    assert 'width="172.8pt"' in drawn  # 2.4 inches
-    assert "6px" in drawn
-    assert "9px" not in drawn
-    assert "success ratio at the end of the episode" in drawn
+    for labels in (("--label", "one"), ("--label", "one", "--label", "one")):
+        assert "--label: 1 different labels for 2 experiments" in refused(*both, *labels)
 
 
 def test_arguments_that_cannot_be_meant_are_refused(runs: Path, tmp_path: Path) -> None:
@@ -213,14 +200,6 @@ def test_arguments_that_cannot_be_meant_are_refused(runs: Path, tmp_path: Path) 
         code, _, err = call(app, "compare", "a1a1a1", "--runs", str(runs), "--out", str(target))
         assert (code, str(target) in err) == (3, True)
     assert "there are no runs of" in refused("compare", file, *there)
-
-
-def test_experiments_of_the_same_name_are_told_apart(runs: Path) -> None:
-    add_run(runs, 0)
-    add_run(runs, 1)
-    run = add_run(runs, 0, experiment=B)
-    index(runs)
-    assert [row["label"] for row in rows("compare", A[:8], B[:8], "--runs", runs)] == [f"reach {A[:8]}", run]
 
 
 def test_diff_shows_what_two_runs_were_made_from(runs: Path) -> None:

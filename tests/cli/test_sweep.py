@@ -76,7 +76,7 @@ def test_rows_and_words_tell_what_was_chosen_and_how_far_to_trust_it(home, capsy
     )
     final = SweepFinal(0, (2,), (3, 4), (0.9,), {0: (0.8,)}, (0.75,))
     outcome = outcome_of(home, spec_from_dict(sweep_spec(LEARNING_RATE)).sweep, trials, final)
-    display = SweepDisplay(outcome.objectives, quiet=False)
+    display = SweepDisplay(outcome.objectives)
     for place, trial in enumerate(trials):
         display(TrialBegan(trial, place, 2, None))
         display(TrialEnded(trial, place + 1, 2, trials[0]))
@@ -96,7 +96,7 @@ def test_bar_shows_trials_the_best_so_far_and_the_time_left():
     first = Trial(0, "line-t000", "complete", {"agent.learning_rate": 1e-3}, (0.9,), ("a",), None)
     second = Trial(1, "line-t001", "running", {"agent.learning_rate": 1e-2}, None, (), None)
     screen = Terminal()
-    with SweepDisplay(("success_end",), quiet=False, stream=screen) as display:
+    with SweepDisplay(("success_end",), screen) as display:
         (task,) = display._bars.tasks
         display(TrialBegan(replace(first, state="running", values=None), 0, 4, None))
         display(TrialAdvanced("line-t000", 0.5))

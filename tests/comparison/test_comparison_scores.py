@@ -77,8 +77,8 @@ def test_improvement_counts_pairs_and_halves_ties() -> None:
     first, second = compare([contender("a", [[50], [60]]), contender("b", [[60], [70]])], "any").scores
     assert first.improvement is None
     assert second.improvement is not None
-    assert second.improvement.probability == (1 + 0.5 + 1 + 1) / 4
-    assert second.improvement.low is None  # two seeds
+    assert second.improvement.value == (1 + 0.5 + 1 + 1) / 4
+    assert second.improvement.kind == "none"  # two seeds
 
 
 def test_success_at_the_end_is_what_counts() -> None:
@@ -87,7 +87,7 @@ def test_success_at_the_end_is_what_counts() -> None:
     assert comparison.scores[0].iqm.value == pytest.approx(0.45)
     assert comparison.scores[0].reaching[0].reached == 1
     assert comparison.scores[1].improvement is not None
-    assert comparison.scores[1].improvement.probability == (0.5 + 0 + 1 + 1) / 4
+    assert comparison.scores[1].improvement.value == (0.5 + 0 + 1 + 1) / 4
 
 
 def test_two_modes_of_the_seeds_are_told() -> None:
@@ -130,7 +130,7 @@ def test_returns_are_compared_seed_by_seed_without_thresholds_and_densities() ->
     assert first.end is not None
     assert first.end.value == 0.275
     assert second.improvement is not None
-    assert second.improvement.probability == (1 + 0.5 + 1 + 1) / 4
+    assert second.improvement.value == (1 + 0.5 + 1 + 1) / 4
     assert (first.reaching, first.density, first.over_steps) == ((), None, None)
 
 

@@ -21,18 +21,17 @@ from karolos.report.page import comparison_page
 CHROMIUM = next(filter(None, map(shutil.which, ("chromium", "chromium-browser", "google-chrome"))), None)
 pytestmark = pytest.mark.skipif(CHROMIUM is None, reason="there is no Chromium on this machine")
 FLAGS = (
-    "--headless",
-    "--no-sandbox",
-    "--disable-gpu",
-    "--no-first-run",
-    "--disable-background-networking",
-    "--disable-component-update",
-    "--disable-sync",
+    *(
+        "--headless",
+        "--no-sandbox",
+        "--disable-gpu",
+        "--no-first-run",
+        "--hide-scrollbars",
+        "--force-color-profile=srgb",
+    ),
+    *("--disable-background-networking", "--disable-component-update", "--disable-sync"),
     "--host-resolver-rules=MAP * ~NOTFOUND",  # whatever the browser itself would like to fetch
-    "--hide-scrollbars",
-    "--force-color-profile=srgb",
-    "--enable-logging=stderr",
-    "--v=0",
+    *("--enable-logging=stderr", "--v=0"),
 )
 PANEL = "#f6f6f4"
 """Ground of a figure, around its drawing."""
