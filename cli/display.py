@@ -28,8 +28,7 @@ from karolos.sweep.events import FinalBegan, TrialAdvanced, TrialBegan, TrialEnd
 from .output import drawn_text
 
 if TYPE_CHECKING:
-    from karolos.records.final_test import FinalTest
-    from karolos.records.results import TestResult
+    from karolos.records.results import FinalTest, TestResult
     from karolos.records.sweep_records import Trial
     from karolos.sweep.events import SweepEvent
 

@@ -44,8 +44,7 @@ from .output import print_csv, print_rows, print_table, say, warn
 
 if TYPE_CHECKING:
     from karolos.records import RunFolder
-    from karolos.records.final_test import FinalTest
-    from karolos.records.results import TestCounts, TestResult
+    from karolos.records.results import FinalTest, TestCounts, TestResult
     from karolos.records.run_records import RunRecord, RunSummary
     from karolos.records.transfer_results import TransferResult
     from karolos.store import Store

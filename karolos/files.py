@@ -18,7 +18,7 @@ from collections.abc import Callable, Iterable, Iterator, Mapping
 from pathlib import Path
 from typing import Any, Generic, NamedTuple, TypeVar
 
-from .errors import MachineError, UsageError
+from .errors import KarolosError, MachineError, UsageError
 
 _FULL = frozenset({errno.ENOSPC, errno.EDQUOT, errno.EFBIG})
 _FORBIDDEN = frozenset({errno.EACCES, errno.EPERM, errno.EROFS})
@@ -324,15 +324,23 @@ class FileLock:
 
 
 @contextlib.contextmanager
-def locked(path: Path) -> Iterator[None]:
-    """Hold the lock of a file that processes lock for milliseconds.
+def locked(path: Path, refusal: KarolosError | None = None, seconds: float | None = None) -> Iterator[None]:
+    """Hold the lock of a file, whose folder is made if it is missing.
+
+    Args:
+        path: of the file.
+        refusal: is raised if another process keeps it locked; None: a MachineError.
+        seconds: how long to wait; None: LOCK_SECONDS, for what processes lock for milliseconds.
 
     Raises:
-        MachineError: another process keeps it locked for LOCK_SECONDS, or the file cannot be created.
+        MachineError: the file cannot be created.
     """
+    with writing(path.parent):
+        path.parent.mkdir(parents=True, exist_ok=True)
     lock = FileLock(path)
-    if not lock.acquire(LOCK_SECONDS):
-        raise MachineError(f"another process keeps {path.name} locked", where=str(path.parent), hint="try again")
+    if not lock.acquire(LOCK_SECONDS if seconds is None else seconds):
+        what = f"another process keeps {path.name} locked"
+        raise refusal or MachineError(what, where=str(path.parent), hint="try again")
     try:
         yield
     finally:

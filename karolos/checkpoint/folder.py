@@ -35,7 +35,6 @@ def save(folder: Path, name: str, parts: Mapping[str, State], meta: Mapping[str,
         MachineError: the disk is full or the folder cannot be written; the older checkpoint stays.
         TypeError: a state holds something else; names the key path.
     """
-    _check_names(name, parts)
     with writing(folder):
         folder.mkdir(parents=True, exist_ok=True)
     target = below(folder, name)
@@ -164,12 +163,6 @@ def _identity(path: Path) -> tuple[int, int] | None:
     except OSError:
         return None
     return found.st_ino, found.st_mtime_ns
-
-
-def _check_names(name: str, parts: Mapping[str, State]) -> None:
-    for text in (name, *parts):
-        if not PART.fullmatch(text):
-            raise ValueError(f"{text!r} cannot name a checkpoint or a part: lower-case letters, digits, underscores")
 
 
 def _previous(target: Path) -> Path:

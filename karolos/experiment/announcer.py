@@ -5,7 +5,6 @@ from __future__ import annotations
 import time
 from collections import deque
 from collections.abc import Callable
-from dataclasses import dataclass, field
 
 from ..training.training import Progress
 from .events import Listener, RunAdvanced, RunBusy
@@ -19,24 +18,24 @@ Announce = Callable[[str, int, int], None]
 """Is called with an activity, and how much of it is done, of how much."""
 
 
-@dataclass
 class Announcer:
-    """Tells the listener how far training and tests are, and how long they will take."""
+    """Tells the listener how far training and tests are, and how long they will take.
 
-    run: str
-    steps: int
-    """Environment steps of the run."""
-    listener: Listener
-    seconds_left: Callable[[float, int], float] = field(default=lambda seconds, _: seconds, init=False)
-    """Seconds to the end of training and tests, given the seconds and steps of training left."""
-    _advanced: float = field(default=0.0, init=False)
-    """Time of the last RunAdvanced event."""
-    _busy: float = field(default=0.0, init=False)
-    """Time of the last RunBusy event."""
-    _trained: bool = field(default=False, init=False)
-    """Whether training is complete."""
-    _points: deque[tuple[float, int]] = field(default_factory=lambda: deque(maxlen=SPEED_WINDOW), init=False)
-    """Seconds and steps of training at the latest events."""
+    Args:
+        run: its id.
+        steps: environment steps of the run.
+        listener: is called with RunAdvanced and RunBusy.
+    """
+
+    def __init__(self, run: str, steps: int, listener: Listener) -> None:
+        self.run, self.steps, self.listener = run, steps, listener
+        self.seconds_left: Callable[[float, int], float] = lambda seconds, _: seconds
+        """Seconds to the end of training and tests, given the seconds and steps of training left."""
+        self._advanced = self._busy = 0.0
+        """Times of the last RunAdvanced and RunBusy event."""
+        self._trained = False
+        self._points: deque[tuple[float, int]] = deque(maxlen=SPEED_WINDOW)
+        """Seconds and steps of training at the latest events."""
 
     def announce(self, activity: str, done: int, total: int) -> None:
         """Tell how far a test or another activity is."""

@@ -76,30 +76,21 @@ class Checkpointer:
             run = parts["run"]
             self.demonstrated = bool(run["demonstrated"])
             self._best = tuple(map(float, run["best"]))
-            tests = [
-                DueTest(
-                    int(row["steps"]), int(row["updates"]), float(row["seconds"]), row["agent"], tuple(row["seeds"])
-                )
-                for row in run["tests"]
-            ]
+            tests = [DueTest(**row | {"seeds": tuple(row["seeds"])}) for row in run["tests"]]
             for state in (*(test.agent for test in tests), parts["agent"]):  # a pending test's may not fit either
                 training.agent.load_state(state)
             training.buffer.load_state(parts["buffer"])
             training.load_state(parts["training"])
-        if training.collector.strayed:
+        if strayed := ", ".join(map(str, training.collector.strayed)):
             self.writer.warn(
-                f"the running episodes of these environments were played again and ended elsewhere: "
-                f"{', '.join(map(str, training.collector.strayed))}",
+                f"the running episodes of these environments were played again and ended elsewhere: {strayed}",
                 "the run resumes, but not bit for bit: seeds and actions do not determine these episodes",
             )
         results = {result.steps: result for result in self._folder.tests()}
-        left = []
         for test in tests:
             if test.steps in results:  # it was recorded after the checkpoint
                 self._choose(test, results[test.steps])
-            else:
-                left.append(test)
-        return left
+        return [test for test in tests if test.steps not in results]
 
     def save(self, training: Training) -> None:
         """Write `last`: what the run needs to resume bit for bit. The checkpoint before becomes `previous`."""
@@ -135,14 +126,8 @@ class Checkpointer:
 
     def _write(self, name: str, parts: Mapping[str, State], at: Training | DueTest, more: Mapping[str, Any]) -> bool:
         """Write a checkpoint; returns whether it is on the disk."""
-        meta = {
-            "experiment": self.experiment,
-            "seed": self.seed,
-            "steps": at.steps,
-            "updates": at.updates,
-            "seconds": at.seconds,
-            **more,
-        }
+        amounts = {"steps": at.steps, "updates": at.updates, "seconds": at.seconds}
+        meta = {"experiment": self.experiment, "seed": self.seed, **amounts, **more}
         with self.writer.tolerated(MachineError, f"the checkpoint {name!r} was not written; the one before is kept"):
             checkpoint.save(self._folder.checkpoints, name, parts, meta)
             return True

@@ -6,8 +6,7 @@ import sys
 from collections.abc import Callable
 from dataclasses import dataclass
 
-from ..records.final_test import FinalTest
-from ..records.results import TestResult
+from ..records.results import FinalTest, TestResult
 
 
 @dataclass(frozen=True)

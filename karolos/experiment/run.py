@@ -18,8 +18,7 @@ from ..errors import KarolosError, RunError, WorkerError, described
 from ..evaluation.due_tests import DueTest
 from ..evaluation.testing import test_seeds
 from ..records import RunFolder
-from ..records.final_test import FinalTest
-from ..records.results import TestResult
+from ..records.results import FinalTest, TestResult
 from ..records.run_records import RunSummary
 from ..specification import Spec, spec_from_dict
 from ..specification.model import DemonstrationSettings

@@ -11,7 +11,7 @@ from dataclasses import replace
 from pathlib import Path
 
 from .. import checkpoint
-from ..core import Agent, Signature
+from ..core import Agent
 from ..core.deployed import Deployed
 from ..core.signature import SAME_LAYOUTS, layout_differences
 from ..errors import RunError, UsageError
@@ -55,17 +55,18 @@ def find(spec: Spec, runs: Path) -> Learned | None:
     try:
         folder = RunFolder.open(path)
     except RunError as error:
-        raise UsageError(f"{run!r}: {error.what}", setting=SETTING, hint=error.hint) from error
+        raise _refused(f"{run!r}: {error.what}", error.hint) from error
     source = spec_of(folder)
     check_agents(spec, source)
-    _check_layouts(signature_of(spec), signature_of(playable(source)))
+    if differences := layout_differences(signature_of(spec), signature_of(playable(source))):
+        what = "the run's agent has other observations, actions or goals: "
+        raise _refused(what + "; ".join(differences), SAME_LAYOUTS)
     learned = read_learned(folder, settings.start_checkpoint)
     if settings.start_sha256 not in (None, learned.sha256):
-        raise UsageError(
+        raise _refused(
             f"checkpoint {learned.checkpoint!r} of run {folder.id} is not the one this spec was first run with "
             f"(its agent has sha256 {learned.sha256[:12]}..., not {settings.start_sha256[:12]}...)",
-            setting=SETTING,
-            hint="set agent.start_sha256=null to start from the present checkpoint, which is another experiment",
+            "set agent.start_sha256=null to start from the present checkpoint, which is another experiment",
         )
     return learned
 
@@ -79,33 +80,22 @@ def apply(start: Learned, agent: Agent) -> None:
             else:
                 agent.start_from(start.state)
     except UsageError as error:
-        raise UsageError(error.what, setting=SETTING, hint=error.hint) from error
+        raise _refused(error.what, error.hint) from error
 
 
 def check_agents(spec: Spec, source: Spec) -> None:
     """Raise a UsageError if the spec's agent has another kind or shape than that of the source."""
-    if spec.agent.name != source.agent.name:
-        raise UsageError(
-            f"the agent is {spec.agent.name}, and the run's agent is {source.agent.name}",
-            setting=SETTING,
-            hint=f"set agent.name={source.agent.name}, or name a run of {spec.agent.name}",
-        )
+    name = source.agent.name
+    if spec.agent.name != name:
+        hint = f"set agent.name={name}, or name a run of {spec.agent.name}"
+        raise _refused(f"the agent is {spec.agent.name}, and the run's agent is {name}", hint)
     own, theirs = spec.agent.dump(), source.agent.dump()
-    differing = [key for key in load("agents", spec.agent.name).shaping if own[key] != theirs[key]]
+    differing = [key for key in load("agents", name).shaping if own[key] != theirs[key]]
     if differing:
-        raise UsageError(
-            "the run's networks differ: "
-            + "; ".join(f"agent.{key} is {own[key]} here and {theirs[key]} in the run" for key in differing),
-            setting=SETTING,
-            hint="set " + " ".join(f"agent.{key}={theirs[key]}" for key in differing),
-        )
+        what = "; ".join(f"agent.{key} is {own[key]} here and {theirs[key]} in the run" for key in differing)
+        hint = "set " + " ".join(f"agent.{key}={theirs[key]}" for key in differing)
+        raise _refused(f"the run's networks differ: {what}", hint)
 
 
-def _check_layouts(signature: Signature, source: Signature) -> None:
-    differences = layout_differences(signature, source)
-    if differences:
-        raise UsageError(
-            "the run's agent has other observations, actions or goals: " + "; ".join(differences),
-            setting=SETTING,
-            hint=SAME_LAYOUTS,
-        )
+def _refused(what: str, hint: str | None) -> UsageError:
+    return UsageError(what, setting=SETTING, hint=hint)

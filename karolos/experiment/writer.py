@@ -10,8 +10,7 @@ from typing import Any
 from ..core import Failure
 from ..errors import KarolosError, StoreError
 from ..records import RunFolder, provenance
-from ..records.final_test import FinalTest
-from ..records.results import TestCounts, TestResult
+from ..records.results import FinalTest, TestCounts, TestResult
 from ..records.run_records import State
 from ..store import Store
 from ..training.episodes import Episode

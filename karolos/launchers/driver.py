@@ -8,11 +8,13 @@ from __future__ import annotations
 from abc import ABC, abstractmethod
 from collections import deque
 from collections.abc import Iterable, Iterator
+from contextlib import contextmanager
 from pathlib import Path
 from typing import Any, Generic, TypeVar
 
+from ..errors import UsageError
 from ..experiment.events import Listener, RunEvent
-from ..experiment.signals import StopRequest
+from ..experiment.signals import StopRequest, stop_on_signals
 from ..files import read_object, write_whole
 from ..registry import load
 from ..specification import Spec
@@ -21,11 +23,20 @@ from .local import LocalLauncher
 
 
 def make_launcher(spec: Spec, jobs: int | None) -> Launcher:
-    """The spec's launcher, for so many runs at the same time."""
+    """The spec's launcher, for so many runs at the same time. Raises UsageError if they are less than one."""
+    if jobs is not None and jobs < 1:
+        raise UsageError(f"jobs is {jobs}", hint="run at least one at a time")
     if spec.launcher is None:
         return LocalLauncher(LocalLauncher.Settings(), jobs)
     launcher: Launcher = load("launchers", spec.launcher.name)(spec.launcher.settings, jobs)
     return launcher
+
+
+@contextmanager
+def driving(spec: Spec, jobs: int | None, listener: Listener, time_limit: float | None) -> Iterator[Driver]:
+    """A driver with the spec's launcher, which a signal or the time limit in seconds stops."""
+    with stop_on_signals(time_limit=time_limit) as stop, make_launcher(spec, jobs) as launcher:
+        yield Driver(launcher, listener, stop, retries=1)
 
 
 class Task(ABC):

@@ -8,16 +8,14 @@ from dataclasses import dataclass
 from pathlib import Path
 from typing import Any
 
-from ..errors import RunError, UsageError
+from ..errors import RunError
 from ..experiment.events import Listener, print_progress
 from ..experiment.run import run_or_resume
 from ..experiment.signals import StopRequest, stop_on_signals
 from ..experiment.start_from import pinned
-from ..files import FileLock, remove_temporary_leftovers
+from ..files import FileLock
 from ..orchestrator.machine import cores
 from ..records import RunFolder
-from ..records.archive import remove_unfinished_imports
-from ..records.run_folder import remove_lost_leftovers
 from ..records.run_records import RunSummary
 from ..specification import Spec, spec_from_dict
 from ..store import Store
@@ -117,26 +115,18 @@ class Experiment:
             MachineError: the runs folder cannot be written.
             StoreError: the database cannot be used.
         """
-        remove_temporary_leftovers()
-        if jobs is not None and jobs < 1:
-            raise UsageError(f"jobs is {jobs}", hint="run at least one seed at a time")
         is_local = self.spec.launcher is None or self.spec.launcher.name == "local"
-        jobs = min(jobs or 1, len(self.spec.seeds)) if is_local else jobs
-        folder = Path(runs)
-        url = database or Store.default_url(folder)
-        RunFolder.check_writable(folder)
-        remove_unfinished_imports(folder)
-        remove_lost_leftovers(folder, f"{self.spec.name}-s*")
-        Store(url).close()  # an unusable database is an error before anything is computed
+        jobs = min(1 if jobs is None else jobs, len(self.spec.seeds)) if is_local else jobs
+        home = Home.prepared(self.spec, runs, database, existing)
         listener = listener or (print_progress if progress else lambda _: None)
-        home = Home(folder, url, existing, self.spec.text)
         with ExitStack() as stack, stop_on_signals(time_limit=time_limit) as stop:
             check_parts(self.spec, jobs or 1)  # within the time limit, because an environment may hang
-            spec = pinned(self.spec.alone(), folder)
+            spec = pinned(self.spec.alone(), home.runs)
             for seed in spec.seeds:
                 _claim(home, spec, seed, stack)
             if is_local and jobs == 1:
-                summaries = _run_here(home, spec, listener, stop)
+                folders = (home.find(spec, one) or home.create(spec, one) for one in spec.seeds if not stop.requested)
+                summaries = [_execute(one, home.url, listener, stop) for one in folders]
             else:
                 job = RunJob(spec, home)
                 with make_launcher(self.spec, jobs) as launcher:
@@ -167,10 +157,9 @@ def resume_run(
         return Outcome((folder.summary(),), 1)
     spec = spec_from_dict(folder.spec())
     Store(url).close()  # an unusable database is an error before anything is computed
-    with stop_on_signals(time_limit=time_limit) as stop, folder:
+    with stop_on_signals(time_limit=time_limit) as stop:
         check_parts(spec)
-        folder.lock()
-        summary = run_or_resume(folder, url, listener or (lambda _: None), stop, beside=cores() >= 2)
+        summary = _execute(folder, url, listener or (lambda _: None), stop)
     return Outcome((summary,), 1, stop.exit_code)
 
 
@@ -194,15 +183,10 @@ def _claim(home: Home, spec: Spec, seed: int, stack: ExitStack) -> None:
         )
 
 
-def _run_here(home: Home, spec: Spec, listener: Listener, stop: StopRequest) -> list[RunSummary]:
-    """Run the seeds one after the other in this process."""
-    summaries = []
-    for seed in spec.seeds:
-        if stop.requested:
-            break
-        with home.find(spec, seed) or home.create(spec, seed) as folder:
-            if folder.state().state != "finished":
-                folder.lock()
-                run_or_resume(folder, home.url, listener, stop, beside=cores() >= 2)
-            summaries.append(folder.summary())
-    return summaries
+def _execute(folder: RunFolder, url: str, listener: Listener, stop: StopRequest) -> RunSummary:
+    """Execute or resume a run in this process, unless it is finished."""
+    with folder:
+        if folder.state().state != "finished":
+            folder.lock()
+            run_or_resume(folder, url, listener, stop, beside=cores() >= 2)
+        return folder.summary()

@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 from collections.abc import Iterator, Mapping
+from contextlib import suppress
 from dataclasses import dataclass, field, replace
 from pathlib import Path
 from typing import Any, Literal
@@ -23,12 +24,15 @@ from ..experiment.events import (
 )
 from ..experiment.resume import find_run
 from ..experiment.writer import index_run
-from ..files import new_lines, read_object, write_json
+from ..files import new_lines, read_object, remove_temporary_leftovers, write_json
 from ..records import RunFolder, provenance
+from ..records.archive import remove_unfinished_imports
 from ..records.decode import from_json
 from ..records.results import TestResult, decode_test
+from ..records.run_folder import remove_lost_leftovers
 from ..records.run_records import UNFINISHED, RunSummary
 from ..specification import Spec
+from ..store import Store
 from .driver import Job, Task
 
 Existing = Literal["ignore", "skip", "resume"]
@@ -49,6 +53,22 @@ class Home:
     url: str
     existing: Existing = "ignore"
     text: str | None = None
+
+    @classmethod
+    def prepared(cls, spec: Spec, runs: str | Path, database: str | None, existing: Existing) -> Home:
+        """The home of a spec's runs, which can be used. What killed processes left in it is removed.
+
+        Raises:
+            MachineError: the runs folder cannot be written.
+            StoreError: the database cannot be used.
+        """
+        home = cls(Path(runs), database or Store.default_url(runs), existing, spec.text)
+        remove_temporary_leftovers()
+        RunFolder.check_writable(home.runs)
+        remove_unfinished_imports(home.runs)
+        remove_lost_leftovers(home.runs, f"{spec.name}-*")
+        Store(home.url).close()  # before anything is computed
+        return home
 
     def find(self, spec: Spec, seed: int) -> RunFolder | None:
         """The run to use instead of a new one: a finished one, or one to resume."""
@@ -103,6 +123,8 @@ class RunJob(Job):
         for seed in self.spec.seeds:
             found = self.known.get(seed) or self.home.find(self.spec, seed)
             if found is not None and found.state().state == "finished":
+                with suppress(StoreError):  # whoever followed it may have been killed before its last entry
+                    index_run(self.home.url, found)
                 self.read_tests(seed, found)
                 self.record(found.summary())
             else:
@@ -149,35 +171,29 @@ class RunTask(Task):
     def events(self) -> Iterator[RunEvent]:
         launched, self._launched = self._launched, []
         yield from launched
-        for event in self._news():
-            if isinstance(event, RunTested):
-                self._job.tests[self._seed][event.result.steps] = event.result
-                yield from self._update_index(event.result)
-            elif isinstance(event, RunAdvanced):
-                self._job.steps[self._seed] = min(event.steps, self._job.spec.training.steps)
-            elif isinstance(event, RunFinalTested):
-                self._job.finals[self._seed] = event.final.last
-            elif isinstance(event, RunStarted):
-                yield from self._update_index()
-            yield event
-
-    def _news(self) -> Iterator[RunEvent]:
-        """What the process has written since the last call."""
-        folder = self._folder
+        job, folder = self._job, self._folder
         earlier, self._progress = self._progress, read_object(folder.progress) or {}
         happened = self._new_lines("events.jsonl")
         tests = [decode_test(row) for row in self._new_lines("tests.jsonl")]  # written before these events
         if any(row["event"] in ("started", "resumed") for row in happened):
-            yield RunStarted(folder.id, self._seed, self._job.spec.training.steps, str(folder.path))
+            yield from self._update_index()
+            yield RunStarted(folder.id, self._seed, job.spec.training.steps, str(folder.path))
         for name, row in self._progress.items():
             event = from_json(RunAdvanced, row) if name == "RunAdvanced" else from_json(RunBusy, row)
             if event is not None and row != earlier.get(name):
+                if isinstance(event, RunAdvanced):
+                    job.steps[self._seed] = min(event.steps, job.spec.training.steps)
                 yield event
-        yield from (RunTested(folder.id, result) for result in tests if result is not None)
+        for result in tests:
+            if result is not None:
+                job.tests[self._seed][result.steps] = result
+                yield from self._update_index(result)
+                yield RunTested(folder.id, result)
         for row in happened:
             if row["event"] == "warning":
                 yield RunWarned(folder.id, f"{row['error']} ({row['consequence']})")
             elif row["event"] == "final_test" and (final := folder.final()) is not None:
+                job.finals[self._seed] = final.last
                 yield RunFinalTested(folder.id, final)
             elif row["event"] == "failed":
                 self._failure = row["error"], row["traceback"]

@@ -119,15 +119,11 @@ def pack_errors(errors: list[tuple[int, KarolosError]]) -> bytes:
     """Pickle pairs of environment id and error for another process."""
     portable = []
     for index, error in errors:
+        sent = error
         try:
             pickle.loads(pickle.dumps(error))
-            portable.append((index, error))
         except Exception:  # a plugin's subclass of KarolosError may fail to pickle in any way
-            text = "".join(traceback.format_exception(error))
-            portable.append(
-                (
-                    index,
-                    WorkerError(error.what, where=error.where, setting=error.setting, hint=error.hint, traceback=text),
-                )
-            )
+            place = {"where": error.where, "setting": error.setting, "hint": error.hint}
+            sent = WorkerError(error.what, traceback="".join(traceback.format_exception(error)), **place)
+        portable.append((index, sent))
     return pickle.dumps(portable)

@@ -5,10 +5,13 @@ from __future__ import annotations
 import re
 import textwrap
 from collections.abc import Sequence
-from dataclasses import dataclass, fields
+from dataclasses import dataclass, field, fields
+from itertools import product
 from math import pi
 from pathlib import Path
 from pprint import pformat
+from xml.etree.ElementTree import Element
+from xml.sax.saxutils import escape, quoteattr
 
 import numpy as np
 
@@ -18,8 +21,8 @@ from ..robots.arm import ArmModel, ArmSettings
 from ..simulation import urdf
 from ..simulation.geometry import Vector
 from ..simulation.interface import Fingers, Gripper
+from ..simulation.meshes import MESH_SUFFIXES, triangles
 from ..simulation.urdf import Joint
-from .meshes import points_of
 from .poses import SMALLEST_WORKSPACE, Poses
 
 GRIPPER_NAMES = re.compile(r"grip|finger|jaw|claw|knuckle|thumb", re.IGNORECASE)
@@ -90,21 +93,10 @@ def propose(path: Path, tool: str | None = None) -> Proposal:
     }
     found = urdf.load(path, tuple(sorted(locked.items())), slides)
     joints = [joint for joint in found.joints if joint.revolute]
-    base = joints[0].parent
+    base, last = joints[0].parent, joints[-1]
     merged = ", ".join(name for name, carrier in found.carriers.items() if carrier == base and name != base)
-    notes = [
-        f"base: {base}{merged and f' (with {merged})'}, at the origin of the world, on the floor z = 0",
-        f"arm: {', '.join(joint.name for joint in joints)}",
-    ]
-    hand = _hand(found, joints[-1], slides)
-    notes.append(hand.note)
-    if still:
-        notes.append(f"locked: {', '.join(joint.name for joint in still)} do not move")
-    notes += [f"inertia of {link}: no body can have it; its smaller moments are raised" for link in found.corrected]
-    if fast := ", ".join(joint.name for joint in joints if joint.velocity > DOUBTED_SPEED):
-        notes.append(f"speed: the URDF lets {fast} turn faster than a turn per second; compare the data sheet")
-    position, rotation, note = _tool(found, path, joints[-1], hand, tool)
-    notes.append(note)
+    hand = _hand(found, [joint for joint in found.joints if joint.name in slides])
+    position, rotation, tool_note = _tool(found, path, last, hand, tool)
     usual: float = ArmSettings.model_fields["tool_step"].default
     poses = Poses(joints, (position, rotation), usual)
     best = poses.best()
@@ -115,10 +107,21 @@ def propose(path: Path, tool: str | None = None) -> Proposal:
             hint="choose the tool with --tool LINK; the base stands on the floor with its z axis upwards",
         )
     low, high = best.workspace.low, best.workspace.high
-    notes.append(f"home: tool at {_metres(best.tool)} m, pointing down; by inverse kinematics, far from joint limits")
-    notes.append(f"workspace: {_metres(low)} to {_metres(high)} m; the tool reaches it pointing down")
-    if best.tool_step < usual:
-        notes.append(f"tool_step: {best.tool_step} m per control step instead of {usual}: the joints are slower")
+    fast = ", ".join(joint.name for joint in joints if joint.velocity > DOUBTED_SPEED)
+    slow, heavy = f"{best.tool_step} m per control step instead of {usual}", ", ".join(found.corrected)
+    notes = {
+        f"base: {base}{merged and f' (with {merged})'}, at the origin of the world, on the floor z = 0": True,
+        f"arm: {', '.join(joint.name for joint in joints)}": True,
+        hand.note: True,
+        f"locked: {', '.join(joint.name for joint in still)} do not move": still,
+        f"inertia of {heavy}: no body can have it; its smaller moments are raised": heavy,
+        f"speed: the URDF lets {fast} turn faster than a turn per second; compare the data sheet": fast,
+        tool_note: True,
+        f"home: tool at {_metres(best.tool)} m, pointing down; by inverse kinematics, far from joint limits": True,
+        f"workspace: {_metres(low)} to {_metres(high)} m; the tool reaches it pointing down": True,
+        f"tool_step: {slow}: the joints are slower": best.tool_step < usual,
+        "self-collisions: none; `self_collisions` in the ArmModel names pairs of links that shall collide": True,
+    }
     model = ArmModel(
         urdf=path,
         home=best.home,
@@ -128,11 +131,10 @@ def propose(path: Path, tool: str | None = None) -> Proposal:
         fingers=hand.fingers,
         locked=locked,
     )
-    notes.append("self-collisions: none; `self_collisions` in the ArmModel names pairs of links that shall collide")
     width = hand.fingers and hand.fingers.gripper.width
     gripper = f"a gripper of two fingers that opens {100 * width:g} cm" if width else "without a gripper"
     summary = f"{len(joints)} joints, {poses.length:.2f} m long, {gripper}."
-    return Proposal(model, best.tool_step, summary, tuple(notes))
+    return Proposal(model, best.tool_step, summary, tuple(note for note, holds in notes.items() if holds))
 
 
 def _metres(place: Sequence[float] | Array) -> str:
@@ -188,91 +190,116 @@ def _arm(found: urdf.Description, path: Path, tool: str | None) -> list[Joint]:
 
 @dataclass(frozen=True)
 class _Hand:
-    """What the last joint moves. Points and directions are in the frame of its link."""
+    """The gripper on the last link. Points and directions are in the frame of that link."""
 
-    shapes: Array
-    """Points (n, 3) of the link."""
-    tips: Array
-    """Points (n, 3) of the fingers; none without a gripper."""
-    across: Array
-    """Direction in which the first finger slides; 0 without a gripper."""
-    fingers: Fingers | None
     note: str
+    fingers: Fingers | None = None
+    tips: Array = field(default_factory=lambda: np.zeros((0, 3)))
+    """Points (n, 3) of the fingers."""
+    across: Array = field(default_factory=lambda: np.zeros(3))
+    """Direction in which the first finger slides."""
 
 
-def _hand(found: urdf.Description, last: Joint, slides: tuple[str, ...]) -> _Hand:
-    """The gripper of two sliding fingers, if there are two `slides`."""
-    shapes = points_of(found.robot, last.child)
-    pair = [joint for joint in found.joints if joint.name in slides]
+def _hand(found: urdf.Description, pair: Sequence[Joint]) -> _Hand:
+    """The gripper of two sliding fingers, if there is a pair of them."""
     if not pair:
-        note = "gripper: no pair of sliding fingers, so that tasks which grasp do not work"
-        return _Hand(shapes, np.zeros((0, 3)), np.zeros(3), None, note)
-    first, second = pair
+        return _Hand("gripper: no pair of sliding fingers, so that tasks which grasp do not work")
+    names = ", ".join(joint.name for joint in pair)
     across, other = (np.array(joint.rotation) @ joint.axis for joint in pair)
     if across @ other > -PARALLEL:
         raise PluginError(
             "the fingers do not slide in opposite directions",
-            where=f"joints {', '.join(slides)}",
+            where=f"joints {names}",
             hint="make them fixed in a copy of the URDF to use the robot without its gripper",
         )
-    pads = [points_of(found.robot, one.child) @ np.transpose(one.rotation) + one.origin for one in pair]
+    pads = [_points_of(found.robot, one.child) @ np.transpose(one.rotation) + one.origin for one in pair]
     pads = [pad if len(pad) else np.array([joint.origin]) for pad, joint in zip(pads, pair, strict=True)]
-    travel = min(joint.upper for joint in pair)
+    travel, force, speed = (min(getattr(one, limit) for one in pair) for limit in ("upper", "effort", "velocity"))
     closes = bool((pads[0].min(0) + pads[0].max(0) - pads[1].min(0) - pads[1].max(0)) @ across < 0)
     inwards = -across if closes else across
     gap = float((pads[0] @ inwards).min() - (pads[1] @ inwards).max()) - closes * 2 * travel
     width = round(2 * travel + (gap if gap > 0.005 else 0.0), 4)
-    force, speed = min(joint.effort for joint in pair), min(joint.velocity for joint in pair)
     note = (
-        f"gripper: {first.name} and {second.name}, {'closing' if closes else 'opening'} from 0 to {travel:g} m, "
+        f"gripper: {names}, {'closing' if closes else 'opening'} from 0 to {travel:g} m, "
         f"{width:g} m wide when open; {force:g} N and {speed:g} m/s are the limits in the URDF; "
         "pad friction 1 as of rubber"
     )
     gripper = Gripper(width=width, force=force, speed=speed, pad_friction=1.0)
-    fingers = Fingers((first.name, second.name), (first.child, second.child), travel, closes, gripper)
-    return _Hand(shapes, np.vstack(pads), across, fingers, note)
+    links = pair[0].child, pair[1].child
+    fingers = Fingers((pair[0].name, pair[1].name), links, travel, closes, gripper)
+    return _Hand(note, fingers, np.vstack(pads), across)
 
 
 def _tool(found: urdf.Description, path: Path, last: Joint, hand: _Hand, named: str | None) -> tuple[Array, Array, str]:
     """Position and rotation of the tool in the frame of the last link, z along the direction of approach, and a note.
 
     It is the frame that the user named, or one of a usual name that lies between the fingers; else the tips of the
-    fingers, or the end of the last link.
+    fingers, or the end of the last link along its joint's axis.
     """
-    frames, axis = (
-        {name: found.frames[name] for name, one in found.carriers.items() if one == last.child},
-        np.array(last.axis),
-    )
+    frames = {name: found.frames[name] for name, one in found.carriers.items() if one == last.child}
     usual = (name for pattern in TOOL_NAMES for name in frames if pattern.search(name) and name != last.child)
     name = named or next(usual, None)
     if name is not None and name not in frames:
         raise PluginError(f"fixed joints do not hold it to {last.child}", where=f"{path}: link {name}")
     place, turn = frames[name] if name is not None else (np.zeros(3), np.eye(3))
-    tips, middle = hand.tips, np.zeros(3)
-    if len(tips):
-        middle = (tips.min(0) + tips.max(0)) / 2
-    approach = turn[:, 2]
+    tips, axis, shapes = hand.tips, np.array(last.axis), _points_of(found.robot, last.child)
+    approach, what = turn[:, 2], f"the frame {name}"
     if name is None or (named is None and abs(approach @ axis) < PARALLEL):
-        sides = [side * unit for unit in (np.eye(3) if len(tips) else [axis]) for side in (1, -1)]
-        sides = [side for side in sides if abs(side @ hand.across) < 0.1]
         before = np.transpose(last.rotation) @ last.origin  # from the joint before to this one
-        ends = hand.shapes.min(0, initial=0.0) + hand.shapes.max(0, initial=0.0)
-        hints = (middle, place, before, ends, axis)  # the first that says on which side the tool is
-        approach = max(sides, key=lambda side: next((side @ hint for hint in hints if abs(hint @ side) > 0.005), 0.0))
+        middle, ends = ((points.min(0, initial=0.0) + points.max(0, initial=0.0)) / 2 for points in (tips, shapes))
+        hints = [along for hint in (middle, place, before, ends) if abs(along := hint @ axis) > 0.005]
+        approach = -axis if hints and hints[0] < 0 else axis
     if abs(approach @ hand.across) > 0.1:
         raise PluginError(
             "the fingers slide along the direction of approach",
             where=f"{path}: link {last.child}",
             hint="name the tool frame, whose z axis is this direction, with --tool LINK",
         )
-    depths, what = tips @ approach, f"the frame {name}"
+    depths = tips @ approach
     if len(tips) and named is None and not (name and depths.min() < place @ approach < depths.max()):
-        what = f"{PAD_DEPTH:g} m from the tips of the fingers"
+        what, middle = f"{PAD_DEPTH:g} m from the tips of the fingers", (tips.min(0) + tips.max(0)) / 2
         place = middle + (depths.max() - PAD_DEPTH - middle @ approach) * approach
     elif name is None:
-        place, what = approach * max(0.0, float((hand.shapes @ approach).max(initial=0.0))), "the end of its shapes"
+        place, what = approach * max(0.0, float((shapes @ approach).max(initial=0.0))), "the end of its shapes"
     x = min(turn.T, key=lambda column: abs(float(column @ approach)))
     x = np.cross(hand.across, approach) if len(tips) else x - (x @ approach) * approach
     x = x / np.linalg.norm(x)
     note = f"tool: {what}, {_metres(place)} m in {last.child}; it approaches along {_metres(approach)}"
     return place, np.column_stack([x, np.cross(approach, x), approach]), note
+
+
+def _points_of(robot: Element, link: str) -> Array:
+    """Points (n, 3) that span the collision shapes of a link, or its visual ones, in its frame in m."""
+    element = next(one for one in robot.findall("link") if one.get("name") == link)
+    found = [np.zeros((0, 3))]
+    for shape in element.findall("collision") or element.findall("visual"):
+        translation, rotation = urdf.origin_of(shape)
+        found += [_corners(one) @ rotation.T + translation for one in shape.findall("geometry/*")]
+    return np.vstack(found)
+
+
+def _corners(shape: Element) -> Array:
+    """Points (n, 3) of a shape in its own frame."""
+    size = {key: [float(one) for one in value.split()] for key, value in shape.attrib.items() if key != "filename"}
+    if shape.tag == "mesh":
+        scale = np.array(size.get("scale", [1.0, 1.0, 1.0]))
+        return scale * triangles(Path(shape.get("filename", ""))).reshape(-1, 3)
+    if shape.tag == "box":
+        half = np.array(size["size"]) / 2
+    else:
+        radius, length = size["radius"][0], size.get("length", [0.0])[0]
+        half = np.array([radius, radius, length / 2 if shape.tag == "cylinder" else length / 2 + radius])
+    corners: Array = half * np.array(list(product((-1, 1), repeat=3)))
+    return corners
+
+
+def with_meshes(path: Path) -> tuple[str, dict[str, Path]]:
+    """A URDF whose meshes are in the folder `meshes` beside it, and the files to copy there by their new names."""
+    text, files = urdf.text_of(path), dict[str, Path]()
+    for number, name in enumerate(sorted({mesh.get("filename", "") for mesh in urdf.read(path).iter("mesh")})):
+        mesh = urdf.find_mesh(name, path.parent)
+        if mesh is not None and mesh.suffix.lower() in MESH_SUFFIXES:
+            new = next((to for to, file in files.items() if file == mesh), f"meshes/{number}_{mesh.name}")
+            files[new] = mesh
+            text = quoteattr(new).join(re.split(rf"""(["']){re.escape(escape(name))}\1""", text)[::2])
+    return text, files

@@ -87,8 +87,7 @@ def _rendered(
         templates[f"{package}/{name}.urdf"] = "robot.urdf"
         templates[f"specs/{name}_reach.yaml"] = "reach.yaml"
     if urdf is not None:
-        from .meshes import with_meshes  # noqa: PLC0415 (takes half a second)
-        from .proposal import propose  # noqa: PLC0415
+        from .proposal import propose, with_meshes  # noqa: PLC0415 (takes half a second)
 
         del templates[f"{package}/{name}.urdf"]
         proposal = propose(urdf, tool)

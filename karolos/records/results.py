@@ -8,6 +8,7 @@ from dataclasses import asdict, dataclass, replace
 from typing import Annotated, Any
 
 from pydantic import Field, FiniteFloat
+from typing_extensions import TypedDict
 
 from ..statistics.intervals import wilson
 from .decode import from_json
@@ -177,3 +178,43 @@ def decode_test(test: bytes | Mapping[str, Any]) -> TestResult | None:
         return None
     lists = [result.any, result.end, result.reset, result.returns, result.lengths, result.distances or result.any]
     return result if result.any and len(set(map(len, lists))) == 1 else None
+
+
+@dataclass(frozen=True)
+class FinalTest:
+    """The final test of a run, episode by episode: `last` and `best` on episodes that nothing was chosen on.
+
+    In final.jsonl, one line describes the test, and one line per policy is in the format of tests.jsonl.
+    """
+
+    seed: int
+    """Root of the test episodes' seeds."""
+    last: TestResult
+    best: TestResult | None
+    """None if the checkpoint `best` could not be written or read."""
+    last_sha256: str
+    """Of the agent's state in the checkpoint `last`; it identifies the policy."""
+    best_sha256: str | None
+
+
+class _Head(TypedDict):
+    """The first line of a final test: the root of the episodes' seeds, and sha256 of the agents' states."""
+
+    seed: int
+    last: str
+    best: str | None
+
+
+def encode_final(final: FinalTest) -> list[dict[str, Any]]:
+    """A final test as JSON objects."""
+    head = {"seed": final.seed, "last": final.last_sha256, "best": final.best_sha256}
+    return [head, *(encode_test(result) for result in (final.last, final.best) if result is not None)]
+
+
+def decode_final(text: bytes) -> FinalTest | None:
+    """The final test in the lines of a file; None if they are damaged."""
+    first, *lines = text.splitlines()
+    head, tests = from_json(_Head, first), [test for line in lines if (test := decode_test(line)) is not None]
+    if head is None or not text.endswith(b"\n") or not len(lines) == len(tests) == (1 if head["best"] is None else 2):
+        return None
+    return FinalTest(head["seed"], tests[0], None if head["best"] is None else tests[1], head["last"], head["best"])

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import json
 import os
 from collections.abc import Iterable, Iterator, Mapping, Sequence
 from dataclasses import asdict, replace
@@ -13,7 +14,7 @@ from pathlib import Path
 from time import monotonic
 from typing import Any, TypeVar
 
-from ..errors import MachineError, RunError, UsageError
+from ..errors import MachineError, RunError
 from ..files import (
     UNFINISHED,
     FileLock,
@@ -26,11 +27,10 @@ from ..files import (
     write_whole,
     writing,
 )
-from . import final_test, labels, provenance
+from . import labels, provenance
 from .decode import from_json, read_json
-from .final_test import FinalTest
 from .labels import Labels
-from .results import TestCounts, TestResult, decode_test, encode_test
+from .results import FinalTest, TestCounts, TestResult, decode_final, decode_test, encode_final, encode_test
 from .run_records import (
     FORMAT,
     SWEEPS,
@@ -40,13 +40,13 @@ from .run_records import (
     RunState,
     RunSummary,
     State,
-    check_name,
     part_name,
     timestamp,
 )
 
 LOCK_SECONDS = 0.5
 """A reader that checks whether a run is alive holds the lock for an instant; the run waits this long for it."""
+FINAL = "final.jsonl"
 DAMAGED_SPEC = "missing, damaged or changed"
 _FOLDERS = 10_000
 _Test = TypeVar("_Test", TestResult, TestCounts)
@@ -79,12 +79,8 @@ class RunFolder:
         """Make `runs/<name>-s<seed>-<UTC date>-<time>` and lock it; `-2`, `-3` ... is added to a name that is taken.
 
         Raises:
-            UsageError: the name cannot be a folder's, or the seed is negative.
             MachineError: the runs folder cannot be written.
         """
-        check_name(name)
-        if seed < 0:
-            raise UsageError(f"the seed is {seed}", hint="seeds are not negative")
         now = datetime.now(UTC)
         path = _make_folder(Path(runs), f"{name}-s{seed}-{now:%Y%m%d-%H%M%S}")
         folder = cls(path)
@@ -257,11 +253,16 @@ class RunFolder:
 
     def write_final(self, final: FinalTest) -> None:
         """Write the final test, whole or not at all."""
-        final_test.write(self.path, final)
+        lines = (json.dumps(row, separators=(",", ":"), allow_nan=False) for row in encode_final(final))
+        write_whole(self.path / FINAL, "".join(f"{line}\n" for line in lines))
 
     def final(self) -> FinalTest | None:
         """The final test; None before it, or if its file is damaged (`record().problems` says so)."""
-        return final_test.read(self.path)
+        try:
+            text = (self.path / FINAL).read_bytes()
+        except OSError:
+            return None
+        return decode_final(text) if text else None
 
     def add_episodes(self, episodes: Iterable[Mapping[str, Any]]) -> None:
         """Append the records of training episodes, JSON values each."""
@@ -300,8 +301,8 @@ class RunFolder:
         if labels.is_damaged(self.path):
             problems += ("labels.json: damaged; tags and note cannot be read",)
         final = self.final()
-        if final is None and (self.path / final_test.FILE).exists():
-            problems += (f"{final_test.FILE}: damaged; left out",)
+        if final is None and (self.path / FINAL).exists():
+            problems += (f"{FINAL}: damaged; left out",)
         problems += read_lines(self.path / "events.jsonl").problems
         counts = _by_steps(tests)
         summary = self._summarise(now, spec or {}, counts, final)
@@ -364,12 +365,13 @@ def _by_steps(tests: Iterable[_Test]) -> tuple[_Test, ...]:
     return tuple(unique[steps] for steps in sorted(unique))
 
 
-def paths(runs: str | Path, pattern: str = "*") -> list[Path]:
+def paths(runs: str | Path, pattern: str = "*", description: str = "run.json") -> list[Path]:
     """The run folders in a runs folder, damaged ones included, by name.
 
     Args:
         runs: the runs folder; the list is empty if it does not exist.
         pattern: of the folders' names, as in a shell.
+        description: the file that makes a folder one of them.
     """
     try:
         found = sorted(path for path in Path(runs).iterdir() if fnmatchcase(path.name, pattern))
@@ -377,7 +379,7 @@ def paths(runs: str | Path, pattern: str = "*") -> list[Path]:
         return []
     except OSError as error:
         raise MachineError(f"cannot be read ({error.strerror})", where=str(runs), hint="name a runs folder") from error
-    return [path for path in found if os.path.isfile(path / "run.json")]
+    return [path for path in found if os.path.isfile(path / description)]
 
 
 def scan(runs: str | Path, pattern: str = "*") -> Iterator[RunFolder | RunError]:

@@ -11,10 +11,8 @@ from typing import Annotated, Any, Literal, NotRequired, get_args
 from pydantic import Field, FiniteFloat
 from typing_extensions import TypedDict
 
-from ..errors import UsageError
 from .results import Count, TestCounts
 
-NAME = re.compile(r"[A-Za-z0-9][A-Za-z0-9._-]{0,63}")
 ID = re.compile(r"[A-Za-z0-9][A-Za-z0-9._-]{0,199}")
 """A run's id: its name, seed and time."""
 SWEEPS = "sweeps"
@@ -198,12 +196,3 @@ def part_name(spec: Mapping[str, Any], kind: str) -> str | None:
     part = spec.get(kind)
     name = part.get("name") if isinstance(part, Mapping) else part
     return name if isinstance(name, str) else None
-
-
-def check_name(name: str) -> None:
-    """Refuse (UsageError) a run's name that cannot be a folder's on every system."""
-    if not NAME.fullmatch(name):
-        raise UsageError(
-            f"a run cannot be named {name!r}",
-            hint="up to 64 letters, digits, dots, dashes and underscores, beginning with a letter or digit",
-        )

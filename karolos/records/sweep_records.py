@@ -10,10 +10,11 @@ from typing import Any, Literal
 
 from pydantic import FiniteFloat
 
-from ..errors import MachineError, RunError
+from ..errors import RunError
 from ..files import FileLock, read_lines, read_object, read_values
 from .decode import from_json, read_json
 from .results import Count
+from .run_folder import paths
 from .run_records import ID, SWEEPS
 
 FOLDER = SWEEPS
@@ -163,14 +164,7 @@ def is_running(folder: Path) -> bool:
 
 def sweep_paths(runs: str | Path) -> list[Path]:
     """The folders of sweeps in a runs folder, damaged ones included, by name."""
-    root = Path(runs) / FOLDER
-    try:
-        found = sorted(root.iterdir())
-    except (FileNotFoundError, NotADirectoryError):
-        return []
-    except OSError as error:
-        raise MachineError(f"cannot be read ({error.strerror})", where=str(root), hint="name a runs folder") from error
-    return [path for path in found if os.path.isfile(path / DESCRIPTION)]
+    return paths(Path(runs) / FOLDER, description=DESCRIPTION)
 
 
 def names_of_trials(runs: str | Path) -> set[str]:

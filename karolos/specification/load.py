@@ -8,7 +8,6 @@ from pathlib import Path
 from typing import Any
 
 from ..errors import PluginError, Problem
-from .checks import ROBOT_TASK
 from .files import SpecFiles, find_spec
 from .merge import (
     DEFAULT_PLUGINS,
@@ -24,7 +23,7 @@ from .merge import (
 )
 from .model import NAME_PATTERN, Spec
 from .nodes import DEFAULT, Mark, Node, from_plain, leaves, refuse
-from .problems import validate
+from .problems import ROBOT_TASK, validate
 from .space import application_order, space_problems
 
 

@@ -55,16 +55,13 @@ def merged(below: Node, above: Node, path: tuple[str, ...] = ()) -> Node:
     """
     if below.mapping is None or above.mapping is None:
         return above
-    if (is_part(path) and _changes_name(below, above)) or _is_parameter(path):
+    is_parameter = len(path) == 3 and path[:2] == (SWEEP, "space")
+    if (is_part(path) and _changes_name(below, above)) or is_parameter:
         return above
     entries = dict(below.mapping)
     for key, entry in above.mapping.items():
         entries[key] = merged(entries[key], entry, (*path, key)) if key in entries else entry
     return Node(entries, above.at, above.key)
-
-
-def _is_parameter(path: tuple[str, ...]) -> bool:
-    return len(path) == 3 and path[:2] == (SWEEP, "space")
 
 
 def _changes_name(below: Node, above: Node) -> bool:

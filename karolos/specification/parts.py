@@ -88,8 +88,10 @@ class OfKind:
         except UsageError as error:
             raise _at_name("unknown_name", error.what, name, error.hint) from None
         settings = validate_strictly(plugin.Settings, {key: entry for key, entry in value.items() if key != "name"})
-        if large := [_too_large(path) for path in _large_integers(settings.model_dump())]:
-            raise ValidationError.from_exception_data("Part", large)
+        size = PydanticCustomError("integer_size", "should be an integer of at most 64 bits")
+        large = _large_integers(settings.model_dump())
+        if errors := [InitErrorDetails(type=size, loc=path, input=0) for path in large]:
+            raise ValidationError.from_exception_data("Part", errors)
         return Part(self.kind, name, settings)
 
 
@@ -100,11 +102,6 @@ def _large_integers(value: object, path: tuple[str | int, ...] = ()) -> Iterator
         yield from _large_integers(entry, (*path, key))
     if isinstance(value, int) and not -(1 << 63) <= value < 1 << 63:
         yield path
-
-
-def _too_large(path: tuple[str | int, ...]) -> InitErrorDetails:
-    error = PydanticCustomError("integer_size", "should be an integer of at most 64 bits")
-    return InitErrorDetails(type=error, loc=path, input=0)
 
 
 def _at_name(kind: str, message: str, value: object, hint: str | None = None) -> ValidationError:

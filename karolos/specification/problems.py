@@ -10,7 +10,6 @@ from pydantic import BaseModel, ValidationError
 
 from ..errors import Problem
 from ..registry import alternatives, closest, loaded
-from .checks import environment_problems, pairing_problems
 from .merge import PARTS, RANDOMIZATION, is_part
 from .model import Spec
 from .nodes import DEFAULT, Mark, Node, Path, dotted, shown
@@ -34,6 +33,8 @@ _WORDS = (
     (" a valid ", " a "),
     (" a integer", " an integer"),
 )
+ROBOT_TASK = "robot_task"
+"""The environment that consists of a robot and a task."""
 AGENT_HINT = "name a learning algorithm, e.g. `agent: sac`"
 _LENGTH = ("too_short", "too_long")
 _UNSHOWN = ("value_error", "assertion_error", "unknown_name", "missing_name", "part_type", *_LENGTH)
@@ -113,7 +114,10 @@ def _problem(tree: Node, path: Path, entries: list[dict[str, Any]]) -> Problem:
         return Problem(place, text, "no such key", hint)
     if kind == "missing":
         return Problem(place, text, "is missing", AGENT_HINT if path == ("agent",) else None)
-    messages = list(dict.fromkeys(_reworded(entry["msg"]) for entry in entries))
+    messages = [entry["msg"] for entry in entries]
+    for old, new in _WORDS:
+        messages = [message.replace(old, new) for message in messages]
+    messages = list(dict.fromkeys(message[:1].lower() + message[1:] for message in messages))
     whats = [messages[0], *(message.removeprefix("should be ") for message in messages[1:])]
     what = " or ".join(whats)
     given = entries[0]["input"]
@@ -143,12 +147,6 @@ def _pattern_hint(path: Path) -> str:
     if len(path) == 2 and path[0] == RANDOMIZATION:
         return "write robot.<parameter> or task.<parameter>, e.g. task.gravity"
     return "see `karolos plugins show` for what is"
-
-
-def _reworded(message: str) -> str:
-    for old, new in _WORDS:
-        message = message.replace(old, new)
-    return message[:1].lower() + message[1:]
 
 
 def _written(node: Node) -> str:
@@ -203,3 +201,58 @@ def models_in(annotation: Any) -> list[type[BaseModel]]:
     if isinstance(annotation, type) and issubclass(annotation, BaseModel):
         return [annotation]
     return [model for argument in get_args(annotation) for model in models_in(argument)]
+
+
+def environment_problems(tree: Node) -> list[Problem]:
+    """Robot and task require each other, and the environment robot_task."""
+    given = {key: node for key in ("robot", "task") if (node := tree.get(key)) is not None}
+    missing = [key for key in ("robot", "task") if key not in given]
+    environment = tree.get("environment")
+    if environment is None:
+        if any(_misspelt(tree, key) for key in ("robot", "task", "environment")):
+            return []  # validation reports the misspelt key, which may be the only problem
+        if not given:
+            return [Problem(tree.at, "", "has no environment", "give robot and task, or environment")]
+        return [
+            Problem(node.place, key, f"requires a {missing[0]}", f"add {missing[0]}") for key, node in given.items()
+        ]
+    name = _named(environment)
+    if name is None:
+        return []
+    if name == ROBOT_TASK:
+        missing = [key for key in missing if not _misspelt(tree, key)]
+        what, hint = f"{ROBOT_TASK} requires a {' and a '.join(missing)}", f"add {' and '.join(missing)}"
+        return [Problem(environment.place, "environment", what, hint)] if missing else []
+    what = f"requires environment {ROBOT_TASK}, not {name!r}"
+    problems = [Problem(node.place, key, what, f"remove {key}, or write null") for key, node in given.items()]
+    drawn = tree.get("randomization")
+    if drawn is not None and drawn.mapping:
+        what = f"environment {name!r} has no robot or task to randomize"
+        problems.append(Problem(drawn.place, "randomization", what, "remove it, or write null"))
+    return problems
+
+
+def pairing_problems(tree: Node) -> list[Problem]:
+    """An on-policy agent needs an on-policy buffer, an off-policy agent a replay buffer."""
+    agent_node, buffer_node = tree.get("agent"), tree.get("buffer")
+    agent, buffer = loaded("agents", _named(agent_node)), loaded("buffers", _named(buffer_node))
+    if agent_node is None or buffer_node is None or not agent or not buffer or agent.on_policy == buffer.on_policy:
+        return []
+    place = agent_node.place if buffer_node.at is DEFAULT else buffer_node.place
+    names = f"agent {_named(agent_node)!r}", f"buffer {_named(buffer_node)!r}"
+    if agent.on_policy:
+        what = f"{names[0]} learns from its own latest actions only, {names[1]} replays old ones"
+        return [Problem(place, "buffer", what, "name an on-policy buffer")]
+    what = f"{names[0]} learns from replay, {names[1]} forgets all but the latest actions"
+    return [Problem(place, "buffer", what, "name a replay buffer, e.g. uniform")]
+
+
+def _misspelt(tree: Node, key: str) -> bool:
+    """Whether the spec has an unknown key that was most likely meant to be `key`."""
+    unknown = [name for name in tree.mapping or {} if name not in Spec.model_fields]
+    return any(closest(name, Spec.model_fields) == key for name in unknown)
+
+
+def _named(part: Node | None) -> str | None:
+    name = part.get("name") if part else None
+    return name.value if name and isinstance(name.value, str) else None

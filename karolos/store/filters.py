@@ -116,26 +116,20 @@ class FilterComparison:
 
     def matches(self, values: Mapping[str, Any]) -> bool:
         actual = values.get(self.key)
-        if self.operator == "!=":
-            return not self._any(actual, Token.equals)
-        if self.operator in {"=", "in"}:
-            return self._any(actual, Token.equals)
-        return self._any(actual, self._contains if self.operator == "~" else self._ordered)
+        if self.key == "tags" and isinstance(actual, list | tuple):
+            found = any(self._holds(literal, tag) for literal in self.literals for tag in actual)
+        else:
+            plain = json.dumps(actual) if isinstance(actual, list | tuple | dict) else actual
+            found = any(self._holds(literal, plain) for literal in self.literals)
+        return found != (self.operator == "!=")
 
-    def _any(self, actual: Any, holds: Callable[[Token, Any], bool]) -> bool:
-        if isinstance(actual, list | tuple) and self.key == "tags":
-            return any(holds(literal, tag) for literal in self.literals for tag in actual)
-        plain = json.dumps(actual) if isinstance(actual, list | tuple | dict) else actual
-        return any(holds(literal, plain) for literal in self.literals)
-
-    @staticmethod
-    def _contains(literal: Token, actual: Any) -> bool:
-        if actual is None:
-            return False
-        text = actual if isinstance(actual, str) else json.dumps(actual)
-        return literal.text.casefold() in text.casefold()
-
-    def _ordered(self, literal: Token, actual: Any) -> bool:
+    def _holds(self, literal: Token, actual: Any) -> bool:
+        """Whether one value has this relation to a literal; that of `!=` is `=`."""
+        if self.operator in {"=", "!=", "in"}:
+            return literal.equals(actual)
+        if self.operator == "~":
+            text = actual if isinstance(actual, str) else "" if actual is None else json.dumps(actual)
+            return actual is not None and literal.text.casefold() in text.casefold()
         order = _ORDER[self.operator]
         if isinstance(actual, str):
             return order(actual, literal.text)

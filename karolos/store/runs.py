@@ -8,7 +8,7 @@ from collections.abc import Callable, Sequence
 from dataclasses import replace
 from functools import cache, cached_property
 from pathlib import Path
-from typing import Any, NamedTuple, TypedDict, Unpack
+from typing import Any, TypedDict, Unpack
 
 from sqlalchemy import Connection, Select, func, select
 
@@ -81,10 +81,10 @@ def find_runs(database: Database, **conditions: Unpack[RunConditions]) -> tuple[
         unfinished = {run.run: run for run in unfinished_runs}
         values = _Values(connection, database.home).of(condition) if condition else {}
         # Only the columns in the filter are read of all runs: most of ten thousand do not match.
-        columns = [value.column for value in values.values()]
+        columns = [column for column, _ in values.values()]
 
         def holds(stored: tuple[Any, ...]) -> bool:
-            found = {key: value.get(one) for (key, value), one in zip(values.items(), stored, strict=True)}
+            found = {key: get(one) for (key, (_, get)), one in zip(values.items(), stored, strict=True)}
             return condition is None or condition.matches(found)
 
         judge = holds if "tags" in values else cache(holds)  # tags are a list, which no cache holds
@@ -134,13 +134,8 @@ def closest_value(database: Database, where: str) -> str | None:
     return None
 
 
-class _Value(NamedTuple):
-    """How to get the value of a filter's key."""
-
-    column: str
-    """The column of `runs` to read; a field of RunSummary, or the digest of spec or software."""
-    get: Callable[[Any], Any]
-    """The value, from that of the column or the field."""
+_Value = tuple[str, Callable[[Any], Any]]
+"""The column of `runs` to read for a filter's key, a field of RunSummary or a digest, and how to get its value."""
 
 
 class _Values:
@@ -172,12 +167,12 @@ class _Values:
     def _value(self, key: str) -> _Value | None:
         if key in SUMMARY_FIELDS:
             decode: dict[str, Callable[[Any], Any]] = {"seed": int, "folder": lambda one: folder_path(one, self._home)}
-            return _Value(key, decode.get(key, lambda one: one))
+            return key, decode.get(key, lambda one: one)
         if (package := key.removeprefix(_PACKAGE)) != key:
             versions = {name: content[package] for name, content in self._software.items() if package in content}
-            return _Value("software", versions.get) if versions else None
+            return ("software", versions.get) if versions else None
         settings = self._settings(key)
-        return _Value("spec", settings.get) if settings else None
+        return ("spec", settings.get) if settings else None
 
     def _settings(self, key: str) -> dict[str, Any]:
         """The values of a setting by the digest of the spec."""

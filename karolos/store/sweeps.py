@@ -5,7 +5,6 @@ from __future__ import annotations
 from collections import defaultdict
 from collections.abc import Sequence
 from dataclasses import asdict
-from pathlib import Path
 from typing import Any
 
 from sqlalchemy import delete, select
@@ -32,7 +31,9 @@ class Sweeps:
             for record in records:
                 # Deleting a sweep deletes its trials.
                 connection.execute(delete(SWEEPS).where(SWEEPS.c.sweep == record.sweep))
-                put(connection, SWEEPS, [_row(record, self._database.home)])
+                row = {name: getattr(record, name) for name in SWEEPS.c.keys()}  # noqa: SIM118  (not a dictionary)
+                row["folder"] = as_stored(record.folder, self._database.home)
+                put(connection, SWEEPS, [row | {"final": record.final and asdict(record.final)}])
                 put(connection, TRIALS, [{"sweep": record.sweep, **trial.row()} for trial in record.trials])
 
     def remove(self, sweeps: Sequence[str]) -> None:
@@ -53,8 +54,12 @@ class Sweeps:
                 trials = trials.where(TRIALS.c.sweep.in_([row.sweep for row in rows]))
             grouped: dict[str, list[Any]] = defaultdict(list)
             for row in connection.execute(trials):
-                grouped[row.sweep].append(row)
-        return tuple(_record(row, grouped[row.sweep], self._database.home) for row in rows)
+                grouped[row.sweep].append(row._asdict())
+        found = []
+        for row in rows:
+            below = {"folder": folder_path(row.folder, self._database.home), "trials": grouped[row.sweep]}
+            found.append(valid(SweepRecord, row._asdict() | below, f"sweep {row.sweep}"))
+        return tuple(found)
 
     def find(self, name: str) -> SweepRecord:
         """The one sweep of this name or id.
@@ -71,13 +76,3 @@ class Sweeps:
             listed = ", ".join(record.sweep for record in found[:_LISTED])
             raise UsageError(f"{name!r} means several sweeps", hint=f"one of {listed}")
         return found[0]
-
-
-def _row(record: SweepRecord, home: Path | None) -> dict[str, Any]:
-    row = {name: getattr(record, name) for name in SWEEPS.c.keys()}  # noqa: SIM118  (not a dictionary)
-    return row | {"folder": as_stored(record.folder, home), "final": record.final and asdict(record.final)}
-
-
-def _record(row: Any, trials: Sequence[Any], home: Path | None) -> SweepRecord:
-    values = row._asdict() | {"folder": folder_path(row.folder, home), "trials": [trial._asdict() for trial in trials]}
-    return valid(SweepRecord, values, f"sweep {row.sweep}")

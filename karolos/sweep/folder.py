@@ -15,12 +15,14 @@ from __future__ import annotations
 
 import hashlib
 import json
-from collections.abc import Iterable
+from collections.abc import Iterable, Iterator
+from contextlib import contextmanager
 from datetime import UTC, datetime
 from pathlib import Path
 
-from ..errors import RunError, UsageError
-from ..files import FileLock, append_lines, write_json, write_whole, writing
+from ..errors import RunError, StoreError, UsageError
+from ..experiment.events import RunWarned
+from ..files import append_lines, locked, write_json, write_whole, writing
 from ..records.run_records import timestamp
 from ..records.sweep_records import (
     DESCRIPTION,
@@ -29,11 +31,14 @@ from ..records.sweep_records import (
     TRIALS,
     SweepFinal,
     SweepRecord,
-    Trial,
+    read_sweep,
     read_sweep_description,
 )
-from ..specification import Spec, load_spec, to_yaml
+from ..specification import Spec, Sweep, load_spec, to_yaml
+from ..store import Store
+from .events import SweepListener
 from .objectives import directions
+from .study import Study
 
 _SWEEP_LOCK_SECONDS = 0.5
 """Readers hold the lock for an instant to test whether the sweep is running."""
@@ -42,7 +47,7 @@ _FREE_SETTINGS = ("trials", "final")
 
 
 class SweepFolder:
-    """A sweep's folder, a context manager that holds its lock.
+    """A sweep's folder.
 
     Args:
         path: the folder.
@@ -56,32 +61,35 @@ class SweepFolder:
     """
 
     def __init__(self, path: Path, spec: Spec, asked: int) -> None:
-        self.path = path
-        self.journal = path / "journal.log"
-        self.figures = path / "figures"
-        self._spec = spec
-        self.asked = asked
-        self._lock = FileLock(path / LOCK)
+        self.path, self.figures = path, path / "figures"
+        self.spec, self.asked = spec, asked
 
-    def __enter__(self) -> SweepFolder:
-        with writing(self.path):
-            self.path.mkdir(parents=True, exist_ok=True)
-        if not self._lock.acquire(_SWEEP_LOCK_SECONDS):
-            raise RunError("another process runs this sweep", where=str(self.path), hint="wait for it")
+    @contextmanager
+    def claimed(self, store: Store, listener: SweepListener) -> Iterator[None]:
+        """Hold the sweep's lock. Its spec and description are written; `study` holds its trials.
+
+        Args:
+            store: gets what the folder gets.
+            listener: is told of warnings.
+        """
+        refusal = RunError("another process runs this sweep", where=str(self.path), hint="wait for it")
+        with locked(self.path / LOCK, refusal, _SWEEP_LOCK_SECONDS):
+            sweep, journal = self._claim(), self.path / "journal.log"
+            append_lines(journal, ())  # removes an incomplete last line of a killed process
+            self.study = Study(journal, sweep, self.spec.name, self.spec.training.steps)
+            self._store, self.listener = store, listener
+            yield
+
+    def write(self) -> SweepRecord:
+        """Write the trials, and return the sweep. A store that fails causes a warning and does not end the sweep."""
+        trials = (json.dumps(one.row(), separators=(",", ":"), allow_nan=False) for one in self.study.trials())
+        write_whole(self.path / TRIALS, "".join(f"{line}\n" for line in trials))
+        record, _ = read_sweep(self.path)
         try:
-            self._claim()
-            append_lines(self.journal, ())  # removes an incomplete last line of a killed process
-        except BaseException:
-            self._lock.release()
-            raise
-        return self
-
-    def __exit__(self, *_: object) -> None:
-        self._lock.release()
-
-    def write_trials(self, trials: Iterable[Trial]) -> None:
-        lines = [json.dumps(trial.row(), separators=(",", ":"), allow_nan=False) for trial in trials]
-        write_whole(self.path / TRIALS, "".join(f"{line}\n" for line in lines))
+            self._store.sweeps.add([record])
+        except StoreError as error:
+            self.listener(RunWarned(record.sweep, f"{error} (the sweep continues; its folder is complete)"))
+        return record
 
     def write_best(self, spec: Spec, comment: Iterable[str]) -> Path:
         """Write the spec below a comment on its origin."""
@@ -98,30 +106,30 @@ class SweepFolder:
         else:
             write_json(path, final.row())
 
-    def _claim(self) -> None:
+    def _claim(self) -> Sweep:
         """Write the spec, and the description with the id and time of the first call.
 
         Raises UsageError if the folder belongs to a sweep with other settings.
         """
         path = self.path / "sweep.yaml"
-        if path.exists() and _fingerprint(load_spec(path)) != _fingerprint(self._spec):
+        if path.exists() and _fingerprint(load_spec(path)) != _fingerprint(self.spec):
             raise UsageError(
-                f"a sweep {self._spec.name!r} with other settings exists",
+                f"a sweep {self.spec.name!r} with other settings exists",
                 where=str(path),
                 hint="give this one another name (name=...), or remove that folder",
             )
-        write_whole(path, to_yaml(self._spec.dump()))
-        sweep = self._spec.sweep
+        write_whole(path, to_yaml(self.spec.dump()))
+        sweep = self.spec.sweep
         assert sweep is not None  # only such a spec has a folder
         now = datetime.now(UTC)
-        identity, created = f"{self._spec.name}-{now:%Y%m%d-%H%M%S}", timestamp(now)
+        identity, created = f"{self.spec.name}-{now:%Y%m%d-%H%M%S}", timestamp(now)
         if (self.path / DESCRIPTION).exists():
             known = read_sweep_description(self.path)
             identity, created = known.sweep, known.created
         record = SweepRecord(
             sweep=identity,
-            name=self._spec.name,
-            experiment=self._spec.hash(),
+            name=self.spec.name,
+            experiment=self.spec.hash(),
             objectives=sweep.objectives,
             directions=directions(sweep.objectives),
             parameters=tuple(sweep.space),
@@ -132,6 +140,7 @@ class SweepFolder:
             folder=str(self.path),
         )
         write_json(self.path / DESCRIPTION, record.description())
+        return sweep
 
 
 def _fingerprint(spec: Spec) -> str:

@@ -9,11 +9,10 @@ from typing import Any
 
 from ..errors import SpecError, UsageError
 from ..experiment.events import RunEvent, RunWarned
-from ..experiment.signals import StopRequest, stop_on_signals
+from ..experiment.signals import StopRequest
 from ..experiment.start_from import pinned
-from ..launchers.driver import Driver, make_launcher
+from ..launchers.driver import driving
 from ..launchers.runs import Home
-from ..records import RunFolder
 from ..records.sweep_records import FOLDER, SweepFinal, Trial
 from ..specification import Spec, Sweep, spec_from_dict, spec_of_trial
 from ..specification.sweep import DEFAULT_TRIALS
@@ -23,7 +22,7 @@ from . import choosing
 from .events import SweepListener, SweepOutcome
 from .folder import SweepFolder
 from .study import Study
-from .trials import Trials, TrialWriter
+from .trials import Trials
 
 LONGEST_NAME = 58
 """Longest name of a sweep, because its trials' runs are named <name>-t0000."""
@@ -87,44 +86,35 @@ class Search:
             MachineError: the runs folder cannot be written, or processes cannot be started.
             StoreError: the database cannot be used.
         """
-        if jobs < 1:
-            raise UsageError(f"jobs is {jobs}", hint="use at least 1")
-        root = Path(runs)
-        url = database or Store.default_url(root)
         note = check_parts(self.spec)
         if note is not None:
             listener(RunWarned(self.spec.name, note))
-        RunFolder.check_writable(root)
-        base = pinned(self.spec.model_copy(update={"launcher": None}), root)
-        folder = SweepFolder(self.folder(root), self.spec, self.asked)
+        home = Home.prepared(self.spec, runs, database, "resume")
+        base = pinned(self.spec.model_copy(update={"launcher": None}), home.runs)
+        folder = SweepFolder(self.folder(runs), self.spec, self.asked)
 
         def warn(event: RunEvent) -> None:
             if isinstance(event, RunWarned):
                 listener(event)
 
         with (
-            Store(url) as store,
-            folder,
-            stop_on_signals(time_limit=time_limit) as stop,
-            make_launcher(self.spec, jobs * len(self.sweep.seeds)) as launcher,
+            Store(home.url) as store,
+            folder.claimed(store, listener),
+            driving(self.spec, jobs * len(self.sweep.seeds), warn, time_limit) as driver,
         ):
-            study = Study(folder.journal, self.sweep, self.spec.name, self.spec.training.steps)
-            writer = TrialWriter(folder, study, store, listener)
-            writer.write()
-            driver, home = Driver(launcher, warn, stop, retries=1), Home(root, url, "resume", self.spec.text)
-            driver.run(Trials(base, home, self.sweep, jobs, stop, writer))
-            final, ranked = None, writer.write().ranked
-            if self.sweep.final is not None and not stop.requested and ranked:
+            folder.write()
+            driver.run(Trials(base, home, self.sweep, jobs, driver.stop, folder))
+            final, ranked = None, folder.write().ranked
+            if self.sweep.final is not None and not driver.stop.requested and ranked:
                 final = choosing.choose(base, home, ranked, driver, listener)
-            return self._conclude(writer, final, stop)
+            return self._conclude(folder, final, driver.stop)
 
-    def _conclude(self, writer: TrialWriter, final: SweepFinal | None, stop: StopRequest) -> SweepOutcome:
+    def _conclude(self, folder: SweepFolder, final: SweepFinal | None, stop: StopRequest) -> SweepOutcome:
         from ..report.figures import write_figures  # noqa: PLC0415
         from ..report.search import search_figures  # noqa: PLC0415
 
-        folder, study = writer.folder, writer.study
         folder.write_final(final)
-        record = writer.write()
+        record = folder.write()
         if (best := record.best) is not None:
             seeds = self.spec.seeds if final is None else final.report_seeds
             spec = spec_of_trial(self.spec, best.drawn, f"{self.spec.name}-best", seeds, best.name)
@@ -132,9 +122,9 @@ class Search:
             folder.write_best(spec, _comment(self.sweep, best, final))
         if best is not None and not stop.requested:  # the figures take seconds, and a resumed sweep draws them
             sweep = self.sweep
-            drawings = search_figures(record.trials, sweep.objectives[0], sweep.space, study.importances())
+            drawings = search_figures(record.trials, sweep.objectives[0], sweep.space, folder.study.importances())
             write_figures(drawings, folder.figures)
-        return SweepOutcome(**vars(record), front=study.front(), stop_code=stop.exit_code)
+        return SweepOutcome(**vars(record), front=folder.study.front(), stop_code=stop.exit_code)
 
 
 def samples(spec: Spec, count: int) -> Iterator[tuple[dict[str, Any], Spec | SpecError]]:

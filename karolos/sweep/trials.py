@@ -6,42 +6,20 @@ import math
 from collections.abc import Sequence
 from dataclasses import dataclass, field
 
-from ..errors import KarolosError, StoreError
-from ..experiment.events import RunAdvanced, RunEnded, RunEvent, RunTested, RunWarned
+from ..errors import KarolosError
+from ..experiment.events import RunAdvanced, RunEnded, RunEvent, RunTested
 from ..experiment.signals import StopRequest
 from ..launchers.driver import Feed
 from ..launchers.runs import Home, RunJob
-from ..records.sweep_records import SweepRecord, read_sweep
 from ..specification import Spec, Sweep, spec_of_trial
-from ..store import Store
 from ..training.assembly import check_parts
 from .choosing import for_search
-from .events import SweepListener, TrialAdvanced, TrialBegan, TrialEnded
+from .events import TrialAdvanced, TrialBegan, TrialEnded
 from .folder import SweepFolder
 from .objectives import measure_all, nominal_steps, so_far
-from .study import OpenTrial, Study
+from .study import OpenTrial
 
 PRUNED = "pruned"
-
-
-@dataclass(frozen=True)
-class TrialWriter:
-    """Writes a sweep's trials into its folder, and enters the folder in the store."""
-
-    folder: SweepFolder
-    study: Study
-    store: Store
-    listener: SweepListener
-
-    def write(self) -> SweepRecord:
-        """Write the trials, and return the sweep. A store that fails causes a warning and does not end the sweep."""
-        self.folder.write_trials(self.study.trials())
-        record, _ = read_sweep(self.folder.path)
-        try:
-            self.store.sweeps.add([record])
-        except StoreError as error:
-            self.listener(RunWarned(record.sweep, f"{error} (the sweep continues; its folder is complete)"))
-        return record
 
 
 @dataclass
@@ -57,20 +35,20 @@ class Trials(Feed[RunJob]):
     sweep: Sweep
     jobs: int
     stop: StopRequest
-    writer: TrialWriter
+    folder: SweepFolder
     _open: dict[RunJob, OpenTrial] = field(default_factory=dict)
     _reported: dict[RunJob, int] = field(default_factory=dict)
     """Number of tests that the pruner has seen."""
 
     def __post_init__(self) -> None:
-        self._unfinished = self.writer.study.unfinished()
+        self._unfinished = self.folder.study.unfinished()
 
     def next(self) -> RunJob | None:
         while len(self._open) < self.jobs:
             if self._unfinished:
                 trial = self._unfinished.pop(0)
-            elif len(self.writer.study.trials()) < self.writer.folder.asked:
-                trial = self.writer.study.ask()
+            elif len(self.folder.study.trials()) < self.folder.asked:
+                trial = self.folder.study.ask()
             else:
                 return None
             name = self._tell(TrialBegan, trial)
@@ -89,7 +67,7 @@ class Trials(Feed[RunJob]):
     def heard(self, job: RunJob, event: RunEvent) -> str | None:
         """Report the mean at each test that every seed has completed; PRUNED when the pruner stops the trial."""
         if isinstance(event, RunAdvanced | RunEnded):
-            self.writer.listener(TrialAdvanced(job.spec.name, job.fraction))
+            self.folder.listener(TrialAdvanced(job.spec.name, job.fraction))
         if self.sweep.pruner is None or not isinstance(event, RunTested) or job.halted:
             return None
         results, settings = job.results(), job.spec
@@ -130,7 +108,7 @@ class Trials(Feed[RunJob]):
 
     def _tell(self, event: type[TrialBegan] | type[TrialEnded], trial: OpenTrial) -> str:
         """Write the trials and tell the listener of this one; returns its name."""
-        sweep = self.writer.write()
+        sweep = self.folder.write()
         found = sweep.trials[trial.number]
-        self.writer.listener(event(found, sweep.ended, sweep.asked, next(iter(sweep.ranked), None)))
+        self.folder.listener(event(found, sweep.ended, sweep.asked, next(iter(sweep.ranked), None)))
         return found.name

@@ -11,7 +11,7 @@ from __future__ import annotations
 
 import json
 from collections.abc import Callable, Iterable, Iterator, Mapping
-from contextlib import contextmanager, suppress
+from contextlib import suppress
 from dataclasses import dataclass, field, replace
 from itertools import permutations
 from pathlib import Path
@@ -23,15 +23,14 @@ from ..evaluation.policies import signature_of
 from ..evaluation.zero_shot import ZeroShotTest
 from ..experiment.events import Listener
 from ..experiment.resume import find_run
-from ..experiment.signals import StopRequest, StopRequestedError, stop_on_signals
+from ..experiment.signals import StopRequestedError
 from ..experiment.start_from import check_agents, pinned
-from ..files import FileLock, writing
-from ..launchers.driver import Driver, Feed, make_launcher
+from ..files import locked
+from ..launchers.driver import Driver, Feed, driving
 from ..launchers.runs import Home, RunJob
 from ..records import RunFolder, scan
 from ..records.transfer_results import TransferResult
 from ..specification import Spec, spec_from_dict, spec_of_variant
-from ..store import Store
 from ..training.assembly import check_parts, located
 from .baselines import Baselines, measure_baselines
 from .zero_shot import ZeroShotJob
@@ -190,33 +189,30 @@ class Matrix:
             StoreError: the database cannot be used.
         """
         self.check(jobs or 1)
-        root = Path(runs)
-        RunFolder.check_writable(root)
-        url = database or Store.default_url(root)
-        Store(url).close()  # an unusable database is an error before anything is computed
+        home = Home.prepared(self.spec, runs, database, "resume")
+        root = home.runs
         found = MatrixRuns(self.spec, root / FOLDER / self.spec.name)
+        refusal = RunError("another process runs this matrix", where=str(found.folder), hint="wait for it")
         variants = {label: pinned(spec, root) for label, spec in self.variants.items()}
         with (
-            _locked(found.folder),
-            stop_on_signals(time_limit=time_limit) as stop,
-            make_launcher(self.spec, jobs) as launcher,
+            locked(found.folder / "lock", refusal, seconds=0),
+            driving(self.spec, jobs, listener, time_limit) as driver,
         ):
             self._check_begun(variants, root, resume=resume)
             say(f"{self.spec.name}: {self}")
-            driver, home = Driver(launcher, listener, stop, retries=1), Home(root, url, "resume", self.spec.text)
             sources = {label: RunJob(spec, home, known=_trained(spec, root, say)) for label, spec in variants.items()}
             driver.run(Feed(*sources.values()))
             for label, job in sources.items():
                 found.sources[label] = _finished(job, found)
             with suppress(StopRequestedError):
-                self._measure(found, driver, stop, say)
+                self._measure(found, driver, say)
                 tuned = list(self._fine_tuning(found, home))
                 driver.run(Feed(*(job for _, job in tuned)))
                 for pair, job in tuned:
                     found.fine_tuned.setdefault(pair, {}).update(_finished(job, found))
                 if all(job.finished for job in (*sources.values(), *(job for _, job in tuned))):
                     return found
-            found.stop_code = stop.exit_code
+            found.stop_code = driver.stop.exit_code
         return found
 
     def _check_begun(self, variants: Mapping[str, Spec], runs: Path, *, resume: bool) -> None:
@@ -238,14 +234,14 @@ class Matrix:
         for folder in finished:
             _require_checkpoint(folder)
 
-    def _measure(self, found: MatrixRuns, driver: Driver, stop: StopRequest, say: Callable[[str], None]) -> None:
+    def _measure(self, found: MatrixRuns, driver: Driver, say: Callable[[str], None]) -> None:
         """Test the sources on the targets, and measure the baselines. Raises StopRequestedError."""
-        stop.check()
+        driver.stop.check()
         if "zero_shot" in self.transfer.modes:
             self._test(found, driver, say)
-            stop.check()
+            driver.stop.check()
         for label, spec in self.variants.items():
-            found.baselines[label] = measure_baselines(spec, found.folder / "baselines.jsonl", stop)
+            found.baselines[label] = measure_baselines(spec, found.folder / "baselines.jsonl", driver.stop)
 
     def _test(self, found: MatrixRuns, driver: Driver, say: Callable[[str], None]) -> None:
         """Play the zero-shot tests of every pair and seed."""
@@ -333,17 +329,3 @@ def _require_checkpoint(folder: RunFolder) -> None:
             where=folder.id,
             hint=f"restore it, or remove the run (`karolos runs rm {folder.id}`) to train it again with --resume",
         )
-
-
-@contextmanager
-def _locked(folder: Path) -> Iterator[None]:
-    """Make the matrix's folder, and lock it."""
-    with writing(folder):
-        folder.mkdir(parents=True, exist_ok=True)
-    lock = FileLock(folder / "lock")
-    if not lock.acquire():
-        raise RunError("another process runs this matrix", where=str(folder), hint="wait for it")
-    try:
-        yield
-    finally:
-        lock.release()

@@ -21,7 +21,7 @@ SMALL = ("training.steps=40", "seeds=[0]", "transfer.modes=[zero_shot]", "transf
 def test_a_stopped_matrix_says_how_to_go_on_and_then_reports(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
     monkeypatch.chdir(tmp_path)
     monkeypatch.setenv("COLUMNS", "80")
-    monkeypatch.setattr("karolos.transfer.matrix.make_launcher", lambda *_: FakeLauncher())
+    monkeypatch.setattr("karolos.launchers.driver.make_launcher", lambda *_: FakeLauncher())
     Path("line.yaml").write_text(yaml.safe_dump(LINE))
     code, out, err = call(app, "line.yaml", *SMALL, "--time-limit", "0.001s")
     assert (code, out) == (124, "")

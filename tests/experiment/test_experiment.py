@@ -8,7 +8,6 @@ import signal
 import numpy as np
 import pytest
 from support.states import assert_same_state
-from support.store_samples import stored
 
 from karolos import checkpoint
 from karolos.errors import MachineError, RunError, StoreError, UsageError
@@ -96,17 +95,8 @@ def test_every_training_episode_is_recorded(finished):
         assert len(rows) == 240 // 20
         assert sum(row["steps"] for row in rows) == 240
         assert {row["environment"] for row in rows} == {0, 1, 2, 3}
-        assert rows[0].keys() == {
-            "environment",
-            "index",
-            "seed",
-            "steps",
-            "total_reward",
-            "any",
-            "end",
-            "reset",
-            "diverged",
-        }
+        fields = {"environment", "index", "seed", "steps", "total_reward", "any", "end", "reset", "diverged"}
+        assert rows[0].keys() == fields
 
 
 def test_what_randomization_drew_stands_with_the_episode_and_tests_are_spared(tmp_path):
@@ -123,17 +113,6 @@ def test_what_randomization_drew_stands_with_the_episode_and_tests_are_spared(tm
     drawn = [row["parameters"]["task.gravity"] for row in rows]
     assert len(set(drawn)) == len(drawn) == 8
     assert np.mean(drawn) == pytest.approx(-9.81, abs=1)
-
-
-def test_the_database_says_what_the_folders_say(finished):
-    runs, outcome, _ = finished
-    with Store(Store.default_url(runs)) as store:
-        assert {run.run: run for run in store.runs()} == {run.run: run for run in outcome.runs}
-        for folder in folders(outcome):
-            assert [test.steps for test in stored(store, folder.id).tests] == [test.steps for test in folder.tests()]
-            assert [test.successes_any for test in stored(store, folder.id).tests] == [
-                sum(test.any) for test in folder.tests()
-            ]
 
 
 def test_the_best_checkpoint_is_of_the_best_test_and_the_last_of_the_end(finished):
@@ -173,13 +152,6 @@ def test_seeds_side_by_side_give_what_seeds_one_after_the_other_give(finished, t
     for one, other in zip(folders(together), folders(outcome), strict=True):
         assert_same_state(weights(one)[0], weights(other)[0])
     assert {type(event) for event in events} >= {RunStarted, RunTested, RunEnded}
-
-
-def test_another_seed_gives_other_weights(finished):
-    _, outcome, _ = finished
-    one, other = (weights(folder)[0] for folder in folders(outcome))
-    with pytest.raises(AssertionError):
-        assert_same_state(one, other)
 
 
 def test_a_stop_request_ends_the_round_and_leaves_a_checkpoint(tmp_path):
@@ -322,12 +294,6 @@ def test_a_full_disk_under_the_test_results_fails_the_run(tmp_path, monkeypatch)
     monkeypatch.setattr("karolos.records.RunFolder.add_test", full)
     with pytest.raises(RunError, match="no space left on the disk"):
         Experiment(spec()).run(tmp_path)
-
-
-def test_nothing_is_computed_for_a_runs_folder_that_cannot_be_written(tmp_path):
-    (tmp_path / "runs").write_text("a file")
-    with pytest.raises(MachineError):
-        Experiment(spec()).run(tmp_path / "runs")
 
 
 def test_a_newer_database_is_refused_before_anything_runs(tmp_path):

@@ -18,7 +18,7 @@ from karolos.evaluation.testing import play_episodes, test_seeds
 from karolos.experiment.events import RunFinalTested
 from karolos.launchers.experiment import Experiment, Outcome, resume_run
 from karolos.records import RunFolder
-from karolos.records.final_test import FILE
+from karolos.records.run_folder import FINAL as FILE
 from karolos.specification import spec_from_dict
 from karolos.store import Store, reindex
 from karolos.training.assembly import make_orchestrator

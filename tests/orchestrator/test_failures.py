@@ -4,8 +4,9 @@ import multiprocessing
 import os
 import signal
 import threading
+from functools import partial
 from pathlib import Path
-from time import monotonic, sleep
+from time import sleep
 
 import numpy as np
 import pytest
@@ -13,6 +14,7 @@ from support import fake_environments
 from support.fake_environments import (
     COMPLAIN,
     DIE,
+    END,
     EXIT,
     FINE,
     HANG,
@@ -25,8 +27,9 @@ from support.fake_environments import (
     Fickle,
 )
 from support.layouts import IN_PROCESS, ONE, THREADS, TWO, make, reset, step
-from support.processes import kill_worker
+from support.processes import kill_worker, wait_until_gone
 
+from karolos.environments.toy import Toy
 from karolos.errors import KarolosError, MachineError, PluginError, WorkerError
 from karolos.orchestrator import pool, processes, start
 from karolos.orchestrator.local import Local
@@ -34,43 +37,28 @@ from karolos.orchestrator.local import Local
 every_layout = pytest.mark.parametrize("layout", [IN_PROCESS, ONE, TWO, THREADS], ids=["0", "1", "2", "threads"])
 
 
-def wait_until_gone(*pids: int) -> None:
-    deadline = monotonic() + 20
-    while any(is_alive(pid) for pid in pids):
-        assert monotonic() < deadline, f"still there: {[pid for pid in pids if is_alive(pid)]}"
-        sleep(0.02)
-
-
-def is_alive(pid: int) -> bool:
-    try:
-        os.kill(pid, 0)
-    except ProcessLookupError:
-        return False
-    state = Path(f"/proc/{pid}/stat")
-    return not (state.exists() and state.read_text().rpartition(")")[2].split()[0] == "Z")
+def _refuse(*_: object) -> None:
+    raise BlockingIOError(11, "Resource temporarily unavailable")
 
 
 @every_layout
-def test_an_exception_in_a_step_arrives_with_its_traceback(layout):
+@pytest.mark.parametrize(
+    ("trouble", "kind", "told"),
+    [
+        (RAISE, WorkerError, r"environment 2: ZeroDivisionError: the inertia is zero"),
+        (COMPLAIN, PluginError, r"^robot\.fake: the gripper has three fingers; give it two$"),
+        (EXIT, WorkerError, "SystemExit: enough"),
+        (QUIRKY, KarolosError, "quirky; do not"),  # its class cannot be pickled
+    ],
+)
+def test_what_a_step_raises_arrives_in_one_line(layout, trouble, kind, told):
     with make(layout) as orchestrator:
         reset(orchestrator)
-        step(orchestrator, FINE, FINE, RAISE, FINE)
-        with pytest.raises(WorkerError) as caught:
+        step(orchestrator, FINE, FINE, trouble, FINE)
+        with pytest.raises(kind, match=told) as caught:
             orchestrator.receive()
-    assert "ZeroDivisionError: the inertia is zero" in str(caught.value)
-    assert "environment 2" in str(caught.value.where)
-    assert "_fail_deep_inside" in caught.value.traceback
     assert "\n" not in str(caught.value)
-
-
-@every_layout
-def test_an_error_made_for_people_arrives_as_it_is(layout):
-    with make(layout) as orchestrator:
-        reset(orchestrator)
-        step(orchestrator, FINE, COMPLAIN)
-        with pytest.raises(PluginError) as caught:
-            orchestrator.receive()
-    assert str(caught.value) == "robot.fake: the gripper has three fingers; give it two"
+    assert trouble != RAISE or "_fail_deep_inside" in caught.value.traceback
 
 
 @every_layout
@@ -119,24 +107,6 @@ def test_each_failure_is_reported_once(layout):
 
 
 @every_layout
-def test_a_plugin_that_exits_is_an_error_and_not_the_end(layout):
-    with make(layout) as orchestrator:
-        reset(orchestrator)
-        step(orchestrator, EXIT)
-        with pytest.raises(WorkerError, match="SystemExit: enough"):
-            orchestrator.receive()
-
-
-@every_layout
-def test_a_plugins_own_kind_of_error_keeps_its_words(layout):
-    with make(layout) as orchestrator:
-        reset(orchestrator)
-        step(orchestrator, QUIRKY)
-        with pytest.raises(KarolosError, match="quirky; do not"):
-            orchestrator.receive()
-
-
-@every_layout
 @pytest.mark.parametrize("recipe", ["raise", "complain"])
 def test_an_environment_that_cannot_be_built_says_why(layout, recipe):
     with pytest.raises(WorkerError if recipe == "raise" else PluginError) as caught:
@@ -166,20 +136,6 @@ def test_workers_whose_environments_differ_are_refused():
 def test_a_worker_that_dies_while_building_is_reported():
     with pytest.raises(WorkerError, match=r"worker [01]: the worker process ended with exit code 7"):
         make(TWO, "die")
-
-
-@pytest.mark.parametrize(("trouble", "name"), [(DIE, "SIGKILL"), (SEGFAULT, "SIGSEGV")])
-def test_a_worker_that_dies_is_reported_with_its_environments(trouble, name):
-    with make(TWO) as orchestrator:
-        reset(orchestrator)
-        step(orchestrator, FINE, FINE, FINE, trouble)
-        with pytest.raises(WorkerError, match=f"worker 1: .* killed by {name}, with environments 2 to 3"):
-            orchestrator.receive()
-        assert orchestrator.receive().environment.tolist() == [0, 1]
-        step(orchestrator, FINE, FINE)
-        assert orchestrator.receive().environment.tolist() == [0, 1], "its neighbours go on"
-        orchestrator.reset([2, 3], [20, 30])
-        assert orchestrator.receive().environment.tolist() == [2, 3], "another worker stands in for it"
 
 
 def test_a_worker_killed_from_outside_is_noticed_while_others_are_busy():
@@ -246,10 +202,7 @@ def test_an_interrupt_while_waiting_closes():
 
 
 def test_a_machine_without_processes_to_give_is_a_clear_error(monkeypatch):
-    def refuse(*_: object) -> None:
-        raise BlockingIOError(11, "Resource temporarily unavailable")
-
-    monkeypatch.setattr(processes, "start_worker", refuse)
+    monkeypatch.setattr(processes, "start_worker", _refuse)
     with pytest.raises(MachineError, match=r"worker process 0 of 2 cannot be started: .*unavailable; use fewer"):
         make(TWO)
 
@@ -261,3 +214,178 @@ def test_a_recipe_that_workers_cannot_import_is_refused(monkeypatch):
     monkeypatch.setattr(start.sys.modules["__main__"], "Fake", Fake, raising=False)
     with pytest.raises(PluginError, match="defined in the main script"):
         make(ONE)
+
+
+# With `failures`, what fails is replaced.
+
+
+def reasons(received) -> list[str]:
+    return [str(failure.error) for failure in received.failures]
+
+
+@every_layout
+def test_an_environment_that_raises_loses_its_episode_alone(layout):
+    with make(layout, failures=1) as orchestrator:
+        reset(orchestrator)
+        step(orchestrator, FINE, RAISE, FINE, COMPLAIN)
+        received = orchestrator.receive()
+        assert received.environment.tolist() == [0, 2]
+        assert received.step.observation[:, 1].tolist() == [1, 1]
+        assert received.failed.tolist() == [1, 3]
+        by_environment = {tuple(failure.environment): failure.error for failure in received.failures}
+        assert "_fail_deep_inside" in by_environment[(1,)].traceback
+        assert isinstance(by_environment[(3,)], PluginError)
+        orchestrator.reset([1, 3], [8, 9])
+        received = orchestrator.receive()
+        assert (received.environment.tolist(), received.failed.size) == ([1, 3], 0)
+
+
+@every_layout
+def test_an_environment_that_raised_is_built_anew_at_its_reset(layout, tmp_path):
+    """Whatever state it was in when it raised."""
+    built = tmp_path / "built"
+    with make(layout, str(built), failures=2) as orchestrator:
+        reset(orchestrator)
+        assert built.read_text().count("built") == 4
+        step(orchestrator, FINE, RAISE, FINE, FINE)
+        assert orchestrator.receive().failed.tolist() == [1]
+        assert built.read_text().count("built") == 4, "nobody may want it any more"
+        reset(orchestrator)
+        assert built.read_text().count("built") == 5
+
+
+@pytest.mark.parametrize(("trouble", "name"), [(DIE, "SIGKILL"), (SEGFAULT, "SIGSEGV")])
+def test_a_worker_that_dies_is_replaced_and_its_neighbours_go_on(trouble, name):
+    with make(TWO, failures=1) as orchestrator:
+        pids = reset(orchestrator)
+        step(orchestrator, FINE, FINE, FINE, trouble)
+        received = orchestrator.receive()
+        assert (received.environment.tolist(), received.failed.tolist()) == ([0, 1], [2, 3])
+        assert f"worker 1: the worker process was killed by {name}, with environments 2 to 3" in reasons(received)[0]
+        orchestrator.reset([2, 3], [20, 30])
+        orchestrator.step([0, 1], np.zeros((2, 1), np.float32))
+        received = orchestrator.receive()
+        assert received.environment.tolist() == [0, 1, 2, 3]
+        assert received.step.observation[:, 1].tolist() == [2, 2, 0, 0]
+        assert received.step.observation[:2, 0].tolist() == pids[:2]
+        assert set(received.step.observation[2:, 0].tolist()).isdisjoint(pids)
+        assert orchestrator.parameters([2, 3])[:, 0].tolist() == [20, 30]
+
+
+def test_a_worker_that_dies_while_idle_is_named_by_the_next_answer():
+    with make(TWO, failures=1) as orchestrator:
+        pids = reset(orchestrator)
+        kill_worker(1)
+        orchestrator.step([0, 1], np.zeros((2, 1), np.float32))
+        received = orchestrator.receive()
+        assert (received.environment.tolist(), received.failed.tolist()) == ([0, 1], [2, 3])
+        orchestrator.step([2], np.zeros((1, 1), np.float32))
+        assert len(multiprocessing.active_children()) == 1, "a step of a lost episode starts no worker"
+        with pytest.raises(WorkerError, match="SIGKILL, with environments 2 to 3"):
+            orchestrator.receive()
+        assert reset(orchestrator)[:2] == pids[:2]
+
+
+def test_a_worker_that_hangs_is_killed_and_replaced():
+    with make(TWO, failures=1, time_limit=0.4) as orchestrator:
+        reset(orchestrator)
+        step(orchestrator, FINE, FINE, HANG, FINE)
+        received = orchestrator.receive()
+        assert (received.environment.tolist(), received.failed.tolist()) == ([0, 1], [2, 3])
+        assert reasons(received) == [
+            "worker 1: a reset or step took longer than 0.4 s, with environments 2 to 3; "
+            "find out why it hangs, or raise orchestrator.time_limit"
+        ]
+        reset(orchestrator)
+        step(orchestrator, FINE, FINE, FINE, FINE)
+        assert orchestrator.receive().environment.tolist() == [0, 1, 2, 3]
+
+
+def test_the_time_limit_is_one_steps_and_not_all_steps_of_a_worker():
+    """Four steps of .1 s each in one worker, with a limit of .3 s; nor does the time between commands count."""
+    with make(ONE, time_limit=0.3) as orchestrator:
+        reset(orchestrator)
+        sleep(0.5)
+        step(orchestrator, SLOW, SLOW, SLOW, SLOW)
+        assert orchestrator.receive().environment.tolist() == [0, 1, 2, 3]
+
+
+def test_building_for_ever_is_a_clear_error(monkeypatch):
+    monkeypatch.setattr(pool, "BUILD_TIMEOUT", 0.3)
+    with pytest.raises(WorkerError, match=r"worker 0: building an environment took longer than 0\.3 s"):
+        make(ONE, "hang", time_limit=0.4)
+
+
+def test_what_fails_again_and_again_ends_by_the_limit():
+    with make(TWO, failures=2) as orchestrator:
+        for _ in range(2):
+            reset(orchestrator)
+            step(orchestrator, RAISE)
+            assert orchestrator.receive().failed.tolist() == [0]
+        reset(orchestrator)
+        step(orchestrator, RAISE)
+        with pytest.raises(WorkerError, match="ZeroDivisionError: the inertia is zero"):
+            orchestrator.receive()
+
+
+def test_an_episode_that_ends_makes_the_count_begin_anew():
+    with make(TWO, failures=1) as orchestrator:
+        for _ in range(3):
+            reset(orchestrator)
+            step(orchestrator, RAISE)
+            assert orchestrator.receive().failed.tolist() == [0]
+            reset(orchestrator)
+            step(orchestrator, END)
+            assert orchestrator.receive().step.truncated.tolist() == [True]
+
+
+def test_a_replacement_that_does_not_build_is_a_failure_too(tmp_path, monkeypatch):
+    with make(ONE, failures=1) as orchestrator:
+        pids = reset(orchestrator)
+        os.kill(pids[0], signal.SIGKILL)
+        orchestrator.reset([0], [0])
+        assert orchestrator.receive().failed.tolist() == [0, 1, 2, 3]
+        monkeypatch.setattr(processes, "start_worker", _refuse)
+        orchestrator.reset([0], [0])
+        with pytest.raises(WorkerError, match="SIGKILL"):
+            orchestrator.receive()
+
+
+@pytest.mark.parametrize("kills", [2, 3])
+def test_a_worker_killed_while_it_builds_its_first_environments_is_replaced_within_the_limit(kills, monkeypatch):
+    start, killed = processes.start_worker, []
+
+    def start_and_kill(*arguments):
+        process, connections = start(*arguments)
+        if len(killed) < kills:
+            process.kill()
+            killed.append(process)
+        return process, connections
+
+    monkeypatch.setattr(processes, "start_worker", start_and_kill)
+    if kills == 3:
+        with pytest.raises(WorkerError, match="SIGKILL"):
+            make(ONE, "slow", failures=2)
+        return
+    with make(ONE, "slow", failures=2) as orchestrator:
+        reset(orchestrator)
+        assert len(killed) == 2
+
+
+def test_episodes_after_a_replacement_are_what_they_would_have_been():
+    settings = Toy.Settings(dimensions=3, max_steps=5, reward="dense", threshold=0.3)
+    played = []
+    for kill in (False, True):
+        with Local(Local.Settings(processes=2, environments=2, failures=1), partial(Toy, settings)) as orchestrator:
+            orchestrator.reset(range(4), range(4))
+            orchestrator.receive()
+            if kill:
+                kill_worker(0)
+                orchestrator.step([0], np.zeros((1, 3), np.float32))
+                assert orchestrator.receive().failed.tolist() == [0, 1]
+            orchestrator.reset(range(4), range(4))
+            orchestrator.receive()
+            orchestrator.step(range(4), np.full((4, 3), 0.5, np.float32))
+            played.append(orchestrator.receive().step)
+    for ours, theirs in zip(*played, strict=True):
+        np.testing.assert_array_equal(ours, theirs)

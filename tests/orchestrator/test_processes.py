@@ -1,13 +1,12 @@
 """Worker processes and the program that uses them: each test runs a program of its own, as a user would."""
 
-import os
 import signal
 import subprocess
 import sys
 from pathlib import Path
-from time import monotonic, sleep
 
 import pytest
+from support.processes import wait_until_gone
 
 TESTS = Path(__file__).parents[1]
 HEAD = f"""
@@ -45,22 +44,6 @@ def run(folder: Path, body: str, *, first: str = "") -> str:
     ended = subprocess.run(write(folder, body, first=first), capture_output=True, text=True, timeout=60, check=False)
     assert ended.returncode == 0, ended.stderr
     return ended.stdout
-
-
-def is_alive(pid: int) -> bool:
-    try:
-        os.kill(pid, 0)
-    except ProcessLookupError:
-        return False
-    state = Path(f"/proc/{pid}/stat")
-    return not (state.exists() and state.read_text().rpartition(")")[2].split()[0] == "Z")
-
-
-def wait_until_gone(pids: list[int]) -> None:
-    deadline = monotonic() + 20
-    while any(is_alive(pid) for pid in pids):
-        assert monotonic() < deadline, f"still there: {[pid for pid in pids if is_alive(pid)]}"
-        sleep(0.02)
 
 
 def test_workers_import_neither_torch_nor_the_users_script(tmp_path):
@@ -134,7 +117,7 @@ print(dict(os.environ) == before)
 def test_a_program_that_never_closes_ends(tmp_path, first):
     """Also when something else was the first to ask for clean-up at exit; it must not decide the order."""
     output = run(tmp_path, "orchestrator = make()\nprint(*pids(orchestrator))", first=first)
-    wait_until_gone([int(pid) for pid in output.split()])
+    wait_until_gone(*map(int, output.split()))
 
 
 @pytest.mark.skipif(not Path("/proc/self/maps").exists(), reason="reads what is mapped from /proc")
@@ -157,7 +140,7 @@ def test_a_program_that_fails_shows_its_own_error_and_leaves_no_worker(tmp_path)
     ended = subprocess.run(write(tmp_path, body), capture_output=True, text=True, timeout=60, check=False)
     assert ended.stderr.strip().endswith("LookupError: mine")
     assert ended.stderr.count("Traceback") == 1
-    wait_until_gone([int(pid) for pid in ended.stdout.split()])
+    wait_until_gone(*map(int, ended.stdout.split()))
 
 
 @pytest.mark.parametrize("trouble", ["FINE", "HANG"])
@@ -174,7 +157,7 @@ while True:
     before = set(shared.iterdir()) if shared.exists() else set()
     ended = subprocess.run(write(tmp_path, body), capture_output=True, text=True, timeout=60, check=False)
     assert ended.returncode == -signal.SIGKILL
-    wait_until_gone([int(pid) for pid in ended.stdout.split()])
+    wait_until_gone(*map(int, ended.stdout.split()))
     left = (set(shared.iterdir()) if shared.exists() else set()) - before
     assert not [path for path in left if path.name.startswith(("psm_", "pym-", "karolos"))]
 

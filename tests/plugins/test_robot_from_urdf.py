@@ -15,8 +15,7 @@ from support.commands import call
 from support.fourth_robot import TOOL, WIDTH, exported_arm
 
 from karolos.errors import PluginError
-from karolos.plugins.meshes import with_meshes
-from karolos.plugins.proposal import propose
+from karolos.plugins.proposal import propose, with_meshes
 from karolos.plugins.starter import write_starter
 
 

@@ -4,15 +4,13 @@ import json
 import math
 from dataclasses import replace
 from fractions import Fraction
-from pathlib import Path
 from typing import Any
 
 import pytest
 from hypothesis import given
 from hypothesis import strategies as st
-from support.run_samples import new_run, result
+from support.run_samples import result
 
-from karolos.records import RunFolder
 from karolos.records.decode import from_json
 from karolos.records.results import TestCounts, TestResult, decode_test, encode_test
 
@@ -96,15 +94,3 @@ def test_line_that_holds_no_whole_test_is_none(change: dict[str, Any]) -> None:
     row = encode_test(result(10, 1, episodes=2))
     assert decode_test(row) == result(10, 1, episodes=2)
     assert decode_test(row | change) is None
-
-
-def test_folder_counts_its_tests_and_names_lines_that_are_none(tmp_path: Path) -> None:
-    with new_run(tmp_path) as folder:
-        folder.add_test(result(10, 1))
-        with (folder.path / "tests.jsonl").open("ab") as file:
-            file.write(line({"steps": 1}) + b"\n")
-        folder.add_test(result(20, 2))
-        record = RunFolder.open(folder.path).record()
-        assert record.tests == tuple(TestCounts.of(test) for test in folder.tests())
-        assert [test.steps for test in record.tests] == [10, 20]
-        assert record.problems == ("tests.jsonl:2: not a test; left out",)

@@ -14,7 +14,7 @@ from karolos.records import RunFolder
 from karolos.records.results import TestCounts
 from karolos.store import Store
 from karolos.store.summaries import success_densities
-from karolos.store.tables import SUCCESSES, TABLES
+from karolos.store.tables import SUCCESSES
 
 
 @pytest.fixture
@@ -39,14 +39,6 @@ def test_run_comes_back_as_its_folder_says(store: Store, tmp_path: Path) -> None
         TestCounts(100, 1.0, 20, 3, 20, 0, -1.5),
         TestCounts(200, 2.0, 20, 19, 20, 0, -1.5),
     )
-
-
-def test_repeated_test_replaces_the_first(store: Store, tmp_path: Path) -> None:
-    run = new_run(store, tmp_path)
-    for each in (result(100, 3), result(100, 5)):
-        run.add_test(each)
-        store.add_records([run.record()])
-    assert [test.successes_any for test in stored(store, run.id).tests] == [5]
 
 
 def test_a_state_changes_no_test_and_a_test_only_its_own_row(store: Store, tmp_path: Path) -> None:
@@ -91,17 +83,6 @@ def test_labels_of_an_unknown_run_are_told(store: Store, tmp_path: Path) -> None
     store.remove_runs([run.id])
     with pytest.raises(StoreError, match=r"is not in the database; its folder is complete"):
         store.refresh_labels(run)
-
-
-def test_removed_run_takes_everything_along(store: Store, tmp_path: Path) -> None:
-    run = new_run(store, tmp_path)
-    run.add_test(result(1, 1))
-    store.add_records([run.record()])
-    store.remove_runs([run.id])
-    assert store.runs() == store.records([run.summary()]) == ()
-    with store.database.reading() as connection:
-        tables = [table for name, table in TABLES.tables.items() if name != "karolos_schema"]
-        assert [connection.execute(select(table)).all() for table in tables] == [[]] * len(tables)
 
 
 # What it finds.

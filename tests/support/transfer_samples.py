@@ -38,7 +38,7 @@ def run_matrix(
     """The matrix executed in this process; also the names of the runs, and of tests in brackets, that were started."""
     launcher = launcher or FakeLauncher()
     with pytest.MonkeyPatch.context() as patch:
-        patch.setattr("karolos.transfer.matrix.make_launcher", lambda *_: launcher)
+        patch.setattr("karolos.launchers.driver.make_launcher", lambda *_: launcher)
         found = Matrix(line(*overrides)).run(runs, resume=resume)
     names = [(folder.name.rpartition("-s")[0], folder.parent.name == "tests") for folder in launcher.started]
     return found, [f"({name})" if is_test else name for name, is_test in names]
