@@ -18,10 +18,10 @@ from karolos.report.tables import (
     Table,
     duration,
     facts_table,
-    flatten,
     run_state,
     runs_table,
     setting,
+    settings_table,
     table_of_tests,
     transfers_table,
 )
@@ -232,7 +232,7 @@ def show(
     if transfers:
         print_table(transfers_table(transfers, title="tests under changed settings"))
     title = "spec" if changed is None else "settings that are not defaults"
-    print_table(facts_table(dict(flatten(record.spec if changed is None else changed)), title=title))
+    print_table(settings_table(record.spec if changed is None else changed, title))
     for problem in problems:
         warn(problem)
     if not everything:

@@ -38,8 +38,9 @@ class Environment(ABC):
     Steps. Every Step has the shapes of `signature`, without a leading axis. Returned arrays belong to the caller: the
     environment does not change them later. After a reset `reward` is 0, and `terminated` and `truncated` are False.
     `truncated` is True at step `signature.max_steps` at the latest. If `signature.goal_rule` is set, `success` is the
-    rule's, `terminated` includes the rule's, and hindsight needs a reward that is the rule's. If the environment does
-    not define success, `signature.has_success` is False, and results show returns only.
+    rule's, but False where a protective stop ends the episode; `terminated` includes the rule's, and hindsight needs a
+    reward that is the rule's. If the environment does not define success, `signature.has_success` is False, and results
+    show returns only.
 
     Errors. An environment may raise any exception. The orchestrator then reports the episode as lost and builds the
     environment again. When the simulation diverges, return a Step with `diverged`, `truncated` and reward 0.

@@ -28,7 +28,8 @@ class RobotTask(Environment):
 
     Observation: the robot's part, then the task's.
     Action: the robot's, each number in [-1, 1]; with `actions: discrete` one of an `ActionSet`.
-    Reward, success, termination: by the task's goal rule; the episode is truncated after the task's `max_steps`.
+    Reward, success, termination: by the task's goal rule; the episode is truncated after the task's `max_steps`, or,
+    without success, by a protective stop of the robot.
 
     Args:
         robot: a robot plugin's instance.
@@ -65,7 +66,12 @@ class RobotTask(Environment):
         self.rate = PHYSICS_RATE / settings.substeps
         self.divergences = 0
         """Number of episodes truncated because the physics diverged."""
-        robot.prepare(gripper=task.uses_gripper, period=settings.substeps / PHYSICS_RATE, points_down=task.points_down)
+        robot.prepare(
+            gripper=task.uses_gripper,
+            period=settings.substeps / PHYSICS_RATE,
+            points_down=task.points_down,
+            protective_stop=task.protective_stop,
+        )
         task.fit(robot)
         self.declared = {
             **{f"robot.{name}": parameter for name, parameter in robot.parameters.items()},
@@ -109,6 +115,11 @@ class RobotTask(Environment):
         """Set what is drawn at each reset, by parameter ("task.gravity"). Raises UsageError for undeclared ones."""
         self._randomization = Randomization(distributions, self.declared)
         self.signature = replace(self.signature, parameters=self._randomization.layout)
+
+    @property
+    def stops(self) -> int:
+        """Number of protective stops in the running episode, those that are only counted included."""
+        return self.robot.stops
 
     @property
     def camera(self) -> Camera:
@@ -174,10 +185,11 @@ class RobotTask(Environment):
             return self._diverged()
         rule, achieved, goal = self.task.goal_rule, self.task.achieved(), self.task.goal
         terminated = self._terminates and bool(rule.terminated(achieved, goal))
-        truncated = self._steps >= self.signature.max_steps and not terminated
-        if terminated:
+        stopped = self.robot.stopped
+        truncated = (stopped or self._steps >= self.signature.max_steps) and not terminated
+        if terminated or truncated:
             self._steps = self.signature.max_steps
-        reward, success = float(rule.reward(achieved, goal)), bool(rule.success(achieved, goal))
+        reward, success = float(rule.reward(achieved, goal)), bool(rule.success(achieved, goal)) and not stopped
         self._last = Step(observation, achieved, goal, reward, terminated, truncated, success)
         return self._last
 

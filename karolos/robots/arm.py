@@ -13,7 +13,7 @@ from functools import cached_property
 from math import atan2, cos, dist, hypot, inf, sin, sqrt
 from operator import mul, truediv
 from pathlib import Path
-from typing import ClassVar, Literal
+from typing import Annotated, ClassVar, Literal
 
 import numpy as np
 from pydantic import Field as Setting
@@ -21,7 +21,7 @@ from pydantic import Field as Setting
 from ..core import Field, FloatArray, Layout, Settings
 from ..core.seeding import Generator
 from ..errors import PluginError, UsageError
-from ..randomization.randomization import RandomizedParameter
+from ..randomization.randomization import Drawn, RandomizedParameter, drawn_settings
 from ..simulation import urdf
 from ..simulation.geometry import Vector
 from ..simulation.interface import Body, Box, Fingers, Gripper, JointLimits, World
@@ -29,6 +29,7 @@ from ..simulation.interface.engine import OPENS
 from ..simulation.kinematics import Chain, Configuration
 from ..simulation.urdf import Description, Joint
 from .joint_control import ACCELERATION_TIME, JointControl
+from .protective_stop import Guard, ProtectiveStop
 
 POSTURE_GAIN = 0.1
 """Fraction of the way back to the home pose, per control step, that inverse kinematics takes in the null space."""
@@ -95,6 +96,14 @@ class ArmSettings(Settings):
     base: Literal["origin", "centred"] = Setting(
         "origin",
         description="what is at the origin of the world: the robot's base, or (centred) the middle of its workspace",
+    )
+    gripper_delay: Annotated[float, Drawn("s", 0.0, 0.1)] = Setting(
+        0.0, ge=0, le=0.5, description="seconds after which the gripper follows its command, rounded to a physics step"
+    )
+    protective_stop: ProtectiveStop | Literal["task"] | None = Setting(
+        "task",
+        description="limits beyond which the arm stops, which ends the episode without success; task: as the task says "
+        "(throw: the default limits; reach, push and pick_place: off); null: off",
     )
     timed_release: bool = Setting(
         False,
@@ -233,7 +242,12 @@ class Arm:
         _check_model(model, self._joints, tuple(np.subtract(pose.position, self.base).tolist()))
         self.reset_noise = settings.reset_noise
         self._fingers = model.fingers
+        self.gripper_delay = settings.gripper_delay
+        self._told: list[tuple[int, float]] = []
+        """What the gripper was told and has not done yet: opening, and in how many physics steps."""
+        self._pressing: dict[tuple[int, int], float] | None = None
         self._values = {name: parameter.nominal for name, parameter in ARM_PARAMETERS.items()}
+        self._values["gripper_delay"] = settings.gripper_delay
         self.gripper: Gripper | None = model.fingers.gripper if model.fingers else None
         self.home_joints = model.home
         self.prepare(gripper=False, period=1 / 24)
@@ -241,7 +255,7 @@ class Arm:
     def forward(self, joints: Sequence[float]) -> Configuration:
         return self.chain.forward(joints)
 
-    def prepare(self, *, gripper: bool, period: float, points_down: bool = True) -> None:
+    def prepare(self, *, gripper: bool, period: float, points_down: bool = True, protective_stop: bool = False) -> None:
         if gripper and self.model.fingers is None:
             hint = "choose a task that needs no gripper"
             raise PluginError("this robot has no gripper", where=type(self).__name__, hint=hint)
@@ -252,6 +266,10 @@ class Arm:
         self.turns_joints = (self.settings.control or ("cartesian" if points_down else "joint")) == "joint"
         self._yaws = self.settings.yaw and not self.turns_joints
         self.period = period
+        limits = self.settings.protective_stop
+        if limits == "task":
+            limits = ProtectiveStop.model_validate({}) if protective_stop else None
+        self._guard = Guard(limits, self.limits.effort, period) if limits is not None else None
         self.joint_step = tuple(min(self.settings.joint_step, speed * period) for speed in self.limits.velocity)
         self.tool_step = self.settings.tool_step
 
@@ -265,7 +283,7 @@ class Arm:
             return parameters
         nominal = self._fingers.gripper.pad_friction
         friction = RandomizedParameter("1", nominal, 0.0, 5.0, "lateral friction coefficient of the gripper's pads")
-        return {**parameters, "pad_friction": friction}
+        return {**parameters, "pad_friction": friction, **drawn_settings(self.settings)}
 
     @cached_property
     def observation(self) -> Layout:
@@ -303,6 +321,9 @@ class Arm:
         self._control = JointControl(self.limits, world.period, self._accelerations, (self.chain, self.tool_speed))
         arm = [joint.child for joint in self._joints]
         self._motors = motors = world.motors(self.body, arm, self.limits, self._fingers)
+        self._arm_links = [self.body.links()[name] for name in arm]
+        if self._guard is not None:
+            world.forces(self.body)  # the world records them from the first question on
         self._apply: dict[str, Callable[[float], None]] = {
             "joint_damping": motors.set_joint_damping,
             "joint_friction": motors.set_joint_friction,
@@ -314,7 +335,7 @@ class Arm:
     def apply(self, name: str, value: float) -> None:
         if name in self._apply:
             self._apply[name](value)
-        else:  # observation_noise, action_delay
+        else:  # observation_noise, action_delay, gripper_delay
             self._values[name] = value
 
     def reset(self, generator: Generator) -> None:
@@ -335,7 +356,10 @@ class Arm:
         if self._fingers is not None:
             rest[-1] = 2 * command - 1
         self._delayed = deque(rest for _ in range(round(self._values["action_delay"])))
-        self.read()
+        self._told.clear()
+        if self._guard is not None:
+            self._guard.reset()
+        self._read()
 
     def _clipped(self, positions: Sequence[float]) -> list[float]:
         """Joint positions within their limits."""
@@ -385,10 +409,17 @@ class Arm:
         self.opening_command = opening or 0.0
         begin = self.limits.slowed(self.joint_velocities)  # a joint that a contact drives faster is braked at once
         end = self._control.ramp(self.joint_positions, begin, changes, self._configuration)
-        if opening is None or not self.settings.timed_release:
-            self._motors.drive(begin, end, opening)
-        else:
-            self._motors.drive(begin, end, *self._timed(opening))
+        self._motors.drive(begin, end, {} if opening is None else self._openings(opening))
+
+    def _openings(self, opening: float) -> dict[int, float]:
+        """What the gripper does in this control step, by physics step, when it is told to take this opening now."""
+        opening, wait = self._timed(opening) if self.settings.timed_release else (opening, 0.0)
+        substeps = self.world.substeps
+        delay = round(self._values["gripper_delay"] * substeps / self.world.period)
+        self._told.append((int(wait * substeps) + delay, opening))
+        now = {step: value for step, value in self._told if step < substeps}
+        self._told = [(step - substeps, value) for step, value in self._told if step >= substeps]
+        return now
 
     def _lowest(self, low: float) -> float:
         """Lowest height to aim at, so that the tool comes to rest at `low` and does not meet the floor at speed.
@@ -422,6 +453,31 @@ class Arm:
         return [change / excess for change in changes] if excess > 1 else changes
 
     def read(self) -> None:
+        self._read()
+        if self._guard is not None:
+            torques = [torque for _, _, _, torque in self.body.joints(self._arm_links)]
+            self._guard.watch(self._forces(), torques)
+
+    @property
+    def stops(self) -> int:
+        return self._guard.stops if self._guard is not None else 0
+
+    @property
+    def stopped(self) -> bool:
+        return self._guard is not None and self._guard.stopped
+
+    def _forces(self) -> dict[tuple[int, int], float]:
+        """What presses on the arm after this control step, as `World.forces` says."""
+        if self._pressing is None:
+            self._pressing = self.world.forces(self.body)
+        return self._pressing
+
+    def touches_others(self, *allowed: Body) -> bool:
+        indices = {body.index for body in allowed}
+        return any(other not in indices for _, other in self._forces())
+
+    def _read(self) -> None:
+        self._pressing = None
         self.joint_positions, self.joint_velocities, self.opening = self._motors.read()
         self._configuration = self.chain.forward(self.joint_positions)
         self.tool_position = self._configuration.tool.position
@@ -476,9 +532,9 @@ class Arm:
     def towards(self, position: Vector, opening: float) -> FloatArray:
         values: list[float]
         way = self.chain.step(self._configuration, position, self.home_yaw, self._posture(self.joint_positions))
-        # so fast that half of a joint's acceleration stops it at the end of its way
-        most = (self.period * sqrt(most * abs(ahead)) for most, ahead in zip(self._accelerations, way, strict=True))
-        slower = max(1.0, *(abs(ahead) / (step + 1e-9) for ahead, step in zip(way, most, strict=True)))
+        # so fast that .8 of a joint's acceleration stops it at the end of its way
+        needed = (sqrt(abs(ahead) / (1.6 * most)) for ahead, most in zip(way, self._accelerations, strict=True))
+        slower = max(1.0, max(needed) / self.period)
         if not self.turns_joints:
             difference = [target - current for target, current in zip(position, self.tool_position, strict=True)]
             longest = max(slower, max(abs(value) for value in difference) / self.tool_step)

@@ -29,7 +29,8 @@ class Landing(GoalRule):
     """Success where a thrown object lands nearer than `threshold` to the target, in m; landing ends the episode.
 
     `achieved` (..., 3) is the object's position on the floor (2) in m and a status: 0 in the hand or in the air, 1
-    landed after a release, -1 put on the floor without a release. `desired` (..., 2) is the target in m.
+    landed after a release, -1 a failure whatever the target, such as an object put on the floor. `desired` (..., 2) is
+    the target in m.
 
     Sparse reward: 1 for a success, else 0; a cost per step would make dropping the object at once profitable. Dense
     reward: 1 - tanh(2 d) for landing after a release, d in m from the target; else 0.
@@ -74,14 +75,16 @@ class Throw(CubeTask):
     where and when the centre of the cube would come down if it left the hand now, in free fall without spin.
     Action: the robot's joint changes and the gripper.
     Goals: achieved, the cube's position on the floor (2, m), after the landing that of its first contact, and a status
-    (0 in hand or air, 1 landed after a release, -1 on the floor without one); desired, the target (2, m).
+    (0 in hand or air, 1 landed after a release, -1 on the floor without one, or the arm touched something else, or its
+    protective stop acted); desired, the target (2, m).
     Reward: at landing; sparse 1 within the threshold, else 0; dense in [0, 1], see `Landing`.
     What counts as success: the cube's first contact with the floor after its release lies within `threshold` of the
-    target. Flying over the target or carrying the cube there does not count.
-    Termination: when the cube touches the floor, thrown or put down; truncated after `max_steps`. With probability
-    `end_at_release` already when the cube leaves the hand, at the landing that free flight computes; as a parameter of
-    domain randomization in training alone. The computed landing is that of an undisturbed flight: a hand that touches
-    the cube again moves the true one by up to a decimetre.
+    target. Flying over the target or carrying the cube there does not count. Until then the arm touches neither the
+    floor nor itself, and its protective stop does not act.
+    Termination: when the cube touches the floor, thrown or put down, or the arm does; truncated after `max_steps`.
+    With probability `end_at_release` already when the cube leaves the hand, at the landing that free flight computes;
+    as a parameter of domain randomization in training alone. The computed landing is that of an undisturbed flight: a
+    hand that touches the cube again moves the true one by up to a decimetre.
 
     Reach and furthest throw follow from the speed limits of joints and tool, see `ThrowPlanner`. Horizontal distances
     from the robot's axis: panda .95 and 1.13 m, ur5 1.06 and 1.21 m, iiwa 1.08 and 1.73 m. Such throws turn the
@@ -147,6 +150,7 @@ class Throw(CubeTask):
     def build(self, world: World) -> None:
         super().build(world)
         world.release_in_motion()
+        self._robot.touches_others()  # the world records forces from the first question on
         self._lead = world.lead
         self._marker = world.marker(self.settings.threshold, GOAL_COLOUR)
 
@@ -175,6 +179,9 @@ class Throw(CubeTask):
         super().read()
         cube = self.cube
         if self._status:
+            return
+        if self._robot.stopped or self._robot.touches_others(cube.body):
+            self._status = -1.0
             return
         lowest = cube.lowest
         if self._flight is not None and lowest < BOUNCE_HEIGHT:
@@ -242,7 +249,7 @@ LOOK_AHEAD = 0.25
 LARGEST_CORRECTION = 0.8
 """Largest correction of a joint's change, as a fraction of its change at full speed."""
 OPENING_DELAY = 0.01
-"""Seconds from the command to open until the pads let go."""
+"""Seconds from the beginning of the opening until the pads let go."""
 
 
 class ThrowExpert(Expert):
@@ -251,6 +258,8 @@ class ThrowExpert(Expert):
     def __init__(self, robot: RobotView, task: Throw) -> None:
         self._robot = robot
         self._task = task
+        self._delay = OPENING_DELAY + robot.gripper_delay
+        """Seconds from the command to open until the pads let go."""
         self.reset()
 
     def reset(self) -> None:
@@ -282,7 +291,8 @@ class ThrowExpert(Expert):
         accelerated = self._throwing * period > RAMP_SECONDS
         if not self._released and accelerated and self._release_now(positions, velocities):
             self._released = self._throwing
-        if self._released and self._throwing > self._released:  # a moving hand would hit the cube that leaves it
+        late = self._throwing - self._released - int(self._delay / period)
+        if self._released and late > 0:  # a moving hand would hit the cube that leaves it, or the floor
             return robot.turning([0.0] * len(positions), 1.0)
         if accelerated:
             speed_up = self._speed_up * (1 + SPEED_GAIN * self._shortfall(positions, velocities))
@@ -319,6 +329,6 @@ class ThrowExpert(Expert):
 
     def _release_now(self, positions: Array, velocities: Array) -> bool:
         """Whether opening now brings the cube nearer to the target than opening a control step later."""
-        times = OPENING_DELAY + np.array((0.0, self._robot.period))
+        times = self._delay + np.array((0.0, self._robot.period))
         now, later = np.abs(self._landings(positions, velocities, times) - self._distance)
         return bool(now <= later)

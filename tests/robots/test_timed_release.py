@@ -12,8 +12,9 @@ from karolos.core import Array
 from karolos.environments.robot_task import RobotTask
 
 
-def throwing(engine: str, *, timed: bool = True) -> RobotTask:
-    return made("throw", "ur5", environment={"engine": engine}, arm={"timed_release": timed}, end_at_release=1.0)
+def throwing(engine: str, *, timed: bool = True, delay: float = 0.0) -> RobotTask:
+    arm = {"timed_release": timed, "gripper_delay": delay}
+    return made("throw", "ur5", environment={"engine": engine}, arm=arm, end_at_release=1.0)
 
 
 def swing(environment: RobotTask, commands: Sequence[float]) -> Array:
@@ -57,3 +58,16 @@ def test_without_it_the_gripper_opens_at_the_beginning_of_the_step(engine: str) 
     environment = throwing(engine, timed=False)
     assert swing(environment, [0.3]) == pytest.approx(swing(environment, [1.0]), abs=1e-3)
     environment.close()
+
+
+@pytest.mark.parametrize("engine", ENGINES)
+@pytest.mark.parametrize("later", [0.3, 1.3])
+def test_a_delayed_gripper_opens_that_much_later_across_control_steps(engine: str, later: float) -> None:
+    prompt, delayed = throwing(engine, timed=False), throwing(engine, timed=False, delay=later / 24)
+    early, late = swing(prompt, [1.0]), swing(prompt, [-1.0, 1.0])
+    along = float((swing(delayed, [1.0]) - early) @ (late - early) / ((late - early) @ (late - early)))
+    assert along == pytest.approx(later, abs=0.1)
+    delayed.robot.apply("gripper_delay", 0.0)  # as randomization does
+    assert np.array_equal(swing(delayed, [1.0]), early)
+    for environment in (prompt, delayed):
+        environment.close()

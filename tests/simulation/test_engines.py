@@ -51,6 +51,20 @@ def divided(engine: Engine, request: pytest.FixtureRequest) -> Iterator[World]:
     made.close()
 
 
+def test_what_presses_on_a_body_is_known_by_link_and_body(world: World) -> None:
+    lower, upper = (world.box((0.1, 0.1, 0.1), mass, (1, 0, 0, 1)) for mass in (2.0, 1.0))
+    lower.place((0.0, 0.0, 0.05))
+    upper.place((0.0, 0.0, 0.15))
+    for _ in range(24):
+        world.step()
+    pressing = world.forces(lower)
+    floor = next(other for _, other in pressing if other != upper.index)
+    assert pressing == pytest.approx({(-1, floor): 3 * 9.81, (-1, upper.index): 9.81}, rel=0.05)
+    upper.place((0.0, 0.0, 3.0))
+    world.step()
+    assert world.forces(upper) == {}
+
+
 def test_a_falling_body_falls_as_it_must(divided: World) -> None:
     box = divided.box((0.1, 0.1, 0.1), 1.0, (1, 0, 0, 1))
     box.place((0.0, 0.0, 5.0))
@@ -84,7 +98,7 @@ def test_a_motor_holds_what_its_torque_allows_whatever_the_substeps(
 def test_a_motor_follows_a_ramp_of_speeds(divided: World) -> None:
     body, motors = pendulum(divided, 50 * WEIGHT)
     begin, end = 0.0, 1.5
-    motors.drive([begin], [end], None)
+    motors.drive([begin], [end], {})
     divided.step()
     position, speed, *_ = body.joints([0])[0]
     assert position == pytest.approx((begin + end) / 2 * divided.period + (end - begin) * divided.lead, rel=1e-3)
@@ -99,7 +113,7 @@ def test_damping_brakes_a_joint_as_its_law_says_whatever_the_substeps(engine: En
         world.set_gravity(0.0)
         _, motors = pendulum(world, 1.0)
         motors.set_joint_damping(0.5)
-        motors.drive([1.0], [1.0], None)
+        motors.drive([1.0], [1.0], {})
         for _ in range(240 // substeps):
             world.step()
         motors.set_joint_friction(1 - 1e-9)
@@ -162,7 +176,7 @@ def test_a_spinning_box_has_its_angular_velocity_in_the_world(world: World) -> N
 
 def test_a_link_has_the_frame_and_the_speed_of_its_joint(world: World) -> None:
     body, motors = pendulum(world, 50 * WEIGHT)
-    motors.drive([1.0], [1.0], None)
+    motors.drive([1.0], [1.0], {})
     world.step()
     angle, speed, *_ = body.joints([0])[0]
     state = body.link(0)

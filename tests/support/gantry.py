@@ -34,6 +34,8 @@ class Gantry:
     reset_noise = 0.01
     tool_step = 0.02
     tool_speed = 0.5
+    gripper_delay = 0.0
+    stops, stopped = 0, False
     joint_step = (0.02,) * 3
     turns_joints = False
     opening = 0.0
@@ -49,7 +51,7 @@ class Gantry:
         self.tool_velocity: Vector = (0.0, 0.0, 0.0)
         self.play = 0.0
 
-    def prepare(self, *, gripper: bool, period: float, points_down: bool = True) -> None:
+    def prepare(self, *, gripper: bool, period: float, points_down: bool = True, protective_stop: bool = False) -> None:
         if gripper:
             raise PluginError("this robot has no gripper", where="Gantry")
         self.period = period
@@ -92,6 +94,9 @@ class Gantry:
     def forward(self, joints: Sequence[float]) -> Configuration:
         x, y, z = joints
         return Configuration(Pose((x, y, z), (1.0, 0.0, 0.0), (0.0, -1.0, 0.0), (0.0, 0.0, -1.0)), [])
+
+    def touches_others(self, *allowed: Body) -> bool:
+        return False
 
     def pads_touching(self, body: Body) -> int:
         return 0

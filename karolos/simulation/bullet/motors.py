@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from collections.abc import Sequence
+from collections.abc import Mapping, Sequence
 from functools import partial
 
 import numpy as np
@@ -66,7 +66,6 @@ class Motors:
                 body.let_drift(link)
                 body.change(link, frictionAnchor=1)
             self._opening, self._opens, self._releases_in_motion = 0.0, False, False
-            self._command, self._moves_at = 0.0, 0
             origin = (0, 0, 0)
             gear = api.createConstraint(
                 body.index, pads[0], body.index, pads[1], api.JOINT_GEAR, (0, 1, 0), origin, origin
@@ -84,6 +83,7 @@ class Motors:
             inertias = 1 / np.diagonal(np.linalg.inv(masses))[: len(joints)]
             self._dampings = np.minimum(self._dampings, STABLE_DAMPING * inertias / timestep).tolist()
             self.set_joint_damping(0.0)
+        self._openings: Mapping[int, float] = {}
         self._begin: Sequence[float] = (0.0,) * len(joints)
         self._end: Sequence[float] = self._begin
         self.set_joint_friction(0.0)
@@ -117,7 +117,7 @@ class Motors:
         if self._fingers is not None:
             finger = self._fingers.position(opening)
             self._write(self.pads, [finger, finger], [0.0, 0.0])
-            self._opening, self._moves_at = opening, 0
+            self._opening, self._openings = opening, {}
             self._anchor_unless(opens=False)
             self._drive_finger(targetPosition=finger)
 
@@ -137,12 +137,8 @@ class Motors:
             for link in self.pads:
                 self._body.change(link, frictionAnchor=int(not opens))
 
-    def drive(self, begin: Sequence[float], end: Sequence[float], opening: float | None, wait: float = 0.0) -> None:
-        self._begin, self._end = begin, end
-        if self._fingers is not None and opening is not None:
-            self._command, self._moves_at = opening, int(wait * len(self._fractions))
-            if not self._moves_at:
-                self._move_fingers(opening)
+    def drive(self, begin: Sequence[float], end: Sequence[float], openings: Mapping[int, float]) -> None:
+        self._begin, self._end, self._openings = begin, end, openings
 
     def _move_fingers(self, opening: float) -> None:
         if self._fingers is not None:
@@ -151,8 +147,8 @@ class Motors:
 
     def substep(self, step: int) -> None:
         """Set the target speeds of physics step number `step` of the control step: those at its end."""
-        if self._fingers is not None and 0 < self._moves_at == step:
-            self._move_fingers(self._command)
+        if step in self._openings:
+            self._move_fingers(self._openings[step])
         fraction = self._fractions[step]
         speeds = [first + fraction * (last - first) for first, last in zip(self._begin, self._end, strict=True)]
         self._drive_arm(targetVelocities=speeds, forces=self._torques, velocityGains=self._gains)

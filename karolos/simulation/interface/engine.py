@@ -5,7 +5,7 @@ Units: m, s, kg, N, rad; quaternions x y z w. z points up, the floor is z = 0.
 
 from __future__ import annotations
 
-from collections.abc import Collection, Sequence
+from collections.abc import Collection, Mapping, Sequence
 from dataclasses import dataclass
 from operator import gt
 from typing import Any, Final, NamedTuple, Protocol
@@ -202,12 +202,12 @@ class Motors(Protocol):
     def write(self, positions: Sequence[float], opening: float) -> None:
         """Put the joints (n,) in rad and the gripper there at rest; the motors hold the arm still."""
 
-    def drive(self, begin: Sequence[float], end: Sequence[float], opening: float | None, wait: float = 0.0) -> None:
+    def drive(self, begin: Sequence[float], end: Sequence[float], openings: Mapping[int, float]) -> None:
         """Set the target speeds of the next control step: from `begin` to `end` (n,) in rad/s, linear in time.
 
         After k of n physics steps a joint's target speed is begin + k / n (end - begin).
-        `opening` of the gripper is in [0, 1]; None leaves the gripper out. It takes effect when the fraction `wait` of
-        the control step, in [0, 1) and rounded down to a physics step, is over; until then the gripper does as before.
+        `openings` of the gripper, in [0, 1], by the physics step of the control step, from 0 on, in which each takes
+        effect; until then the gripper does as before.
         """
 
     def read(self) -> tuple[Sequence[float], Sequence[float], float]:

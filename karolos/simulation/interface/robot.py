@@ -25,6 +25,8 @@ class RobotView(Protocol):
     limits: JointLimits
     gripper: Gripper | None
     """None for a robot without a gripper."""
+    gripper_delay: float
+    """Seconds after which the gripper follows its command, where randomization draws no other delay."""
     home: Vector
     """Tool position at the start of an episode without reset noise, in m."""
     home_yaw: float
@@ -61,6 +63,12 @@ class RobotView(Protocol):
 
     def forward(self, joints: Sequence[float]) -> Configuration:
         """Forward kinematics: tool pose and joint axes at joint positions (n,) in rad."""
+
+    stopped: bool
+    """Whether a protective stop has ended the running episode."""
+
+    def touches_others(self, *allowed: Body) -> bool:
+        """Whether anything but these bodies presses on a link: the floor, another body, or another link of the arm."""
 
     def with_noise(self, values: Sequence[float]) -> list[float]:
         """The values with the observation noise of the episode, for what a task observes of its objects."""
@@ -103,8 +111,10 @@ class Robot(RobotView, Protocol):
     """What domain randomization may change, by name."""
     observation: Layout
     action: Layout
+    stops: int
+    """Number of protective stops in the running episode, those that are only counted included."""
 
-    def prepare(self, *, gripper: bool, period: float, points_down: bool = True) -> None:
+    def prepare(self, *, gripper: bool, period: float, points_down: bool = True, protective_stop: bool = False) -> None:
         """Adapt layouts and step sizes to a task.
 
         Args:
@@ -112,6 +122,7 @@ class Robot(RobotView, Protocol):
             period: duration of a control step in s.
             points_down: whether the tool points down during the task. If not, actions change joint positions unless
                 the settings say otherwise.
+            protective_stop: whether the robot stops protectively unless the settings say otherwise.
 
         Raises PluginError when the task needs a gripper and the robot has none, UsageError when its settings contradict
         the task.

@@ -34,6 +34,8 @@ class Task(ABC):
     """Whether the action moves the gripper. If not, it stays closed and is not simulated."""
     points_down: ClassVar[bool] = True
     """Whether the tool points down during the task, as cartesian control keeps it."""
+    protective_stop: ClassVar[bool] = True
+    """Whether a robot stops protectively if its settings do not say; a stop ends the episode without success."""
     camera: ClassVar[Camera] = Camera()
     observation: ClassVar[Layout] = Layout()
     """The task's part of the observation, without the goals."""

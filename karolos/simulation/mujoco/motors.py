@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from collections.abc import Sequence
+from collections.abc import Mapping, Sequence
 from typing import Any
 
 import numpy as np
@@ -112,13 +112,13 @@ class Motors:
         data.qpos[self._positions] = positions
         data.qvel[self._dofs] = 0.0
 
-    def drive(self, begin: Sequence[float], end: Sequence[float], opening: float | None, wait: float = 0.0) -> None:
+    def drive(self, begin: Sequence[float], end: Sequence[float], openings: Mapping[int, float]) -> None:
         first, targets = np.array(begin), self.targets
         targets[:, : self._size] = first + self._fractions * (np.array(end) - first)
-        if self._fingers is not None and opening is not None:
-            moves_at = int(wait * len(targets))
-            targets[:moves_at, -2:] = targets[-1, -1]
-            targets[moves_at:, -2:] = self._fingers.position(opening)
+        if self._fingers is not None:
+            targets[:, -2:] = targets[-1, -1]
+            for step, opening in openings.items():
+                targets[step:, -2:] = self._fingers.position(opening)
 
     def read(self) -> tuple[Sequence[float], Sequence[float], float]:
         data, size = self._simulation.ready(), self._size

@@ -1,0 +1,85 @@
+"""A protective stop: what the arm notices, and what it does to the episode, on both engines."""
+
+from __future__ import annotations
+
+from typing import Any
+
+import numpy as np
+import pytest
+from support.rig import ENGINES, made
+
+from karolos.core import Step
+from karolos.environments.robot_task import RobotTask
+from karolos.robots.protective_stop import Guard, ProtectiveStop
+
+
+def guard(**limits: Any) -> Guard:
+    return Guard(ProtectiveStop(**limits), effort=(10.0, 20.0), period=0.1)
+
+
+def pressed_on_the_floor(environment: RobotTask) -> Step:
+    """The last step of an episode in which the hand goes down, at most 40 steps."""
+    step = environment.reset(0)
+    for _ in range(40):
+        step = environment.step(np.array([0.0, 0.0, -1.0], np.float32))
+        if step.truncated or step.terminated:
+            break
+    return step
+
+
+def low(engine: str, **stop: Any) -> RobotTask:
+    """A Panda, closed fingers down, in reach; the limits are in `stop`."""
+    environment = made("reach", environment={"engine": engine}, arm={"protective_stop": stop or None}, max_steps=100)
+    box = environment.robot.workspace
+    environment.robot.workspace = type(box)((*box.low[:2], -0.1), box.high)  # lower than the hand can go
+    return environment
+
+
+def test_a_force_beyond_the_limit_stops_at_once_and_counts_once_while_it_lasts() -> None:
+    watching = guard(force=100.0)
+    for force in (0.0, 99.0, 101.0, 300.0, 0.0, 120.0):
+        watching.watch({(3, 0): force}, (0.0, 0.0))
+    assert (watching.stops, watching.stopped) == (2, True)
+    watching.reset()
+    assert (watching.stops, watching.stopped) == (0, False)
+
+
+def test_a_torque_at_its_limit_stops_only_if_it_lasts() -> None:
+    watching = guard(torque=0.9, seconds=0.3)
+    for torque in (9.5, 9.5, 8.0, -9.5, -9.5):
+        watching.watch({}, (torque, 0.0))
+    assert not watching.stopped
+    watching.watch({}, (-9.5, 0.0))
+    assert watching.stopped
+
+
+@pytest.mark.parametrize("engine", ENGINES)
+def test_a_hand_that_presses_on_the_floor_ends_the_episode_without_success(engine: str) -> None:
+    environment = low(engine, force=150.0)
+    step = pressed_on_the_floor(environment)
+    assert step.truncated
+    assert not step.terminated
+    assert not step.success
+    assert environment.stops == 1
+    with pytest.raises(RuntimeError, match="over"):
+        environment.step(np.zeros(3, np.float32))
+    environment.reset(1)
+    assert environment.stops == 0
+    environment.close()
+
+
+@pytest.mark.parametrize("engine", ENGINES)
+def test_a_stop_may_only_be_counted(engine: str) -> None:
+    environment = low(engine, ends=False)
+    assert not pressed_on_the_floor(environment).truncated
+    assert environment.stops >= 1
+    environment.close()
+
+
+def test_a_stop_that_is_off_notices_nothing_and_tasks_choose_the_default() -> None:
+    environment = low(ENGINES[0])
+    assert not pressed_on_the_floor(environment).truncated
+    assert environment.stops == 0
+    environment.close()
+    for task, on in (("reach", False), ("push", False), ("pick_place", False), ("throw", True)):
+        assert made(task).task.protective_stop == on
