@@ -42,17 +42,16 @@ def transfer(
     found = load_spec(spec, with_launcher(overrides, on))
     from karolos.transfer.matrix import Matrix
 
-    from .display import Plain
-    from .display import Quiet as Silent
+    from . import display
 
-    with Silent() if quiet else Plain() as display:
+    with display.Quiet() if quiet else display.Plain() as listener:
         outcome = Matrix(found).run(
             runs,
             database=database,
             jobs=jobs,
             resume=resume,
             time_limit=seconds(time_limit),
-            listener=display,
+            listener=listener,
             say=(lambda _: None) if quiet else say,
         )
     if outcome.stop_code:
