@@ -249,9 +249,7 @@ def _extract(tar: tarfile.TarFile, place: Path, source: Path, most_bytes: int) -
                 source, f"{name!r} is not a file of a run", "an archive holds a folder per run, named by its id"
             )
         if name in found or len(found) == MOST_FILES:
-            raise _refused(
-                source, f"{name!r} is in it twice, or it holds more than {MOST_FILES:,} files", "export it again"
-            )
+            raise _refused(source, f"{name!r} is in it twice, or it holds more than {MOST_FILES:,} files", _AGAIN)
         target = place / name
         target.parent.mkdir(parents=True, exist_ok=True)
         with target.open("xb+") as written:
