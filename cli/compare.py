@@ -74,7 +74,7 @@ def compare(
     folders = [path for path in out or () if path.suffix != ".html"]
     with open_store(runs, database) or nullcontext() as store:
         selected = [_runs_of(selector, store, runs) for selector in experiments]
-        labels = _chosen(label, experiments) if label else _labels(experiments, [found for _, found in selected])
+        labels = _labels(label, experiments, [found for _, found in selected])
         contenders = [gather(index, found, label) for (index, found), label in zip(selected, labels, strict=True)]
         comparison = compare_contenders(contenders, metric, store, at=at)
     for warning in comparison.warnings:
@@ -109,23 +109,20 @@ def _runs_of(selector: str, store: Store | None, runs: Path) -> tuple[Store | No
     return store, store.select(selector)
 
 
-def _chosen(labels: Sequence[str], experiments: Sequence[str]) -> list[str]:
-    """The labels that somebody chose. Raises UsageError unless there is a distinct one for each experiment."""
-    if len(labels) != len(experiments) or len(set(labels)) < len(labels):
+def _labels(
+    chosen: Sequence[str] | None, selectors: Sequence[str], selected: Sequence[Sequence[RunSummary]]
+) -> Sequence[str]:
+    """The label of each experiment: as chosen, or its name. Of several with one name: name and hash, or a run's id.
+
+    Raises:
+        UsageError: there is not one distinct label for each; or two arguments mean the same runs.
+    """
+    if chosen and (len(chosen) != len(selectors) or len(set(chosen)) < len(chosen)):
         raise UsageError(
-            f"{len(set(labels))} different labels for {len(experiments)} experiments",
+            f"{len(set(chosen))} different labels for {len(selectors)} experiments",
             where="--label",
             hint="give --label once for each experiment, in their order",
         )
-    return list(labels)
-
-
-def _labels(selectors: Sequence[str], selected: Sequence[Sequence[RunSummary]]) -> list[str]:
-    """The name of each experiment. Of several with one name: name and hash, or the run's id for a single run.
-
-    Raises:
-        UsageError: two arguments mean the same runs.
-    """
     first: dict[frozenset[str], str] = {}
     for selector, found in zip(selectors, selected, strict=True):
         same = first.setdefault(frozenset(run.run for run in found), selector)
@@ -136,7 +133,7 @@ def _labels(selectors: Sequence[str], selected: Sequence[Sequence[RunSummary]]) 
     for run, *others in selected:
         distinct = f"{run.name} {run.experiment[:8]}" if others else run.run
         labels.append(run.name if names[run.name] == 1 else distinct)
-    return labels
+    return chosen or labels
 
 
 def _print_comparison(comparison: Comparison) -> None:

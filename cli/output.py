@@ -60,7 +60,7 @@ def print_rows(rows: Iterable[Mapping[str, Any]], *, json: bool, line: str = "")
     listed = list(rows)
     if listed:
         names = [name for name in listed[0] if any(row.get(name) not in (None, "", []) for row in listed)]
-        print_table(Table(names, [[_text(row.get(name)) for name in names] for row in listed]))
+        print_table(Table(names, [[short_text(row.get(name), 6) for name in names] for row in listed]))
 
 
 def print_csv(rows: Sequence[Mapping[str, Any]]) -> None:
@@ -154,14 +154,6 @@ def _finite(value: Any) -> Any:
     return value
 
 
-def _text(value: Any) -> str:
-    if value is None:
-        return ""
-    if isinstance(value, float):
-        return f"{value:.6g}"
-    return " ".join(map(str, value)) if isinstance(value, list | tuple) else str(value)
-
-
 def _csv_cell(value: Any) -> object:
     if isinstance(value, list | tuple):
         value = "; ".join(map(str, value))
@@ -177,5 +169,7 @@ def drawn_text(trial: Trial) -> str:
 
 
 def short_text(value: object, digits: int = 4) -> str:
-    """A value with few significant digits; nothing for None."""
+    """A value with few significant digits, or several with spaces between; nothing for None."""
+    if isinstance(value, list | tuple):
+        return " ".join(map(str, value))
     return f"{value:.{digits}g}" if isinstance(value, float) else "" if value is None else str(value)

@@ -18,10 +18,9 @@ from karolos.report.tables import (
     Table,
     duration,
     facts_table,
-    flatten,
     run_state,
     runs_table,
-    setting,
+    settings_table,
     table_of_tests,
     transfers_table,
 )
@@ -108,10 +107,8 @@ def list_runs(
         listed, rows = _rows(store, found, columns, sort, group=group)
     if csv:
         print_csv(rows)
-    elif json or group:
+    elif json or group or columns is not None:
         print_rows(rows, json=json)
-    elif rows and columns is not None:
-        print_table(Table(list(rows[0]), [[setting(value) for value in row.values()] for row in rows]))
     elif rows:
         print_table(runs_table(listed))
 
@@ -232,7 +229,7 @@ def show(
     if transfers:
         print_table(transfers_table(transfers, title="tests under changed settings"))
     title = "spec" if changed is None else "settings that are not defaults"
-    print_table(facts_table(dict(flatten(record.spec if changed is None else changed)), title=title))
+    print_table(settings_table(record.spec if changed is None else changed, title))
     for problem in problems:
         warn(problem)
     if not everything:

@@ -82,8 +82,8 @@ class ComparedRun:
             state="finished",
             steps=nearest.steps,
             seconds=nearest.seconds,
-            success_any=None if nearest.successes_any is None else nearest.successes_any / nearest.episodes,
-            success_end=None if nearest.successes_end is None else nearest.successes_end / nearest.episodes,
+            success_any=nearest.success_any,
+            success_end=nearest.success_end,
             mean_return=nearest.mean_return,
             episodes=nearest.episodes,
             final=False,
@@ -117,13 +117,6 @@ class Contender:
     @property
     def experiment(self) -> str:
         return self.runs[0].summary.experiment
-
-    def at(self, steps: int) -> Contender:
-        """Its runs as they were at their tests nearest to this number of environment steps.
-
-        Raises UsageError if one was not tested near it.
-        """
-        return replace(self, runs=tuple(run.at(steps) for run in self.runs))
 
     @property
     def spec(self) -> Mapping[str, Any]:
@@ -171,29 +164,22 @@ def gather(store: Store | None, runs: Sequence[RunSummary], label: str) -> Conte
 
 def _reporting(store: Store, runs: Sequence[RunSummary], label: str) -> tuple[Sequence[RunSummary], list[str]]:
     """The runs that say how good they are: of a sweep's trial those on its reporting seeds. Adds what to note."""
-    trials = [
-        (record, trial)
-        for record in store.sweeps.all()
-        for trial in record.trials
-        if all(run.name == trial.name for run in runs)
-    ]
-    if not trials:
+    names = {run.name for run in runs}
+    trials = ((record, trial) for record in store.sweeps.all() for trial in record.trials if names == {trial.name})
+    record, trial = next(trials, (None, None))  # of the newest sweep of this name
+    if record is None or trial is None:
         return runs, []
-    record, trial = trials[0]  # of the newest sweep of this name
-    final = record.final if record.final is not None and record.final.chosen == trial.number else None
-    reporting = [run for run in runs if final is not None and run.seed in final.report_seeds]
+    final = record.final
+    seeds = final.report_seeds if final is not None and final.chosen == trial.number else ()
+    reporting = [run for run in runs if run.seed in seeds]
     if not reporting:
         return runs, [
             f"{label}: the sweep {record.name} tuned or chose its settings by these runs, so their success is biased"
             " upwards"
         ]
-    others = sorted({run.seed for run in runs} - {run.seed for run in reporting})
-    if not others:
-        return reporting, []
-    return reporting, [
-        f"{label}: only the seeds that the sweep {record.name} reports on count; it tuned or chose the settings on "
-        + ", ".join(map(str, others))
-    ]
+    others = ", ".join(map(str, sorted({run.seed for run in runs}.difference(seeds))))
+    note = f"{label}: only the seeds that the sweep {record.name} reports on count; it tuned or chose the settings on"
+    return reporting, [f"{note} {others}"] if others else []
 
 
 def load_compared(record: RunRecord) -> ComparedRun:

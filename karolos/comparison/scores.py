@@ -8,7 +8,7 @@ from __future__ import annotations
 
 import math
 from collections.abc import Callable, Mapping, Sequence
-from dataclasses import asdict, dataclass
+from dataclasses import asdict, dataclass, replace
 from typing import Any, Literal, get_args
 
 import numpy as np
@@ -165,7 +165,8 @@ def compare(
         UsageError: success is to be compared, and that of a contender is unknown; a run has no test near `at`.
     """
     if at is not None:
-        contenders, store = [contender.at(at) for contender in contenders], None
+        contenders = [replace(one, runs=tuple(run.at(at) for run in one.runs)) for one in contenders]
+        store = None
     unknown = [contender.label for contender in contenders if not contender.has_success]
     if unknown and metric in ("any", "end"):
         raise UsageError(

@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 import json
-from collections.abc import Callable, Iterable, Iterator, Mapping, Sequence
+from collections.abc import Callable, Iterable, Mapping, Sequence
 from dataclasses import dataclass, replace
 from typing import TYPE_CHECKING, Any, TypeVar
 
@@ -187,8 +187,8 @@ def facts_table(facts: Mapping[str, object], *, title: str = "") -> Table:
     return Table(("", ""), [(name, str(value)) for name, value in facts.items() if value is not None], title)
 
 
-def flatten(spec: Mapping[str, Any]) -> Iterator[tuple[str, str]]:
-    """A nested mapping as pairs of key path and value as text: ("agent.learning_rate", "0.001")."""
+def settings_table(spec: Mapping[str, Any], title: str) -> Table:
+    """A spec as key paths and values: agent.learning_rate 0.001."""
     from ..records import run_records  # noqa: PLC0415  (yaml, which `karolos --help` can do without)
 
-    return ((path, setting(value)) for path, value in run_records.flatten(spec))
+    return facts_table({path: setting(value) for path, value in run_records.flatten(spec)}, title=title)

@@ -144,6 +144,8 @@ GRIP_HEIGHT = 0.006
 stick, and an arm that drags them along lags behind."""
 CARRYING_CLEARANCE = 0.03
 """m above the floor at which the cube moves to a goal on the floor: a dragged cube twists out of the pads."""
+SET_DOWN_GAP = 0.003
+"""m above the floor at which the cube is held over a goal on the floor: an arm that aims at the floor presses on it."""
 CLOSING_STEPS = 3
 """Control steps for which both pads must touch before the cube is lifted: until then they push it to the middle."""
 GRASP_PATIENCE = 30
@@ -209,4 +211,4 @@ class PickExpert(Expert):
             if cube.lowest < CARRYING_CLEARANCE / 3:
                 return tool[0], tool[1], tool[2] + CARRYING_CLEARANCE
             z = max(z, tool[2] + CARRYING_CLEARANCE - cube.lowest)
-        return x, y, max(z, self._robot.workspace.low[2])
+        return x, y, max(z, self._robot.workspace.low[2], tool[2] + SET_DOWN_GAP - cube.lowest)

@@ -15,8 +15,8 @@ from karolos.report.tables import (
     count,
     duration,
     facts_table,
-    flatten,
     runs_table,
+    settings_table,
     success,
     table_of_tests,
 )
@@ -116,10 +116,10 @@ def test_numbers_that_are_not_there_are_dashes() -> None:
 
 def test_nested_spec_becomes_key_paths() -> None:
     spec = {"agent": {"name": "sac", "nets": {"hidden": [256, 256]}}, "robot": None, "empty": {}, "on": True}
-    assert dict(flatten(spec)) == {
-        "agent.name": "sac",
-        "agent.nets.hidden": "[256, 256]",
-        "robot": "null",
-        "empty": "{}",
-        "on": "true",
-    }
+    assert settings_table(spec, "spec").rows == [
+        ("agent.name", "sac"),
+        ("agent.nets.hidden", "[256, 256]"),
+        ("robot", "null"),
+        ("empty", "{}"),
+        ("on", "true"),
+    ]

@@ -354,23 +354,3 @@ def test_finer_physics_steps_give_the_same_motion(engine: Engine, rate: int) -> 
         ends.append((*motors.read()[0], *motors.read()[1], world.period))
         world.close()
     assert ends[0] == pytest.approx(ends[1], abs=5e-3)
-
-
-def test_a_cube_that_slides_stays_on_the_floor_and_stops_where_it_must() -> None:
-    """Coulomb's friction, which MuJoCo's own contacts do not give: they throw a sliding body up."""
-    world: Any = make_world("mujoco", substeps=1)
-    box = world.box((0.04, 0.04, 0.04), 0.1, (1, 0, 0, 1))
-    box.set_friction(1.0)
-    box.place((0.0, 0.0, 0.02))
-    for _ in range(10):
-        world.step()
-    start, speed = np.array(box.pose()[0]), 1.5
-    world._simulation.ready().qvel[box.dofs[0]] = speed
-    highest = 0.0
-    for _ in range(120):
-        world.step()
-        highest = max(highest, box.pose()[0][2] - start[2])
-        assert world.forces(box)[-1, world.floor.index] > 0
-    assert highest < 3e-4
-    assert box.pose()[0][0] - start[0] == pytest.approx(speed**2 / (2 * 0.5 * 9.81), rel=0.05)
-    world.close()

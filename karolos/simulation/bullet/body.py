@@ -42,6 +42,9 @@ class Body:
         linear, angular = self.api.getBaseVelocity(self.index)
         return linear, angular
 
+    def set_velocity(self, velocity: Vector) -> None:
+        self.api.resetBaseVelocity(self.index, velocity, (0, 0, 0))
+
     def link(self, link: int) -> LinkState:
         state = self.api.getLinkState(self.index, link, 1, 1)
         return LinkState(state[4], state[5], state[6], state[7], state[0])

@@ -158,6 +158,9 @@ class Body(Protocol):
     def velocity(self) -> tuple[Vector, Vector]:
         """Linear (m/s) and angular (rad/s) velocity of the base."""
 
+    def set_velocity(self, velocity: Vector) -> None:
+        """Set the velocity of a free base in m/s, without spin."""
+
     def link(self, link: int) -> LinkState:
         """State of a link, computed from the joints."""
 

@@ -94,6 +94,10 @@ class Body:
         i, j, k = 2 * (y * c - z * b), 2 * (z * a - x * c), 2 * (x * b - y * a)
         return (vx, vy, vz), (a + w * i + y * k - z * j, b + w * j + z * i - x * k, c + w * k + x * j - y * i)
 
+    def set_velocity(self, velocity: Vector) -> None:
+        data, dof = self._simulation.writable(), self.dofs[0]
+        data.qvel[dof : dof + 6] = (*velocity, 0.0, 0.0, 0.0)
+
     def link(self, link: int) -> LinkState:
         data = self._simulation.ready()
         api, model, body = self._simulation.api, self._simulation.model, self.ids[link + 1]

@@ -8,6 +8,7 @@ numba compiles it, without a compiler on the machine, and keeps it on disk.
 from __future__ import annotations
 
 import re
+from collections.abc import Callable
 from pathlib import Path
 from typing import Any
 
@@ -97,7 +98,15 @@ _store: Any = intrinsic(_storer)
 _number, _integer, _address = _loader(types.float64), _loader(types.int32), _loader(types.int64)
 
 
-@njit(cache=True)
+def _compiled(function: Callable[..., Any]) -> Any:
+    """The function, compiled at its first call, and kept on disk where a place for it can be written."""
+    try:
+        return njit(nogil=True, cache=True)(function)
+    except RuntimeError:  # numba's word for a disk where neither this folder nor the user's can be written
+        return njit(nogil=True)(function)
+
+
+@_compiled
 def _read(place):
     return _address(place)
 
@@ -111,7 +120,7 @@ _step2 = types.ExternalFunction("mj_step2", types.void(types.int64, types.int64)
 _integrate = types.ExternalFunction("mj_integratePos", types.void(types.int64, types.int64, types.int64, types.float64))
 
 
-@njit(cache=True)
+@_compiled
 def _touch(data, at, contact, row, h, material):
     """Write the law of one contact: its target accelerations and compliances."""
     speed, aref = _address(data + at[SPEED]) + 8 * row, _address(data + at[AREF]) + 8 * row
@@ -140,7 +149,7 @@ def _touch(data, at, contact, row, h, material):
             _store(_address(data + at[ISLAND_STIFFNESS]) + inner, _number(stiffness + place))
 
 
-@njit(cache=True)
+@_compiled
 def _weigh(data, at, bodies, forces, peaks):
     """Raise the peaks to the normal forces between each two bodies. `forces` (nbody, nbody): zeros, as afterwards."""
     force, first = _address(data + at[FORCE]), _address(data + at[CONTACT])
@@ -155,7 +164,7 @@ def _weigh(data, at, bodies, forces, peaks):
         forces[bodies[_integer(contact + at[ONE])], bodies[_integer(contact + at[OTHER])]] = 0.0
 
 
-@njit(nogil=True, cache=True)
+@_compiled
 def advance(
     model, data, at, h, positions, velocities, motors, targets, gains, most, rates, places, material, bodies, peaks
 ):
