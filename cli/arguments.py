@@ -79,6 +79,10 @@ On = Annotated[
         help="Where to run: local, ray, ray://HOST:PORT or slurm. As launcher.name=... launcher.address=...",
     ),
 ]
+Jobs = Annotated[
+    int | None,
+    typer.Option(min=1, help="Runs at the same time, each in its own process. Default: 1, or all with --on."),
+]
 Json = Annotated[bool, typer.Option("--json", help="Print one JSON object per row.")]
 Quiet = Annotated[bool, typer.Option("--quiet", "-q", help="Show only warnings and failures.")]
 

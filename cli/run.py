@@ -15,6 +15,7 @@ from karolos.files import writing
 
 from .arguments import (
     Database,
+    Jobs,
     Json,
     On,
     OneRun,
@@ -40,12 +41,7 @@ def run(
     overrides: Overrides = None,
     runs: Runs = Path("runs"),
     database: Database = None,
-    jobs: Annotated[
-        int | None,
-        typer.Option(
-            min=1, help="Seeds to run at the same time, each in its own process. Default: 1, or all with --on."
-        ),
-    ] = None,
+    jobs: Jobs = None,
     resume: Annotated[
         bool, typer.Option("--resume", help="Resume interrupted runs of this spec; skip finished seeds.")
     ] = False,

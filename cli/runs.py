@@ -20,7 +20,6 @@ from karolos.report.tables import (
     facts_table,
     run_state,
     runs_table,
-    setting,
     settings_table,
     table_of_tests,
     transfers_table,
@@ -108,10 +107,8 @@ def list_runs(
         listed, rows = _rows(store, found, columns, sort, group=group)
     if csv:
         print_csv(rows)
-    elif json or group:
+    elif json or group or columns is not None:
         print_rows(rows, json=json)
-    elif rows and columns is not None:
-        print_table(Table(list(rows[0]), [[setting(value) for value in row.values()] for row in rows]))
     elif rows:
         print_table(runs_table(listed))
 

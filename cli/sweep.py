@@ -45,14 +45,13 @@ def sweep(
     found = load_spec(spec, with_launcher(overrides, on))
     from karolos.sweep.search import Search
 
-    from .display import Quiet as Silent
-    from .display import SweepDisplay
+    from . import display
 
     search = Search(found, trials=trials)
     if dry_run:
         _print_samples(search, json=json)
         return
-    with Silent() if quiet else SweepDisplay(search.sweep.objectives) as listener:
+    with display.Quiet() if quiet else display.SweepDisplay(search.sweep.objectives) as listener:
         outcome = search.run(runs, database=database, jobs=jobs, time_limit=seconds(time_limit), listener=listener)
     report(outcome, quiet=quiet, json=json)
     raise typer.Exit(outcome.exit_code)

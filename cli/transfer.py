@@ -7,7 +7,7 @@ from typing import TYPE_CHECKING, Annotated
 
 import typer
 
-from .arguments import Database, Json, On, Overrides, Quiet, Runs, SpecFile, TimeLimit, seconds, with_launcher
+from .arguments import Database, Jobs, Json, On, Overrides, Quiet, Runs, SpecFile, TimeLimit, seconds, with_launcher
 from .output import print_rows, print_table, say, warn
 
 if TYPE_CHECKING:
@@ -19,10 +19,7 @@ def transfer(
     overrides: Overrides = None,
     runs: Runs = Path("runs"),
     database: Database = None,
-    jobs: Annotated[
-        int | None,
-        typer.Option(min=1, help="Runs at the same time, each in its own process. Default: 1, or all with --on."),
-    ] = None,
+    jobs: Jobs = None,
     resume: Annotated[
         bool, typer.Option("--resume", help="Continue a matrix that has begun; nothing is run twice.")
     ] = False,
@@ -45,17 +42,16 @@ def transfer(
     found = load_spec(spec, with_launcher(overrides, on))
     from karolos.transfer.matrix import Matrix
 
-    from .display import Plain
-    from .display import Quiet as Silent
+    from . import display
 
-    with Silent() if quiet else Plain() as display:
+    with display.Quiet() if quiet else display.Plain() as listener:
         outcome = Matrix(found).run(
             runs,
             database=database,
             jobs=jobs,
             resume=resume,
             time_limit=seconds(time_limit),
-            listener=display,
+            listener=listener,
             say=(lambda _: None) if quiet else say,
         )
     if outcome.stop_code:

@@ -46,25 +46,25 @@ def write_starter(
         raise UsageError(f"a {kind} has no URDF", where="--urdf", hint="leave it out, or write a robot")
     if tool is not None and urdf is None:
         raise UsageError("names a link of a URDF", where="--tool", hint="add --urdf FILE")
-    texts, copies, notes = _rendered(kind, name, urdf, tool)
+    contents, notes = _rendered(kind, name, urdf, tool)
     try:
         if out.exists() and (not out.is_dir() or any(out.iterdir())):
             raise UsageError("already exists", where=str(out), hint="name another folder with --out DIR")
-        for path in (*texts, *copies):
+        for path, content in contents.items():
             (out / path).parent.mkdir(parents=True, exist_ok=True)
-        for path, text in texts.items():
-            (out / path).write_text(text, "utf-8", "surrogateescape")
-        for path, file in copies.items():
-            shutil.copyfile(file, out / path)
+            if isinstance(content, Path):
+                shutil.copyfile(content, out / path)
+            else:
+                (out / path).write_text(content, "utf-8", "surrogateescape")
     except OSError as error:
         raise UsageError(f"cannot be written: {error.strerror}", where=str(out)) from error
-    return [out / path for path in sorted({*texts, *copies})], notes
+    return [out / path for path in sorted(contents)], notes
 
 
 def _rendered(
     kind: str, name: str, urdf: Path | None, tool: str | None
-) -> tuple[dict[str, str], dict[str, Path], tuple[str, ...]]:
-    """The package's texts and the files that are copied into it (path below its folder -> text, or file), and notes."""
+) -> tuple[dict[str, str | Path], tuple[str, ...]]:
+    """The package, by paths below its folder: texts, and files that are copied into it; and notes."""
     values = {
         "kind": kind,
         "name": name,
@@ -80,8 +80,7 @@ def _rendered(
         f"{package}/{name}.py": f"{kind}.py" if urdf is None else "robot_from_urdf.py",
         f"tests/test_{name}.py": f"test_{kind}.py",
     }
-    copies: dict[str, Path] = {}
-    texts: dict[str, str] = {}
+    contents: dict[str, str | Path] = {}
     notes: tuple[str, ...] = ()
     if kind == "robot":
         templates[f"{package}/{name}.urdf"] = "robot.urdf"
@@ -93,9 +92,9 @@ def _rendered(
         proposal = propose(urdf, tool)
         values.update(proposal.code())
         notes = proposal.notes
-        texts[f"{package}/{name}.urdf"], meshes = with_meshes(urdf)
-        copies = {f"{package}/{path}": file for path, file in meshes.items()}
+        contents[f"{package}/{name}.urdf"], meshes = with_meshes(urdf)
+        contents |= {f"{package}/{path}": file for path, file in meshes.items()}
     folder = files("karolos.plugins") / "starters"
     for path, template in templates.items():
-        texts[path] = Template((folder / f"{template}.txt").read_text(encoding="utf-8")).substitute(values)
-    return texts, copies, notes
+        contents[path] = Template((folder / f"{template}.txt").read_text(encoding="utf-8")).substitute(values)
+    return contents, notes

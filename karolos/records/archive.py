@@ -73,7 +73,8 @@ def export_runs(folders: Sequence[RunFolder], target: Path, *, checkpoints: bool
         RunError: a process is running one of them.
         MachineError: the disk is full, or the target cannot be written; nothing is left behind.
     """
-    _check_suffix(target)
+    if not target.name.endswith(SUFFIX):
+        raise _refused(target, f"archives end in {SUFFIX}", "name it so")
     if target.exists():
         raise UsageError("the file exists already", where=str(target), hint="name another, or remove it")
     remove_leftovers(target.parent, rf"\.{re.escape(target.name)}\.(\d+)\.tmp")
@@ -139,7 +140,6 @@ def import_runs(
             one of its runs exists.
         MachineError: the disk is full, or the runs folder cannot be written.
     """
-    _check_suffix(source)
     remove_unfinished_imports(runs)
     with writing(runs):
         runs.mkdir(parents=True, exist_ok=True)
@@ -249,9 +249,7 @@ def _extract(tar: tarfile.TarFile, place: Path, source: Path, most_bytes: int) -
                 source, f"{name!r} is not a file of a run", "an archive holds a folder per run, named by its id"
             )
         if name in found or len(found) == MOST_FILES:
-            raise _refused(
-                source, f"{name!r} is in it twice, or it holds more than {MOST_FILES:,} files", "export it again"
-            )
+            raise _refused(source, f"{name!r} is in it twice, or it holds more than {MOST_FILES:,} files", _AGAIN)
         target = place / name
         target.parent.mkdir(parents=True, exist_ok=True)
         with target.open("xb+") as written:
@@ -263,8 +261,3 @@ def _extract(tar: tarfile.TarFile, place: Path, source: Path, most_bytes: int) -
 
 def _refused(source: Path, what: str, hint: str) -> UsageError:
     return UsageError(what, where=str(source), hint=hint)
-
-
-def _check_suffix(path: Path) -> None:
-    if not path.name.endswith(SUFFIX):
-        raise _refused(path, f"archives end in {SUFFIX}", "name it so")

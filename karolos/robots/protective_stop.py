@@ -22,7 +22,7 @@ class ProtectiveStop(Settings):
     """Limits beyond which an arm stops."""
 
     force: float | None = Setting(
-        150.0, gt=0, description="largest force between a link and the floor, a body or another link, N; null: any"
+        150.0, gt=0, description="largest force of a body or another link on a link in a physics step, N; null: any"
     )
     torque: float | None = Setting(
         1.0, gt=0, le=1, description="fraction of its largest torque that no motor needs for `seconds`; null: any"

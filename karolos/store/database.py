@@ -60,6 +60,7 @@ class Database:
 
     Attributes:
         url: parsed.
+        name: the URL without its password, for messages.
         home: folder of a SQLite database, None for any other.
         engine: SQLAlchemy's; use `reading` and `writing` unless you know why not.
 
@@ -70,6 +71,7 @@ class Database:
 
     def __init__(self, url: str, *, timeout: float = BUSY_SECONDS) -> None:
         self.url = _parse_url(url)
+        self.name = _without_secrets(self.url)
         self._path = _sqlite_file(self.url)
         self.home = self._path.resolve().parent if self._path else None
         if self.home and (share := network_share(self.home)):
@@ -79,7 +81,7 @@ class Database:
                 hint="keep the runs there, and name a file of this machine or PostgreSQL with --database",
             )
         self._timeout = timeout
-        self.engine = _make_engine(self.url, timeout)
+        self.engine = _make_engine(self.url, self._path, timeout)
         self._readers = self.engine.execution_options(**{_READ: True})
         self._ensure_tables()
 
@@ -88,11 +90,6 @@ class Database:
         """Whether there is a database to open; always true unless it is SQLite."""
         path = _sqlite_file(_parse_url(url))
         return path is None or os.path.exists(path)
-
-    @property
-    def name(self) -> str:
-        """The URL without its password, for messages."""
-        return _without_secrets(self.url)
 
     def close(self) -> None:
         """Close every connection. Safe to call twice."""
@@ -213,34 +210,30 @@ def _sqlite_file(url: URL) -> Path | None:
     return Path(url.database) if url.get_backend_name() == "sqlite" and url.database else None
 
 
-def _make_engine(url: URL, timeout: float) -> Engine:
-    path = _sqlite_file(url)
-    try:
-        return create_engine(url, pool_pre_ping=True) if path is None else _make_sqlite_engine(url, path, timeout)
-    except (NoSuchModuleError, ModuleNotFoundError) as error:
-        raise StoreError(
-            f"the database driver is missing ({error})",
-            where=_without_secrets(url),
-            hint="for PostgreSQL: pip install karolos[postgres]",
-        ) from error
-
-
-def _make_sqlite_engine(url: URL, path: Path, timeout: float) -> Engine:
-    # mode=rw: a database that was removed while runs write to it must not come back without its tables.
-    address = f"{path.absolute().as_uri()}?mode=rw"
+def _make_engine(url: URL, path: Path | None, timeout: float) -> Engine:
+    """The engine for a URL; `path` is the file of a SQLite database."""
 
     def connect() -> sqlite3.Connection:
+        assert path is not None
+        # mode=rw: a database that was removed while runs write to it must not come back without its tables.
+        address = f"{path.absolute().as_uri()}?mode=rw"
         connection = sqlite3.connect(address, uri=True, timeout=timeout, isolation_level=None)
         connection.execute("PRAGMA foreign_keys = ON")
         connection.execute("PRAGMA synchronous = FULL")
         return connection
 
     # One connection per transaction costs 0.1 ms, and a forked process cannot share one by accident.
-    engine = create_engine(url, creator=connect, poolclass=NullPool)
+    sqlite: dict[str, Any] = {"creator": connect, "poolclass": NullPool}
+    try:
+        engine = create_engine(url, **sqlite if path else {"pool_pre_ping": True})
+    except (NoSuchModuleError, ModuleNotFoundError) as error:
+        what, hint = f"the database driver is missing ({error})", "for PostgreSQL: pip install karolos[postgres]"
+        raise StoreError(what, where=_without_secrets(url), hint=hint) from error
 
-    @event.listens_for(engine, "begin")
     def begin(connection: Connection) -> None:
         read = connection.get_execution_options().get(_READ, False)
         connection.exec_driver_sql("BEGIN" if read else "BEGIN IMMEDIATE")
 
+    if path:
+        event.listen(engine, "begin", begin)
     return engine

@@ -129,7 +129,7 @@ class PushExpert(Expert):
             if tz - low > 0.012:
                 return robot.towards(braking(robot, start), 0.0)
             self._pushing = True
-        ahead = along + min(0.5 * distance, robot.tool_step)  # slowly: a cube that is hit slides on
+        ahead = along + min(0.3 * distance, robot.tool_step)  # slowly: a cube that is hit slides on
         # back onto the line through cube and goal
         return robot.towards((x + ux * ahead, y + uy * ahead, low), 0.0)
 

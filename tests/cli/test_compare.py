@@ -17,7 +17,7 @@ from support.commands import call
 from karolos.records import RunFolder
 from karolos.records.results import TestResult
 from karolos.specification import load_spec
-from karolos.store import Store, reindex
+from karolos.store import Store
 from karolos.store.tables import SUCCESSES
 
 A, B = "a1" * 32, "b2" * 32
@@ -38,12 +38,13 @@ def add_run(
     spec: dict[str, Any] | None = None,
     state: str = "finished",
 ) -> str:
-    with RunFolder.create(runs, name, seed) as run:
+    with RunFolder.create(runs, name, seed) as run, Store(Store.default_url(runs)) as store:
         run.describe(spec or SPEC | {"name": name}, experiment=experiment)
         for place, k in enumerate(successes, 1):
             flags = tuple(index < k for index in range(20))
             run.add_test(TestResult(place * 1000, place * 10.0, flags, flags, (False,) * 20, (0.0,) * 20, (9,) * 20))
         run.set_state(state, steps=1000 * len(successes), seconds=10.0 * len(successes))
+        store.add_records([run.record()])
         return run.id
 
 
@@ -52,11 +53,6 @@ def runs(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> Path:
     monkeypatch.delenv("KAROLOS_RUNS", raising=False)
     monkeypatch.delenv("KAROLOS_DATABASE", raising=False)
     return tmp_path / "runs"
-
-
-def index(runs: Path) -> None:
-    with Store(Store.default_url(runs)) as store:
-        reindex(store, runs)
 
 
 def rows(*arguments: object) -> list[dict[str, Any]]:
@@ -75,7 +71,6 @@ def test_experiments_are_compared_seed_by_seed(runs: Path) -> None:
     for seed, k in enumerate((12, 16)):
         add_run(runs, seed, (4, k))
         add_run(runs, seed, (4, k + 4), name="better", experiment=B)
-    index(runs)
     first, second = rows("compare", "reach", "better", "--runs", runs)
     assert (first["label"], first["n"], first["seeds"]) == ("reach", 2, [0, 1])
     assert first["success_any"] == {"value": 0.7, "low": 0.6, "high": 0.8, "kind": "range", "seeds": [0.6, 0.8]}
@@ -96,7 +91,6 @@ def test_experiment_is_named_by_name_hash_spec_file_or_run(runs: Path, tmp_path:
     run = add_run(runs, 0, experiment=load_spec(file).hash())
     add_run(runs, 0, name="other", experiment=B)
     newest = add_run(runs, 1, name="other", experiment=B)
-    index(runs)
     for selector, n in ((file, 1), ("reach", 1), (run, 1), (B[:8], 2), ("other", 2), (newest, 1), ("@last", 1)):
         [row] = rows("compare", selector, "--runs", runs)
         assert (row["n"], row["experiment"] == B) == (n, selector not in {file, "reach", run})
@@ -107,7 +101,6 @@ def test_of_several_runs_with_one_seed_the_newest_finished_counts_and_one_withou
     chosen = add_run(runs, 0, (1, 3))
     add_run(runs, 0, (1, 4), state="failed")
     untested = add_run(runs, 1, (), state="failed")
-    index(runs)
     [row] = rows("compare", "reach", "--runs", runs)
     assert row["runs"] == [chosen]
     assert "2 of 4 runs repeat a seed" in row["warnings"][0]
@@ -116,7 +109,6 @@ def test_of_several_runs_with_one_seed_the_newest_finished_counts_and_one_withou
 
 def test_experiment_whose_folders_are_gone_is_compared_from_the_index(runs: Path) -> None:
     run = add_run(runs, 0)
-    index(runs)
     shutil.rmtree(runs / run)
     [row] = rows("compare", "reach", "--runs", runs)
     assert row["success_any"]["value"] == 0.75
@@ -126,7 +118,6 @@ def test_warnings_go_to_stderr_and_numbers_to_stdout(runs: Path) -> None:
     add_run(runs, 0)
     add_run(runs, 0, name="better", experiment=B)
     add_run(runs, 1, name="better", experiment=B, state="stopped")
-    index(runs)
     code, out, err = call(app, "compare", "reach", "better", "--runs", str(runs))
     assert code == 0
     assert "0.750 [0.531, 0.888]" in out
@@ -138,7 +129,6 @@ def test_warnings_go_to_stderr_and_numbers_to_stdout(runs: Path) -> None:
 def test_page_and_figures_are_written_in_the_chosen_size_and_keep_their_text(runs: Path, tmp_path: Path) -> None:
     for seed in range(2):
         add_run(runs, seed)
-    index(runs)
     page, figures = tmp_path / "page.html", tmp_path / "figures"
     options = ("--out", str(page), "--out", str(figures), "--width", "2.4", "--font", "6")
     code, _, err = call(app, "compare", "reach", "--runs", str(runs), *options)
@@ -154,7 +144,6 @@ def test_page_and_figures_are_written_in_the_chosen_size_and_keep_their_text(run
 def test_densities_are_read_from_the_database(runs: Path) -> None:
     for seed, k in enumerate((12, 16, 20)):
         add_run(runs, seed, (4, k))
-    index(runs)
     before = rows("compare", "reach", "--runs", runs)[0]["density"]
     with Store(Store.default_url(runs)) as store:
         stored = store.database.fetch(select(SUCCESSES).order_by(SUCCESSES.c.reported, SUCCESSES.c.steps))
@@ -173,7 +162,6 @@ def test_experiments_are_called_by_their_labels_and_told_apart_if_they_have_one_
     add_run(runs, 0)
     add_run(runs, 1)
     run = add_run(runs, 0, experiment=B)
-    index(runs)
     both = ("compare", A[:8], B[:8], "--runs", runs)
     assert [row["label"] for row in rows(*both)] == [f"reach {A[:8]}", run]
     assert [row["label"] for row in rows(*both, "--label", "plain", "--label", "ours")] == ["plain", "ours"]
@@ -188,7 +176,6 @@ def test_arguments_that_cannot_be_meant_are_refused(runs: Path, tmp_path: Path) 
     add_run(runs, 0)
     add_run(runs, 1, experiment=B)
     add_run(runs, 0, (), name="new", experiment="c3" * 32, state="created")
-    index(runs)
     err = refused("compare", "reach", *there)
     assert f"reach means 2 experiments, whose specs differ; name one by its hash: {A[:12]}, {B[:12]}" in err
     assert "means no run" in refused("compare", "nothing", *there)
@@ -205,7 +192,6 @@ def test_arguments_that_cannot_be_meant_are_refused(runs: Path, tmp_path: Path) 
 def test_diff_shows_what_two_runs_were_made_from(runs: Path) -> None:
     one = add_run(runs, 0)
     other = add_run(runs, 1, spec=SPEC | {"agent": {"name": "sac", "learning_rate": 1e-4}}, experiment=B)
-    index(runs)
     assert rows("diff", one, other, "--runs", runs) == [
         {"part": "run", "key": "seed", "a": 0, "b": 1, "missing": None},
         {"part": "spec", "key": "agent.learning_rate", "a": 1e-3, "b": 1e-4, "missing": None},
@@ -226,7 +212,6 @@ def test_diff_shows_versions_commit_and_changed_files(runs: Path) -> None:
     (runs / other / "code.diff").write_text(
         "diff --git a/x.py b/x.py\n--- a/x.py\n+++ b/x.py\n@@ -1 +1 @@\n-a\n+\x1b[2Jb\n"
     )
-    index(runs)
     found = {(row["part"], row["key"]): row["b"] for row in rows("diff", one, other, "--runs", runs)}
     assert found == {("version", "torch"): "1.0", ("code", "commit"): "abc", ("code", "x.py"): "changed: +1 -1"}
 

@@ -36,21 +36,14 @@ def test_what_differs_besides_the_spec_is_told(other: dict[str, Any], warning: s
     assert cautions([one, two]) == (warning,)
 
 
-def test_unequal_numbers_of_seeds_are_told() -> None:
-    assert cautions([A, contender("b", [[50]])]) == ("unequal numbers of seeds: a 2; b 1",)
-
-
 @pytest.mark.parametrize("state", ["running", "stopped", "failed", "lost"])
 def test_runs_that_are_not_finished_are_named(state: str) -> None:
     runs = (run(0, [50, 60]), run(1, [50, 60], state=state, steps=2500))
     assert cautions([Contender("a", runs)]) == (f"a: 1 of 2 runs are not finished: reach-s1 {state} at 2,500 steps",)
 
 
-def test_versions_that_are_not_known_are_no_difference() -> None:
+def test_versions_count_where_they_are_known_and_that_of_an_engine_where_it_was_used() -> None:
     assert cautions([contender("a", [[5]], versions={"karolos": "1"}), contender("b", [[5]])]) == ()
-
-
-def test_the_version_of_an_engine_counts_where_it_was_used() -> None:
     spec = SPEC | {"environment": {"name": "robot_task", "engine": "bullet"}}
     one, two = (
         contender(label, [[5]], spec=spec, versions={"pybullet": "3", "mujoco-core": label}) for label in ("a", "b")
@@ -63,6 +56,6 @@ def test_the_version_of_an_engine_counts_where_it_was_used() -> None:
     assert cautions([one, two]) == ("different versions of mujoco-core: a a; b b",)
 
 
-def test_warnings_stand_in_every_row() -> None:
+def test_unequal_numbers_of_seeds_are_told_in_every_row() -> None:
     rows = compare([A, contender("b", [[50]])]).rows()
     assert [row["warnings"] for row in rows] == [["unequal numbers of seeds: a 2; b 1"]] * 2

@@ -50,17 +50,11 @@ def test_one_test_is_a_curve_of_one_point(axis: str) -> None:
     assert (at.size, values.tolist()) == (1, [[0.7, 0.8]])
 
 
-def test_band_of_one_run_is_wilsons() -> None:
+def test_band_of_one_run_is_wilsons_and_of_its_return_nothing_and_of_few_seeds_their_range() -> None:
     curve = learning_curve([run(0, [10, 90])], "steps", "any", aggregates.mean, generator())
     assert list(zip(curve.low, curve.high, strict=True)) == [wilson(10, 100), wilson(90, 100)]
-
-
-def test_band_of_one_runs_return_has_no_width() -> None:
     curve = learning_curve([run(0, [10, 90])], "steps", "return", aggregates.mean, generator())
     assert curve.middle.tolist() == curve.low.tolist() == curve.high.tolist() == [-190, -110]
-
-
-def test_band_of_few_seeds_is_their_range() -> None:
     curve = learning_curve([run(0, [10]), run(1, [40]), run(2, [30])], "steps", "any", aggregates.mean, generator())
     assert (curve.low[0], curve.high[0], curve.middle[0]) == (0.1, 0.4, pytest.approx(0.8 / 3))
 

@@ -16,12 +16,18 @@ from karolos.statistics.intervals import wilson
 
 def test_moments_follow_an_episode_from_its_reset_to_its_end_on_the_seeds_of_the_tests():
     environment = Toy(Toy.Settings(max_steps=5))
-    begun = []
-    policy = Policy(lambda step: np.zeros(2, np.float32), lambda: begun.append(environment._goal.copy()))
+    goals, begun = [], []
+
+    def act(step: Step) -> Array:
+        goals.append(step.desired_goal)
+        return np.zeros(2, np.float32)
+
+    policy = Policy(act, lambda: begun.append(len(goals)))
     moments = [(m.episode, m.step, m.over) for m in play(environment, policy, episodes=3, seed=8)]
     assert moments == [(episode, step, step == 5) for episode in range(3) for step in range(6)]
     other = Toy(Toy.Settings(max_steps=5))
-    np.testing.assert_array_equal(begun, [other.reset(seed).desired_goal for seed in test_seeds(8, 3)])
+    assert begun == [0, 5, 10]
+    np.testing.assert_array_equal(goals[::5], [other.reset(seed).desired_goal for seed in test_seeds(8, 3)])
 
 
 class Scripted(Environment):

@@ -50,17 +50,10 @@ CASES = {
 }
 
 
+USUAL = BASE | CASES["sac, priority, hindsight"]
+
+
 def stopping_at(steps: int):
-    """A listener that asks to stop after the test at `steps`."""
-
-    def tell(event: object) -> None:
-        if isinstance(event, RunTested) and event.result.steps == steps:
-            signal.raise_signal(signal.SIGTERM)
-
-    return tell
-
-
-def stopping_from(steps: int):
     """A listener that asks to stop after the first test at `steps` or later."""
 
     def tell(event: object) -> None:
@@ -76,12 +69,11 @@ def only(outcome: Any) -> RunFolder:
 
 
 def test_a_run_that_resumes_with_other_software_says_so(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
-    spec = BASE | CASES["sac, priority, hindsight"]
-    only(Experiment(spec).run(tmp_path, listener=stopping_at(100)))
+    only(Experiment(USUAL).run(tmp_path, listener=stopping_at(100)))
     there = provenance.versions()
     monkeypatch.setattr(provenance, "versions", lambda: there | {"torch": "1.0", "a-new-plugin": "1"})
     events: list[Any] = []
-    folder = only(Experiment(spec).run(tmp_path, existing="resume", listener=events.append))
+    folder = only(Experiment(USUAL).run(tmp_path, existing="resume", listener=events.append))
     (warned,) = [event.warning for event in events if isinstance(event, RunWarned)]
     assert f"it began with other software: torch is 1.0 here and {there['torch']} there (it may differ" in warned
     assert [event["bit_exact"] for event in folder.events() if event["event"] == "resumed"] == [False]
@@ -123,8 +115,14 @@ def test_a_run_of_a_robot_is_the_same_in_one_process_and_broken_off_in_two(engin
 def stopped(tmp_path_factory: pytest.TempPathFactory) -> Path:
     """A runs folder with one run that was stopped at 200 of 240 steps."""
     runs = tmp_path_factory.mktemp("stopped")
-    Experiment(BASE | CASES["sac, priority, hindsight"]).run(runs, listener=stopping_at(200))
+    Experiment(USUAL).run(runs, listener=stopping_at(200))
     return runs
+
+
+@pytest.fixture(scope="module")
+def whole(tmp_path_factory: pytest.TempPathFactory) -> RunFolder:
+    """The same run without a break."""
+    return only(Experiment(USUAL).run(tmp_path_factory.mktemp("whole")))
 
 
 @pytest.fixture
@@ -141,8 +139,7 @@ def go_on(folder: RunFolder) -> list[object]:
     return events
 
 
-def test_damaged_checkpoint_is_named_and_the_one_before_is_used(broken: RunFolder, tmp_path: Path) -> None:
-    whole = only(Experiment(BASE | CASES["sac, priority, hindsight"]).run(tmp_path / "whole"))
+def test_damaged_checkpoint_is_named_and_the_one_before_is_used(whole: RunFolder, broken: RunFolder) -> None:
     path = broken.checkpoints / "last" / "agent.pt"
     data = bytearray(path.read_bytes())
     data[1000] ^= 1
@@ -152,8 +149,7 @@ def test_damaged_checkpoint_is_named_and_the_one_before_is_used(broken: RunFolde
     assert_same_runs(whole, broken)
 
 
-def test_run_without_a_checkpoint_begins_anew_in_its_folder(broken: RunFolder, tmp_path: Path) -> None:
-    whole = only(Experiment(BASE | CASES["sac, priority, hindsight"]).run(tmp_path / "whole"))
+def test_run_without_a_checkpoint_begins_anew_in_its_folder(whole: RunFolder, broken: RunFolder) -> None:
     shutil.rmtree(broken.checkpoints)
     go_on(broken)
     assert_same_runs(whole, broken)
@@ -169,7 +165,7 @@ def test_no_sound_checkpoint_is_an_error_and_nothing_is_lost(broken: RunFolder) 
 
 
 def test_checkpoint_of_another_experiment_is_refused(broken: RunFolder, tmp_path: Path) -> None:
-    other = only(Experiment(BASE | CASES["sac, priority, hindsight"] | {"agent": SAC | {"tau": 0.01}}).run(tmp_path))
+    other = only(Experiment(USUAL | {"agent": SAC | {"tau": 0.01}}).run(tmp_path))
     shutil.rmtree(broken.checkpoints)
     shutil.copytree(other.checkpoints, broken.checkpoints)
     with pytest.raises(RunError, match="another experiment"):
@@ -181,7 +177,7 @@ def test_settings_that_were_changed_after_the_start_are_refused(broken: RunFolde
     file.write_text(file.read_text().replace('"discount": 0.9', '"discount": 0.5'))
     for resume in (
         lambda: resume_run(broken, Store.default_url(broken.path.parent)),
-        lambda: Experiment(BASE | CASES["sac, priority, hindsight"]).run(broken.path.parent, existing="resume"),
+        lambda: Experiment(USUAL).run(broken.path.parent, existing="resume"),
     ):
         with pytest.raises(RunError, match=r"resolved\.json is missing, damaged or changed"):
             resume()
@@ -189,16 +185,9 @@ def test_settings_that_were_changed_after_the_start_are_refused(broken: RunFolde
     assert "resolved.json: missing, damaged or changed" in broken.record().problems
 
 
-def test_run_that_another_process_has_is_refused(broken: RunFolder) -> None:
-    with RunFolder.open(broken.path) as owner:
-        owner.lock()
-        with pytest.raises(RunError, match="another process is running it"):
-            resume_run(broken, Store.default_url(broken.path.parent))
-
-
 def test_finished_seeds_are_not_run_again(broken: RunFolder) -> None:
     go_on(broken)
-    spec = BASE | CASES["sac, priority, hindsight"] | {"seeds": [0, 1]}
+    spec = USUAL | {"seeds": [0, 1]}
     for existing in ("skip", "resume"):
         events: list[object] = []
         outcome = Experiment(spec).run(broken.path.parent, existing=existing, listener=events.append)
@@ -247,8 +236,8 @@ def test_episodes_that_go_another_way_when_played_again_are_a_warning(tmp_path: 
 
 
 def test_tests_that_an_asynchronous_run_makes_at_other_steps_are_removed(tmp_path: Path) -> None:
-    spec = BASE | CASES["sac, priority, hindsight"] | {"training": BASE["training"] | {"mode": "async"}}
-    stopped = only(Experiment(spec).run(tmp_path, listener=stopping_from(100)))
+    spec = USUAL | {"training": BASE["training"] | {"mode": "async"}}
+    stopped = only(Experiment(spec).run(tmp_path, listener=stopping_at(100)))
     steps = checkpoint.read_meta(stopped.checkpoints, "last")["steps"]
     kept = [test.steps for test in stopped.tests()]
     stopped.add_test(replace(stopped.tests()[-1], steps=steps + 1))
@@ -261,7 +250,7 @@ def test_tests_that_an_asynchronous_run_makes_at_other_steps_are_removed(tmp_pat
 
 
 def test_time_limit_stops_with_a_checkpoint(tmp_path: Path) -> None:
-    spec = BASE | CASES["sac, priority, hindsight"] | {"training": BASE["training"] | {"steps": 10**6}}
+    spec = USUAL | {"training": BASE["training"] | {"steps": 10**6}}
     outcome = Experiment(spec).run(tmp_path, time_limit=1.5)
     assert outcome.exit_code == 124
     folder = only(outcome)

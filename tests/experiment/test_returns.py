@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import io
 import json
 from pathlib import Path
 from typing import Any
@@ -40,10 +41,9 @@ app.command()(play)
 @pytest.fixture(scope="module")
 def told(tmp_path_factory: pytest.TempPathFactory) -> tuple[RunSummary, list[str]]:
     """A finished run, and the lines that it printed."""
-    display, lines = Plain(), []
-    display._print = lines.append  # type: ignore[method-assign]
-    outcome = Experiment(PENDULUM).run(tmp_path_factory.mktemp("runs"), listener=display)
-    return outcome.runs[0], lines
+    stream = io.StringIO()
+    outcome = Experiment(PENDULUM).run(tmp_path_factory.mktemp("runs"), listener=Plain(stream))
+    return outcome.runs[0], stream.getvalue().splitlines()
 
 
 @pytest.fixture(scope="module")
