@@ -52,6 +52,8 @@ THROWN_BEFORE = (
     "robot.gripper_delay=0",
     "randomization.robot.gripper_delay=null",
     "randomization.task.end_at_release=1",
+    "agent.learning_rate_updates=71000",
+    "training.steps=300000",
 )
 """The same for throws whose gripper had no delay."""
 ROBOTS = ("panda", "ur5", "iiwa")
