@@ -1,6 +1,7 @@
 """Reference runs: the runs that the tables of learning in README.md and docs/results.md are generated from.
 
 python docs/_scripts/references.py add RUN...   copy finished run folders into runs/reference
+python docs/_scripts/references.py ship RUN...  let their policies ship: of each spec the run of seed 0
 python docs/_scripts/references.py tables       write the tables
 python docs/_scripts/references.py check        exit 1 if tables, reference runs and shipped specs do not agree
 """
@@ -19,8 +20,9 @@ from typing import Any
 
 from karolos.comparison import Comparison, Contender, Estimate, compare, gather
 from karolos.errors import KarolosError
+from karolos.export import export_policy
 from karolos.files import write_json
-from karolos.records import RunFolder, paths
+from karolos.records import RunFolder, paths, shipped
 from karolos.records.decode import from_json
 from karolos.report.comparison_tables import estimate
 from karolos.report.tables import count, duration
@@ -138,6 +140,22 @@ def add(path: Path) -> Path:
     for name in FILES:
         if (path / name).exists():
             shutil.copy(path / name, target)
+    write_json(target / "run.json", {**about, "command": portable(about["command"])})
+    return target
+
+
+def ship(path: Path) -> Path:
+    """Export a run's policy to where those that ship are; returns the folder. Raises KarolosError as `add`, too."""
+    folder = RunFolder.open(path)
+    about = folder.description()
+    wrong = [*faults(folder), *(["it is not of seed 0"] if about["seed"] else [])]
+    if wrong:
+        raise KarolosError("; ".join(wrong), where=str(path))
+    target = shipped.FOLDER / about["name"]
+    shutil.rmtree(target, ignore_errors=True)
+    export_policy(folder, target, checkpoint="last", onnx=False)
+    for name in ("resolved.json", "run.json", "state.json", "tests.jsonl", "final.jsonl"):
+        shutil.copy(path / name, target)
     write_json(target / "run.json", {**about, "command": portable(about["command"])})
     return target
 
@@ -361,10 +379,10 @@ def problems() -> list[str]:
 
 def main() -> None:
     verb, *arguments = sys.argv[1:] or ["check"]
-    if verb == "add":
+    if verb in {"add", "ship"}:
         for argument in arguments:
             try:
-                print(add(Path(argument)).name)
+                print({"add": add, "ship": ship}[verb](Path(argument)).name)
             except KarolosError as error:
                 sys.exit(str(error))
     elif verb == "tables":
