@@ -349,7 +349,7 @@ def test_finer_physics_steps_give_the_same_motion(engine: Engine, rate: int) -> 
         world = make_world(engine, substeps=10 * one // 240, rate=one)
         _, motors = pendulum(world, 50 * WEIGHT)
         for begin, end in ((0.0, 1.0), (1.0, -1.0)):
-            motors.drive([begin], [end], None)
+            motors.drive([begin], [end], {})
             world.step()
         ends.append((*motors.read()[0], *motors.read()[1], world.period))
         world.close()

@@ -2,6 +2,8 @@
 
 from __future__ import annotations
 
+from typing import Any
+
 import numpy as np
 
 from ...core import random_actions
@@ -98,13 +100,17 @@ def _declared(environment: RobotTask) -> dict[str, tuple[float, float, float]]:
 
 
 def _trace(environment: RobotTask, seed: int) -> bytes:
-    """Observations of up to 30 steps with random actions, of which the first 14 lower the arm."""
+    """Observations and motor torques of up to 30 steps with random actions, of which the first 14 lower the arm."""
     seen = [environment.reset(seed).observation]
+    robot: Any = environment.robot
     actions = random_actions(environment.signature, 30, np.random.default_rng(0))
     actions[:14, 2] = -1.0
     for action in actions:
         after = environment.step(action)
-        seen.append(after.observation)
+        seen += [
+            after.observation,
+            np.array([state[3] for state in robot.body.joints(range(len(robot.limits.effort)))]),
+        ]
         if after.terminated or after.truncated:
             break
     return b"".join(observation.tobytes() for observation in seen)
