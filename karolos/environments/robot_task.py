@@ -60,6 +60,8 @@ class RobotTask(Environment):
 
     def __init__(self, settings: RobotTask.Settings, *, robot: Robot, task: Task) -> None:
         check_engine(settings.engine)
+        for setting in task.mujoco_only if settings.engine == "bullet" else ():
+            raise UsageError("PyBullet cannot do this", setting=setting, hint="set environment.engine=mujoco")
         self.settings = settings
         self.robot = robot
         self.task = task

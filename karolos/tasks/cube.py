@@ -143,6 +143,10 @@ class CubeTask(Task):
     settings: CubeSettings
     _robot: RobotView
 
+    @property
+    def mujoco_only(self) -> tuple[str, ...]:
+        return () if self.settings.object_stiffness is None else ("task.object_stiffness",)
+
     def build(self, world: World) -> None:
         self.cube = Cube(self.settings, world)
 

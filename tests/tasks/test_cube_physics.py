@@ -7,6 +7,7 @@ import pytest
 from support.rig import ENGINES, expert_episode, made, part, values
 
 from karolos.environments.robot_task import RobotTask
+from karolos.errors import UsageError
 from karolos.simulation.interface.engine import FLOOR_FRICTION, GRAVITY
 
 SPEED = 1.0
@@ -111,3 +112,20 @@ def test_a_cube_that_is_lost_ends_the_episode_as_truncated_and_diverged(task: st
     np.testing.assert_array_equal(environment.reset(1).observation, start.observation)
     assert environment.divergences == 1
     environment.close()
+
+
+def test_a_softer_cube_is_refused_where_the_engine_has_one_stiffness() -> None:
+    if "bullet" in ENGINES:
+        with pytest.raises(UsageError, match="PyBullet cannot do this"):
+            made("push", environment={"engine": "bullet"}, object_stiffness=1e5)
+    depths = []
+    for stiffness in (1e4, 1e6):
+        environment = made("push", object_stiffness=stiffness)
+        environment.reset(0)
+        for _ in range(5):
+            environment.step(np.zeros(3))
+        depths.append(-environment.task.cube.lowest)
+        environment.close()
+    # four corners, each a spring in a row with the floor's 4e6 N/m
+    assert depths[0] == pytest.approx(0.1 * -GRAVITY / 4 * (1 / 1e4 + 1 / 4e6), rel=0.05)
+    assert depths[1] < depths[0] / 50

@@ -51,6 +51,11 @@ class Task(ABC):
         self.goal = np.zeros(self.desired_goal.size, np.float32)
 
     @property
+    def mujoco_only(self) -> tuple[str, ...]:
+        """Settings with values that PyBullet does not offer, as a spec calls them."""
+        return ()
+
+    @property
     def max_steps(self) -> int:
         """Control steps per episode."""
         return int(self.settings.max_steps)
