@@ -48,7 +48,7 @@ ARM_PARAMETERS: Mapping[str, RandomizedParameter] = {
     ),
     "link_mass": RandomizedParameter("1", 1.0, 0.5, 2.0, "factor on the masses and inertias of all links"),
     "motor_gain": RandomizedParameter(
-        "1", 1.0, 0.8, 1.0, "fraction of its speed error that a motor removes per physics step of 1/240 s"
+        "1", 1.0, 0.8, 1.0, "fraction of its speed error that a motor removes in 1/240 s"
     ),
     "observation_noise": RandomizedParameter(
         "1", 0.0, 0.0, 0.2, "standard deviation of the noise on what is observed of arm and object, in SI units"

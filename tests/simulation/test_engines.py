@@ -19,6 +19,7 @@ from karolos.robots.panda import Panda
 from karolos.simulation import engines, urdf
 from karolos.simulation.engines import Engine, make_world
 from karolos.simulation.interface import Body, Camera, JointLimits, Motors, World
+from karolos.simulation.interface.engine import Material
 from karolos.specification import spec_from_dict
 
 PENDULUM = """
@@ -354,3 +355,25 @@ def test_finer_physics_steps_give_the_same_motion(engine: Engine, rate: int) -> 
         ends.append((*motors.read()[0], *motors.read()[1], world.period))
         world.close()
     assert ends[0] == pytest.approx(ends[1], abs=5e-3)
+
+
+def test_a_lively_box_comes_back_with_its_restitution_and_a_damped_one_sinks_slowly() -> None:
+    world: Any = make_world("mujoco", substeps=1)
+    box = world.box((0.04, 0.04, 0.04), 0.1, (1, 0, 0, 1))
+    box.set_material(Material(restitution=0.5))
+    box.place((0.0, 0.0, 0.32))
+    heights = []
+    for _ in range(240):
+        world.step()
+        heights.append(box.pose()[0][2] - 0.02)
+    landed = int(np.argmin(heights[:90]))
+    assert max(heights[landed:]) == pytest.approx(0.3 * 0.5**2, rel=0.15)
+    deep = []
+    for damping in (0.0, 2000.0):
+        box.set_material(Material(stiffness=1e3, damping=damping))
+        box.place((0.0, 0.0, 0.02))
+        for _ in range(6):
+            world.step()
+        deep.append(0.02 - box.pose()[0][2])
+    assert 0 < deep[1] < 0.5 * deep[0]
+    world.close()

@@ -59,7 +59,11 @@ class World:
     The floor is a rigid body: as an articulated one without joints it would cost 5 % more. A rigid cube would save as
     much again, but keeps state from before it was placed, so that episodes would not repeat bit for bit.
 
-    A window shows the floor of the pictures, from `camera`.
+    Args:
+        substeps: physics steps per control step.
+        rate: physics steps per second.
+        window: whether a window shows the world, with the floor of the pictures.
+        camera: from where.
 
     Raises MachineError when a window is requested and there is no display.
     """

@@ -32,6 +32,7 @@ CONTACT_FIELDS = ("dist", "friction", "geom1", "geom2", "efc_address")
 CONTACTS, EQUALITIES, ISLANDS, CONTACT, SPEED, AREF, COMPLIANCE, STIFFNESS, FORCE = range(9)
 ISLAND, ISLAND_COMPLIANCE, ISLAND_STIFFNESS = range(9, 12)
 DISTANCE, FRICTION, ONE, OTHER, ROW, STRIDE = range(12, 18)
+"""Places in `layout`: those of MuJoCo's data, of its islands, of a contact, and the size of a contact."""
 STICKING = 5.0
 """m/s2; friction stops what slides slower than this times a physics step, so that nothing is to be corrected."""
 STOPPING = 1.7

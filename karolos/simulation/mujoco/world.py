@@ -36,6 +36,11 @@ class World:
     Contacts have the product of the friction coefficients of both bodies, as with PyBullet. Therefore every pair of
     shapes that may touch is declared; MuJoCo by itself would take the larger coefficient.
 
+    Args:
+        substeps: physics steps per control step.
+        rate: physics steps per second.
+
+    Raises MachineError when a window is requested: there is none.
     """
 
     def __init__(
