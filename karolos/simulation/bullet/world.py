@@ -17,7 +17,17 @@ from ...core import Array, FloatArray
 from ...errors import PluginError
 from ...files import temporary_prefix
 from ..geometry import Vector
-from ..interface.engine import FLOOR_FRICTION, GRAVITY, PHYSICS_RATE, Camera, Colour, Contact, Fingers, JointLimits
+from ..interface.engine import (
+    FLOOR_FRICTION,
+    GRAVITY,
+    PHYSICS_RATE,
+    Camera,
+    Colour,
+    Contact,
+    Fingers,
+    Frame,
+    JointLimits,
+)
 from ..interface.engine import Body as AnyBody
 from ..meshes import stl
 from ..picture import FLOOR_COLOUR, GRID_COLOUR, GRIDS, SKY_COLOUR, Eye, Marker, draw
@@ -144,7 +154,14 @@ class World:
                 raise PluginError(what, where=f"robot {robot.get('name', '?')}") from error
         return Body(self.api, index)
 
-    def motors(self, body: AnyBody, joints: Sequence[str], limits: JointLimits, fingers: Fingers | None) -> Motors:
+    def motors(
+        self,
+        body: AnyBody,
+        joints: Sequence[str],
+        limits: JointLimits,
+        fingers: Fingers | None,
+        tool: Frame | None = None,  # noqa: ARG002 (of the wrench and springs)
+    ) -> Motors:
         links = body.links()
         pads = [links[name] for name in fingers.links] if fingers else []
         arm = [links[name] for name in joints]
