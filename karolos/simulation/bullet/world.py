@@ -114,6 +114,9 @@ class World:
             for body, peaks in self._peaks.items():
                 now = self._forces(body)
                 self._peaks[body] = {key: max(peaks.get(key, 0.0), now.get(key, 0.0)) for key in (*peaks, *now)}
+        for motors in self._motors:
+            recorded = self._peaks.get(motors.index)
+            motors.record(self._forces(motors.index) if recorded is None else recorded)
 
     def set_gravity(self, gravity: float) -> None:
         self.api.setGravity(0, 0, gravity)
@@ -194,6 +197,9 @@ class World:
     def forces(self, body: AnyBody) -> dict[tuple[int, int], float]:
         # recorded from the first question on, because looking in each physics step costs some us
         return self._peaks.setdefault(body.index, self._forces(body.index) if self._stepped else {})
+
+    def largest_forces(self, body: AnyBody) -> dict[tuple[int, int], float]:
+        return next((motors.largest for motors in self._motors if motors.index == body.index), {})
 
     def _forces(self, body: int) -> dict[tuple[int, int], float]:
         """As `forces`, of the last physics step."""
