@@ -8,7 +8,7 @@ from collections.abc import Callable, Sequence
 import numpy as np
 from numpy.typing import NDArray
 
-from ..core import Agent, Failure, Measure, Orchestrator, Received
+from ..core import Agent, Array, Failure, Measure, Orchestrator, Received
 from ..core.seeding import SeedTree
 from ..records.results import MeasureValues, TestResult
 from ..training.episodes import empty_steps, write_rows
@@ -118,11 +118,11 @@ def play_episodes(
         lengths=tuple(lengths.tolist()),
         distances=None if np.isnan(distances).any() else tuple(distances.tolist()),
         has_success=orchestrator.signature.has_success or bool(success_any.any()),
-        measures=_measured(declared, measures),
+        measures=measured(declared, measures),
     )
 
 
-def _measured(declared: Sequence[Measure], values: NDArray[np.float64]) -> dict[str, MeasureValues]:
+def measured(declared: Sequence[Measure], values: Array) -> dict[str, MeasureValues]:
     """Measures by name, given their values (episodes, measures), to six significant digits."""
     columns = [[None if math.isnan(one) else float(f"{one:.6g}") for one in column] for column in values.T.tolist()]
     return {

@@ -152,15 +152,8 @@ class TestCounts:
             sum(flags) if result.has_success else None for flags in (result.any, result.end, result.reset)
         )
         mean = _finite_mean(result.returns)
-        measures: dict[str, MeasureMean] = {
-            name: {
-                "unit": one["unit"],
-                "better": one["better"],
-                "mean": _finite_mean([value for value in one["values"] if value is not None]),
-            }
-            for name, one in result.measures.items()
-        }
-        return cls(int(result.steps), float(result.seconds), result.episodes, some, end, reset, mean, measures)
+        means = measure_means(result.measures)
+        return cls(int(result.steps), float(result.seconds), result.episodes, some, end, reset, mean, means)
 
     def row(self) -> dict[str, Any]:
         """Success, return and measures as JSON values; success with Wilson's intervals at 95 %."""
@@ -185,6 +178,18 @@ def _finite_mean(values: Sequence[float]) -> float | None:
     except (OverflowError, ValueError, ZeroDivisionError):
         return None
     return mean if math.isfinite(mean) else None
+
+
+def measure_means(measures: Mapping[str, MeasureValues]) -> dict[str, MeasureMean]:
+    """The mean of each measure over its episodes."""
+    return {
+        name: {
+            "unit": one["unit"],
+            "better": one["better"],
+            "mean": _finite_mean([value for value in one["values"] if value is not None]),
+        }
+        for name, one in measures.items()
+    }
 
 
 def _with(one: MeasureValues, values: tuple[float | None, ...]) -> MeasureValues:

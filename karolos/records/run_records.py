@@ -155,7 +155,7 @@ class RunSummary:
     """Mean over the episodes of the sum of rewards."""
     best_return: float | None = None
     """That of the policy `best`."""
-    measures: dict[str, MeasureMean] = field(default_factory=dict)
+    measures: dict[str, MeasureMean] = field(default_factory=dict, hash=False)
     """By name, those of the test that success and return are of."""
 
     def row(self) -> dict[str, Any]:
