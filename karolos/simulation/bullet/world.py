@@ -20,7 +20,7 @@ from .. import parts
 from ..geometry import Vector
 from ..interface.engine import FLOOR_FRICTION, GRAVITY, PHYSICS_RATE, Camera, Colour, Contact, Fingers, JointLimits
 from ..interface.engine import Body as AnyBody
-from ..meshes import stl
+from ..meshes import stl, triangles
 from ..picture import FLOOR_COLOUR, GRID_COLOUR, GRIDS, SKY_COLOUR, Eye, Marker, draw
 from ..shapes import Inertia, Shape, inertia_of
 from .body import Body
@@ -131,7 +131,7 @@ class World:
         with tempfile.TemporaryDirectory(prefix=temporary_prefix()) as folder:
             for number, mesh in enumerate(robot.iter("mesh")):
                 file = Path(folder, f"{number}.stl")
-                file.write_bytes(stl(Path(mesh.get("filename", ""))))
+                file.write_bytes(stl(triangles(Path(mesh.get("filename", "")))))
                 mesh.set("filename", str(file))
             ElementTree.indent(robot)  # PyBullet breaks lines of more than 1,024 characters
             path = Path(folder, "robot.urdf")

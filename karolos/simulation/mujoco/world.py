@@ -19,7 +19,7 @@ from .. import parts
 from ..geometry import Vector
 from ..interface.engine import FLOOR_FRICTION, PHYSICS_RATE, Camera, Colour, Contact, Fingers, JointLimits
 from ..interface.engine import Body as AnyBody
-from ..meshes import stl
+from ..meshes import stl, triangles
 from ..picture import Eye, Marker, draw
 from ..shapes import Inertia, Shape
 from .body import Body
@@ -272,6 +272,6 @@ def _readable(robot: Element) -> tuple[Element, dict[str, bytes]]:
                 element.set(key, "world link")
     meshes = {}
     for number, mesh in enumerate(robot.iter("mesh")):
-        meshes[f"{number}.stl"] = stl(Path(mesh.get("filename", "")))
+        meshes[f"{number}.stl"] = stl(triangles(Path(mesh.get("filename", ""))))
         mesh.set("filename", f"{number}.stl")
     return robot, meshes
