@@ -14,6 +14,7 @@ from karolos.randomization.randomization import RandomizedParameter
 from karolos.simulation.geometry import Box, Vector
 from karolos.simulation.interface import Body, Gripper, JointLimits, World
 from karolos.simulation.kinematics import Configuration, Pose
+from karolos.simulation.shapes import Cuboid
 
 SIZE = (0.04, 0.04, 0.04)
 
@@ -58,7 +59,7 @@ class Gantry:
         self.period = period
 
     def build(self, world: World) -> None:
-        self.tool = world.box(SIZE, 0.0, (0.3, 0.3, 0.4, 1.0))
+        self.tool = world.body([Cuboid(SIZE)], 0.0, (0.3, 0.3, 0.4, 1.0))
 
     def apply(self, name: str, value: float) -> None:
         self.play = value
