@@ -3,10 +3,11 @@
 from __future__ import annotations
 
 from collections.abc import Iterable, Sequence
+from pathlib import Path
 from xml.etree.ElementTree import Element, SubElement
 
 from .geometry import Quaternion, Vector, matrix_of
-from .shapes import Capsule, Cuboid, Cylinder, Inertia, Shape, Sphere, inertia_of
+from .shapes import Capsule, Cuboid, Cylinder, Inertia, Mesh, Shape, Sphere, inertia_of
 from .urdf import roll_pitch_yaw
 
 
@@ -32,14 +33,28 @@ def _link(name: str, shapes: Sequence[Shape], mass: float, inertia: Inertia | No
     moments = dict(zip(("ixx", "iyy", "izz"), map(repr, found.moments), strict=True))
     SubElement(inertial, "inertia", moments | dict.fromkeys(("ixy", "ixz", "iyz"), "0"))
     for shape in shapes:
-        collision = SubElement(link, "collision")
-        _place(collision, shape.position, shape.orientation)
-        SubElement(collision, "geometry").append(_geometry(shape))
+        kinds = [("collision", one) for one in _geometries(shape)]
+        if isinstance(shape, Mesh):
+            kinds.append(("visual", _mesh(shape.path, shape.scale)))
+        for kind, geometry in kinds:
+            made = SubElement(link, kind)
+            _place(made, shape.position, shape.orientation)
+            SubElement(made, "geometry").append(geometry)
     return link
 
 
+def _geometries(shape: Shape) -> list[Element]:
+    """What a shape collides as, in a URDF's words."""
+    if isinstance(shape, Mesh):
+        return [_mesh(piece, shape.scale) for piece in shape.pieces()]
+    return [_geometry(shape)]
+
+
+def _mesh(path: Path, scale: float) -> Element:
+    return Element("mesh", filename=str(path), scale=_text([scale] * 3))
+
+
 def _geometry(shape: Shape) -> Element:
-    """A shape as a URDF has it."""
     match shape:
         case Cuboid(size=size):
             return Element("box", size=_text(size))

@@ -2,20 +2,24 @@
 
 from __future__ import annotations
 
+import warnings
 from abc import ABC, abstractmethod
 from collections.abc import Sequence
 from dataclasses import dataclass
 from math import pi
+from pathlib import Path
+from typing import Literal
 
 import numpy as np
 
 from ..core import Array
 from ..errors import UsageError
+from . import meshes
 from .geometry import UPRIGHT, Quaternion, Vector, matrix_of, quaternion_of
 
 LEAST_SIZE, LARGEST_SIZE = 1e-6, 20.0
-"""Least and largest edge, radius, length and coordinate of a shape in m."""
-_SIZES = ("size", "radius", "length")
+"""Least and largest edge, radius, length and coordinate of a shape in m, and scale of a mesh."""
+_SIZES = ("size", "radius", "length", "scale")
 
 
 @dataclass(frozen=True, kw_only=True)
@@ -26,8 +30,8 @@ class Shape(ABC):
     orientation: Quaternion = UPRIGHT
 
     def __post_init__(self) -> None:
-        for name, value in vars(self).items():
-            least = LEAST_SIZE if name in _SIZES else -LARGEST_SIZE
+        for name in ("size", "radius", "length", "scale", "position", "orientation"):
+            value, least = getattr(self, name, 1.0), LEAST_SIZE if name in _SIZES else -LARGEST_SIZE
             if not all(least <= number <= LARGEST_SIZE for number in np.ravel(value)):
                 what, hint = f"{type(self).__name__}: {name} {value}", f"{least:g} to {LARGEST_SIZE:g} m"
                 raise UsageError(what, hint=hint)
@@ -84,6 +88,41 @@ class Capsule(Shape):
         away = length**2 / 4 + 3 / 8 * length * radius  # as much as the centres of the half balls are outside
         tensor = middle * cylinder + ends * (ball + np.diag([away, away, 0.0]))
         return middle + ends, np.zeros(3), tensor / (middle + ends)
+
+
+@dataclass(frozen=True)
+class Mesh(Shape):
+    """A part from an STL or OBJ file, `scale` times as large: with .001 the file is in millimetres.
+
+    Mass and inertia follow from what the mesh encloses, or from its convex hull if it is not closed. Bodies collide as
+    convex shapes. `collision` says what a mesh that is not convex collides as: its convex hull, or the convex pieces
+    that the package coacd finds (`pip install 'karolos[parts]'`). They follow the mesh to about 2 % of its size, too
+    coarse for a peg in a hole: make such a hole of boxes.
+
+    Raises PluginError for a file that is not a mesh, for a flat part, and for one that is smaller than .1 mm or
+    larger than 5 m.
+    """
+
+    path: Path
+    scale: float = 1.0
+    collision: Literal["convex", "decomposed"] | None = None
+    """None: convex, with a warning where that fills a hole or a hollow."""
+
+    def __post_init__(self) -> None:
+        super().__post_init__()
+        meshes.check_size(self.path, self.scale)
+        filled = meshes.solid(self.path).filled
+        if filled and self.collision is None:
+            hint = "collision='decomposed' keeps it, collision='convex' accepts it"
+            warnings.warn(f"{self.path}: its convex hull, which collides, fills {filled}; {hint}", stacklevel=3)
+
+    def solid(self) -> tuple[float, Array, Array]:
+        volume, centre, tensor, _ = meshes.solid(self.path)
+        return volume * self.scale**3, centre * self.scale, tensor * self.scale**2
+
+    def pieces(self) -> tuple[Path, ...]:
+        """Files of the convex pieces, in the unit of the file."""
+        return meshes.pieces(self.path) if self.collision == "decomposed" else (self.path,)
 
 
 @dataclass(frozen=True)

@@ -37,6 +37,7 @@ class Gantry:
     tool_speed = 0.5
     gripper_delay = 0.0
     stops, stopped = 0, False
+    measures = ()
     joint_step = (0.02,) * 3
     turns_joints = False
     opening = 0.0
@@ -80,6 +81,9 @@ class Gantry:
 
     def read(self) -> None:
         self.tool_position = self.tool.pose()[0]
+
+    def measure(self) -> dict[str, float]:
+        return {}
 
     def observe(self) -> list[float]:
         return [*self.tool_position, *self.tool_velocity]

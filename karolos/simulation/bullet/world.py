@@ -20,7 +20,7 @@ from .. import parts
 from ..geometry import Vector
 from ..interface.engine import FLOOR_FRICTION, GRAVITY, PHYSICS_RATE, Camera, Colour, Contact, Fingers, JointLimits
 from ..interface.engine import Body as AnyBody
-from ..meshes import stl
+from ..meshes import stl, triangles
 from ..picture import FLOOR_COLOUR, GRID_COLOUR, GRIDS, SKY_COLOUR, Eye, Marker, draw
 from ..shapes import Inertia, Shape, inertia_of
 from .body import Body
@@ -116,6 +116,9 @@ class World:
             for body, peaks in self._peaks.items():
                 now = self._forces(body)
                 self._peaks[body] = {key: max(peaks.get(key, 0.0), now.get(key, 0.0)) for key in (*peaks, *now)}
+        for motors in self._motors:
+            recorded = self._peaks.get(motors.index)
+            motors.record(self._forces(motors.index) if recorded is None else recorded)
 
     def set_gravity(self, gravity: float) -> None:
         self.api.setGravity(0, 0, gravity)
@@ -131,7 +134,7 @@ class World:
         with tempfile.TemporaryDirectory(prefix=temporary_prefix()) as folder:
             for number, mesh in enumerate(robot.iter("mesh")):
                 file = Path(folder, f"{number}.stl")
-                file.write_bytes(stl(Path(mesh.get("filename", ""))))
+                file.write_bytes(stl(triangles(Path(mesh.get("filename", "")))))
                 mesh.set("filename", str(file))
             ElementTree.indent(robot)  # PyBullet breaks lines of more than 1,024 characters
             path = Path(folder, "robot.urdf")
@@ -199,6 +202,9 @@ class World:
     def forces(self, body: AnyBody) -> dict[tuple[int, int], float]:
         # recorded from the first question on, because looking in each physics step costs some us
         return self._peaks.setdefault(body.index, self._forces(body.index) if self._stepped else {})
+
+    def largest_forces(self, body: AnyBody) -> dict[tuple[int, int], float]:
+        return next((motors.largest for motors in self._motors if motors.index == body.index), {})
 
     def _forces(self, body: int) -> dict[tuple[int, int], float]:
         """As `forces`, of the last physics step."""

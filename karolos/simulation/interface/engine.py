@@ -178,6 +178,17 @@ class Body(Protocol):
         """Set the mass in kg and the principal moments in kg m2 of a link. Its centre of mass and axes stay."""
 
 
+class Loads(NamedTuple):
+    """The largest that each joint of an arm had since its positions were last written: (n,) each."""
+
+    speed: Sequence[float]
+    """rad/s"""
+    acceleration: Sequence[float]
+    """rad/s2, the mean of a control step."""
+    torque: Sequence[float]
+    """Of the motor, in N m."""
+
+
 class Motors(Protocol):
     """The motors of an arm and its gripper.
 
@@ -216,6 +227,12 @@ class Motors(Protocol):
 
     def read(self) -> tuple[Sequence[float], Sequence[float], float]:
         """Positions (n,) in rad and velocities (n,) in rad/s of the joints, opening of the gripper (0 without)."""
+
+    def loads(self) -> Loads:
+        """The largest speed, acceleration and torque of each joint since `write`.
+
+        Speeds and torques are those of physics steps; with PyBullet those at the ends of control steps.
+        """
 
 
 class World(Protocol):
@@ -274,6 +291,12 @@ class World(Protocol):
 
         The key is the body's link and the index of the other body. It is the body's own index where two of its links
         touch; both then have an entry. Forces that were zero throughout are left out.
+        """
+
+    def largest_forces(self, body: Body) -> dict[tuple[int, int], float]:
+        """As `forces`, the largest since the joints of an arm were last written.
+
+        With PyBullet those of the last physics step of each control step, unless `forces` has been asked for.
         """
 
     def render(self, width: int, height: int, camera: Camera) -> Array:

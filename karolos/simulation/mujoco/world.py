@@ -19,7 +19,7 @@ from .. import parts
 from ..geometry import Vector
 from ..interface.engine import FLOOR_FRICTION, PHYSICS_RATE, Camera, Colour, Contact, Fingers, JointLimits
 from ..interface.engine import Body as AnyBody
-from ..meshes import stl
+from ..meshes import stl, triangles
 from ..picture import Eye, Marker, draw
 from ..shapes import Inertia, Shape
 from .body import Body
@@ -188,17 +188,21 @@ class World:
         return found
 
     def forces(self, body: AnyBody) -> dict[tuple[int, int], float]:
-        simulation, own = self._simulation, self._bodies[body.index]
-        found: dict[tuple[int, int], float] = {}
-        if not simulation.stepped:
-            return found
+        return self._pressing(body, self._simulation.peaks) if self._simulation.stepped else {}
+
+    def largest_forces(self, body: AnyBody) -> dict[tuple[int, int], float]:
+        return self._pressing(body, self._simulation.largest)
+
+    def _pressing(self, body: AnyBody, between: FloatArray) -> dict[tuple[int, int], float]:
+        """What presses on a body, given the forces between each two of MuJoCo's bodies (nbody, nbody)."""
+        own, found = self._bodies[body.index], dict[tuple[int, int], float]()
         bodies = {place: one.index for one in self._bodies for place in one.ids}
         links = {place: link for link, place in enumerate(own.ids, -1)}
-        for pair in np.argwhere(simulation.peaks).tolist():
+        for pair in np.argwhere(between).tolist():
             for first, second in (pair, pair[::-1]):
                 if first in links:
                     key = links[first], bodies[second]
-                    found[key] = found.get(key, 0.0) + float(simulation.peaks[tuple(pair)])
+                    found[key] = found.get(key, 0.0) + float(between[tuple(pair)])
         return found
 
     def render(self, width: int, height: int, camera: Camera) -> Array:
@@ -272,6 +276,6 @@ def _readable(robot: Element) -> tuple[Element, dict[str, bytes]]:
                 element.set(key, "world link")
     meshes = {}
     for number, mesh in enumerate(robot.iter("mesh")):
-        meshes[f"{number}.stl"] = stl(Path(mesh.get("filename", "")))
+        meshes[f"{number}.stl"] = stl(triangles(Path(mesh.get("filename", ""))))
         mesh.set("filename", f"{number}.stl")
     return robot, meshes
