@@ -10,18 +10,18 @@ from collections.abc import Callable, Mapping, Sequence
 from dataclasses import dataclass, field
 from functools import cached_property
 from math import atan2, dist, inf, sqrt
-from operator import mul
+from operator import mul, truediv
 from pathlib import Path
 from typing import ClassVar
 
 import numpy as np
 
-from ..core import Field, FloatArray, Layout
+from ..core import Field, FloatArray, Layout, Measure
 from ..core.seeding import Generator
 from ..errors import PluginError, UsageError
 from ..randomization.randomization import RandomizedParameter, drawn_settings
 from ..simulation import urdf
-from ..simulation.geometry import Orientations, Quaternion, Vector, from_axes
+from ..simulation.geometry import Orientations, Quaternion, Vector, quaternion_of
 from ..simulation.interface import Body, Box, Fingers, Gripper, JointLimits, World
 from ..simulation.interface.engine import OPENS
 from ..simulation.interface.robot import ControlMode
@@ -60,6 +60,17 @@ ARM_PARAMETERS: Mapping[str, RandomizedParameter] = {
     ),
     "action_delay": RandomizedParameter("control steps", 0.0, 0.0, 2.0, "delay of the actions; rounded"),
 }
+
+ARM_MEASURES = (
+    Measure("path_length", "m", "smaller", "length of the way of the tool centre point"),
+    Measure("peak_force", "N", "smaller", "largest force of a body or another link on a link of the arm or gripper"),
+    Measure("peak_joint_speed", "1", "smaller", "largest speed of a joint, as a share of its limit"),
+    Measure("peak_joint_acceleration", "1", "smaller", "largest acceleration of a joint, as a share of its limit"),
+    Measure("peak_joint_torque", "1", "smaller", "largest torque of a motor, as a share of its limit"),
+)
+"""Of every arm. `Arm.measure` computes them."""
+PAD_FORCE = Measure("peak_pad_force", "N", "smaller", "largest force of a body on a pad of the gripper")
+STOPS = Measure("protective_stops", "1", "smaller", "protective stops, those that are only counted included")
 
 
 @dataclass(frozen=True)
@@ -263,6 +274,23 @@ class Arm:
         gripper = () if self._fingers is None else (Field("gripper_opening", 1),)  # -1 closed, 1 open
         return Layout((*self._control.action, *gripper))
 
+    @property
+    def measures(self) -> tuple[Measure, ...]:
+        return (*ARM_MEASURES, *[PAD_FORCE] * (self._fingers is not None), *[STOPS] * (self._guard is not None))
+
+    def measure(self) -> dict[str, float]:
+        forces, loads = self.world.largest_forces(self.body), self.motors.loads()
+        pads = [force for (link, _), force in forces.items() if link in self.motors.pads]
+        return {
+            "path_length": self._path,
+            "peak_force": max(forces.values(), default=0.0),
+            "peak_joint_speed": max(map(truediv, loads.speed, self.limits.velocity)),
+            "peak_joint_acceleration": max(map(truediv, loads.acceleration, self._accelerations)),
+            "peak_joint_torque": max(map(truediv, loads.torque, self.limits.effort)),
+            "peak_pad_force": max(pads, default=0.0),
+            "protective_stops": self.stops,
+        }
+
     def build(self, world: World) -> None:
         robot, carriers = self.model.description.robot, self.model.description.carriers
         fingers = self.model.fingers
@@ -277,7 +305,7 @@ class Arm:
         self.body.collide_only(pairs)
         self.ramps = Ramps(self.limits, world.period, self._accelerations, (self.chain, self.tool_speed))
         arm = [joint.child for joint in self._joints]
-        tool = self.model.tool, from_axes(*urdf.rotation_matrix(*self.model.tool_rpy).T.tolist())
+        tool = self.model.tool, quaternion_of(urdf.rotation_matrix(*self.model.tool_rpy))
         self.motors = motors = world.motors(self.body, arm, self.limits, self._fingers, tool)
         self._control.build()
         self._arm_links = [self.body.links()[name] for name in arm]
@@ -324,6 +352,7 @@ class Arm:
             self._guard.reset()
         self._read()
         self._control.reset()
+        self._path = 0.0
 
     def _clipped(self, positions: Sequence[float]) -> list[float]:
         """Joint positions within their limits."""
@@ -399,7 +428,9 @@ class Arm:
         return 1.0, (1 - opening) / (1 - self.opening)
 
     def read(self) -> None:
+        before = self.tool_position
         self._read()
+        self._path += dist(before, self.tool_position)
         if self._guard is not None:
             self._guard.watch(self._forces(), self.joint_torques)
 
@@ -425,9 +456,12 @@ class Arm:
             self._pressing = self.world.forces(self.body)
         return self._pressing
 
-    def touches_others(self, *allowed: Body) -> bool:
+    def largest_force(self, *allowed: Body) -> float:
         indices = {body.index for body in allowed}
-        return any(other not in indices for _, other in self._forces())
+        return max((force for (_, other), force in self._forces().items() if other not in indices), default=0.0)
+
+    def touches_others(self, *allowed: Body) -> bool:
+        return self.largest_force(*allowed) > 0
 
     def _read(self) -> None:
         self._pressing = None

@@ -4,7 +4,7 @@ from __future__ import annotations
 
 from collections.abc import Sequence
 from dataclasses import dataclass
-from math import atan2, cos, hypot, pi, sin, sqrt
+from math import atan2, copysign, cos, hypot, pi, sin, sqrt
 
 import numpy as np
 
@@ -13,6 +13,17 @@ from ..core import Array, FloatArray
 Vector = tuple[float, float, float]
 Quaternion = tuple[float, float, float, float]
 UPRIGHT: Quaternion = (0.0, 0.0, 0.0, 1.0)
+
+
+def matrix_of(quaternion: Quaternion) -> Array:
+    """The rotation matrix (3, 3) of a quaternion, which need not have the length 1."""
+    x, y, z, w = np.divide(quaternion, np.linalg.norm(quaternion)).tolist()
+    return np.column_stack(axes((x, y, z, w)))
+
+
+def quaternion_of(matrix: Array) -> Quaternion:
+    """The quaternion of a rotation matrix (3, 3); w is not negative."""
+    return from_axes(*matrix.T.tolist())
 
 
 @dataclass(frozen=True)
@@ -143,7 +154,7 @@ def columns(rotation: Quaternion) -> tuple[float, float, float, float, float, fl
 
 
 def from_axes(x: Vector, y: Vector, z: Vector) -> Quaternion:
-    """The rotation that turns the world's axes into these unit vectors."""
+    """The rotation that turns the world's axes into these unit vectors; w is not negative."""
     (a, d, g), (b, e, h), (c, f, i) = x, y, z  # the rows of the matrix are a b c, d e f, g h i
     # the four components, each times the same one, the largest: Shepperd 1978, Quaternion from Rotation Matrix
     candidates = (
@@ -154,7 +165,7 @@ def from_axes(x: Vector, y: Vector, z: Vector) -> Quaternion:
     )
     best = max(range(4), key=lambda place: candidates[place][place])
     p, q, r, s = candidates[best]
-    size = sqrt(p * p + q * q + r * r + s * s)
+    size = copysign(sqrt(p * p + q * q + r * r + s * s), s)
     return p / size, q / size, r / size, s / size
 
 

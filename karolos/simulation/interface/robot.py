@@ -7,7 +7,7 @@ from typing import ClassVar, Literal, Protocol
 
 from pydantic import BaseModel
 
-from ...core import FloatArray, Layout
+from ...core import FloatArray, Layout, Measure
 from ...core.seeding import Generator
 from ...randomization.randomization import RandomizedParameter
 from ..geometry import Box, Orientations, Quaternion, Vector
@@ -75,6 +75,9 @@ class RobotView(Protocol):
     stopped: bool
     """Whether a protective stop has ended the running episode."""
 
+    def largest_force(self, *allowed: Body) -> float:
+        """Largest force in N on a link in a physics step of the last control step, by other bodies than these."""
+
     def touches_others(self, *allowed: Body) -> bool:
         """Whether anything but these bodies presses on a link: the floor, another body, or another link of the arm."""
 
@@ -129,6 +132,8 @@ class Robot(RobotView, Protocol):
     action: Layout
     stops: int
     """Number of protective stops in the running episode, those that are only counted included."""
+    measures: Sequence[Measure]
+    """What it measures an episode by; may depend on `prepare`."""
 
     mujoco_only: Sequence[str]
     """Settings with values that PyBullet does not offer, as a spec calls them."""
@@ -164,3 +169,6 @@ class Robot(RobotView, Protocol):
 
     def observe(self) -> list[float]:
         """The robot's part of the observation."""
+
+    def measure(self) -> dict[str, float]:
+        """The values of `measures` at the end of an episode, by name; as `Task.measure`."""

@@ -183,8 +183,8 @@ def _touch(data, at, contact, row, h, material):
 
 
 @_compiled
-def _weigh(data, at, bodies, forces, peaks):
-    """Raise the peaks to the normal forces between each two bodies. `forces` (nbody, nbody): zeros, as afterwards."""
+def _weigh(data, at, bodies, forces, peaks, largest):
+    """Raise both maxima to the normal forces between each two bodies. `forces` (nbody, nbody): zeros, as afterwards."""
     force, first = _address(data + at[FORCE]), _address(data + at[CONTACT])
     last = first + at[STRIDE] * _integer(data + at[CONTACTS])
     for contact in range(first, last, at[STRIDE]):
@@ -193,6 +193,7 @@ def _weigh(data, at, bodies, forces, peaks):
             one, other = bodies[_integer(contact + at[ONE])], bodies[_integer(contact + at[OTHER])]
             forces[one, other] += _number(force + 8 * row)
             peaks[one, other] = max(peaks[one, other], forces[one, other])
+            largest[one, other] = max(largest[one, other], forces[one, other])
     for contact in range(first, last, at[STRIDE]):
         forces[bodies[_integer(contact + at[ONE])], bodies[_integer(contact + at[OTHER])]] = 0.0
 
@@ -316,6 +317,16 @@ def _pull(model, data, at, h, positions, velocities, tool, time):
 
 
 @_compiled
+def _resist(data, at, tool, loads):
+    """Complete the torques of a spring by what was added to the inertia, and raise the largest ones."""
+    acceleration = _address(data + at[ACCELERATION])
+    for j in range(tool.size):
+        for k in range(tool.size):
+            tool.torques[j] -= tool.added[j, k] * _number(acceleration + 8 * tool.dofs[k])
+        loads[2, tool.dofs[j]] = max(loads[2, tool.dofs[j]], abs(tool.torques[j]))
+
+
+@_compiled
 def _keep_posture(h, positions, tool, jacobian, speeds):
     """Add springs and dampers towards the home pose in the joints, less what the tool would feel of them."""
     n = tool.size
@@ -382,6 +393,17 @@ def _feel(data, at, tools, hands):
 
 
 @_compiled
+def _load(data, at, motors, velocities, places, loads):
+    """Raise the largest speeds and torques of the motors' joints."""
+    force = _address(data + at[FORCE]) + 8 * _integer(data + at[EQUALITIES])
+    for motor in range(len(motors)):
+        joint = places[motor, 1]
+        loads[0, joint] = max(loads[0, joint], abs(velocities[joint]))
+        if motors[motor] >= 0:
+            loads[2, joint] = max(loads[2, joint], abs(_number(force + 8 * motors[motor])))
+
+
+@_compiled
 def advance(
     model,
     data,
@@ -398,6 +420,8 @@ def advance(
     material,
     bodies,
     peaks,
+    largest,
+    loads,
     tools,
     hands,
 ):
@@ -424,12 +448,14 @@ def advance(
         material: compliance in m/N, damping in N s/m and restitution of each geom: (ngeom, 3).
         bodies: of each geom.
         peaks: written: the largest normal force in N between each two bodies in any of the steps (nbody, nbody).
+        largest: raised to the peaks.
+        loads: raised to the largest speed, acceleration and torque of each motor's joint (3, nv).
         tools: of the arms, `TOOL` (r,).
         hands: number of the tool that each geom moves with, -1 for others (ngeom,).
     """
     steps, count = targets.shape
     peaks[:] = 0.0
-    forces = np.zeros_like(peaks)
+    forces, before = np.zeros_like(peaks), velocities.copy()
     _integrate(model, positions.ctypes.data, velocities.ctypes.data, h / 2)
     for step in range(steps):
         _step1(model, data)
@@ -451,11 +477,12 @@ def advance(
             if tools[tool].spring[0] > 0:
                 _pull(model, data, at, h, positions, velocities, tools[tool], (step + 0.5) * h)
         _step2(model, data)
-        _weigh(data, at, bodies, forces, peaks)
+        _weigh(data, at, bodies, forces, peaks, largest)
+        _load(data, at, motors, velocities, places, loads)
         _feel(data, at, tools, hands)
-    for tool in range(len(tools)):  # what is added to the inertia resists like a torque
-        for j in range(tools[tool].size if tools[tool].spring[0] > 0 else 0):
-            for k in range(tools[tool].size):
-                acceleration = _number(_address(data + at[ACCELERATION]) + 8 * tools[tool].dofs[k])
-                tools[tool].torques[j] -= tools[tool].added[j, k] * acceleration
+        for tool in range(len(tools)):
+            if tools[tool].spring[0] > 0:
+                _resist(data, at, tools[tool], loads)
+    for joint in places[:, 1]:
+        loads[1, joint] = max(loads[1, joint], abs(velocities[joint] - before[joint]) / (steps * h))
     _integrate(model, positions.ctypes.data, velocities.ctypes.data, -h / 2)
