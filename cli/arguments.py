@@ -13,7 +13,7 @@ import typer
 
 from karolos.errors import UsageError
 
-from .completion import complete_run, complete_setting
+from .completion import complete_run
 from .output import say, warn
 
 if TYPE_CHECKING:
@@ -53,7 +53,6 @@ Overrides = Annotated[
     typer.Argument(
         metavar="[PATH=VALUE]...",
         help="Settings that replace the spec's, e.g. agent.learning_rate=1e-4 seeds=[0,1].",
-        autocompletion=complete_setting,
     ),
 ]
 OneRun = Annotated[str, typer.Argument(metavar="RUN", help=RUN_HELP, autocompletion=complete_run)]
@@ -165,8 +164,7 @@ def select_runs(
         matching = {run.run: run for run in store.runs(where=where)}
         selected = {run: matching[run] for run in selected if run in matching} if selectors else matching
     if not selected:
-        hint = store.closest_value(where) if where is not None else None
-        raise UsageError("no runs match the filter", hint=hint or "`karolos runs list FILTER` shows which runs match")
+        raise UsageError("no runs match the filter", hint="`karolos runs list FILTER` shows which runs match")
     return store, tuple(selected.values())
 
 

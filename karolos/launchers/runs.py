@@ -24,7 +24,7 @@ from ..experiment.events import (
 )
 from ..experiment.resume import find_run
 from ..experiment.writer import index_run
-from ..files import new_lines, read_object, remove_temporary_leftovers, write_json
+from ..files import new_lines, read_object, write_json
 from ..records import RunFolder, provenance
 from ..records.archive import remove_unfinished_imports
 from ..records.decode import from_json
@@ -63,7 +63,6 @@ class Home:
             StoreError: the database cannot be used.
         """
         home = cls(Path(runs), database or Store.default_url(runs), existing, spec.text)
-        remove_temporary_leftovers()
         RunFolder.check_writable(home.runs)
         remove_unfinished_imports(home.runs)
         remove_lost_leftovers(home.runs, f"{spec.name}-*")

@@ -120,20 +120,6 @@ def records_of(database: Database, runs: Sequence[RunSummary]) -> tuple[RunRecor
     return tuple(RunRecord(run, contents[run.run][0], tuple(tests[run.run]), contents[run.run][1]) for run in known)
 
 
-def closest_value(database: Database, where: str) -> str | None:
-    """For a filter that matches no run: the first value in it that no run has, and the closest that some run has."""
-    condition = filters.parse(where)
-    with database.reading() as connection:
-        values = _Values(connection, database.home)
-        for comparison in condition.comparisons:
-            for literal in comparison.literals if comparison.operator in ("=", "in") else ():
-                known = values.texts(comparison.key)
-                like = None if literal.text in known else closest(literal.text, known)
-                if like is not None and isinstance(literal.value, str):
-                    return f"no run has {comparison.key}={literal.text}, did you mean {like}?"
-    return None
-
-
 _Value = tuple[str, Callable[[Any], Any]]
 """The column of `runs` to read for a filter's key, a field of RunSummary or a digest, and how to get its value."""
 
@@ -155,14 +141,6 @@ class _Values:
         found = {key: self._value(key) for key in condition.keys}
         condition.refuse_unknown(lambda key: found[key] is not None, self._closest)
         return {key: value for key, value in found.items() if value is not None}
-
-    def texts(self, key: str) -> set[str]:
-        """The distinct texts that runs have as the value of a key."""
-        if key == "tags":
-            return {tag for tags in self._connection.scalars(select(RUNS.c.tags)) for tag in tags}
-        if key in SUMMARY_FIELDS:
-            return {text for text in self._connection.scalars(select(RUNS.c[key]).distinct()) if isinstance(text, str)}
-        return {text for text in self._settings(key).values() if isinstance(text, str)}
 
     def _value(self, key: str) -> _Value | None:
         if key in SUMMARY_FIELDS:

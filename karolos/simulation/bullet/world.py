@@ -15,7 +15,6 @@ from numpy.typing import NDArray
 
 from ...core import Array, FloatArray
 from ...errors import PluginError
-from ...files import temporary_prefix
 from ..geometry import Vector
 from ..interface.engine import FLOOR_FRICTION, GRAVITY, PHYSICS_RATE, Camera, Colour, Contact, Fingers, JointLimits
 from ..interface.engine import Body as AnyBody
@@ -123,7 +122,7 @@ class World:
 
     def load(self, robot: Element, *, position: Vector = (0.0, 0.0, 0.0)) -> Body:
         robot = copy.deepcopy(robot)
-        with tempfile.TemporaryDirectory(prefix=temporary_prefix()) as folder:
+        with tempfile.TemporaryDirectory() as folder:
             for number, mesh in enumerate(robot.iter("mesh")):
                 file = Path(folder, f"{number}.stl")
                 file.write_bytes(stl(Path(mesh.get("filename", ""))))
