@@ -22,7 +22,7 @@ from karolos.experiment.events import (
     RunWarned,
 )
 from karolos.report.tables import clean
-from karolos.sweep.events import FinalBegan, TrialAdvanced, TrialBegan, TrialEnded
+from karolos.sweep.events import FinalBegan, TrialBegan, TrialEnded
 
 from .output import drawn_text
 
@@ -199,10 +199,6 @@ class SweepDisplay(Quiet):
                 speed_estimate_period=SWEEP_SPEED_SECONDS,
             )
             self._task = self._bars.add_task("trials", total=None, done="", best="")
-        self._ended = 0
-        """Trials of this phase that have ended."""
-        self._fractions: dict[str, float] = {}
-        """Trials that have not ended, by name -> fraction of their steps."""
 
     def __call__(self, event: Any) -> None:
         super().__call__(event)
@@ -220,21 +216,14 @@ class SweepDisplay(Quiet):
             self._update(self._bars, event)
 
     def _update(self, bar: Progress, event: SweepEvent) -> None:
-        if isinstance(event, TrialAdvanced):
-            self._fractions[event.name] = event.fraction
-        elif isinstance(event, TrialBegan | TrialEnded):
-            self._fractions.pop(event.trial.name, None)
+        if isinstance(event, TrialBegan | TrialEnded):
             best = event.best and f"best {self._values(event.best)} (trial {event.best.number})"
             done = f"{event.done}/{event.asked}"
-            bar.update(self._task, total=event.asked, done=done, best=best or "")
-            self._ended = event.done
+            bar.update(self._task, total=event.asked, completed=event.done, done=done, best=best or "")
         elif isinstance(event, FinalBegan):
-            self._fractions.clear()
-            self._ended = 0
             doing = "choosing" if event.purpose == "choose" else "reporting"
             done, best = f"{len(event.seeds)} seeds each", bar.tasks[0].fields["best"]
             bar.reset(self._task, description=doing, total=len(event.trials), done=done, best=best)
-        bar.update(self._task, completed=self._ended + sum(self._fractions.values()))
 
     def _values(self, trial: Trial) -> str:
         values = zip(self._objectives, trial.values or (), strict=False)
