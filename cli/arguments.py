@@ -138,7 +138,7 @@ def open_run(selector: str, runs: Path, database: str | None) -> RunFolder:
         RunError: the run's folder is missing or damaged.
     """
     from karolos.records import RunFolder
-    from karolos.store.selectors import find_folder
+    from karolos.store.query import find_folder
 
     if os.path.isfile(Path(selector) / "run.json"):  # needs no index; Path.is_file raises for a long name
         return RunFolder.open(selector)
@@ -156,7 +156,7 @@ def select_runs(
     """
     if not selectors and where is None:
         raise UsageError("which runs?", hint="name RUN, or give --where FILTER")
-    from karolos.store.selectors import existing
+    from karolos.store.query import existing
 
     store = existing(open_store(runs, database), selectors[0] if selectors else str(where), runs)
     selected = {run.run: run for selector in selectors for run in store.select(selector)}

@@ -198,7 +198,7 @@ def show(
 ) -> None:
     """Show a run: state, result with 95 % intervals, and the settings that are not defaults."""
     from karolos.records import RunFolder, transfer_results
-    from karolos.store.selectors import existing, find_meant
+    from karolos.store.query import existing, find_meant
 
     about: Mapping[str, Any] = {}
     results: Sequence[TestResult] = ()

@@ -1,4 +1,4 @@
-"""Selectors: the text a person types to name one run, of their own or one that ships, or the runs of an experiment."""
+"""Selectors: the text a person types to name one run, or the runs of an experiment."""
 
 from __future__ import annotations
 
@@ -6,21 +6,15 @@ import os
 import re
 from collections.abc import Sequence
 from pathlib import Path
-from typing import TYPE_CHECKING
 
 import sqlalchemy
 
 from ..errors import NoSuchRunError, UsageError
-from ..records import RunFolder
 from ..records.run_records import RunSummary
-from ..records.shipped import FOLDER, shipped_names
-from ..registry import alternatives, closest
+from ..registry import closest
 from .database import Database
 from .runs import find_runs
 from .tables import RUNS
-
-if TYPE_CHECKING:
-    from .store import Store
 
 SHORTEST_HASH = 6
 """Fewest digits that are taken for the beginning of a hash."""
@@ -93,43 +87,3 @@ def only(selector: str, found: Sequence[RunSummary]) -> RunSummary:
         return found[0]
     listed = ", ".join(run.run for run in found[:_LISTED]) + (" ..." if len(found) > _LISTED else "")
     raise UsageError(f"{selector!r} means several runs", hint=f"one of {listed}; or @last")
-
-
-def find_meant(selector: str, store: Store | None, runs: str | Path) -> RunSummary:
-    """The one run that a selector means: a path, what `Store.find` takes, or the name of a shipped run.
-
-    A run of one's own with the name of a run that ships comes first. `runs` is named where there is no index.
-
-    Raises:
-        UsageError: it means no run, or several.
-        RunError: the folder is damaged.
-    """
-    if os.path.isfile(Path(selector) / "run.json"):  # Path.is_file raises for a name that is too long
-        return RunFolder.open(selector).summary()
-    if shipped := shipped_run(selector, store):
-        return shipped.summary()
-    try:
-        return existing(store, selector, runs).find(selector)
-    except NoSuchRunError as error:
-        ships = alternatives(selector, shipped_names(), what="policies that ship")
-        raise NoSuchRunError(error.what, hint=f"{error.hint}; {ships}") from error
-
-
-def find_folder(selector: str, store: Store | None, runs: str | Path) -> RunFolder:
-    """The folder of the run that `find_meant` finds. Raises RunError as well if the folder is missing."""
-    return RunFolder.open(find_meant(selector, store, runs).folder)
-
-
-def existing(store: Store | None, selector: str, runs: str | Path) -> Store:
-    """The index. Raises NoSuchRunError if there is none because there are no runs."""
-    if store is None:
-        what = f"{selector!r} means no run: there are no runs in {runs} yet"
-        raise NoSuchRunError(what, hint="`karolos run SPEC` makes one")
-    return store
-
-
-def shipped_run(selector: str, store: Store | None) -> RunFolder | None:
-    """The run that ships of this name, unless there are runs of one's own with it."""
-    if selector not in shipped_names() or (store and store.runs(name=selector, limit=1)):
-        return None
-    return RunFolder.open(FOLDER / selector)
