@@ -9,7 +9,7 @@ from __future__ import annotations
 
 import sys
 from argparse import ArgumentParser
-from collections.abc import Callable, Iterator
+from collections.abc import Callable, Iterator, Sequence
 from contextlib import closing, contextmanager
 from itertools import product
 from pathlib import Path
@@ -25,6 +25,8 @@ from karolos.evaluation.testing import test_seeds
 from karolos.records import RunFolder, shipped
 from karolos.simulation.engines import Engine, installed, make_world
 from karolos.simulation.interface import JointLimits
+from karolos.simulation.interface.engine import Contact
+from karolos.simulation.shapes import Cuboid, Cylinder
 from karolos.specification import load_spec
 
 GRAVITY, FRICTION, EDGE, MASS = 9.81, 0.5, 0.04, 0.1
@@ -39,7 +41,7 @@ PENDULUM = """<robot name="pendulum"><link name="base"><inertial><mass value="1"
 
 def cube(world: Any, place: tuple[float, float, float] = (0.0, 0.0, EDGE / 2), **how: Any) -> Any:
     """A cube on the floor."""
-    body = world.box((EDGE,) * 3, how.get("mass", MASS), COLOUR)
+    body = world.body([Cuboid((EDGE,) * 3)], how.get("mass", MASS), COLOUR)
     body.set_friction(1.0)
     body.place(place, how.get("turn", (0.0, 0.0, 0.0, 1.0)))
     return body
@@ -98,6 +100,20 @@ def incline(world: Any, degrees: float) -> dict[str, float]:
     return {"acceleration, error": float((np.linalg.norm(body.velocity()[0]) - before) / 0.5 / wanted - 1)}
 
 
+def rolling(world: Any, degrees: float) -> dict[str, float]:
+    """A cylinder rolls down the floor, which leans: 2/3 g sin a."""
+    angle = np.radians(degrees)
+    turn = (0.0, float(np.sin(angle / 2)), 0.0, float(np.cos(angle / 2)))
+    world.floor.place((0.0, 0.0, 0.0), turn)
+    body = world.body([Cylinder(EDGE, 2 * EDGE, orientation=(0.5**0.5, 0.0, 0.0, 0.5**0.5))], MASS, COLOUR)
+    body.place((EDGE * np.sin(angle), 0.0, EDGE * np.cos(angle)), turn)
+    run(world, 0.25)
+    before = np.linalg.norm(body.velocity()[0])
+    run(world, 0.5)
+    wanted = 2 / 3 * GRAVITY * np.sin(angle)
+    return {"acceleration, error": float((np.linalg.norm(body.velocity()[0]) - before) / 0.5 / wanted - 1)}
+
+
 def dropping(world: Any) -> dict[str, float]:
     """A cube falls .5 m: how deep it goes into the floor, and how high it comes back."""
     body = cube(world, (0.0, 0.0, EDGE / 2 + 0.5))
@@ -117,7 +133,7 @@ def stacking(world: Any) -> dict[str, float]:
 def pressing(world: Any) -> dict[str, float]:
     """A cube under a weight of 10 kg: how deep it goes into the floor."""
     body = cube(world)
-    weight = world.box((EDGE,) * 3, 10.0, COLOUR)
+    weight = world.body([Cuboid((EDGE,) * 3)], 10.0, COLOUR)
     weight.place((0.0, 0.0, 1.5 * EDGE))
     run(world, 2.0)
     return {"depth, mm": -lowest(body) * 1e3}
@@ -134,21 +150,37 @@ def swinging(world: Any) -> dict[str, float]:
     return {"energy, change": float(energy / (2 * GRAVITY * 0.5))}
 
 
+def hole(play: float) -> list[Cuboid]:
+    """Four boxes, 25 mm high, around a square of 20 mm and this play in m in all."""
+    wall, height = 0.02, 0.025
+    middle = 0.01 + play / 2 + wall / 2
+    sides = ((middle, 0.0), (-middle, 0.0), (0.0, middle), (0.0, -middle))
+    return [Cuboid((wall, 0.08, height) if x else (0.08, wall, height), position=(x, y, height / 2)) for x, y in sides]
+
+
+def deepest(points: Sequence[Contact]) -> float:
+    """How deep two bodies overlap, in mm."""
+    return -1e3 * min((point.distance for point in points), default=0.0)
+
+
 def inserting(world: Any) -> dict[str, float]:
     """A peg of 20 mm falls into a frame of four boxes with 1 mm of play: how deep, and how deep into the walls."""
-    half, play, depth, wall = 0.01, 0.0005, 0.025, 0.02
-    walls = []
-    for x, y in ((1, 0), (-1, 0), (0, 1), (0, -1)):
-        middle = half + play + wall / 2
-        walls.append(world.box((wall, 0.08, depth) if x else (0.08, wall, depth), 0.0, COLOUR))
-        walls[-1].place((x * middle, y * middle, depth / 2))
-    peg = world.box((2 * half, 2 * half, 0.06), MASS, COLOUR)
-    peg.place((0.0003, -0.0002, 0.03 + depth + 0.002))
-    deepest = 0.0
-    for _ in steps(world, 1.0):
-        found = [point.distance for body in walls for point in world.contacts(peg, body, -1)]
-        deepest = min([deepest, *found])
-    return {"left above the ground, mm": (peg.pose()[0][2] - 0.03) * 1e3, "depth into walls, mm": -deepest * 1e3}
+    frame = world.body(hole(0.001), 0.0, COLOUR)
+    peg = world.body([Cuboid((0.02, 0.02, 0.06))], MASS, COLOUR)
+    peg.place((0.0003, -0.0002, 0.03 + 0.025 + 0.002))
+    deep = max(deepest(world.contacts(peg, frame, -1)) for _ in steps(world, 1.0))
+    return {"left above the ground, mm": (peg.pose()[0][2] - 0.03) * 1e3, "depth into walls, mm": deep}
+
+
+def leaning(world: Any) -> dict[str, float]:
+    """A peg of 20 mm in such a frame with .5 mm of play, which lies on its side: the peg presses on it with 25 N."""
+    turn = (0.0, 0.5**0.5, 0.0, 0.5**0.5)
+    frame = world.body(hole(0.0005), 0.0, COLOUR)
+    frame.place((0.0, 0.0, 0.2), turn)
+    peg = world.body([Cuboid((0.02, 0.02, 0.06))], 25 / GRAVITY, COLOUR)
+    peg.place((0.0125, 0.0, 0.2), turn)
+    run(world, 1.0)
+    return {"depth, share of the play": deepest(world.contacts(peg, frame, -1)) / 0.5}
 
 
 TRIALS: dict[str, tuple[Callable[..., dict[str, float]], tuple[float, ...]]] = {
@@ -157,11 +189,13 @@ TRIALS: dict[str, tuple[Callable[..., dict[str, float]], tuple[float, ...]]] = {
     "slope of 25 degrees (friction .5 holds)": (incline, (25,)),
     "slope of 28 degrees": (incline, (28,)),
     "slope of 30 degrees": (incline, (30,)),
+    "cylinder on a slope of 10 degrees": (rolling, (10,)),
     "fall from .5 m": (dropping, ()),
     "stack of three, 10 s": (stacking, ()),
     "pressed with 98 N": (pressing, ()),
     "pendulum, 10 s": (swinging, ()),
     "peg in a frame with 1 mm of play": (inserting, ()),
+    "peg pressed with 25 N in .5 mm of play": (leaning, ()),
 }
 
 

@@ -9,6 +9,7 @@ import numpy as np
 from .arrays import FloatArray
 from .goals import GoalRule
 from .layout import NO_FIELDS, Discrete, Layout
+from .measures import Measure
 
 SAME_LAYOUTS = "robots have the same layouts with cartesian control and the same task"
 """The hint for `layout_differences`."""
@@ -31,6 +32,8 @@ class Signature:
     """Whether success is defined. False: results show returns only, unless a test has a success all the same."""
     parameters: Layout = NO_FIELDS
     """The values that domain randomization draws at each reset, see `Environment.parameters`."""
+    measures: tuple[Measure, ...] = ()
+    """What an episode is measured by, see `Environment.measures`. No name is there twice."""
 
 
 def random_actions(signature: Signature, size: int, generator: np.random.Generator) -> FloatArray:

@@ -11,16 +11,21 @@ import numpy as np
 from numpy.typing import NDArray
 from pydantic import Field as Setting
 
-from ..core import Array, Environment, Expert, FloatArray, GoalRule, Layout, Signature, Step
+from ..core import Array, Environment, Expert, FloatArray, GoalRule, Layout, Measure, Signature, Step
 from ..core import Settings as BaseSettings
 from ..core.seeding import SeedTree
-from ..errors import UsageError
+from ..errors import PluginError, UsageError
 from ..randomization.distributions import Distribution
 from ..randomization.randomization import Randomization
 from ..simulation.engines import Engine, check_engine, make_world
 from ..simulation.interface import Camera, Robot, Task, World
 from ..simulation.interface.engine import PHYSICS_RATE
 from .action_set import ActionSet, action_index
+
+TIME_TO_SUCCESS = Measure(
+    "time_to_success", "s", "smaller", "time from which on the goal is reached until the end; undefined in a failure"
+)
+FINAL_ANGLE = Measure("final_angle", "rad", "smaller", "angle to the goal's orientation at the end of the episode")
 
 
 class RobotTask(Environment):
@@ -30,13 +35,14 @@ class RobotTask(Environment):
     Action: the robot's, each number in [-1, 1]; with `actions: discrete` one of an `ActionSet`.
     Reward, success, termination: by the task's goal rule; the episode is truncated after the task's `max_steps`, or,
     without success, by a protective stop of the robot.
+    Measures: time to success, distance and angle to the goal if its rule has them, then the robot's and the task's.
 
     Args:
         robot: a robot plugin's instance.
         task: a task plugin's instance.
 
     Raises:
-        PluginError: robot and task are incompatible.
+        PluginError: robot and task are incompatible, or both declare a measure of one name.
         UsageError: `omit` names a field that there is not, or the engine is not installed.
     """
 
@@ -105,6 +111,7 @@ class RobotTask(Environment):
             achieved_goal=task.achieved_goal,
             desired_goal=task.desired_goal,
             goal_rule=task.goal_rule,
+            measures=self._measures(),
         )
         self.randomize({})
         self._name = f"{type(robot).__name__}{type(task).__name__}"
@@ -112,6 +119,20 @@ class RobotTask(Environment):
         self._world: World | None = None
         self._steps = task.max_steps  # no episode is running
         self._last: Step | None = None
+        self._reached: int | None = None
+        """Step since which the goal is reached; None where it is not."""
+
+    def _measures(self) -> tuple[Measure, ...]:
+        rule, task = type(self.task.goal_rule), self.task
+        measures = [TIME_TO_SUCCESS]
+        measures += [task.distance_measure] * (rule.distance is not GoalRule.distance)
+        measures += [FINAL_ANGLE] * (rule.angle is not GoalRule.angle)
+        measures += [*self.robot.measures, *task.measures]
+        names = [measure.name for measure in measures]
+        if twice := sorted({name for name in names if names.count(name) > 1}):
+            what = f"the measures {', '.join(twice)} are declared twice"
+            raise PluginError(what, where=type(task).__name__, hint="name those of the task otherwise")
+        return tuple(measures)
 
     def randomize(self, distributions: Mapping[str, Distribution]) -> None:
         """Set what is drawn at each reset, by parameter ("task.gravity"). Raises UsageError for undeclared ones."""
@@ -167,6 +188,7 @@ class RobotTask(Environment):
             return self._diverged()
         achieved, goal = self.task.achieved(), self.task.goal
         success = bool(self.task.goal_rule.success(achieved, goal))
+        self._reached = 0 if success else None
         self._last = Step(observation, achieved, goal, 0.0, False, False, success)
         return self._last
 
@@ -189,9 +211,13 @@ class RobotTask(Environment):
         terminated = self._terminates and bool(rule.terminated(achieved, goal))
         stopped = self.robot.stopped
         truncated = (stopped or self._steps >= self.signature.max_steps) and not terminated
+        reward, success = float(rule.reward(achieved, goal)), bool(rule.success(achieved, goal)) and not stopped
+        if not success:
+            self._reached = None
+        elif self._reached is None:
+            self._reached = self._steps
         if terminated or truncated:
             self._steps = self.signature.max_steps
-        reward, success = float(rule.reward(achieved, goal)), bool(rule.success(achieved, goal)) and not stopped
         self._last = Step(observation, achieved, goal, reward, terminated, truncated, success)
         return self._last
 
@@ -242,6 +268,18 @@ class RobotTask(Environment):
 
     def parameters(self) -> FloatArray:
         return np.array(self._drawn, np.float32)
+
+    def measures(self) -> FloatArray:
+        values: dict[str, Any] = {}
+        if self._last is not None and self._world is not None:  # it is closed where the physics diverged
+            rule, goals = self.task.goal_rule, (self._last.achieved_goal, self._last.desired_goal)
+            values = {self.task.distance_measure.name: rule.distance(*goals), FINAL_ANGLE.name: rule.angle(*goals)}
+            if self._reached is not None:
+                values[TIME_TO_SUCCESS.name] = self._reached / self.rate
+            values |= self.robot.measure() | self.task.measure()
+        found = np.array([values.get(measure.name) for measure in self.signature.measures], np.float32)
+        found[~np.isfinite(found)] = np.nan
+        return found
 
     def render(self, width: int = 640, height: int = 480) -> Array:
         return self.world.render(width, height, self.camera)

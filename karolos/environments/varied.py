@@ -64,6 +64,9 @@ class VariedRobotTask(Environment):
     def parameters(self) -> FloatArray:
         return np.concatenate([self._current.parameters(), np.array(self._drawn, np.float32)])
 
+    def measures(self) -> FloatArray:
+        return self._current.measures()
+
     def render(self, width: int = 640, height: int = 480) -> NDArray[np.uint8]:
         return self._current.render(width, height)
 

@@ -4,14 +4,14 @@ from __future__ import annotations
 
 import re
 from collections.abc import Iterator, Mapping
-from dataclasses import asdict, dataclass
+from dataclasses import asdict, dataclass, field
 from datetime import UTC, datetime
 from typing import Annotated, Any, Literal, NotRequired, get_args
 
 from pydantic import Field, FiniteFloat
 from typing_extensions import TypedDict
 
-from .results import Count, TestCounts
+from .results import Count, MeasureMean, TestCounts
 
 ID = re.compile(r"[A-Za-z0-9][A-Za-z0-9._-]{0,199}")
 """A run's id: its name, seed and time."""
@@ -155,6 +155,8 @@ class RunSummary:
     """Mean over the episodes of the sum of rewards."""
     best_return: float | None = None
     """That of the policy `best`."""
+    measures: dict[str, MeasureMean] = field(default_factory=dict, hash=False)
+    """By name, those of the test that success and return are of."""
 
     def row(self) -> dict[str, Any]:
         """The fields as JSON values, in order."""

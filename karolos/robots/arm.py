@@ -18,7 +18,7 @@ from typing import Annotated, ClassVar, Literal
 import numpy as np
 from pydantic import Field as Setting
 
-from ..core import Field, FloatArray, Layout, Settings
+from ..core import Field, FloatArray, Layout, Measure, Settings
 from ..core.seeding import Generator
 from ..errors import PluginError, UsageError
 from ..randomization.randomization import Drawn, RandomizedParameter, drawn_settings
@@ -55,6 +55,17 @@ ARM_PARAMETERS: Mapping[str, RandomizedParameter] = {
     ),
     "action_delay": RandomizedParameter("control steps", 0.0, 0.0, 2.0, "delay of the actions; rounded"),
 }
+
+ARM_MEASURES = (
+    Measure("path_length", "m", "smaller", "length of the way of the tool centre point"),
+    Measure("peak_force", "N", "smaller", "largest force of a body or another link on a link of the arm or gripper"),
+    Measure("peak_joint_speed", "1", "smaller", "largest speed of a joint, as a share of its limit"),
+    Measure("peak_joint_acceleration", "1", "smaller", "largest acceleration of a joint, as a share of its limit"),
+    Measure("peak_joint_torque", "1", "smaller", "largest torque of a motor, as a share of its limit"),
+)
+"""Of every arm. `Arm.measure` computes them."""
+PAD_FORCE = Measure("peak_pad_force", "N", "smaller", "largest force of a body on a pad of the gripper")
+STOPS = Measure("protective_stops", "1", "smaller", "protective stops, those that are only counted included")
 
 
 class ArmSettings(Settings):
@@ -306,6 +317,23 @@ class Arm:
             fields.append(Field("gripper_opening", 1))  # -1 closed, 1 open
         return Layout(tuple(fields))
 
+    @property
+    def measures(self) -> tuple[Measure, ...]:
+        return (*ARM_MEASURES, *[PAD_FORCE] * (self._fingers is not None), *[STOPS] * (self._guard is not None))
+
+    def measure(self) -> dict[str, float]:
+        forces, loads = self.world.largest_forces(self.body), self._motors.loads()
+        pads = [force for (link, _), force in forces.items() if link in self._motors.pads]
+        return {
+            "path_length": self._path,
+            "peak_force": max(forces.values(), default=0.0),
+            "peak_joint_speed": max(map(truediv, loads.speed, self.limits.velocity)),
+            "peak_joint_acceleration": max(map(truediv, loads.acceleration, self._accelerations)),
+            "peak_joint_torque": max(map(truediv, loads.torque, self.limits.effort)),
+            "peak_pad_force": max(pads, default=0.0),
+            "protective_stops": self.stops,
+        }
+
     def build(self, world: World) -> None:
         robot, carriers = self.model.description.robot, self.model.description.carriers
         fingers = self.model.fingers
@@ -360,6 +388,7 @@ class Arm:
         if self._guard is not None:
             self._guard.reset()
         self._read()
+        self._path = 0.0
 
     def _clipped(self, positions: Sequence[float]) -> list[float]:
         """Joint positions within their limits."""
@@ -453,7 +482,9 @@ class Arm:
         return [change / excess for change in changes] if excess > 1 else changes
 
     def read(self) -> None:
+        before = self.tool_position
         self._read()
+        self._path += dist(before, self.tool_position)
         if self._guard is not None:
             torques = [torque for _, _, _, torque in self.body.joints(self._arm_links)]
             self._guard.watch(self._forces(), torques)

@@ -15,6 +15,7 @@ from ..randomization.randomization import Drawn
 from ..simulation.geometry import UPRIGHT, Quaternion, Vector
 from ..simulation.interface import Box, Gripper, RobotView, Task, World
 from ..simulation.interface.engine import Material
+from ..simulation.shapes import Cuboid
 
 CUBE_COLOUR = (0.93, 0.45, 0.13, 1.0)
 LOST_DISTANCE = 10.0
@@ -55,7 +56,7 @@ class Cube:
     def __init__(self, settings: CubeSettings, world: World) -> None:
         edge, mass = settings.object_size, settings.object_mass
         self.half = edge / 2
-        self.body = world.box((edge, edge, edge), mass, CUBE_COLOUR)
+        self.body = world.body([Cuboid((edge, edge, edge))], mass, CUBE_COLOUR)
         self.body.set_friction(settings.object_friction)
         if settings.object_stiffness is not None:
             self.body.set_material(Material(stiffness=settings.object_stiffness))

@@ -14,12 +14,13 @@ from karolos_cli.main import app
 from support.rig import ENGINES, made
 from typer.testing import CliRunner
 
-from karolos.errors import MachineError, PluginError
+from karolos.errors import MachineError, PluginError, UsageError
 from karolos.robots.panda import Panda
 from karolos.simulation import engines, urdf
 from karolos.simulation.engines import Engine, make_world
 from karolos.simulation.interface import Body, Camera, JointLimits, Motors, World
 from karolos.simulation.interface.engine import Material
+from karolos.simulation.shapes import Capsule, Cuboid, Inertia, Sphere, inertia_of, volume_of
 from karolos.specification import spec_from_dict
 
 PENDULUM = """
@@ -53,7 +54,7 @@ def divided(engine: Engine, request: pytest.FixtureRequest) -> Iterator[World]:
 
 
 def test_what_presses_on_a_body_is_known_by_link_and_body(world: World) -> None:
-    lower, upper = (world.box((0.1, 0.1, 0.1), mass, (1, 0, 0, 1)) for mass in (2.0, 1.0))
+    lower, upper = (world.body([Cuboid((0.1, 0.1, 0.1))], mass, (1, 0, 0, 1)) for mass in (2.0, 1.0))
     lower.place((0.0, 0.0, 0.05))
     upper.place((0.0, 0.0, 0.15))
     for _ in range(24):
@@ -67,7 +68,7 @@ def test_what_presses_on_a_body_is_known_by_link_and_body(world: World) -> None:
 
 
 def test_a_falling_body_falls_as_it_must(divided: World) -> None:
-    box = divided.box((0.1, 0.1, 0.1), 1.0, (1, 0, 0, 1))
+    box = divided.body([Cuboid((0.1, 0.1, 0.1))], 1.0, (1, 0, 0, 1))
     box.place((0.0, 0.0, 5.0))
     for _ in range(120 // divided.substeps):
         divided.step()
@@ -127,7 +128,7 @@ def test_damping_brakes_a_joint_as_its_law_says_whatever_the_substeps(engine: En
 
 
 def test_a_box_rests_on_the_floor_by_its_weight_until_it_is_taken_away(world: Any) -> None:
-    box = world.box((0.04, 0.04, 0.04), 0.1, (1, 0, 0, 1))
+    box = world.body([Cuboid((0.04, 0.04, 0.04))], 0.1, (1, 0, 0, 1))
     box.place((0.4, 0.0, 0.02))
     for _ in range(24):
         world.step()
@@ -142,7 +143,7 @@ def test_a_box_rests_on_the_floor_by_its_weight_until_it_is_taken_away(world: An
 
 @pytest.mark.parametrize(("floor", "slides"), [(0.2, True), (0.8, False)])
 def test_friction_is_the_product_of_both_coefficients(world: World, floor: float, slides: bool) -> None:
-    box = world.box((0.04, 0.04, 0.04), 0.1, (1, 0, 0, 1))
+    box = world.body([Cuboid((0.04, 0.04, 0.04))], 0.1, (1, 0, 0, 1))
     box.set_friction(0.5)
     world.set_floor_friction(floor)
     angle = np.arctan(0.25)  # of the floor; the box slides if floor * 0.5 is less than its tangent
@@ -158,7 +159,7 @@ def test_friction_is_the_product_of_both_coefficients(world: World, floor: float
 
 def test_a_spinning_box_has_its_angular_velocity_in_the_world(world: World) -> None:
     """A box that leans on its edge falls about the world's y axis, although it is turned about z."""
-    box = world.box((0.04, 0.04, 0.04), 0.1, (1, 0, 0, 1))
+    box = world.body([Cuboid((0.04, 0.04, 0.04))], 0.1, (1, 0, 0, 1))
     world.set_floor_friction(5.0)
     lean, turn = np.pi / 4 + 0.1, np.pi / 2
     about_y, about_z = (
@@ -189,21 +190,58 @@ def test_a_link_has_the_frame_and_the_speed_of_its_joint(world: World) -> None:
 
 
 def test_a_body_that_is_added_later_leaves_the_others_as_they_are(world: World) -> None:
-    first = world.box((0.04, 0.04, 0.04), 0.1, (1, 0, 0, 1))
+    first = world.body([Cuboid((0.04, 0.04, 0.04))], 0.1, (1, 0, 0, 1))
     first.place((0.4, 0.0, 1.0))
     first.set_inertia(0.3, (0.1, 0.2, 0.3))
     world.step()
     pose, velocity = first.pose(), first.velocity()
-    second = world.box((0.04, 0.04, 0.04), 0.1, (1, 0, 0, 1))
+    second = world.body([Cuboid((0.04, 0.04, 0.04))], 0.1, (1, 0, 0, 1))
     second.place((1.4, 0.0, 1.0))
     assert (first.pose(), first.velocity()) == (pose, velocity)
     world.step()
     assert second.pose()[0][2] < 1.0
 
 
+def test_a_body_of_several_shapes_has_their_centre_of_mass_and_its_own_frame(world: World) -> None:
+    """An L: its frame is at one end of it."""
+    arms = [Cuboid((0.1, 0.02, 0.02), position=(0.05, 0, 0)), Cuboid((0.02, 0.02, 0.1), position=(0.1, 0, 0.06))]
+    body = world.body(arms, 0.3, (1, 0, 0, 1))
+    body.place((0.4, 0.1, 0.01))
+    for _ in range(12):
+        world.step()
+    assert body.pose()[0] == pytest.approx((0.4, 0.1, 0.01), abs=2e-3)
+    turn = (0.0, 0.6, 0.0, 0.8)
+    body.place((0.4, 0.1, 0.2), turn)  # it falls on its corner, and turns
+    assert (*body.pose()[0], *body.pose()[1]) == pytest.approx((0.4, 0.1, 0.2, *turn), abs=1e-6)
+    for _ in range(30):
+        before, speed = body.pose()[0], body.velocity()[0]
+        world.step()
+        moved = np.subtract(body.pose()[0], before) / world.period
+        if world.forces(body) == {}:
+            assert moved == pytest.approx(np.add(speed, body.velocity()[0]) / 2, abs=0.05)
+    assert np.linalg.norm(np.subtract(body.pose()[1], turn)) > 0.1
+
+
+def test_inertia_is_that_of_the_whole_however_it_is_cut_and_turned() -> None:
+    whole = inertia_of([Cuboid((0.2, 0.1, 0.05), position=(0.1, 0.0, 0.0))], 2.0)
+    half = 0.5**0.5
+    cut = [
+        Cuboid((0.1, 0.1, 0.05), position=(0.05, 0.0, 0.0)),
+        Cuboid((0.05, 0.1, 0.1), position=(0.15, 0.0, 0.0), orientation=(0.0, half, 0.0, half)),
+    ]
+    assert inertia_of(cut, 2.0) == Inertia(whole.centre, pytest.approx(whole.moments))
+    turned = inertia_of([Cuboid((0.2, 0.1, 0.05), orientation=(0.1, 0.2, 0.3, 0.4))], 2.0)
+    assert sorted(turned.moments) == pytest.approx(sorted(whole.moments))
+    assert volume_of(cut) == pytest.approx(0.001)
+    ball, capsule = (inertia_of([shape], 1.0).moments for shape in (Sphere(0.1), Capsule(0.1, 1e-6)))
+    assert ball == pytest.approx(capsule, rel=1e-4)
+    with pytest.raises(UsageError, match="Cuboid: size"):
+        Cuboid((0.1, -0.1, 0.1))
+
+
 def test_a_state_that_diverged_shows_and_leaves_nothing_behind(world: World) -> None:
     ends = []
-    box = world.box((0.04, 0.04, 0.04), 0.1, (1, 0, 0, 1))
+    box = world.body([Cuboid((0.04, 0.04, 0.04))], 0.1, (1, 0, 0, 1))
     for height in (0.3, float("nan"), 0.3):
         box.place((0.4, 0.0, height))
         for _ in range(12):
@@ -230,7 +268,7 @@ def test_picture_shows_markers_and_leaves_them_where_they_are(world: World) -> N
 def test_shadow_tells_how_high_a_body_is(world: World) -> None:
     camera = Camera()
     empty = world.render(160, 120, camera)
-    box = world.box((0.06, 0.06, 0.06), 0.1, (1.0, 0.0, 0.0, 1.0))
+    box = world.body([Cuboid((0.06, 0.06, 0.06))], 0.1, (1.0, 0.0, 0.0, 1.0))
     rows = []
     for height in (0.03, 0.3):
         box.place((0.3, 0.0, height))
@@ -245,7 +283,7 @@ def test_shadow_tells_how_high_a_body_is(world: World) -> None:
 
 def test_a_body_hides_the_marker_behind_it(world: World) -> None:
     camera = Camera(target=(0.3, 0.0, 0.3), distance=1.0, yaw=90.0, pitch=0.0)
-    world.box((0.2, 0.2, 0.2), 0.0, (1.0, 0.0, 0.0, 1.0)).place((0.3, 0.0, 0.3))
+    world.body([Cuboid((0.2, 0.2, 0.2))], 0.0, (1.0, 0.0, 0.0, 1.0)).place((0.3, 0.0, 0.3))
     marker = world.marker(0.05, (0.0, 1.0, 0.0, 1.0))
 
     def middle(x: float) -> list[int]:
@@ -359,7 +397,7 @@ def test_finer_physics_steps_give_the_same_motion(engine: Engine, rate: int) -> 
 
 def test_a_lively_box_comes_back_with_its_restitution_and_a_damped_one_sinks_slowly() -> None:
     world: Any = make_world("mujoco", substeps=1)
-    box = world.box((0.04, 0.04, 0.04), 0.1, (1, 0, 0, 1))
+    box = world.body([Cuboid((0.04, 0.04, 0.04))], 0.1, (1, 0, 0, 1))
     box.set_material(Material(restitution=0.5))
     box.place((0.0, 0.0, 0.32))
     heights = []

@@ -16,6 +16,8 @@ LIMITS: dict[str, dict[str, tuple[float, float]]] = {
     "slope of 28 degrees": {"acceleration, error": (-0.05, 0.05)},
     "slope of 30 degrees": {"acceleration, error": (-0.05, 0.05)},
     "fall from .5 m": {"depth, mm": (0, 2), "rebound, mm": (0, 10)},
+    "cylinder on a slope of 10 degrees": {"acceleration, error": (-0.02, 0.02)},
+    "peg pressed with 25 N in .5 mm of play": {"depth, share of the play": (0, 0.1)},
     "pressed with 98 N": {"depth, mm": (0, 2)},
     "pendulum, 10 s": {"energy, change": (-0.01, 0.01)},
     "peg in a frame with 1 mm of play": {"left above the ground, mm": (-0.1, 0.1), "depth into walls, mm": (-0.1, 0.1)},
@@ -24,6 +26,7 @@ LIMITS: dict[str, dict[str, tuple[float, float]]] = {
 WORSE = {
     ("sliding at .3 m/s", "distance, error"): (-0.08, 0.0),
     ("slope of 25 degrees (friction .5 holds)", "creep in .5 s, mm"): (0, 1.5),
+    ("cylinder on a slope of 10 degrees", "acceleration, error"): (-0.35, 0.0),
     ("fall from .5 m", "depth, mm"): (0, 13),
     ("fall from .5 m", "rebound, mm"): (0, 100),
 }

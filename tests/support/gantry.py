@@ -14,6 +14,7 @@ from karolos.randomization.randomization import RandomizedParameter
 from karolos.simulation.geometry import Box, Vector
 from karolos.simulation.interface import Body, Gripper, JointLimits, World
 from karolos.simulation.kinematics import Configuration, Pose
+from karolos.simulation.shapes import Cuboid
 
 SIZE = (0.04, 0.04, 0.04)
 
@@ -36,6 +37,7 @@ class Gantry:
     tool_speed = 0.5
     gripper_delay = 0.0
     stops, stopped = 0, False
+    measures = ()
     joint_step = (0.02,) * 3
     turns_joints = False
     opening = 0.0
@@ -57,7 +59,7 @@ class Gantry:
         self.period = period
 
     def build(self, world: World) -> None:
-        self.tool = world.box(SIZE, 0.0, (0.3, 0.3, 0.4, 1.0))
+        self.tool = world.body([Cuboid(SIZE)], 0.0, (0.3, 0.3, 0.4, 1.0))
 
     def apply(self, name: str, value: float) -> None:
         self.play = value
@@ -79,6 +81,9 @@ class Gantry:
 
     def read(self) -> None:
         self.tool_position = self.tool.pose()[0]
+
+    def measure(self) -> dict[str, float]:
+        return {}
 
     def observe(self) -> list[float]:
         return [*self.tool_position, *self.tool_velocity]

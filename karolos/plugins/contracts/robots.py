@@ -16,6 +16,7 @@ from ...core.seeding import Generator
 from ...environments.robot_task import RobotTask
 from ...randomization.randomization import RandomizedParameter
 from ...simulation.interface import Body, World
+from ...simulation.shapes import Cuboid
 from ...tasks.reach import Reach
 from .case import Candidate, Promises, candidate, demand, demand_same
 from .environments import an_episode_begins_and_takes_a_step
@@ -37,7 +38,7 @@ class Grasping(Reach):
 
     def build(self, world: World) -> None:
         super().build(world)
-        self.cube = world.box((SIZE, SIZE, SIZE), 0.1, (0.9, 0.4, 0.1, 1.0))
+        self.cube = world.body([Cuboid((SIZE, SIZE, SIZE))], 0.1, (0.9, 0.4, 0.1, 1.0))
 
     def reset(self, generator: Generator) -> None:
         super().reset(generator)
@@ -260,7 +261,7 @@ def a_pressed_cube_stays_on_the_floor(environment: RobotTask) -> None:
     """
     robot = environment.robot
     environment.reset(0)
-    cube = environment.world.box((SIZE, SIZE, SIZE), 0.1, (0.9, 0.4, 0.1, 1.0))
+    cube = environment.world.body([Cuboid((SIZE, SIZE, SIZE))], 0.1, (0.9, 0.4, 0.1, 1.0))
     for aside, off_x, off_y in ((0.0, 0.0, 0.0), (0.12, 0.012, 0.008)):
         environment.reset(0)
         x, y, _ = robot.workspace.centre

@@ -5,18 +5,31 @@ from __future__ import annotations
 from collections.abc import Collection, Sequence
 from typing import Any
 
+import numpy as np
+
 from ...errors import UsageError
 from ..geometry import UPRIGHT, Quaternion, Vector
 from ..interface.engine import LinkState, Material
+from ..shapes import Inertia
 from .client import Client
 
 
 class Body:
-    """Implements `interface.Body`. Most methods are a single pybullet call of 1 to 3 us."""
+    """Implements `interface.Body`. Most methods are a single pybullet call of 1 to 3 us.
 
-    def __init__(self, api: Client, index: int) -> None:
+    PyBullet's pose of a base is that of its centre of mass and principal axes.
+
+    Args:
+        inertia: of a base whose own frame is another.
+    """
+
+    def __init__(self, api: Client, index: int, inertia: Inertia | None = None) -> None:
         self.api = api
         self.index = index
+        self._inertial: tuple[Vector, Quaternion] | None = None
+        if inertia is not None and (any(inertia.centre) or inertia.axes != UPRIGHT):
+            self._inertial = inertia.centre, inertia.axes
+            self._own = api.invertTransform(*self._inertial)
 
     def links(self) -> dict[str, int]:
         count = self.api.getNumJoints(self.index)
@@ -31,15 +44,23 @@ class Body:
                 self.api.setCollisionFilterPair(self.index, self.index, first, second, enabled)
 
     def place(self, position: Vector, orientation: Quaternion = UPRIGHT) -> None:
+        if self._inertial is not None:
+            position, orientation = self.api.multiplyTransforms(position, orientation, *self._inertial)
         self.api.resetBasePositionAndOrientation(self.index, position, orientation)
         self.api.resetBaseVelocity(self.index, (0, 0, 0), (0, 0, 0))
 
     def pose(self) -> tuple[Vector, Quaternion]:
         position, orientation = self.api.getBasePositionAndOrientation(self.index)
+        if self._inertial is not None:
+            position, orientation = self.api.multiplyTransforms(position, orientation, *self._own)
         return position, orientation
 
     def velocity(self) -> tuple[Vector, Vector]:
         linear, angular = self.api.getBaseVelocity(self.index)
+        if self._inertial is not None:
+            centre, _ = self.api.getBasePositionAndOrientation(self.index)
+            away = np.subtract(self.pose()[0], centre)
+            linear = tuple((linear + np.cross(angular, away)).tolist())
         return linear, angular
 
     def set_velocity(self, velocity: Vector) -> None:

@@ -15,11 +15,13 @@ from numpy.typing import NDArray
 
 from ...core import Array, FloatArray
 from ...errors import PluginError
+from .. import parts
 from ..geometry import Vector
 from ..interface.engine import FLOOR_FRICTION, GRAVITY, PHYSICS_RATE, Camera, Colour, Contact, Fingers, JointLimits
 from ..interface.engine import Body as AnyBody
-from ..meshes import stl
+from ..meshes import stl, triangles
 from ..picture import FLOOR_COLOUR, GRID_COLOUR, GRIDS, SKY_COLOUR, Eye, Marker, draw
+from ..shapes import Inertia, Shape, inertia_of
 from .body import Body
 from .client import Client
 from .motors import Motors
@@ -113,6 +115,9 @@ class World:
             for body, peaks in self._peaks.items():
                 now = self._forces(body)
                 self._peaks[body] = {key: max(peaks.get(key, 0.0), now.get(key, 0.0)) for key in (*peaks, *now)}
+        for motors in self._motors:
+            recorded = self._peaks.get(motors.index)
+            motors.record(self._forces(motors.index) if recorded is None else recorded)
 
     def set_gravity(self, gravity: float) -> None:
         self.api.setGravity(0, 0, gravity)
@@ -121,11 +126,14 @@ class World:
         self.floor.set_friction(friction)
 
     def load(self, robot: Element, *, position: Vector = (0.0, 0.0, 0.0)) -> Body:
+        return Body(self.api, self._load(robot, fixed=True, position=position))
+
+    def _load(self, robot: Element, *, fixed: bool, maximal: bool = False, position: Vector = (0.0, 0.0, 0.0)) -> int:
         robot = copy.deepcopy(robot)
         with tempfile.TemporaryDirectory() as folder:
             for number, mesh in enumerate(robot.iter("mesh")):
                 file = Path(folder, f"{number}.stl")
-                file.write_bytes(stl(Path(mesh.get("filename", ""))))
+                file.write_bytes(stl(triangles(Path(mesh.get("filename", "")))))
                 mesh.set("filename", str(file))
             ElementTree.indent(robot)  # PyBullet breaks lines of more than 1,024 characters
             path = Path(folder, "robot.urdf")
@@ -134,14 +142,15 @@ class World:
                 index: int = self.api.loadURDF(
                     str(path),
                     basePosition=position,
-                    useFixedBase=True,
+                    useFixedBase=fixed,
+                    useMaximalCoordinates=maximal,
                     # inertias would otherwise be guessed from the shapes; `Body.collide_only` chooses the pairs
                     flags=self.api.URDF_USE_INERTIA_FROM_FILE | self.api.URDF_USE_SELF_COLLISION,
                 )
             except self.api.error as error:
                 what = f"pybullet cannot load this URDF: {error}"
                 raise PluginError(what, where=f"robot {robot.get('name', '?')}") from error
-        return Body(self.api, index)
+        return index
 
     def motors(self, body: AnyBody, joints: Sequence[str], limits: JointLimits, fingers: Fingers | None) -> Motors:
         links = body.links()
@@ -156,12 +165,11 @@ class World:
             motors.release_in_motion()
         self.api.setPhysicsEngineParameter(contactERP=RELEASE_ERP)
 
-    def box(self, size: Vector, mass: float, colour: Colour) -> Body:
-        half = tuple(edge / 2 for edge in size)
-        shape = self.api.createCollisionShape(self.api.GEOM_BOX, halfExtents=half)
-        body = self._create(
-            shape, self.api.createVisualShape(self.api.GEOM_BOX, rgbaColor=colour, halfExtents=half), mass
-        )
+    def body(self, shapes: Sequence[Shape], mass: float, colour: Colour, inertia: Inertia | None = None) -> Body:
+        inertia = (inertia or inertia_of(shapes, mass)) if mass > 0 else None
+        index = self._load(parts.body(shapes, mass, inertia), fixed=mass == 0, maximal=mass == 0)
+        self.api.changeVisualShape(index, -1, rgbaColor=colour)
+        body = Body(self.api, index, inertia)
         body.let_drift()
         if mass > 0:
             self._free.append(body)
@@ -193,6 +201,9 @@ class World:
     def forces(self, body: AnyBody) -> dict[tuple[int, int], float]:
         # recorded from the first question on, because looking in each physics step costs some us
         return self._peaks.setdefault(body.index, self._forces(body.index) if self._stepped else {})
+
+    def largest_forces(self, body: AnyBody) -> dict[tuple[int, int], float]:
+        return next((motors.largest for motors in self._motors if motors.index == body.index), {})
 
     def _forces(self, body: int) -> dict[tuple[int, int], float]:
         """As `forces`, of the last physics step."""

@@ -13,6 +13,7 @@ from xml.etree.ElementTree import Element
 
 from ...core import Array
 from ..geometry import UPRIGHT, Quaternion, Vector
+from ..shapes import Inertia, Shape
 
 PHYSICS_RATE: Final = 240
 """Physics steps per second, if nothing else is said."""
@@ -91,7 +92,7 @@ class Material:
 
 
 OBJECT_MATERIAL = Material(stiffness=4e5)
-"""Of a box, if nothing else is said."""
+"""Of a free body, if nothing else is said."""
 
 
 @dataclass(frozen=True)
@@ -156,7 +157,7 @@ class Body(Protocol):
         """Of the base."""
 
     def velocity(self) -> tuple[Vector, Vector]:
-        """Linear (m/s) and angular (rad/s) velocity of the base."""
+        """Linear (m/s) velocity of the origin of the base's frame, and angular velocity (rad/s) of the base."""
 
     def set_velocity(self, velocity: Vector) -> None:
         """Set the velocity of a free base in m/s, without spin."""
@@ -174,7 +175,18 @@ class Body(Protocol):
         """Set how the surface of a link gives way. Raises UsageError where the engine cannot."""
 
     def set_inertia(self, mass: float, diagonal: Vector, link: int = -1) -> None:
-        """Set the mass in kg and the diagonal of the inertia in kg m2 of a link."""
+        """Set the mass in kg and the principal moments in kg m2 of a link. Its centre of mass and axes stay."""
+
+
+class Loads(NamedTuple):
+    """The largest that each joint of an arm had since its positions were last written: (n,) each."""
+
+    speed: Sequence[float]
+    """rad/s"""
+    acceleration: Sequence[float]
+    """rad/s2, the mean of a control step."""
+    torque: Sequence[float]
+    """Of the motor, in N m."""
 
 
 class Motors(Protocol):
@@ -216,6 +228,12 @@ class Motors(Protocol):
     def read(self) -> tuple[Sequence[float], Sequence[float], float]:
         """Positions (n,) in rad and velocities (n,) in rad/s of the joints, opening of the gripper (0 without)."""
 
+    def loads(self) -> Loads:
+        """The largest speed, acceleration and torque of each joint since `write`.
+
+        Speeds and torques are those of physics steps; with PyBullet those at the ends of control steps.
+        """
+
 
 class World(Protocol):
     """A floor, gravity and the bodies put in. Built once: an episode begins by writing states, never by loading.
@@ -249,8 +267,15 @@ class World(Protocol):
         Deep contacts are corrected more slowly then.
         """
 
-    def box(self, size: Vector, mass: float, colour: Colour) -> Body:
-        """Add a box with edges of `size` in m, without air drag; a mass of 0 kg makes it static."""
+    def body(self, shapes: Sequence[Shape], mass: float, colour: Colour, inertia: Inertia | None = None) -> Body:
+        """Add a body made of shapes, without air drag.
+
+        Args:
+            shapes: at least one; they may overlap.
+            mass: in kg. With 0 it is static: it moves only by `place`, and meets only what moves.
+            colour: of all shapes.
+            inertia: that of a body as dense everywhere, if it is not given.
+        """
 
     def marker(self, radius: float, colour: Colour) -> Body:
         """Add a translucent sphere that collides with nothing."""
@@ -266,6 +291,12 @@ class World(Protocol):
 
         The key is the body's link and the index of the other body. It is the body's own index where two of its links
         touch; both then have an entry. Forces that were zero throughout are left out.
+        """
+
+    def largest_forces(self, body: Body) -> dict[tuple[int, int], float]:
+        """As `forces`, the largest since the joints of an arm were last written.
+
+        With PyBullet those of the last physics step of each control step, unless `forces` has been asked for.
         """
 
     def render(self, width: int, height: int, camera: Camera) -> Array:

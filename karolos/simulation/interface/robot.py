@@ -7,7 +7,7 @@ from typing import ClassVar, Protocol
 
 from pydantic import BaseModel
 
-from ...core import FloatArray, Layout
+from ...core import FloatArray, Layout, Measure
 from ...core.seeding import Generator
 from ...randomization.randomization import RandomizedParameter
 from ..geometry import Box, Vector
@@ -113,6 +113,8 @@ class Robot(RobotView, Protocol):
     action: Layout
     stops: int
     """Number of protective stops in the running episode, those that are only counted included."""
+    measures: Sequence[Measure]
+    """What it measures an episode by; may depend on `prepare`."""
 
     def prepare(self, *, gripper: bool, period: float, points_down: bool = True, protective_stop: bool = False) -> None:
         """Adapt layouts and step sizes to a task.
@@ -144,3 +146,6 @@ class Robot(RobotView, Protocol):
 
     def observe(self) -> list[float]:
         """The robot's part of the observation."""
+
+    def measure(self) -> dict[str, float]:
+        """The values of `measures` at the end of an episode, by name; as `Task.measure`."""

@@ -9,11 +9,13 @@ from typing import Any, ClassVar
 import numpy as np
 from pydantic import BaseModel
 
-from ...core import Expert, FloatArray, GoalRule, Layout
+from ...core import Expert, FloatArray, GoalRule, Layout, Measure
 from ...core.seeding import Generator
 from ...randomization.randomization import RandomizedParameter, drawn_settings
 from .engine import FLOOR_FRICTION, GRAVITY, Camera, World
 from .robot import RobotView
+
+FINAL_DISTANCE = Measure("final_distance", "m", "smaller", "distance from the goal at the end of the episode")
 
 
 class Task(ABC):
@@ -41,6 +43,10 @@ class Task(ABC):
     """The task's part of the observation, without the goals."""
     achieved_goal: Layout
     desired_goal: Layout
+    measures: ClassVar[tuple[Measure, ...]] = ()
+    """What an episode is measured by, besides what the environment adds for every robot and goal rule."""
+    distance_measure: ClassVar[Measure] = FINAL_DISTANCE
+    """What the goal rule's distance at the end of an episode is called, if the rule has one."""
 
     goal: FloatArray
     """The goal of the running episode: (desired_goal.size,)."""
@@ -81,6 +87,13 @@ class Task(ABC):
     @abstractmethod
     def achieved(self) -> FloatArray:
         """The achieved goal (achieved_goal.size,), a new array."""
+
+    def measure(self) -> dict[str, float]:
+        """The values of `measures` at the end of an episode, by name; one that is left out or not finite is undefined.
+
+        Called after `read`, if the physics has not diverged.
+        """
+        return {}
 
     def expert(self) -> Expert | None:
         """A scripted policy, or None for a task without one. Called after `build`."""

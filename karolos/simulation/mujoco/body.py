@@ -45,6 +45,8 @@ class Body:
     def find(self, model: Any) -> None:
         """Look up the body's places in a model that was just compiled."""
         self.ids = [model.body(name).id for name in self._names]
+        self.geoms = [[model.geom(shape).id for shape in shapes] for shapes in self.shapes]
+        """Numbers of `shapes` in the model."""
         self._mocap = int(model.body_mocapid[self.ids[0]])
         joints = [int(model.body_jntadr[body]) for body in self.ids]
         self.positions = [int(model.jnt_qposadr[joint]) if joint >= 0 else -1 for joint in joints]

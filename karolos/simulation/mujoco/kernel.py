@@ -151,8 +151,8 @@ def _touch(data, at, contact, row, h, material):
 
 
 @_compiled
-def _weigh(data, at, bodies, forces, peaks):
-    """Raise the peaks to the normal forces between each two bodies. `forces` (nbody, nbody): zeros, as afterwards."""
+def _weigh(data, at, bodies, forces, peaks, largest):
+    """Raise both maxima to the normal forces between each two bodies. `forces` (nbody, nbody): zeros, as afterwards."""
     force, first = _address(data + at[FORCE]), _address(data + at[CONTACT])
     last = first + at[STRIDE] * _integer(data + at[CONTACTS])
     for contact in range(first, last, at[STRIDE]):
@@ -161,13 +161,40 @@ def _weigh(data, at, bodies, forces, peaks):
             one, other = bodies[_integer(contact + at[ONE])], bodies[_integer(contact + at[OTHER])]
             forces[one, other] += _number(force + 8 * row)
             peaks[one, other] = max(peaks[one, other], forces[one, other])
+            largest[one, other] = max(largest[one, other], forces[one, other])
     for contact in range(first, last, at[STRIDE]):
         forces[bodies[_integer(contact + at[ONE])], bodies[_integer(contact + at[OTHER])]] = 0.0
 
 
 @_compiled
+def _load(data, at, motors, velocities, places, loads):
+    """Raise the largest speeds and torques of the motors' joints."""
+    force = _address(data + at[FORCE]) + 8 * _integer(data + at[EQUALITIES])
+    for motor in range(len(motors)):
+        joint = places[motor, 1]
+        loads[0, joint] = max(loads[0, joint], abs(velocities[joint]))
+        loads[2, joint] = max(loads[2, joint], abs(_number(force + 8 * motors[motor])))
+
+
+@_compiled
 def advance(
-    model, data, at, h, positions, velocities, motors, targets, gains, most, rates, places, material, bodies, peaks
+    model,
+    data,
+    at,
+    h,
+    positions,
+    velocities,
+    motors,
+    targets,
+    gains,
+    most,
+    rates,
+    places,
+    material,
+    bodies,
+    peaks,
+    largest,
+    loads,
 ):
     """Take a physics step of h seconds for each row of `targets`.
 
@@ -192,10 +219,12 @@ def advance(
         material: compliance in m/N, damping in N s/m and restitution of each geom: (ngeom, 3).
         bodies: of each geom.
         peaks: written: the largest normal force in N between each two bodies in any of the steps (nbody, nbody).
+        largest: raised to the peaks.
+        loads: raised to the largest speed, acceleration and torque of each motor's joint (3, nv).
     """
     steps, count = targets.shape
     peaks[:] = 0.0
-    forces = np.zeros_like(peaks)
+    forces, before = np.zeros_like(peaks), velocities.copy()
     _integrate(model, positions.ctypes.data, velocities.ctypes.data, h / 2)
     for step in range(steps):
         _step1(model, data)
@@ -213,5 +242,8 @@ def advance(
                 _touch(data, at, contact, row, h, material)
             contact += at[STRIDE]
         _step2(model, data)
-        _weigh(data, at, bodies, forces, peaks)
+        _weigh(data, at, bodies, forces, peaks, largest)
+        _load(data, at, motors, velocities, places, loads)
+    for joint in places[:, 1]:
+        loads[1, joint] = max(loads[1, joint], abs(velocities[joint] - before[joint]) / (steps * h))
     _integrate(model, positions.ctypes.data, velocities.ctypes.data, -h / 2)

@@ -7,7 +7,7 @@ from typing import Any
 
 import numpy as np
 
-from ..interface.engine import FINGER_RATE, PHYSICS_RATE, Fingers, JointLimits
+from ..interface.engine import FINGER_RATE, PHYSICS_RATE, Fingers, JointLimits, Loads
 from .body import Body
 from .simulation import Simulation
 
@@ -111,6 +111,7 @@ class Motors:
             positions = [*positions, goal, goal]
         data.qpos[self._positions] = positions
         data.qvel[self._dofs] = 0.0
+        self._simulation.largest[:] = self._simulation.loads[:] = 0.0
 
     def drive(self, begin: Sequence[float], end: Sequence[float], openings: Mapping[int, float]) -> None:
         first, targets = np.array(begin), self.targets
@@ -129,3 +130,6 @@ class Motors:
             opening = self._fingers.opening((positions[-2] + positions[-1]) / 2)
             positions, velocities = positions[:size], velocities[:size]
         return positions, velocities, opening
+
+    def loads(self) -> Loads:
+        return Loads(*self._simulation.loads[:, self._dofs[: self._size]].tolist())

@@ -94,6 +94,10 @@ class Simulation:
         """Compliance (m/N), damping (N s/m) and restitution of each geom: (ngeom, 3)."""
         self.peaks: Any = None
         """Largest normal force between each two bodies in the last control step: (nbody, nbody)."""
+        self.largest: Any = None
+        """The same since joints of an arm were last written."""
+        self.loads: Any = None
+        """Largest speed, acceleration and torque of each motor since then, by degree of freedom: (3, nv)."""
 
     def restructure(self) -> None:
         """Compile the model before its next use."""
@@ -145,6 +149,8 @@ class Simulation:
             self.material,
             model.geom_bodyid,
             self.peaks,
+            self.largest,
+            self.loads,
         )
         self.stepped = True
 
@@ -166,7 +172,8 @@ class Simulation:
         self._scratch = self.api.MjData(self.model)
         self._layout = self._kernel.layout(self._data)
         self.material = np.zeros((self.model.ngeom, 3))
-        self.peaks = np.zeros((self.model.nbody, self.model.nbody))
+        self.peaks, self.largest = np.zeros((2, self.model.nbody, self.model.nbody))
+        self.loads = np.zeros((3, self.model.nv))
         self._masses, self._inertias = self.model.body_mass.copy(), self.model.body_inertia.copy()
         for part in self.parts:
             part.find(self.model)

@@ -15,11 +15,13 @@ from numpy.typing import NDArray
 
 from ...core import Array, FloatArray
 from ...errors import MachineError, PluginError
+from .. import parts
 from ..geometry import Vector
 from ..interface.engine import FLOOR_FRICTION, PHYSICS_RATE, Camera, Colour, Contact, Fingers, JointLimits
 from ..interface.engine import Body as AnyBody
-from ..meshes import stl
+from ..meshes import stl, triangles
 from ..picture import Eye, Marker, draw
+from ..shapes import Inertia, Shape
 from .body import Body
 from .motors import Motors
 from .renderer import Renderer
@@ -87,6 +89,11 @@ class World:
         self.floor.set_friction(friction)
 
     def load(self, robot: Element, *, position: Vector = (0.0, 0.0, 0.0)) -> Body:
+        return self._load(robot, position=position)
+
+    def _load(
+        self, robot: Element, *, position: Vector = (0.0, 0.0, 0.0), free: bool = False, colour: Colour | None = None
+    ) -> Body:
         robot, meshes = _readable(robot)
         try:
             loaded = self.api.MjSpec.from_string(ElementTree.tostring(robot, encoding="unicode"), assets=meshes)
@@ -96,15 +103,20 @@ class World:
         for mesh in loaded.meshes:  # masses come from the URDF; an open mesh has no volume
             mesh.inertia = self.api.mjtMeshInertia.mjMESH_INERTIA_SHELL
         bodies = loaded.bodies[1:]
-        bodies[0].mocap = True
         bodies[0].pos = position
+        if free:
+            bodies[0].add_freejoint()
+        else:
+            bodies[0].mocap = True
         prefix = f"{len(self._bodies)}/"
         names, shapes = [], []
         for body in bodies:
             names.append(prefix + body.name)
             shapes.append(list(self._shapes(body, prefix)))
+            for geom in body.geoms if colour is not None else ():
+                geom.rgba = colour
         self._spec.attach(loaded, prefix=prefix, frame=self._spec.worldbody.add_frame())
-        return self._add(names, shapes, free=False)
+        return self._add(names, shapes, free=free)
 
     def _shapes(self, body: Any, prefix: str) -> Iterator[str]:
         """Name the geoms of a URDF's link that collide. They are drawn only if the link has no others."""
@@ -141,23 +153,8 @@ class World:
     def release_in_motion(self) -> None:
         """Nothing to do: contacts have no memory here."""
 
-    def box(self, size: Vector, mass: float, colour: Colour) -> Body:
-        name = f"{len(self._bodies)}/box"
-        half = [edge / 2 for edge in size]
-        body = self._spec.worldbody.add_body(name=name, mocap=mass == 0)
-        body.add_geom(
-            name=name,
-            type=self.api.mjtGeom.mjGEOM_BOX,
-            size=half,
-            mass=mass,
-            rgba=colour,
-            contype=0,
-            conaffinity=0,
-            group=1,
-        )
-        if mass > 0:
-            body.add_freejoint()
-        return self._add([name], [[name]], free=mass > 0)
+    def body(self, shapes: Sequence[Shape], mass: float, colour: Colour, inertia: Inertia | None = None) -> Body:
+        return self._load(parts.body(shapes, mass, inertia), free=mass > 0, colour=colour)
 
     def marker(self, radius: float, colour: Colour) -> Body:
         name = f"{len(self._bodies)}/marker"
@@ -191,17 +188,21 @@ class World:
         return found
 
     def forces(self, body: AnyBody) -> dict[tuple[int, int], float]:
-        simulation, own = self._simulation, self._bodies[body.index]
-        found: dict[tuple[int, int], float] = {}
-        if not simulation.stepped:
-            return found
+        return self._pressing(body, self._simulation.peaks) if self._simulation.stepped else {}
+
+    def largest_forces(self, body: AnyBody) -> dict[tuple[int, int], float]:
+        return self._pressing(body, self._simulation.largest)
+
+    def _pressing(self, body: AnyBody, between: FloatArray) -> dict[tuple[int, int], float]:
+        """What presses on a body, given the forces between each two of MuJoCo's bodies (nbody, nbody)."""
+        own, found = self._bodies[body.index], dict[tuple[int, int], float]()
         bodies = {place: one.index for one in self._bodies for place in one.ids}
         links = {place: link for link, place in enumerate(own.ids, -1)}
-        for pair in np.argwhere(simulation.peaks).tolist():
+        for pair in np.argwhere(between).tolist():
             for first, second in (pair, pair[::-1]):
                 if first in links:
                     key = links[first], bodies[second]
-                    found[key] = found.get(key, 0.0) + float(simulation.peaks[tuple(pair)])
+                    found[key] = found.get(key, 0.0) + float(between[tuple(pair)])
         return found
 
     def render(self, width: int, height: int, camera: Camera) -> Array:
@@ -226,8 +227,7 @@ class World:
         """Write friction and material of every shape. MuJoCo has put the pairs into an order of its own."""
         own = np.zeros(model.ngeom)
         for body in self._bodies:
-            for shapes, friction, material in zip(body.shapes, body.frictions, body.materials, strict=True):
-                geoms = [model.geom(shape).id for shape in shapes]
+            for geoms, friction, material in zip(body.geoms, body.frictions, body.materials, strict=True):
                 own[geoms] = friction
                 surface = 1 / material.stiffness, material.damping, material.restitution
                 self._simulation.material[geoms] = surface
@@ -276,6 +276,6 @@ def _readable(robot: Element) -> tuple[Element, dict[str, bytes]]:
                 element.set(key, "world link")
     meshes = {}
     for number, mesh in enumerate(robot.iter("mesh")):
-        meshes[f"{number}.stl"] = stl(Path(mesh.get("filename", "")))
+        meshes[f"{number}.stl"] = stl(triangles(Path(mesh.get("filename", ""))))
         mesh.set("filename", f"{number}.stl")
     return robot, meshes
