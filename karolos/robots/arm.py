@@ -503,9 +503,12 @@ class Arm:
             self._pressing = self.world.forces(self.body)
         return self._pressing
 
-    def touches_others(self, *allowed: Body) -> bool:
+    def largest_force(self, *allowed: Body) -> float:
         indices = {body.index for body in allowed}
-        return any(other not in indices for _, other in self._forces())
+        return max((force for (_, other), force in self._forces().items() if other not in indices), default=0.0)
+
+    def touches_others(self, *allowed: Body) -> bool:
+        return self.largest_force(*allowed) > 0
 
     def _read(self) -> None:
         self._pressing = None

@@ -67,6 +67,9 @@ class RobotView(Protocol):
     stopped: bool
     """Whether a protective stop has ended the running episode."""
 
+    def largest_force(self, *allowed: Body) -> float:
+        """Largest force in N on a link in a physics step of the last control step, by other bodies than these."""
+
     def touches_others(self, *allowed: Body) -> bool:
         """Whether anything but these bodies presses on a link: the floor, another body, or another link of the arm."""
 

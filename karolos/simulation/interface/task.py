@@ -41,6 +41,10 @@ class Task(ABC):
     camera: ClassVar[Camera] = Camera()
     observation: ClassVar[Layout] = Layout()
     """The task's part of the observation, without the goals."""
+    critic_only: ClassVar[Layout] = Layout()
+    """What critics may observe besides, and no policy: a spec chooses from it by `environment.critic_observes`."""
+    extra_reward_range: tuple[float, float] = (0.0, 0.0)
+    """Smallest and largest `extra_reward`."""
     achieved_goal: Layout
     desired_goal: Layout
     measures: ClassVar[tuple[Measure, ...]] = ()
@@ -83,6 +87,14 @@ class Task(ABC):
     def observe(self) -> list[float]:
         """The task's part of the observation."""
         return []
+
+    def observe_for_critics(self) -> list[float]:
+        """The numbers of `critic_only`."""
+        return []
+
+    def extra_reward(self) -> float:
+        """What is added to the goal rule's reward of this step, whatever the goal: hindsight keeps it as it is."""
+        return 0.0
 
     @abstractmethod
     def achieved(self) -> FloatArray:
