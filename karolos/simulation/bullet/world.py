@@ -15,7 +15,6 @@ from numpy.typing import NDArray
 
 from ...core import Array, FloatArray
 from ...errors import PluginError
-from ...files import temporary_prefix
 from .. import parts
 from ..geometry import Vector
 from ..interface.engine import (
@@ -141,7 +140,7 @@ class World:
 
     def _load(self, robot: Element, *, fixed: bool, maximal: bool = False, position: Vector = (0.0, 0.0, 0.0)) -> int:
         robot = copy.deepcopy(robot)
-        with tempfile.TemporaryDirectory(prefix=temporary_prefix()) as folder:
+        with tempfile.TemporaryDirectory() as folder:
             for number, mesh in enumerate(robot.iter("mesh")):
                 file = Path(folder, f"{number}.stl")
                 file.write_bytes(stl(triangles(Path(mesh.get("filename", "")))))
