@@ -12,6 +12,7 @@ from .environment import Environment, Expert
 from .experience import Batch, Experience, Rollout, Step, Transitions
 from .goals import GoalRule
 from .layout import Discrete, Field, Layout
+from .measures import Measure
 from .memory import FLOAT_BYTES, MemoryNeed, RunSize
 from .orchestrator import BuildEnvironment, Failure, Orchestrator, Received
 from .settings import AgentSettings, Settings
@@ -35,6 +36,7 @@ __all__ = [
     "FloatArray",
     "GoalRule",
     "Layout",
+    "Measure",
     "MemoryNeed",
     "Orchestrator",
     "Received",

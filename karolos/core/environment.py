@@ -69,6 +69,13 @@ class Environment(ABC):
         """The values that domain randomization drew for this episode, in the layout `signature.parameters`."""
         return np.zeros(0, np.float32)
 
+    def measures(self) -> FloatArray:
+        """The values of `signature.measures` for the episode that has just ended, in their order; nan: undefined.
+
+        It is called at the end of an episode, before the next reset.
+        """
+        return np.full(len(self.signature.measures), np.nan, np.float32)
+
     def expert(self) -> Expert:
         """The scripted policy of the running episode. Raises UsageError if there is none."""
         raise UsageError("there is no expert for this environment", setting="environment", hint="tasks have experts")

@@ -34,3 +34,7 @@ class GoalRule(ABC):
     def distance(self, achieved: Array, desired: Array) -> FloatArray | None:  # noqa: ARG002 (part of the interface)
         """Distance to the goal in m: shape (...); inf where it is undefined. None: the rule has no distance."""
         return None
+
+    def angle(self, achieved: Array, desired: Array) -> FloatArray | None:  # noqa: ARG002 (part of the interface)
+        """Angle to the goal's orientation in rad: shape (...). None: the rule has no orientation."""
+        return None

@@ -91,6 +91,10 @@ class Orchestrator(ABC):
     def parameters(self, environments: Sequence[int] | NDArray[np.int64]) -> FloatArray:
         """The values that domain randomization drew for the running episodes: (n, signature.parameters.size)."""
 
+    @abstractmethod
+    def measures(self, environments: Sequence[int] | NDArray[np.int64]) -> FloatArray:
+        """The measures of the episodes that these environments ended last: (n, signature.measures)."""
+
     def describe(self) -> dict[str, Any]:
         """The layout of the environments over the machine, as JSON-able data for the run's record."""
         return {}

@@ -11,16 +11,21 @@ import numpy as np
 from numpy.typing import NDArray
 from pydantic import Field as Setting
 
-from ..core import Array, Environment, Expert, FloatArray, GoalRule, Layout, Signature, Step
+from ..core import Array, Environment, Expert, FloatArray, GoalRule, Layout, Measure, Signature, Step
 from ..core import Settings as BaseSettings
 from ..core.seeding import SeedTree
-from ..errors import UsageError
+from ..errors import PluginError, UsageError
 from ..randomization.distributions import Distribution
 from ..randomization.randomization import Randomization
 from ..simulation.engines import Engine, check_engine, make_world
 from ..simulation.interface import Camera, Robot, Task, World
 from ..simulation.interface.engine import PHYSICS_RATE
 from .action_set import ActionSet, action_index
+
+TIME_TO_SUCCESS = Measure(
+    "time_to_success", "s", "smaller", "time from which on the goal is reached until the end; undefined in a failure"
+)
+FINAL_ANGLE = Measure("final_angle", "rad", "smaller", "angle to the goal's orientation at the end of the episode")
 
 
 class RobotTask(Environment):
@@ -30,13 +35,14 @@ class RobotTask(Environment):
     Action: the robot's, each number in [-1, 1]; with `actions: discrete` one of an `ActionSet`.
     Reward, success, termination: by the task's goal rule; the episode is truncated after the task's `max_steps`, or,
     without success, by a protective stop of the robot.
+    Measures: time to success, distance and angle to the goal if its rule has them, then the robot's and the task's.
 
     Args:
         robot: a robot plugin's instance.
         task: a task plugin's instance.
 
     Raises:
-        PluginError: robot and task are incompatible.
+        PluginError: robot and task are incompatible, or both declare a measure of one name.
         UsageError: `omit` names a field that there is not, or the engine is not installed.
     """
 
@@ -52,6 +58,9 @@ class RobotTask(Environment):
         omit: tuple[str, ...] = Setting(
             (), description="fields to leave out of the observation, e.g. [object_velocity]"
         )
+        critic_observes: tuple[str, ...] = Setting(
+            (), description="what critics observe besides and no policy does: fields that the task offers for that"
+        )
         window: bool = Setting(False, description="show the world in a window; needs a display")
 
         def identity(self) -> dict[str, Any]:
@@ -60,8 +69,6 @@ class RobotTask(Environment):
 
     def __init__(self, settings: RobotTask.Settings, *, robot: Robot, task: Task) -> None:
         check_engine(settings.engine)
-        for setting in task.mujoco_only if settings.engine == "bullet" else ():
-            raise UsageError("PyBullet cannot do this", setting=setting, hint="set environment.engine=mujoco")
         self.settings = settings
         self.robot = robot
         self.task = task
@@ -71,9 +78,11 @@ class RobotTask(Environment):
         robot.prepare(
             gripper=task.uses_gripper,
             period=settings.substeps / PHYSICS_RATE,
-            points_down=task.points_down,
+            control=task.control,
             protective_stop=task.protective_stop,
         )
+        for setting in (*robot.mujoco_only, *task.mujoco_only) if settings.engine == "bullet" else ():
+            raise UsageError("PyBullet cannot do this", setting=setting, hint="set environment.engine=mujoco")
         task.fit(robot)
         self.declared = {
             **{f"robot.{name}": parameter for name, parameter in robot.parameters.items()},
@@ -85,6 +94,19 @@ class RobotTask(Environment):
         self._drawn: list[float] = []
         full = robot.observation + task.observation
         kept = tuple(field for field in full.fields if field.name not in settings.omit)
+        offered = {field.name: field for field in task.critic_only.fields}
+        if unknown := sorted(set(settings.critic_observes) - set(offered)):
+            raise UsageError(
+                f"the task has nothing for critics alone that is called {', '.join(unknown)}",
+                setting="environment.critic_observes",
+                hint=f"it has {', '.join(offered) or 'nothing'}",
+            )
+        self._critic_columns = [
+            column
+            for name in settings.critic_observes
+            for column in range(task.critic_only.slice(name).start, task.critic_only.slice(name).stop)
+        ]
+        only = tuple(replace(offered[name], critic_only=True) for name in settings.critic_observes)
         if unknown := sorted(set(settings.omit) - set(full.names)):
             raise UsageError(
                 f"no observation is called {', '.join(unknown)}",
@@ -97,14 +119,17 @@ class RobotTask(Environment):
         """Those of the full observation that are kept; None: all."""
         if settings.omit:
             self._columns = np.concatenate([np.arange(full.size)[full.slice(field.name)] for field in kept])
+        (low, high), extra = task.goal_rule.reward_range, task.extra_reward_range
         self.signature = Signature(
-            observation=Layout(kept),
+            observation=Layout(kept + only),
             action=self._action_set.actions if self._action_set else robot.action,
             max_steps=task.max_steps,
-            reward_range=task.goal_rule.reward_range,
+            reward_range=(low + extra[0], high + extra[1]),
+            extra_reward=extra,
             achieved_goal=task.achieved_goal,
             desired_goal=task.desired_goal,
             goal_rule=task.goal_rule,
+            measures=self._measures(),
         )
         self.randomize({})
         self._name = f"{type(robot).__name__}{type(task).__name__}"
@@ -112,6 +137,20 @@ class RobotTask(Environment):
         self._world: World | None = None
         self._steps = task.max_steps  # no episode is running
         self._last: Step | None = None
+        self._reached: int | None = None
+        """Step since which the goal is reached; None where it is not."""
+
+    def _measures(self) -> tuple[Measure, ...]:
+        rule, task = type(self.task.goal_rule), self.task
+        measures = [TIME_TO_SUCCESS]
+        measures += [task.distance_measure] * (rule.distance is not GoalRule.distance)
+        measures += [FINAL_ANGLE] * (rule.angle is not GoalRule.angle)
+        measures += [*self.robot.measures, *task.measures]
+        names = [measure.name for measure in measures]
+        if twice := sorted({name for name in names if names.count(name) > 1}):
+            what = f"the measures {', '.join(twice)} are declared twice"
+            raise PluginError(what, where=type(task).__name__, hint="name those of the task otherwise")
+        return tuple(measures)
 
     def randomize(self, distributions: Mapping[str, Distribution]) -> None:
         """Set what is drawn at each reset, by parameter ("task.gravity"). Raises UsageError for undeclared ones."""
@@ -167,6 +206,7 @@ class RobotTask(Environment):
             return self._diverged()
         achieved, goal = self.task.achieved(), self.task.goal
         success = bool(self.task.goal_rule.success(achieved, goal))
+        self._reached = 0 if success else None
         self._last = Step(observation, achieved, goal, 0.0, False, False, success)
         return self._last
 
@@ -189,9 +229,15 @@ class RobotTask(Environment):
         terminated = self._terminates and bool(rule.terminated(achieved, goal))
         stopped = self.robot.stopped
         truncated = (stopped or self._steps >= self.signature.max_steps) and not terminated
+        reward, success = float(rule.reward(achieved, goal)), bool(rule.success(achieved, goal)) and not stopped
+        if not success:
+            self._reached = None
+        elif self._reached is None:
+            self._reached = self._steps
         if terminated or truncated:
             self._steps = self.signature.max_steps
-        reward, success = float(rule.reward(achieved, goal)), bool(rule.success(achieved, goal)) and not stopped
+        if self.signature.extra_reward != (0.0, 0.0):
+            reward += self.task.extra_reward()
         self._last = Step(observation, achieved, goal, reward, terminated, truncated, success)
         return self._last
 
@@ -215,7 +261,12 @@ class RobotTask(Environment):
         if not isfinite(sum(values)) or self.task.lost():
             return None
         observed = np.array(values, np.float32)
-        return observed if self._columns is None else observed[self._columns]
+        if self._columns is not None:
+            observed = observed[self._columns]
+        if not self._critic_columns:
+            return observed
+        hidden = np.array(self.task.observe_for_critics(), np.float32)[self._critic_columns]
+        return np.concatenate((observed, hidden)) if np.isfinite(hidden).all() else None
 
     def _diverged(self) -> Step:
         """End the episode with the last finite state. The next reset builds a new world."""
@@ -242,6 +293,18 @@ class RobotTask(Environment):
 
     def parameters(self) -> FloatArray:
         return np.array(self._drawn, np.float32)
+
+    def measures(self) -> FloatArray:
+        values: dict[str, Any] = {}
+        if self._last is not None and self._world is not None:  # it is closed where the physics diverged
+            rule, goals = self.task.goal_rule, (self._last.achieved_goal, self._last.desired_goal)
+            values = {self.task.distance_measure.name: rule.distance(*goals), FINAL_ANGLE.name: rule.angle(*goals)}
+            if self._reached is not None:
+                values[TIME_TO_SUCCESS.name] = self._reached / self.rate
+            values |= self.robot.measure() | self.task.measure()
+        found = np.array([values.get(measure.name) for measure in self.signature.measures], np.float32)
+        found[~np.isfinite(found)] = np.nan
+        return found
 
     def render(self, width: int = 640, height: int = 480) -> Array:
         return self.world.render(width, height, self.camera)

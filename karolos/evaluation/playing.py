@@ -6,11 +6,14 @@ from collections import deque
 from collections.abc import Iterator
 from dataclasses import dataclass
 
-from ..core import Environment
+import numpy as np
+
+from ..core import Environment, FloatArray
 from ..errors import UsageError
+from ..records.results import MeasureMean, measure_means
 from ..statistics.intervals import wilson
 from .policies import Policy
-from .testing import test_seeds
+from .testing import measured, test_seeds
 
 
 @dataclass(frozen=True)
@@ -45,6 +48,8 @@ class Score:
     """Upper end."""
     steps: float | None
     """Mean step at which the goal was first reached, over the episodes that reached it; None without any."""
+    measures: dict[str, MeasureMean]
+    """By name."""
 
 
 def play(environment: Environment, policy: Policy, *, episodes: int, seed: int) -> Iterator[Moment]:
@@ -93,11 +98,15 @@ def score(environment: Environment, policy: Policy, *, episodes: int, seed: int)
     """Play the first `episodes` test episodes of `seed`."""
     first_successes: dict[int, int] = {}
     ends = 0
+    measures: list[FloatArray] = []
     for moment in play(environment, policy, episodes=episodes, seed=seed):
         if moment.success:
             first_successes.setdefault(moment.episode, moment.step)
             ends += moment.over
+        if moment.over:
+            measures.append(environment.measures())
     low, high = wilson(ends, episodes)
     reached = len(first_successes)
     mean = sum(first_successes.values()) / reached if reached else None
-    return Score(episodes, reached / episodes, ends / episodes, low, high, mean)
+    means = measure_means(measured(environment.signature.measures, np.array(measures)))
+    return Score(episodes, reached / episodes, ends / episodes, low, high, mean, means)

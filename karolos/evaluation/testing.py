@@ -2,14 +2,15 @@
 
 from __future__ import annotations
 
+import math
 from collections.abc import Callable, Sequence
 
 import numpy as np
 from numpy.typing import NDArray
 
-from ..core import Agent, Failure, Orchestrator, Received
+from ..core import Agent, Array, Failure, Measure, Orchestrator, Received
 from ..core.seeding import SeedTree
-from ..records.results import TestResult
+from ..records.results import MeasureValues, TestResult
 from ..training.episodes import empty_steps, write_rows
 
 
@@ -53,13 +54,12 @@ def play_episodes(
     count, size = len(seeds), orchestrator.size
     if not count:
         raise ValueError("a test needs at least one episode")
-    success_any = np.zeros(count, np.bool_)
-    success_end = np.zeros(count, np.bool_)
-    success_reset = np.zeros(count, np.bool_)
+    success_any, success_end, success_reset = np.zeros((3, count), np.bool_)
     returns = np.zeros(count)
     lengths = np.zeros(count, np.int64)
     distances = np.full(count, np.nan)
-    rule = orchestrator.signature.goal_rule
+    rule, declared = orchestrator.signature.goal_rule, orchestrator.signature.measures
+    measures = np.full((count, len(declared)), np.nan)
     latest = empty_steps(orchestrator)
     completed = 0
     playing = np.arange(size)
@@ -86,6 +86,7 @@ def play_episodes(
             on_failure(failure)
         over = received.environment[received.step.terminated | received.step.truncated]
         completed += over.size
+        measures[playing[over]] = orchestrator.measures(over)
         playing[over] += size
         ended: NDArray[np.int64] = np.union1d(over, received.failed)
         return ended[playing[ended] < count]
@@ -117,4 +118,14 @@ def play_episodes(
         lengths=tuple(lengths.tolist()),
         distances=None if np.isnan(distances).any() else tuple(distances.tolist()),
         has_success=orchestrator.signature.has_success or bool(success_any.any()),
+        measures=measured(declared, measures),
     )
+
+
+def measured(declared: Sequence[Measure], values: Array) -> dict[str, MeasureValues]:
+    """Measures by name, given their values (episodes, measures), to six significant digits."""
+    columns = [[None if math.isnan(one) else float(f"{one:.6g}") for one in column] for column in values.T.tolist()]
+    return {
+        one.name: {"unit": one.unit, "better": one.better, "values": tuple(column)}
+        for one, column in zip(declared, columns, strict=True)
+    }

@@ -71,7 +71,7 @@ class Executor:
         environment = self._environments[position]
         step = environment.reset(int(self._arrays.seed[index]))
         _check_shapes(environment, step)
-        self._write(index, step)
+        self._write(environment, index, step)
         if self.signature.parameters.size:
             self._arrays.parameters[index] = environment.parameters()
 
@@ -79,11 +79,14 @@ class Executor:
         row = self._arrays.action[index]
         # A copy, because an environment may store its last actions (e.g. an action delay) and the row is overwritten.
         action = int(row[0]) if self._discrete else row.copy()
-        self._write(index, self._environments[index - self._first].step(np.asarray(action)))
+        environment = self._environments[index - self._first]
+        self._write(environment, index, environment.step(np.asarray(action)))
 
-    def _write(self, index: int, step: Step) -> None:
+    def _write(self, environment: Environment, index: int, step: Step) -> None:
         for array, value in zip(self._arrays.step, step, strict=True):
             array[index] = value
+        if (step.terminated or step.truncated) and self.signature.measures:
+            self._arrays.measures[index] = environment.measures()
 
 
 def _check_shapes(environment: Environment, step: Step) -> None:

@@ -205,6 +205,10 @@ class Local(Orchestrator):
         """The values that domain randomization drew for the running episodes: (n, signature.parameters.size)."""
         return self._running().arrays.parameters[np.asarray(environments, np.int64)]
 
+    def measures(self, environments: EnvironmentIds) -> FloatArray:
+        """The measures of the episodes that these environments ended last: (n, signature.measures)."""
+        return self._running().arrays.measures[np.asarray(environments, np.int64)]
+
     def describe(self) -> dict[str, Any]:
         """The layout, and the number of all environments."""
         settings = self._settings

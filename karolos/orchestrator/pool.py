@@ -302,4 +302,4 @@ class WorkerPool(Backend):
 def _widths(signature: Signature) -> tuple[object, ...]:
     """What must be the same for environments in the same arrays."""
     goals = signature.achieved_goal, signature.desired_goal
-    return (signature.observation, signature.action, *goals, signature.parameters)
+    return (signature.observation, signature.action, *goals, signature.parameters, signature.measures)

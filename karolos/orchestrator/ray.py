@@ -253,4 +253,4 @@ def _inputs(arrays: EnvironmentArrays, message: bytes) -> NDArray[Any]:
 
 def _outputs(arrays: EnvironmentArrays) -> list[NDArray[Any]]:
     """What environments write."""
-    return [arrays.parameters, arrays.commands, *arrays.step]
+    return [arrays.parameters, arrays.measures, arrays.commands, *arrays.step]

@@ -28,6 +28,8 @@ class EnvironmentArrays:
     seed: NDArray[np.uint64]
     action: FloatArray
     parameters: FloatArray
+    measures: FloatArray
+    """Of the episode that each environment ended last."""
     commands: NDArray[np.uint64]
     """Number of commands that each environment has completed. A hanging environment completes none."""
     step: Step
@@ -45,8 +47,8 @@ class EnvironmentArrays:
         for kind, shape in _columns(signature, environments):
             arrays.append(np.ndarray(shape, kind, buffer, start))
             start += _aligned(_bytes(kind, shape))
-        seed, action, parameters, commands, *step = arrays
-        return cls(seed, action, parameters, commands, Step(*step))
+        seed, action, parameters, measures, commands, *step = arrays
+        return cls(seed, action, parameters, measures, commands, Step(*step))
 
     @classmethod
     def private(cls, signature: Signature, environments: int) -> EnvironmentArrays:
@@ -55,12 +57,13 @@ class EnvironmentArrays:
 
 
 def _columns(signature: Signature, environments: int) -> list[tuple[type[np.generic], tuple[int, ...]]]:
-    """Type and shape of each array: seed, action, parameters and commands, then those of a Step."""
+    """Type and shape of each array: seed, action, parameters, measures and commands, then those of a Step."""
     count, reward, flag = ((kind, (environments,)) for kind in (np.uint64, np.float32, np.bool_))
     vectors = (signature.action, signature.parameters, signature.observation)
     goals = (signature.achieved_goal, signature.desired_goal)
     action, parameters, *step = ((np.float32, (environments, vector.size)) for vector in (*vectors, *goals))
-    return [count, action, parameters, count, *step, reward, flag, flag, flag, flag]
+    measures = np.float32, (environments, len(signature.measures))
+    return [count, action, parameters, measures, count, *step, reward, flag, flag, flag, flag]
 
 
 def _bytes(kind: type[np.generic], shape: tuple[int, ...]) -> int:

@@ -4,8 +4,8 @@ from __future__ import annotations
 
 import math
 from collections.abc import Mapping, Sequence
-from dataclasses import asdict, dataclass, replace
-from typing import Annotated, Any
+from dataclasses import asdict, dataclass, field, replace
+from typing import Annotated, Any, Literal
 
 from pydantic import Field, FiniteFloat
 from typing_extensions import TypedDict
@@ -17,6 +17,24 @@ Count = Annotated[int, Field(ge=0, lt=1 << 63)]
 """A number that databases can store."""
 WITHIN = (0.05, 0.1, 0.25)
 """Distances in m: reports say which fraction of test episodes ended nearer to their goal."""
+
+
+class MeasureMean(TypedDict):
+    """A measure of a test."""
+
+    unit: str
+    better: Literal["smaller", "larger"]
+    """Which of two values is better."""
+    mean: FiniteFloat | None
+    """Over the episodes in which it is defined; None without any."""
+
+
+class MeasureValues(TypedDict):
+    """A measure of a test, episode by episode; None where it is undefined."""
+
+    unit: str
+    better: Literal["smaller", "larger"]
+    values: tuple[FiniteFloat | None, ...]
 
 
 @dataclass(frozen=True)
@@ -42,6 +60,8 @@ class TestResult:
     """From the goal at the last step, in m; inf where it does not count (nothing landed). None if it is unknown."""
     has_success: bool = True
     """False: the environment does not define success, and no episode has one. Only returns count."""
+    measures: dict[str, MeasureValues] = field(default_factory=dict)
+    """What the environment measures an episode by, by name; empty in tests from before there were measures."""
 
     @property
     def episodes(self) -> int:
@@ -69,22 +89,13 @@ class TestResult:
         success = f"success end {self.success_end:.2f}, any {self.success_any:.2f}, " if self.has_success else ""
         return f"{success}return {self.mean_return:,.2f}"
 
-    @staticmethod
-    def joined(parts: Sequence[TestResult]) -> TestResult:
-        """The result of a test whose episodes were played in several parts."""
-        names = ["any", "end", "reset", "returns", "lengths", "distances"]
-        if any(part.distances is None for part in parts):
-            names.remove("distances")
-        lists: dict[str, Any] = {name: sum((getattr(part, name) for part in parts), ()) for name in names}
-        has_success = any(part.has_success for part in parts)  # an environment may show its first success late
-        return replace(parts[0], **{"distances": None, "has_success": has_success} | lists)
-
     def first(self, count: int) -> TestResult:
         """The result of the first `count` episodes."""
         lists: dict[str, Any] = {
             name: values[:count] for name, values in vars(self).items() if isinstance(values, tuple)
         }
-        return replace(self, **lists)
+        measures = {name: _with(one, one["values"][:count]) for name, one in self.measures.items()}
+        return replace(self, measures=measures, **lists)
 
     def within(self, metres: float) -> float | None:
         """Fraction of episodes that ended nearer than this to their goal; None if the distances are unknown."""
@@ -110,6 +121,8 @@ class TestCounts:
     """Episodes whose goal held before the first action."""
     mean_return: FiniteFloat | None
     """Mean over the episodes of the sum of rewards; None if it is not finite."""
+    measures: dict[str, MeasureMean] = field(default_factory=dict)
+    """By name."""
 
     @property
     def success_any(self) -> float | None:
@@ -127,10 +140,11 @@ class TestCounts:
             sum(flags) if result.has_success else None for flags in (result.any, result.end, result.reset)
         )
         mean = _finite_mean(result.returns)
-        return cls(int(result.steps), float(result.seconds), result.episodes, some, end, reset, mean)
+        means = measure_means(result.measures)
+        return cls(int(result.steps), float(result.seconds), result.episodes, some, end, reset, mean, means)
 
     def row(self) -> dict[str, Any]:
-        """Success and return as JSON values, with Wilson's intervals at 95 %."""
+        """Success, return and measures as JSON values; success with Wilson's intervals at 95 %."""
         return {
             "episodes": self.episodes,
             "success_any": self.success_any,
@@ -138,6 +152,7 @@ class TestCounts:
             "success_end": self.success_end,
             "success_end_interval": self._interval(self.successes_end),
             "mean_return": self.mean_return,
+            "measures": self.measures,
         }
 
     def _interval(self, successes: int | None) -> tuple[float, float] | None:
@@ -145,18 +160,36 @@ class TestCounts:
 
 
 def _finite_mean(values: Sequence[float]) -> float | None:
-    """The mean, which is the same in every version of Python; None if it is not finite."""
+    """The mean, which is the same in every version of Python; None if it is not finite, or without values."""
     try:
         mean = math.fsum(values) / len(values)
-    except (OverflowError, ValueError):
+    except (OverflowError, ValueError, ZeroDivisionError):
         return None
     return mean if math.isfinite(mean) else None
 
 
+def measure_means(measures: Mapping[str, MeasureValues]) -> dict[str, MeasureMean]:
+    """The mean of each measure over its episodes."""
+    return {
+        name: {
+            "unit": one["unit"],
+            "better": one["better"],
+            "mean": _finite_mean([value for value in one["values"] if value is not None]),
+        }
+        for name, one in measures.items()
+    }
+
+
+def _with(one: MeasureValues, values: tuple[float | None, ...]) -> MeasureValues:
+    """The measure with other values."""
+    return {**one, "values": values}
+
+
 def encode_test(result: TestResult) -> dict[str, Any]:
     """A test as a JSON object: its counts, then its episodes. Successes are 0 and 1, nan and inf are texts."""
+    counts = asdict(TestCounts.of(result))
     return {
-        **asdict(TestCounts.of(result)),
+        **counts,
         "any": [int(flag) for flag in result.any],
         "end": [int(flag) for flag in result.end],
         "reset": [int(flag) for flag in result.reset],
@@ -164,6 +197,7 @@ def encode_test(result: TestResult) -> dict[str, Any]:
         "lengths": [int(length) for length in result.lengths],
         **({} if result.distances is None else {"distances": _numbers(result.distances)}),
         **({} if result.has_success else {"has_success": False}),
+        "measures": {name: counts["measures"][name] | one for name, one in result.measures.items()},
     }
 
 
@@ -176,7 +210,15 @@ def decode_test(test: bytes | Mapping[str, Any]) -> TestResult | None:
     result = from_json(TestResult, test)
     if result is None:
         return None
-    lists = [result.any, result.end, result.reset, result.returns, result.lengths, result.distances or result.any]
+    lists: list[tuple[Any, ...]] = [
+        result.any,
+        result.end,
+        result.reset,
+        result.returns,
+        result.lengths,
+        result.distances or result.any,
+    ]
+    lists += [one["values"] for one in result.measures.values()]
     return result if result.any and len(set(map(len, lists))) == 1 else None
 
 

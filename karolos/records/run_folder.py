@@ -322,6 +322,7 @@ class RunFolder:
         same = ("state", "steps", "seconds", "attempt", "error", "updates", "total_seconds")
         counted = ("success_any", "success_end", "episodes", "mean_return")
         reported: dict[str, Any] = {name: getattr(last, name, None) for name in counted}
+        reported["measures"] = last.measures if last else {}
         return RunSummary(
             run=self.id,
             **{name: self._run[name] for name in ("experiment", "seed", "name", "created")},

@@ -4,14 +4,14 @@ from __future__ import annotations
 
 import re
 from collections.abc import Iterator, Mapping
-from dataclasses import asdict, dataclass
+from dataclasses import asdict, dataclass, field
 from datetime import UTC, datetime
 from typing import Annotated, Any, Literal, NotRequired, get_args
 
 from pydantic import Field, FiniteFloat
 from typing_extensions import TypedDict
 
-from .results import Count, TestCounts
+from .results import Count, MeasureMean, TestCounts
 
 ID = re.compile(r"[A-Za-z0-9][A-Za-z0-9._-]{0,199}")
 """A run's id: its name, seed and time."""
@@ -155,6 +155,8 @@ class RunSummary:
     """Mean over the episodes of the sum of rewards."""
     best_return: float | None = None
     """That of the policy `best`."""
+    measures: dict[str, MeasureMean] = field(default_factory=dict, hash=False)
+    """By name, those of the test that success and return are of."""
 
     def row(self) -> dict[str, Any]:
         """The fields as JSON values, in order."""
@@ -176,18 +178,13 @@ class RunRecord:
     """One line per damaged file; not in the index."""
 
 
-def flatten(spec: Mapping[str, Any], prefix: str = "", only: str | None = None) -> Iterator[tuple[str, Any]]:
-    """A nested mapping as pairs of key path and value: ("agent.learning_rate", 0.001). Lists are values.
-
-    `only` is the one key path that is wanted; by default all are.
-    """
+def flatten(spec: Mapping[str, Any], prefix: str = "") -> Iterator[tuple[str, Any]]:
+    """A nested mapping as pairs of key path and value: ("agent.learning_rate", 0.001). Lists are values."""
     for key, value in spec.items():
         path = f"{prefix}{key}"
-        if only is not None and not only.startswith(path):
-            continue
         if isinstance(value, Mapping) and value:
-            yield from flatten(value, f"{path}.", only)
-        elif only is None or only == path:
+            yield from flatten(value, f"{path}.")
+        else:
             yield path, value
 
 

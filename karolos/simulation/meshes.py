@@ -23,7 +23,7 @@ from numpy.typing import NDArray
 
 from ..core import Array
 from ..errors import MachineError, PluginError
-from ..files import temporary_prefix, writing
+from ..files import writing
 
 Collision = Literal["convex", "decomposed"]
 """What a mesh that is not convex collides as: its convex hull, or convex pieces of it."""
@@ -164,7 +164,7 @@ def pieces(path: Path) -> tuple[Path, ...]:
     if not folder.is_dir():
         with writing(folder.parent):
             folder.parent.mkdir(parents=True, exist_ok=True)
-            with tempfile.TemporaryDirectory(prefix=temporary_prefix(), dir=folder.parent) as made:
+            with tempfile.TemporaryDirectory(dir=folder.parent) as made:
                 found = _decompose(path)
                 for number, piece in enumerate(found):
                     Path(made, f"{number:03d}.stl").write_bytes(stl(piece))

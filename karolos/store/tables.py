@@ -16,7 +16,7 @@ from ..records.results import TestCounts
 from ..records.run_records import RunSummary
 from ..records.sweep_records import SweepRecord, SweepTrialState, Trial
 
-SCHEMA = 8
+SCHEMA = 9
 """Version of these tables, stored in `karolos_schema`. Raise it with every change of the tables.
 
 A database of another version is refused: the run folders are the truth, and `karolos db reindex` builds a new one.

@@ -8,7 +8,7 @@ from typing import Annotated, Literal
 import numpy as np
 from pydantic import Field as Setting
 
-from ..core import Array, BoolArray, Expert, Field, FloatArray, GoalRule, Layout
+from ..core import Array, BoolArray, Expert, Field, FloatArray, GoalRule, Layout, Measure
 from ..core.seeding import Generator
 from ..errors import UsageError
 from ..randomization.randomization import Drawn, Probability
@@ -111,10 +111,11 @@ class Throw(CubeTask):
     drawn: Throw.Settings
     observation = Layout((*FIELDS, Field("landing_if_released", 2, "m"), Field("time_of_flight", 1, "s")))
     uses_gripper = True
-    points_down = False
+    control = "joint"
     camera = Camera(target=(0.9, 0.0, 0.35), distance=4.3, yaw=22.0, pitch=-22.0)
     achieved_goal = Layout((Field("landing_point", 2, "m"), Field("landed", 1)))
     desired_goal = Layout((Field("target", 2, "m"),))
+    distance_measure = Measure("miss", "m", "smaller", "distance of the landing from the target; undefined without one")
 
     def __init__(self, settings: Throw.Settings) -> None:
         super().__init__(settings)

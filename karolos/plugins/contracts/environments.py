@@ -22,9 +22,9 @@ def an_episode_begins_and_takes_a_step(environment: Environment) -> None:
 
 @REPEATS
 def the_same_seed_gives_the_same_trajectory_in_a_fresh_and_in_a_used_environment(*who: Candidate) -> None:
-    """A seed and the actions determine an episode bit for bit, whatever the environment did before."""
+    """A seed and the actions determine an episode and its measures, whatever the environment did before."""
     with opened(*who) as environment, opened(*who) as fresh:
-        first = _played(environment, 3)
+        first, measures = _played(environment, 3), environment.measures().tobytes()
         _played(environment, 4)
         environment.reset(5)  # an episode that is left unfinished
         environment.step(_actions(environment, 0, 1)[0])
@@ -34,6 +34,7 @@ def the_same_seed_gives_the_same_trajectory_in_a_fresh_and_in_a_used_environment
             demand(len(again) == len(first), f"an episode of the same seed has {counts} steps {what}")
             for number, (one, other) in enumerate(zip(first, again, strict=True)):
                 demand_same_fields(one, other, f"step {number} {what}")
+            demand(used.measures().tobytes() == measures, f"an episode of the same seed has other measures {what}")
 
 
 @PROMISES
@@ -59,6 +60,9 @@ def steps_are_as_the_signature_says(environment: Environment) -> None:
     count, most = len(steps) - 1, signature.max_steps
     demand(count <= most, f"an episode has {count} steps, more than max_steps {most}")
     demand_shape(environment.parameters(), (signature.parameters.size,), "the result of parameters()")
+    measures = environment.measures()
+    demand_shape(measures, (len(signature.measures),), "the result of measures()", np.float32)
+    demand(not np.isinf(measures).any(), f"a measure is infinite, not nan: {measures}")
 
 
 @PROMISES

@@ -27,11 +27,13 @@ def the_task_refuses_the_robot(robot: Candidate, task: Candidate) -> None:
 
 @PROMISES
 def the_expert_solves_the_pair_and_random_actions_do_not(robot: Candidate, task: Candidate) -> None:
-    """The task's expert succeeds in at least 70 % of the episodes, random actions in at most 30 %."""
+    """The expert succeeds in at least 70 % of the episodes, defining every measure; random actions in at most 30 %."""
     with joined(robot, task) as environment:
         expert = score(environment, expert_policy(environment), episodes=EPISODES, seed=1)
         chance = score(environment, random_policy(environment, 1), episodes=EPISODES, seed=1)
         demand(environment.divergences == 0, f"the simulation diverges in {environment.divergences} episodes")
+    undefined = [name for name, one in expert.measures.items() if one["mean"] is None]
+    demand(not undefined, f"measures that no episode of the expert defines: {', '.join(undefined)}")
     demand(expert.success_end >= 0.7, f"the expert succeeds in only {expert.success_end:.0%} of {EPISODES} episodes")
     demand(chance.success_end <= 0.3, f"random actions succeed in {chance.success_end:.0%} of {EPISODES} episodes")
 

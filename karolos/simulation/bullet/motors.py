@@ -7,7 +7,7 @@ from functools import partial
 
 import numpy as np
 
-from ..interface.engine import FINGER_RATE, OPENS, PHYSICS_RATE, Fingers, JointLimits
+from ..interface.engine import FINGER_RATE, OPENS, PHYSICS_RATE, Fingers, JointLimits, Loads
 from .body import Body
 
 STABLE_DAMPING = 0.5
@@ -38,7 +38,7 @@ class Motors:
     ) -> None:
         self.pads = pads
         self._timestep = timestep
-        self._body = body
+        self._body, self.index = body, body.index
         self._api = api = body.api
         self._fractions = [(step + 1) / substeps for step in range(substeps)]
         self._limits = limits
@@ -85,6 +85,10 @@ class Motors:
             self.set_joint_damping(0.0)
         self._openings: Mapping[int, float] = {}
         self._begin: Sequence[float] = (0.0,) * len(joints)
+        self._period = substeps * timestep
+        self._speeds, self._loads = np.zeros(len(joints)), np.zeros((3, len(joints)))
+        self.largest: dict[tuple[int, int], float] = {}
+        """As `World.largest_forces`."""
         self._end: Sequence[float] = self._begin
         self.set_joint_friction(0.0)
         self.set_gain(1.0)
@@ -114,6 +118,7 @@ class Motors:
     def write(self, positions: Sequence[float], opening: float) -> None:
         self._begin = self._end = (0.0,) * len(self._arm)
         self._write(self._arm, positions, self._begin)
+        self._speeds, self._loads[:], self.largest = np.array(self._begin), 0.0, {}
         if self._fingers is not None:
             finger = self._fingers.position(opening)
             self._write(self.pads, [finger, finger], [0.0, 0.0])
@@ -152,6 +157,18 @@ class Motors:
         fraction = self._fractions[step]
         speeds = [first + fraction * (last - first) for first, last in zip(self._begin, self._end, strict=True)]
         self._drive_arm(targetVelocities=speeds, forces=self._torques, velocityGains=self._gains)
+
+    def record(self, forces: Mapping[tuple[int, int], float]) -> None:
+        """Raise the loads and the largest forces to those at the end of a control step."""
+        _, speeds, _, torques = zip(*self._body.joints(self._arm), strict=True)
+        before, self._speeds = self._speeds, np.array(speeds)
+        rises = (self._speeds - before) / self._period
+        np.maximum(self._loads, np.abs((self._speeds, rises, torques)), out=self._loads)
+        for key, force in forces.items():
+            self.largest[key] = max(self.largest.get(key, 0.0), force)
+
+    def loads(self) -> Loads:
+        return Loads(*self._loads.tolist())
 
     def read(self) -> tuple[Sequence[float], Sequence[float], float]:
         positions, velocities, _, _ = zip(*self._body.joints(self._joints), strict=True)

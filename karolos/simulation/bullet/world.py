@@ -15,11 +15,19 @@ from numpy.typing import NDArray
 
 from ...core import Array, FloatArray
 from ...errors import PluginError
-from ...files import temporary_prefix
 from .. import parts
 from ..fixtures import read
 from ..geometry import Colour, Vector
-from ..interface.engine import FLOOR_FRICTION, GRAVITY, PHYSICS_RATE, Camera, Contact, Fingers, JointLimits
+from ..interface.engine import (
+    FLOOR_FRICTION,
+    GRAVITY,
+    PHYSICS_RATE,
+    Camera,
+    Contact,
+    Fingers,
+    Frame,
+    JointLimits,
+)
 from ..interface.engine import Body as AnyBody
 from ..meshes import stl, triangles
 from ..parts import Mechanism
@@ -118,6 +126,9 @@ class World:
             for body, peaks in self._peaks.items():
                 now = self._forces(body)
                 self._peaks[body] = {key: max(peaks.get(key, 0.0), now.get(key, 0.0)) for key in (*peaks, *now)}
+        for motors in self._motors:
+            recorded = self._peaks.get(motors.index)
+            motors.record(self._forces(motors.index) if recorded is None else recorded)
 
     def set_gravity(self, gravity: float) -> None:
         self.api.setGravity(0, 0, gravity)
@@ -136,7 +147,7 @@ class World:
 
     def _load(self, robot: Element, *, fixed: bool, maximal: bool = False, position: Vector = (0.0, 0.0, 0.0)) -> int:
         robot = copy.deepcopy(robot)
-        with tempfile.TemporaryDirectory(prefix=temporary_prefix()) as folder:
+        with tempfile.TemporaryDirectory() as folder:
             for number, mesh in enumerate(robot.iter("mesh")):
                 file = Path(folder, f"{number}.stl")
                 file.write_bytes(stl(triangles(Path(mesh.get("filename", "")))))
@@ -158,7 +169,14 @@ class World:
                 raise PluginError(what, where=f"robot {robot.get('name', '?')}") from error
         return index
 
-    def motors(self, body: AnyBody, joints: Sequence[str], limits: JointLimits, fingers: Fingers | None) -> Motors:
+    def motors(
+        self,
+        body: AnyBody,
+        joints: Sequence[str],
+        limits: JointLimits,
+        fingers: Fingers | None,
+        tool: Frame | None = None,  # noqa: ARG002 (of the wrench and springs)
+    ) -> Motors:
         links = body.links()
         pads = [links[name] for name in fingers.links] if fingers else []
         arm = [links[name] for name in joints]
@@ -207,6 +225,9 @@ class World:
     def forces(self, body: AnyBody) -> dict[tuple[int, int], float]:
         # recorded from the first question on, because looking in each physics step costs some us
         return self._peaks.setdefault(body.index, self._forces(body.index) if self._stepped else {})
+
+    def largest_forces(self, body: AnyBody) -> dict[tuple[int, int], float]:
+        return next((motors.largest for motors in self._motors if motors.index == body.index), {})
 
     def _forces(self, body: int) -> dict[tuple[int, int], float]:
         """As `forces`, of the last physics step."""

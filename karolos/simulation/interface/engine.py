@@ -94,6 +94,30 @@ OBJECT_MATERIAL = Material(stiffness=4e5)
 """Of a free body, if nothing else is said."""
 
 
+Frame = tuple[Vector, Quaternion]
+"""Position in m and orientation."""
+
+
+class Spring(NamedTuple):
+    """A spring and damper between a tool and its set point: F = K e - D v, up to the torques of the joints.
+
+    The weight of the arm is compensated. D follows from K and from what the tool weighs at home, for each direction.
+    """
+
+    stiffness: float
+    """N/m."""
+    turn_stiffness: float
+    """N m/rad."""
+    damping_ratio: float
+    """1: as much damping as the tool needs not to swing."""
+    error: float
+    """Largest distance e to the set point, in m, that the spring answers to: more does not pull more."""
+    turn_error: float
+    """The same of the rotation, in rad."""
+    home: tuple[float, ...]
+    """Joint positions in rad to which an arm with joints to spare returns meanwhile."""
+
+
 @dataclass(frozen=True)
 class Fingers:
     """Two prismatic joints of a URDF that move as one."""
@@ -189,6 +213,17 @@ class Body(Protocol):
         """Set the mass in kg and the principal moments in kg m2 of a link. Its centre of mass and axes stay."""
 
 
+class Loads(NamedTuple):
+    """The largest that each joint of an arm had since its positions were last written: (n,) each."""
+
+    speed: Sequence[float]
+    """rad/s"""
+    acceleration: Sequence[float]
+    """rad/s2, the mean of a control step."""
+    torque: Sequence[float]
+    """Of the motor, in N m."""
+
+
 class Motors(Protocol):
     """The motors of an arm and its gripper.
 
@@ -214,6 +249,24 @@ class Motors(Protocol):
     def set_pad_friction(self, friction: float) -> None:
         """Set the lateral friction coefficient of the pads."""
 
+    def attach(self, spring: Spring) -> None:
+        """Let a spring move the tool from now on, instead of target speeds. Raises UsageError where an engine cannot.
+
+        Dry friction then brakes the joints.
+        """
+
+    def aim(self, position: Vector, orientation: Quaternion, velocity: Vector, spin: Vector) -> None:
+        """Set the set point of the spring in m, and how it moves in the next control step, in m/s and rad/s."""
+
+    def wrench(self) -> Sequence[float]:
+        """What contacts do to the tool and what moves with it: force in N and torque in N m at the tool, in its frame.
+
+        Zero at a reset. A held body counts with its weight and inertia, the gripper itself does not.
+        """
+
+    def set_wrench_filter(self, seconds: float) -> None:
+        """Set the time constant of the wrench's low-pass."""
+
     def write(self, positions: Sequence[float], opening: float) -> None:
         """Put the joints (n,) in rad and the gripper there at rest; the motors hold the arm still."""
 
@@ -227,6 +280,12 @@ class Motors(Protocol):
 
     def read(self) -> tuple[Sequence[float], Sequence[float], float]:
         """Positions (n,) in rad and velocities (n,) in rad/s of the joints, opening of the gripper (0 without)."""
+
+    def loads(self) -> Loads:
+        """The largest speed, acceleration and torque of each joint since `write`.
+
+        Speeds and torques are those of physics steps; with PyBullet those at the ends of control steps.
+        """
 
 
 class World(Protocol):
@@ -255,8 +314,23 @@ class World(Protocol):
         The base is fixed, `place` moves it. Raises PluginError when the file or the engine refuses it.
         """
 
-    def motors(self, body: Body, joints: Sequence[str], limits: JointLimits, fingers: Fingers | None) -> Motors:
-        """The motors of a loaded arm. `joints`: the links that its joints move, from base to wrist."""
+    def motors(
+        self,
+        body: Body,
+        joints: Sequence[str],
+        limits: JointLimits,
+        fingers: Fingers | None,
+        tool: Frame | None = None,
+    ) -> Motors:
+        """The motors of a loaded arm.
+
+        Args:
+            body: the arm.
+            joints: the links that its joints move, from base to wrist.
+            limits: of the joints.
+            fingers: of the gripper.
+            tool: its frame in the last of these links; springs and the wrench need it.
+        """
 
     def release_in_motion(self) -> None:
         """After `motors`: let objects leave a moving hand cleanly, so that nearly the same throw lands nearly there.
@@ -288,6 +362,12 @@ class World(Protocol):
 
         The key is the body's link and the index of the other body. It is the body's own index where two of its links
         touch; both then have an entry. Forces that were zero throughout are left out.
+        """
+
+    def largest_forces(self, body: Body) -> dict[tuple[int, int], float]:
+        """As `forces`, the largest since the joints of an arm were last written.
+
+        With PyBullet those of the last physics step of each control step, unless `forces` has been asked for.
         """
 
     def render(self, width: int, height: int, camera: Camera) -> Array:

@@ -18,7 +18,7 @@ from ...errors import MachineError, PluginError
 from .. import parts
 from ..fixtures import read
 from ..geometry import Colour, Vector
-from ..interface.engine import FLOOR_FRICTION, PHYSICS_RATE, Camera, Contact, Fingers, JointLimits
+from ..interface.engine import FLOOR_FRICTION, PHYSICS_RATE, Camera, Contact, Fingers, Frame, JointLimits
 from ..interface.engine import Body as AnyBody
 from ..meshes import stl, triangles
 from ..parts import Mechanism
@@ -143,11 +143,18 @@ class World:
                 geom.contype = geom.conaffinity = 0
                 yield prefix + geom.name
 
-    def motors(self, body: AnyBody, joints: Sequence[str], limits: JointLimits, fingers: Fingers | None) -> Motors:
+    def motors(
+        self,
+        body: AnyBody,
+        joints: Sequence[str],
+        limits: JointLimits,
+        fingers: Fingers | None,
+        tool: Frame | None = None,
+    ) -> Motors:
         links = body.links()
         pads = [links[name] for name in fingers.links] if fingers else []
         arm = [links[name] for name in joints]
-        motors = Motors(self._simulation, self._bodies[body.index], limits, arm, fingers, pads)
+        motors = Motors(self._simulation, self._bodies[body.index], limits, arm, fingers, pads, tool=tool)
         self._motors.append(motors)
         self._simulation.parts.append(motors)
         if fingers is not None:
@@ -202,17 +209,21 @@ class World:
         return found
 
     def forces(self, body: AnyBody) -> dict[tuple[int, int], float]:
-        simulation, own = self._simulation, self._bodies[body.index]
-        found: dict[tuple[int, int], float] = {}
-        if not simulation.stepped:
-            return found
+        return self._pressing(body, self._simulation.peaks) if self._simulation.stepped else {}
+
+    def largest_forces(self, body: AnyBody) -> dict[tuple[int, int], float]:
+        return self._pressing(body, self._simulation.largest)
+
+    def _pressing(self, body: AnyBody, between: FloatArray) -> dict[tuple[int, int], float]:
+        """What presses on a body, given the forces between each two of MuJoCo's bodies (nbody, nbody)."""
+        own, found = self._bodies[body.index], dict[tuple[int, int], float]()
         bodies = {place: one.index for one in self._bodies for place in one.ids}
         links = {place: link for link, place in enumerate(own.ids, -1)}
-        for pair in np.argwhere(simulation.peaks).tolist():
+        for pair in np.argwhere(between).tolist():
             for first, second in (pair, pair[::-1]):
                 if first in links:
                     key = links[first], bodies[second]
-                    found[key] = found.get(key, 0.0) + float(simulation.peaks[tuple(pair)])
+                    found[key] = found.get(key, 0.0) + float(between[tuple(pair)])
         return found
 
     def render(self, width: int, height: int, camera: Camera) -> Array:
