@@ -26,6 +26,7 @@ from ..simulation.interface import Body, Box, Fingers, Gripper, JointLimits, Wor
 from ..simulation.interface.engine import OPENS
 from ..simulation.interface.robot import ControlMode
 from ..simulation.kinematics import Chain, Configuration, Pose, downward
+from ..simulation.parts import Mechanism
 from ..simulation.urdf import Description, Joint
 from .control import CONTROLS, ROTATION, Control, Way
 from .protective_stop import Guard, ProtectiveStop
@@ -317,7 +318,7 @@ class Arm:
         if fingers is not None and self._fingers is None:
             robot = urdf.weld(robot, dict.fromkeys(fingers.joints, fingers.position(self.settings.finger_opening)))
         self.world = world
-        self.body = world.load(robot, position=self.base)
+        self.body = world.load(Mechanism(robot), position=self.base)
         links = {**self.body.links(), self._joints[0].parent: -1}
         named = [(carriers[first], carriers[second]) for first, second in self.model.self_collisions]
         # a welded finger has no link
