@@ -62,6 +62,8 @@ def of_pair(robot: Candidate, task: Candidate) -> list[Case]:
     if task.name == "reach":
         groups += [pairs.IN_REACH, pairs.ARM_IN_REACH] if issubclass(robot.plugin, Arm) else [pairs.IN_REACH]
     modes = [mode for mode in controls(robot) if goes_with(task, mode.settings.get("control"))]
+    if task.plugin.control in TURNING and issubclass(robot.plugin, Arm):
+        modes.append(under(robot, task.plugin.control))
     both = environments.REPEATS, environments.PROMISES
     found = [case for mode in modes for group in both for case in group.cases(mode, task)]
     return found + [case for group in groups for case in group.cases(robot, task)]

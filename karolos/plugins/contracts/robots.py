@@ -280,7 +280,7 @@ def a_spring_presses_as_its_stiffness_and_its_limit_say(environment: RobotTask) 
     """Against a wall at each side the wrist feels stiffness times error within 5 %, and just what its limit allows."""
     robot: Any = environment.robot
     environment.reset(0)
-    wall = environment.world.body([Cuboid((0.06, 0.06, 0.06))], 0.0, (0.6, 0.6, 0.6, 1.0))
+    wall = environment.world.body([Cuboid((0.1, 0.1, 0.1))], 0.0, (0.6, 0.6, 0.6, 1.0))
     settings, where = robot.settings, environment.signature.observation.slice("set_point")
     stiffness = np.repeat([settings.stiffness, settings.turn_stiffness], 3)
     most = settings.stiffness * settings.error_limit
@@ -288,16 +288,16 @@ def a_spring_presses_as_its_stiffness_and_its_limit_say(environment: RobotTask) 
         environment.reset(0)
         start = robot.workspace.centre
         robot.place_tool(start, 0.0)
-        aside = [0.03, 0.03, -0.025]  # the wall meets an edge of the fingers, which turns them, too
-        aside[axis] = 0.13 * side
+        aside = [0.0, 0.0, -0.045] if axis < 2 else [0.045, 0.045, 0.0]  # it meets an edge, which turns the tool, too
+        aside[axis] = 0.15 * side
         wall.place(tuple(np.add(start, aside).tolist()))
-        action = _along(environment, axis, side)
-        for _ in range(120):
-            observation = environment.step(action).observation
-        tool = robot.tool
-        turn = np.transpose([tool.x, tool.y, tool.z])
-        felt = np.concatenate((turn @ robot.wrench[:3], turn @ robot.wrench[3:]))
-        pulled = stiffness * observation[where]
+        felt, pulled = np.zeros(6), np.zeros(6)
+        for step in range(120):
+            observation = environment.step(_along(environment, axis, side) * (step < 60)).observation
+            if step >= 96:
+                turn = np.transpose([robot.tool.x, robot.tool.y, robot.tool.z])
+                felt += np.concatenate((turn @ robot.wrench[:3], turn @ robot.wrench[3:])) / 24
+                pulled += stiffness * observation[where] / 24
         off, size = (np.linalg.norm(one.reshape(2, 3), axis=1) for one in (felt + pulled, pulled))
         found = f"feels {felt.round(2)}, stiffness times error is {pulled.round(2)} (N, N m)"
         demand((off < 0.05 * size + [0.1, 0.01]).all(), f"pressing along {axis}, the wrist {found}")
