@@ -9,7 +9,7 @@ from dataclasses import replace
 from pathlib import Path
 from typing import Any, TypedDict, Unpack
 
-from sqlalchemy import Connection, Select, func, select
+from sqlalchemy import Connection, func, select
 
 from ..errors import RunError, UsageError
 from ..records import RunFolder
@@ -74,7 +74,7 @@ def find_runs(database: Database, **conditions: Unpack[RunConditions]) -> tuple[
         query = query.where(of_trial if trials else ~of_trial)
     with database.reading() as connection:
         if state is None and condition is None:
-            return _summaries(connection, query.limit(limit), database.home)
+            return tuple(_summary(row, database.home) for row in connection.execute(query.limit(limit)))
         shared = _shared_values(connection, condition) if condition else {}
         matching: list[RunSummary] = []
         for row in connection.execute(query):
@@ -121,10 +121,6 @@ def _shared_values(connection: Connection, condition: Filter) -> dict[str, dict[
 
     condition.refuse_unknown(known.__contains__, like)
     return specs | software
-
-
-def _summaries(connection: Connection, query: Select[Any], home: Path | None) -> tuple[RunSummary, ...]:
-    return tuple(_summary(row, home) for row in connection.execute(query))
 
 
 def _summary(row: Any, home: Path | None) -> RunSummary:
