@@ -7,8 +7,8 @@ from typing import Any
 
 import numpy as np
 
-from ..records.sweep_records import Trial
-from ..specification.sweep import OBJECTIVES, SweepParameter
+from ..records.sweep_records import SweepRecord, Trial
+from ..specification.sweep import SweepParameter
 from .figures import COLOURS, WIDTH, Drawing, look
 from .tables import clean
 
@@ -17,17 +17,16 @@ _PALE = "#9aa0a6"
 
 @look()
 def search_figures(
-    trials: Sequence[Trial], objective: str, space: Mapping[str, SweepParameter], importances: Mapping[str, float]
+    sweep: SweepRecord, space: Mapping[str, SweepParameter], importances: Mapping[str, float]
 ) -> list[Drawing]:
     """The figures of the first objective: `history`, `importances` and `parallel`.
 
     Args:
-        trials: all trials of the sweep, at least one of them complete.
-        objective: name of the first objective.
+        sweep: with its trials, at least one of them complete.
         space: parameter -> range or choices that the sweep searches.
         importances: parameter -> fraction of the variance that it explains; may be empty.
     """
-    return [_history(trials, objective), _importances(importances), _parallel(trials, objective, space)]
+    return [_history(sweep), _importances(importances), _parallel(sweep, space)]
 
 
 def _values(trials: Sequence[Trial]) -> dict[int, float]:
@@ -35,20 +34,20 @@ def _values(trials: Sequence[Trial]) -> dict[int, float]:
     return {trial.number: trial.values[0] for trial in trials if trial.values is not None}
 
 
-def _history(trials: Sequence[Trial], objective: str) -> Drawing:
+def _history(sweep: SweepRecord) -> Drawing:
     """The objective of each complete trial, the best so far, and marks for pruned and failed trials."""
     from matplotlib.ticker import MaxNLocator  # noqa: PLC0415  (takes half a second)
 
-    drawing, values = Drawing("history", "History", "Pruned and failed trials have marks below."), _values(trials)
+    drawing, values = Drawing("history", "History", "Pruned and failed trials have marks below."), _values(sweep.trials)
     axes, numbers = drawing.axes, list(values)
-    best = (np.maximum if OBJECTIVES[objective] == "maximize" else np.minimum).accumulate(list(values.values()))
+    best = (np.maximum if sweep.directions[0] == "maximize" else np.minimum).accumulate(list(values.values()))
     axes.plot(numbers, list(values.values()), "o", color=COLOURS[0], markersize=4, alpha=0.8, label="trial")
     axes.step(numbers, best, where="post", color=COLOURS[1], linewidth=1.5, label="best so far")
     for state, mark in (("pruned", "|"), ("failed", "x")):
-        if ended := [trial.number for trial in trials if trial.state == state]:
+        if ended := [trial.number for trial in sweep.trials if trial.state == state]:
             low = [0.02] * len(ended)
             axes.plot(ended, low, mark, color=_PALE, transform=axes.get_xaxis_transform(), label=state)
-    axes.set(xlabel="trial", ylabel=objective)
+    axes.set(xlabel="trial", ylabel=sweep.objectives[0])
     axes.xaxis.set_major_locator(MaxNLocator(integer=True))
     drawing.figure.legend(loc="outside lower center", ncols=4)
     return drawing
@@ -68,14 +67,14 @@ def _importances(importances: Mapping[str, float]) -> Drawing:
     return drawing
 
 
-def _parallel(trials: Sequence[Trial], objective: str, space: Mapping[str, SweepParameter]) -> Drawing:
+def _parallel(sweep: SweepRecord, space: Mapping[str, SweepParameter]) -> Drawing:
     """One line per complete trial across all parameters. It is broken at a parameter that the trial did not draw."""
-    drawing, values = Drawing("parallel", "Parallel coordinates", "The best trial stands out."), _values(trials)
+    drawing, values = Drawing("parallel", "Parallel coordinates", "The best trial stands out."), _values(sweep.trials)
     drawing.figure.set_size_inches(2 * WIDTH, drawing.figure.get_figheight())
     axes, low, high = drawing.axes, min(values.values()), max(values.values())
-    drawn = {trial.number: trial.drawn for trial in trials}
+    drawn = {trial.number: trial.drawn for trial in sweep.trials}
     heights = {number: (value - low) / (high - low) if high > low else 0.5 for number, value in values.items()}
-    maximize = OBJECTIVES[objective] == "maximize"
+    maximize = sweep.directions[0] == "maximize"
     for number in sorted(values, key=lambda one: values[one], reverse=not maximize):  # the best on top
         shade = heights[number] if maximize else 1 - heights[number]
         line = [heights[number], *(_height(parameter, drawn[number].get(key)) for key, parameter in space.items())]
@@ -89,7 +88,7 @@ def _parallel(trials: Sequence[Trial], objective: str, space: Mapping[str, Sweep
         axes.annotate(clean(text), (place, height), xytext=(3, 3), textcoords="offset points")
     for place in range(len(space) + 1):
         axes.axvline(place, color=_PALE, linewidth=0.8, zorder=0)
-    axes.set_xticks(range(len(space) + 1), [clean(name) for name in (objective, *space)])
+    axes.set_xticks(range(len(space) + 1), [clean(name) for name in (sweep.objectives[0], *space)])
     axes.tick_params(axis="x", length=0)
     axes.set(yticks=[], ylim=(-0.02, 1.06))
     axes.spines[["left", "bottom"]].set_visible(False)

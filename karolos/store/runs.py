@@ -25,7 +25,7 @@ from .tables import RUNS, SOFTWARE, SPECS, TESTS, TRIALS
 
 MOST_NAMED = 500
 """A query names at most this many runs; for more, all rows are read."""
-_PACKAGE = "versions."
+_PACKAGE, _MEASURE = "versions.", "measures."
 
 
 class RunConditions(TypedDict, total=False):
@@ -43,7 +43,7 @@ class RunConditions(TypedDict, total=False):
     """Only runs in this state, `lost` included."""
     where: str | None
     """A filter (`karolos.store.filters`) over the fields of RunSummary, the settings of the spec by their key paths
-    (agent.learning_rate), and versions.<package>."""
+    (agent.learning_rate), versions.<package>, and the means of measures (measures.peak_force)."""
     trials: bool | None
     """Only runs of sweeps' trials, or only other runs."""
     limit: int | None
@@ -87,7 +87,7 @@ def find_runs(database: Database, **conditions: Unpack[RunConditions]) -> tuple[
             found = {key: get(one) for (key, (_, get)), one in zip(values.items(), stored, strict=True)}
             return condition is None or condition.matches(found)
 
-        judge = holds if "tags" in values else cache(holds)  # tags are a list, which no cache holds
+        judge = holds if {"tags", "measures"}.intersection(columns) else cache(holds)  # no cache holds lists or objects
         matching: list[str] = []
         for run, indexed, *row in connection.execute(
             query.with_only_columns(RUNS.c.run, RUNS.c.state, *(RUNS.c[name] for name in columns))
@@ -168,6 +168,8 @@ class _Values:
         if key in SUMMARY_FIELDS:
             decode: dict[str, Callable[[Any], Any]] = {"seed": int, "folder": lambda one: folder_path(one, self._home)}
             return key, decode.get(key, lambda one: one)
+        if (measure := key.removeprefix(_MEASURE)) != key:
+            return ("measures", lambda one: one.get(measure, {}).get("mean")) if measure in self._measures else None
         if (package := key.removeprefix(_PACKAGE)) != key:
             versions = {name: content[package] for name, content in self._software.items() if package in content}
             return ("software", versions.get) if versions else None
@@ -189,8 +191,14 @@ class _Values:
         """The versions of packages, by digest."""
         return dict(iter(self._connection.execute(select(SOFTWARE))))
 
+    @cached_property
+    def _measures(self) -> set[str]:
+        """The names of the measures that runs have."""
+        return {name for measures in self._connection.scalars(select(RUNS.c.measures)) for name in measures}
+
     def _closest(self, key: str) -> str | None:
         known = {*SUMMARY_FIELDS, *(_PACKAGE + package for content in self._software.values() for package in content)}
+        known.update(_MEASURE + measure for measure in self._measures)
         known.update(key for spec in self._specs.values() for key, _ in flatten(spec))
         endings = [name for name in known if name.rpartition(".")[2] == key]  # learning_rate for agent.learning_rate
         return endings[0] if len(endings) == 1 else closest(key, known)
