@@ -56,7 +56,8 @@ def measures_table(comparison: Comparison) -> Table:
     rows = []
     for name, one in comparison.measures.items():
         found = [scores.measures.get(name) for scores in comparison.scores]
-        rows.append((heading(name, one), *(estimate(each, decimals(each.value) if each else 0) for each in found)))
+        if any(found):
+            rows.append((heading(name, one), *(estimate(each, decimals(each.value) if each else 0) for each in found)))
     return Table(["", *comparison.labels], rows, "measures")
 
 
