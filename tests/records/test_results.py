@@ -7,7 +7,7 @@ from fractions import Fraction
 from typing import Any
 
 import pytest
-from hypothesis import given
+from hypothesis import given, settings
 from hypothesis import strategies as st
 from support.run_samples import result
 
@@ -26,6 +26,12 @@ results = st.integers(1, 9).flatmap(
         lengths=st.tuples(*[st.integers(0, 2**40)] * n),
         distances=st.none() | st.tuples(*[st.floats(0)] * n),
         has_success=st.booleans(),
+        measures=st.dictionaries(
+            st.sampled_from(["peak_force", "miss"]),
+            st.tuples(*[st.none() | st.floats(-1e6, 1e6)] * n).map(
+                lambda values: {"unit": "N", "better": "larger", "values": values}
+            ),
+        ),
     )
 )
 
@@ -54,6 +60,14 @@ def test_counts_have_the_fractions_of_the_test(test: TestResult) -> None:
         float(sum(map(Fraction, test.returns)) / test.episodes)
     )
     assert (counts.steps, counts.seconds, counts.episodes) == (test.steps, test.seconds, test.episodes)
+
+
+@settings(max_examples=25)
+@given(results.filter(lambda test: test.episodes > 1))
+def test_parts_of_a_test_make_the_test(test: TestResult) -> None:
+    rest = replace(test, **{key: one[1:] for key, one in vars(test).items() if isinstance(one, tuple)})
+    rest = replace(rest, measures={name: {**one, "values": one["values"][1:]} for name, one in test.measures.items()})
+    assert repr(TestResult.joined([test.first(1), rest])) == repr(test)
 
 
 def test_parts_of_a_test_have_success_if_one_of_them_has() -> None:
