@@ -101,7 +101,7 @@ def compare(
 
 def _runs_of(selector: str, store: Store | None, runs: Path) -> tuple[Store | None, tuple[RunSummary, ...]]:
     """The runs that a selector means and the index that has them; None for a run that ships."""
-    from karolos.store.meant import existing, shipped_run
+    from karolos.store.query import existing, shipped_run
 
     if shipped := shipped_run(selector, store):
         return None, (shipped.summary(),)

@@ -102,9 +102,8 @@ def list_runs(
         if not trials and store.runs(state=state, where=where, limit=1, trials=True):
             say("the runs of sweeps' trials are left out; --trials lists them")
         if not found:
-            like = store.closest_value(where) if where is not None else None
             nothing = "no runs" + (f" are {state}" if state else " yet")
-            say(nothing if where is None else "no runs match the filter" + (f": {like}" if like else ""))
+            say(nothing if where is None else "no runs match the filter")
         listed, rows = _rows(store, found, columns, sort, group=group)
     if csv:
         print_csv(rows)
@@ -200,7 +199,7 @@ def show(
 ) -> None:
     """Show a run: state, result with 95 % intervals, and the settings that are not defaults."""
     from karolos.records import RunFolder, transfer_results
-    from karolos.store.meant import existing, find_meant
+    from karolos.store.query import existing, find_meant
 
     about: Mapping[str, Any] = {}
     results: Sequence[TestResult] = ()

@@ -26,6 +26,7 @@ from karolos.records import RunFolder, shipped
 from karolos.simulation.engines import Engine, installed, make_world
 from karolos.simulation.interface import JointLimits
 from karolos.simulation.interface.engine import Contact
+from karolos.simulation.parts import Mechanism
 from karolos.simulation.shapes import Cuboid, Cylinder
 from karolos.specification import load_spec
 
@@ -141,7 +142,7 @@ def pressing(world: Any) -> dict[str, float]:
 
 def swinging(world: Any) -> dict[str, float]:
     """A passive pendulum released from the horizontal: its energy after 10 s, as a share of m g l."""
-    body = world.load(ElementTree.fromstring(PENDULUM), position=(0.0, 0.0, 3.0))
+    body = world.load(Mechanism(ElementTree.fromstring(PENDULUM)), position=(0.0, 0.0, 3.0))
     motors = world.motors(body, ["arm"], JointLimits((-9.0,), (9.0,), (99.0,), (1e-9,)), None)
     motors.write([0.0], 0.0)
     run(world, 10.0)
@@ -272,7 +273,7 @@ class Watch:
             points = world.contacts(robot.body, body, link)
             force = sum(point.force for point in points)
             touching |= force > 0
-            if points and link in robot._motors.pads:
+            if points and link in robot.motors.pads:
                 self.pad = max(self.pad, force)
             if points:
                 self.into_pads = max(self.into_pads, -min(point.distance for point in points))
@@ -285,7 +286,7 @@ class Watch:
             self.moving += 1
             self.carried += sum(point.force for point in floor) > 0
             self.touched += touching
-        positions, speeds, _ = robot._motors.read()
+        positions, speeds, _ = robot.motors.read()
         self.joint = max(self.joint, float(np.max(np.abs(speeds) / robot.limits.velocity)))
         configuration = robot.chain.forward(positions)
         self.tool = max(self.tool, float(np.linalg.norm(robot.chain.velocity(configuration, speeds))))

@@ -101,7 +101,10 @@ def as_before(resolved: dict[str, Any]) -> tuple[str, ...]:
         settings = resolved.get(part) or {}
         if setting in settings and settings[setting] == value:
             found.append(f"{path}={json.dumps(value)}")
-    if (resolved.get("task") or {}).get("name") == "throw" and "gripper_delay" not in resolved["robot"]:
+    task = resolved.get("task") or {}
+    if task.get("name") in ("push", "pick_place") and "force_penalty" not in task:
+        found.append("task.force_penalty=null")
+    if task.get("name") == "throw" and "gripper_delay" not in resolved["robot"]:
         found += THROWN_BEFORE
     return tuple(found)
 

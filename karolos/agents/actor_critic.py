@@ -126,7 +126,7 @@ class ActorCritic(TorchAgent):
         if settings.policy_average < 1:
             self.average = self.policy.copy()
             self.stored = (*self.stored, "average")
-        sizes = (self.inputs + actions, *settings.hidden, self.critic_kind.columns)
+        sizes = (self.inputs + self.critic_only + actions, *settings.hidden, self.critic_kind.columns)
         shape = Shape(sizes, members=self.critics, layer_norm=settings.layer_norm, bfloat16=bfloat16)
         self.critic = MLP(shape, self.weights_generator, device)
         self.target = self.critic.copy()
@@ -174,7 +174,7 @@ class ActorCritic(TorchAgent):
             next_action: a', (n, a).
             entropy: - temperature log pi(a' | s'), (n,). Source: Haarnoja et al. 2018, equations 3 and 5.
         """
-        values = self.critic_kind.target_values(self.target(torch.cat((batch.next_input, next_action), 1)))
+        values = self.critic_kind.target_values(self.target(torch.cat((batch.next_critic_input, next_action), 1)))
         if entropy is not None:
             values = values + entropy.unsqueeze(1)
         y = torch.addcmul(batch.reward.unsqueeze(1), batch.discount.unsqueeze(1), values)
@@ -182,7 +182,7 @@ class ActorCritic(TorchAgent):
 
     def critic_step(self, batch: TensorBatch, targets: Tensor) -> Metrics:
         """One gradient step of the critics towards the targets (n, k). Returns priorities and metrics."""
-        outputs, tapes = self.critic.forward(torch.cat((batch.input, batch.action), 1))
+        outputs, tapes = self.critic.forward(torch.cat((batch.critic_input, batch.action), 1))
         loss, gradient = self.critic_kind.loss(outputs, targets, batch.weight)
         self.critic.backward(gradient, tapes)
         self.optimisers["critic"].step(self.critic.gradient)
@@ -198,15 +198,15 @@ class ActorCritic(TorchAgent):
 
     def values(self, batch: TensorBatch, action: Tensor) -> Tensor:
         """Q(s, a), as the policy maximises it: (n,)."""
-        outputs, _ = self.critic.forward(torch.cat((batch.input, action), 1), members=self.judges)
+        outputs, _ = self.critic.forward(torch.cat((batch.critic_input, action), 1), members=self.judges)
         return self.critic_kind.policy_value(outputs)
 
     def values_and_gradient(self, batch: TensorBatch, action: Tensor) -> tuple[Tensor, Tensor]:
         """Q(s, a), (n,), and the gradient of - sum_i weight_i Q(s_i, a_i) + action_penalty mean(a^2) by a, (n, a)."""
-        outputs, tapes = self.critic.forward(torch.cat((batch.input, action), 1), members=self.judges)
+        outputs, tapes = self.critic.forward(torch.cat((batch.critic_input, action), 1), members=self.judges)
         values = self.critic_kind.policy_value(outputs)
         by_outputs = self.critic_kind.policy_value_gradient(outputs, values, -batch.weight)
-        columns = slice(self.inputs, None)
+        columns = slice(self.inputs + self.critic_only, None)
         by_action = self.critic.backward(by_outputs, tapes, parameters=False, columns=columns)
         assert by_action is not None
         if self.settings.action_penalty:

@@ -65,13 +65,18 @@ class Normaliser:
         self.scale.copy_(self.spread.reciprocal_())
 
     def __call__(self, rows: Tensor) -> Tensor:
-        """(n, columns) normalised and clipped; a new tensor."""
-        return (rows - self.shift).mul_(self.scale).clamp_(-self.clip, self.clip)
+        """(n, columns) normalised and clipped; a new tensor. With fewer columns: the first ones."""
+        columns = rows.shape[1]
+        return (rows - self.shift[:columns]).mul_(self.scale[:columns]).clamp_(-self.clip, self.clip)
 
     def adopt(self, shift: Tensor, scale: Tensor) -> None:
-        """Take the statistics behind `(x - shift) * scale`, as those of ADOPTED_ROWS rows."""
-        squares = ADOPTED_ROWS / scale.double().square()
-        self.load_state({"count": ADOPTED_ROWS, "mean": shift, "squares": squares})
+        """Take the statistics behind `(x - shift) * scale`, as those of ADOPTED_ROWS rows.
+
+        Columns behind theirs, which critics alone observe, keep mean 0 and deviation 1.
+        """
+        mean, squares = torch.zeros_like(self.mean), torch.full_like(self.mean, ADOPTED_ROWS)
+        mean[: len(shift)], squares[: len(scale)] = shift, ADOPTED_ROWS / scale.double().square()
+        self.load_state({"count": ADOPTED_ROWS, "mean": mean, "squares": squares})
 
     def state(self) -> State:
         return {"count": self.count, "mean": self.mean.clone(), "squares": self._squares.clone()}
@@ -84,12 +89,17 @@ class Normaliser:
 
 
 class TensorBatch(NamedTuple):
-    """A batch on the device. Observation and goal stand side by side, normalised: the input of a network."""
+    """A batch on the device. Observation and goal stand side by side, normalised: the input of a network.
+
+    The critics' inputs also have what critics alone observe, behind the policy's columns.
+    """
 
     both_inputs: Tensor
     """(2 n, columns): `next_input` above `input`."""
     next_input: Tensor
     input: Tensor
+    next_critic_input: Tensor
+    critic_input: Tensor
     action: Tensor
     reward: Tensor
     discount: Tensor
@@ -100,16 +110,23 @@ class TensorBatch(NamedTuple):
     """1 where the action is to be imitated, else 0: (n,)."""
 
 
-def tensor_batch(batch: Batch, normaliser: Normaliser, device: torch.device, update: int = 0) -> TensorBatch:
+def tensor_batch(
+    batch: Batch, normaliser: Normaliser, device: torch.device, update: int = 0, critic_only: int = 0
+) -> TensorBatch:
     """The batch of an agent's update (the first is 0) as tensors.
 
     Its inputs, relabelled goals included, first enter the statistics in early updates, and later in some.
+    `critic_only`: how many of the last columns of observations the policy does not see.
     """
-    count, columns = batch.observation.shape
-    rows = np.empty((2 * count, columns + batch.desired_goal.shape[1]), np.float32)
-    rows[:count, :columns] = batch.next_observation
-    rows[count:, :columns] = batch.observation
-    rows[:count, columns:] = rows[count:, columns:] = batch.desired_goal
+    count, size = batch.observation.shape
+    columns = size - critic_only
+    width = columns + batch.desired_goal.shape[1]
+    rows = np.empty((2 * count, width + critic_only), np.float32)
+    rows[:count, :columns] = batch.next_observation[:, :columns]
+    rows[count:, :columns] = batch.observation[:, :columns]
+    rows[:count, columns:width] = rows[count:, columns:width] = batch.desired_goal
+    rows[:count, width:] = batch.next_observation[:, columns:]
+    rows[count:, width:] = batch.observation[:, columns:]
 
     def tensor(array: FloatArray) -> Tensor:
         return torch.from_numpy(array).to(device)
@@ -117,11 +134,14 @@ def tensor_batch(batch: Batch, normaliser: Normaliser, device: torch.device, upd
     unscaled = tensor(rows)
     if update < ALL_OBSERVED or update % OBSERVED_EVERY == 0:
         normaliser.update(unscaled[count:])
-    both = normaliser(unscaled)
+    full = normaliser(unscaled)
+    both = full[:, :width].contiguous()  # the same tensor where critics see no more
     return TensorBatch(
         both_inputs=both,
         next_input=both[:count],
         input=both[count:],
+        next_critic_input=full[:count],
+        critic_input=full[count:],
         action=tensor(batch.action),
         reward=tensor(batch.reward),
         discount=tensor(batch.discount * (1 - batch.terminated)),

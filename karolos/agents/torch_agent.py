@@ -86,9 +86,11 @@ class TorchAgent(Agent[Experience]):
         self, settings: Any, signature: Signature, seeds: SeedTree, device: str, *, input_clip: float = INPUT_CLIP
     ) -> None:
         self.settings, self.device, self.discount = settings, torch.device(device), settings.discount
-        self.inputs = signature.observation.size + signature.desired_goal.size
-        """Columns of a network's input."""
-        self.normaliser = Normaliser(self.inputs, device, clip=input_clip)
+        self.inputs = signature.observation.acting.size + signature.desired_goal.size
+        """Columns of a policy's input."""
+        self.critic_only = signature.observation.size - signature.observation.acting.size
+        """Further columns of a critic's input."""
+        self.normaliser = Normaliser(self.inputs + self.critic_only, device, clip=input_clip)
         self.weights_generator = torch.Generator().manual_seed(seeds.child("weights").integer())
         """Draws the weights of the networks, on the CPU."""
         self.generator = torch.Generator(self.device).manual_seed(seeds.child("noise").integer())
@@ -114,15 +116,19 @@ class TorchAgent(Agent[Experience]):
         """Actions (n, a) without exploration for normalised inputs (n, i)."""
 
     def network_input(self, observation: FloatArray, desired_goal: FloatArray) -> Tensor:
-        """Observations (..., o) and goals (..., g) side by side, normalised: (n, i). The statistics stay unchanged."""
-        rows = torch.cat((torch.from_numpy(observation), torch.from_numpy(desired_goal)), -1).flatten(0, -2)
+        """Observations (..., o) and goals (..., g) side by side, normalised: (n, i). The statistics stay unchanged.
+
+        Columns of observations that critics alone observe may be missing, and do not count.
+        """
+        seen = observation[..., : self.inputs - desired_goal.shape[-1]]
+        rows = torch.cat((torch.from_numpy(seen), torch.from_numpy(desired_goal)), -1).flatten(0, -2)
         return self.normaliser(rows.to(self.device))
 
     def begin_update(self, batch: Batch, update: int) -> TensorBatch:
         """Set the learning rates of this update (the first is 0); returns its batch on the device."""
         for optimiser in self.optimisers.values():
             optimiser.learning_rate = self.settings.rate(update)
-        return tensor_batch(batch, self.normaliser, self.device, update)
+        return tensor_batch(batch, self.normaliser, self.device, update, self.critic_only)
 
     def adam(self, vector: Tensor, *, epsilon: float = 1e-8) -> Adam:
         """An optimiser as the settings say."""
@@ -139,7 +145,8 @@ class TorchAgent(Agent[Experience]):
         parts = [to_array(part).copy() for part in network.named.values()]
         layers = [Layer(weight, bias.reshape(-1)) for weight, bias in zip(parts[::2], parts[1::2], strict=True)]
         layers[-1] = Layer(layers[-1].weight[columns], layers[-1].bias[columns])
-        shift, scale = (to_array(part).copy() for part in (self.normaliser.shift, self.normaliser.scale))
+        statistics = self.normaliser.shift, self.normaliser.scale
+        shift, scale = (to_array(part[: self.inputs]).copy() for part in statistics)
         epsilon = LAYER_NORM_EPSILON if network.shape.layer_norm else None
         return Deployed(shift, scale, self.normaliser.clip, tuple(layers), output, epsilon)
 

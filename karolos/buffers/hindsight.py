@@ -11,7 +11,7 @@ from typing import Literal
 import numpy as np
 from pydantic import Field as Setting
 
-from ..core import Array, GoalRule, Signature, Transitions
+from ..core import Array, FloatArray, GoalRule, Signature, Transitions
 from ..core import Settings as BaseSettings
 from ..errors import PluginError, UsageError
 from .storage import Rows, Slots, Storage
@@ -25,7 +25,8 @@ class Hindsight:
 
     The new goal is the first `desired_goal.size` columns of the achieved goal after a step of the episode. Further
     columns of the achieved goal (e.g. the tool's position, for a dense reward) do not belong to the goal. The reward is
-    computed from the goal achieved *after* the transition. Observation and next observation share the goal.
+    computed from the goal achieved *after* the transition; a part that does not depend on the goal
+    (`Signature.extra_reward`) is added to it as it was. Observation and next observation share the goal.
 
     Raises:
         UsageError: the environment has no goals.
@@ -66,6 +67,7 @@ class Hindsight:
             )
         self.settings = settings
         self._rule = signature.goal_rule
+        self._extra = signature.extra_reward
         self._goal_terminates = type(signature.goal_rule).terminated is not GoalRule.terminated
         """Whether reaching a goal can terminate an episode."""
         self._size = signature.desired_goal.size
@@ -82,12 +84,14 @@ class Hindsight:
         self._checked += transitions.environment.size
         achieved, desired = transitions.next_achieved_goal, transitions.desired_goal
         reward, expected = np.asarray(transitions.reward), self._rule.reward(achieved, desired)
-        wrong = np.flatnonzero(~np.isclose(reward, expected, rtol=1e-4, atol=1e-5))
+        low, high = self._extra
+        wrong = np.flatnonzero(~np.isclose(reward, np.clip(reward, expected + low, expected + high), 1e-4, 1e-5))
         if wrong.size:
             raise PluginError(
                 f"the environment gave reward {reward[wrong[0]]:g}, its goal rule says {expected[wrong[0]]:g}",
                 setting="environment",
-                hint="compute the reward with the goal rule alone, or remove buffer.hindsight",
+                hint="compute the reward with the goal rule, declare the range of what is added to it in the "
+                "signature's extra_reward, or remove buffer.hindsight",
             )
         if np.any(self._rule.terminated(achieved, desired) & ~np.asarray(transitions.terminated, np.bool_)):
             raise PluginError(
@@ -115,7 +119,9 @@ class Hindsight:
             # A termination that the old goal does not explain (e.g. a fall) remains under the new goal.
             other_cause = (terminated[chosen] > 0) & ~self._rule.terminated(achieved, desired[chosen])
             terminated[chosen] = other_cause | self._rule.terminated(achieved, goals)
-        rows["reward"][chosen] = self._rule.reward(achieved, goals)
+        rows["reward"][chosen] = relabelled_reward(
+            self._rule, achieved, desired[chosen], goals, rows["reward"][chosen], self._extra
+        )
         desired[chosen] = goals
         return chosen
 
@@ -130,3 +136,11 @@ class Hindsight:
             return storage.shifted(slots, (generator.random(slots.size) * remaining).astype(np.int64))
         before = np.minimum(step, storage.older(slots))  # the ring may have overwritten the episode's first steps
         return storage.shifted(slots, generator.integers(-before, remaining))
+
+
+def relabelled_reward(
+    rule: GoalRule, achieved: Array, old: Array, new: Array, stored: Array, extra: tuple[float, float]
+) -> FloatArray:
+    """The reward (n,) under new goals: the rule's, and what was added to the rule's under the old goals."""
+    reward: FloatArray = rule.reward(achieved, new)
+    return reward if extra == (0.0, 0.0) else np.add(reward, stored - rule.reward(achieved, old), dtype=np.float32)

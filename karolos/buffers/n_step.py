@@ -8,11 +8,20 @@ from __future__ import annotations
 import numpy as np
 
 from ..core import Array, FloatArray, GoalRule
+from .hindsight import relabelled_reward
 from .storage import Rows, Slots, Storage
 
 
 def extend(
-    rows: Rows, slots: Slots, relabelled: Array, storage: Storage, rule: GoalRule | None, *, steps: int, discount: float
+    rows: Rows,
+    slots: Slots,
+    relabelled: Array,
+    storage: Storage,
+    rule: GoalRule | None,
+    *,
+    steps: int,
+    discount: float,
+    extra: tuple[float, float] = (0.0, 0.0),
 ) -> FloatArray:
     """Extend the rows of the transitions at `slots` (n,) to up to `steps` steps, in place.
 
@@ -28,6 +37,7 @@ def extend(
         rule: gives reward and `terminated` under relabelled goals; None in environments without goals.
         steps: the largest number of steps.
         discount: per step.
+        extra: range of what the rewards add to the rule's, see `Signature.extra_reward`.
 
     Returns:
         discount ** steps taken: (n,) float32.
@@ -56,7 +66,7 @@ def extend(
             old_goals = storage.column("desired_goal", next_slots[new])
             # A termination that the old goal does not explain (e.g. a fall) remains under the new goal.
             other_cause = terminated[new] & ~rule.terminated(achieved[new], old_goals)
-            reward[new] = rule.reward(achieved[new], goals[new])
+            reward[new] = relabelled_reward(rule, achieved[new], old_goals, goals[new], reward[new], extra)
             terminated[new] = other_cause | rule.terminated(achieved[new], goals[new])
         rows["reward"][index] += factor[index] * reward
         rows["next_observation"][index] = storage.column("next_observation", next_slots)

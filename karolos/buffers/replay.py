@@ -47,6 +47,7 @@ class Replay(Buffer):
         self.storage = Storage(signature, settings.capacity, environments)
         self._hindsight = Hindsight(hindsight, signature) if hindsight is not None else None
         self._n_step, self._rule, self._discount = settings.n_step, signature.goal_rule, discount
+        self._extra = signature.extra_reward
         self._discounts = np.zeros(0, np.float32)
         self._share: float | None = None
         self._generator = seeds.child("sample").generator()
@@ -114,7 +115,14 @@ class Replay(Buffer):
             relabelled = self._hindsight.relabel(rows, slots, self.storage, self._generator)
         if self._n_step > 1:
             self._discounts = extend(
-                rows, slots, relabelled, self.storage, self._rule, steps=self._n_step, discount=self._discount
+                rows,
+                slots,
+                relabelled,
+                self.storage,
+                self._rule,
+                steps=self._n_step,
+                discount=self._discount,
+                extra=self._extra,
             )
         elif self._discounts.size != slots.size:
             self._discounts = np.full(slots.size, self._discount, np.float32)

@@ -12,6 +12,8 @@ class Field:
     name: str
     size: int
     unit: str = "1"
+    critic_only: bool = False
+    """Whether a critic alone may observe it, so that a policy acts without. Such fields stand at the end."""
 
 
 @dataclass(frozen=True)
@@ -32,6 +34,11 @@ class Layout:
     @property
     def names(self) -> tuple[str, ...]:
         return tuple(field.name for field in self.fields)
+
+    @property
+    def acting(self) -> Layout:
+        """What a policy observes: the fields that are not for a critic alone."""
+        return Layout(tuple(field for field in self.fields if not field.critic_only))
 
     def slice(self, name: str) -> slice:
         """The columns of the field. Raises KeyError for an unknown name."""

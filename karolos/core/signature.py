@@ -24,6 +24,9 @@ class Signature:
     max_steps: int
     """Number of steps after which an episode is truncated."""
     reward_range: tuple[float, float] = (-np.inf, np.inf)
+    extra_reward: tuple[float, float] = (0.0, 0.0)
+    """Range of the part of a step's reward that does not depend on the goal: it is added to the goal rule's reward, and
+    hindsight leaves it as it is."""
     achieved_goal: Layout = NO_FIELDS
     desired_goal: Layout = NO_FIELDS
     goal_rule: GoalRule | None = None
@@ -43,11 +46,17 @@ def random_actions(signature: Signature, size: int, generator: np.random.Generat
     return generator.uniform(-1, 1, (size, signature.action.size)).astype(np.float32)
 
 
-def layout_differences(acting: Signature, trained: Signature) -> list[str]:
-    """The differences that prevent an agent trained on `trained` from acting on `acting`: one line for each layout."""
+def layout_differences(acting: Signature, trained: Signature, *, learning: bool = False) -> list[str]:
+    """The differences that prevent an agent trained on `trained` from acting on `acting`: one line for each layout.
+
+    With `learning` also those that prevent its critics from learning on.
+    """
     lines = []
     for part in ("observation", "action", "desired_goal"):
-        acted, learned = _field_texts(getattr(acting, part)), _field_texts(getattr(trained, part))
+        layouts = [getattr(signature, part) for signature in (acting, trained)]
+        if part == "observation" and not learning:
+            layouts = [layout.acting for layout in layouts]
+        acted, learned = map(_field_texts, layouts)
         if acted != learned:
             missing = [field for field in learned if field not in acted]
             extra = [field for field in acted if field not in learned]

@@ -58,6 +58,9 @@ class RobotTask(Environment):
         omit: tuple[str, ...] = Setting(
             (), description="fields to leave out of the observation, e.g. [object_velocity]"
         )
+        critic_observes: tuple[str, ...] = Setting(
+            (), description="what critics observe besides and no policy does: fields that the task offers for that"
+        )
         window: bool = Setting(False, description="show the world in a window; needs a display")
 
         def identity(self) -> dict[str, Any]:
@@ -66,8 +69,6 @@ class RobotTask(Environment):
 
     def __init__(self, settings: RobotTask.Settings, *, robot: Robot, task: Task) -> None:
         check_engine(settings.engine)
-        for setting in task.mujoco_only if settings.engine == "bullet" else ():
-            raise UsageError("PyBullet cannot do this", setting=setting, hint="set environment.engine=mujoco")
         self.settings = settings
         self.robot = robot
         self.task = task
@@ -77,9 +78,11 @@ class RobotTask(Environment):
         robot.prepare(
             gripper=task.uses_gripper,
             period=settings.substeps / PHYSICS_RATE,
-            points_down=task.points_down,
+            control=task.control,
             protective_stop=task.protective_stop,
         )
+        for setting in (*robot.mujoco_only, *task.mujoco_only) if settings.engine == "bullet" else ():
+            raise UsageError("PyBullet cannot do this", setting=setting, hint="set environment.engine=mujoco")
         task.fit(robot)
         self.declared = {
             **{f"robot.{name}": parameter for name, parameter in robot.parameters.items()},
@@ -91,6 +94,19 @@ class RobotTask(Environment):
         self._drawn: list[float] = []
         full = robot.observation + task.observation
         kept = tuple(field for field in full.fields if field.name not in settings.omit)
+        offered = {field.name: field for field in task.critic_only.fields}
+        if unknown := sorted(set(settings.critic_observes) - set(offered)):
+            raise UsageError(
+                f"the task has nothing for critics alone that is called {', '.join(unknown)}",
+                setting="environment.critic_observes",
+                hint=f"it has {', '.join(offered) or 'nothing'}",
+            )
+        self._critic_columns = [
+            column
+            for name in settings.critic_observes
+            for column in range(task.critic_only.slice(name).start, task.critic_only.slice(name).stop)
+        ]
+        only = tuple(replace(offered[name], critic_only=True) for name in settings.critic_observes)
         if unknown := sorted(set(settings.omit) - set(full.names)):
             raise UsageError(
                 f"no observation is called {', '.join(unknown)}",
@@ -103,11 +119,13 @@ class RobotTask(Environment):
         """Those of the full observation that are kept; None: all."""
         if settings.omit:
             self._columns = np.concatenate([np.arange(full.size)[full.slice(field.name)] for field in kept])
+        (low, high), extra = task.goal_rule.reward_range, task.extra_reward_range
         self.signature = Signature(
-            observation=Layout(kept),
+            observation=Layout(kept + only),
             action=self._action_set.actions if self._action_set else robot.action,
             max_steps=task.max_steps,
-            reward_range=task.goal_rule.reward_range,
+            reward_range=(low + extra[0], high + extra[1]),
+            extra_reward=extra,
             achieved_goal=task.achieved_goal,
             desired_goal=task.desired_goal,
             goal_rule=task.goal_rule,
@@ -218,6 +236,8 @@ class RobotTask(Environment):
             self._reached = self._steps
         if terminated or truncated:
             self._steps = self.signature.max_steps
+        if self.signature.extra_reward != (0.0, 0.0):
+            reward += self.task.extra_reward()
         self._last = Step(observation, achieved, goal, reward, terminated, truncated, success)
         return self._last
 
@@ -241,7 +261,12 @@ class RobotTask(Environment):
         if not isfinite(sum(values)) or self.task.lost():
             return None
         observed = np.array(values, np.float32)
-        return observed if self._columns is None else observed[self._columns]
+        if self._columns is not None:
+            observed = observed[self._columns]
+        if not self._critic_columns:
+            return observed
+        hidden = np.array(self.task.observe_for_critics(), np.float32)[self._critic_columns]
+        return np.concatenate((observed, hidden)) if np.isfinite(hidden).all() else None
 
     def _diverged(self) -> Step:
         """End the episode with the last finite state. The next reset builds a new world."""

@@ -127,7 +127,7 @@ def _with(recipe: Recipe, values: Mapping[str, float]) -> Recipe:
 def _check_alike(signatures: Mapping[tuple[float, ...], Signature], names: Sequence[str]) -> None:
     first, signature = next(iter(signatures.items()))
     for values, other in signatures.items():  # the first of them that is not alike differs in one setting
-        differences = layout_differences(other, signature)
+        differences = layout_differences(other, signature, learning=True)
         if not differences and _rules(other) != _rules(signature):
             differences = ["episodes have another length, or another rule of reward and success"]
         if differences:
@@ -141,4 +141,4 @@ def _check_alike(signatures: Mapping[tuple[float, ...], Signature], names: Seque
 
 
 def _rules(signature: Signature) -> tuple[Any, ...]:
-    return signature.max_steps, signature.reward_range, pickle.dumps(signature.goal_rule)
+    return signature.max_steps, signature.reward_range, signature.extra_reward, pickle.dumps(signature.goal_rule)

@@ -25,7 +25,7 @@ from ..registry import load
 from ..simulation.engines import WINDOWS, Engine, installed, installed_one
 from ..specification import Spec, spec_from_dict
 from ..store import Store
-from ..store.meant import find_folder
+from ..store.query import find_folder
 
 
 @dataclass(frozen=True)
@@ -83,7 +83,7 @@ class SavedAgent(Learned):
         seen = np.asarray(observation, np.float32)
         ahead = seen.shape[:-1]
         wanted = np.zeros((*ahead, 0), np.float32) if goal is None else np.asarray(goal, np.float32)
-        layouts = (self.signature.observation, self.signature.desired_goal)
+        layouts = (self.signature.observation.acting, self.signature.desired_goal)
         for name, array, layout in zip(("observation", "goal"), (seen, wanted), layouts, strict=True):
             if len(ahead) > 1 or array.shape != (*ahead, layout.size):
                 expected = f"({layout.size},) or (n, {layout.size})"

@@ -71,7 +71,7 @@ class Run:
 
     def __post_init__(self) -> None:
         self._writer = RunWriter(self.folder, self.url, self.listener)
-        self._announcer = Announcer(self.folder.id, self.spec.training.steps, self.listener)
+        self._announcer = Announcer(self.folder.id, self.listener)
         self._checkpointer = Checkpointer(
             self._writer, self.spec.hash(), self.seed, self._pending, self._announcer.announce
         )
@@ -118,7 +118,6 @@ class Run:
             announce = self._announcer.announce
             tests = PendingTests(spec, training, self._pending, self._writer, self.stop, announce, beside=self.beside)
             stack.callback(tests.close)
-            self._announcer.seconds_left = tests.seconds_left
             finished = self._prepare(training) and self._train_and_test(training, tests)
             finished = finished and self._final_test(training, tests)
             if finished:

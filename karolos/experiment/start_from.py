@@ -58,7 +58,7 @@ def find(spec: Spec, runs: Path) -> Learned | None:
         raise _refused(f"{run!r}: {error.what}", error.hint) from error
     source = spec_of(folder)
     check_agents(spec, source)
-    if differences := layout_differences(signature_of(spec), signature_of(playable(source))):
+    if differences := layout_differences(signature_of(spec), signature_of(playable(source)), learning=True):
         what = "the run's agent has other observations, actions or goals: "
         raise _refused(what + "; ".join(differences), SAME_LAYOUTS)
     learned = read_learned(folder, settings.start_checkpoint)

@@ -81,7 +81,7 @@ def export_policy(folder: RunFolder, out: Path, *, checkpoint: str = "best", onn
     write_json(paths["policy.json"], described)
     if onnx:
         paths["policy.onnx"] = out / "policy.onnx"
-        sizes = (saved.signature.observation.size, saved.signature.desired_goal.size)
+        sizes = (saved.signature.observation.acting.size, saved.signature.desired_goal.size)
         write_onnx(paths["policy.onnx"], policy, sizes, {"karolos": json.dumps(described)})
     acted = [NumpyPolicy(paths["policy.npz"])(golden["observation"], golden["desired_goal"])]
     if onnx:
@@ -114,7 +114,7 @@ def golden_samples(saved: SavedAgent, policy: Deployed) -> dict[str, Any]:
 
     observation (n, o), desired_goal (n, g), action (n, a), or for a discrete set the index (n,).
     """
-    size = saved.signature.observation.size
+    size = saved.signature.observation.acting.size
     noise = SeedTree(0).child("export").generator().normal(size=(GOLDEN_ROWS, policy.shift.size))
     inputs = (policy.shift + 3 * noise / policy.scale).astype(np.float32)
     observation, goal = inputs[:, :size].copy(), inputs[:, size:].copy()
@@ -136,7 +136,7 @@ def description(folder: RunFolder, saved: SavedAgent, policy: Deployed) -> dict[
         "karolos": __version__,
         "agent": spec["agent"]["name"],
         "output": policy.output,
-        "observation": _fields(signature.observation),
+        "observation": _fields(signature.observation.acting),
         "desired_goal": _fields(signature.desired_goal),
         "action": {"labels": list(action.labels)} if isinstance(action, Discrete) else _fields(action),
         "trained_in": {key: spec[key] for key in ("robot", "task", "environment") if key in spec},

@@ -1,4 +1,4 @@
-"""Tables of facts about a robot or a task, a picture of it, and the success of a random policy."""
+"""Tables of facts about a robot or a task, and a picture of it."""
 
 from __future__ import annotations
 
@@ -12,8 +12,6 @@ from numpy.typing import NDArray
 from ..core import Discrete, Layout
 from ..core.seeding import SeedTree
 from ..environments.robot_task import RobotTask
-from ..evaluation.playing import Score, score
-from ..evaluation.policies import random_policy
 from ..evaluation.testing import test_seeds
 from ..randomization.randomization import RandomizedParameter
 from ..registry import load
@@ -171,20 +169,3 @@ def _halved(picture: NDArray[np.uint8]) -> NDArray[np.uint8]:
     from PIL import Image  # noqa: PLC0415
 
     return np.asarray(Image.fromarray(picture).reduce(2))
-
-
-def floor(
-    robot: str,
-    task: str,
-    engine: Engine | None = None,
-    *,
-    episodes: int = 100,
-    seed: int = 0,
-    **robot_settings: Any,
-) -> Score:
-    """Success of uniformly random actions in the first test episodes of the root `seed`."""
-    environment = pair(robot, task, engine, **robot_settings)
-    try:
-        return score(environment, random_policy(environment, seed), episodes=episodes, seed=seed)
-    finally:
-        environment.close()

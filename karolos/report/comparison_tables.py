@@ -7,7 +7,7 @@ from functools import partial
 from typing import Any
 
 from ..comparison import MISSING, Comparison, Estimate, Reaching, Scores
-from ..comparison.sides import SideDifference
+from ..comparison.differences import SideDifference
 from .tables import Columns, Table, count, decimals, duration, heading, setting
 
 _INTERVALS = {

@@ -9,6 +9,6 @@ ROBOTIQ_2F_85 = Fingers(
     links=("finger1", "finger2"),
     travel=0.0425,
     open_at_zero=True,
-    gripper=Gripper(width=0.085, force=40.0, speed=0.075, pad_friction=1.0),  # force: of 20 to 235 N; pads: rubber
+    gripper=Gripper(width=0.085, force=30.0, speed=0.075, pad_friction=1.0),  # force: of 20 to 235 N; pads: rubber
 )
 """Stroke 85 mm, closing speed up to .15 m/s of both pads together. Source: Robotiq's data sheet."""

@@ -10,12 +10,11 @@ import math
 from collections.abc import Callable, Sequence
 from itertools import count, islice
 
-from ..experiment.events import RunAdvanced, RunEnded, RunEvent
 from ..launchers.driver import Driver, Feed
 from ..launchers.runs import Home, RunJob
 from ..records.sweep_records import SweepFinal, SweepRecord, Trial, merit
 from ..specification import Spec, spec_of_trial
-from .events import FinalBegan, SweepListener, TrialAdvanced
+from .events import FinalBegan, SweepListener
 from .objectives import measure_all
 
 REPORT_SEED_OFFSET = 2_000_000
@@ -43,7 +42,7 @@ def choose(base: Spec, home: Home, found: SweepRecord, driver: Driver, listener:
     assert sweep is not None and sweep.final is not None  # noqa: PT018 (callers see to it)
 
     def run(jobs: Sequence[RunJob]) -> None:
-        driver.run(_Candidates(listener, *jobs))
+        driver.run(Feed(*jobs))
 
     unused = (seed for seed in count() if seed not in sweep.seeds and seed not in base.seeds)
     seeds = tuple(islice(unused, sweep.final.seeds))
@@ -80,15 +79,3 @@ def _values(
     assert base.sweep is not None  # see `choose`
     values = {number: measure_all(base.sweep.objectives, job) for number, job in jobs.items() if job.finished}
     return {number: value for number, value in values.items() if all(map(math.isfinite, value))}
-
-
-class _Candidates(Feed[RunJob]):
-    """Jobs of trials, which all run to the end."""
-
-    def __init__(self, listener: SweepListener, *jobs: RunJob) -> None:
-        super().__init__(*jobs)
-        self._listener = listener
-
-    def heard(self, job: RunJob, event: RunEvent) -> None:
-        if isinstance(event, RunAdvanced | RunEnded):
-            self._listener(TrialAdvanced(job.spec.name, job.fraction))

@@ -16,6 +16,7 @@ from ..simulation.geometry import UPRIGHT, Quaternion, Vector
 from ..simulation.interface import Box, Gripper, RobotView, Task, World
 from ..simulation.interface.engine import Material
 from ..simulation.shapes import Cuboid
+from .force_penalty import ForcePenalty
 
 CUBE_COLOUR = (0.93, 0.45, 0.13, 1.0)
 LOST_DISTANCE = 10.0
@@ -47,6 +48,9 @@ class CubeSettings(BaseSettings):
     )
     object_stiffness: float | None = Setting(
         None, ge=1e3, le=1e8, description="of each contact of the cube, N/m; null: 4e5 (MuJoCo), or as PyBullet can"
+    )
+    force_penalty: ForcePenalty | None = Setting(
+        None, description="what pressing costs: of the largest force on a link of arm or gripper; null: nothing"
     )
 
 
@@ -144,12 +148,19 @@ class CubeTask(Task):
     settings: CubeSettings
     _robot: RobotView
 
+    def __init__(self, settings: CubeSettings) -> None:
+        super().__init__(settings)
+        if settings.force_penalty is not None:
+            self.extra_reward_range = -settings.force_penalty.most, 0.0
+
     @property
     def mujoco_only(self) -> tuple[str, ...]:
         return () if self.settings.object_stiffness is None else ("task.object_stiffness",)
 
     def build(self, world: World) -> None:
         self.cube = Cube(self.settings, world)
+        if self.settings.force_penalty is not None:
+            self._robot.largest_force()  # PyBullet records forces from the first question on
 
     def apply(self, world: World, name: str, value: float) -> None:
         super().apply(world, name, value)
@@ -166,6 +177,10 @@ class CubeTask(Task):
 
     def lost(self) -> bool:
         return self.cube.lost
+
+    def extra_reward(self) -> float:
+        penalty = self.settings.force_penalty
+        return 0.0 if penalty is None else penalty.reward(self._robot.largest_force())
 
 
 def check_gripper(robot: RobotView, task: str, size: float) -> Gripper:

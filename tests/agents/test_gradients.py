@@ -34,21 +34,21 @@ NOT_OBSERVED = 1001
 STILL = {"hidden": (32, 24), "precision": "float32", "learning_rate": 1e-12}
 
 
-def data() -> Batch:
+def data(critic_only: int = 0) -> Batch:
     weight = np.linspace(0.5, 1.5, 64).astype(np.float32)
     shown = (np.arange(64) % 3 == 0).astype(np.float32)
-    return batch(64, signature(), discount=0.5)._replace(weight=weight, demonstrated=shown)
+    return batch(64, signature(critic_only=critic_only), discount=0.5)._replace(weight=weight, demonstrated=shown)
 
 
 def value(critic: MLP, inputs: TensorBatch, action: Tensor) -> Tensor:
     """(members, n, quantiles)."""
-    return plain(critic, torch.cat((inputs.input, action), 1))
+    return plain(critic, torch.cat((inputs.critic_input, action), 1))
 
 
 def critics_gradient(critic: MLP, inputs: TensorBatch, targets: Tensor) -> Tensor:
     """Of the weighted mean squared error, summed over the critics."""
     parameters = leaf(critic)
-    values = plain(critic, torch.cat((inputs.input, inputs.action), 1), parameters).squeeze(-1)
+    values = plain(critic, torch.cat((inputs.critic_input, inputs.action), 1), parameters).squeeze(-1)
     error = (inputs.weight * (values - targets.squeeze(1)).square()).sum()
     return torch.autograd.grad(error, parameters)[0]
 
@@ -60,15 +60,16 @@ def shown(action: Tensor, better: Tensor, inputs: TensorBatch) -> Tensor:
     return (inputs.demonstrated * better * distance).sum() / inputs.demonstrated.sum()
 
 
+@pytest.mark.parametrize("critic_only", [0, 4])
 @pytest.mark.parametrize("options", [*OPTIONS, {"critic": {}}, {"critic": {"quantiles": 5}, "imitation": 2.0}])
-def test_sacs_gradients_are_those_of_its_losses(options: dict[str, Any]) -> None:
+def test_sacs_gradients_are_those_of_its_losses(options: dict[str, Any], critic_only: int) -> None:
     settings = SAC.Settings.model_validate({**STILL, "temperature": 0.3, **options})
-    agent = SAC(settings, signature(), SeedTree(0))
+    agent = SAC(settings, signature(critic_only=critic_only), SeedTree(0))
     before = agent.generator.get_state()
-    agent.learn(data())
+    agent.learn(data(critic_only))
     found = {"policy": agent.policy.gradient.clone(), "critic": agent.critic.gradient.clone()}
 
-    inputs = tensor_batch(data(), agent.normaliser, agent.device, update=NOT_OBSERVED)
+    inputs = tensor_batch(data(critic_only), agent.normaliser, agent.device, NOT_OBSERVED, critic_only)
     noise = torch.randn((128, 2), generator=agent.generator.set_state(before))
 
     def policys(values: Tensor) -> Tensor:

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+from dataclasses import replace
 from typing import Any
 
 import numpy as np
@@ -54,6 +55,24 @@ def test_the_original_goal_is_kept_where_nothing_moved() -> None:
     assert (batch.reward[kept] == 0).all()
     moved = [goal[1] - step for (_, step), goal in zip(places(batch), goals(batch), strict=True) if goal[0] > 0]
     assert min(moved) == 3
+
+
+@pytest.mark.parametrize("n_step", [1, 3])
+def test_what_a_reward_adds_to_the_rules_stays_under_any_goal(n_step: int) -> None:
+    signature = replace(counting_signature(6), extra_reward=(-0.5, 0.0))
+    buffers = [make_buffer(Uniform, signature, 12, hindsight=ALWAYS, n_step=n_step) for _ in range(2)]
+    for buffer, extra in zip(buffers, (0.0, -0.25), strict=True):
+        world = Counting(1)
+        for step in range(12):
+            given = world.step([0], over=[step % 6 == 5])
+            buffer.add(given._replace(reward=given.reward + np.float32(extra)))
+    plain, less = (buffer.sample(500) for buffer in buffers)
+    steps = np.log(less.discount) / np.log(np.float32(0.9))
+    expected = plain.reward - 0.25 * (1 - 0.9**steps) / (1 - 0.9)
+    np.testing.assert_allclose(less.reward, expected, atol=1e-5)
+    too_much = Counting(1).step([0], over=[False])._replace(reward=np.float32([-0.6]))
+    with pytest.raises(PluginError, match=r"gave reward -0\.6"):
+        buffers[0].add(too_much)
 
 
 def test_relabelling_does_not_change_what_is_stored() -> None:

@@ -7,7 +7,7 @@ from fractions import Fraction
 from typing import Any
 
 import pytest
-from hypothesis import given, settings
+from hypothesis import given
 from hypothesis import strategies as st
 from support.run_samples import result
 
@@ -60,22 +60,6 @@ def test_counts_have_the_fractions_of_the_test(test: TestResult) -> None:
         float(sum(map(Fraction, test.returns)) / test.episodes)
     )
     assert (counts.steps, counts.seconds, counts.episodes) == (test.steps, test.seconds, test.episodes)
-
-
-@settings(max_examples=25)
-@given(results.filter(lambda test: test.episodes > 1))
-def test_parts_of_a_test_make_the_test(test: TestResult) -> None:
-    rest = replace(test, **{key: one[1:] for key, one in vars(test).items() if isinstance(one, tuple)})
-    rest = replace(rest, measures={name: {**one, "values": one["values"][1:]} for name, one in test.measures.items()})
-    assert repr(TestResult.joined([test.first(1), rest])) == repr(test)
-
-
-def test_parts_of_a_test_have_success_if_one_of_them_has() -> None:
-    without, with_one = replace(result(10, 0, episodes=2), has_success=False), result(10, 1, episodes=2)
-    for parts in ([without, with_one], [with_one, without]):
-        assert TestResult.joined(parts).has_success
-        assert TestResult.joined(parts).success_end == 0.25
-    assert not TestResult.joined([without, without]).has_success
 
 
 @pytest.mark.parametrize("returns", [(math.nan, 1.0), (math.inf, 1.0), (math.inf, -math.inf), (1e308, 1e308)])

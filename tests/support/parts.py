@@ -14,11 +14,16 @@ from karolos.core import Batch, Field, Layout, Signature
 
 
 def signature(
-    *, observation: int = 3, goal: int = 2, action: int = 2, reward_range: tuple[float, float] = (-np.inf, np.inf)
+    *,
+    observation: int = 3,
+    goal: int = 2,
+    action: int = 2,
+    critic_only: int = 0,
+    reward_range: tuple[float, float] = (-np.inf, np.inf),
 ) -> Signature:
     goals = Layout((Field("goal", goal),)) if goal else Layout()
     return Signature(
-        observation=Layout((Field("x", observation),)),
+        observation=Layout((Field("x", observation), Field("hidden", critic_only, critic_only=True))),
         action=Layout((Field("a", action),)),
         max_steps=50,
         reward_range=reward_range,

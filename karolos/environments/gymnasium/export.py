@@ -94,7 +94,7 @@ class GoalEnv(gymnasium.Env[Observation, NDArray[np.float32]]):
         episode = int(self.np_random.integers(2**63 - 1)) if seed is None else int(seed)
         step = self._environment.reset(episode)
         names, values = self._environment.signature.parameters.names, self._environment.parameters().tolist()
-        info = self._info(step) | {"seed": episode}
+        info = self._info(step, started=False) | {"seed": episode}
         if names:
             info["parameters"] = dict(zip(names, values, strict=True))
         return _observed(step), info
@@ -115,13 +115,19 @@ class GoalEnv(gymnasium.Env[Observation, NDArray[np.float32]]):
             info["measures"] = {one.name: value for one, value in zip(measures, values, strict=True)}
         return _observed(step), float(step.reward), bool(step.terminated), bool(step.truncated), info
 
-    @staticmethod
-    def _info(step: Step) -> dict[str, Any]:
-        return {"is_success": bool(step.success), "truncated": bool(step.truncated), "diverged": bool(step.diverged)}
+    def _info(self, step: Step, *, started: bool = True) -> dict[str, Any]:
+        info = {"is_success": bool(step.success), "truncated": bool(step.truncated), "diverged": bool(step.diverged)}
+        if self._environment.signature.extra_reward == (0.0, 0.0) or step.diverged or not started:
+            return info
+        return {**info, "extra_reward": float(step.reward - self._rule.reward(step.achieved_goal, step.desired_goal))}
 
-    def compute_reward(self, achieved_goal: Any, desired_goal: Any, info: Any) -> Any:  # noqa: ARG002
-        """Reward (...) of achieved goals (..., a) and desired goals (..., d)."""
+    def compute_reward(self, achieved_goal: Any, desired_goal: Any, info: Any) -> Any:
+        """Reward (...) of achieved goals (..., a) and desired goals (..., d), with what the step's info adds to it."""
         reward = self._rule.reward(np.asarray(achieved_goal, np.float32), np.asarray(desired_goal, np.float32))
+        if self._environment.signature.extra_reward != (0.0, 0.0):
+            infos = [info] if isinstance(info, Mapping) else info
+            extra = np.array([one.get("extra_reward", 0.0) for one in infos], np.float32)
+            reward = reward + extra.reshape(np.shape(reward))
         return float(reward) if np.ndim(reward) == 0 else reward
 
     def compute_terminated(self, achieved_goal: Any, desired_goal: Any, info: Any) -> Any:  # noqa: ARG002

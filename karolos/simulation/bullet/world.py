@@ -15,12 +15,22 @@ from numpy.typing import NDArray
 
 from ...core import Array, FloatArray
 from ...errors import PluginError
-from ...files import temporary_prefix
 from .. import parts
-from ..geometry import Vector
-from ..interface.engine import FLOOR_FRICTION, GRAVITY, PHYSICS_RATE, Camera, Colour, Contact, Fingers, JointLimits
+from ..fixtures import read
+from ..geometry import Colour, Vector
+from ..interface.engine import (
+    FLOOR_FRICTION,
+    GRAVITY,
+    PHYSICS_RATE,
+    Camera,
+    Contact,
+    Fingers,
+    Frame,
+    JointLimits,
+)
 from ..interface.engine import Body as AnyBody
 from ..meshes import stl, triangles
+from ..parts import Mechanism
 from ..picture import FLOOR_COLOUR, GRID_COLOUR, GRIDS, SKY_COLOUR, Eye, Marker, draw
 from ..shapes import Inertia, Shape, inertia_of
 from .body import Body
@@ -126,12 +136,18 @@ class World:
     def set_floor_friction(self, friction: float) -> None:
         self.floor.set_friction(friction)
 
-    def load(self, robot: Element, *, position: Vector = (0.0, 0.0, 0.0)) -> Body:
-        return Body(self.api, self._load(robot, fixed=True, position=position))
+    def load(self, source: Path | Mechanism, *, position: Vector = (0.0, 0.0, 0.0)) -> Body:
+        mechanism = read(source) if isinstance(source, Path) else source
+        body = Body(self.api, self._load(mechanism.robot, fixed=True, position=position))
+        if mechanism.frictions:
+            body.collide_only(())
+        for name, friction in mechanism.frictions.items():
+            body.drive_joint(name, 0.0, friction)
+        return body
 
     def _load(self, robot: Element, *, fixed: bool, maximal: bool = False, position: Vector = (0.0, 0.0, 0.0)) -> int:
         robot = copy.deepcopy(robot)
-        with tempfile.TemporaryDirectory(prefix=temporary_prefix()) as folder:
+        with tempfile.TemporaryDirectory() as folder:
             for number, mesh in enumerate(robot.iter("mesh")):
                 file = Path(folder, f"{number}.stl")
                 file.write_bytes(stl(triangles(Path(mesh.get("filename", "")))))
@@ -153,7 +169,14 @@ class World:
                 raise PluginError(what, where=f"robot {robot.get('name', '?')}") from error
         return index
 
-    def motors(self, body: AnyBody, joints: Sequence[str], limits: JointLimits, fingers: Fingers | None) -> Motors:
+    def motors(
+        self,
+        body: AnyBody,
+        joints: Sequence[str],
+        limits: JointLimits,
+        fingers: Fingers | None,
+        tool: Frame | None = None,  # noqa: ARG002 (of the wrench and springs)
+    ) -> Motors:
         links = body.links()
         pads = [links[name] for name in fingers.links] if fingers else []
         arm = [links[name] for name in joints]

@@ -8,11 +8,12 @@ from __future__ import annotations
 from collections.abc import Collection, Mapping, Sequence
 from dataclasses import dataclass
 from operator import gt
+from pathlib import Path
 from typing import Any, Final, NamedTuple, Protocol
-from xml.etree.ElementTree import Element
 
 from ...core import Array
-from ..geometry import UPRIGHT, Quaternion, Vector
+from ..geometry import UPRIGHT, Colour, Quaternion, Vector
+from ..parts import Mechanism
 from ..shapes import Inertia, Shape
 
 PHYSICS_RATE: Final = 240
@@ -25,8 +26,6 @@ OPENS = 0.01
 """The gripper opens while its commanded opening (0 to 1) is larger than the measured one by more than this."""
 FINGER_RATE = 24.0
 """Speed in 1/s by which a finger closes the distance to its target."""
-Colour = tuple[float, float, float, float]
-"""Red, green, blue, opacity in [0, 1]."""
 
 
 @dataclass(frozen=True)
@@ -93,6 +92,30 @@ class Material:
 
 OBJECT_MATERIAL = Material(stiffness=4e5)
 """Of a free body, if nothing else is said."""
+
+
+Frame = tuple[Vector, Quaternion]
+"""Position in m and orientation."""
+
+
+class Spring(NamedTuple):
+    """A spring and damper between a tool and its set point: F = K e - D v, up to the torques of the joints.
+
+    The weight of the arm is compensated. D follows from K and from what the tool weighs at home, for each direction.
+    """
+
+    stiffness: float
+    """N/m."""
+    turn_stiffness: float
+    """N m/rad."""
+    damping_ratio: float
+    """1: as much damping as the tool needs not to swing."""
+    error: float
+    """Largest distance e to the set point, in m, that the spring answers to: more does not pull more."""
+    turn_error: float
+    """The same of the rotation, in rad."""
+    home: tuple[float, ...]
+    """Joint positions in rad to which an arm with joints to spare returns meanwhile."""
 
 
 @dataclass(frozen=True)
@@ -168,6 +191,18 @@ class Body(Protocol):
     def joints(self, joints: Sequence[int]) -> tuple[tuple[float, float, Any, float], ...]:
         """For each joint its position (rad or m), velocity (per s), reaction forces and motor torque (N m or N)."""
 
+    def joint(self, name: str) -> tuple[float, float]:
+        """Position (rad or m) and velocity (per s) of a mechanism's joint."""
+
+    def place_joint(self, name: str, position: float) -> None:
+        """Put a mechanism's joint there at rest."""
+
+    def drive_joint(self, name: str, speed: float, force: float) -> None:
+        """Let a mechanism's joint go at a speed (per s) with at most this force (N or N m). Speed 0 is dry friction."""
+
+    def set_joint_damping(self, name: str, damping: float) -> None:
+        """Set the viscous friction of a mechanism's joint in N s/m or N m s/rad."""
+
     def set_friction(self, lateral: float, link: int = -1) -> None:
         """Set the lateral friction coefficient of a link."""
 
@@ -214,6 +249,24 @@ class Motors(Protocol):
     def set_pad_friction(self, friction: float) -> None:
         """Set the lateral friction coefficient of the pads."""
 
+    def attach(self, spring: Spring) -> None:
+        """Let a spring move the tool from now on, instead of target speeds. Raises UsageError where an engine cannot.
+
+        Dry friction then brakes the joints.
+        """
+
+    def aim(self, position: Vector, orientation: Quaternion, velocity: Vector, spin: Vector) -> None:
+        """Set the set point of the spring in m, and how it moves in the next control step, in m/s and rad/s."""
+
+    def wrench(self) -> Sequence[float]:
+        """What contacts do to the tool and what moves with it: force in N and torque in N m at the tool, in its frame.
+
+        Zero at a reset. A held body counts with its weight and inertia, the gripper itself does not.
+        """
+
+    def set_wrench_filter(self, seconds: float) -> None:
+        """Set the time constant of the wrench's low-pass."""
+
     def write(self, positions: Sequence[float], opening: float) -> None:
         """Put the joints (n,) in rad and the gripper there at rest; the motors hold the arm still."""
 
@@ -255,11 +308,29 @@ class World(Protocol):
     def set_floor_friction(self, friction: float) -> None:
         """Set the lateral friction coefficient of the floor."""
 
-    def load(self, robot: Element, *, position: Vector = (0.0, 0.0, 0.0)) -> Body:
-        """Add what a URDF's <robot> describes, its base fixed. Raises PluginError when the engine refuses it."""
+    def load(self, source: Path | Mechanism, *, position: Vector = (0.0, 0.0, 0.0)) -> Body:
+        """Add a mechanism, or what a URDF or MJCF file describes (`fixtures.read`); its links do not meet each other.
 
-    def motors(self, body: Body, joints: Sequence[str], limits: JointLimits, fingers: Fingers | None) -> Motors:
-        """The motors of a loaded arm. `joints`: the links that its joints move, from base to wrist."""
+        The base is fixed, `place` moves it. Raises PluginError when the file or the engine refuses it.
+        """
+
+    def motors(
+        self,
+        body: Body,
+        joints: Sequence[str],
+        limits: JointLimits,
+        fingers: Fingers | None,
+        tool: Frame | None = None,
+    ) -> Motors:
+        """The motors of a loaded arm.
+
+        Args:
+            body: the arm.
+            joints: the links that its joints move, from base to wrist.
+            limits: of the joints.
+            fingers: of the gripper.
+            tool: its frame in the last of these links; springs and the wrench need it.
+        """
 
     def release_in_motion(self) -> None:
         """After `motors`: let objects leave a moving hand cleanly, so that nearly the same throw lands nearly there.
