@@ -110,8 +110,7 @@ class Search:
             return self._conclude(folder, final, driver.stop)
 
     def _conclude(self, folder: SweepFolder, final: SweepFinal | None, stop: StopRequest) -> SweepOutcome:
-        from ..report.figures import write_figures  # noqa: PLC0415
-        from ..report.search import search_figures  # noqa: PLC0415
+        from ..report.figures import look, write_plots  # noqa: PLC0415
 
         folder.write_final(final)
         record = folder.write()
@@ -121,8 +120,8 @@ class Search:
             spec = spec if final is None else choosing.for_report(spec)
             folder.write_best(spec, _comment(self.sweep, best, final))
         if best is not None and not stop.requested:  # the figures take seconds, and a resumed sweep draws them
-            drawings = search_figures(record, self.sweep.space, folder.study.importances())
-            write_figures(drawings, folder.figures)
+            with look():
+                write_plots(folder.study.figures(), folder.figures)
         return SweepOutcome(**vars(record), front=folder.study.front(), stop_code=stop.exit_code)
 
 

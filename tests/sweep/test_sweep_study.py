@@ -124,10 +124,13 @@ def test_a_measure_says_itself_what_is_better_and_one_that_is_not_there_is_refus
 
 def test_importance_finds_what_matters(tmp_path):
     one = study(tmp_path, {**LEARNING_RATE, "agent.discount": {"float": [0.5, 0.9]}}, sampler="random")
-    assert one.importances() == {}
+    finish(one, 2)
+    assert set(one.figures()) == {"history", "parallel"}
     finish(one, 40)
-    found = one.importances()
-    assert found["agent.learning_rate"] > 0.6 > found["agent.discount"]
+    [axes, *_] = one.figures()["importances"].axes
+    names = [label.get_text() for label in axes.get_yticklabels()]
+    shares = dict(zip(names, (bar.get_width() for bar in axes.patches), strict=True))
+    assert shares["agent.learning_rate"] > 0.6 > shares["agent.discount"]
 
 
 def result(steps: int, successes: int, value: float = -1.0) -> TestResult:
