@@ -123,6 +123,9 @@ class World:
             for motors in self._motors:
                 motors.substep(substep)
             self.api.stepSimulation()
+            for motors in self._motors:
+                if motors.feels:
+                    motors.feel()
             for body, peaks in self._peaks.items():
                 now = self._forces(body)
                 self._peaks[body] = {key: max(peaks.get(key, 0.0), now.get(key, 0.0)) for key in (*peaks, *now)}
@@ -175,12 +178,14 @@ class World:
         joints: Sequence[str],
         limits: JointLimits,
         fingers: Fingers | None,
-        tool: Frame | None = None,  # noqa: ARG002 (of the wrench and springs)
+        tool: Frame | None = None,
     ) -> Motors:
         links = body.links()
         pads = [links[name] for name in fingers.links] if fingers else []
         arm = [links[name] for name in joints]
-        motors = Motors(Body(self.api, body.index), self.substeps, limits, arm, fingers, pads, timestep=self.timestep)
+        motors = Motors(
+            Body(self.api, body.index), self.substeps, limits, arm, fingers, pads, timestep=self.timestep, tool=tool
+        )
         self._motors.append(motors)
         return motors
 

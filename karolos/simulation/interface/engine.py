@@ -91,7 +91,7 @@ class Material:
 
 
 OBJECT_MATERIAL = Material(stiffness=4e5)
-"""Of a free body, if nothing else is said."""
+"""Of a free body and of what moves on a mechanism, if nothing else is said."""
 
 
 Frame = tuple[Vector, Quaternion]
@@ -222,6 +222,8 @@ class Loads(NamedTuple):
     """rad/s2, the mean of a control step."""
     torque: Sequence[float]
     """Of the motor, in N m."""
+    wrench: float
+    """The largest force of `Motors.wrench` since then, in N; with PyBullet as for `World.largest_forces`."""
 
 
 class Motors(Protocol):
@@ -261,11 +263,12 @@ class Motors(Protocol):
     def wrench(self) -> Sequence[float]:
         """What contacts do to the tool and what moves with it: force in N and torque in N m at the tool, in its frame.
 
-        Zero at a reset. A held body counts with its weight and inertia, the gripper itself does not.
+        Low-passed, and zero at a reset. A held body counts with its weight and inertia, the gripper itself does not: it
+        is what a sensor at the wrist measures whose own load is compensated. With PyBullet from the first question on.
         """
 
     def set_wrench_filter(self, seconds: float) -> None:
-        """Set the time constant of the wrench's low-pass."""
+        """Set the time constant in s of the wrench's low-pass, before the first step; 0: none."""
 
     def write(self, positions: Sequence[float], opening: float) -> None:
         """Put the joints (n,) in rad and the gripper there at rest; the motors hold the arm still."""

@@ -177,7 +177,7 @@ class Motors:
     def write(self, positions: Sequence[float], opening: float) -> None:
         data = self._simulation.writable()
         if self._tool is not None:
-            self._row["wrench"] = 0.0
+            self._row["wrench"] = self._row["peak"] = 0.0
         self.targets[:] = 0.0
         if self._fingers is not None:
             self.targets[:, -2:] = goal = self._fingers.position(opening)
@@ -205,7 +205,9 @@ class Motors:
         return positions, velocities, opening
 
     def loads(self) -> Loads:
-        return Loads(*self._simulation.loads[:, self._dofs[: self._size]].tolist())
+        wrench = 0.0 if self._tool is None else float(self._row["peak"])
+        speed, acceleration, torque = self._simulation.loads[:, self._dofs[: self._size]].tolist()
+        return Loads(speed, acceleration, torque, wrench)
 
 
 class Passive:
