@@ -91,7 +91,7 @@ class Material:
 
 
 OBJECT_MATERIAL = Material(stiffness=4e5)
-"""Of a free body, if nothing else is said."""
+"""Of a free body and of what moves on a mechanism, if nothing else is said."""
 
 
 Frame = tuple[Vector, Quaternion]

@@ -18,7 +18,16 @@ from ...errors import MachineError, PluginError
 from .. import parts
 from ..fixtures import read
 from ..geometry import Colour, Vector
-from ..interface.engine import FLOOR_FRICTION, PHYSICS_RATE, Camera, Contact, Fingers, Frame, JointLimits
+from ..interface.engine import (
+    FLOOR_FRICTION,
+    OBJECT_MATERIAL,
+    PHYSICS_RATE,
+    Camera,
+    Contact,
+    Fingers,
+    Frame,
+    JointLimits,
+)
 from ..interface.engine import Body as AnyBody
 from ..meshes import stl, triangles
 from ..parts import Mechanism
@@ -103,6 +112,8 @@ class World:
             body.passive_joints = {name: moved[name] for name in mechanism.frictions}
             self._motors.append(body.passive)
             self._simulation.parts.append(body.passive)
+            for link in moved.values():
+                body.set_material(OBJECT_MATERIAL, link)
         return body
 
     def _load(
