@@ -272,7 +272,7 @@ class Watch:
             points = world.contacts(robot.body, body, link)
             force = sum(point.force for point in points)
             touching |= force > 0
-            if points and link in robot._motors.pads:
+            if points and link in robot.motors.pads:
                 self.pad = max(self.pad, force)
             if points:
                 self.into_pads = max(self.into_pads, -min(point.distance for point in points))
@@ -285,7 +285,7 @@ class Watch:
             self.moving += 1
             self.carried += sum(point.force for point in floor) > 0
             self.touched += touching
-        positions, speeds, _ = robot._motors.read()
+        positions, speeds, _ = robot.motors.read()
         self.joint = max(self.joint, float(np.max(np.abs(speeds) / robot.limits.velocity)))
         configuration = robot.chain.forward(positions)
         self.tool = max(self.tool, float(np.linalg.norm(robot.chain.velocity(configuration, speeds))))

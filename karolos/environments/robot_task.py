@@ -69,8 +69,6 @@ class RobotTask(Environment):
 
     def __init__(self, settings: RobotTask.Settings, *, robot: Robot, task: Task) -> None:
         check_engine(settings.engine)
-        for setting in task.mujoco_only if settings.engine == "bullet" else ():
-            raise UsageError("PyBullet cannot do this", setting=setting, hint="set environment.engine=mujoco")
         self.settings = settings
         self.robot = robot
         self.task = task
@@ -80,9 +78,11 @@ class RobotTask(Environment):
         robot.prepare(
             gripper=task.uses_gripper,
             period=settings.substeps / PHYSICS_RATE,
-            points_down=task.points_down,
+            control=task.control,
             protective_stop=task.protective_stop,
         )
+        for setting in (*robot.mujoco_only, *task.mujoco_only) if settings.engine == "bullet" else ():
+            raise UsageError("PyBullet cannot do this", setting=setting, hint="set environment.engine=mujoco")
         task.fit(robot)
         self.declared = {
             **{f"robot.{name}": parameter for name, parameter in robot.parameters.items()},

@@ -13,7 +13,7 @@ from ..core import Array
 from ..core.seeding import SeedTree
 from ..robots.arm import POSTURE_GAIN
 from ..simulation.geometry import Box, Vector
-from ..simulation.kinematics import Chain
+from ..simulation.kinematics import Chain, downward
 from ..simulation.urdf import Joint
 
 STARTS = 6
@@ -124,7 +124,7 @@ class Poses:
         """A pose (n,) near this one with the tool at `target`, pointing down, if inverse kinematics finds one."""
         for _ in range(steps):
             at = self.chain.forward(pose.tolist())
-            change = np.array(self.chain.step(at, target, yaw, (POSTURE_GAIN * (rest - pose)).tolist()))
+            change = np.array(self.chain.step(at, downward(target, yaw), (POSTURE_GAIN * (rest - pose)).tolist()))
             pose = np.clip(pose + np.clip(change, -0.5, 0.5), self.low, self.high)
             if np.abs(change).max() < 1e-6:
                 break

@@ -17,7 +17,8 @@ import numpy as np
 
 from ..core import Array
 from ..errors import PluginError
-from ..robots.arm import ArmModel, ArmSettings
+from ..robots.arm import ArmModel
+from ..robots.settings import ArmSettings
 from ..simulation import urdf
 from ..simulation.geometry import Vector
 from ..simulation.interface import Fingers, Gripper

@@ -1,7 +1,6 @@
 """A serial arm: a robot file gives an `ArmModel` and the defaults of its settings; this file implements the robot.
 
-Control modes: `joint` (change of each joint position) and `cartesian` (change of the tool position, gripper pointing
-down). Cartesian control has the same action and observation layout for every arm.
+What an action changes is an object of its own, see `control`.
 """
 
 from __future__ import annotations
@@ -10,26 +9,28 @@ from collections import deque
 from collections.abc import Callable, Mapping, Sequence
 from dataclasses import dataclass, field
 from functools import cached_property
-from math import atan2, cos, dist, hypot, inf, sin, sqrt
+from math import atan2, dist, inf, sqrt
 from operator import mul, truediv
 from pathlib import Path
-from typing import Annotated, ClassVar, Literal
+from typing import ClassVar
 
 import numpy as np
-from pydantic import Field as Setting
 
-from ..core import Field, FloatArray, Layout, Measure, Settings
+from ..core import Field, FloatArray, Layout, Measure
 from ..core.seeding import Generator
 from ..errors import PluginError, UsageError
-from ..randomization.randomization import Drawn, RandomizedParameter, drawn_settings
+from ..randomization.randomization import RandomizedParameter, drawn_settings
 from ..simulation import urdf
-from ..simulation.geometry import Vector
+from ..simulation.geometry import Orientations, Quaternion, Vector, quaternion_of
 from ..simulation.interface import Body, Box, Fingers, Gripper, JointLimits, World
 from ..simulation.interface.engine import OPENS
-from ..simulation.kinematics import Chain, Configuration
+from ..simulation.interface.robot import ControlMode
+from ..simulation.kinematics import Chain, Configuration, Pose, downward
 from ..simulation.urdf import Description, Joint
-from .joint_control import ACCELERATION_TIME, JointControl
+from .control import CONTROLS, Control, Way
 from .protective_stop import Guard, ProtectiveStop
+from .ramps import ACCELERATION_TIME, Ramps
+from .settings import ArmSettings
 
 POSTURE_GAIN = 0.1
 """Fraction of the way back to the home pose, per control step, that inverse kinematics takes in the null space."""
@@ -42,6 +43,10 @@ LARGEST_DAMPING = 5.0
 DAMPED_SHARE = 0.4
 """Largest fraction of a motor's torque that joint_damping takes at the top speed of its joint: a motor that lacks half
 its torque (joint_friction) reaches that speed. Beyond, PyBullet, which damps explicitly, lets light wrists run away."""
+SPRING_FRICTION = RandomizedParameter(
+    "1", 0.0, 0.0, 0.02, "dry friction of every joint: fraction of its largest torque"
+)
+"""In place of joint_friction where a spring moves the tool: nothing overcomes more."""
 ARM_PARAMETERS: Mapping[str, RandomizedParameter] = {
     "joint_friction": RandomizedParameter(
         "1", 0.0, 0.0, 0.5, "dry friction: fraction of its largest torque that every motor lacks"
@@ -68,64 +73,6 @@ PAD_FORCE = Measure("peak_pad_force", "N", "smaller", "largest force of a body o
 STOPS = Measure("protective_stops", "1", "smaller", "protective stops, those that are only counted included")
 
 
-class ArmSettings(Settings):
-    """Settings of every arm.
-
-    Whatever the steps, motors ask for no speed beyond the data sheet's. A joint that a contact drives faster is
-    braked with the torque of its motor. The default of `tool_step` is a distance that every built-in arm covers in each
-    direction in steady motion.
-    """
-
-    control: Literal["joint", "cartesian"] | None = Setting(
-        None, description="what the action changes; null: cartesian, or joint where a task turns the gripper (throw)"
-    )
-    joint_step: float = Setting(
-        0.5, gt=0, le=0.5, description="largest change of a joint per control step in rad; its speed may allow less"
-    )
-    tool_step: float = Setting(
-        0.017,
-        gt=0,
-        le=0.2,
-        description="largest change of the tool position per control step and axis, m; joint speeds may allow less",
-    )
-    acceleration: Literal["sheet"] | None = Setting(
-        "sheet",
-        description="sheet: the largest accelerations that the maker publishes, where one does (panda); null: a joint "
-        "changes its speed by its limit in 1/24 s at the most",
-    )
-    tool_speed: float | None = Setting(
-        None,
-        gt=0,
-        description="largest speed of the tool centre point, m/s; null: the maker's (panda 1.7, ur5 1.5), or, "
-        "where no maker publishes one (iiwa), what the joints allow",
-    )
-    yaw: bool = Setting(False, description="whether a cartesian action also turns the gripper about the vertical")
-    yaw_step: float = Setting(0.2, gt=0, le=0.5, description="largest turn of the gripper per control step, rad")
-    reset_noise: float = Setting(
-        0.02, ge=0, le=0.2, description="largest deviation of a joint from the home pose at a reset, rad"
-    )
-    base: Literal["origin", "centred"] = Setting(
-        "origin",
-        description="what is at the origin of the world: the robot's base, or (centred) the middle of its workspace",
-    )
-    gripper_delay: Annotated[float, Drawn("s", 0.0, 0.1)] = Setting(
-        0.0, ge=0, le=0.5, description="seconds after which the gripper follows its command, rounded to a physics step"
-    )
-    protective_stop: ProtectiveStop | Literal["task"] | None = Setting(
-        "task",
-        description="limits beyond which the arm stops, which ends the episode without success; task: as the task says "
-        "(throw: the default limits; reach, push and pick_place: off); null: off",
-    )
-    timed_release: bool = Setting(
-        False,
-        description="whether a gripper that starts to open does so later in the control step the less it is told to "
-        "open; false: at the beginning of the step",
-    )
-    finger_opening: float = Setting(
-        0.0, ge=0, le=1, description="how far a gripper that the task does not use stands open: 0 closed, 1 open"
-    )
-
-
 @dataclass(frozen=True)
 class ArmModel:
     """The numbers of one arm; limits, efforts and speeds of the joints come from its URDF.
@@ -143,6 +90,12 @@ class ArmModel:
     """Tool centre point in the frame of the link that the last joint moves, in m."""
     tool_rpy: Vector
     """Tool frame in that frame, rad; its z axis is the direction of approach."""
+    dexterous: Box | None = None
+    """Part of the workspace in which the tool can be turned by `turn` and tilted by `tilt`, in m; None: unknown."""
+    tilt: float = 0.3
+    """Largest angle of the tool from pointing down, in any direction, in rad."""
+    turn: float = 0.8
+    """Largest angle of the tool about the vertical from home, in rad."""
     fingers: Fingers | None = None
     accelerations: tuple[float, ...] | None = None
     """Largest acceleration of each joint in rad/s2 as its maker publishes it; None where no maker does."""
@@ -217,11 +170,14 @@ class Arm:
     """Implements `karolos.simulation.interface.Robot` for a serial arm; a subclass sets `model` and may set `Settings`.
 
     Observation: tool_position (3, m), tool_velocity (3, m/s); with `yaw` tool_heading (2, cosine and sine of the yaw);
+    with pose and impedance control also tool_rotation (6, the first two columns of its matrix) and
+    tool_angular_velocity (3, rad/s), with impedance control set_point (6, the way from the tool to it, m and rad);
     with a gripper gripper_opening (1, 0 closed to 1 open); with joint control joint_positions (n, rad) and
     joint_velocities (n, rad/s).
     Action, each number in [-1, 1]: tool_position_change (3, in units of `tool_step`), with `yaw` yaw_change (1, in
-    units of `yaw_step`); with joint control instead joint_changes (n, in units of the joint step); with a gripper
-    gripper_opening (1, -1 closed to 1 open). With `timed_release` a gripper that holds something and is told to open
+    units of `turn_step`), with pose and impedance control tool_turn (3, rotation vector in units of `turn_step`); with
+    joint control instead joint_changes (n, in units of the joint step); with a gripper gripper_opening (1, -1 closed
+    to 1 open). With `timed_release` a gripper that holds something and is told to open
     lets go within the control step, the later the less the action exceeds the opening that it has.
     """
 
@@ -246,8 +202,9 @@ class Arm:
         tool = np.array(model.tool), urdf.rotation_matrix(*model.tool_rpy)
         self.chain = Chain(self._joints, tool, self.base)
         self.workspace = model.workspace.moved(self.base)
-        self._configuration = self.chain.forward(model.home)
-        pose = self._configuration.tool
+        self.dexterous = model.dexterous.moved(self.base) if model.dexterous is not None else None
+        self.configuration = self.chain.forward(model.home)
+        pose = self.configuration.tool
         self.home = pose.position
         self.home_yaw = atan2(pose.x[1], pose.x[0])
         _check_model(model, self._joints, tuple(np.subtract(pose.position, self.base).tolist()))
@@ -257,8 +214,8 @@ class Arm:
         self._told: list[tuple[int, float]] = []
         """What the gripper was told and has not done yet: opening, and in how many physics steps."""
         self._pressing: dict[tuple[int, int], float] | None = None
-        self._values = {name: parameter.nominal for name, parameter in ARM_PARAMETERS.items()}
-        self._values["gripper_delay"] = settings.gripper_delay
+        nominal = {**ARM_PARAMETERS, **drawn_settings(settings)}
+        self._values = {name: parameter.nominal for name, parameter in nominal.items()}
         self.gripper: Gripper | None = model.fingers.gripper if model.fingers else None
         self.home_joints = model.home
         self.prepare(gripper=False, period=1 / 24)
@@ -266,7 +223,9 @@ class Arm:
     def forward(self, joints: Sequence[float]) -> Configuration:
         return self.chain.forward(joints)
 
-    def prepare(self, *, gripper: bool, period: float, points_down: bool = True, protective_stop: bool = False) -> None:
+    def prepare(
+        self, *, gripper: bool, period: float, control: ControlMode = "cartesian", protective_stop: bool = False
+    ) -> None:
         if gripper and self.model.fingers is None:
             hint = "choose a task that needs no gripper"
             raise PluginError("this robot has no gripper", where=type(self).__name__, hint=hint)
@@ -274,8 +233,6 @@ class Arm:
             what = "the task moves the gripper, so it cannot be held open"
             raise UsageError(what, setting="robot.finger_opening", hint="set it to 0")
         self._fingers = self.model.fingers if gripper else None
-        self.turns_joints = (self.settings.control or ("cartesian" if points_down else "joint")) == "joint"
-        self._yaws = self.settings.yaw and not self.turns_joints
         self.period = period
         limits = self.settings.protective_stop
         if limits == "task":
@@ -283,6 +240,12 @@ class Arm:
         self._guard = Guard(limits, self.limits.effort, period) if limits is not None else None
         self.joint_step = tuple(min(self.settings.joint_step, speed * period) for speed in self.limits.velocity)
         self.tool_step = self.settings.tool_step
+        mode = self.settings.control or control
+        self.mujoco_only = ("robot.control",) if mode == "impedance" else ()
+        self._control: Control = CONTROLS[mode](self)
+        self.turns_joints = self._control.turns_joints
+        turns = (self.model.tilt, self.model.turn) if self._control.turns_tool else (0.0, 0.0)
+        self.orientations = Orientations(downward(self.home, self.home_yaw).orientation, *turns)
 
     @property
     def parameters(self) -> Mapping[str, RandomizedParameter]:
@@ -290,40 +253,34 @@ class Arm:
         most = min(LARGEST_DAMPING, DAMPED_SHARE * min(effort / speed for effort, speed in limits))
         damping = RandomizedParameter("N m s/rad", 0.0, 0.0, most, "viscous friction that is added to every joint")
         parameters = {"joint_damping": damping, **ARM_PARAMETERS}
+        drawn = drawn_settings(self.settings)
+        delay = drawn.pop("gripper_delay")
+        if "robot.control" in self.mujoco_only:
+            del parameters["motor_gain"]  # nothing follows speeds
+            parameters = {**parameters, "joint_friction": SPRING_FRICTION, **drawn}
         if self._fingers is None:
             return parameters
         nominal = self._fingers.gripper.pad_friction
         friction = RandomizedParameter("1", nominal, 0.0, 5.0, "lateral friction coefficient of the gripper's pads")
-        return {**parameters, "pad_friction": friction, **drawn_settings(self.settings)}
+        return {**parameters, "pad_friction": friction, "gripper_delay": delay}
 
     @cached_property
     def observation(self) -> Layout:
-        fields = [Field("tool_position", 3, "m"), Field("tool_velocity", 3, "m/s")]
-        if self._yaws:
-            fields.append(Field("tool_heading", 2, "1"))  # cosine and sine: an angle would jump
-        if self._fingers is not None:
-            fields.append(Field("gripper_opening", 1, "1"))
-        if self.turns_joints:
-            size = self.chain.size
-            fields += [Field("joint_positions", size, "rad"), Field("joint_velocities", size, "rad/s")]
-        return Layout(tuple(fields))
+        gripper = () if self._fingers is None else (Field("gripper_opening", 1, "1"),)
+        return Layout((*self._control.observed, *gripper, *self._control.observed_joints))
 
     @cached_property
     def action(self) -> Layout:
-        fields = [Field("joint_changes", self.chain.size) if self.turns_joints else Field("tool_position_change", 3)]
-        if self._yaws:
-            fields.append(Field("yaw_change", 1))
-        if self._fingers is not None:
-            fields.append(Field("gripper_opening", 1))  # -1 closed, 1 open
-        return Layout(tuple(fields))
+        gripper = () if self._fingers is None else (Field("gripper_opening", 1),)  # -1 closed, 1 open
+        return Layout((*self._control.action, *gripper))
 
     @property
     def measures(self) -> tuple[Measure, ...]:
         return (*ARM_MEASURES, *[PAD_FORCE] * (self._fingers is not None), *[STOPS] * (self._guard is not None))
 
     def measure(self) -> dict[str, float]:
-        forces, loads = self.world.largest_forces(self.body), self._motors.loads()
-        pads = [force for (link, _), force in forces.items() if link in self._motors.pads]
+        forces, loads = self.world.largest_forces(self.body), self.motors.loads()
+        pads = [force for (link, _), force in forces.items() if link in self.motors.pads]
         return {
             "path_length": self._path,
             "peak_force": max(forces.values(), default=0.0),
@@ -346,9 +303,11 @@ class Arm:
         # a welded finger has no link
         pairs = [(links[first], links[second]) for first, second in named if first in links and second in links]
         self.body.collide_only(pairs)
-        self._control = JointControl(self.limits, world.period, self._accelerations, (self.chain, self.tool_speed))
+        self.ramps = Ramps(self.limits, world.period, self._accelerations, (self.chain, self.tool_speed))
         arm = [joint.child for joint in self._joints]
-        self._motors = motors = world.motors(self.body, arm, self.limits, self._fingers)
+        tool = self.model.tool, quaternion_of(urdf.rotation_matrix(*self.model.tool_rpy))
+        self.motors = motors = world.motors(self.body, arm, self.limits, self._fingers, tool)
+        self._control.build()
         self._arm_links = [self.body.links()[name] for name in arm]
         if self._guard is not None:
             world.forces(self.body)  # the world records them from the first question on
@@ -363,8 +322,12 @@ class Arm:
     def apply(self, name: str, value: float) -> None:
         if name in self._apply:
             self._apply[name](value)
-        else:  # observation_noise, action_delay, gripper_delay
+        else:  # observation_noise, action_delay, gripper_delay, of the spring
             self._values[name] = value
+
+    def value(self, name: str) -> float:
+        """The value of a parameter in the running episode."""
+        return self._values[name]
 
     def reset(self, generator: Generator) -> None:
         home, noise = self.model.home, self.reset_noise
@@ -375,8 +338,8 @@ class Arm:
     def _place(self, positions: Sequence[float], opening: float, command: float) -> None:
         """Put the joints there at rest, within their limits, and the gripper at `opening`, told to go to `command`."""
         positions = self._clipped(positions)
-        self._control.reset(positions)
-        self._motors.write(positions, opening)
+        self.ramps.reset(positions)
+        self.motors.write(positions, opening)
         self.opening_command = command
         self._opens = False
         # until the first delayed action takes effect the arm rests and the gripper keeps its command
@@ -388,6 +351,7 @@ class Arm:
         if self._guard is not None:
             self._guard.reset()
         self._read()
+        self._control.reset()
         self._path = 0.0
 
     def _clipped(self, positions: Sequence[float]) -> list[float]:
@@ -395,14 +359,17 @@ class Arm:
         limits = zip(positions, self.limits.lower, self.limits.upper, strict=True)
         return [min(max(position, low), high) for position, low, high in limits]
 
-    def place_tool(self, position: Vector, opening: float, *, closing: bool = False) -> None:
+    def place_tool(
+        self, position: Vector, opening: float, *, orientation: Quaternion | None = None, closing: bool = False
+    ) -> None:
         joints: list[float] = list(self.model.home)
+        target = self._target(position, orientation)
         for _ in range(100):
             configuration = self.chain.forward(joints)
             tool = configuration.tool
-            if dist(tool.position, position) < PLACE_TOLERANCE and hypot(*tool.z[:2]) < PLACE_TOLERANCE:
+            if dist(tool.position, position) < PLACE_TOLERANCE and dist(tool.z, target.z) < PLACE_TOLERANCE:
                 break
-            changes = self.chain.step(configuration, position, self.home_yaw, self._posture(joints))
+            changes = self.chain.step(configuration, target, self.posture(joints))
             joints = self._clipped([joint + change for joint, change in zip(joints, changes, strict=True)])
         reached = self.chain.forward(joints).tool.position
         if np.linalg.norm(np.subtract(reached, position)) > 0.005:
@@ -413,7 +380,11 @@ class Arm:
             )
         self._place(joints, opening, 0.0 if closing else opening)
 
-    def _posture(self, joints: Sequence[float]) -> list[float]:
+    def _target(self, position: Vector, orientation: Quaternion | None) -> Pose:
+        """A pose of the tool, by default pointing down as at home."""
+        return downward(position, self.home_yaw) if orientation is None else Pose.at(position, orientation)
+
+    def posture(self, joints: Sequence[float]) -> list[float]:
         """Changes of the joints (n,) in rad that inverse kinematics prefers: back towards the home pose."""
         return [POSTURE_GAIN * (home - value) for home, value in zip(self.model.home, joints, strict=True)]
 
@@ -422,23 +393,9 @@ class Arm:
         if self._delayed:
             self._delayed.append(values)
             values = self._delayed.popleft()
-        if not self.turns_joints:
-            x, y, z = self.tool_position
-            (low_x, low_y, low_z), (high_x, high_y, high_z) = self.workspace.low, self.workspace.high
-            target = (
-                min(max(x + self.tool_step * values[0], low_x), high_x),
-                min(max(y + self.tool_step * values[1], low_y), high_y),
-                min(max(z + self.tool_step * values[2], self._lowest(low_z)), high_z),
-            )
-            yaw = self._yaw() + self.settings.yaw_step * values[3] if self._yaws else self.home_yaw
-            changes = self._joint_changes(target, yaw)
-        else:
-            changes = [step * value for step, value in zip(self.joint_step, values, strict=False)]
         opening = None if self._fingers is None else 0.5 + 0.5 * values[-1]
         self.opening_command = opening or 0.0
-        begin = self.limits.slowed(self.joint_velocities)  # a joint that a contact drives faster is braked at once
-        end = self._control.ramp(self.joint_positions, begin, changes, self._configuration)
-        self._motors.drive(begin, end, {} if opening is None else self._openings(opening))
+        self._control.act(values, {} if opening is None else self._openings(opening))
 
     def _openings(self, opening: float) -> dict[int, float]:
         """What the gripper does in this control step, by physics step, when it is told to take this opening now."""
@@ -450,13 +407,13 @@ class Arm:
         self._told = [(step - substeps, value) for step, value in self._told if step >= substeps]
         return now
 
-    def _lowest(self, low: float) -> float:
-        """Lowest height to aim at, so that the tool comes to rest at `low` and does not meet the floor at speed.
+    def lowest(self) -> float:
+        """Lowest height to aim at, so that the tool comes to rest at the lower end of the workspace and not below.
 
         A control step moves the tool by the mean of its speeds before and after. Afterwards it may be as fast as leaves
         it the distance that is then left: s = d - (v T + s) / 2.
         """
-        z, speed = self.tool_position[2], min(self.tool_velocity[2], 0.0)
+        low, z, speed = self.workspace.low[2], self.tool_position[2], min(self.tool_velocity[2], 0.0)
         return max(low, z - (z - low + speed * self.period / 2) / 1.5)
 
     def _timed(self, opening: float) -> tuple[float, float]:
@@ -470,24 +427,20 @@ class Arm:
             return opening, 0.0
         return 1.0, (1 - opening) / (1 - self.opening)
 
-    def _yaw(self) -> float:
-        """Current yaw of the tool's x axis, in rad."""
-        x, y, _ = self._configuration.tool.x
-        return atan2(y, x)
-
-    def _joint_changes(self, target: Vector, yaw: float) -> list[float]:
-        """Change of the joints (n,) towards a tool position, scaled down so that no joint exceeds its step."""
-        changes = self.chain.step(self._configuration, target, yaw, self._posture(self.joint_positions))
-        excess = max(map(truediv, map(abs, changes), self.joint_step))
-        return [change / excess for change in changes] if excess > 1 else changes
-
     def read(self) -> None:
         before = self.tool_position
         self._read()
         self._path += dist(before, self.tool_position)
         if self._guard is not None:
-            torques = [torque for _, _, _, torque in self.body.joints(self._arm_links)]
-            self._guard.watch(self._forces(), torques)
+            self._guard.watch(self._forces(), self.joint_torques)
+
+    @property
+    def joint_torques(self) -> Sequence[float]:
+        return [torque for _, _, _, torque in self.body.joints(self._arm_links)]
+
+    @property
+    def tool(self) -> Pose:
+        return self.configuration.tool
 
     @property
     def stops(self) -> int:
@@ -512,21 +465,16 @@ class Arm:
 
     def _read(self) -> None:
         self._pressing = None
-        self.joint_positions, self.joint_velocities, self.opening = self._motors.read()
-        self._configuration = self.chain.forward(self.joint_positions)
-        self.tool_position = self._configuration.tool.position
-        self.tool_velocity = self.chain.velocity(self._configuration, self.joint_velocities)
+        self.joint_positions, self.joint_velocities, self.opening = self.motors.read()
+        self.configuration = self.chain.forward(self.joint_positions)
+        self.tool_position = self.configuration.tool.position
+        self.tool_velocity = self.chain.velocity(self.configuration, self.joint_velocities)
 
     def observe(self) -> list[float]:
-        values = [*self.tool_position, *self.tool_velocity]
-        if self._yaws:
-            yaw = self._yaw()
-            values += (cos(yaw), sin(yaw))
+        values = self._control.observe()
         if self._fingers is not None:
             values.append(self.opening)
-        if self.turns_joints:
-            values += self.joint_positions
-            values += self.joint_velocities
+        values += self._control.observe_joints()
         values = self.with_noise(values)
         self.observed_tool_position = values[0], values[1], values[2]
         return values
@@ -539,13 +487,13 @@ class Arm:
         return [value + error for value, error in zip(values, noise, strict=True)]
 
     def pads_touching(self, body: Body) -> int:
-        return sum(bool(self.world.contacts(self.body, body, link)) for link in self._motors.pads)
+        return sum(bool(self.world.contacts(self.body, body, link)) for link in self.motors.pads)
 
     def pads_gripping(self, body: Body) -> int:
-        axes = (self._configuration.tool.x, self._configuration.tool.y)
+        axes = (self.configuration.tool.x, self.configuration.tool.y)
         axis, sides = self._pad_sides
         count = 0
-        for link, side in zip(self._motors.pads, sides, strict=True):
+        for link, side in zip(self.motors.pads, sides, strict=True):
             # the normal points from the body to the pad: outwards where the inner face touches
             normals = (contact.normal for contact in self.world.contacts(self.body, body, link))
             count += any(side * sum(map(mul, normal, axes[axis])) > INNER_FACE_COSINE for normal in normals)
@@ -554,38 +502,27 @@ class Arm:
     @cached_property
     def _pad_sides(self) -> tuple[int, tuple[float, ...]]:
         """Axis of the tool along which the pads face each other, 0 for x or 1 for y, and the side of each pad."""
-        tool = self._configuration.tool
+        tool = self.configuration.tool
         offsets = [
             np.subtract(self.body.link(link).centre, tool.position) @ np.transpose([tool.x, tool.y])
-            for link in self._motors.pads
+            for link in self.motors.pads
         ]
         axis = int(np.abs(offsets[0] - offsets[1]).argmax())
         sides = np.sign(np.array(offsets)[:, axis] - np.mean(offsets, 0)[axis])
         return axis, tuple(sides.tolist())
 
-    def towards(self, position: Vector, opening: float) -> FloatArray:
-        values: list[float]
-        way = self.chain.step(self._configuration, position, self.home_yaw, self._posture(self.joint_positions))
+    def towards(self, position: Vector, opening: float, orientation: Quaternion | None = None) -> FloatArray:
+        target = self._target(position, orientation)
+        way = self.chain.step(self.configuration, target, self.posture(self.joint_positions))
         # so fast that .8 of a joint's acceleration stops it at the end of its way
         needed = (sqrt(abs(ahead) / (1.6 * most)) for ahead, most in zip(way, self._accelerations, strict=True))
         slower = max(1.0, max(needed) / self.period)
-        if not self.turns_joints:
-            difference = [target - current for target, current in zip(position, self.tool_position, strict=True)]
-            longest = max(slower, max(abs(value) for value in difference) / self.tool_step)
-            values = [value / self.tool_step / longest for value in difference]
-            if self._yaws:
-                turn = self.home_yaw - self._yaw()
-                values.append(atan2(sin(turn), cos(turn)) / self.settings.yaw_step)
-        else:
-            shares = [ahead / step for ahead, step in zip(way, self.joint_step, strict=True)]
-            longest = max(slower, *map(abs, shares))
-            values = [share / longest for share in shares]
-        return self._action(values, opening)
+        return self._action(self._control.towards(Way(target, way, slower)), opening)
 
     def turning(self, changes: Sequence[float], opening: float) -> FloatArray:
         if not self.turns_joints:
             raise UsageError(
-                "cartesian control does not change joint positions",
+                "actions do not change joint positions",
                 setting="robot.control",
                 hint="set robot.control: joint",
             )

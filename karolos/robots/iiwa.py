@@ -22,6 +22,7 @@ class Iiwa(Arm):
         urdf=Path(__file__).parent / "urdf" / "iiwa.urdf",
         home=(0.0, 0.5358, 0.0, -1.7364, 0.0, 0.8693, 0.0),  # tool at .52 0 .2
         workspace=Box((0.42, -0.25, 0.02), (0.73, 0.25, 0.34)),  # lower, the pads (half .01875 m high) meet the floor
+        dexterous=Box((0.54, -0.15, 0.04), (0.7, 0.15, 0.3)),
         tool=(0.0, 0.0, 0.182),  # flange .045, tool centre point .137 beyond it
         tool_rpy=(0.0, 0.0, pi),
         fingers=ROBOTIQ_2F_85,

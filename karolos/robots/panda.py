@@ -20,6 +20,7 @@ class Panda(Arm):
         urdf=Path(__file__).parent / "urdf" / "panda.urdf",
         home=(0.0, 0.41, 0.0, -1.85, 0.0, 2.26, pi / 4),  # tool at .638 0 .199, as in panda-gym
         workspace=Box((0.3, -0.25, 0.015), (0.7, 0.25, 0.4)),
+        dexterous=Box((0.42, -0.15, 0.03), (0.66, 0.15, 0.33)),
         tool=(0.0, 0.0, 0.2104),  # flange .107, tool centre point .1034 beyond it
         tool_rpy=(0.0, 0.0, -pi / 4),
         fingers=Fingers(

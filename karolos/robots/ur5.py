@@ -23,6 +23,7 @@ class UR5(Arm):
         urdf=Path(__file__).parent / "urdf" / "ur5.urdf",
         home=(-0.2294, -1.5893, 1.8333, -1.8149, -1.5708, -1.8002),  # tool at .48 0 .2
         workspace=Box((0.25, -0.25, 0.02), (0.65, 0.25, 0.4)),  # lower, the pads (half .01875 m high) meet the floor
+        dexterous=Box((0.37, -0.15, 0.04), (0.61, 0.15, 0.34)),
         tool=(0.0, 0.2193, 0.0),  # flange .0823, tool centre point .137 beyond it
         tool_rpy=(-pi / 2, 0.0, 0.0),
         fingers=ROBOTIQ_2F_85,

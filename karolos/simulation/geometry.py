@@ -1,13 +1,14 @@
-"""Vectors, quaternions and boxes. Units: m and rad; quaternions x y z w."""
+"""Vectors, rotations and boxes. Units: m and rad; quaternions x y z w."""
 
 from __future__ import annotations
 
 from collections.abc import Sequence
 from dataclasses import dataclass
+from math import atan2, copysign, cos, hypot, pi, sin, sqrt
 
 import numpy as np
 
-from ..core import Array
+from ..core import Array, FloatArray
 
 Vector = tuple[float, float, float]
 Quaternion = tuple[float, float, float, float]
@@ -17,29 +18,12 @@ UPRIGHT: Quaternion = (0.0, 0.0, 0.0, 1.0)
 def matrix_of(quaternion: Quaternion) -> Array:
     """The rotation matrix (3, 3) of a quaternion, which need not have the length 1."""
     x, y, z, w = np.divide(quaternion, np.linalg.norm(quaternion)).tolist()
-    return np.array(
-        [
-            [1 - 2 * (y * y + z * z), 2 * (x * y - w * z), 2 * (x * z + w * y)],
-            [2 * (x * y + w * z), 1 - 2 * (x * x + z * z), 2 * (y * z - w * x)],
-            [2 * (x * z - w * y), 2 * (y * z + w * x), 1 - 2 * (x * x + y * y)],
-        ]
-    )
+    return np.column_stack(axes((x, y, z, w)))
 
 
 def quaternion_of(matrix: Array) -> Quaternion:
     """The quaternion of a rotation matrix (3, 3); w is not negative."""
-    (a, b, c), (d, e, f), (g, h, i) = matrix.tolist()
-    products = np.array(  # 4 q q^T: its longest row is a multiple of q without loss of digits
-        [
-            [1 + a - e - i, b + d, c + g, h - f],
-            [b + d, 1 - a + e - i, f + h, c - g],
-            [c + g, f + h, 1 - a - e + i, d - b],
-            [h - f, c - g, d - b, 1 + a + e + i],
-        ]
-    )
-    row = products[np.argmax(np.diag(products))]
-    x, y, z, w = (row / np.linalg.norm(row) * (1.0 if row[3] >= 0 else -1.0)).tolist()
-    return x, y, z, w
+    return from_axes(*matrix.T.tolist())
 
 
 @dataclass(frozen=True)
@@ -74,3 +58,122 @@ class Box:
         half = [min(edge, high - low) / 2 for edge, low, high in zip(edges, self.low, self.high, strict=True)]
         (x, y, z), (a, b, c) = self.centre, half
         return Box((x - a, y - b, z - c), (x + a, y + b, z + c))
+
+
+@dataclass(frozen=True)
+class Orientations:
+    """Orientations around one: turned about the vertical by at most `turn` rad, then tilted by at most `tilt` rad."""
+
+    middle: Quaternion
+    tilt: float
+    turn: float
+
+    def at(self, tilt_x: float, tilt_y: float, turn: float) -> Quaternion:
+        """The one that is turned by `turn` rad, then tilted by the rotation vector (tilt_x, tilt_y, 0) in rad."""
+        return multiply(rotation_about((tilt_x, tilt_y, 0.0)), multiply(rotation_about((0.0, 0.0, turn)), self.middle))
+
+    def parts(self, orientation: Quaternion) -> Vector:
+        """tilt_x, tilt_y and turn of an orientation, as `at` takes them."""
+        x, y, z, w = multiply(orientation, inverse(self.middle))
+        turn = 2 * atan2(z, w)
+        turn -= 2 * pi * round(turn / (2 * pi))
+        tilt_x, tilt_y, _ = rotation_vector(multiply((x, y, z, w), rotation_about((0.0, 0.0, -turn))))
+        return tilt_x, tilt_y, turn
+
+    def nearest(self, orientation: Quaternion) -> Quaternion:
+        """The orientation itself, or turned and tilted no further than allowed."""
+        tilt_x, tilt_y, turn = self.parts(orientation)
+        tilt = hypot(tilt_x, tilt_y)
+        if tilt <= self.tilt and abs(turn) <= self.turn:
+            return orientation
+        share = min(1.0, self.tilt / max(tilt, 1e-12))
+        return self.at(share * tilt_x, share * tilt_y, min(max(turn, -self.turn), self.turn))
+
+
+def multiply(first: Quaternion, second: Quaternion) -> Quaternion:
+    """The rotation `second`, then `first`."""
+    (a, b, c, d), (x, y, z, w) = first, second
+    return (
+        d * x + a * w + b * z - c * y,
+        d * y - a * z + b * w + c * x,
+        d * z + a * y - b * x + c * w,
+        d * w - a * x - b * y - c * z,
+    )
+
+
+def inverse(rotation: Quaternion) -> Quaternion:
+    x, y, z, w = rotation
+    return -x, -y, -z, w
+
+
+def rotation_about(vector: Sequence[float]) -> Quaternion:
+    """The rotation by a rotation vector: its direction is the axis, its length the angle in rad."""
+    x, y, z = vector
+    angle = hypot(x, y, z)
+    share = sin(angle / 2) / angle if angle > 0 else 0.5
+    return share * x, share * y, share * z, cos(angle / 2)
+
+
+def rotation_vector(rotation: Quaternion) -> Vector:
+    """The rotation vector, of at most pi rad, of a rotation."""
+    x, y, z, w = rotation
+    size = hypot(x, y, z)
+    share = 2 * atan2(size, abs(w)) / size if size > 0 else 2.0
+    share = -share if w < 0 else share
+    return share * x, share * y, share * z
+
+
+def rotated(rotation: Quaternion, vector: Sequence[float]) -> Vector:
+    """The vector, turned."""
+    (x, y, z, w), (a, b, c) = rotation, vector
+    i, j, k = 2 * (y * c - z * b), 2 * (z * a - x * c), 2 * (x * b - y * a)
+    return a + w * i + y * k - z * j, b + w * j + z * i - x * k, c + w * k + x * j - y * i
+
+
+def axes(rotation: Quaternion) -> tuple[Vector, Vector, Vector]:
+    """The columns of the rotation matrix: the world's axes, turned."""
+    a, b, c, d, e, f = columns(rotation)
+    return (a, b, c), (d, e, f), (b * f - c * e, c * d - a * f, a * e - b * d)
+
+
+def columns(rotation: Quaternion) -> tuple[float, float, float, float, float, float]:
+    """The first two columns of the rotation matrix.
+
+    Unlike quaternions and angles they change continuously (Zhou et al. 2019, On the Continuity of Rotation
+    Representations).
+    """
+    x, y, z, w = rotation
+    return (
+        1 - 2 * (y * y + z * z),
+        2 * (x * y + w * z),
+        2 * (x * z - w * y),
+        2 * (x * y - w * z),
+        1 - 2 * (x * x + z * z),
+        2 * (y * z + w * x),
+    )
+
+
+def from_axes(x: Vector, y: Vector, z: Vector) -> Quaternion:
+    """The rotation that turns the world's axes into these unit vectors; w is not negative."""
+    (a, d, g), (b, e, h), (c, f, i) = x, y, z  # the rows of the matrix are a b c, d e f, g h i
+    # the four components, each times the same one, the largest: Shepperd 1978, Quaternion from Rotation Matrix
+    candidates = (
+        (1 + a - e - i, b + d, c + g, h - f),
+        (b + d, 1 - a + e - i, f + h, c - g),
+        (c + g, f + h, 1 - a - e + i, d - b),
+        (h - f, c - g, d - b, 1 + a + e + i),
+    )
+    best = max(range(4), key=lambda place: candidates[place][place])
+    p, q, r, s = candidates[best]
+    size = copysign(sqrt(p * p + q * q + r * r + s * s), s)
+    return p / size, q / size, r / size, s / size
+
+
+def angles(first: Array, second: Array) -> FloatArray:
+    """Angle in rad of the rotation between two, each given as two columns (..., 6): (...)."""
+    a, b, c, d = first[..., :3], first[..., 3:], second[..., :3], second[..., 3:]
+    same = np.vecdot(a, c), np.vecdot(b, d)
+    # trace of the product; the third columns are cross products (Lagrange's identity)
+    trace = same[0] + same[1] + same[0] * same[1] - np.vecdot(a, d) * np.vecdot(b, c)
+    found: FloatArray = np.arccos(np.clip((trace - 1) / 2, -1, 1), dtype=np.float32)
+    return found

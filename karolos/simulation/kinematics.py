@@ -14,7 +14,7 @@ import numpy as np
 from scipy.linalg.lapack import dposv
 
 from ..core import Array
-from .geometry import Vector
+from .geometry import Quaternion, Vector, axes, from_axes
 from .urdf import Joint
 
 
@@ -25,6 +25,20 @@ class Pose(NamedTuple):
     x: Vector
     y: Vector
     z: Vector
+
+    @classmethod
+    def at(cls, position: Vector, orientation: Quaternion) -> Pose:
+        return cls(position, *axes(orientation))
+
+    @property
+    def orientation(self) -> Quaternion:
+        return from_axes(self.x, self.y, self.z)
+
+
+def downward(position: Vector, yaw: float) -> Pose:
+    """A tool that points down, its x axis at this yaw, in rad about the world's z."""
+    k, s = cos(yaw), sin(yaw)
+    return Pose(position, (k, s, 0.0), (s, -k, 0.0), (0.0, 0.0, -1.0))
 
 
 class Configuration(NamedTuple):
@@ -112,6 +126,16 @@ class Chain:
         return vx, vy, vz
 
     @staticmethod
+    def spin(at: Configuration, rates: Sequence[float]) -> Vector:
+        """Angular velocity of the tool in rad/s when the joints turn at rates (n,) in rad/s."""
+        wx = wy = wz = 0.0
+        for rate, _, _, _, ax, ay, az in zip(rates, *[iter(at.axes)] * 6, strict=True):
+            wx += rate * ax
+            wy += rate * ay
+            wz += rate * az
+        return wx, wy, wz
+
+    @staticmethod
     def jacobian(at: Configuration) -> Array:
         """(6, n): velocity of the tool in m/s, then its angular velocity in rad/s, per rad/s of each joint."""
         tx, ty, tz = at.tool.position
@@ -121,29 +145,27 @@ class Chain:
             numbers += (ay * rz - az * ry, az * rx - ax * rz, ax * ry - ay * rx, ax, ay, az)
         return np.array(numbers).reshape(-1, 6).T
 
-    def step(self, at: Configuration, target: Vector, yaw: float, posture: Sequence[float]) -> list[float]:
-        """Change of the joints (n,) in rad that moves the tool towards `target` in m, pointing down.
-
-        One step of damped least squares on position, tool-down orientation and yaw.
+    def step(self, at: Configuration, target: Pose, posture: Sequence[float]) -> list[float]:
+        """Change of the joints (n,) in rad that moves the tool towards a pose: one step of damped least squares.
 
         Args:
             at: the current configuration.
-            yaw: of the tool's x axis about the world's z, in rad.
+            target: of the tool.
             posture: preferred change (n,) in rad, projected into the null space of the tool's motion.
         """
         jacobian = self.jacobian(at)
-        (px, py, pz), (ax, ay, az), (bx, by, bz), (cx, cy, _) = at.tool
-        k, s = cos(yaw), sin(yaw)
-        # half the sum of the cross products of the frame's axes with those wanted: x = (k, s, 0), y = (s, -k, 0),
-        # z = (0, 0, -1); for small errors this is the rotation vector (Luh, Walker, Paul 1980)
+        (px, py, pz), (ax, ay, az), (bx, by, bz), (cx, cy, cz) = at.tool
+        (qx, qy, qz), (dx, dy, dz), (ex, ey, ez), (fx, fy, fz) = target
+        # half the sum of the cross products of the frame's axes with those wanted; for small errors this is the
+        # rotation vector (Luh, Walker, Paul 1980)
         numbers = np.array(
             (
-                target[0] - px,
-                target[1] - py,
-                target[2] - pz,
-                0.5 * (-az * s + bz * k - cy),
-                0.5 * (az * k + bz * s + cx),
-                0.5 * (ax * s - ay * k - bx * k - by * s),
+                qx - px,
+                qy - py,
+                qz - pz,
+                0.5 * (ay * dz - az * dy + by * ez - bz * ey + cy * fz - cz * fy),
+                0.5 * (az * dx - ax * dz + bz * ex - bx * ez + cz * fx - cx * fz),
+                0.5 * (ax * dy - ay * dx + bx * ey - by * ex + cx * fy - cy * fx),
                 *posture,
             )
         )

@@ -111,7 +111,7 @@ class Throw(CubeTask):
     drawn: Throw.Settings
     observation = Layout((*FIELDS, Field("landing_if_released", 2, "m"), Field("time_of_flight", 1, "s")))
     uses_gripper = True
-    points_down = False
+    control = "joint"
     camera = Camera(target=(0.9, 0.0, 0.35), distance=4.3, yaw=22.0, pitch=-22.0)
     achieved_goal = Layout((Field("landing_point", 2, "m"), Field("landed", 1)))
     desired_goal = Layout((Field("target", 2, "m"),))

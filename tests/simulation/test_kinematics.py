@@ -5,6 +5,7 @@ from hypothesis import given
 from hypothesis import strategies as st
 
 from karolos.robots.panda import Panda
+from karolos.simulation.kinematics import downward
 
 ARM = Panda(Panda.Settings.model_validate({}))
 CHAIN = ARM.chain
@@ -41,7 +42,7 @@ def test_repeated_steps_bring_the_tool_there_pointing_down_with_the_yaw(
 ) -> None:
     joints = list(ARM.model.home)
     for _ in range(30):
-        change = CHAIN.step(CHAIN.forward(joints), target, yaw, [0.0] * 7)
+        change = CHAIN.step(CHAIN.forward(joints), downward(target, yaw), [0.0] * 7)
         joints = [value + turn for value, turn in zip(joints, change, strict=True)]
     tool = CHAIN.forward(joints).tool
     np.testing.assert_allclose(tool.position, target, atol=1e-4)
@@ -51,7 +52,7 @@ def test_repeated_steps_bring_the_tool_there_pointing_down_with_the_yaw(
 
 def test_posture_does_not_move_the_tool() -> None:
     at = CHAIN.forward(ARM.model.home)
-    change = CHAIN.step(at, at.tool.position, 0.0, [0.02, 0.0, -0.02, 0.0, 0.0, 0.0, 0.0])
+    change = CHAIN.step(at, downward(at.tool.position, 0.0), [0.02, 0.0, -0.02, 0.0, 0.0, 0.0, 0.0])
     moved = CHAIN.forward([value + turn for value, turn in zip(ARM.model.home, change, strict=True)])
     assert np.linalg.norm(change) > 0.01
     assert np.linalg.norm(np.subtract(moved.tool.position, at.tool.position)) < 1e-4

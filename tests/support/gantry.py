@@ -11,7 +11,7 @@ from karolos.core import Field, FloatArray, Layout
 from karolos.core.seeding import Generator
 from karolos.errors import PluginError, UsageError
 from karolos.randomization.randomization import RandomizedParameter
-from karolos.simulation.geometry import Box, Vector
+from karolos.simulation.geometry import Box, Orientations, Vector
 from karolos.simulation.interface import Body, Gripper, JointLimits, World
 from karolos.simulation.kinematics import Configuration, Pose
 from karolos.simulation.shapes import Cuboid
@@ -40,6 +40,9 @@ class Gantry:
     measures = ()
     joint_step = (0.02,) * 3
     turns_joints = False
+    mujoco_only = ()
+    dexterous: Box | None = None
+    orientations = Orientations((1.0, 0.0, 0.0, 0.0), 0.0, 0.0)
     opening = 0.0
     observation = Layout((Field("tool_position", 3, "m"), Field("tool_velocity", 3, "m/s")))
     action = Layout((Field("tool_position_change", 3),))
@@ -53,7 +56,9 @@ class Gantry:
         self.tool_velocity: Vector = (0.0, 0.0, 0.0)
         self.play = 0.0
 
-    def prepare(self, *, gripper: bool, period: float, points_down: bool = True, protective_stop: bool = False) -> None:
+    def prepare(
+        self, *, gripper: bool, period: float, control: str = "cartesian", protective_stop: bool = False
+    ) -> None:
         if gripper:
             raise PluginError("this robot has no gripper", where="Gantry")
         self.period = period

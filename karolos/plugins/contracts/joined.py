@@ -84,4 +84,4 @@ def under(robot: Candidate, control: str) -> Candidate:
 
 def goes_with(task: Candidate, control: str | None) -> bool:
     """Whether the task works under a control mode: cartesian control keeps the tool pointing down."""
-    return control != "cartesian" or bool(task.plugin.points_down)
+    return control != "cartesian" or task.plugin.control == "cartesian"

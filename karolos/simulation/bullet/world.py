@@ -18,7 +18,17 @@ from ...errors import PluginError
 from ...files import temporary_prefix
 from .. import parts
 from ..geometry import Vector
-from ..interface.engine import FLOOR_FRICTION, GRAVITY, PHYSICS_RATE, Camera, Colour, Contact, Fingers, JointLimits
+from ..interface.engine import (
+    FLOOR_FRICTION,
+    GRAVITY,
+    PHYSICS_RATE,
+    Camera,
+    Colour,
+    Contact,
+    Fingers,
+    Frame,
+    JointLimits,
+)
 from ..interface.engine import Body as AnyBody
 from ..meshes import stl, triangles
 from ..picture import FLOOR_COLOUR, GRID_COLOUR, GRIDS, SKY_COLOUR, Eye, Marker, draw
@@ -153,7 +163,14 @@ class World:
                 raise PluginError(what, where=f"robot {robot.get('name', '?')}") from error
         return index
 
-    def motors(self, body: AnyBody, joints: Sequence[str], limits: JointLimits, fingers: Fingers | None) -> Motors:
+    def motors(
+        self,
+        body: AnyBody,
+        joints: Sequence[str],
+        limits: JointLimits,
+        fingers: Fingers | None,
+        tool: Frame | None = None,  # noqa: ARG002 (of the wrench and springs)
+    ) -> Motors:
         links = body.links()
         pads = [links[name] for name in fingers.links] if fingers else []
         arm = [links[name] for name in joints]

@@ -95,6 +95,30 @@ OBJECT_MATERIAL = Material(stiffness=4e5)
 """Of a free body, if nothing else is said."""
 
 
+Frame = tuple[Vector, Quaternion]
+"""Position in m and orientation."""
+
+
+class Spring(NamedTuple):
+    """A spring and damper between a tool and its set point: F = K e - D v, up to the torques of the joints.
+
+    The weight of the arm is compensated. D follows from K and from what the tool weighs at home, for each direction.
+    """
+
+    stiffness: float
+    """N/m."""
+    turn_stiffness: float
+    """N m/rad."""
+    damping_ratio: float
+    """1: as much damping as the tool needs not to swing."""
+    error: float
+    """Largest distance e to the set point, in m, that the spring answers to: more does not pull more."""
+    turn_error: float
+    """The same of the rotation, in rad."""
+    home: tuple[float, ...]
+    """Joint positions in rad to which an arm with joints to spare returns meanwhile."""
+
+
 @dataclass(frozen=True)
 class Fingers:
     """Two prismatic joints of a URDF that move as one."""
@@ -214,6 +238,24 @@ class Motors(Protocol):
     def set_pad_friction(self, friction: float) -> None:
         """Set the lateral friction coefficient of the pads."""
 
+    def attach(self, spring: Spring) -> None:
+        """Let a spring move the tool from now on, instead of target speeds. Raises UsageError where an engine cannot.
+
+        Dry friction then brakes the joints.
+        """
+
+    def aim(self, position: Vector, orientation: Quaternion, velocity: Vector, spin: Vector) -> None:
+        """Set the set point of the spring in m, and how it moves in the next control step, in m/s and rad/s."""
+
+    def wrench(self) -> Sequence[float]:
+        """What contacts do to the tool and what moves with it: force in N and torque in N m at the tool, in its frame.
+
+        Zero at a reset. A held body counts with its weight and inertia, the gripper itself does not.
+        """
+
+    def set_wrench_filter(self, seconds: float) -> None:
+        """Set the time constant of the wrench's low-pass."""
+
     def write(self, positions: Sequence[float], opening: float) -> None:
         """Put the joints (n,) in rad and the gripper there at rest; the motors hold the arm still."""
 
@@ -258,8 +300,23 @@ class World(Protocol):
     def load(self, robot: Element, *, position: Vector = (0.0, 0.0, 0.0)) -> Body:
         """Add what a URDF's <robot> describes, its base fixed. Raises PluginError when the engine refuses it."""
 
-    def motors(self, body: Body, joints: Sequence[str], limits: JointLimits, fingers: Fingers | None) -> Motors:
-        """The motors of a loaded arm. `joints`: the links that its joints move, from base to wrist."""
+    def motors(
+        self,
+        body: Body,
+        joints: Sequence[str],
+        limits: JointLimits,
+        fingers: Fingers | None,
+        tool: Frame | None = None,
+    ) -> Motors:
+        """The motors of a loaded arm.
+
+        Args:
+            body: the arm.
+            joints: the links that its joints move, from base to wrist.
+            limits: of the joints.
+            fingers: of the gripper.
+            tool: its frame in the last of these links; springs and the wrench need it.
+        """
 
     def release_in_motion(self) -> None:
         """After `motors`: let objects leave a moving hand cleanly, so that nearly the same throw lands nearly there.

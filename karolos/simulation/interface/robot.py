@@ -3,16 +3,18 @@
 from __future__ import annotations
 
 from collections.abc import Mapping, Sequence
-from typing import ClassVar, Protocol
+from typing import ClassVar, Literal, Protocol
 
 from pydantic import BaseModel
 
 from ...core import FloatArray, Layout, Measure
 from ...core.seeding import Generator
 from ...randomization.randomization import RandomizedParameter
-from ..geometry import Box, Vector
-from ..kinematics import Configuration
+from ..geometry import Box, Orientations, Quaternion, Vector
+from ..kinematics import Configuration, Pose
 from .engine import Body, Gripper, JointLimits, World
+
+ControlMode = Literal["joint", "cartesian", "pose", "impedance"]
 
 
 class RobotView(Protocol):
@@ -22,6 +24,10 @@ class RobotView(Protocol):
     """Position of its base in the world, in m."""
     workspace: Box
     """Region that the tool reaches while it points down, each point to within 5 mm."""
+    orientations: Orientations
+    """Those to which actions turn the tool, around that of home."""
+    dexterous: Box | None
+    """Part of the workspace in which the tool takes all of them; None where it is not known."""
     limits: JointLimits
     gripper: Gripper | None
     """None for a robot without a gripper."""
@@ -50,6 +56,8 @@ class RobotView(Protocol):
     joint_velocities: Sequence[float]
     """Current joint velocities in rad/s: (n,)."""
 
+    tool: Pose
+    """Current pose of the tool."""
     tool_position: Vector
     """Current position of the tool centre point, in m."""
     tool_velocity: Vector
@@ -82,17 +90,25 @@ class RobotView(Protocol):
     def pads_gripping(self, body: Body) -> int:
         """Number of pads (0, 1, 2) whose inner faces, which face each other, touch the body."""
 
-    def place_tool(self, position: Vector, opening: float, *, closing: bool = False) -> None:
-        """During a reset: put the tool there at rest, pointing down, the gripper at `opening`.
+    def place_tool(
+        self, position: Vector, opening: float, *, orientation: Quaternion | None = None, closing: bool = False
+    ) -> None:
+        """During a reset: put the tool there at rest, the gripper at `opening`.
 
         Args:
+            position: in m.
+            opening: 0 closed, 1 open.
+            orientation: of the tool; None: pointing down as at home.
             closing: whether the gripper closes until an action says otherwise, to hold what is between its pads.
 
         Raises PluginError for an unreachable position.
         """
 
-    def towards(self, position: Vector, opening: float) -> FloatArray:
-        """The action (action.size,) that moves the tool towards `position` and the gripper to `opening`."""
+    def towards(self, position: Vector, opening: float, orientation: Quaternion | None = None) -> FloatArray:
+        """The action (action.size,) that moves the tool towards a pose and the gripper to `opening`.
+
+        The orientation of the tool is by default that of home.
+        """
 
     def turning(self, changes: Sequence[float], opening: float) -> FloatArray:
         """The action (action.size,) that changes the joints by `changes` (n,) in rad, clipped to the joint step.
@@ -119,14 +135,18 @@ class Robot(RobotView, Protocol):
     measures: Sequence[Measure]
     """What it measures an episode by; may depend on `prepare`."""
 
-    def prepare(self, *, gripper: bool, period: float, points_down: bool = True, protective_stop: bool = False) -> None:
+    mujoco_only: Sequence[str]
+    """Settings with values that PyBullet does not offer, as a spec calls them."""
+
+    def prepare(
+        self, *, gripper: bool, period: float, control: ControlMode = "cartesian", protective_stop: bool = False
+    ) -> None:
         """Adapt layouts and step sizes to a task.
 
         Args:
             gripper: whether the task uses the gripper.
             period: duration of a control step in s.
-            points_down: whether the tool points down during the task. If not, actions change joint positions unless
-                the settings say otherwise.
+            control: what actions change unless the settings say otherwise, see `Task.control`.
             protective_stop: whether the robot stops protectively unless the settings say otherwise.
 
         Raises PluginError when the task needs a gripper and the robot has none, UsageError when its settings contradict

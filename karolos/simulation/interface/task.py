@@ -13,7 +13,7 @@ from ...core import Expert, FloatArray, GoalRule, Layout, Measure
 from ...core.seeding import Generator
 from ...randomization.randomization import RandomizedParameter, drawn_settings
 from .engine import FLOOR_FRICTION, GRAVITY, Camera, World
-from .robot import RobotView
+from .robot import ControlMode, RobotView
 
 FINAL_DISTANCE = Measure("final_distance", "m", "smaller", "distance from the goal at the end of the episode")
 
@@ -34,8 +34,9 @@ class Task(ABC):
     """The same in the running episode: a setting that is marked with `Drawn` has the value that training drew."""
     uses_gripper: ClassVar[bool]
     """Whether the action moves the gripper. If not, it stays closed and is not simulated."""
-    points_down: ClassVar[bool] = True
-    """Whether the tool points down during the task, as cartesian control keeps it."""
+    control: ClassVar[ControlMode] = "cartesian"
+    """What the actions of a robot change if its settings do not say: joint positions (joint), the position of a tool
+    that points down (cartesian), its whole pose (pose), or that of a spring that moves the tool (impedance)."""
     protective_stop: ClassVar[bool] = True
     """Whether a robot stops protectively if its settings do not say; a stop ends the episode without success."""
     camera: ClassVar[Camera] = Camera()

@@ -27,12 +27,14 @@ SIZES = {"int": 4, "mjtBool": 1, "mjtByte": 1, "float": 4}
 FIELDS = (
     *("ncon", "ne", "nisland", "contact", "efc_vel", "efc_aref", "efc_R", "efc_D", "efc_force"),
     *("map_efc2iefc", "iefc_R", "iefc_D"),
+    *("xpos", "xquat", "xmat", "xanchor", "xaxis", "qfrc_bias", "qfrc_applied", "qacc", "M"),
 )
-CONTACT_FIELDS = ("dist", "friction", "geom1", "geom2", "efc_address")
+CONTACT_FIELDS = ("dist", "friction", "geom1", "geom2", "efc_address", "pos", "frame")
 CONTACTS, EQUALITIES, ISLANDS, CONTACT, SPEED, AREF, COMPLIANCE, STIFFNESS, FORCE = range(9)
 ISLAND, ISLAND_COMPLIANCE, ISLAND_STIFFNESS = range(9, 12)
-DISTANCE, FRICTION, ONE, OTHER, ROW, STRIDE = range(12, 18)
-"""Places in `layout`: those of MuJoCo's data, of its islands, of a contact, and the size of a contact."""
+PLACE, QUATERNION, MATRIX, ANCHOR, AXIS, BIAS, APPLIED, ACCELERATION, INERTIA = range(12, 21)
+DISTANCE, FRICTION, ONE, OTHER, ROW, POINT, AXES, STRIDE = range(21, 29)
+"""Places in `layout`: those of MuJoCo's data, its islands and its arrays, of a contact, and the size of a contact."""
 STICKING = 5.0
 """m/s2; friction stops what slides slower than this times a physics step, so that nothing is to be corrected."""
 STOPPING = 1.7
@@ -40,6 +42,35 @@ STOPPING = 1.7
 turning since the step before, and goes on: with 1 a held cube drifts outwards in a swing, with 2 it would tremble."""
 SLOWEST_BOUNCE = 0.1
 """m/s; slower than that nothing bounces."""
+POSTURE_STIFFNESS, POSTURE_DAMPING = 10.0, 5.0
+"""N m/rad and N m s/rad, with which a redundant arm on a spring returns to its home pose, unfelt by the tool."""
+SINGULAR = 1e-6
+"""Added to J J^T, whose inverse is needed, in m2."""
+
+
+MOST_JOINTS = 12
+"""Of an arm."""
+TOOL = np.dtype(
+    [
+        ("body", np.int64),  # the last link, which carries the tool
+        ("frame", np.float64, 7),  # position in m and quaternion of the tool in that link
+        ("size", np.int64),  # number n of the joints
+        ("joints", np.int64, MOST_JOINTS),  # their places in the data, those of their velocities, of their positions
+        ("dofs", np.int64, MOST_JOINTS),
+        ("positions", np.int64, MOST_JOINTS),
+        ("entries", np.int64, (MOST_JOINTS, MOST_JOINTS)),  # of the inertia of each two joints in the data's, i >= j
+        ("efforts", np.float64, MOST_JOINTS),  # largest torques in N m
+        ("home", np.float64, MOST_JOINTS),  # in rad
+        ("spring", np.float64, 4),  # stiffness, N/m and N m/rad; largest error, m and rad; 0 N/m: there is no spring
+        ("damping", np.float64, (6, 6)),  # along and about the world's axes, N s/m, N m s/rad and mixed
+        ("aim", np.float64, 13),  # set point at the begin of the control step, m, quaternion; its velocity, m/s, rad/s
+        ("share", np.float64),  # fraction of a new wrench that the low-pass takes in a physics step
+        ("torques", np.float64, MOST_JOINTS),  # written: of the spring in the last physics step, N m
+        ("added", np.float64, (MOST_JOINTS, MOST_JOINTS)),  # written: what was added to the inertia
+        ("wrench", np.float64, 6),  # written: what is felt, N and N m
+    ]
+)
+"""What the kernel knows of an arm's tool. Quaternions are w x y z as MuJoCo's."""
 
 
 def _measure(struct: str) -> tuple[int, int, dict[str, int]]:
@@ -119,6 +150,7 @@ binding.load_library_permanently(
 _step1 = types.ExternalFunction("mj_step1", types.void(types.int64, types.int64))
 _step2 = types.ExternalFunction("mj_step2", types.void(types.int64, types.int64))
 _integrate = types.ExternalFunction("mj_integratePos", types.void(types.int64, types.int64, types.int64, types.float64))
+_factor = types.ExternalFunction("mj_factorM", types.void(types.int64, types.int64))
 
 
 @_compiled
@@ -167,13 +199,208 @@ def _weigh(data, at, bodies, forces, peaks, largest):
 
 
 @_compiled
+def _product(a, b, out):
+    """The quaternion a b (w x y z): first the rotation b, then a."""
+    w = a[0] * b[0] - a[1] * b[1] - a[2] * b[2] - a[3] * b[3]
+    x = a[0] * b[1] + a[1] * b[0] + a[2] * b[3] - a[3] * b[2]
+    y = a[0] * b[2] - a[1] * b[3] + a[2] * b[0] + a[3] * b[1]
+    z = a[0] * b[3] + a[1] * b[2] - a[2] * b[1] + a[3] * b[0]
+    out[0], out[1], out[2], out[3] = w, x, y, z
+
+
+@_compiled
+def _locate(data, at, tool, pose, turn):
+    """Where a tool is: its position and quaternion into `pose` (7,), its rotation matrix into `turn` (3, 3)."""
+    place, matrix = _address(data + at[PLACE]) + 24 * tool.body, _address(data + at[MATRIX]) + 72 * tool.body
+    quaternion = _address(data + at[QUATERNION]) + 32 * tool.body
+    for axis in range(4):
+        pose[3 + axis] = _number(quaternion + 8 * axis)
+    _product(pose[3:], tool.frame[3:], pose[3:])
+    for axis in range(3):
+        pose[axis] = _number(place + 8 * axis)
+        for k in range(3):
+            pose[axis] += _number(matrix + 8 * (3 * axis + k)) * tool.frame[k]
+    w, x, y, z = pose[3], pose[4], pose[5], pose[6]
+    turn[0, 0], turn[0, 1], turn[0, 2] = 1 - 2 * (y * y + z * z), 2 * (x * y - w * z), 2 * (x * z + w * y)
+    turn[1, 0], turn[1, 1], turn[1, 2] = 2 * (x * y + w * z), 1 - 2 * (x * x + z * z), 2 * (y * z - w * x)
+    turn[2, 0], turn[2, 1], turn[2, 2] = 2 * (x * z - w * y), 2 * (y * z + w * x), 1 - 2 * (x * x + y * y)
+
+
+@_compiled
+def _miss(aim, time, pose, error):
+    """The way from a tool's pose to its set point after so many s: m, then a rotation vector in rad, into (6,)."""
+    spin = np.sqrt(aim[10] ** 2 + aim[11] ** 2 + aim[12] ** 2)
+    share = np.sin(spin * time / 2) / spin if spin > 0 else 0.0
+    moved, back = np.empty(4), np.empty(4)
+    moved[0], back[0] = np.cos(spin * time / 2), pose[3]
+    for axis in range(1, 4):
+        moved[axis], back[axis] = share * aim[9 + axis], -pose[3 + axis]
+    _product(moved, aim[3:], moved)
+    _product(moved, back, moved)
+    size = np.sqrt(moved[1] ** 2 + moved[2] ** 2 + moved[3] ** 2)
+    sign = 1.0 if moved[0] >= 0 else -1.0
+    angle = sign * 2 * np.arctan2(size, sign * moved[0]) / size if size > 1e-12 else 2.0
+    for axis in range(3):
+        error[axis] = aim[axis] + time * aim[7 + axis] - pose[axis]
+        error[3 + axis] = angle * moved[1 + axis]
+
+
+@_compiled
+def _pull(model, data, at, h, positions, velocities, tool, time):
+    """Put the torques of a tool's spring and damper into MuJoCo's data, and what makes them implicit into its inertia.
+
+    At the end of the step, where v' = v + h a, F = K e - D v is K e - (D + h K) v - h (D + h K) a. The first two terms
+    are a force; the last one, in the joints h J^T (D + h K) J, is added to the inertia, so that contacts feel it, too.
+    Without it a stiff spring would be unstable: light wrists swing within two physics steps.
+
+    The set point runs ahead by the way that damping would keep the tool behind. All of the error is then clipped, so
+    that whatever the set point does, a tool at rest presses with K times the limit at the most.
+    """
+    n, spring = tool.size, tool.spring
+    pose, turn, error = np.empty(7), np.empty((3, 3)), np.empty(6)
+    _locate(data, at, tool, pose, turn)
+    _miss(tool.aim, time, pose, error)
+    jacobian, twist, speeds = np.empty((6, n)), np.zeros(6), np.empty(n)
+    for j in range(n):
+        axis, anchor = (
+            _address(data + at[AXIS]) + 24 * tool.joints[j],
+            _address(data + at[ANCHOR]) + 24 * tool.joints[j],
+        )
+        a, b, c = _number(axis), _number(axis + 8), _number(axis + 16)
+        x, y, z = pose[0] - _number(anchor), pose[1] - _number(anchor + 8), pose[2] - _number(anchor + 16)
+        jacobian[0, j], jacobian[1, j], jacobian[2, j] = b * z - c * y, c * x - a * z, a * y - b * x
+        jacobian[3, j], jacobian[4, j], jacobian[5, j] = a, b, c
+        speeds[j] = velocities[tool.dofs[j]]
+        for i in range(6):
+            twist[i] += jacobian[i, j] * speeds[j]
+    damping, force, ahead = tool.damping.copy(), np.zeros(6), np.zeros(6)
+    for i in range(6):
+        damping[i, i] += h * spring[i // 3]
+    for i in range(6):  # of its speed, what damping does not need more force for than there may be
+        half = i // 3
+        speed = np.sqrt(tool.aim[7 + 3 * half] ** 2 + tool.aim[8 + 3 * half] ** 2 + tool.aim[9 + 3 * half] ** 2)
+        most = spring[half] * spring[2 + half] / damping[i, i]
+        ahead[i] = tool.aim[7 + i] * min(1.0, most / max(speed, 1e-12))
+    for i in range(6):
+        for k in range(6):
+            error[i] += damping[i, k] * ahead[k] / spring[i // 3]
+            force[i] -= damping[i, k] * twist[k]
+    for half in range(2):
+        size = np.sqrt(error[3 * half] ** 2 + error[3 * half + 1] ** 2 + error[3 * half + 2] ** 2)
+        stiffness = spring[half] * min(1.0, spring[2 + half] / max(size, 1e-12))
+        for i in range(3 * half, 3 * half + 3):
+            force[i] += stiffness * error[i]
+    for j in range(n):
+        tool.torques[j] = 0.0
+        for i in range(6):
+            tool.torques[j] += jacobian[i, j] * force[i]
+        for k in range(n):
+            tool.added[k, j] = 0.0
+        for i in range(6):
+            resisted = 0.0
+            for k in range(6):
+                resisted += h * damping[i, k] * jacobian[k, j]
+            for k in range(n):
+                tool.added[k, j] += jacobian[i, k] * resisted
+    if n > 6:
+        _keep_posture(h, positions, tool, jacobian, speeds)
+    bias, applied = _address(data + at[BIAS]), _address(data + at[APPLIED])
+    inertia = _address(data + at[INERTIA])
+    for j in range(n):
+        dof = 8 * tool.dofs[j]
+        tool.torques[j] = min(max(tool.torques[j] + _number(bias + dof), -tool.efforts[j]), tool.efforts[j])
+        _store(applied + dof, tool.torques[j])
+        for k in range(j + 1):
+            entry = inertia + 8 * tool.entries[j, k]
+            _store(entry, _number(entry) + tool.added[j, k])
+    _factor(model, data)
+
+
+@_compiled
+def _resist(data, at, tool, loads):
+    """Complete the torques of a spring by what was added to the inertia, and raise the largest ones."""
+    acceleration = _address(data + at[ACCELERATION])
+    for j in range(tool.size):
+        for k in range(tool.size):
+            tool.torques[j] -= tool.added[j, k] * _number(acceleration + 8 * tool.dofs[k])
+        loads[2, tool.dofs[j]] = max(loads[2, tool.dofs[j]], abs(tool.torques[j]))
+
+
+@_compiled
+def _keep_posture(h, positions, tool, jacobian, speeds):
+    """Add springs and dampers towards the home pose in the joints, less what the tool would feel of them."""
+    n = tool.size
+    square, free = np.empty((6, 6)), jacobian.copy()
+    for i in range(6):
+        for k in range(6):
+            square[i, k] = SINGULAR if i == k else 0.0
+            for j in range(n):
+                square[i, k] += jacobian[i, j] * jacobian[k, j]
+    for k in range(6):  # square x = free, by elimination
+        for i in range(k + 1, 6):
+            factor = square[i, k] / square[k, k]
+            for j in range(k + 1, 6):
+                square[i, j] -= factor * square[k, j]
+            for j in range(n):
+                free[i, j] -= factor * free[k, j]
+    for j in range(n):
+        for k in range(5, -1, -1):
+            for i in range(k + 1, 6):
+                free[k, j] -= square[k, i] * free[i, j]
+            free[k, j] /= square[k, k]
+    damping = POSTURE_DAMPING + h * POSTURE_STIFFNESS
+    for j in range(n):
+        for k in range(n):
+            share = 1.0 if j == k else 0.0
+            for i in range(6):
+                share -= jacobian[i, j] * free[i, k]
+            pull = POSTURE_STIFFNESS * (tool.home[k] - positions[tool.positions[k]]) - damping * speeds[k]
+            tool.torques[j] += share * pull
+            tool.added[j, k] += h * damping * share
+
+
+@_compiled
+def _feel(data, at, tools, hands):
+    """Low-pass what contacts do to the hands: force in N and torque in N m at the tool, in its frame."""
+    felt, turn = np.zeros((len(tools), 6)), np.empty((3, 3))
+    pose, pressure, lever = np.empty(7), np.empty(3), np.empty(3)
+    force, first = _address(data + at[FORCE]), _address(data + at[CONTACT])
+    for contact in range(first, first + at[STRIDE] * _integer(data + at[CONTACTS]), at[STRIDE]):
+        one, other = hands[_integer(contact + at[ONE])], hands[_integer(contact + at[OTHER])]
+        row = _integer(contact + at[ROW])
+        if row < 0 or one == other:
+            continue
+        for axis in range(3):
+            pressure[axis] = 0.0
+            for k in range(3):
+                along = _number(contact + at[AXES] + 8 * (3 * k + axis))
+                pressure[axis] += along * _number(force + 8 * (row + k))
+        for side in range(2):
+            hand, sign = (one, -1.0) if side == 0 else (other, 1.0)
+            if hand < 0:
+                continue
+            _locate(data, at, tools[hand], pose, turn)
+            for axis in range(3):
+                lever[axis] = sign * (_number(contact + at[POINT] + 8 * axis) - pose[axis])
+            for axis in range(3):
+                for k in range(3):
+                    torque = lever[(k + 1) % 3] * pressure[(k + 2) % 3] - lever[(k + 2) % 3] * pressure[(k + 1) % 3]
+                    felt[hand, axis] += turn[k, axis] * sign * pressure[k]
+                    felt[hand, 3 + axis] += turn[k, axis] * torque
+    for hand in range(len(tools)):
+        for axis in range(6):
+            tools[hand].wrench[axis] += tools[hand].share * (felt[hand, axis] - tools[hand].wrench[axis])
+
+
+@_compiled
 def _load(data, at, motors, velocities, places, loads):
     """Raise the largest speeds and torques of the motors' joints."""
     force = _address(data + at[FORCE]) + 8 * _integer(data + at[EQUALITIES])
     for motor in range(len(motors)):
         joint = places[motor, 1]
         loads[0, joint] = max(loads[0, joint], abs(velocities[joint]))
-        loads[2, joint] = max(loads[2, joint], abs(_number(force + 8 * motors[motor])))
+        if motors[motor] >= 0:
+            loads[2, joint] = max(loads[2, joint], abs(_number(force + 8 * motors[motor])))
 
 
 @_compiled
@@ -195,6 +422,8 @@ def advance(
     peaks,
     largest,
     loads,
+    tools,
+    hands,
 ):
     """Take a physics step of h seconds for each row of `targets`.
 
@@ -210,7 +439,7 @@ def advance(
         model, data: addresses of MuJoCo's.
         at: `layout`.
         positions, velocities: of the data: (nq,), (nv,).
-        motors: row of each motor among the constraints after those of equality: (m,).
+        motors: row of each motor among the constraints after those of equality: (m,); -1 without force.
         targets: speed that a motor reaches in each physics step, or position that it moves to (n, m).
         gains: 0 for a target speed, else the speed in 1/s by which a motor closes the distance to its position: (m,).
         most: largest speed of a motor with a gain (m,).
@@ -221,6 +450,8 @@ def advance(
         peaks: written: the largest normal force in N between each two bodies in any of the steps (nbody, nbody).
         largest: raised to the peaks.
         loads: raised to the largest speed, acceleration and torque of each motor's joint (3, nv).
+        tools: of the arms, `TOOL` (r,).
+        hands: number of the tool that each geom moves with, -1 for others (ngeom,).
     """
     steps, count = targets.shape
     peaks[:] = 0.0
@@ -234,16 +465,24 @@ def advance(
             if gains[motor] > 0:
                 wanted = gains[motor] * (target - positions[places[motor, 0]])
                 target = min(max(wanted, -most[motor]), most[motor])
-            _store(aref + 8 * motors[motor], rates[motor] * (target - velocities[places[motor, 1]]))
+            if motors[motor] >= 0:
+                _store(aref + 8 * motors[motor], rates[motor] * (target - velocities[places[motor, 1]]))
         contact = _address(data + at[CONTACT])
         for _ in range(_integer(data + at[CONTACTS])):
             row = _integer(contact + at[ROW])
             if row >= 0:
                 _touch(data, at, contact, row, h, material)
             contact += at[STRIDE]
+        for tool in range(len(tools)):
+            if tools[tool].spring[0] > 0:
+                _pull(model, data, at, h, positions, velocities, tools[tool], (step + 0.5) * h)
         _step2(model, data)
         _weigh(data, at, bodies, forces, peaks, largest)
         _load(data, at, motors, velocities, places, loads)
+        _feel(data, at, tools, hands)
+        for tool in range(len(tools)):
+            if tools[tool].spring[0] > 0:
+                _resist(data, at, tools[tool], loads)
     for joint in places[:, 1]:
         loads[1, joint] = max(loads[1, joint], abs(velocities[joint] - before[joint]) / (steps * h))
     _integrate(model, positions.ctypes.data, velocities.ctypes.data, -h / 2)

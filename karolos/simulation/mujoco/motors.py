@@ -3,11 +3,13 @@
 from __future__ import annotations
 
 from collections.abc import Mapping, Sequence
+from math import exp
 from typing import Any
 
 import numpy as np
 
-from ..interface.engine import FINGER_RATE, PHYSICS_RATE, Fingers, JointLimits, Loads
+from ..geometry import Quaternion, Vector
+from ..interface.engine import FINGER_RATE, PHYSICS_RATE, Fingers, Frame, JointLimits, Loads, Spring
 from .body import Body
 from .simulation import Simulation
 
@@ -32,6 +34,7 @@ class Motors:
     Args:
         joints: of the arm, from base to wrist, as the body counts them.
         pads: joints of the two fingers; empty without a gripper.
+        tool: frame of the tool in the last link; None for an arm without.
     """
 
     def __init__(
@@ -42,11 +45,19 @@ class Motors:
         joints: Sequence[int],
         fingers: Fingers | None,
         pads: Sequence[int],
+        *,
+        tool: Frame | None,
     ) -> None:
         self.pads = pads
         self._simulation = simulation
         self._body = body
-        self._limits = limits
+        self.limits = limits
+        self._tool = tool
+        self._spring: Spring | None = None
+        self._aim = np.zeros(13)
+        self._share = 1.0
+        if tool is not None:
+            simulation.arms.append(self)
         self._size = len(joints)
         self._joints = [*joints, *pads]
         self._fingers = fingers
@@ -68,6 +79,34 @@ class Motors:
         self.places = np.stack([self._positions, self._dofs], 1)
         self._moving = [self._body.ids[joint + 1] for joint in self._joints]
         self._own_damping = model.dof_damping[self._dofs].copy()
+        if self._tool is not None:
+            self._find_tool(model, self._tool)
+
+    def _find_tool(self, model: Any, tool: Frame) -> None:
+        """Fill in this arm's row of what the kernel knows of tools."""
+        size, dofs = self._size, self._dofs
+        row = self._simulation.arms.index(self)
+        self._row = own = self._simulation.tools[row]
+        own["body"] = carrier = self._moving[size - 1]
+        own["size"] = size
+        (x, y, z), (i, j, k, w) = tool
+        own["frame"] = x, y, z, w, i, j, k
+        own["joints"][:size] = [model.body_jntadr[body] for body in self._moving[:size]]
+        own["dofs"][:size], own["positions"][:size] = dofs[:size], self._positions[:size]
+        for one, dof in enumerate(dofs[:size]):
+            first, count = model.M_rowadr[dof], model.M_rownnz[dof]
+            places = {int(column): place for place, column in enumerate(model.M_colind[first : first + count], first)}
+            own["entries"][one, : one + 1] = [places[int(other)] for other in dofs[: one + 1]]
+        hand = {carrier}
+        for body in range(carrier + 1, model.nbody):
+            hand |= {body} if int(model.body_parentid[body]) in hand else set()
+        self._simulation.hands[np.isin(model.geom_bodyid, [*hand])] = row
+        own["efforts"][:size], own["aim"], own["share"] = self.limits.effort, self._aim, self._share
+        if self._spring is not None:
+            own["home"][:size] = self._spring.home
+            self._root = self._simulation.root_of_mass(row, self._spring.home)
+            self._write_spring(self._spring)
+            self._simulation.sprung.update({int(dof): (row, joint) for joint, dof in enumerate(dofs[:size])})
 
     def write_parameters(self, model: Any) -> None:
         """Write masses, largest torques and damping into the model."""
@@ -75,7 +114,8 @@ class Motors:
         model.body_inertia[self._moving] *= self._mass
         force = [self._fingers.gripper.force] * 2 if self._fingers else []
         dofs = self._dofs
-        model.dof_frictionloss[dofs] = [*((1 - self._friction) * effort for effort in self._limits.effort), *force]
+        share = 1 - self._friction if self._spring is None else self._friction  # a spring moves what friction holds
+        model.dof_frictionloss[dofs] = [*(share * effort for effort in self.limits.effort), *force]
         model.dof_solimp[dofs] = MOTOR_IMPEDANCE
         damping = self._own_damping.copy()
         damping[: self._size] += self._damping
@@ -103,8 +143,39 @@ class Motors:
         for link in self.pads:
             self._body.set_friction(friction, link)
 
+    def attach(self, spring: Spring) -> None:
+        if self._spring is None:
+            self._simulation.restructure()
+        else:
+            self._simulation.ready()
+            self._write_spring(spring)
+        self._spring = spring
+
+    def _write_spring(self, spring: Spring) -> None:
+        """D = z (M^(1/2) K^(1/2) + K^(1/2) M^(1/2)): Albu-Schaeffer et al. 2003, Cartesian Impedance Control."""
+        self._row["spring"] = spring.stiffness, spring.turn_stiffness, spring.error, spring.turn_error
+        half = self._root * np.sqrt([spring.stiffness] * 3 + [spring.turn_stiffness] * 3)
+        self._row["damping"] = spring.damping_ratio * (half + half.T)
+
+    def aim(self, position: Vector, orientation: Quaternion, velocity: Vector, spin: Vector) -> None:
+        x, y, z, w = orientation
+        self._aim[:] = (*position, w, x, y, z, *velocity, *spin)
+        self._simulation.ready()
+        self._row["aim"] = self._aim
+
+    def set_wrench_filter(self, seconds: float) -> None:
+        self._share = 1 - exp(-self._simulation.timestep / seconds) if seconds else 1.0
+        self._simulation.restructure()
+
+    def wrench(self) -> Sequence[float]:
+        self._simulation.ready()
+        felt: list[float] = self._row["wrench"].tolist()
+        return felt
+
     def write(self, positions: Sequence[float], opening: float) -> None:
         data = self._simulation.writable()
+        if self._tool is not None:
+            self._row["wrench"] = 0.0
         self.targets[:] = 0.0
         if self._fingers is not None:
             self.targets[:, -2:] = goal = self._fingers.position(opening)

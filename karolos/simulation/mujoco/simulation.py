@@ -17,6 +17,8 @@ IMPEDANCE_RATIO = 100.0
 """Ratio of the stiffness of friction to that of the normal direction; a held object creeps less the larger it is."""
 JOINT_IMPEDANCE = (0.99, 0.995, 0.001, 0.5, 2.0)
 """`solimp` of joint limits and the coupling of fingers."""
+SMALLEST_MOBILITY = 1e-3
+"""1/kg and 1/(kg m2) of a tool along a direction in which its arm cannot move it."""
 OLDEST_VERSION = 4_000_001
 """The oldest version that works, 4.0.1."""
 DRIVEN = "targets", "gains", "most", "rates", "places"
@@ -71,6 +73,10 @@ class Simulation:
         self.stiff = 2 * timestep, 1.0
         """`solref` of the stiffest constraints that the time step allows."""
         self.parts: list[Any] = []
+        self.arms: list[Any] = []
+        """Motors of arms with a tool, in the order of the rows of `tools`."""
+        self.sprung: dict[int, tuple[int, int]] = {}
+        """Row in `tools` and number of the joint of each degree of freedom that a spring moves."""
         self.model: Any = None
         self.spec = api.MjSpec()
         self.spec.compiler.degree = False
@@ -151,13 +157,31 @@ class Simulation:
             self.peaks,
             self.largest,
             self.loads,
+            self.tools,
+            self.hands,
         )
         self.stepped = True
 
     def motor_force(self, dof: int) -> float:
         """Torque or force (N m or N) of the motor of a degree of freedom in the last physics step."""
+        if self.stepped and dof in self.sprung:
+            return float(self.tools["torques"][self.sprung[dof]])
         row = int(self.rows[dof])
         return float(self._data.efc_force[self._data.ne + row]) if self.stepped and row >= 0 else 0.0
+
+    def root_of_mass(self, row: int, home: Sequence[float]) -> Any:
+        """The square root (6, 6) of the mass of the tool of this row at home, in kg, kg m2 and mixed."""
+        api, model, data, tool, size = self.api, self.model, self._scratch, self.tools[row], len(home)
+        dofs, carrier = tool["dofs"][:size], tool["body"]
+        data.qpos[tool["positions"][:size]] = home
+        api.mj_fwdPosition(model, data)
+        point = data.xpos[carrier] + data.xmat[carrier].reshape(3, 3) @ tool["frame"][:3]
+        jacobian = np.zeros((6, model.nv))
+        api.mj_jac(model, data, jacobian[:3], jacobian[3:], point, carrier)
+        inertia = np.tril(data.M[tool["entries"][:size, :size]])
+        inertia += np.tril(inertia, -1).T
+        values, axes = np.linalg.eigh(jacobian[:, dofs] @ np.linalg.solve(inertia, jacobian[:, dofs].T))
+        return (axes / np.sqrt(np.maximum(values, SMALLEST_MOBILITY))) @ axes.T
 
     def _compile(self) -> None:
         self._declare()
@@ -171,6 +195,8 @@ class Simulation:
             raise PluginError(f"mujoco cannot compile the model: {' '.join(str(error).split())}") from error
         self._scratch = self.api.MjData(self.model)
         self._layout = self._kernel.layout(self._data)
+        self.tools = np.zeros(len(self.arms), self._kernel.TOOL)
+        self.hands = np.full(self.model.ngeom, -1)
         self.material = np.zeros((self.model.ngeom, 3))
         self.peaks, self.largest = np.zeros((2, self.model.nbody, self.model.nbody))
         self.loads = np.zeros((3, self.model.nv))

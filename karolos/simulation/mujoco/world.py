@@ -17,7 +17,7 @@ from ...core import Array, FloatArray
 from ...errors import MachineError, PluginError
 from .. import parts
 from ..geometry import Vector
-from ..interface.engine import FLOOR_FRICTION, PHYSICS_RATE, Camera, Colour, Contact, Fingers, JointLimits
+from ..interface.engine import FLOOR_FRICTION, PHYSICS_RATE, Camera, Colour, Contact, Fingers, Frame, JointLimits
 from ..interface.engine import Body as AnyBody
 from ..meshes import stl, triangles
 from ..picture import Eye, Marker, draw
@@ -129,11 +129,18 @@ class World:
                 geom.contype = geom.conaffinity = 0
                 yield prefix + geom.name
 
-    def motors(self, body: AnyBody, joints: Sequence[str], limits: JointLimits, fingers: Fingers | None) -> Motors:
+    def motors(
+        self,
+        body: AnyBody,
+        joints: Sequence[str],
+        limits: JointLimits,
+        fingers: Fingers | None,
+        tool: Frame | None = None,
+    ) -> Motors:
         links = body.links()
         pads = [links[name] for name in fingers.links] if fingers else []
         arm = [links[name] for name in joints]
-        motors = Motors(self._simulation, self._bodies[body.index], limits, arm, fingers, pads)
+        motors = Motors(self._simulation, self._bodies[body.index], limits, arm, fingers, pads, tool=tool)
         self._motors.append(motors)
         self._simulation.parts.append(motors)
         if fingers is not None:

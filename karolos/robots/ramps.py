@@ -25,7 +25,7 @@ SCALINGS = 4
 """Largest number of times that a ramp is scaled down. Once does not suffice where accelerations limit the braking."""
 
 
-class JointControl:
+class Ramps:
     """Turns changes of joint positions into ramps of joint speeds, one per control step.
 
     A change d per control step is a speed, d / T, that the joint reaches at the end of the step:

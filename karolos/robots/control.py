@@ -1,0 +1,332 @@
+"""Control modes: what the actions of an arm change, and how its motors do it."""
+
+from __future__ import annotations
+
+from collections.abc import Mapping, Sequence
+from math import atan2, cos, hypot, sin
+from operator import truediv
+from typing import ClassVar, NamedTuple, Protocol
+
+from ..core import Field
+from ..simulation.geometry import (
+    Orientations,
+    Quaternion,
+    Vector,
+    inverse,
+    multiply,
+    rotated,
+    rotation_about,
+    rotation_vector,
+)
+from ..simulation.interface import Box, JointLimits, Motors
+from ..simulation.interface.engine import Spring
+from ..simulation.kinematics import Chain, Configuration, Pose, downward
+from .ramps import Ramps
+from .settings import ArmSettings
+
+POSITION = Field("tool_position", 3, "m")
+ROTATION = Field("tool_rotation", 6, "1")
+"""The first two columns of the tool's rotation matrix."""
+VELOCITY, SPIN = Field("tool_velocity", 3, "m/s"), Field("tool_angular_velocity", 3, "rad/s")
+
+
+class Arm(Protocol):
+    """What a control mode needs of an arm, see `arm.Arm`."""
+
+    settings: ArmSettings
+    limits: JointLimits
+    chain: Chain
+    workspace: Box
+    orientations: Orientations
+    home_yaw: float
+    home_joints: tuple[float, ...]
+    period: float
+    tool_step: float
+    joint_step: tuple[float, ...]
+    motors: Motors
+    ramps: Ramps
+    configuration: Configuration
+    joint_positions: Sequence[float]
+    joint_velocities: Sequence[float]
+    tool_position: Vector
+    tool_velocity: Vector
+
+    def value(self, name: str) -> float: ...
+
+    def posture(self, joints: Sequence[float]) -> list[float]: ...
+
+    def lowest(self) -> float: ...
+
+
+class Way(NamedTuple):
+    """Where an expert wants the tool to go."""
+
+    target: Pose
+    joints: Sequence[float]
+    """Change of each joint that leads there, in rad."""
+    slower: float
+    """How many times slower than at once it may go there, at least, to stop in time."""
+
+
+class Control:
+    """A control mode of an arm.
+
+    Attributes:
+        turns_joints: whether actions change joint positions.
+        turns_tool: whether the tool may be turned away from pointing down.
+        observed: what is observed of the tool.
+        observed_joints: what is observed of the joints.
+        action: what the action changes, without the gripper.
+    """
+
+    turns_joints: ClassVar[bool] = False
+    turns_tool: ClassVar[bool] = True
+    observed: tuple[Field, ...] = (POSITION, VELOCITY)
+    observed_joints: tuple[Field, ...] = ()
+    action: tuple[Field, ...]
+
+    def __init__(self, arm: Arm) -> None:
+        self.arm = arm
+
+    def build(self) -> None:
+        """Set up the motors of a loaded arm."""
+
+    def reset(self) -> None:
+        """Begin an episode, with the joints in their places and at rest."""
+
+    def changes(self, values: Sequence[float]) -> list[float]:
+        """Changes of the joints (n,) in rad that an action means, its numbers in [-1, 1]."""
+        raise NotImplementedError
+
+    def act(self, values: Sequence[float], openings: Mapping[int, float]) -> None:
+        """Aim the motors for one control step: joints on ramps of their speeds, the gripper as `Motors.drive` says."""
+        arm = self.arm
+        changes = self.changes(values)
+        begin = arm.limits.slowed(arm.joint_velocities)  # a joint that a contact drives faster is braked at once
+        end = arm.ramps.ramp(arm.joint_positions, begin, changes, arm.configuration)
+        arm.motors.drive(begin, end, openings)
+
+    def observe(self) -> list[float]:
+        """The numbers of `observed`."""
+        return [*self.arm.tool_position, *self.arm.tool_velocity]
+
+    def observe_joints(self) -> Sequence[float]:
+        """The numbers of `observed_joints`."""
+        return ()
+
+    def towards(self, way: Way) -> list[float]:
+        """The action that leads along a way."""
+        raise NotImplementedError
+
+    def _within_steps(self, target: Pose) -> list[float]:
+        """Change of the joints (n,) towards a pose of the tool, scaled down so that no joint exceeds its step."""
+        arm = self.arm
+        changes = arm.chain.step(arm.configuration, target, arm.posture(arm.joint_positions))
+        excess = max(map(truediv, map(abs, changes), arm.joint_step))
+        return [change / excess for change in changes] if excess > 1 else changes
+
+    def _ahead(self, start: Vector, change: Sequence[float], low_z: float) -> Vector:
+        """The position that is `change` m away from `start`, inside the workspace and not lower than `low_z`."""
+        (low_x, low_y, _), (high_x, high_y, high_z) = self.arm.workspace.low, self.arm.workspace.high
+        (x, y, z), (dx, dy, dz) = start, change
+        return min(max(x + dx, low_x), high_x), min(max(y + dy, low_y), high_y), min(max(z + dz, low_z), high_z)
+
+
+class JointControl(Control):
+    """An action changes each joint position, in units of the joint step."""
+
+    turns_joints = True
+
+    def __init__(self, arm: Arm) -> None:
+        super().__init__(arm)
+        size = arm.chain.size
+        self.action = (Field("joint_changes", size),)
+        self.observed_joints = Field("joint_positions", size, "rad"), Field("joint_velocities", size, "rad/s")
+
+    def changes(self, values: Sequence[float]) -> list[float]:
+        return [step * value for step, value in zip(self.arm.joint_step, values, strict=False)]
+
+    def observe_joints(self) -> Sequence[float]:
+        return [*self.arm.joint_positions, *self.arm.joint_velocities]
+
+    def towards(self, way: Way) -> list[float]:
+        shares = [ahead / step for ahead, step in zip(way.joints, self.arm.joint_step, strict=True)]
+        longest = max(way.slower, *map(abs, shares))
+        return [share / longest for share in shares]
+
+
+class CartesianControl(Control):
+    """An action changes the position of the tool, which points down, and its yaw if the arm's settings say so."""
+
+    turns_tool = False
+
+    def __init__(self, arm: Arm) -> None:
+        super().__init__(arm)
+        self._yaws = arm.settings.yaw
+        self.action = (Field("tool_position_change", 3),)
+        if self._yaws:
+            self.action += (Field("yaw_change", 1),)
+            self.observed += (Field("tool_heading", 2, "1"),)  # cosine and sine: an angle would jump
+
+    def changes(self, values: Sequence[float]) -> list[float]:
+        arm = self.arm
+        step = arm.tool_step
+        change = step * values[0], step * values[1], step * values[2]
+        yaw = self._yaw() + arm.settings.turn_step * values[3] if self._yaws else arm.home_yaw
+        return self._within_steps(downward(self._ahead(arm.tool_position, change, arm.lowest()), yaw))
+
+    def observe(self) -> list[float]:
+        values = super().observe()
+        if self._yaws:
+            yaw = self._yaw()
+            values += (cos(yaw), sin(yaw))
+        return values
+
+    def towards(self, way: Way) -> list[float]:
+        arm = self.arm
+        difference = [wanted - current for wanted, current in zip(way.target.position, arm.tool_position, strict=True)]
+        longest = max(way.slower, max(abs(value) for value in difference) / arm.tool_step)
+        values = [value / arm.tool_step / longest for value in difference]
+        if self._yaws:
+            turn = arm.home_yaw - self._yaw()
+            values.append(atan2(sin(turn), cos(turn)) / arm.settings.turn_step)
+        return values
+
+    def _yaw(self) -> float:
+        """Current yaw of the tool's x axis, in rad."""
+        x, y, _ = self.arm.configuration.tool.x
+        return atan2(y, x)
+
+
+class PoseControl(Control):
+    """An action changes the position of the tool and turns it by a rotation vector, in the base's or the tool's frame.
+
+    The pose aimed at stays in the workspace and within the arm's orientations.
+    """
+
+    observed: tuple[Field, ...] = (POSITION, ROTATION, VELOCITY, SPIN)
+    action: tuple[Field, ...] = (Field("tool_position_change", 3), Field("tool_turn", 3))
+
+    def changes(self, values: Sequence[float]) -> list[float]:
+        tool = self.arm.configuration.tool
+        return self._within_steps(Pose.at(*self._changed(tool.position, tool.orientation, values, self.arm.lowest())))
+
+    def _changed(
+        self, position: Vector, orientation: Quaternion, values: Sequence[float], low_z: float
+    ) -> tuple[Vector, Quaternion]:
+        """The pose that an action makes of this one."""
+        arm = self.arm
+        shift, turn = [arm.tool_step * value for value in values[:3]], self._turn(values[3:6])
+        if arm.settings.frame == "tool":
+            own = arm.configuration.tool.orientation
+            shift, turn = list(rotated(own, shift)), rotated(own, turn)
+        turned = multiply(rotation_about(turn), orientation)
+        return self._ahead(position, shift, low_z), arm.orientations.nearest(turned)
+
+    def _turn(self, values: Sequence[float]) -> Vector:
+        x, y, z = (self.arm.settings.turn_step * value for value in values)
+        return x, y, z
+
+    def observe(self) -> list[float]:
+        arm = self.arm
+        tool, spin = arm.configuration.tool, Chain.spin(arm.configuration, arm.joint_velocities)
+        return [*tool.position, *tool.x, *tool.y, *arm.tool_velocity, *spin]
+
+    def towards(self, way: Way) -> list[float]:
+        return self._way(self.arm.configuration.tool, way.target, way.slower)
+
+    def _way(self, start: Pose, target: Pose, slower: float) -> list[float]:
+        """The action that leads from one pose to another, at least so much slower than at once."""
+        arm = self.arm
+        shift: Sequence[float] = [there - here for there, here in zip(target.position, start.position, strict=True)]
+        turn = rotation_vector(multiply(target.orientation, inverse(start.orientation)))
+        if arm.settings.frame == "tool":
+            back = inverse(arm.configuration.tool.orientation)
+            shift, turn = rotated(back, shift), rotated(back, turn)
+        values = [value / arm.tool_step for value in shift] + [value / arm.settings.turn_step for value in turn]
+        longest = max(slower, *map(abs, values))
+        return [value / longest for value in values]
+
+
+class ImpedanceControl(PoseControl):
+    """As pose control, but an action moves the set point of a spring and damper at the tool, which gives way.
+
+    The set point stays where actions brought it. An arm that is told nothing holds its place under a load, and one that
+    is told to go on presses on a wall with as much as the largest error allows. (A set point that began at the tool in
+    each step would sink with a load, and could press with the force of one step only.) An error beyond the largest is
+    forgotten, so that the way back from a wall is short. What is left is all that the next step depends on and is
+    observed: `set_point`, the way from the tool to the set point in m, and as a rotation vector in rad. Times the
+    stiffness it is the force.
+    """
+
+    observed = (*PoseControl.observed, Field("set_point", 6, "m, rad"))
+
+    def __init__(self, arm: Arm) -> None:
+        super().__init__(arm)
+        if arm.settings.stiffness_range is not None:
+            self.action = (*PoseControl.action, Field("stiffness", 1))
+
+    def build(self) -> None:
+        self._attach(self.arm.settings.stiffness)
+
+    def _attach(self, stiffness: float) -> None:
+        """Let a spring of so many N/m move the tool; its other numbers are those of the episode."""
+        settings, value = self.arm.settings, self.arm.value
+        limits = settings.error_limit, settings.turn_error_limit
+        self.arm.motors.attach(
+            Spring(stiffness, value("turn_stiffness"), value("damping_ratio"), *limits, self.arm.home_joints)
+        )
+
+    def reset(self) -> None:
+        self._attach(self.arm.value("stiffness"))
+        tool = self.arm.configuration.tool
+        self._position, self._orientation = tool.position, tool.orientation
+        self.arm.motors.aim(self._position, self._orientation, (0.0, 0.0, 0.0), (0.0, 0.0, 0.0))
+
+    def act(self, values: Sequence[float], openings: Mapping[int, float]) -> None:
+        arm, tool = self.arm, self.arm.configuration.tool
+        still = [0.0] * arm.chain.size
+        arm.motors.drive(still, still, openings)
+        if arm.settings.stiffness_range is not None:
+            low, high = arm.settings.stiffness_range
+            self._attach(low * (high / low) ** (0.5 + 0.5 * values[6]))
+        error, turn = self._error()
+        x, y, z = (own + ahead for own, ahead in zip(tool.position, error, strict=True))
+        orientation = multiply(rotation_about(turn), tool.orientation)
+        self._position, self._orientation = self._changed((x, y, z), orientation, values, arm.workspace.low[2])
+        (end_x, end_y, end_z), (a, b, c) = self._position, self._turned(orientation)
+        speed = (end_x - x) / arm.period, (end_y - y) / arm.period, (end_z - z) / arm.period
+        arm.motors.aim((x, y, z), orientation, speed, (a / arm.period, b / arm.period, c / arm.period))
+
+    def _error(self) -> tuple[Vector, Vector]:
+        """The way from the tool to the set point, m and rad, cut to the largest."""
+        settings, tool = self.arm.settings, self.arm.configuration.tool
+        x, y, z = (there - here for there, here in zip(self._position, tool.position, strict=True))
+        return _cut((x, y, z), settings.error_limit), _cut(self._turned(tool.orientation), settings.turn_error_limit)
+
+    def _turned(self, orientation: Quaternion) -> Vector:
+        """The rotation vector in rad from an orientation to that of the set point."""
+        return rotation_vector(multiply(self._orientation, inverse(orientation)))
+
+    def observe(self) -> list[float]:
+        error, turn = self._error()
+        return [*super().observe(), *error, *turn]
+
+    def towards(self, way: Way) -> list[float]:
+        values = self._way(Pose.at(self._position, self._orientation), way.target, 1.0)
+        return values if self.arm.settings.stiffness_range is None else [*values, 0.0]
+
+
+def _cut(vector: Vector, most: float) -> Vector:
+    """The vector, no longer than this."""
+    share = min(1.0, most / max(hypot(*vector), 1e-12))
+    return share * vector[0], share * vector[1], share * vector[2]
+
+
+CONTROLS: Mapping[str, type[Control]] = {
+    "joint": JointControl,
+    "cartesian": CartesianControl,
+    "pose": PoseControl,
+    "impedance": ImpedanceControl,
+}
+"""Control modes by the names that specs give them."""
