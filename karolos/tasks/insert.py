@@ -8,7 +8,7 @@ from typing import Annotated, Literal
 import numpy as np
 from pydantic import Field as Setting
 
-from ..core import Array, BoolArray, Expert, Field, FloatArray, GoalRule, Layout, Settings
+from ..core import Array, BoolArray, Expert, Field, FloatArray, GoalRule, Layout, Measure, Settings
 from ..core.seeding import Generator
 from ..errors import PluginError
 from ..randomization.randomization import Drawn, Probability
@@ -130,7 +130,7 @@ class Insert(Task):
         start_near: Probability = Setting(
             0.0, description="probability that another episode starts with the peg close to the hole"
         )
-        max_steps: int = Setting(50, ge=1, le=100_000, description="control steps per episode")
+        max_steps: int = Setting(100, ge=1, le=100_000, description="control steps per episode")
 
     settings: Settings
     drawn: Settings
@@ -149,6 +149,12 @@ class Insert(Task):
         )
     )
     critic_only = Layout((Field("hole_error", 3, "m, rad"), Field("peg_forces", 2, "N")))
+    measures = (
+        Measure(
+            "insertion_force", "N", "smaller", "largest force of the block on the peg or of anything else on the arm"
+        ),
+    )
+    distance_measure = Measure("final_distance", "m", "smaller", "distance of the tip from the bottom of the hole")
     desired_goal = Layout((Field("tip_from_hole", 3, "m"), Field("peg_axis", 2)))
     achieved_goal = desired_goal + Layout((Field("overloaded", 1),))
 
@@ -209,7 +215,7 @@ class Insert(Task):
         self.hole_error: list[float] = errors.tolist()
         self.known: Vector = (hole[0] + errors[0], hole[1] + errors[1], TOP)
         self.known_yaw = yaw + turn + errors[2]
-        self.overloaded = False
+        self.overloaded, self.largest = False, 0.0
         self.forces = [0.0, 0.0]
         self._read()
 
@@ -239,7 +245,8 @@ class Insert(Task):
             self.world.forces(self.peg).get((-1, self.block.index), 0.0),
             self._robot.largest_force(self.peg),
         ]
-        self.overloaded = self.overloaded or max(self.forces) > self.settings.force_limit
+        self.largest = max(self.largest, *self.forces)
+        self.overloaded = self.largest > self.settings.force_limit
 
     def _read(self) -> None:
         position, self.rotation = self.peg.pose()
@@ -282,6 +289,9 @@ class Insert(Task):
         penalty = self.settings.force_penalty
         return 0.0 if penalty is None else penalty.reward(max(self.forces))
 
+    def measure(self) -> dict[str, float]:
+        return {"insertion_force": self.largest}
+
     def lost(self) -> bool:
         return not hypot(*self.tip_from_hole) < LOST_DISTANCE
 
@@ -293,15 +303,15 @@ CLEARANCE = 0.004
 """m of the tip above the mouth while it is not yet over it."""
 OVER, STRAIGHT = 0.0015, 0.02
 """m beside the axis of the hole as it is known, and rad of the peg's turn, within which the tip goes down."""
-SINKING, GENTLY, NEAR = 0.006, 0.002, 0.009
-"""m per control step at which the set point goes down, the same near mouth and bottom, and what is near, in m: 5 kg
-that stop at 2.4 cm/s are 25 N for 1/240 s."""
+SINKING, GENTLY, NEAR = 0.072, 0.02, 0.009
+"""m/s at which the set point goes down, the same near mouth and bottom, and what is near, in m: 5 kg that stop at
+2 cm/s are 24 N for 1/240 s."""
 PRESSING = 0.0125
 """m of the set point below the tip at the most: 10 N for 800 N/m."""
-STUCK = 0.0005
-"""m: a tip that sinks less in a control step rests on something."""
-SPIRAL_TURN, SPIRAL_WIDTH = 0.7, 0.0015
-"""Step of the spiral in rad, and distance in m between its turns."""
+STUCK = 0.006
+"""m/s: a tip that sinks slower rests on something."""
+SPIRAL_TURN, SPIRAL_WIDTH = 8.0, 0.0015
+"""Speed of the spiral in rad/s, and distance in m between its turns."""
 WIDEST = 0.006
 """Radius in m at which the spiral begins again. A spring of 800 N/m pulls the peg out of friction with 5 N there."""
 
@@ -319,7 +329,7 @@ class InsertExpert(Expert):
         """Height of the tip a step before and of its set point, from the mouth of the hole in m."""
 
     def act(self) -> FloatArray:
-        task, tool = self._task, self._robot.tool
+        task, tool, period = self._task, self._robot.tool, self._robot.period
         x, y, z = task.tip_from_hole
         turn = rotation_about(rotation_vector(multiply(task.target, inverse(task.rotation))))
         straight = hypot(*rotation_vector(turn)) < STRAIGHT
@@ -329,9 +339,9 @@ class InsertExpert(Expert):
             side = 0.0, 0.0
         else:
             sink = GENTLY if abs(self._height) < NEAR or self._height < NEAR - DEPTH else SINKING
-            self._height = max(self._height - sink, z - PRESSING, -DEPTH - PRESSING / 2)
-            if sinks < STUCK and -DEPTH / 2 < z < CLEARANCE / 2:
-                self._angle += SPIRAL_TURN
+            self._height = max(self._height - sink * period, z - PRESSING, -DEPTH - PRESSING / 2)
+            if sinks < STUCK * period and -DEPTH / 2 < z < CLEARANCE / 2:
+                self._angle += SPIRAL_TURN * period
             radius = SPIRAL_WIDTH * self._angle / (2 * pi) % WIDEST
             side = radius * cos(self._angle), radius * sin(self._angle)
         tip = _sum(task.known, (*side, self._height))
