@@ -14,7 +14,7 @@ from typer import Option
 
 from karolos.errors import KarolosError
 from karolos.evaluation.playing import score
-from karolos.evaluation.policies import expert_policy
+from karolos.evaluation.policies import expert_policy, random_policy
 from karolos.orchestrator.machine import cores
 from karolos.plugins import inspection
 from karolos.registry import names
@@ -61,8 +61,8 @@ def measure(
 def _row(engine: Engine | None, episodes: int, seed: int, case: tuple[str, str]) -> Row:
     environment = inspection.pair(*case, engine)
     expert = score(environment, expert_policy(environment), episodes=episodes, seed=seed)
+    random = score(environment, random_policy(environment, seed), episodes=episodes, seed=seed)
     environment.close()
-    random = inspection.floor(*case, engine, episodes=episodes, seed=seed)
     more = {"low": expert.low, "high": expert.high, "any": expert.success_any, "steps": expert.steps}
     more |= {"peer_low": random.low, "peer_high": random.high, "episodes": episodes}
     what, value, floor = " ".join(filter(None, (*case, engine))), expert.success_end, random.success_end

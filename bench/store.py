@@ -19,7 +19,6 @@ from itertools import repeat
 from pathlib import Path
 from statistics import median
 
-from karolos.orchestrator.machine import cores
 from karolos.records import RunFolder
 from karolos.records.provenance import versions
 from karolos.records.results import TestResult, encode_test
@@ -49,15 +48,14 @@ def measure(
     with tempfile.TemporaryDirectory(prefix="karolos-bench-") as place:
         folder = Path(place) / "runs"
         make_runs(folder, runs, tests, episodes)
-        url, jobs = database or Store.default_url(folder), cores()
+        url = database or Store.default_url(folder)
         size = f"{runs:,} runs with {tests} tests of {episodes} episodes"
         with Store(url) as store:
             reading = seconds_of(lambda: _read_all(folder))
-            building = seconds_of(lambda: reindex(store, folder, jobs=jobs))
-            case = f"reindex by {jobs} processes, {size}"
-            yield Row(case, building, "s", "one process reads the JSON alone", reading)
-            checking = seconds_of(lambda: list(check(store, folder, jobs=jobs)))
-            yield Row(f"check by {jobs} processes, {size}", checking, "s")
+            building = seconds_of(lambda: reindex(store, folder))
+            yield Row(f"reindex, {size}", building, "s", "reading the JSON alone", reading)
+            checking = seconds_of(lambda: list(check(store, folder)))
+            yield Row(f"check, {size}", checking, "s")
             found = len(store.runs(where=FILTER))
             asking, everything = _typical(lambda: store.runs(where=FILTER)), _typical(store.runs)
             yield Row(f"filter that {found:,} of {runs:,} runs fit", asking, "s", "all runs", everything)

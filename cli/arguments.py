@@ -13,7 +13,7 @@ import typer
 
 from karolos.errors import UsageError
 
-from .completion import complete_run, complete_setting
+from .completion import complete_run
 from .output import say, warn
 
 if TYPE_CHECKING:
@@ -28,7 +28,8 @@ MANY_HELP = (
 )
 FILTER_HELP = (
     "Only runs that match, e.g. 'task=reach and agent.learning_rate<1e-3 and not state in (failed, lost)'. "
-    "Operators: = != < <= > >= ~ (contains) in. Names: columns, settings of the spec, tags, note, versions.PACKAGE."
+    "Operators: = != < <= > >= ~ (contains) in. Names: columns, settings of the spec, tags, note, "
+    "versions.PACKAGE, measures.NAME."
 )
 POLICY_HELP = f"{RUN_HELP} Or the name of a policy that ships with karolos: panda_pick, ur5_throw, ..."
 
@@ -53,7 +54,6 @@ Overrides = Annotated[
     typer.Argument(
         metavar="[PATH=VALUE]...",
         help="Settings that replace the spec's, e.g. agent.learning_rate=1e-4 seeds=[0,1].",
-        autocompletion=complete_setting,
     ),
 ]
 OneRun = Annotated[str, typer.Argument(metavar="RUN", help=RUN_HELP, autocompletion=complete_run)]
@@ -139,7 +139,7 @@ def open_run(selector: str, runs: Path, database: str | None) -> RunFolder:
         RunError: the run's folder is missing or damaged.
     """
     from karolos.records import RunFolder
-    from karolos.store.meant import find_folder
+    from karolos.store.query import find_folder
 
     if os.path.isfile(Path(selector) / "run.json"):  # needs no index; Path.is_file raises for a long name
         return RunFolder.open(selector)
@@ -157,7 +157,7 @@ def select_runs(
     """
     if not selectors and where is None:
         raise UsageError("which runs?", hint="name RUN, or give --where FILTER")
-    from karolos.store.meant import existing
+    from karolos.store.query import existing
 
     store = existing(open_store(runs, database), selectors[0] if selectors else str(where), runs)
     selected = {run.run: run for selector in selectors for run in store.select(selector)}
@@ -165,8 +165,7 @@ def select_runs(
         matching = {run.run: run for run in store.runs(where=where)}
         selected = {run: matching[run] for run in selected if run in matching} if selectors else matching
     if not selected:
-        hint = store.closest_value(where) if where is not None else None
-        raise UsageError("no runs match the filter", hint=hint or "`karolos runs list FILTER` shows which runs match")
+        raise UsageError("no runs match the filter", hint="`karolos runs list FILTER` shows which runs match")
     return store, tuple(selected.values())
 
 

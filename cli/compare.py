@@ -101,7 +101,7 @@ def compare(
 
 def _runs_of(selector: str, store: Store | None, runs: Path) -> tuple[Store | None, tuple[RunSummary, ...]]:
     """The runs that a selector means and the index that has them; None for a run that ships."""
-    from karolos.store.meant import existing, shipped_run
+    from karolos.store.query import existing, shipped_run
 
     if shipped := shipped_run(selector, store):
         return None, (shipped.summary(),)
@@ -137,9 +137,11 @@ def _labels(
 
 
 def _print_comparison(comparison: Comparison) -> None:
-    from karolos.report.comparison_tables import explanations, parameters_table, scores_table
+    from karolos.report.comparison_tables import explanations, measures_table, parameters_table, scores_table
 
     print_table(scores_table(comparison))
+    if comparison.measures:
+        print_table(measures_table(comparison))
     print()
     for line in explanations(comparison):
         print(f"  {line}")

@@ -1,19 +1,15 @@
-"""Shell completion of run ids, plugins and settings."""
+"""Shell completion of run ids and plugins."""
 
 from __future__ import annotations
 
 import os
-from collections.abc import Callable, Iterator
+from collections.abc import Callable
 from contextlib import suppress
 from pathlib import Path
-from typing import TYPE_CHECKING
 
 import typer
 
 from karolos.errors import KarolosError
-
-if TYPE_CHECKING:
-    from pydantic import BaseModel
 
 
 def complete_run(ctx: typer.Context, incomplete: str) -> list[str]:
@@ -43,27 +39,3 @@ def complete_plugin(kind: str | None = None) -> Callable[[typer.Context, str], l
         return []
 
     return complete
-
-
-def complete_setting(ctx: typer.Context, incomplete: str) -> list[str]:
-    """PATH= for each setting of a spec and of the plugin whose key is typed, which is imported."""
-    from karolos.registry import load
-    from karolos.specification.files import SpecFiles, named_plugins
-    from karolos.specification.model import Spec
-
-    found = list(_settings(Spec))
-    with suppress(KarolosError):
-        for key, plugin in named_plugins(SpecFiles(Path(str(ctx.params.get("spec")))).load()).items():
-            if incomplete and key.startswith(incomplete.partition(".")[0]):
-                found += [f"{key}.{path}" for path in _settings(load(plugin.kind, plugin.name).Settings)]
-    return [f"{path}=" for path in found if path.startswith(incomplete)]
-
-
-def _settings(model: type[BaseModel]) -> Iterator[str]:
-    """The fields of a model, and those of nested models with dotted names."""
-    from karolos.specification.problems import models_in
-
-    for name, field in model.model_fields.items():
-        yield name
-        for nested in models_in(field.annotation):
-            yield from (f"{name}.{path}" for path in _settings(nested))

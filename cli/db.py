@@ -3,31 +3,25 @@
 from __future__ import annotations
 
 from pathlib import Path
-from typing import Annotated
 
 import typer
 
 from karolos.errors import StoreError
-from karolos.orchestrator.machine import cores
 
 from .arguments import Database, Json, Runs
 from .output import print_rows, say, warn
 
 app = typer.Typer(name="db", help="Rebuild, check and upgrade the results database.", no_args_is_help=True)
-Jobs = Annotated[
-    int | None,
-    typer.Option(min=1, help="Processes that read folders. Default: one per core."),
-]
 
 
 @app.command()
-def reindex(runs: Runs = Path("runs"), database: Database = None, jobs: Jobs = None) -> None:
+def reindex(runs: Runs = Path("runs"), database: Database = None) -> None:
     """Rebuild the database from the run folders. Exit code 1 if files are damaged; the other runs are entered."""
     from karolos.store import Store
     from karolos.store import reindex as rebuild
 
     with Store(database or Store.default_url(runs)) as store:
-        done = rebuild(store, runs, jobs=jobs or cores())
+        done = rebuild(store, runs)
     for problem in done.problems:
         warn(problem)
     say(f"{done.runs} runs entered, {done.forgotten} forgotten")
@@ -38,13 +32,13 @@ def reindex(runs: Runs = Path("runs"), database: Database = None, jobs: Jobs = N
 
 
 @app.command()
-def check(runs: Runs = Path("runs"), database: Database = None, jobs: Jobs = None, json: Json = False) -> None:
+def check(runs: Runs = Path("runs"), database: Database = None, json: Json = False) -> None:
     """List differences between the database and the run folders, and damaged files. Exit code 4 if there are any."""
     from karolos.store import Store
     from karolos.store import check as differences
 
     with Store(_existing(runs, database)) as store:
-        found = [one.row() for one in differences(store, runs, jobs=jobs or cores())]
+        found = [one.row() for one in differences(store, runs)]
     print_rows(found, json=json)
     if found:
         say(f"{len(found)} differences; `karolos db reindex` enters what the folders hold")

@@ -12,7 +12,7 @@ from .completion import complete_run
 from .output import print_rows, print_table, say
 
 if TYPE_CHECKING:
-    from karolos.comparison.sides import Side
+    from karolos.comparison.differences import Side
 
 _HELP = "A run's id or how it begins, @last, a run folder, or a spec file: what a run of it would be made from now."
 
@@ -25,7 +25,7 @@ def diff(
     json: Json = False,
 ) -> None:
     """Show how two runs differ: settings, versions of karolos, plugins and libraries, git commit, changed files."""
-    from karolos.comparison.sides import compare_sides
+    from karolos.comparison.differences import compare_sides
 
     one, other = _side(a, runs, database), _side(b, runs, database)
     found = list(compare_sides(one, other))
@@ -41,11 +41,11 @@ def diff(
 
 def _side(selector: str, runs: Path, database: str | None) -> Side:
     """What an argument means."""
-    from karolos.comparison import sides
+    from karolos.comparison.differences import of_run, of_spec
     from karolos.store.selectors import is_spec
 
     if is_spec(selector):
         from karolos.specification import load_spec
 
-        return sides.of_spec(load_spec(Path(selector)), selector)
-    return sides.of_run(open_run(selector, runs, database))
+        return of_spec(load_spec(Path(selector)), selector)
+    return of_run(open_run(selector, runs, database))

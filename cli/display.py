@@ -6,7 +6,6 @@ import sys
 from collections import defaultdict, deque
 from collections.abc import Sequence
 from contextlib import AbstractContextManager
-from datetime import timedelta
 from typing import TYPE_CHECKING, Any, Self, TextIO
 
 from rich.console import Console
@@ -23,7 +22,7 @@ from karolos.experiment.events import (
     RunWarned,
 )
 from karolos.report.tables import clean
-from karolos.sweep.events import FinalBegan, TrialAdvanced, TrialBegan, TrialEnded
+from karolos.sweep.events import FinalBegan, TrialBegan, TrialEnded
 
 from .output import drawn_text
 
@@ -32,8 +31,6 @@ if TYPE_CHECKING:
     from karolos.records.sweep_records import Trial
     from karolos.sweep.events import SweepEvent
 
-WIDE = 130
-"""Characters of a terminal that shows everything beside a bar."""
 SWEEP_SPEED_SECONDS = 600.0
 """Seconds over which the speed of a sweep is averaged for the time left."""
 SPEED_WINDOW = 50
@@ -96,19 +93,19 @@ class Plain(Quiet):
 
 
 class Live(Quiet):
-    """Shows a bar per run: steps, speeds, activity, score of the last test, time left with tests."""
+    """Shows a bar per run: steps, speeds, activity, score of the last test, time left."""
 
     def __init__(self, stream: TextIO | None = None) -> None:
         super().__init__(stream)
-        self._narrow = self._console.width < WIDE
         self._bars: Progress = Progress(
             TextColumn("{task.description}"),
-            BarColumn(bar_width=12 if self._narrow else 24),
+            BarColumn(bar_width=12),
             MofNCompleteColumn(),
             TextColumn("{task.fields[speed]}", style="cyan"),
             TextColumn("{task.fields[activity]}", style="yellow"),
             TextColumn("{task.fields[score]}", style="green"),
-            TextColumn("{task.fields[left]}"),
+            TimeRemainingColumn(),
+            TextColumn("left"),
             console=self._console,
         )
         self._tasks: dict[str, TaskID] = {}
@@ -117,7 +114,7 @@ class Live(Quiet):
     def __call__(self, event: Any) -> None:
         super().__call__(event)
         if isinstance(event, RunStarted):
-            fields: dict[str, Any] = {"speed": "starting", "activity": "", "score": "", "left": ""}
+            fields: dict[str, Any] = {"speed": "starting", "activity": "", "score": ""}
             self._tasks[event.run] = self._bars.add_task(f"seed {event.seed}", total=event.steps, **fields)
         elif event.run in self._tasks:  # otherwise its process died before the run began
             task = self._tasks[event.run]
@@ -129,20 +126,15 @@ class Live(Quiet):
         """The fields of a run's bar that an event changes."""
         if isinstance(event, RunAdvanced):
             self._points[event.run].append(event)
-            speed = _speed(self._points[event.run])
-            speed = speed.partition(",")[0] if self._narrow else speed
-            return {"completed": event.steps, "speed": speed, "left": _left(event.seconds_left)}
+            speed, _, _ = _speed(self._points[event.run]).partition(",")
+            return {"completed": event.steps, "speed": speed}
         if isinstance(event, RunBusy):
-            activity = {"activity": _activity(event)}
-            if event.seconds_left is None:
-                return activity
-            return {**activity, "left": _left(event.seconds_left), "speed": ""}  # training is over
+            return {"activity": _activity(event)}
         if isinstance(event, RunTested):  # training may have gone on since the test was due
-            score = _brief(event.result) if self._narrow else event.result.score
-            return {"completed": max(event.result.steps, completed), "score": score}
+            return {"completed": max(event.result.steps, completed), "score": _brief(event.result)}
         if isinstance(event, RunFinalTested):
-            return {"score": _brief(event.final.last) if self._narrow else _final(event.final)}
-        return {"speed": event.state, "activity": "", "left": ""} if isinstance(event, RunEnded) else {}
+            return {"score": _brief(event.final.last)}
+        return {"speed": event.state, "activity": ""} if isinstance(event, RunEnded) else {}
 
 
 def _speed(points: Sequence[RunAdvanced]) -> str:
@@ -152,10 +144,6 @@ def _speed(points: Sequence[RunAdvanced]) -> str:
     first, last = points[0], points[-1]
     learning = "warm-up" if last.warming_up else f"{(last.updates - first.updates) / passed:,.0f} updates/s"
     return f"{(last.steps - first.steps) / passed:,.0f} steps/s, {learning}"
-
-
-def _left(seconds: float | None) -> str:
-    return "" if seconds is None else f"{timedelta(seconds=round(seconds))} left"
 
 
 def _activity(event: RunBusy) -> str:
@@ -206,10 +194,6 @@ class SweepDisplay(Quiet):
                 speed_estimate_period=SWEEP_SPEED_SECONDS,
             )
             self._task = self._bars.add_task("trials", total=None, done="", best="")
-        self._ended = 0
-        """Trials of this phase that have ended."""
-        self._fractions: dict[str, float] = {}
-        """Trials that have not ended, by name -> fraction of their steps."""
 
     def __call__(self, event: Any) -> None:
         super().__call__(event)
@@ -227,21 +211,14 @@ class SweepDisplay(Quiet):
             self._update(self._bars, event)
 
     def _update(self, bar: Progress, event: SweepEvent) -> None:
-        if isinstance(event, TrialAdvanced):
-            self._fractions[event.name] = event.fraction
-        elif isinstance(event, TrialBegan | TrialEnded):
-            self._fractions.pop(event.trial.name, None)
+        if isinstance(event, TrialBegan | TrialEnded):
             best = event.best and f"best {self._values(event.best)} (trial {event.best.number})"
             done = f"{event.done}/{event.asked}"
-            bar.update(self._task, total=event.asked, done=done, best=best or "")
-            self._ended = event.done
+            bar.update(self._task, total=event.asked, completed=event.done, done=done, best=best or "")
         elif isinstance(event, FinalBegan):
-            self._fractions.clear()
-            self._ended = 0
             doing = "choosing" if event.purpose == "choose" else "reporting"
             done, best = f"{len(event.seeds)} seeds each", bar.tasks[0].fields["best"]
             bar.reset(self._task, description=doing, total=len(event.trials), done=done, best=best)
-        bar.update(self._task, completed=self._ended + sum(self._fractions.values()))
 
     def _values(self, trial: Trial) -> str:
         values = zip(self._objectives, trial.values or (), strict=False)

@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-from dataclasses import asdict
 from pathlib import Path
 from typing import TYPE_CHECKING, Annotated
 
@@ -50,20 +49,12 @@ def task(
         str,
         typer.Option(metavar="NAME", help="Robot to show the task with.", autocompletion=complete_plugin("robot")),
     ] = "panda",
-    floor: Annotated[bool, typer.Option("--floor", help="Measure the success of a random policy instead.")] = False,
-    episodes: Annotated[int, typer.Option(min=1, help="Episodes of the random policy.")] = 100,
     out: Out = None,
     width: Size = 960,
     height: Size = 720,
     json: Json = False,
 ) -> None:
-    """Show a task: goal rule, layouts, settings, parameters for randomization; or the success of a random policy."""
-    if floor:
-        from karolos.plugins.inspection import floor as random_policy
-
-        found = random_policy(robot, name, episodes=episodes)
-        print_rows([{"robot": robot, "task": name, **asdict(found)}], json=json)
-        return
+    """Show a task: goal rule, layouts, settings, parameters for randomization."""
     target = _target(out, name)
     from karolos.plugins.inspection import inspect_task
 

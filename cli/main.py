@@ -5,7 +5,7 @@ from __future__ import annotations
 import errno
 import gc
 import os
-import re
+import signal
 import sys
 import traceback
 from typing import Annotated, Any
@@ -16,7 +16,6 @@ from typer.core import TyperGroup, TyperOption
 from karolos import __version__
 from karolos.errors import KarolosError, MachineError, PluginError
 from karolos.experiment.signals import TIME_LIMIT_EXIT, TimeIsUpError
-from karolos.registry import closest
 
 from . import db, inspect, plugins, runs, spec, sweeps
 from .board import board
@@ -37,7 +36,7 @@ looking through the objects that imports make."""
 
 
 class Commands(TyperGroup):
-    """Commands whose help says what each option takes. An error about a value that is not a choice suggests one."""
+    """Commands whose help says what each option takes, and that say that they are interrupted."""
 
     def get_command(self, ctx: Any, cmd_name: str) -> Any:
         command = super().get_command(ctx, cmd_name)
@@ -52,11 +51,9 @@ class Commands(TyperGroup):
     def invoke(self, ctx: Any) -> Any:
         try:
             return super().invoke(ctx)
-        except typer.BadParameter as error:
-            if found := re.fullmatch(r"(?:Value error, )?('(.*)' is not one of (.*))", error.message):
-                like = closest(found[2], re.findall(r"'([^']*)'", found[3]))
-                error.message = f"{found[1]} Did you mean {like!r}?" if like else found[1]
-            raise
+        except KeyboardInterrupt:  # of a second Ctrl-C, or of an environment
+            say("interrupted")
+            raise typer.Exit(128 + signal.SIGINT) from None
 
 
 app = typer.Typer(

@@ -4,13 +4,11 @@ from __future__ import annotations
 
 import subprocess
 import sys
-from contextlib import suppress
 from pathlib import Path
 from typing import TYPE_CHECKING, Annotated, NoReturn
 
 import typer
 
-from karolos.errors import KarolosError
 from karolos.files import writing
 
 from .arguments import (
@@ -31,8 +29,6 @@ from .arguments import (
 from .output import print_rows, print_table, say
 
 if TYPE_CHECKING:
-    from collections.abc import Sequence
-
     from karolos.launchers.experiment import Outcome
 
 
@@ -59,8 +55,6 @@ def run(
     Each run writes a folder in the runs folder and an entry in the database. Ctrl-C finishes the step, writes a
     checkpoint and stops the run. A second Ctrl-C ends it at once.
     """
-    if jobs in (None, 1) and on is None and not detach:
-        _start_workers(spec, overrides or ())
     from karolos.specification import load_spec
 
     found = load_spec(spec, with_launcher(overrides, on))
@@ -101,19 +95,6 @@ def _detach(log: Path) -> NoReturn:
     say(f"process {process.pid} goes on, with its output in {log}; `kill {process.pid}` stops it with checkpoints")
     say("`karolos runs list --watch` shows the runs")
     raise typer.Exit
-
-
-def _start_workers(spec: Path, overrides: Sequence[str]) -> None:
-    """Start the server of the worker processes while this process imports the agent, which takes longer."""
-    from karolos.orchestrator.start import start_server
-    from karolos.specification.files import SpecFiles, named_plugins
-
-    with suppress(KarolosError):  # `load_spec` reports it
-        tree = SpecFiles(spec).load()
-        processes, plugins = tree.get("orchestrator", "processes"), named_plugins(tree)
-        if (processes is None or processes.value != 0) and not any(one.startswith("orchestrator") for one in overrides):
-            parts = [plugins[key] for key in ("environment", "robot", "task") if key in plugins]
-            start_server([part.target.partition(":")[0] for part in parts])
 
 
 def resume(

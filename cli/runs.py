@@ -18,6 +18,7 @@ from karolos.report.tables import (
     Table,
     duration,
     facts_table,
+    measures_table,
     run_state,
     runs_table,
     settings_table,
@@ -101,9 +102,8 @@ def list_runs(
         if not trials and store.runs(state=state, where=where, limit=1, trials=True):
             say("the runs of sweeps' trials are left out; --trials lists them")
         if not found:
-            like = store.closest_value(where) if where is not None else None
             nothing = "no runs" + (f" are {state}" if state else " yet")
-            say(nothing if where is None else "no runs match the filter" + (f": {like}" if like else ""))
+            say(nothing if where is None else "no runs match the filter")
         listed, rows = _rows(store, found, columns, sort, group=group)
     if csv:
         print_csv(rows)
@@ -199,7 +199,7 @@ def show(
 ) -> None:
     """Show a run: state, result with 95 % intervals, and the settings that are not defaults."""
     from karolos.records import RunFolder, transfer_results
-    from karolos.store.meant import existing, find_meant
+    from karolos.store.query import existing, find_meant
 
     about: Mapping[str, Any] = {}
     results: Sequence[TestResult] = ()
@@ -458,3 +458,7 @@ def _print_results(record: RunRecord, results: Sequence[TestResult], final: Fina
         policies = [result for result in (final.last, final.best) if result is not None]
         title = f"final test of last{' and of best' if final.best else ''}, from seed {final.seed}"
         print_table(table_of_tests(map(TestCounts.of, policies), policies, title=title))
+    shown = final.last if final is not None else results[-1] if results else None
+    if shown is not None and shown.measures:
+        title = "measures of the last policy in the final test" if final else "measures of the last test"
+        print_table(measures_table(shown.measures, title))

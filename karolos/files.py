@@ -12,7 +12,6 @@ import json
 import os
 import re
 import shutil
-import tempfile
 import time
 from collections.abc import Callable, Iterable, Iterator, Mapping
 from pathlib import Path
@@ -121,18 +120,6 @@ def remove_leftovers(folder: Path, pattern: str) -> None:
 
 UNFINISHED = r"\..+\.(\d+)\.tmp"
 """Names of the files that `write_whole` writes beside the old ones."""
-TEMPORARY = r"karolos-(\d+)-.+"
-"""Names of karolos's files and folders in the machine's folder of temporary files."""
-
-
-def temporary_prefix() -> str:
-    """How the names of this process's temporary files and folders begin (TEMPORARY)."""
-    return f"karolos-{os.getpid()}-"
-
-
-def remove_temporary_leftovers() -> None:
-    """Remove the temporary files and folders of karolos processes that were killed."""
-    remove_leftovers(Path(tempfile.gettempdir()), TEMPORARY)
 
 
 def write_whole(path: Path, text: str, *, durable: bool = True) -> None:

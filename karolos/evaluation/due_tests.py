@@ -32,7 +32,7 @@ CLOSE_SECONDS = 3.0
 
 @dataclass(frozen=True, eq=False)
 class DueTest:
-    """A test that is due, or a part of one: the agent as it was, and how far training was."""
+    """A test that is due: the agent as it was, and how far training was."""
 
     steps: int
     updates: int

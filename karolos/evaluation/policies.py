@@ -25,7 +25,7 @@ from ..registry import load
 from ..simulation.engines import WINDOWS, Engine, installed, installed_one
 from ..specification import Spec, spec_from_dict
 from ..store import Store
-from ..store.meant import find_folder
+from ..store.query import find_folder
 
 
 @dataclass(frozen=True)

@@ -37,8 +37,6 @@ class RunAdvanced:
     episodes: int
     seconds: float
     warming_up: bool
-    seconds_left: float | None = None
-    """Estimated wall-clock seconds to the end of training and tests; None if it is unknown."""
 
 
 @dataclass(frozen=True)
@@ -51,8 +49,6 @@ class RunBusy:
     done: int
     total: int
     """Episodes, or 1 for a checkpoint."""
-    seconds_left: float | None = None
-    """Estimated wall-clock seconds to the end of the tests, if training is complete."""
 
 
 @dataclass(frozen=True)

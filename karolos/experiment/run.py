@@ -71,7 +71,7 @@ class Run:
 
     def __post_init__(self) -> None:
         self._writer = RunWriter(self.folder, self.url, self.listener)
-        self._announcer = Announcer(self.folder.id, self.spec.training.steps, self.listener)
+        self._announcer = Announcer(self.folder.id, self.listener)
         self._checkpointer = Checkpointer(
             self._writer, self.spec.hash(), self.seed, self._pending, self._announcer.announce
         )
@@ -82,8 +82,8 @@ class Run:
         try:
             self._writer.start(self.snapshot, exact=self.spec.training.at_least is None)
             ending = self._train()
-        except (KeyboardInterrupt, TimeIsUpError):
-            self._end(Ending("stopped", reason=f"{self.stop.reason or 'SIGINT'}, at once"))
+        except (KeyboardInterrupt, TimeIsUpError) as error:
+            self._end(Ending("stopped", reason=f"{self.stop.reason or type(error).__name__}, at once"))
             raise
         except KarolosError as error:
             trace = error.traceback if isinstance(error, WorkerError) else None
@@ -118,7 +118,6 @@ class Run:
             announce = self._announcer.announce
             tests = PendingTests(spec, training, self._pending, self._writer, self.stop, announce, beside=self.beside)
             stack.callback(tests.close)
-            self._announcer.seconds_left = tests.seconds_left
             finished = self._prepare(training) and self._train_and_test(training, tests)
             finished = finished and self._final_test(training, tests)
             if finished:

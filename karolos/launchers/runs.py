@@ -24,7 +24,7 @@ from ..experiment.events import (
 )
 from ..experiment.resume import find_run
 from ..experiment.writer import index_run
-from ..files import new_lines, read_object, remove_temporary_leftovers, write_json
+from ..files import new_lines, read_object, write_json
 from ..records import RunFolder, provenance
 from ..records.archive import remove_unfinished_imports
 from ..records.decode import from_json
@@ -63,7 +63,6 @@ class Home:
             StoreError: the database cannot be used.
         """
         home = cls(Path(runs), database or Store.default_url(runs), existing, spec.text)
-        remove_temporary_leftovers()
         RunFolder.check_writable(home.runs)
         remove_unfinished_imports(home.runs)
         remove_lost_leftovers(home.runs, f"{spec.name}-*")
@@ -99,8 +98,6 @@ class RunJob(Job):
     known: Mapping[int, RunFolder] = field(default_factory=dict)
     tests: dict[int, dict[int, TestResult]] = field(default_factory=dict)
     """Seed -> steps -> test."""
-    steps: dict[int, int] = field(default_factory=dict)
-    """Seed -> environment steps of its run."""
     finals: dict[int, TestResult] = field(default_factory=dict)
     """Seed -> the policy `last` in the final test, for runs that have one."""
     summaries: dict[int, RunSummary] = field(default_factory=dict)
@@ -112,11 +109,6 @@ class RunJob(Job):
         states = [summary.state for summary in self.summaries.values()]
         return states == ["finished"] * len(self.spec.seeds)
 
-    @property
-    def fraction(self) -> float:
-        """Fraction of the environment steps of all runs that are taken."""
-        return sum(self.steps.values()) / (self.spec.training.steps * len(self.spec.seeds))
-
     @override
     def tasks(self) -> Iterator[Task]:
         """The runs that are not finished."""
@@ -126,7 +118,7 @@ class RunJob(Job):
                 with suppress(StoreError):  # whoever followed it may have been killed before its last entry
                     index_run(self.home.url, found)
                 self.read_tests(seed, found)
-                self.record(found.summary())
+                self.summaries[seed] = found.summary()
             else:
                 yield RunTask(self, seed, found)
 
@@ -135,11 +127,6 @@ class RunJob(Job):
         self.tests[seed] = {test.steps: test for test in folder.tests()}
         if (final := folder.final()) is not None:
             self.finals[seed] = final.last
-
-    def record(self, summary: RunSummary) -> None:
-        """Record the end of a run."""
-        self.summaries[summary.seed] = summary
-        self.steps[summary.seed] = self.spec.training.steps
 
     def results(self) -> dict[int, list[TestResult]]:
         """Seed -> its tests in order; seeds in the spec's order."""
@@ -181,8 +168,6 @@ class RunTask(Task):
         for name, row in self._progress.items():
             event = from_json(RunAdvanced, row) if name == "RunAdvanced" else from_json(RunBusy, row)
             if event is not None and row != earlier.get(name):
-                if isinstance(event, RunAdvanced):
-                    job.steps[self._seed] = min(event.steps, job.spec.training.steps)
                 yield event
         for result in tests:
             if result is not None:
@@ -228,7 +213,7 @@ class RunTask(Task):
             summary, error, traceback = replace(summary, state=state, error=problem), problem, None
         else:
             yield from self._update_index()
-        job.record(summary)
+        job.summaries[summary.seed] = summary
         yield RunEnded(summary.run, summary.state, error, traceback)
         if summary.error is not None and not job.halted:
             job.error = job.error or summary.error

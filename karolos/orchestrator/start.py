@@ -11,22 +11,17 @@ import io
 import multiprocessing
 import os
 import pickle
-import shutil
 import sys
-import tempfile
 from collections.abc import Iterator, Sequence
 from contextlib import contextmanager
-from multiprocessing import forkserver
 from multiprocessing.connection import Connection
 from multiprocessing.context import ForkServerProcess
-from multiprocessing.util import Finalize
 from threading import Lock
 from types import ModuleType
 from typing import Any
 
 from ..core import BuildEnvironment
 from ..errors import PluginError
-from ..files import temporary_prefix
 from .machine import ONE_THREAD
 from .worker import work
 
@@ -60,17 +55,6 @@ def pack_build(build: BuildEnvironment) -> bytes:
     return data
 
 
-def start_server(modules: Sequence[str]) -> None:
-    """Start the server that workers are forked from, which imports these modules. Does not wait for it.
-
-    This process can import large libraries meanwhile. Without this call the first worker starts the server.
-    """
-    multiprocessing.get_context("forkserver").set_forkserver_preload([work.__module__, *modules])
-    _name_temporary_folder()
-    with fresh_start():
-        forkserver.ensure_running()
-
-
 def start_worker(
     number: int, packed_build: bytes, ids: Sequence[range], size: int
 ) -> tuple[ForkServerProcess, list[Connection]]:
@@ -88,7 +72,6 @@ def start_worker(
         target=work, args=(number, packed_build, list(zip(theirs, ids, strict=True)), size), name=f"worker {number}"
     )
     try:
-        _name_temporary_folder()
         with fresh_start():
             process.start()
     except BaseException:
@@ -99,17 +82,6 @@ def start_worker(
         for end in theirs:
             end.close()  # so that the connection ends when the worker does
     return process, [end for end, _ in pairs]
-
-
-def _name_temporary_folder() -> None:
-    """Give multiprocessing a folder for its sockets whose name tells the process, so that a later one can remove it.
-
-    This is multiprocessing.util.get_temp_dir with another name.
-    """
-    config: dict[str, Any] = multiprocessing.current_process()._config  # type: ignore[attr-defined]  # not in typeshed
-    if config.get("tempdir") is None:
-        config["tempdir"] = tempfile.mkdtemp(prefix=temporary_prefix())
-        Finalize(None, shutil.rmtree, args=(config["tempdir"],), kwargs={"ignore_errors": True}, exitpriority=-100)
 
 
 @contextmanager

@@ -1,9 +1,9 @@
-"""Tables of facts about a robot or a task, a picture of it, and the success of a random policy."""
+"""Tables of facts about a robot or a task, and a picture of it."""
 
 from __future__ import annotations
 
 from collections.abc import Iterable, Mapping
-from dataclasses import dataclass, field
+from dataclasses import asdict, dataclass, field
 from typing import Any
 
 import numpy as np
@@ -12,8 +12,6 @@ from numpy.typing import NDArray
 from ..core import Discrete, Layout
 from ..core.seeding import SeedTree
 from ..environments.robot_task import RobotTask
-from ..evaluation.playing import Score, score
-from ..evaluation.policies import random_policy
 from ..evaluation.testing import test_seeds
 from ..randomization.randomization import RandomizedParameter
 from ..registry import load
@@ -70,6 +68,7 @@ def inspect_robot(name: str, *, size: tuple[int, int] | None = (960, 720)) -> In
         suffix = f" ({mode})" if mode else ""
         tables[f"action{suffix}"] = _fields(robot.action)
         tables[f"observation{suffix}"] = _fields(robot.observation)
+    tables["measures"] = [asdict(one) for one in first.measures]
     tables["parameters"] = _parameters({f"robot.{key}": value for key, value in first.parameters.items()})
     tables["settings"] = _settings(plugin)
     return Inspection(name, _about(plugin), tables, _picture(name, None, size))
@@ -104,6 +103,7 @@ def inspect_task(name: str, robot: str = "panda", *, size: tuple[int, int] | Non
         "achieved goal": _fields(signature.achieved_goal),
         "desired goal": _fields(signature.desired_goal),
         "observation": _fields(task.observation),
+        "measures": [asdict(one) for one in signature.measures],
         "parameters": _parameters({f"task.{key}": value for key, value in task.parameters.items()}),
         "settings": _settings(plugin),
     }
@@ -171,20 +171,3 @@ def _halved(picture: NDArray[np.uint8]) -> NDArray[np.uint8]:
     from PIL import Image  # noqa: PLC0415
 
     return np.asarray(Image.fromarray(picture).reduce(2))
-
-
-def floor(
-    robot: str,
-    task: str,
-    engine: Engine | None = None,
-    *,
-    episodes: int = 100,
-    seed: int = 0,
-    **robot_settings: Any,
-) -> Score:
-    """Success of uniformly random actions in the first test episodes of the root `seed`."""
-    environment = pair(robot, task, engine, **robot_settings)
-    try:
-        return score(environment, random_policy(environment, seed), episodes=episodes, seed=seed)
-    finally:
-        environment.close()

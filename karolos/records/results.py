@@ -89,24 +89,14 @@ class TestResult:
         success = f"success end {self.success_end:.2f}, any {self.success_any:.2f}, " if self.has_success else ""
         return f"{success}return {self.mean_return:,.2f}"
 
-    @staticmethod
-    def joined(parts: Sequence[TestResult]) -> TestResult:
-        """The result of a test whose episodes were played in several parts."""
-        names = ["any", "end", "reset", "returns", "lengths", "distances"]
-        if any(part.distances is None for part in parts):
-            names.remove("distances")
-        lists: dict[str, Any] = {name: sum((getattr(part, name) for part in parts), ()) for name in names}
-        measures = {name: [part.measures[name]["values"] for part in parts] for name in parts[0].measures}
-        lists["measures"] = {name: _with(parts[0].measures[name], sum(each, ())) for name, each in measures.items()}
-        has_success = any(part.has_success for part in parts)  # an environment may show its first success late
-        return replace(parts[0], **{"distances": None, "has_success": has_success} | lists)
-
     def first(self, count: int) -> TestResult:
         """The result of the first `count` episodes."""
         lists: dict[str, Any] = {
             name: values[:count] for name, values in vars(self).items() if isinstance(values, tuple)
         }
-        measures = {name: _with(one, one["values"][:count]) for name, one in self.measures.items()}
+        measures: dict[str, MeasureValues] = {
+            name: {**one, "values": one["values"][:count]} for name, one in self.measures.items()
+        }
         return replace(self, measures=measures, **lists)
 
     def within(self, metres: float) -> float | None:
@@ -190,11 +180,6 @@ def measure_means(measures: Mapping[str, MeasureValues]) -> dict[str, MeasureMea
         }
         for name, one in measures.items()
     }
-
-
-def _with(one: MeasureValues, values: tuple[float | None, ...]) -> MeasureValues:
-    """The measure with other values."""
-    return {**one, "values": values}
 
 
 def encode_test(result: TestResult) -> dict[str, Any]:

@@ -178,18 +178,13 @@ class RunRecord:
     """One line per damaged file; not in the index."""
 
 
-def flatten(spec: Mapping[str, Any], prefix: str = "", only: str | None = None) -> Iterator[tuple[str, Any]]:
-    """A nested mapping as pairs of key path and value: ("agent.learning_rate", 0.001). Lists are values.
-
-    `only` is the one key path that is wanted; by default all are.
-    """
+def flatten(spec: Mapping[str, Any], prefix: str = "") -> Iterator[tuple[str, Any]]:
+    """A nested mapping as pairs of key path and value: ("agent.learning_rate", 0.001). Lists are values."""
     for key, value in spec.items():
         path = f"{prefix}{key}"
-        if only is not None and not only.startswith(path):
-            continue
         if isinstance(value, Mapping) and value:
-            yield from flatten(value, f"{path}.", only)
-        elif only is None or only == path:
+            yield from flatten(value, f"{path}.")
+        else:
             yield path, value
 
 

@@ -11,7 +11,7 @@ from typing import Any, Literal
 from pydantic import FiniteFloat
 
 from ..errors import RunError
-from ..files import FileLock, read_lines, read_object, read_values
+from ..files import FileLock, read_object, read_values
 from .decode import from_json, read_json
 from .results import Count
 from .run_folder import paths
@@ -165,11 +165,6 @@ def is_running(folder: Path) -> bool:
 def sweep_paths(runs: str | Path) -> list[Path]:
     """The folders of sweeps in a runs folder, damaged ones included, by name."""
     return paths(Path(runs) / FOLDER, description=DESCRIPTION)
-
-
-def names_of_trials(runs: str | Path) -> set[str]:
-    """The names of the runs of all trials of the sweeps in a runs folder."""
-    return {str(row.get("name")) for folder in sweep_paths(runs) for row in read_lines(folder / TRIALS).rows}
 
 
 def read_sweep(folder: Path) -> tuple[SweepRecord, tuple[str, ...]]:

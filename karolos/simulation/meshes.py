@@ -11,19 +11,22 @@ import os
 import re
 import sys
 import tempfile
+import warnings
 from collections.abc import Sequence
 from functools import cache
 from itertools import pairwise
 from pathlib import Path
-from typing import Any, NamedTuple
+from typing import Any, Literal, NamedTuple
 
 import numpy as np
 from numpy.typing import NDArray
 
 from ..core import Array
 from ..errors import MachineError, PluginError
-from ..files import temporary_prefix, writing
+from ..files import writing
 
+Collision = Literal["convex", "decomposed"]
+"""What a mesh that is not convex collides as: its convex hull, or convex pieces of it."""
 MESH_SUFFIXES = (".stl", ".obj")
 LARGEST_MESH = 20_000_000
 """Largest size of a file in bytes."""
@@ -133,6 +136,13 @@ def _moments(corners: NDArray[np.float32], faces: NDArray[np.intp], *, convex: b
     return abs(volume), middle + centre, np.trace(second) * np.eye(3) - second
 
 
+def warn_of_hull(path: Path) -> None:
+    """Say that a mesh collides as its convex hull where that is not the same."""
+    if filled := solid(path).filled:
+        hint = "collision='decomposed' keeps it, collision='convex' accepts it"
+        warnings.warn(f"{path}: its convex hull, which collides, fills {filled}; {hint}", stacklevel=4)
+
+
 def check_size(path: Path, scale: float | Sequence[float]) -> None:
     """Refuse a mesh whose size in m shows that its unit is another. Raises PluginError."""
     size = float((np.ptp(triangles(path).reshape(-1, 3), axis=0) * np.abs(scale)).max())
@@ -154,7 +164,7 @@ def pieces(path: Path) -> tuple[Path, ...]:
     if not folder.is_dir():
         with writing(folder.parent):
             folder.parent.mkdir(parents=True, exist_ok=True)
-            with tempfile.TemporaryDirectory(prefix=temporary_prefix(), dir=folder.parent) as made:
+            with tempfile.TemporaryDirectory(dir=folder.parent) as made:
                 found = _decompose(path)
                 for number, piece in enumerate(found):
                     Path(made, f"{number:03d}.stl").write_bytes(stl(piece))

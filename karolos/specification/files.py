@@ -4,13 +4,12 @@ from __future__ import annotations
 
 import os
 import stat
-from contextlib import suppress
 from dataclasses import dataclass, field
 from pathlib import Path
 
-from ..errors import KarolosError, Problem, UsageError
-from ..registry import PluginEntry, closest, find
-from .merge import DEFAULT_PLUGINS, PARTS, merged, normalised
+from ..errors import Problem, UsageError
+from ..registry import closest
+from .merge import merged, normalised
 from .nodes import Mark, Node, refuse, shown
 from .yaml_text import MAX_CHARACTERS, BrokenTextError, read
 
@@ -157,16 +156,6 @@ def _beside(name: str, given: str) -> str:
     """The name in positions of a file that the file `name` extends as `given`."""
     prefix = SHIPPED if name.startswith(SHIPPED) else ""
     return prefix + os.path.normpath(os.path.join(os.path.dirname(name.removeprefix(prefix)), given))
-
-
-def named_plugins(tree: Node) -> dict[str, PluginEntry]:
-    """The plugins that a spec names, by the key of their part; unknown ones are left out. Imports none of them."""
-    found = {}
-    for key, kind in PARTS.items():
-        name = tree.get(key, "name")
-        with suppress(KarolosError):
-            found[key] = find(kind, DEFAULT_PLUGINS.get(key, "") if name is None else str(name.value))
-    return found
 
 
 def _unreadable(path: Path) -> tuple[str, str | None] | None:

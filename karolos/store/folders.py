@@ -19,9 +19,6 @@ from .database import RefusedValueError
 from .rows import without_seeds
 from .store import Store
 
-FEW = 200
-"""Up to this many run folders are read by one process; more processes take longer to start than to read them."""
-_FOLDERS_PER_TASK = 25
 _RUNS_TOGETHER = 100
 """Runs of a transaction or a query."""
 _Record = TypeVar("_Record", RunRecord, SweepRecord)
@@ -60,13 +57,8 @@ class _FoundFolder:
     problems: tuple[str, ...]
 
 
-def reindex(store: Store, runs: str | Path, *, jobs: int = 1) -> Reindexed:
+def reindex(store: Store, runs: str | Path) -> Reindexed:
     """Make the index agree with the folders in `runs`; runs in other folders stay as they are.
-
-    Args:
-        store: the index.
-        runs: the runs folder.
-        jobs: processes that read the folders; a script that uses several guards its start by `__name__`.
 
     Raises:
         StoreError: the database cannot be written.
@@ -76,7 +68,7 @@ def reindex(store: Store, runs: str | Path, *, jobs: int = 1) -> Reindexed:
     problems: list[str] = []
     refused: list[str] = []
     remove_lost_leftovers(root)
-    for group in _run_folders(root, jobs, locked=True):
+    for group in _run_folders(root, locked=True):
         problems += (problem for found in group for problem in found.problems)
         known.update(found.run for found in group if found.run is not None)
         refused += _enter(store.add_records, [found.record for found in group if found.record is not None])
@@ -95,10 +87,10 @@ def reindex(store: Store, runs: str | Path, *, jobs: int = 1) -> Reindexed:
     )
 
 
-def check(store: Store, runs: str | Path, *, jobs: int = 1) -> Iterator[Difference]:
+def check(store: Store, runs: str | Path) -> Iterator[Difference]:
     """Compare the index with the folders in `runs`, run by run and sweep by sweep; nothing is changed.
 
-    A run or sweep that a process is working on is skipped, because it changes meanwhile. Arguments as for `reindex`.
+    A run or sweep that a process is working on is skipped, because it changes meanwhile.
 
     Raises:
         StoreError: the database cannot be read.
@@ -106,7 +98,7 @@ def check(store: Store, runs: str | Path, *, jobs: int = 1) -> Iterator[Differen
     yield from _integrity(store)
     root = Path(runs).resolve()
     known: set[str] = set()
-    for group in _run_folders(root, jobs, locked=False):
+    for group in _run_folders(root, locked=False):
         known.update(found.run for found in group if found.run is not None)
         yield from (Difference(found.run, problem) for found in group for problem in found.problems)
         recorded = {found.record.summary.run: _facts(found.record) for found in group if found.record is not None}
@@ -123,16 +115,15 @@ def check(store: Store, runs: str | Path, *, jobs: int = 1) -> Iterator[Differen
         yield Difference(gone, "it is in the database, and its folder is gone")
 
 
-def _run_folders(root: Path, jobs: int, *, locked: bool) -> Iterator[list[_FoundFolder]]:
+def _run_folders(root: Path, *, locked: bool) -> Iterator[list[_FoundFolder]]:
     """The run folders in a runs folder, by name and in groups; of two of one run, the second is named as a problem.
 
     Args:
         root: the runs folder.
-        jobs: processes that read them.
         locked: also read folders of runs that a process is working on.
     """
     known: dict[str, str] = {}
-    folders = _read_all(paths(root), jobs, locked)
+    folders = (_read(path, locked) for path in paths(root))
     while group := list(islice(folders, _RUNS_TOGETHER)):
         for place, found in enumerate(group):
             other = found.name if found.run is None else known.setdefault(found.run, found.name)
@@ -140,17 +131,6 @@ def _run_folders(root: Path, jobs: int, *, locked: bool) -> Iterator[list[_Found
                 problem = f"{found.name}: says that it is the run {found.run}, as {other} does; left out"
                 group[place] = _FoundFolder(found.name, None, None, (problem,))
         yield group
-
-
-def _read_all(found: list[Path], jobs: int, locked: bool) -> Iterator[_FoundFolder]:
-    if jobs == 1 or len(found) <= FEW:
-        yield from (_read(path, locked) for path in found)
-        return
-    import multiprocessing  # noqa: PLC0415  (both take longer to import than a query takes)
-    from concurrent.futures import ProcessPoolExecutor  # noqa: PLC0415
-
-    with ProcessPoolExecutor(jobs, mp_context=multiprocessing.get_context("spawn")) as pool:
-        yield from pool.map(_read, found, [locked] * len(found), chunksize=_FOLDERS_PER_TASK)
 
 
 def _read(path: Path, locked: bool) -> _FoundFolder:

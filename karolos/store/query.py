@@ -1,15 +1,18 @@
-"""`karolos.runs`: the recorded runs from Python, and as rows for tables and data frames."""
+"""The run that somebody means, own or shipped; and `karolos.runs`: recorded runs as rows and data frames."""
 
 from __future__ import annotations
 
+import os
 from collections.abc import Sequence
 from pathlib import Path
 from typing import Any
 
-from ..errors import UsageError
+from ..errors import NoSuchRunError, UsageError
+from ..records import RunFolder
 from ..records.run_records import RunRecord, RunSummary, flatten
-from ..registry import closest
-from .rows import SUMMARY_FIELDS
+from ..records.shipped import FOLDER, shipped_names
+from ..registry import alternatives, closest
+from .rows import SUMMARY_FIELDS, means
 from .store import Store
 
 
@@ -29,13 +32,14 @@ class Records(tuple[RunSummary, ...]):
         return _table([_row(record) for record in self.records])
 
     def tests(self) -> Any:
-        """One row per test of each run: run, seed, steps, seconds, success, return. A pandas.DataFrame as `rows`."""
+        """One row per test of each run: run, seed, steps, seconds, success, return, measures; else as `rows`."""
         return _table(
             [
                 {
                     **{name: getattr(record.summary, name) for name in ("run", "name", "experiment", "seed")},
                     **{name: getattr(test, name) for name in ("steps", "seconds", "episodes")},
                     **{name: getattr(test, name) for name in ("success_any", "success_end", "mean_return")},
+                    **means(test.measures),
                 }
                 for record in self.records
                 for test in record.tests
@@ -66,7 +70,7 @@ def runs(
 
 
 def column_values(store: Store, found: Sequence[RunSummary], columns: Sequence[str]) -> list[dict[str, Any]]:
-    """One row per run with these columns: fields of RunSummary, or settings by their key paths; None if it has none.
+    """One row per run with these columns: fields of RunSummary, settings by their key paths, means of measures.
 
     Raises:
         UsageError: no run has a column.
@@ -85,6 +89,7 @@ def column_values(store: Store, found: Sequence[RunSummary], columns: Sequence[s
 def _row(record: RunRecord) -> dict[str, Any]:
     """The fields of the summary, then the settings; a field comes before a setting of the same name."""
     row = record.summary.row()
+    row |= means(row.pop("measures"))
     return row | {key: value for key, value in flatten(record.spec) if key not in row}
 
 
@@ -94,3 +99,43 @@ def _table(rows: list[dict[str, Any]]) -> Any:
     except ImportError:
         return rows
     return pandas.DataFrame(rows)
+
+
+def find_meant(selector: str, store: Store | None, runs: str | Path) -> RunSummary:
+    """The one run that a selector means: a path, what `Store.find` takes, or the name of a shipped run.
+
+    A run of one's own with the name of a run that ships comes first. `runs` is named where there is no index.
+
+    Raises:
+        UsageError: it means no run, or several.
+        RunError: the folder is damaged.
+    """
+    if os.path.isfile(Path(selector) / "run.json"):  # Path.is_file raises for a name that is too long
+        return RunFolder.open(selector).summary()
+    if shipped := shipped_run(selector, store):
+        return shipped.summary()
+    try:
+        return existing(store, selector, runs).find(selector)
+    except NoSuchRunError as error:
+        ships = alternatives(selector, shipped_names(), what="policies that ship")
+        raise NoSuchRunError(error.what, hint=f"{error.hint}; {ships}") from error
+
+
+def find_folder(selector: str, store: Store | None, runs: str | Path) -> RunFolder:
+    """The folder of the run that `find_meant` finds. Raises RunError as well if the folder is missing."""
+    return RunFolder.open(find_meant(selector, store, runs).folder)
+
+
+def existing(store: Store | None, selector: str, runs: str | Path) -> Store:
+    """The index. Raises NoSuchRunError if there is none because there are no runs."""
+    if store is None:
+        what = f"{selector!r} means no run: there are no runs in {runs} yet"
+        raise NoSuchRunError(what, hint="`karolos run SPEC` makes one")
+    return store
+
+
+def shipped_run(selector: str, store: Store | None) -> RunFolder | None:
+    """The run that ships of this name, unless there are runs of one's own with it."""
+    if selector not in shipped_names() or (store and store.runs(name=selector, limit=1)):
+        return None
+    return RunFolder.open(FOLDER / selector)

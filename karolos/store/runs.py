@@ -4,13 +4,12 @@ from __future__ import annotations
 
 import os
 from collections import defaultdict
-from collections.abc import Callable, Sequence
+from collections.abc import Sequence
 from dataclasses import replace
-from functools import cache, cached_property
 from pathlib import Path
 from typing import Any, TypedDict, Unpack
 
-from sqlalchemy import Connection, Select, func, select
+from sqlalchemy import Connection, func, select
 
 from ..errors import RunError, UsageError
 from ..records import RunFolder
@@ -20,12 +19,11 @@ from ..registry import alternatives, closest
 from . import filters
 from .database import Database
 from .filters import Filter
-from .rows import SUMMARY_FIELDS, folder_path, summary_of
+from .rows import SUMMARY_FIELDS, means, summary_of
 from .tables import RUNS, SOFTWARE, SPECS, TESTS, TRIALS
 
 MOST_NAMED = 500
 """A query names at most this many runs; for more, all rows are read."""
-_PACKAGE = "versions."
 
 
 class RunConditions(TypedDict, total=False):
@@ -43,7 +41,7 @@ class RunConditions(TypedDict, total=False):
     """Only runs in this state, `lost` included."""
     where: str | None
     """A filter (`karolos.store.filters`) over the fields of RunSummary, the settings of the spec by their key paths
-    (agent.learning_rate), and versions.<package>."""
+    (agent.learning_rate), versions.<package>, and the means of measures (measures.peak_force)."""
     trials: bool | None
     """Only runs of sweeps' trials, or only other runs."""
     limit: int | None
@@ -76,32 +74,17 @@ def find_runs(database: Database, **conditions: Unpack[RunConditions]) -> tuple[
         query = query.where(of_trial if trials else ~of_trial)
     with database.reading() as connection:
         if state is None and condition is None:
-            return _summaries(connection, query.limit(limit), database.home)
-        unfinished_runs = _summaries(connection, query.where(RUNS.c.state.in_(UNFINISHED)), database.home)
-        unfinished = {run.run: run for run in unfinished_runs}
-        values = _Values(connection, database.home).of(condition) if condition else {}
-        # Only the columns in the filter are read of all runs: most of ten thousand do not match.
-        columns = [column for column, _ in values.values()]
-
-        def holds(stored: tuple[Any, ...]) -> bool:
-            found = {key: get(one) for (key, (_, get)), one in zip(values.items(), stored, strict=True)}
-            return condition is None or condition.matches(found)
-
-        judge = holds if "tags" in values else cache(holds)  # tags are a list, which no cache holds
-        matching: list[str] = []
-        for run, indexed, *row in connection.execute(
-            query.with_only_columns(RUNS.c.run, RUNS.c.state, *(RUNS.c[name] for name in columns))
-        ):
-            current = unfinished.get(run)
-            stored = (getattr(current, name, one) for name, one in zip(columns, row, strict=True)) if current else row
-            if state in (None, current.state if current else indexed) and judge(tuple(stored)):
+            return tuple(_summary(row, database.home) for row in connection.execute(query.limit(limit)))
+        shared = _shared_values(connection, condition) if condition else {}
+        matching: list[RunSummary] = []
+        for row in connection.execute(query):
+            run = _summary(row, database.home)
+            values = shared.get(row.spec, {}) | shared.get(row.software, {}) | means(run.measures) | vars(run)
+            if state in (None, run.state) and (condition is None or condition.matches(values)):
                 matching.append(run)
                 if len(matching) == limit:
                     break
-        if len(matching) <= MOST_NAMED:
-            query = query.where(RUNS.c.run.in_(matching))
-        known = {run.run: run for run in _summaries(connection, query, database.home)} | unfinished
-        return tuple(known[run] for run in matching)
+        return tuple(matching)
 
 
 def records_of(database: Database, runs: Sequence[RunSummary]) -> tuple[RunRecord, ...]:
@@ -120,85 +103,30 @@ def records_of(database: Database, runs: Sequence[RunSummary]) -> tuple[RunRecor
     return tuple(RunRecord(run, contents[run.run][0], tuple(tests[run.run]), contents[run.run][1]) for run in known)
 
 
-def closest_value(database: Database, where: str) -> str | None:
-    """For a filter that matches no run: the first value in it that no run has, and the closest that some run has."""
-    condition = filters.parse(where)
-    with database.reading() as connection:
-        values = _Values(connection, database.home)
-        for comparison in condition.comparisons:
-            for literal in comparison.literals if comparison.operator in ("=", "in") else ():
-                known = values.texts(comparison.key)
-                like = None if literal.text in known else closest(literal.text, known)
-                if like is not None and isinstance(literal.value, str):
-                    return f"no run has {comparison.key}={literal.text}, did you mean {like}?"
-    return None
+def _shared_values(connection: Connection, condition: Filter) -> dict[str, dict[str, Any]]:
+    """Digest of a spec or of software -> its values by the keys of filters.
 
-
-_Value = tuple[str, Callable[[Any], Any]]
-"""The column of `runs` to read for a filter's key, a field of RunSummary or a digest, and how to get its value."""
-
-
-class _Values:
-    """The values of filters' keys, as one transaction sees them.
-
-    Args:
-        connection: of a transaction that reads.
-        home: the database's folder.
+    Raises UsageError if the filter names what no run has.
     """
+    specs = {name: dict(flatten(spec)) for name, spec in connection.execute(select(SPECS))}
+    software = {
+        name: {f"versions.{package}": version for package, version in versions.items()}
+        for name, versions in connection.execute(select(SOFTWARE))
+    }
+    measures = map(means, connection.scalars(select(RUNS.c.measures)))
+    known = {key for values in (*specs.values(), *software.values(), *measures) for key in values}.union(SUMMARY_FIELDS)
 
-    def __init__(self, connection: Connection, home: Path | None) -> None:
-        self._connection = connection
-        self._home = home
-
-    def of(self, condition: Filter) -> dict[str, _Value]:
-        """How to get the value of each key of a filter. Raises UsageError for a key that no run has."""
-        found = {key: self._value(key) for key in condition.keys}
-        condition.refuse_unknown(lambda key: found[key] is not None, self._closest)
-        return {key: value for key, value in found.items() if value is not None}
-
-    def texts(self, key: str) -> set[str]:
-        """The distinct texts that runs have as the value of a key."""
-        if key == "tags":
-            return {tag for tags in self._connection.scalars(select(RUNS.c.tags)) for tag in tags}
-        if key in SUMMARY_FIELDS:
-            return {text for text in self._connection.scalars(select(RUNS.c[key]).distinct()) if isinstance(text, str)}
-        return {text for text in self._settings(key).values() if isinstance(text, str)}
-
-    def _value(self, key: str) -> _Value | None:
-        if key in SUMMARY_FIELDS:
-            decode: dict[str, Callable[[Any], Any]] = {"seed": int, "folder": lambda one: folder_path(one, self._home)}
-            return key, decode.get(key, lambda one: one)
-        if (package := key.removeprefix(_PACKAGE)) != key:
-            versions = {name: content[package] for name, content in self._software.items() if package in content}
-            return ("software", versions.get) if versions else None
-        settings = self._settings(key)
-        return ("spec", settings.get) if settings else None
-
-    def _settings(self, key: str) -> dict[str, Any]:
-        """The values of a setting by the digest of the spec."""
-        found = ((name, list(flatten(spec, only=key))) for name, spec in self._specs.items())
-        return {name: values[0][1] for name, values in found if values}
-
-    @cached_property
-    def _specs(self) -> dict[str, dict[str, Any]]:
-        """The specs by digest."""
-        return dict(iter(self._connection.execute(select(SPECS))))
-
-    @cached_property
-    def _software(self) -> dict[str, dict[str, str]]:
-        """The versions of packages, by digest."""
-        return dict(iter(self._connection.execute(select(SOFTWARE))))
-
-    def _closest(self, key: str) -> str | None:
-        known = {*SUMMARY_FIELDS, *(_PACKAGE + package for content in self._software.values() for package in content)}
-        known.update(key for spec in self._specs.values() for key, _ in flatten(spec))
+    def like(key: str) -> str | None:
         endings = [name for name in known if name.rpartition(".")[2] == key]  # learning_rate for agent.learning_rate
         return endings[0] if len(endings) == 1 else closest(key, known)
 
+    condition.refuse_unknown(known.__contains__, like)
+    return specs | software
 
-def _summaries(connection: Connection, query: Select[Any], home: Path | None) -> tuple[RunSummary, ...]:
-    found = (summary_of(row, home) for row in connection.execute(query))
-    return tuple(_current(run) if run.state in UNFINISHED else run for run in found)
+
+def _summary(row: Any, home: Path | None) -> RunSummary:
+    run = summary_of(row, home)
+    return _current(run) if run.state in UNFINISHED else run
 
 
 def _current(indexed: RunSummary) -> RunSummary:

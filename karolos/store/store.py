@@ -17,7 +17,7 @@ from ..records.run_records import RunRecord, RunSummary
 from . import selectors
 from .database import BUSY_SECONDS, Database
 from .rows import digest, put, run_row, without_seeds
-from .runs import RunConditions, closest_value, find_runs, records_of
+from .runs import RunConditions, find_runs, records_of
 from .sweeps import Sweeps
 from .tables import RUNS, SOFTWARE, SPECS, SUCCESSES, TESTS
 
@@ -115,10 +115,6 @@ class Store:
     def runs(self, **conditions: Unpack[RunConditions]) -> tuple[RunSummary, ...]:
         """Runs that meet all conditions, the newest first; see `runs.find_runs`."""
         return find_runs(self.database, **conditions)
-
-    def closest_value(self, where: str) -> str | None:
-        """What a filter that matches no run may mean; see `runs.closest_value`."""
-        return closest_value(self.database, where)
 
     def find(self, selector: str) -> RunSummary:
         """The one run that a selector means (`selectors.select`). Raises UsageError if it means none, or several."""

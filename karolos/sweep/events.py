@@ -46,14 +46,6 @@ class TrialEnded(TrialEvent):
 
 
 @dataclass(frozen=True)
-class TrialAdvanced:
-    """The runs of a trial have taken this fraction of their environment steps."""
-
-    name: str
-    fraction: float
-
-
-@dataclass(frozen=True)
 class FinalBegan:
     """Runs of the final phase begin, on seeds that were not used for tuning."""
 
@@ -62,5 +54,5 @@ class FinalBegan:
     purpose: Literal["choose", "report"]
 
 
-SweepEvent = TrialBegan | TrialAdvanced | TrialEnded | FinalBegan | RunWarned
+SweepEvent = TrialBegan | TrialEnded | FinalBegan | RunWarned
 SweepListener = Callable[[SweepEvent], None]

@@ -7,14 +7,14 @@ from collections.abc import Sequence
 from dataclasses import dataclass, field
 
 from ..errors import KarolosError
-from ..experiment.events import RunAdvanced, RunEnded, RunEvent, RunTested
+from ..experiment.events import RunEvent, RunTested
 from ..experiment.signals import StopRequest
 from ..launchers.driver import Feed
 from ..launchers.runs import Home, RunJob
 from ..specification import Spec, Sweep, spec_of_trial
 from ..training.assembly import check_parts
 from .choosing import for_search
-from .events import TrialAdvanced, TrialBegan, TrialEnded
+from .events import TrialBegan, TrialEnded
 from .folder import SweepFolder
 from .objectives import measure_all, nominal_steps, so_far
 from .study import OpenTrial
@@ -66,8 +66,6 @@ class Trials(Feed[RunJob]):
 
     def heard(self, job: RunJob, event: RunEvent) -> str | None:
         """Report the mean at each test that every seed has completed; PRUNED when the pruner stops the trial."""
-        if isinstance(event, RunAdvanced | RunEnded):
-            self.folder.listener(TrialAdvanced(job.spec.name, job.fraction))
         if self.sweep.pruner is None or not isinstance(event, RunTested) or job.halted:
             return None
         results, settings = job.results(), job.spec

@@ -25,12 +25,12 @@ def test_reindex_rebuilds_what_was_removed_and_names_what_is_damaged(runs: Path)
     first, second = add_run(runs, 0), add_run(runs, 1)
     before = rows(runs_app, "list")
     (runs / "karolos.sqlite").unlink()
-    assert "2 runs entered, 0 forgotten" in call(app, "reindex", "--jobs", 1).stderr
+    assert "2 runs entered, 0 forgotten" in call(app, "reindex").stderr
     assert rows(runs_app, "list") == before
     with (runs / first / "tests.jsonl").open("a") as file:
         file.write('{"steps":')
     (runs / second / "run.json").write_text("{")
-    told = call(app, "reindex", "--jobs", 1, exit_code=1).stderr
+    told = call(app, "reindex", exit_code=1).stderr
     assert f"warning: {first}: tests.jsonl:2: the last line is torn; left out" in told
     assert "run.json is damaged" in told
     assert "1 runs entered, 0 forgotten" in told
@@ -49,7 +49,7 @@ def test_check_is_silent_or_lists_differences_and_ends_with_4(runs: Path) -> Non
     assert "it has a folder, and is not in the database" in told.stdout
     assert "it is in the database, and its folder is gone" in told.stdout
     assert "2 differences; `karolos db reindex`" in told.stderr
-    call(app, "reindex", "--jobs", 1)
+    call(app, "reindex")
     assert call(app, "check").stdout == ""
 
 

@@ -45,14 +45,6 @@ def test_task_is_shown_with_a_picture(name: str, tmp_path: Path) -> None:
     assert target.exists()
 
 
-def test_floor_gives_an_interval() -> None:
-    code, out, _ = call(app, "task", "reach", "--floor", "--episodes", "3", "--json")
-    assert code == 0
-    row = json.loads(out)
-    assert row["episodes"] == 3
-    assert row["low"] <= row["success_end"] <= row["high"]
-
-
 def test_unknown_names_and_bad_files_are_refused(tmp_path: Path) -> None:
     assert call(app, "robot", "pandda")[0] == 2
     assert call(app, "task", "reach", "--out", str(tmp_path / "x.txt"))[0] == 2

@@ -17,8 +17,6 @@ import pytest
 from karolos_cli.main import app
 from support.commands import call
 
-from karolos.orchestrator import start
-
 KAROLOS = (sys.executable, "-c", "from karolos_cli import main; main()")
 SPEC = """\
 environment: toy
@@ -41,18 +39,6 @@ def home(tmp_path, monkeypatch):
 
 def karolos(*arguments: str, **options) -> subprocess.CompletedProcess[str]:
     return subprocess.run([*KAROLOS, *arguments], capture_output=True, text=True, timeout=120, check=False, **options)
-
-
-def test_server_of_the_workers_starts_before_the_agent_is_imported(home, monkeypatch):
-    started = []
-    monkeypatch.setattr(start, "start_server", started.append)
-    reach = home / "reach.yaml"
-    reach.write_text("robot: panda\ntask: reach\nagent: {name: sac, unknown: 1}\n")
-    assert call(app, "run", str(reach))[0] == 2
-    assert started == [[f"karolos.{name}" for name in ("environments.robot_task", "robots.panda", "tasks.reach")]]
-    for arguments in ((str(reach), "orchestrator.processes=0"), ("toy.yaml", "unknown=1"), (str(reach), "--jobs", "2")):
-        assert call(app, "run", *arguments)[0] == 2
-    assert len(started) == 1, "nobody needs workers"
 
 
 def test_json_rows_hold_the_fixed_fields_first_and_progress_goes_to_stderr(home):

@@ -3,8 +3,6 @@
 from __future__ import annotations
 
 import json
-import sys
-import time
 from dataclasses import replace
 from pathlib import Path
 
@@ -17,9 +15,8 @@ from support.commands import Terminal, call
 from support.sweep_samples import LEARNING_RATE, sweep_spec, write_sweep
 
 from karolos.records.sweep_records import SweepFinal, Trial
-from karolos.specification import load_spec, spec_from_dict
-from karolos.sweep.events import FinalBegan, SweepOutcome, TrialAdvanced, TrialBegan, TrialEnded
-from karolos.sweep.study import Study
+from karolos.specification import spec_from_dict
+from karolos.sweep.events import FinalBegan, SweepOutcome, TrialBegan, TrialEnded
 
 ROOT = Path(__file__).parents[2]
 
@@ -92,45 +89,19 @@ def test_rows_and_words_tell_what_was_chosen_and_how_far_to_trust_it(home, capsy
     assert outcome.exit_code == 0
 
 
-def test_bar_shows_trials_the_best_so_far_and_the_time_left():
+def test_bar_shows_trials_and_the_best_so_far():
     first = Trial(0, "line-t000", "complete", {"agent.learning_rate": 1e-3}, (0.9,), ("a",), None)
     second = Trial(1, "line-t001", "running", {"agent.learning_rate": 1e-2}, None, (), None)
     screen = Terminal()
     with SweepDisplay(("success_end",), screen) as display:
         (task,) = display._bars.tasks
         display(TrialBegan(replace(first, state="running", values=None), 0, 4, None))
-        display(TrialAdvanced("line-t000", 0.5))
-        assert (task.completed, task.total, task.fields["done"], task.fields["best"]) == (0.5, 4, "0/4", "")
-        time.sleep(0.01)
+        assert (task.completed, task.total, task.fields["done"], task.fields["best"]) == (0, 4, "0/4", "")
         display(TrialEnded(first, 1, 4, first))
         display(TrialBegan(second, 1, 4, first))
-        display(TrialAdvanced("line-t001", 0.25))
-        assert (task.completed, task.fields["done"]) == (1.25, "1/4")
+        assert (task.completed, task.fields["done"]) == (1, "1/4")
         assert task.fields["best"] == "best success_end 0.9 (trial 0)"
-        assert task.time_remaining is not None
         display(FinalBegan((0, 1), (2, 3), "choose"))
-        display(TrialAdvanced("line-t000", 1.0))
-        assert (task.completed, task.total, task.description) == (1.0, 2, "choosing")
+        assert (task.completed, task.total, task.description) == (0, 2, "choosing")
     text = screen.text()
     assert "trial 0 complete: success_end 0.9 with agent.learning_rate=0.001 [1/4]" in text
-
-
-@pytest.mark.parametrize("path", ["specs/panda_reach_sweep.yaml", "specs/smoke/toy_sweep.yaml"])
-def test_a_row_of_the_table_takes_one_line_on_a_narrow_terminal(path, monkeypatch, tmp_path):
-    search = load_spec(ROOT / path).sweep
-    drawn = Study.draws(search, 12)
-    trials = tuple(
-        Trial(number, f"a-t{number:03}", "complete", values, (0.123456789,), ("panda_reach_sweep-t000-s0-2026",), None)
-        for number, values in enumerate(drawn)
-    )
-    final = SweepFinal(1, (2, 3), (4, 5), (0.123456789,), {1: (0.0123456789,)}, (0.3456789,))
-    screen = Terminal()
-    monkeypatch.setattr(sys, "stdout", screen)
-    monkeypatch.setenv("COLUMNS", "80")
-    monkeypatch.setenv("TERM", "xterm")
-    report(outcome_of(tmp_path, search, trials, final), quiet=False, json=False)
-    text = screen.text()
-    lines = [line for line in text.splitlines() if line.strip()]
-    head = next(place for place, line in enumerate(lines) if "─" in line)
-    assert len(lines) == head + 1 + 12, text
-    assert max(map(len, lines)) <= 80

@@ -4,7 +4,7 @@ from hypothesis import given
 from hypothesis import strategies as st
 
 from karolos.comparison import MISSING, differences
-from karolos.comparison.sides import Side, compare_sides
+from karolos.comparison.differences import Side, compare_sides
 
 LEAF = st.sampled_from([None, True, 0, 1, "", "a", (), (0, 1)])
 KEY = st.sampled_from(["a", "b", "c"])

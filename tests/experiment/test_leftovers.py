@@ -6,7 +6,6 @@ import json
 import os
 import subprocess
 import sys
-import tempfile
 from collections.abc import Callable
 from pathlib import Path
 from typing import Any
@@ -17,23 +16,11 @@ from support.toy_runs import TOY
 from karolos import checkpoint
 from karolos.errors import KarolosError, RunError, UsageError
 from karolos.evaluation.policies import load_agent
-from karolos.files import is_alive, locked, remove_temporary_leftovers
+from karolos.files import is_alive, locked
 from karolos.launchers.experiment import Experiment, resume_run
 from karolos.records import RunFolder, scan
 from karolos.records.run_folder import remove_lost_leftovers
 from karolos.store import Store
-
-KILLED = """
-import os
-from karolos.experiment.events import RunTested
-from karolos.launchers.experiment import Experiment
-
-def listen(event):
-    if isinstance(event, RunTested):
-        os.kill(os.getpid(), 9)
-
-Experiment({spec!r}).run("runs", listener=listen)
-"""
 
 
 @pytest.fixture
@@ -58,40 +45,6 @@ def test_a_resumed_run_removes_files_that_its_killed_process_did_not_finish(fold
     resume_run(folder, Store.default_url(folder.path.parent))
     assert not ours.exists()
     assert others.exists()
-
-
-def test_temporary_files_of_killed_processes_only_are_removed(
-    tmp_path: Path, dead: int, monkeypatch: pytest.MonkeyPatch
-) -> None:
-    monkeypatch.setattr(tempfile, "tempdir", str(tmp_path))
-    left, used, foreign = (tmp_path / name for name in (f"karolos-{dead}-a", f"karolos-{os.getpid()}-a", "pymp-a"))
-    for path in (left, used, foreign):
-        path.mkdir()
-        (path / "listener").touch()
-    (tmp_path / f"karolos-{dead}-b.urdf").touch()
-    remove_temporary_leftovers()
-    assert sorted(tmp_path.iterdir()) == sorted((used, foreign))
-
-
-def test_workers_and_robots_leave_only_what_the_next_start_removes(tmp_path: Path) -> None:
-    spec = TOY | {
-        "robot": {"name": "panda", "control": "cartesian"},
-        "task": {"name": "reach", "max_steps": 5},
-        "environment": "robot_task",
-        "orchestrator": {"processes": 1, "environments": 2},
-        "training": TOY["training"] | {"steps": 20, "warmup_episodes": 1},
-    }
-    script = tmp_path / "script.py"
-    script.write_text(KILLED.format(spec=spec))
-    with tempfile.TemporaryDirectory(prefix="k") as place:  # the path of a socket is short
-        environment = os.environ | {"TMPDIR": place}
-        done = subprocess.run(
-            [sys.executable, script], cwd=tmp_path, env=environment, capture_output=True, timeout=120, check=False
-        )
-        assert done.returncode == -9, done.stderr
-        left = list(Path(place).iterdir())
-    assert left
-    assert all(path.name.startswith("karolos-") for path in left)
 
 
 @pytest.mark.parametrize(

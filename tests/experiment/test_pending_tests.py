@@ -7,7 +7,6 @@ import os
 import signal
 import time
 from collections.abc import Callable
-from dataclasses import replace
 from pathlib import Path
 from typing import Any
 
@@ -188,32 +187,6 @@ def test_a_stop_during_a_test_abandons_it_and_the_resumed_run_plays_it_again(
     assert [test.steps for test in stopped.tests()] == [40]
     assert checkpoint.read_meta(stopped.checkpoints, "last")["steps"] == 80
     assert_same_runs(alone, run(tmp_path, existing="resume"))
-
-
-def test_both_processes_play_parts_of_the_final_test_which_join_in_order(
-    tmp_path: Path, beside: list[object], monkeypatch: pytest.MonkeyPatch
-) -> None:
-    monkeypatch.setattr(pending_tests, "PART_EPISODES", 4)
-    spec = SPEC | {"testing": {"interval": 240, "episodes": 6, "final_episodes": 64}}
-    tests: list[PendingTests] = []
-    after_add(monkeypatch, tests.append)
-    play = due_tests.play_episodes
-
-    def play_when_both_do(*arguments: Any, **options: Any) -> Any:
-        if tests:
-            wait_for(beside, tests[0])
-        return play(*arguments, **options)
-
-    monkeypatch.setattr(due_tests, "play_episodes", play_when_both_do)
-    shared = run(tmp_path / "both", spec)
-    assert beside, "the second process has played parts"
-    monkeypatch.setattr(experiment, "cores", lambda: 1)
-    expected = run(tmp_path / "alone", spec)
-    assert_same_runs(expected, shared)
-    final, whole = shared.final(), expected.final()
-    assert final is not None
-    assert whole is not None
-    assert replace(final.last, seconds=0.0) == replace(whole.last, seconds=0.0)
 
 
 def test_no_second_process_starts_for_short_tests(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:

@@ -181,15 +181,3 @@ orchestrator.close()
     )
     assert ended.stdout == "True True\n", ended.stderr
     assert ended.stderr == ""
-
-
-def test_workers_are_forked_from_the_server_that_was_started_before(tmp_path: Path) -> None:
-    body = """
-from multiprocessing import forkserver
-start.start_server(["support.fake_environments"])
-server = forkserver._forkserver._forkserver_pid
-with make() as orchestrator:
-    parents = {open(f"/proc/{pid}/stat").read().rsplit(")")[1].split()[1] for pid in pids(orchestrator)}
-print(parents == {str(server)})
-"""
-    assert run(tmp_path, body) == "True\n"

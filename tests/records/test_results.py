@@ -26,6 +26,12 @@ results = st.integers(1, 9).flatmap(
         lengths=st.tuples(*[st.integers(0, 2**40)] * n),
         distances=st.none() | st.tuples(*[st.floats(0)] * n),
         has_success=st.booleans(),
+        measures=st.dictionaries(
+            st.sampled_from(["peak_force", "miss"]),
+            st.tuples(*[st.none() | st.floats(-1e6, 1e6)] * n).map(
+                lambda values: {"unit": "N", "better": "larger", "values": values}
+            ),
+        ),
     )
 )
 
@@ -54,14 +60,6 @@ def test_counts_have_the_fractions_of_the_test(test: TestResult) -> None:
         float(sum(map(Fraction, test.returns)) / test.episodes)
     )
     assert (counts.steps, counts.seconds, counts.episodes) == (test.steps, test.seconds, test.episodes)
-
-
-def test_parts_of_a_test_have_success_if_one_of_them_has() -> None:
-    without, with_one = replace(result(10, 0, episodes=2), has_success=False), result(10, 1, episodes=2)
-    for parts in ([without, with_one], [with_one, without]):
-        assert TestResult.joined(parts).has_success
-        assert TestResult.joined(parts).success_end == 0.25
-    assert not TestResult.joined([without, without]).has_success
 
 
 @pytest.mark.parametrize("returns", [(math.nan, 1.0), (math.inf, 1.0), (math.inf, -math.inf), (1e308, 1e308)])

@@ -225,22 +225,6 @@ def test_two_folders_of_one_run_are_told_and_the_first_is_kept(tmp_path: Path) -
         assert any(f"z-copy: says that it is the run {folder.id}" in one.what for one in check(store, tmp_path))
 
 
-def test_folders_read_by_several_processes_give_the_same_index(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
-    monkeypatch.setattr("karolos.store.folders.FEW", 1)
-    with Store(Store.default_url(tmp_path)) as store:
-        world = World(tmp_path, store)
-        for index in range(3):
-            world.apply("run", "a", 0.001, "1.0")
-            world.apply("test", index, 1, index)
-        (tmp_path / "broken").mkdir()
-        (tmp_path / "broken" / "run.json").write_text("{")
-        before = answers(store)
-        done = reindex(store, tmp_path, jobs=2)
-        assert (done.runs, done.forgotten, len(done.problems)) == (3, 0, 1)
-        assert answers(store) == before
-        assert len(list(check(store, tmp_path, jobs=2))) == 1
-
-
 def test_check_names_every_difference_of_a_sweep(tmp_path: Path) -> None:
     with Store(Store.default_url(tmp_path)) as store:
         records = [write_sweep(tmp_path, name, [some_trial(0)]) for name in ("fine", "gone", "stale", "torn", "going")]

@@ -26,7 +26,7 @@ from karolos.records.sweep_records import read_sweep
 from karolos.specification import load_spec, spec_from_dict
 from karolos.store import Store, check, reindex
 from karolos.store.sweeps import Sweeps
-from karolos.sweep.events import SweepOutcome, TrialAdvanced, TrialBegan
+from karolos.sweep.events import SweepOutcome, TrialBegan
 from karolos.sweep.objectives import measure_all
 from karolos.sweep.search import Search, samples
 
@@ -178,7 +178,6 @@ def test_the_store_hears_of_trials_as_they_begin_and_end_and_one_that_fails_ends
     def listen(event: object) -> None:
         if isinstance(event, RunWarned):
             warnings.append((event.run, event.warning))
-        if isinstance(event, RunWarned | TrialAdvanced):
             return
         with Store(Store.default_url(tmp_path)) as store:
             found = store.sweeps.find("line")
