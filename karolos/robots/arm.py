@@ -473,10 +473,6 @@ class Arm:
         return (tool.x, tool.y)[self._pad_sides[0]]
 
     @property
-    def wrench(self) -> Sequence[float]:
-        return self.motors.wrench()
-
-    @property
     def stops(self) -> int:
         return self._guard.stops if self._guard is not None else 0
 

@@ -15,7 +15,7 @@ from ..randomization.randomization import Drawn, Probability
 from ..simulation.geometry import Quaternion, Vector, inverse, multiply, rotated, rotation_about, rotation_vector
 from ..simulation.interface import Camera, RobotView, Task, World
 from ..simulation.shapes import Cuboid, Cylinder, Shape
-from .cube import aligned
+from .cube import LOST_DISTANCE, aligned
 from .force_penalty import ForcePenalty
 
 PEG_COLOUR, BLOCK_COLOUR = (0.93, 0.45, 0.13, 1.0), (0.35, 0.42, 0.5, 1.0)
@@ -48,8 +48,6 @@ SCALES = (0.004, 0.001)
 """Errors are also observed as tanh(error / scale), in m: networks see no tenths of a millimetre otherwise."""
 TURN_SCALE = 0.05
 """The same in rad."""
-LOST_DISTANCE = 0.3
-"""m between peg and hole beyond which the peg is lost."""
 
 
 class Insertion(GoalRule):
@@ -293,7 +291,7 @@ class Insert(Task):
         return {"insertion_force": self.largest}
 
     def lost(self) -> bool:
-        return not hypot(*self.tip_from_hole) < LOST_DISTANCE
+        return not hypot(*self.tip) < LOST_DISTANCE
 
     def expert(self) -> Expert:
         return InsertExpert(self._robot, self)

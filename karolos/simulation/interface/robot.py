@@ -60,8 +60,6 @@ class RobotView(Protocol):
     """Current pose of the tool."""
     closing: Vector
     """Direction in which the pads close, of either of them; only with a gripper that the task uses."""
-    wrench: Sequence[float]
-    """What contacts do to the tool: force in N and torque in N m, in its frame, see `Motors.wrench`."""
     tool_position: Vector
     """Current position of the tool centre point, in m."""
     tool_velocity: Vector
