@@ -51,6 +51,11 @@ class ComparedRun:
         final = {"any": summary.success_any, "end": summary.success_end, "return": summary.mean_return}[metric]
         return final if summary.final and final is not None else self.values(metric)[-1]
 
+    def measured(self, name: str) -> float | None:
+        """The mean of a measure over the episodes of the test that `reported` is of; None if it is unknown."""
+        measure = self.summary.measures.get(name)
+        return None if measure is None else measure["mean"]
+
     @property
     def episodes(self) -> int:
         """Episodes of the test that `reported` is of."""
@@ -88,6 +93,7 @@ class ComparedRun:
             success_end=nearest.success_end,
             mean_return=nearest.mean_return,
             episodes=nearest.episodes,
+            measures=nearest.measures,
             final=False,
             best_steps=None,
             best_any=None,

@@ -9,7 +9,7 @@ from dataclasses import replace
 from pathlib import Path
 from typing import Any, TypedDict, Unpack
 
-from sqlalchemy import Connection, Select, func, select
+from sqlalchemy import Connection, func, select
 
 from ..errors import RunError, UsageError
 from ..records import RunFolder
@@ -19,7 +19,7 @@ from ..registry import alternatives, closest
 from . import filters
 from .database import Database
 from .filters import Filter
-from .rows import SUMMARY_FIELDS, summary_of
+from .rows import SUMMARY_FIELDS, means, summary_of
 from .tables import RUNS, SOFTWARE, SPECS, TESTS, TRIALS
 
 MOST_NAMED = 500
@@ -41,7 +41,7 @@ class RunConditions(TypedDict, total=False):
     """Only runs in this state, `lost` included."""
     where: str | None
     """A filter (`karolos.store.filters`) over the fields of RunSummary, the settings of the spec by their key paths
-    (agent.learning_rate), and versions.<package>."""
+    (agent.learning_rate), versions.<package>, and the means of measures (measures.peak_force)."""
     trials: bool | None
     """Only runs of sweeps' trials, or only other runs."""
     limit: int | None
@@ -74,12 +74,12 @@ def find_runs(database: Database, **conditions: Unpack[RunConditions]) -> tuple[
         query = query.where(of_trial if trials else ~of_trial)
     with database.reading() as connection:
         if state is None and condition is None:
-            return _summaries(connection, query.limit(limit), database.home)
+            return tuple(_summary(row, database.home) for row in connection.execute(query.limit(limit)))
         shared = _shared_values(connection, condition) if condition else {}
         matching: list[RunSummary] = []
         for row in connection.execute(query):
             run = _summary(row, database.home)
-            values = shared.get(row.spec, {}) | shared.get(row.software, {}) | vars(run)
+            values = shared.get(row.spec, {}) | shared.get(row.software, {}) | means(run.measures) | vars(run)
             if state in (None, run.state) and (condition is None or condition.matches(values)):
                 matching.append(run)
                 if len(matching) == limit:
@@ -113,7 +113,8 @@ def _shared_values(connection: Connection, condition: Filter) -> dict[str, dict[
         name: {f"versions.{package}": version for package, version in versions.items()}
         for name, versions in connection.execute(select(SOFTWARE))
     }
-    known = {key for values in (*specs.values(), *software.values()) for key in values}.union(SUMMARY_FIELDS)
+    measures = map(means, connection.scalars(select(RUNS.c.measures)))
+    known = {key for values in (*specs.values(), *software.values(), *measures) for key in values}.union(SUMMARY_FIELDS)
 
     def like(key: str) -> str | None:
         endings = [name for name in known if name.rpartition(".")[2] == key]  # learning_rate for agent.learning_rate
@@ -121,10 +122,6 @@ def _shared_values(connection: Connection, condition: Filter) -> dict[str, dict[
 
     condition.refuse_unknown(known.__contains__, like)
     return specs | software
-
-
-def _summaries(connection: Connection, query: Select[Any], home: Path | None) -> tuple[RunSummary, ...]:
-    return tuple(_summary(row, home) for row in connection.execute(query))
 
 
 def _summary(row: Any, home: Path | None) -> RunSummary:

@@ -104,9 +104,9 @@ class Search:
         ):
             folder.write()
             driver.run(Trials(base, home, self.sweep, jobs, driver.stop, folder))
-            final, ranked = None, folder.write().ranked
-            if self.sweep.final is not None and not driver.stop.requested and ranked:
-                final = choosing.choose(base, home, ranked, driver, listener)
+            final, found = None, folder.write()
+            if self.sweep.final is not None and not driver.stop.requested and found.ranked:
+                final = choosing.choose(base, home, found, driver, listener)
             return self._conclude(folder, final, driver.stop)
 
     def _conclude(self, folder: SweepFolder, final: SweepFinal | None, stop: StopRequest) -> SweepOutcome:

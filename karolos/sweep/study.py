@@ -20,7 +20,7 @@ from optuna.trial import FrozenTrial, TrialState
 from ..core.seeding import SeedTree
 from ..records.sweep_records import SweepTrialState, Trial
 from ..specification import Sweep
-from .objectives import directions
+from ..specification.sweep import Direction
 
 _STATES: dict[TrialState, SweepTrialState] = {
     TrialState.RUNNING: "running",
@@ -80,12 +80,13 @@ class Study:
         sweep: the search.
         name: of the sweep; trials are called `<name>-t000` and so on.
         steps: of training, in each run.
+        directions: of the objectives.
     """
 
-    def __init__(self, journal: Path, sweep: Sweep, name: str, steps: int) -> None:
+    def __init__(self, journal: Path, sweep: Sweep, name: str, steps: int, directions: tuple[Direction, ...]) -> None:
         self._sweep = sweep
         self._name = name
-        self._directions = directions(sweep.objectives)
+        self._directions = directions
         self._grid = list(sweep.combinations()) if sweep.sampler == "grid" else []
         storage = JournalStorage(JournalFileBackend(str(journal), lock_obj=_NoLock(str(journal))))
         self._study = optuna.create_study(

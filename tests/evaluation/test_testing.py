@@ -9,11 +9,11 @@ from hypothesis import given, settings
 from hypothesis import strategies as st
 from support.processes import kill_worker
 
-from karolos.core import Environment, Field, GoalRule, Layout, Signature, Step
+from karolos.core import Environment, Field, GoalRule, Layout, Measure, Signature, Step
 from karolos.environments.toy import Toy
 from karolos.evaluation.testing import play_episodes, test_seeds
 from karolos.orchestrator.local import Local
-from karolos.records.results import TestResult
+from karolos.records.results import TestResult, measure_means
 
 # What an episode is: whether the goal holds at the reset and after each step, and whether it ends by termination.
 Script = tuple[tuple[bool, ...], bool]
@@ -123,17 +123,25 @@ class TenthsOfSteps(GoalRule):
 class Measured(Scripted):
     def __init__(self, scripts: list[Script]) -> None:
         super().__init__(scripts)
-        self.signature = replace(self.signature, goal_rule=TenthsOfSteps())
+        measures = Measure("steps", "1", "smaller", ""), Measure("won", "m", "larger", "")
+        self.signature = replace(self.signature, goal_rule=TenthsOfSteps(), measures=measures)
+
+    def measures(self) -> np.ndarray:
+        return np.array([self._step, self._step / 3 if self._successes[self._step] else np.nan], np.float32)
 
 
 @pytest.mark.parametrize("size", [1, 3, 8])
-def test_distances_are_those_at_the_end_of_each_episode_and_unknown_without_a_rule(size):
+def test_distances_and_measures_are_those_at_the_end_of_each_episode_and_unknown_without_a_rule(size):
     with Local(Local.Settings(processes=0, environments=size), partial(Measured, SCRIPTS)) as orchestrator:
         result = play_episodes(orchestrator, Echo(), range(len(SCRIPTS)))
     assert result.distances == pytest.approx((0.2, 0.2, 0.1, 0.4, 0.1))
     assert (result.within(0.05), result.within(0.15), result.within(0.25)) == (0, 0.4, 0.8)
+    assert result.measures["steps"] == {"unit": "1", "better": "smaller", "values": (2, 2, 1, 4, 1)}
+    assert result.measures["won"]["values"] == (None, 0.666667, None, None, 0.333333)
+    assert measure_means(result.measures)["won"]["mean"] == pytest.approx(0.5)
     without = play(SCRIPTS, size)
     assert without.distances is None
+    assert without.measures == {}
     assert without.within(0.05) is None
 
 
@@ -199,15 +207,6 @@ def test_any_layout_finds_the_same():
             results.append(play_episodes(orchestrator, Greedy(), seeds))
     assert results[1:] == results[:1] * 3
     assert 0 < results[0].success_end < 1, "some goals lie too far away to be reached in time"
-
-
-def test_repeating_a_test_finds_the_same():
-    """Environments that have been used, and left in the middle of an episode, play as fresh ones do."""
-    with Local(Local.Settings(processes=0, environments=4), partial(Toy, Toy.Settings())) as orchestrator:
-        first = play_episodes(orchestrator, Greedy(), test_seeds(0, 10))
-        orchestrator.reset([1, 2], [5, 5])
-        orchestrator.receive()
-        assert play_episodes(orchestrator, Greedy(), test_seeds(0, 10)) == first
 
 
 def test_test_seeds_depend_on_their_root_alone_and_grow_at_the_end():
