@@ -28,7 +28,8 @@ MANY_HELP = (
 )
 FILTER_HELP = (
     "Only runs that match, e.g. 'task=reach and agent.learning_rate<1e-3 and not state in (failed, lost)'. "
-    "Operators: = != < <= > >= ~ (contains) in. Names: columns, settings of the spec, tags, note, versions.PACKAGE."
+    "Operators: = != < <= > >= ~ (contains) in. Names: columns, settings of the spec, tags, note, "
+    "versions.PACKAGE, measures.NAME."
 )
 POLICY_HELP = f"{RUN_HELP} Or the name of a policy that ships with karolos: panda_pick, ur5_throw, ..."
 

@@ -133,9 +133,11 @@ def _labels(
 
 
 def _print_comparison(comparison: Comparison) -> None:
-    from karolos.report.comparison_tables import explanations, parameters_table, scores_table
+    from karolos.report.comparison_tables import explanations, measures_table, parameters_table, scores_table
 
     print_table(scores_table(comparison))
+    if comparison.measures:
+        print_table(measures_table(comparison))
     print()
     for line in explanations(comparison):
         print(f"  {line}")

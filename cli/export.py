@@ -36,7 +36,7 @@ def export(
     in [-1, 1], or the index of a discrete action. policy.json says what each number means.
     """
     folder = open_run(run, runs, database)
-    from karolos.export import export_policy
+    from karolos.export.export import export_policy
     from karolos.records.shipped import is_shipped
 
     out = out or (Path(run) if is_shipped(folder) else folder.path / "export")

@@ -157,6 +157,8 @@ def _finite(value: Any) -> Any:
 def _csv_cell(value: Any) -> object:
     if isinstance(value, list | tuple):
         value = "; ".join(map(str, value))
+    if isinstance(value, Mapping):
+        return json_text.dumps(_finite(value))
     if not isinstance(value, str):
         return value
     text = clean(value, allowed="\n")

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import math
 import os
 import sys
 import time
@@ -141,6 +142,10 @@ def _report_episodes(moments: Iterator[Moment]) -> Iterator[Moment]:
             failure = "no success" if moment.environment.signature.has_success else "over"
             outcome = "success" if moment.success else "reached, then lost" if reached else failure
             say(f"episode {moment.episode + 1}: {outcome} after {moment.step} steps, return {moment.total:,.2f}")
+            measures = moment.environment.signature.measures
+            values = zip(measures, moment.environment.measures().tolist(), strict=True)
+            if known := [one.text(value) for one, value in values if math.isfinite(value)]:
+                say(f"  {', '.join(known)}")
 
 
 def _has_display() -> bool:

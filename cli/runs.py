@@ -18,6 +18,7 @@ from karolos.report.tables import (
     Table,
     duration,
     facts_table,
+    measures_table,
     run_state,
     runs_table,
     settings_table,
@@ -457,3 +458,7 @@ def _print_results(record: RunRecord, results: Sequence[TestResult], final: Fina
         policies = [result for result in (final.last, final.best) if result is not None]
         title = f"final test of last{' and of best' if final.best else ''}, from seed {final.seed}"
         print_table(table_of_tests(map(TestCounts.of, policies), policies, title=title))
+    shown = final.last if final is not None else results[-1] if results else None
+    if shown is not None and shown.measures:
+        title = "measures of the last policy in the final test" if final else "measures of the last test"
+        print_table(measures_table(shown.measures, title))

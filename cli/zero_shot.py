@@ -38,7 +38,7 @@ def zero_shot(
         return
     folder = open_run(run, runs, database)
     from karolos.evaluation.zero_shot import zero_shot_test
-    from karolos.report.tables import transfers_table
+    from karolos.report.tables import measures_table, transfers_table
 
     done = zero_shot_test(
         folder,
@@ -53,6 +53,8 @@ def zero_shot(
         print_rows([{"run": folder.id, **done.row()}], json=True)
         return
     print_table(transfers_table([done], title=folder.id))
+    if done.result.measures:
+        print_table(measures_table(done.result.measures, "measures"))
     unused = "" if seed is not None else ", on which no policy was chosen"
     say(f"{done.result.episodes} episodes from seed {done.seed}{unused}")
 
@@ -62,6 +64,7 @@ def _score_expert(path: Path, overrides: Sequence[str], episodes: int | None, se
     from karolos.environments.build import used
     from karolos.evaluation.playing import score
     from karolos.evaluation.policies import load_expert
+    from karolos.report.tables import heading
     from karolos.specification import load_spec
 
     spec = load_spec(path, overrides)
@@ -70,4 +73,10 @@ def _score_expert(path: Path, overrides: Sequence[str], episodes: int | None, se
     environment, policy = load_expert(spec)
     with used(environment):
         found = score(environment, policy, episodes=episodes or testing.final_count or testing.episodes, seed=seed)
-    print_rows([{"spec": spec.name, "policy": "expert", "seed": seed, **asdict(found)}], json=json)
+    row = {"spec": spec.name, "policy": "expert", "seed": seed, **asdict(found)}
+    if json:
+        print_rows([row], json=True)
+        return
+    measures = row.pop("measures")
+    print_rows([row], json=False)
+    print_rows([{"measure": heading(name, one), "mean": one["mean"]} for name, one in measures.items()], json=False)

@@ -26,6 +26,7 @@ from karolos.records import RunFolder, shipped
 from karolos.simulation.engines import Engine, installed, make_world
 from karolos.simulation.interface import JointLimits
 from karolos.simulation.interface.engine import Contact
+from karolos.simulation.parts import Mechanism
 from karolos.simulation.shapes import Cuboid, Cylinder
 from karolos.specification import load_spec
 
@@ -141,7 +142,7 @@ def pressing(world: Any) -> dict[str, float]:
 
 def swinging(world: Any) -> dict[str, float]:
     """A passive pendulum released from the horizontal: its energy after 10 s, as a share of m g l."""
-    body = world.load(ElementTree.fromstring(PENDULUM), position=(0.0, 0.0, 3.0))
+    body = world.load(Mechanism(ElementTree.fromstring(PENDULUM)), position=(0.0, 0.0, 3.0))
     motors = world.motors(body, ["arm"], JointLimits((-9.0,), (9.0,), (99.0,), (1e-9,)), None)
     motors.write([0.0], 0.0)
     run(world, 10.0)

@@ -8,10 +8,8 @@ from collections import Counter
 from collections.abc import Mapping, Sequence
 from contextlib import suppress
 from dataclasses import dataclass, replace
-from pathlib import Path
 from typing import Any, Literal
 
-from .. import checkpoint
 from ..errors import RunError, UsageError
 from ..records import RunFolder
 from ..records.results import TestCounts
@@ -36,8 +34,6 @@ class ComparedRun:
     versions: Mapping[str, str]
     commit: str | None
     """Git commit, with a + when files differed from it."""
-    updates_per_second: float | None
-    """Gradient updates per second of collecting and learning; None without a checkpoint."""
 
     @property
     def has_success(self) -> bool:
@@ -56,6 +52,11 @@ class ComparedRun:
         final = {"any": summary.success_any, "end": summary.success_end, "return": summary.mean_return}[metric]
         return final if summary.final and final is not None else self.values(metric)[-1]
 
+    def measured(self, name: str) -> float | None:
+        """The mean of a measure over the episodes of the test that `reported` is of; None if it is unknown."""
+        measure = self.summary.measures.get(name)
+        return None if measure is None else measure["mean"]
+
     @property
     def episodes(self) -> int:
         """Episodes of the test that `reported` is of."""
@@ -64,6 +65,12 @@ class ComparedRun:
     @property
     def finished(self) -> bool:
         return self.summary.state == "finished"
+
+    @property
+    def updates_per_second(self) -> float | None:
+        """Gradient updates per second of collecting and learning; None if they are unknown."""
+        updates, seconds = self.summary.updates, self.summary.seconds
+        return updates / seconds if updates is not None and seconds else None
 
     def at(self, steps: int) -> ComparedRun:
         """The run as it was at its test nearest to this number of environment steps.
@@ -87,6 +94,7 @@ class ComparedRun:
             success_end=nearest.success_end,
             mean_return=nearest.mean_return,
             episodes=nearest.episodes,
+            measures=nearest.measures,
             final=False,
             best_steps=None,
             best_any=None,
@@ -200,23 +208,13 @@ def load_compared(record: RunRecord) -> ComparedRun:
     """A run of the index or of a folder, with what only its folder holds."""
     about: Mapping[str, Any] = {}
     spec: Mapping[str, Any] = {}
-    rate = None
     if os.path.isdir(record.summary.folder):
         with suppress(RunError):  # a damaged folder; the index has everything that a comparison needs
             folder = RunFolder.open(record.summary.folder)
-            about, spec, rate = folder.description(), folder.spec(), _updates_per_second(folder.checkpoints)
-    return ComparedRun(record.summary, record.tests, spec or record.spec, record.versions, _commit(about), rate)
+            about, spec = folder.description(), folder.spec()
+    return ComparedRun(record.summary, record.tests, spec or record.spec, record.versions, _commit(about))
 
 
 def _commit(about: Mapping[str, Any]) -> str | None:
     git = about.get("git") or {}
     return f"{git['commit'][:8]}{'+' if git.get('dirty') else ''}" if git.get("commit") else None
-
-
-def _updates_per_second(checkpoints: Path) -> float | None:
-    try:
-        meta = checkpoint.read_meta(checkpoints, "last")
-    except checkpoint.CheckpointError:
-        return None
-    updates, seconds = meta.get("updates"), meta.get("seconds")
-    return updates / seconds if updates is not None and seconds else None

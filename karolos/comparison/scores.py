@@ -16,6 +16,7 @@ from numpy.typing import NDArray
 
 from ..core.seeding import SeedTree
 from ..errors import UsageError
+from ..records.results import MeasureMean
 from ..statistics import aggregates
 from ..statistics.density import Density
 from ..statistics.intervals import wilson
@@ -73,6 +74,8 @@ class Scores:
     best_return: Estimate | None
     improvement: Estimate | None
     """Probability that a run is better than one of the first contender (ties one half); None for the first itself."""
+    measures: Mapping[str, Estimate | None]
+    """By name, means over the episodes of the reported test; None if no episode of some run defines it."""
     density: Density | None
     """Of the reported success over the seeds; None for a single one and for returns."""
     over_steps: tuple[NDArray[np.float64], tuple[Density, ...]] | None
@@ -106,6 +109,16 @@ class Comparison:
         """What is compared."""
         return "return" if self.metric == "return" else "success"
 
+    @property
+    def measures(self) -> dict[str, MeasureMean]:
+        """Unit and direction of each measure that a contender has, by name."""
+        return {
+            name: measure
+            for contender in self.contenders
+            for run in contender.runs
+            for name, measure in run.summary.measures.items()
+        }
+
     def rows(self) -> list[dict[str, Any]]:
         """One JSON object per contender."""
         return list(map(self._row, range(len(self.contenders)), self.contenders, self.scores))
@@ -131,6 +144,12 @@ class Comparison:
             "mean_return": asdict(scores.returns) | {"seeds": [run.reported("return") for run in runs]},
             "best_end": scores.best_end and asdict(scores.best_end),
             "best_return": scores.best_return and asdict(scores.best_return),
+            "measures": {
+                name: {"unit": one["unit"], "better": one["better"]}
+                | (asdict(found) if (found := scores.measures.get(name)) else {"value": None})
+                | {"seeds": [run.measured(name) for run in runs]}
+                for name, one in runs[0].summary.measures.items()
+            },
             "final": all(run.summary.final for run in runs),
             "iqm": asdict(scores.iqm),
             "density": density and {key: getattr(density, key) for key in ("modes", "mean", "low", "high")},
@@ -211,6 +230,10 @@ def _scores(
         iqm=of_metric(reported[metric], metric, aggregates.iqm, "iqm"),
         best_end=mean([run.summary.best_end for run in runs], "end", "best"),
         best_return=mean([run.summary.best_return for run in runs], "return", "best_return"),
+        measures={
+            name: mean([run.measured(name) for run in runs], "return", f"measure {name}")
+            for name in runs[0].summary.measures
+        },
         reaching=() if metric == "return" else tuple(_reaching(runs, metric, ratio) for ratio in RATIOS),
         improvement=None if first is None else _improvement(runs, first.runs, metric, tree.child("improvement")),
         density=density,

@@ -18,3 +18,7 @@ class Measure:
     """Which of two values is better."""
     description: str
     """One line."""
+
+    def text(self, value: float) -> str:
+        """A value for a person: "peak_force 21.9 N"."""
+        return f"{self.name} {value:.3g}{'' if self.unit == '1' else f' {self.unit}'}"

@@ -7,7 +7,7 @@ from typing import Literal
 import numpy as np
 from pydantic import Field as Setting
 
-from ..core import Array, BoolArray, Environment, Field, FloatArray, GoalRule, Layout, Signature, Step
+from ..core import Array, BoolArray, Environment, Field, FloatArray, GoalRule, Layout, Measure, Signature, Step
 from ..core import Settings as BaseSettings
 
 
@@ -49,6 +49,7 @@ class Toy(Environment):
     Reward: sparse -1 until the goal is reached, then 0; dense minus the distance.
     What counts as success: the point lies within `threshold` of the goal.
     Termination: never; the episode is truncated after `max_steps`.
+    Measures: the distance from the goal at the end.
     """
 
     class Settings(BaseSettings):
@@ -72,6 +73,7 @@ class Toy(Environment):
             achieved_goal=Layout((Field("position", size),)),
             desired_goal=Layout((Field("goal", size),)),
             goal_rule=rule,
+            measures=(Measure("final_distance", "1", "smaller", "distance from the goal at the end of the episode"),),
         )
         self._rule = rule
         self._speed = np.float32(settings.speed)
@@ -99,6 +101,9 @@ class Toy(Environment):
     def _step(self, reward: float, *, truncated: bool) -> Step:
         success = bool(self._rule.success(self._position, self._goal))
         return Step(self._position, self._position, self._goal, reward, False, truncated, success)
+
+    def measures(self) -> FloatArray:
+        return np.array([_distance(self._position, self._goal)], np.float32)
 
     def render(self, width: int = 640, height: int = 480) -> np.ndarray:
         """The first two axes: the goal as a green disc, the point as a blue one."""

@@ -13,7 +13,7 @@ import numpy as np
 
 from ..errors import MachineError
 from ..files import writing
-from ..records.results import TestResult
+from ..records.results import TestResult, measure_means
 from ..training.episodes import Episode
 from ..training.training import Training
 from .resume import Snapshot
@@ -69,7 +69,9 @@ class TensorBoardWriter:
         """Points of a test."""
         success = {"success_any": result.success_any, "success_end": result.success_end} if result.has_success else {}
         means = {"return": result.mean_return, "episode_length": float(np.mean(result.lengths))}
-        self._add({"test": success | means}, result.steps)
+        measured = {name: one["mean"] for name, one in measure_means(result.measures).items()}
+        known = {name: mean for name, mean in measured.items() if mean is not None}
+        self._add({"test": success | means, "measures": known}, result.steps)
 
     def close(self) -> None:
         with self._writer.tolerated(MachineError, "the last points are missing in TensorBoard"), writing(self._path):

@@ -94,7 +94,9 @@ class TestResult:
         lists: dict[str, Any] = {
             name: values[:count] for name, values in vars(self).items() if isinstance(values, tuple)
         }
-        measures = {name: _with(one, one["values"][:count]) for name, one in self.measures.items()}
+        measures: dict[str, MeasureValues] = {
+            name: {**one, "values": one["values"][:count]} for name, one in self.measures.items()
+        }
         return replace(self, measures=measures, **lists)
 
     def within(self, metres: float) -> float | None:
@@ -178,11 +180,6 @@ def measure_means(measures: Mapping[str, MeasureValues]) -> dict[str, MeasureMea
         }
         for name, one in measures.items()
     }
-
-
-def _with(one: MeasureValues, values: tuple[float | None, ...]) -> MeasureValues:
-    """The measure with other values."""
-    return {**one, "values": values}
 
 
 def encode_test(result: TestResult) -> dict[str, Any]:

@@ -14,6 +14,7 @@ from ..core.seeding import SeedTree
 from ..statistics import aggregates
 from .comparison_tables import estimate
 from .figures import COLOURS, Drawing, look, short, style
+from .tables import heading
 
 _Floats = NDArray[np.float64]
 _SECONDS = ((7200, 3600, "h"), (120, 60, "min"), (0, 1, "s"))
@@ -28,7 +29,7 @@ _LABELS: dict[Metric, str] = {
 
 
 def comparison_figures(comparison: Comparison) -> list[Drawing]:
-    """Every figure, in the order of the page: learning twice, seeds twice, then a density for each contender.
+    """Every figure: learning twice, seeds twice, a density for each contender, and one figure for each measure.
 
     There are no densities of returns.
     """
@@ -38,6 +39,7 @@ def comparison_figures(comparison: Comparison) -> list[Drawing]:
         final(comparison),
         profiles(comparison),
         *density_figures(comparison),
+        *measure_figures(comparison),
     ]
 
 
@@ -79,27 +81,69 @@ def final(comparison: Comparison) -> Drawing:
         f"{comparison.what.title()} at the end of training",
         "A dot is a seed. Below: mean and its interval (95 %; smallest to largest for 2 to 4 seeds).",
     )
-    axes, count = drawing.axes, len(comparison.contenders)
     low, high = _ends(comparison)
-    span = high - low or 1.0
-    for series, (contender, scores) in enumerate(zip(comparison.contenders, comparison.scores, strict=True)):
-        estimate = {"any": scores.any, "end": scores.end, "return": scores.returns}[comparison.metric]
-        assert estimate is not None  # `compare` refuses a metric that is unknown
-        values = np.array([run.reported(comparison.metric) for run in contender.runs])
+    estimates = [
+        {"any": scores.any, "end": scores.end, "return": scores.returns}[comparison.metric]
+        for scores in comparison.scores
+    ]
+    values = [[run.reported(comparison.metric) for run in contender.runs] for contender in comparison.contenders]
+    _dots(drawing, comparison, values, estimates, high - low)
+    _metric_axis(drawing, "x", comparison)
+    return drawing
+
+
+@look()
+def measure_figures(comparison: Comparison) -> list[Drawing]:
+    """For each measure that a contender knows: every seed as a dot, below them mean and interval, as in `final`."""
+    drawings = []
+    for name, one in comparison.measures.items():
+        estimates = [scores.measures.get(name) for scores in comparison.scores]
+        known = [found for found in estimates if found is not None]
+        if not known:
+            continue
+        span = max(found.high for found in known) - min(found.low for found in known)
+        drawing = Drawing(f"measure_{name}", name, f"The {one['better']} the better.")
+        drawing.figure.set_figheight(1 + 0.5 * len(estimates))
+        values = [[run.measured(name) for run in contender.runs] for contender in comparison.contenders]
+        _dots(drawing, comparison, values, estimates, span)
+        _value_axis(drawing, "x", heading(name, one), ratio=False)
+        drawings.append(drawing)
+    return drawings
+
+
+def _dots(
+    drawing: Drawing,
+    comparison: Comparison,
+    values: Sequence[Sequence[float | None]],
+    estimates: Sequence[Estimate | None],
+    span: float,
+) -> None:
+    """A row for each contender: the value of every seed as a dot, below them the estimate as a cross.
+
+    Args:
+        drawing: an empty one.
+        comparison: of the contenders.
+        values: of the runs of each contender; None: no dot.
+        estimates: one for each contender; None: no cross.
+        span: of the axis, to keep about equal dots apart.
+    """
+    axes, count = drawing.axes, len(comparison.contenders)
+    for series, (contender, found) in enumerate(zip(comparison.contenders, estimates, strict=True)):
+        dots = np.array(values[series], float)  # None becomes nan
         row, colour = count - series, style(series)["color"]
-        for place, (x, y) in enumerate(zip(values, row + _offsets(values, span), strict=True)):
+        for place, (x, y) in enumerate(zip(dots, row + _offsets(dots, span or 1.0), strict=True)):
             [dot] = axes.plot(x, y, "o", color=colour, alpha=0.75, markersize=4.5, markeredgewidth=0, clip_on=False)
             drawing.part(dot, f"dot series-{series}", _run_text(contender, place))
-        [line] = axes.plot([estimate.low, estimate.high], [row - 0.3] * 2, color=colour, linewidth=1.2)
+        if found is None:
+            continue
+        [line] = axes.plot([found.low, found.high], [row - 0.3] * 2, color=colour, linewidth=1.2)
         drawing.part(line, f"edge series-{series}")
-        [tick] = axes.plot([estimate.value] * 2, [row - 0.38, row - 0.22], color=colour, linewidth=2.2)
-        text = f"{contender.label}: mean {estimate.value:.3f}, {estimate.low:.3f} to {estimate.high:.3f}"
+        [tick] = axes.plot([found.value] * 2, [row - 0.38, row - 0.22], color=colour, linewidth=2.2)
+        text = f"{contender.label}: mean {found.value:.3f}, {found.low:.3f} to {found.high:.3f}"
         drawing.part(tick, f"main series-{series}", text)
-    _metric_axis(drawing, "x", comparison)
     axes.set_yticks(range(count, 0, -1), [short(label, 22) for label in comparison.labels])
     axes.set_ylim(0.4, count + 0.6)
     axes.tick_params(axis="y", length=0)
-    return drawing
 
 
 @look()
@@ -263,7 +307,7 @@ def _offsets(values: _Floats, span: float) -> _Floats:
     """
     seen: dict[int, int] = {}
     offsets = []
-    for value in values:
+    for value in np.nan_to_num(values):
         key = round(float(value) / span * 40)
         offsets.append(min(0.09 * seen.setdefault(key, 0), 0.6) - 0.1)
         seen[key] += 1

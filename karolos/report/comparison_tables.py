@@ -8,7 +8,7 @@ from typing import Any
 
 from ..comparison import MISSING, Comparison, Estimate, Reaching, Scores
 from ..comparison.differences import SideDifference
-from .tables import Columns, Table, count, duration, setting
+from .tables import Columns, Table, count, decimals, duration, heading, setting
 
 _INTERVALS = {
     "bootstrap": "[low, high]: 95 % bootstrap interval over 10 seeds or more",
@@ -51,6 +51,16 @@ def scores_table(comparison: Comparison) -> Table:
     return Table(["", *comparison.labels], [row for row in rows if set(row[1:]) != {"-"}])
 
 
+def measures_table(comparison: Comparison) -> Table:
+    """One row per measure, one column per contender."""
+    rows = []
+    for name, one in comparison.measures.items():
+        found = [scores.measures.get(name) for scores in comparison.scores]
+        if any(found):
+            rows.append((heading(name, one), *(estimate(each, decimals(each.value) if each else 0) for each in found)))
+    return Table(["", *comparison.labels], rows, "measures")
+
+
 def parameters_table(comparison: Comparison) -> Table:
     """The settings that differ, one column per contender."""
     rows = [(path, *map(_value, values)) for path, values in comparison.parameters.items()]
@@ -72,6 +82,11 @@ def explanations(comparison: Comparison) -> list[str]:
         lines.append(f"the runs are compared as they were at their tests nearest to {comparison.at:,} steps")
     if any(one.best_end or one.best_return for one in scores):
         lines.append("best: the policy of the best test, in the final test, whose episodes it was not chosen on")
+    if comparison.measures:
+        lines.append(
+            "measures: mean over the episodes of that test in which it is defined; the smaller the better, if nothing "
+            "else is said; - if no episode of some run defines it"
+        )
     lines += interval_notes(found for one in scores for found in (one.any, one.returns))
     if comparison.metric == "return":
         lines.append("steps and time to a threshold and densities over seeds exist for success only")

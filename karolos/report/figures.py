@@ -4,7 +4,7 @@ from __future__ import annotations
 
 import re
 import warnings
-from collections.abc import Iterator, Sequence
+from collections.abc import Iterator, Mapping, Sequence
 from contextlib import contextmanager
 from html import escape
 from pathlib import Path
@@ -15,6 +15,7 @@ from .tables import clean
 
 if TYPE_CHECKING:
     from matplotlib.artist import Artist
+    from matplotlib.figure import Figure
 
 STYLE = Path(__file__).with_suffix(".mplstyle")
 FORMATS = (".svg", ".pdf", ".png")
@@ -133,6 +134,18 @@ class Drawing:
         text = re.sub(r' id="[a-z0-9.]+_\d+"', "", text.replace("xlink:href", "href"))  # ids that nothing names
         label = escape(clean(self.title))
         return f'<svg role="img" aria-label="{label}"{text[text.index("<svg") + len("<svg") :].rstrip()}'
+
+
+def write_plots(plots: Mapping[str, Figure], folder: Path) -> None:
+    """Write figures of pyplot into `folder` as SVG, PDF and PNG, and close them. Raises MachineError."""
+    from matplotlib import pyplot, rc_context  # noqa: PLC0415
+
+    with writing(folder), rc_context({"text.parse_math": True}):  # of logarithmic axes
+        folder.mkdir(parents=True, exist_ok=True)
+        for name, figure in plots.items():
+            for suffix in FORMATS:
+                figure.savefig(folder / f"{name}{suffix}", metadata=_UNDATED[suffix], bbox_inches="tight")
+            pyplot.close(figure)
 
 
 def write_figures(drawings: Sequence[Drawing], folder: Path, *, width: float = WIDTH, font: float = FONT) -> list[Path]:

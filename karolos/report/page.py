@@ -11,7 +11,7 @@ from markupsafe import Markup
 
 from .. import __version__
 from ..comparison import ComparedRun, Comparison
-from .comparison_tables import explanations, parameters_table, scores_table
+from .comparison_tables import explanations, measures_table, parameters_table, scores_table
 from .figures import Drawing, style
 from .tables import Columns, Table, clean, count, duration, number, success
 
@@ -84,12 +84,15 @@ def comparison_sections(comparison: Comparison, drawings: Sequence[Drawing]) -> 
         "The specs are the same." if same else "",
         table=None if same else parameters_table(comparison),
     )
+    densities, measures = ([one for one in drawings if one.name.startswith(kind)] for kind in ("density_", "measure_"))
+    measured = [Section("Measures", table=measures_table(comparison)), Section(figures=measures)]
     return [
         Section("Learning", figures=drawings[:2]),
         Section("In numbers", table=scores_table(comparison), notes=explanations(comparison)),
+        *(measured if measures else []),
         *([settings] if len(labels) > 1 else []),
         Section("Seeds", figures=drawings[2:4]),
-        Section("Density of the success ratio over training", _DENSITIES if drawings[4:] else no_density, drawings[4:]),
+        Section("Density of the success ratio over training", _DENSITIES if densities else no_density, densities),
         _runs_section(comparison),
     ]
 

@@ -3,14 +3,16 @@
 from __future__ import annotations
 
 import json
+import math
 from collections.abc import Callable, Iterable, Mapping, Sequence
 from dataclasses import dataclass, replace
+from statistics import fmean, median
 from typing import TYPE_CHECKING, Any, TypeVar
 
 from ..statistics.intervals import wilson
 
 if TYPE_CHECKING:
-    from ..records.results import TestCounts, TestResult
+    from ..records.results import MeasureMean, MeasureValues, TestCounts, TestResult
     from ..records.run_records import RunSummary
     from ..records.transfer_results import TransferResult
 
@@ -93,6 +95,17 @@ def number(value: float | None) -> str:
     return "-" if value is None else f"{value:,.2f}"
 
 
+def decimals(value: float) -> int:
+    """Decimals that show three significant digits of a number, or more where it is large."""
+    return max(0, 2 - math.floor(math.log10(abs(value)))) if value else 0
+
+
+def heading(name: str, measure: MeasureMean | MeasureValues) -> str:
+    """A measure with its unit, and with its direction where the larger is better."""
+    unit = "" if measure["unit"] == "1" else f", {measure['unit']}"
+    return f"{name}{unit}{', larger is better' if measure['better'] == 'larger' else ''}"
+
+
 def setting(value: object) -> str:
     """A value of a spec as a spec writes it."""
     return value if isinstance(value, str) else json.dumps(value)
@@ -160,6 +173,21 @@ def table_of_tests(tests: Iterable[TestCounts], results: Iterable[TestResult] = 
         f"end within {' / '.join(f'{metres:.2f}' for metres in WITHIN)} m": lambda test: near.get(test.steps, "-"),
     }
     return Table.of(list(tests), columns, title)
+
+
+def measures_table(measures: Mapping[str, MeasureValues], title: str) -> Table:
+    """One row per measure of a test: over the episodes in which it is defined."""
+
+    def row(name: str, one: MeasureValues) -> tuple[str, ...]:
+        known = [value for value in one["values"] if value is not None]
+        worst = max if one["better"] == "smaller" else min
+        found = (
+            (f"{each:.{decimals(each)}f}" for each in (fmean(known), median(known), worst(known))) if known else "---"
+        )
+        return (heading(name, one), *found, f"{len(known)} of {len(one['values'])}")
+
+    rows = [row(name, one) for name, one in measures.items()]
+    return Table(["measure", "mean", "median", "worst", "episodes"], rows, title)
 
 
 def transfers_table(transfers: Iterable[TransferResult], *, title: str = "") -> Table:

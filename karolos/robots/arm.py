@@ -26,8 +26,9 @@ from ..simulation.interface import Body, Box, Fingers, Gripper, JointLimits, Wor
 from ..simulation.interface.engine import OPENS
 from ..simulation.interface.robot import ControlMode
 from ..simulation.kinematics import Chain, Configuration, Pose, downward
+from ..simulation.parts import Mechanism
 from ..simulation.urdf import Description, Joint
-from .control import CONTROLS, Control, Way
+from .control import CONTROLS, ROTATION, Control, Way
 from .protective_stop import Guard, ProtectiveStop
 from .ramps import ACCELERATION_TIME, Ramps
 from .settings import ArmSettings
@@ -61,9 +62,16 @@ ARM_PARAMETERS: Mapping[str, RandomizedParameter] = {
     "action_delay": RandomizedParameter("control steps", 0.0, 0.0, 2.0, "delay of the actions; rounded"),
 }
 
+WRENCH = Field("wrench", 6, "N, N m")
+WRENCH_NOISE = RandomizedParameter(
+    "N", 0.0, 0.0, 2.0, "standard deviation of the noise on the observed wrench; on its torque a tenth of that, in N m"
+)
+TORQUE_ARM = 0.1
+"""m; noise on the wrench's torque, by that on its force."""
 ARM_MEASURES = (
     Measure("path_length", "m", "smaller", "length of the way of the tool centre point"),
     Measure("peak_force", "N", "smaller", "largest force of a body or another link on a link of the arm or gripper"),
+    Measure("peak_wrist_force", "N", "smaller", "largest force of the wrench at the wrist, low-passed"),
     Measure("peak_joint_speed", "1", "smaller", "largest speed of a joint, as a share of its limit"),
     Measure("peak_joint_acceleration", "1", "smaller", "largest acceleration of a joint, as a share of its limit"),
     Measure("peak_joint_torque", "1", "smaller", "largest torque of a motor, as a share of its limit"),
@@ -214,7 +222,7 @@ class Arm:
         self._told: list[tuple[int, float]] = []
         """What the gripper was told and has not done yet: opening, and in how many physics steps."""
         self._pressing: dict[tuple[int, int], float] | None = None
-        nominal = {**ARM_PARAMETERS, **drawn_settings(settings)}
+        nominal = {**ARM_PARAMETERS, "wrench_noise": WRENCH_NOISE, **drawn_settings(settings)}
         self._values = {name: parameter.nominal for name, parameter in nominal.items()}
         self.gripper: Gripper | None = model.fingers.gripper if model.fingers else None
         self.home_joints = model.home
@@ -243,6 +251,9 @@ class Arm:
         mode = self.settings.control or control
         self.mujoco_only = ("robot.control",) if mode == "impedance" else ()
         self._control: Control = CONTROLS[mode](self)
+        self._observed = list(dict.fromkeys(self.settings.observe))
+        if ROTATION in self._control.observed and "rotation" in self._observed:
+            self._observed.remove("rotation")  # it is there already
         self.turns_joints = self._control.turns_joints
         turns = (self.model.tilt, self.model.turn) if self._control.turns_tool else (0.0, 0.0)
         self.orientations = Orientations(downward(self.home, self.home_yaw).orientation, *turns)
@@ -258,6 +269,8 @@ class Arm:
         if "robot.control" in self.mujoco_only:
             del parameters["motor_gain"]  # nothing follows speeds
             parameters = {**parameters, "joint_friction": SPRING_FRICTION, **drawn}
+        if "wrench" in self._observed:
+            parameters["wrench_noise"] = WRENCH_NOISE
         if self._fingers is None:
             return parameters
         nominal = self._fingers.gripper.pad_friction
@@ -267,7 +280,10 @@ class Arm:
     @cached_property
     def observation(self) -> Layout:
         gripper = () if self._fingers is None else (Field("gripper_opening", 1, "1"),)
-        return Layout((*self._control.observed, *gripper, *self._control.observed_joints))
+        torques = Field("joint_torques", self.chain.size, "N m")
+        offered = {"rotation": ROTATION, "wrench": WRENCH, "torques": torques}
+        fields = (*self._control.observed, *gripper, *self._control.observed_joints)
+        return Layout((*fields, *(offered[name] for name in self._observed)))
 
     @cached_property
     def action(self) -> Layout:
@@ -276,7 +292,11 @@ class Arm:
 
     @property
     def measures(self) -> tuple[Measure, ...]:
-        return (*ARM_MEASURES, *[PAD_FORCE] * (self._fingers is not None), *[STOPS] * (self._guard is not None))
+        return (
+            *ARM_MEASURES,
+            *[PAD_FORCE] * (self._fingers is not None),
+            *[STOPS] * (self._guard is not None),
+        )
 
     def measure(self) -> dict[str, float]:
         forces, loads = self.world.largest_forces(self.body), self.motors.loads()
@@ -287,6 +307,7 @@ class Arm:
             "peak_joint_speed": max(map(truediv, loads.speed, self.limits.velocity)),
             "peak_joint_acceleration": max(map(truediv, loads.acceleration, self._accelerations)),
             "peak_joint_torque": max(map(truediv, loads.torque, self.limits.effort)),
+            "peak_wrist_force": loads.wrench,
             "peak_pad_force": max(pads, default=0.0),
             "protective_stops": self.stops,
         }
@@ -297,7 +318,7 @@ class Arm:
         if fingers is not None and self._fingers is None:
             robot = urdf.weld(robot, dict.fromkeys(fingers.joints, fingers.position(self.settings.finger_opening)))
         self.world = world
-        self.body = world.load(robot, position=self.base)
+        self.body = world.load(Mechanism(robot), position=self.base)
         links = {**self.body.links(), self._joints[0].parent: -1}
         named = [(carriers[first], carriers[second]) for first, second in self.model.self_collisions]
         # a welded finger has no link
@@ -307,6 +328,9 @@ class Arm:
         arm = [joint.child for joint in self._joints]
         tool = self.model.tool, quaternion_of(urdf.rotation_matrix(*self.model.tool_rpy))
         self.motors = motors = world.motors(self.body, arm, self.limits, self._fingers, tool)
+        motors.set_wrench_filter(self.settings.wrench_filter)
+        if "wrench" in self._observed:
+            motors.wrench()  # PyBullet measures it from the first question on
         self._control.build()
         self._arm_links = [self.body.links()[name] for name in arm]
         if self._guard is not None:
@@ -477,7 +501,21 @@ class Arm:
         values += self._control.observe_joints()
         values = self.with_noise(values)
         self.observed_tool_position = values[0], values[1], values[2]
+        for name in self._observed:
+            values += self._observe(name)
         return values
+
+    def _observe(self, name: str) -> list[float]:
+        """What the setting `observe` adds under this name, with noise."""
+        if name == "rotation":
+            return self.with_noise([*self.tool.x, *self.tool.y])
+        if name == "torques":
+            return self.with_noise(self.joint_torques)
+        deviation = self._values["wrench_noise"]
+        if not deviation:
+            return list(self.wrench)
+        noise = self._generator.normal(0.0, [deviation] * 3 + [TORQUE_ARM * deviation] * 3).tolist()
+        return [value + error for value, error in zip(self.wrench, noise, strict=True)]
 
     def with_noise(self, values: Sequence[float]) -> list[float]:
         deviation = self._values["observation_noise"]
@@ -485,6 +523,13 @@ class Arm:
             return list(values)
         noise = self._generator.normal(0.0, deviation, len(values)).tolist()
         return [value + error for value, error in zip(values, noise, strict=True)]
+
+    @property
+    def wrench(self) -> Sequence[float]:
+        return self.motors.wrench()
+
+    def contact_force(self, body: Body) -> float:
+        return sum(force for (_, other), force in self._forces().items() if other == body.index)
 
     def pads_touching(self, body: Body) -> int:
         return sum(bool(self.world.contacts(self.body, body, link)) for link in self.motors.pads)

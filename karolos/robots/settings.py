@@ -69,6 +69,12 @@ class ArmSettings(Settings):
     reset_noise: float = Setting(
         0.02, ge=0, le=0.2, description="largest deviation of a joint from the home pose at a reset, rad"
     )
+    observe: tuple[Literal["rotation", "wrench", "torques"], ...] = Setting(
+        (),
+        description="what is observed besides: the tool's rotation (two columns of its matrix), the wrench at the "
+        "wrist (in the tool's frame, N and N m), the torques of the joints (N m)",
+    )
+    wrench_filter: float = Setting(0.02, ge=0, le=1, description="time constant of the wrench's low-pass, s")
     base: Literal["origin", "centred"] = Setting(
         "origin",
         description="what is at the origin of the world: the robot's base, or (centred) the middle of its workspace",

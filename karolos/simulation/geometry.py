@@ -13,6 +13,8 @@ from ..core import Array, FloatArray
 Vector = tuple[float, float, float]
 Quaternion = tuple[float, float, float, float]
 UPRIGHT: Quaternion = (0.0, 0.0, 0.0, 1.0)
+Colour = tuple[float, float, float, float]
+"""Red, green, blue, opacity in [0, 1]."""
 
 
 def matrix_of(quaternion: Quaternion) -> Array:

@@ -11,11 +11,12 @@ import os
 import re
 import sys
 import tempfile
+import warnings
 from collections.abc import Sequence
 from functools import cache
 from itertools import pairwise
 from pathlib import Path
-from typing import Any, NamedTuple
+from typing import Any, Literal, NamedTuple
 
 import numpy as np
 from numpy.typing import NDArray
@@ -24,6 +25,8 @@ from ..core import Array
 from ..errors import MachineError, PluginError
 from ..files import writing
 
+Collision = Literal["convex", "decomposed"]
+"""What a mesh that is not convex collides as: its convex hull, or convex pieces of it."""
 MESH_SUFFIXES = (".stl", ".obj")
 LARGEST_MESH = 20_000_000
 """Largest size of a file in bytes."""
@@ -131,6 +134,13 @@ def _moments(corners: NDArray[np.float32], faces: NDArray[np.intp], *, convex: b
     )
     second = squares / (20 * volume) - np.outer(centre, centre)
     return abs(volume), middle + centre, np.trace(second) * np.eye(3) - second
+
+
+def warn_of_hull(path: Path) -> None:
+    """Say that a mesh collides as its convex hull where that is not the same."""
+    if filled := solid(path).filled:
+        hint = "collision='decomposed' keeps it, collision='convex' accepts it"
+        warnings.warn(f"{path}: its convex hull, which collides, fills {filled}; {hint}", stacklevel=4)
 
 
 def check_size(path: Path, scale: float | Sequence[float]) -> None:

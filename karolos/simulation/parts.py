@@ -1,14 +1,57 @@
-"""Descriptions made in code: links of shapes as a URDF has them. Units: m, kg, kg m2."""
+"""Bodies and mechanisms made in code, as engines get them: as a URDF. Units: m, rad, kg, kg m2."""
 
 from __future__ import annotations
 
-from collections.abc import Iterable, Sequence
+from collections.abc import Iterable, Mapping, Sequence
+from dataclasses import dataclass, field
 from pathlib import Path
+from typing import Literal
 from xml.etree.ElementTree import Element, SubElement
 
-from .geometry import Quaternion, Vector, matrix_of
+from ..errors import UsageError
+from . import urdf
+from .geometry import UPRIGHT, Colour, Quaternion, Vector, matrix_of
 from .shapes import Capsule, Cuboid, Cylinder, Inertia, Mesh, Shape, Sphere, inertia_of
-from .urdf import roll_pitch_yaw
+
+GREY: Colour = (0.7, 0.7, 0.7, 1.0)
+
+
+@dataclass(frozen=True)
+class Mechanism:
+    """Links and the joints between them. The base is fixed, and moves only by `Body.place`."""
+
+    robot: Element
+    """Links and moving joints of a URDF, with absolute names of meshes."""
+    frictions: Mapping[str, float] = field(default_factory=dict)
+    """Dry friction in N or N m of each joint that no arm's motor drives."""
+
+
+@dataclass(frozen=True, kw_only=True)
+class Link:
+    """A rigid piece of a mechanism made in code. Its joint is called like it.
+
+    Its frame is at `position` and `orientation` in its parent's while the joint is at 0.
+    """
+
+    name: str
+    shapes: Sequence[Shape]
+    mass: float = 0.0
+    """In kg. The base needs none."""
+    inertia: Inertia | None = None
+    colour: Colour = GREY
+    parent: str = ""
+    """The link that it moves on; empty for the base."""
+    joint: Literal["slide", "hinge"] = "slide"
+    axis: Vector = (1.0, 0.0, 0.0)
+    """Of the joint, through the origin of its frame."""
+    range: tuple[float, float] = (0.0, 0.0)
+    """Of the joint, in m or rad."""
+    friction: float = 0.0
+    """Dry friction of the joint in N or N m."""
+    damping: float = 0.0
+    """Of the joint in N s/m or N m s/rad."""
+    position: Vector = (0.0, 0.0, 0.0)
+    orientation: Quaternion = UPRIGHT
 
 
 def body(shapes: Sequence[Shape], mass: float, inertia: Inertia | None = None) -> Element:
@@ -20,13 +63,34 @@ def body(shapes: Sequence[Shape], mass: float, inertia: Inertia | None = None) -
         inertia: by default that of a body as dense everywhere.
     """
     robot = Element("robot", name="body")
-    robot.append(_link("body", shapes, mass, inertia))
+    robot.append(_link("body", shapes, mass, inertia, None))
     return robot
 
 
-def _link(name: str, shapes: Sequence[Shape], mass: float, inertia: Inertia | None) -> Element:
+def mechanism(links: Sequence[Link]) -> Mechanism:
+    """Links made in code, the base first. Raises UsageError for a link that cannot move, or on what it does."""
+    robot, known = Element("robot", name=links[0].name), set[str]()
+    for link in links:
+        robot.append(_link(link.name, link.shapes, link.mass, link.inertia, link.colour))
+        low, high = link.range
+        if known and not (link.parent in known and link.mass > 0 and low < high and any(link.axis)):
+            hint = "a parent before it, mass > 0, range with low < high, an axis"
+            raise UsageError(f"link {link.name} cannot move", hint=hint)
+        if known:
+            joint = SubElement(robot, "joint", name=link.name, type={"slide": "prismatic"}.get(link.joint, "revolute"))
+            _place(joint, link.position, link.orientation)
+            SubElement(joint, "parent", link=link.parent)
+            SubElement(joint, "child", link=link.name)
+            SubElement(joint, "axis", xyz=_text(link.axis))
+            SubElement(joint, "limit", lower=repr(low), upper=repr(high), effort="1000", velocity="1000")
+            SubElement(joint, "dynamics", damping=repr(link.damping))
+        known.add(link.name)
+    return Mechanism(robot, {link.name: link.friction for link in links[1:]})
+
+
+def _link(name: str, shapes: Sequence[Shape], mass: float, inertia: Inertia | None, look: Colour | None) -> Element:
     link = Element("link", name=name)
-    found = inertia or inertia_of(shapes, mass)
+    found = inertia or (inertia_of(shapes, mass) if shapes else Inertia((0.0, 0.0, 0.0), (mass, mass, mass)))
     inertial = SubElement(link, "inertial")
     _place(inertial, found.centre, found.axes)
     SubElement(inertial, "mass", value=repr(mass))
@@ -34,12 +98,14 @@ def _link(name: str, shapes: Sequence[Shape], mass: float, inertia: Inertia | No
     SubElement(inertial, "inertia", moments | dict.fromkeys(("ixy", "ixz", "iyz"), "0"))
     for shape in shapes:
         kinds = [("collision", one) for one in _geometries(shape)]
-        if isinstance(shape, Mesh):
-            kinds.append(("visual", _mesh(shape.path, shape.scale)))
+        if look is not None or isinstance(shape, Mesh):
+            kinds.append(("visual", _mesh(shape.path, shape.scale) if isinstance(shape, Mesh) else _geometry(shape)))
         for kind, geometry in kinds:
             made = SubElement(link, kind)
             _place(made, shape.position, shape.orientation)
             SubElement(made, "geometry").append(geometry)
+            if look is not None and kind == "visual":
+                SubElement(SubElement(made, "material", name=f"{name} {_text(look)}"), "color", rgba=_text(look))
     return link
 
 
@@ -68,7 +134,7 @@ def _geometry(shape: Shape) -> Element:
 
 
 def _place(element: Element, position: Vector, orientation: Quaternion) -> None:
-    SubElement(element, "origin", xyz=_text(position), rpy=_text(roll_pitch_yaw(matrix_of(orientation))))
+    SubElement(element, "origin", xyz=_text(position), rpy=_text(urdf.roll_pitch_yaw(matrix_of(orientation))))
 
 
 def _text(numbers: Iterable[float]) -> str:

@@ -15,8 +15,8 @@ import numpy as np
 from numpy.typing import NDArray
 
 from ..core import Array, FloatArray
-from .geometry import Vector
-from .interface.engine import Camera, Colour
+from .geometry import Colour, Vector
+from .interface.engine import Camera
 
 FLOOR_COLOUR = (158.0, 173.0, 189.0)
 SKY_COLOUR = (226.0, 232.0, 238.0)

@@ -2,13 +2,11 @@
 
 from __future__ import annotations
 
-import warnings
 from abc import ABC, abstractmethod
 from collections.abc import Sequence
 from dataclasses import dataclass
 from math import pi
 from pathlib import Path
-from typing import Literal
 
 import numpy as np
 
@@ -105,16 +103,14 @@ class Mesh(Shape):
 
     path: Path
     scale: float = 1.0
-    collision: Literal["convex", "decomposed"] | None = None
+    collision: meshes.Collision | None = None
     """None: convex, with a warning where that fills a hole or a hollow."""
 
     def __post_init__(self) -> None:
         super().__post_init__()
         meshes.check_size(self.path, self.scale)
-        filled = meshes.solid(self.path).filled
-        if filled and self.collision is None:
-            hint = "collision='decomposed' keeps it, collision='convex' accepts it"
-            warnings.warn(f"{self.path}: its convex hull, which collides, fills {filled}; {hint}", stacklevel=3)
+        if self.collision is None:
+            meshes.warn_of_hull(self.path)
 
     def solid(self) -> tuple[float, Array, Array]:
         volume, centre, tensor, _ = meshes.solid(self.path)

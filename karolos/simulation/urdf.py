@@ -23,7 +23,7 @@ import numpy as np
 from ..core import Array
 from ..errors import PluginError
 from .geometry import Vector
-from .meshes import LARGEST_NUMBER, MESH_SUFFIXES, triangles
+from .meshes import LARGEST_NUMBER, MESH_SUFFIXES, check_size
 
 FINGER_MASS = 0.05
 """Least mass in kg of a finger, with the drive that moves with it. A finger of 15 g grips with 21 instead of 30 N: the
@@ -90,6 +90,8 @@ class Joint:
     velocity: float
     mimic: str | None = None
     """The joint whose position this one follows."""
+    friction: float = 0.0
+    """Its dry friction, N m or N."""
 
 
 @dataclass(frozen=True)
@@ -143,28 +145,33 @@ def text_of(path: Path) -> str:
         raise PluginError("not in UTF-8", where=f"{path}:{line}", hint="save it as UTF-8") from None
 
 
+def parse(path: Path) -> tuple[Element, dict[Element, int]]:
+    """The root of an XML file, and the line of each element. Raises PluginError for a file that is not XML."""
+    lines: dict[Element, int] = {}
+    builder, parser = ElementTree.TreeBuilder(), expat.ParserCreate("utf-8", "}")
+
+    def start(tag: str, attributes: dict[str, str]) -> None:
+        lines[builder.start(tag, attributes)] = parser.CurrentLineNumber
+
+    def refuse_entity(name: str, *_: object) -> None:  # a few lines of them are gigabytes
+        raise PluginError(f"the entity {short(name)}; a URDF has none", where=f"{path}:{parser.CurrentLineNumber}")
+
+    parser.StartElementHandler, parser.EndElementHandler = start, builder.end
+    parser.EntityDeclHandler = refuse_entity
+    try:
+        parser.Parse(text_of(path).encode(), True)
+    except expat.ExpatError as error:
+        hint = "a robot needs a valid URDF"
+        raise PluginError(f"not an XML file: {error}", where=str(path), hint=hint) from None
+    return builder.close(), lines
+
+
 class _Source:
     """What is known of a URDF, with the line of each element."""
 
     def __init__(self, path: Path) -> None:
         self.path = path
-        self.lines: dict[Element, int] = {}
-        builder, parser = ElementTree.TreeBuilder(), expat.ParserCreate("utf-8", "}")
-
-        def start(tag: str, attributes: dict[str, str]) -> None:
-            self.lines[builder.start(tag, attributes)] = parser.CurrentLineNumber
-
-        def refuse_entity(name: str, *_: object) -> None:  # a few lines of them are gigabytes
-            raise PluginError(f"the entity {_short(name)}; a URDF has none", where=f"{path}:{parser.CurrentLineNumber}")
-
-        parser.StartElementHandler, parser.EndElementHandler = start, builder.end
-        parser.EntityDeclHandler = refuse_entity
-        try:
-            parser.Parse(text_of(path).encode(), True)
-        except expat.ExpatError as error:
-            hint = "a robot needs a valid URDF"
-            raise PluginError(f"not an XML file: {error}", where=str(path), hint=hint) from None
-        root = builder.close()
+        root, self.lines = parse(path)
         if any("ros.org/wiki/xacro" in element.tag for element in root):
             hint = f"expand it first: xacro {path.name} > robot.urdf"
             raise PluginError("macros of xacro, which are not expanded", where=str(path), hint=hint)
@@ -209,18 +216,24 @@ class _Source:
         if text.isprintable() and len(text) <= most and (text.strip() or element.tag in ("material", "robot")):
             return text or ("unnamed" if element.tag == "robot" else "")
         hint = f"1 to {most} letters without control characters"
-        raise self.error(element, f"its {key} is {_short(text)}", within, hint)
+        raise self.error(element, f"its {key} is {short(text)}", within, hint)
 
     def _numbers(self, element: Element, key: str, count: int, within: str) -> str:
         text, least = element.get(key, ""), _LEAST.get(element.tag, -LARGEST_NUMBER)
-        numbers = [float(word) if _NUMBER.fullmatch(word) else nan for word in text.split()]
-        if len(numbers) == count and all(least <= number <= LARGEST_NUMBER for number in numbers):
+        found = numbers(text, least)
+        if found is not None and len(found) == count:
             return " ".join(text.split())
         hint = f"{count} number{'s' * (count > 1)} from {least:g} to {LARGEST_NUMBER:g}"
-        raise self.error(element, f"its {key} is {_short(text)}", within, hint)
+        raise self.error(element, f"its {key} is {short(text)}", within, hint)
 
 
-def _short(text: str) -> str:
+def numbers(text: str, least: float = -LARGEST_NUMBER) -> list[float] | None:
+    """Numbers of a stranger; None where a word is no number, or too small or large."""
+    found = [float(word) if _NUMBER.fullmatch(word) else nan for word in text.split()]
+    return found if all(least <= number <= LARGEST_NUMBER for number in found) else None
+
+
+def short(text: str) -> str:
     """A text of a stranger for messages."""
     return ascii(text if len(text) <= 60 else f"{text[:57]}...")
 
@@ -235,7 +248,11 @@ def read(path: Path) -> Element:
 
 @cache
 def load(
-    path: Path, locked: tuple[tuple[str, float], ...] = (), slides: tuple[str, ...] = (), strict: bool = True
+    path: Path,
+    locked: tuple[tuple[str, float], ...] = (),
+    slides: tuple[str, ...] = (),
+    strict: bool = True,
+    driven: bool = True,
 ) -> Description:
     """What is simulated of a URDF. The result is shared and must not be changed.
 
@@ -249,6 +266,7 @@ def load(
         locked: joints that are held at a position, in rad or m. Joints that mimic one of them are held, too.
         slides: prismatic joints of a gripper.
         strict: whether limits, masses and meshes must be such that the robot can be simulated.
+        driven: whether joints have motors, so that they need a largest effort and speed.
 
     Raises:
         PluginError: names the joint or link that is not as a URDF must be, or that cannot be simulated, and its line.
@@ -276,7 +294,7 @@ def load(
     found = []
     for element in moving:
         _make_simple(element, element.get("name") in slides)
-        found.append(_joint(element, source, strict=strict))
+        found.append(_joint(element, source, strict=strict, driven=driven))
     corrected = []
     if strict:
         root = carriers[link_of(order[0], "parent")] if order else ""
@@ -369,20 +387,21 @@ def _make_simple(element: Element, slide: bool) -> None:
             limit.set("upper", repr(upper - lower))
 
 
-def _joint(element: Element, source: _Source, *, strict: bool) -> Joint:
+def _joint(element: Element, source: _Source, *, strict: bool, driven: bool) -> Joint:
     limit, mimic, dynamics = element.find("limit"), element.find("mimic"), element.find("dynamics")
     if mimic is not None:
         element.remove(mimic)
     # engines treat friction differently, and one ignores it
     friction = float(dynamics.attrib.pop("friction", "0")) if dynamics is not None else 0.0
     values = limit.attrib if limit is not None else {}
-    numbers = (float(values.get(key, nan if strict else 0)) for key in _LIMITS)
-    lower, upper, effort, velocity = numbers
+    if limit is not None and not driven:  # engines want them
+        limit.attrib.update(effort="1000", velocity="1000")
+    lower, upper, effort, velocity = (float(values.get(key, nan if strict else 0)) for key in _LIMITS)
     axis, effort = _axis(element), effort - friction
     if not any(axis):
         raise source.error(element, "its axis is 0 0 0")
     if strict and not (lower < upper and effort > 0 and velocity > 0):
-        what = f"limits must satisfy lower < upper, effort > {friction:g}, velocity > 0"
+        what = "limits must satisfy lower < upper" + f", effort > {friction:g}, velocity > 0" * driven
         hint = "write the numbers of the data sheet into <limit>; exporters leave zeros"
         raise source.error(element, what, hint=hint)
     origin, rotation = origin_of(element)
@@ -399,6 +418,7 @@ def _joint(element: Element, source: _Source, *, strict: bool) -> Joint:
         effort=effort,
         velocity=velocity,
         mimic=None if mimic is None else mimic.get("joint"),
+        friction=friction,
     )
 
 
@@ -414,11 +434,11 @@ def _find_meshes(source: _Source) -> None:
                 found = find_mesh(name, source.path.parent)
                 if found is None:
                     hint = "it is looked for beside the URDF and in folders above"
-                    raise source.error(link, f"there is no mesh {_short(name)}", hint=hint)
+                    raise source.error(link, f"there is no mesh {short(name)}", hint=hint)
                 if found.suffix.lower() not in MESH_SUFFIXES:
                     hint = f"meshes end in {', '.join(MESH_SUFFIXES)}"
-                    raise source.error(link, f"cannot read the mesh {_short(name)}", hint=hint)
-                triangles(found)
+                    raise source.error(link, f"cannot read the mesh {short(name)}", hint=hint)
+                check_size(found, [float(one) for one in mesh.get("scale", "1 1 1").split()])
                 mesh.set("filename", str(found))
 
 

@@ -4,13 +4,15 @@ from __future__ import annotations
 
 import json
 import math
-from collections.abc import Iterator, Mapping
+from collections.abc import Iterator, Mapping, Sequence
 from typing import Annotated, Any, Literal, TypeAlias
 
 from pydantic import AfterValidator, SerializerFunctionWrapHandler, model_serializer, model_validator
 from pydantic import Field as Setting
 
-from ..core import Settings
+from ..core import Measure, Settings
+from ..errors import UsageError
+from ..registry import alternatives
 
 Seed = Annotated[int, Setting(ge=0, le=10**60)]
 """A seed of at most 60 digits: names of folders contain it."""
@@ -31,7 +33,8 @@ Seeds = Annotated[
 Number: TypeAlias = float  # SweepParameter has fields named float and int
 Whole: TypeAlias = int
 
-OBJECTIVES: dict[str, Literal["maximize", "minimize"]] = {
+Direction = Literal["maximize", "minimize"]
+OBJECTIVES: dict[str, Direction] = {
     "success_any": "maximize",
     "success_end": "maximize",
     "mean_success_any": "maximize",
@@ -47,7 +50,24 @@ success and return are those of the policy `last` in the final test; trials have
 mean_* is the mean over all tests, the area under the learning curve.
 steps_to_* is the number of environment steps until the first test with that `end` success; a run that never reaches it
 counts twice its steps (PAR2, penalised run time in algorithm configuration)."""
+MEASURES = "measures."
+"""Beginning of objectives that are measures of the environment. They are of the same test as success."""
 DEFAULT_TRIALS = 20
+
+
+def directions(objectives: Sequence[str], measures: Sequence[Measure]) -> tuple[Direction, ...]:
+    """maximize or minimize, for each objective, given the environment's measures, which say what is better.
+
+    Raises UsageError for a measure that the environment does not declare.
+    """
+    declared: dict[str, Direction] = {
+        f"{MEASURES}{one.name}": "minimize" if one.better == "smaller" else "maximize" for one in measures
+    }
+    for name in objectives:
+        if name not in OBJECTIVES and name not in declared:
+            hint = alternatives(name, [*OBJECTIVES, *declared])
+            raise UsageError(f"the environment has no objective {name!r}", setting="sweep.objective", hint=hint)
+    return tuple((OBJECTIVES | declared)[name] for name in objectives)
 
 
 def label(value: object) -> str:
@@ -166,8 +186,8 @@ class FinalSettings(Settings):
 def _objectives(value: str | tuple[str, ...]) -> str | tuple[str, ...]:
     names = (value,) if isinstance(value, str) else value
     for name in names:
-        if name not in OBJECTIVES:
-            raise ValueError(f"there is no objective {name!r}; there are {', '.join(OBJECTIVES)}")
+        if name not in OBJECTIVES and not name.startswith(MEASURES):
+            raise ValueError(f"there is no objective {name!r}; there are {', '.join(OBJECTIVES)} and measures.NAME")
     if not names or len(set(names)) < len(names):
         raise ValueError("should contain at least one objective, and none twice")
     return value
@@ -182,7 +202,7 @@ class Sweep(Settings):
     )
     seeds: Seeds = Setting((0, 1), description="seeds of every trial")
     objective: Annotated[str | tuple[str, ...], AfterValidator(_objectives)] = Setting(
-        "success_end", description=f"one or several of {', '.join(OBJECTIVES)}"
+        "success_end", description=f"one or several of {', '.join(OBJECTIVES)}, measures.NAME"
     )
     sampler: Literal["tpe", "gp", "random", "grid"] = Setting(
         "tpe", description="Parzen estimators, Gaussian process, random values, or every combination"

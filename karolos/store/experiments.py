@@ -17,7 +17,7 @@ from ..records.run_records import UNFINISHED, RunSummary
 from ..registry import alternatives
 from . import filters
 from .database import Database
-from .rows import SUMMARY_FIELDS, folder_path
+from .rows import MEASURES, SUMMARY_FIELDS, folder_path, means
 from .runs import shared_values, summaries
 from .tables import RUNS, SPECS, TESTS, TRIALS
 
@@ -71,7 +71,8 @@ def find_experiments(
         raise UsageError(f"runs have no order {order!r}", hint=alternatives(order, ORDERS, what="orders"))
     condition = filters.parse(where) if where is not None else None
     names = condition.keys.intersection(SUMMARY_FIELDS) if condition else frozenset()
-    columns = [RUNS.c[name] for name in sorted({*names, "run", "experiment", "spec", "software", order})]
+    measured = {"measures"} if condition and any(key.startswith(MEASURES) for key in condition.keys) else set()
+    columns = [RUNS.c[name] for name in sorted({*names, *measured, "run", "experiment", "spec", "software", order})]
     query = select(*columns).order_by(RUNS.c.created.desc(), RUNS.c.run.desc())
     if not trials:
         query = query.where(RUNS.c.name.not_in(select(TRIALS.c.name)))
@@ -87,6 +88,8 @@ def find_experiments(
                     own["folder"] = folder_path(own["folder"], database.home)
                 if row.run in current:
                     own |= {name: getattr(current[row.run], name) for name in names}
+                if measured:
+                    own |= means(row.measures)
                 if not condition.matches(shared.get(row.spec, {}) | shared.get(row.software, {}) | own):
                     continue
             matching[row.experiment].append((row.run, getattr(row, order)))

@@ -12,7 +12,7 @@ from ..records import RunFolder
 from ..records.run_records import RunRecord, RunSummary, flatten
 from ..records.shipped import FOLDER, shipped_names
 from ..registry import alternatives, closest
-from .rows import SUMMARY_FIELDS
+from .rows import SUMMARY_FIELDS, means
 from .store import Store
 
 
@@ -32,13 +32,14 @@ class Records(tuple[RunSummary, ...]):
         return _table([_row(record) for record in self.records])
 
     def tests(self) -> Any:
-        """One row per test of each run: run, seed, steps, seconds, success, return. A pandas.DataFrame as `rows`."""
+        """One row per test of each run: run, seed, steps, seconds, success, return, measures; else as `rows`."""
         return _table(
             [
                 {
                     **{name: getattr(record.summary, name) for name in ("run", "name", "experiment", "seed")},
                     **{name: getattr(test, name) for name in ("steps", "seconds", "episodes")},
                     **{name: getattr(test, name) for name in ("success_any", "success_end", "mean_return")},
+                    **means(test.measures),
                 }
                 for record in self.records
                 for test in record.tests
@@ -69,7 +70,7 @@ def runs(
 
 
 def column_values(store: Store, found: Sequence[RunSummary], columns: Sequence[str]) -> list[dict[str, Any]]:
-    """One row per run with these columns: fields of RunSummary, or settings by their key paths; None if it has none.
+    """One row per run with these columns: fields of RunSummary, settings by their key paths, means of measures.
 
     Raises:
         UsageError: no run has a column.
@@ -88,6 +89,7 @@ def column_values(store: Store, found: Sequence[RunSummary], columns: Sequence[s
 def _row(record: RunRecord) -> dict[str, Any]:
     """The fields of the summary, then the settings; a field comes before a setting of the same name."""
     row = record.summary.row()
+    row |= means(row.pop("measures"))
     return row | {key: value for key, value in flatten(record.spec) if key not in row}
 
 

@@ -14,9 +14,12 @@ from sqlalchemy import Connection, Table
 
 from ..errors import StoreError
 from ..records.decode import from_json
+from ..records.results import MeasureMean
 from ..records.run_records import RunSummary
 
 _T = TypeVar("_T")
+MEASURES = "measures."
+"""How keys of measures begin in filters."""
 SUMMARY_FIELDS = tuple(field.name for field in fields(RunSummary))
 
 
@@ -53,6 +56,11 @@ def valid(kind: type[_T], values: Mapping[str, Any], what: str) -> _T:
     if value is None:
         raise StoreError(f"the row of the {what} is damaged", hint="`karolos db reindex` enters it again")
     return value
+
+
+def means(measures: Mapping[str, MeasureMean]) -> dict[str, float | None]:
+    """The means of measures by their keys in filters: measures.peak_force."""
+    return {f"{MEASURES}{name}": one["mean"] for name, one in measures.items()}
 
 
 def without_seeds(spec: Mapping[str, Any]) -> dict[str, Any]:

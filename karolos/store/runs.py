@@ -19,7 +19,7 @@ from ..registry import alternatives, closest
 from . import filters
 from .database import Database
 from .filters import Filter
-from .rows import SUMMARY_FIELDS, summary_of
+from .rows import SUMMARY_FIELDS, means, summary_of
 from .tables import RUNS, SOFTWARE, SPECS, TESTS, TRIALS
 
 MOST_NAMED = 500
@@ -41,7 +41,7 @@ class RunConditions(TypedDict, total=False):
     """Only runs in this state, `lost` included."""
     where: str | None
     """A filter (`karolos.store.filters`) over the fields of RunSummary, the settings of the spec by their key paths
-    (agent.learning_rate), and versions.<package>."""
+    (agent.learning_rate), versions.<package>, and the means of measures (measures.peak_force)."""
     trials: bool | None
     """Only runs of sweeps' trials, or only other runs."""
     limit: int | None
@@ -79,7 +79,7 @@ def find_runs(database: Database, **conditions: Unpack[RunConditions]) -> tuple[
         matching: list[RunSummary] = []
         for row in connection.execute(query):
             run = _summary(row, database.home)
-            values = shared.get(row.spec, {}) | shared.get(row.software, {}) | vars(run)
+            values = shared.get(row.spec, {}) | shared.get(row.software, {}) | means(run.measures) | vars(run)
             if state in (None, run.state) and (condition is None or condition.matches(values)):
                 matching.append(run)
                 if len(matching) == limit:
@@ -110,11 +110,13 @@ def shared_values(connection: Connection, condition: Filter) -> dict[str, dict[s
     """
     wanted = condition.keys.difference(SUMMARY_FIELDS)
     found: dict[str, dict[str, Any]] = {}
+    known = set(SUMMARY_FIELDS)
     if wanted:
         found = {name: dict(flatten(spec)) for name, spec in connection.execute(select(SPECS))}
         for name, versions in connection.execute(select(SOFTWARE)):
             found[name] = {f"versions.{package}": version for package, version in versions.items()}
-    known = {key for values in found.values() for key in values}.union(SUMMARY_FIELDS)
+        measures = map(means, connection.scalars(select(RUNS.c.measures)))
+        known.update(*found.values(), *measures)
 
     def like(key: str) -> str | None:
         endings = [name for name in known if name.rpartition(".")[2] == key]  # learning_rate for agent.learning_rate

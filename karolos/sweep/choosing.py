@@ -12,10 +12,10 @@ from itertools import count, islice
 
 from ..launchers.driver import Driver, Feed
 from ..launchers.runs import Home, RunJob
-from ..records.sweep_records import SweepFinal, Trial, merit
+from ..records.sweep_records import SweepFinal, SweepRecord, Trial, merit
 from ..specification import Spec, spec_of_trial
 from .events import FinalBegan, SweepListener
-from .objectives import directions, measure_all
+from .objectives import measure_all
 
 REPORT_SEED_OFFSET = 2_000_000
 """Distance of the reporting runs' `testing.seed` from the spec's: nothing was tuned or chosen on their tests."""
@@ -32,9 +32,7 @@ def for_report(trial: Spec) -> Spec:
     return trial.model_copy(update={"testing": trial.testing.model_copy(update={"seed": seed})})
 
 
-def choose(
-    base: Spec, home: Home, ranked: Sequence[Trial], driver: Driver, listener: SweepListener
-) -> SweepFinal | None:
+def choose(base: Spec, home: Home, found: SweepRecord, driver: Driver, listener: SweepListener) -> SweepFinal | None:
     """Run the best trials on new seeds, choose the best of them, and run it on further seeds and test episodes.
 
     No seed is one of the sweep or of the spec.
@@ -49,13 +47,15 @@ def choose(
     unused = (seed for seed in count() if seed not in sweep.seeds and seed not in base.seeds)
     seeds = tuple(islice(unused, sweep.final.seeds))
     report_seeds = tuple(islice(unused, sweep.final.report_seeds))
-    best = ranked[: sweep.final.top]
+    best = found.ranked[: sweep.final.top]
     listener(FinalBegan(tuple(trial.number for trial in best), seeds, "choose"))
     fresh = _values(base, home, best, seeds, for_search, run)
     if driver.stop.requested or not fresh:
         return None
-    signs = directions(sweep.objectives)
-    chosen = min((trial for trial in best if trial.number in fresh), key=lambda one: merit(fresh[one.number], signs))
+    chosen = min(
+        (trial for trial in best if trial.number in fresh),
+        key=lambda one: merit(fresh[one.number], found.directions),
+    )
     listener(FinalBegan((chosen.number,), report_seeds, "report"))
     reported = _values(base, home, [chosen], report_seeds, for_report, run)
     if driver.stop.requested:

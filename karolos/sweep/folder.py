@@ -74,9 +74,10 @@ class SweepFolder:
         """
         refusal = RunError("another process runs this sweep", where=str(self.path), hint="wait for it")
         with locked(self.path / LOCK, refusal, _SWEEP_LOCK_SECONDS):
+            self.directions = directions(self.spec)
             sweep, journal = self._claim(), self.path / "journal.log"
             append_lines(journal, ())  # removes an incomplete last line of a killed process
-            self.study = Study(journal, sweep, self.spec.name, self.spec.training.steps)
+            self.study = Study(journal, sweep, self.spec.name, self.spec.training.steps, self.directions)
             self._store, self.listener = store, listener
             yield
 
@@ -131,7 +132,7 @@ class SweepFolder:
             name=self.spec.name,
             experiment=self.spec.hash(),
             objectives=sweep.objectives,
-            directions=directions(sweep.objectives),
+            directions=self.directions,
             parameters=tuple(sweep.space),
             seeds=sweep.seeds,
             asked=self.asked,

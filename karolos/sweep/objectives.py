@@ -7,13 +7,15 @@ from __future__ import annotations
 
 from collections.abc import Mapping, Sequence
 from types import MappingProxyType
-from typing import Literal
 
 import numpy as np
 
+from ..environments.build import opened
 from ..launchers.runs import RunJob
-from ..records.results import TestResult
-from ..specification.sweep import OBJECTIVES
+from ..records.results import TestResult, measure_means
+from ..specification import Spec
+from ..specification.sweep import MEASURES, Direction
+from ..specification.sweep import directions as directions_of
 from ..statistics.aggregates import first_reaching
 
 CENSORED_FACTOR = 2
@@ -22,9 +24,11 @@ Tests = Mapping[int, Sequence[TestResult]]
 """Seed -> its tests, in order."""
 
 
-def directions(objectives: Sequence[str]) -> tuple[Literal["maximize", "minimize"], ...]:
-    """maximize or minimize, for each objective."""
-    return tuple(OBJECTIVES[name] for name in objectives)
+def directions(spec: Spec) -> tuple[Direction, ...]:
+    """maximize or minimize, for each objective of the spec's sweep."""
+    assert spec.sweep is not None  # callers see to it
+    with opened(spec.recipe(randomize=False)) as environment:
+        return directions_of(spec.sweep.objectives, environment.signature.measures)
 
 
 def measure(objective: str, tests: Tests, steps: int, finals: Mapping[int, TestResult] = MappingProxyType({})) -> float:
@@ -53,6 +57,9 @@ def _of_run(objective: str, tests: Sequence[TestResult], steps: int, final: Test
 
 
 def _of_test(name: str, test: TestResult) -> float:
+    if name.startswith(MEASURES):
+        mean = measure_means(test.measures)[name.removeprefix(MEASURES)]["mean"]
+        return float("nan") if mean is None else mean
     return test.mean_return if name == "return" else float(getattr(test, name))
 
 

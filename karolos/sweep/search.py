@@ -104,14 +104,13 @@ class Search:
         ):
             folder.write()
             driver.run(Trials(base, home, self.sweep, jobs, driver.stop, folder))
-            final, ranked = None, folder.write().ranked
-            if self.sweep.final is not None and not driver.stop.requested and ranked:
-                final = choosing.choose(base, home, ranked, driver, listener)
+            final, found = None, folder.write()
+            if self.sweep.final is not None and not driver.stop.requested and found.ranked:
+                final = choosing.choose(base, home, found, driver, listener)
             return self._conclude(folder, final, driver.stop)
 
     def _conclude(self, folder: SweepFolder, final: SweepFinal | None, stop: StopRequest) -> SweepOutcome:
-        from ..report.figures import write_figures  # noqa: PLC0415
-        from ..report.search import search_figures  # noqa: PLC0415
+        from ..report.figures import look, write_plots  # noqa: PLC0415
 
         folder.write_final(final)
         record = folder.write()
@@ -121,9 +120,8 @@ class Search:
             spec = spec if final is None else choosing.for_report(spec)
             folder.write_best(spec, _comment(self.sweep, best, final))
         if best is not None and not stop.requested:  # the figures take seconds, and a resumed sweep draws them
-            sweep = self.sweep
-            drawings = search_figures(record.trials, sweep.objectives[0], sweep.space, folder.study.importances())
-            write_figures(drawings, folder.figures)
+            with look():
+                write_plots(folder.study.figures(), folder.figures)
         return SweepOutcome(**vars(record), front=folder.study.front(), stop_code=stop.exit_code)
 
 

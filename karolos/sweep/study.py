@@ -20,7 +20,7 @@ from optuna.trial import FrozenTrial, TrialState
 from ..core.seeding import SeedTree
 from ..records.sweep_records import SweepTrialState, Trial
 from ..specification import Sweep
-from .objectives import directions
+from ..specification.sweep import Direction
 
 _STATES: dict[TrialState, SweepTrialState] = {
     TrialState.RUNNING: "running",
@@ -32,7 +32,7 @@ _RUNS, _ERROR = "runs", "error"
 optuna.logging.set_verbosity(optuna.logging.ERROR)  # the sweep reports its own progress
 warnings.filterwarnings("ignore", category=optuna.exceptions.ExperimentalWarning)  # constraints.txt pins the version
 FEW_TRIALS = 4
-"""Smallest number of complete trials for parameter importances."""
+"""Smallest number of different results for parameter importances."""
 
 
 class _NoLock(JournalFileOpenLock):
@@ -80,12 +80,13 @@ class Study:
         sweep: the search.
         name: of the sweep; trials are called `<name>-t000` and so on.
         steps: of training, in each run.
+        directions: of the objectives.
     """
 
-    def __init__(self, journal: Path, sweep: Sweep, name: str, steps: int) -> None:
+    def __init__(self, journal: Path, sweep: Sweep, name: str, steps: int, directions: tuple[Direction, ...]) -> None:
         self._sweep = sweep
         self._name = name
-        self._directions = directions(sweep.objectives)
+        self._directions = directions
         self._grid = list(sweep.combinations()) if sweep.sampler == "grid" else []
         storage = JournalStorage(JournalFileBackend(str(journal), lock_obj=_NoLock(str(journal))))
         self._study = optuna.create_study(
@@ -129,23 +130,31 @@ class Study:
         """The Pareto front of the objectives."""
         return tuple(self._record(one) for one in self._study.best_trials)
 
-    def importances(self) -> dict[str, float]:
-        """The importance of each parameter for the first objective, for parameters of every trial; the sum is 1.
+    def figures(self) -> dict[str, Any]:
+        """Optuna's figures of the first objective: history, parallel, and importances if enough results differ.
 
-        Source: Watanabe et al. 2023, "PED-ANOVA". Empty for fewer than 4 complete trials, or equal values.
+        The importances are those of PED-ANOVA (Watanabe et al. 2023).
         """
-        complete = [one for one in self._all() if one.state == TrialState.COMPLETE]
-        if len(complete) < FEW_TRIALS or len({one.values[0] for one in complete}) < 2:
-            return {}
-        sign = -1 if self._directions[0] == "maximize" else 1
+        from optuna.visualization import matplotlib as drawing  # noqa: PLC0415  (takes half a second)
+
+        complete = {one.values[0] for one in self._all() if one.state == TrialState.COMPLETE}
+        of_first: dict[str, Any] = {"target_name": self._sweep.objectives[0]}
+        if len(self._directions) > 1:
+            of_first["target"] = lambda one: one.values[0]
+        sign = -1 if self._directions[0] == "maximize" else 1  # with a target, PED-ANOVA minimises
         with warnings.catch_warnings():
-            warnings.simplefilter("ignore")  # PED-ANOVA warns about targets
-            importances = optuna.importance.get_param_importances(
-                self._study,
-                evaluator=optuna.importance.PedAnovaImportanceEvaluator(),
-                target=lambda one: sign * one.values[0],  # with a target, PED-ANOVA minimises
-            )
-        return {key: float(value) for key, value in importances.items() if math.isfinite(value)}
+            warnings.simplefilter("ignore")  # of targets, and of values that are equal in all trials
+            drawn = {
+                "history": drawing.plot_optimization_history(self._study, **of_first),
+                "parallel": drawing.plot_parallel_coordinate(self._study, **of_first),
+            }
+            if len(complete) >= FEW_TRIALS:
+                drawn["importances"] = drawing.plot_param_importances(
+                    self._study,
+                    evaluator=optuna.importance.PedAnovaImportanceEvaluator(),
+                    target=lambda one: sign * one.values[0],
+                )
+        return {name: axes.figure for name, axes in drawn.items()}
 
     def _all(self) -> list[FrozenTrial]:
         return self._study.get_trials(deepcopy=False)

@@ -13,6 +13,7 @@ from ..environments.build import build_environment, opened
 from ..errors import KarolosError, UsageError, described
 from ..registry import load
 from ..specification import Part, Spec
+from ..specification.sweep import MEASURES, directions
 from .demonstrations import demonstrating_expert
 from .memory import check_memory, environments_of
 
@@ -73,6 +74,8 @@ def check_parts(spec: Spec, jobs: int = 1) -> str | None:
         with _making("buffer", spec.buffer):
             buffer = make_buffer(spec, signature, SeedTree(0), environments=size, discount=agent.discount)
         _check_amounts(spec, agent, buffer)
+        if spec.sweep is not None:
+            directions(spec.sweep.objectives, signature.measures)
         agent.check(buffer, demonstrations=spec.demonstrations is not None)
         if spec.demonstrations is not None:
             buffer.add_demonstrations(())
@@ -148,7 +151,11 @@ def _without_updates(spec: Spec, agent: Agent, buffer: Buffer, max_steps: int) -
 
 def _without_success(spec: Spec, signature: Signature) -> str | None:
     """Why the objective of the spec's sweep may be the same for all trials; None if it is well-defined."""
-    undefined = [] if spec.sweep is None else [name for name in spec.sweep.objectives if name != "return"]
+    undefined = (
+        []
+        if spec.sweep is None
+        else [name for name in spec.sweep.objectives if name != "return" and not name.startswith(MEASURES)]
+    )
     if signature.has_success or not undefined:
         return None
     return f"the environment defines no success, so {undefined[0]} may stay 0: set sweep.objective=return"

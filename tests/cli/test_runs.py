@@ -31,6 +31,7 @@ def rows(*arguments: object) -> list[dict[str, Any]]:
 def add_run(runs: Path, seed: int, state: str = "finished", spec: dict[str, Any] | None = None) -> str:
     flags = (True,) * 19 + (False,)
     test = TestResult(1000, 10.0, flags, flags[::-1], (False,) * 20, (0.0,) * 20, (9,) * 20)
+    test.measures["peak_force"] = {"unit": "N", "better": "smaller", "values": (None, *[10.0 * seed + 4] * 19)}
     with RunFolder.create(runs, "reach", seed) as run, Store(Store.default_url(runs)) as store:
         run.describe(spec or SPEC, experiment="abc", text="environment: toy\n")
         run.add_test(test)
@@ -75,13 +76,18 @@ def test_list_sorts_and_groups(runs: Path) -> None:
 
 
 def test_list_filters_and_limits(runs: Path) -> None:
-    add_run(runs, 0)
+    first = add_run(runs, 0)
     failed, lost = add_run(runs, 1, "failed"), add_run(runs, 2, "running")
     assert [row["run"] for row in rows("list", "--runs", runs, "--state", "failed")] == [failed]
     assert [row["run"] for row in rows("list", "--runs", runs, "--state", "lost")] == [lost]
     assert [row["run"] for row in rows("list", "--runs", runs, "--limit", 1)] == [lost]
     with pytest.raises(UsageError, match="there is no state 'done'"):
         call("list", "--runs", runs, "--state", "done")
+    assert [row["run"] for row in rows("list", "measures.peak_force < 24", "--runs", runs)] == [failed, first]
+    columns = ("--columns", "seed,measures.peak_force", "--sort", "-measures.peak_force")
+    assert [row["measures.peak_force"] for row in rows("list", *columns, "--runs", runs)] == [24, 14, 4]
+    with pytest.raises(UsageError, match=r"no run has 'measures\.peak'; did you mean measures\.peak_force"):
+        call("list", "measures.peak < 24", "--runs", runs)
     nothing = call("list", "--runs", runs, "--state", "stopped")
     assert (nothing.stdout, nothing.stderr) == ("", "no runs are stopped\n")
 
@@ -129,7 +135,8 @@ def test_show_tells_all_about_a_run(runs: Path) -> None:
         f"success_{way}{key}": value for way in ("any", "end") for key, value in (("", 0.95), ("_interval", interval))
     }
     counts = {"steps": 1000, "seconds": 10.0, "episodes": 20, "mean_return": 0.0, "solved_at_reset": 0}
-    assert found["tests"] == [counts | both]
+    measures = {"peak_force": {"unit": "N", "better": "smaller", "mean": 4.0}}
+    assert found["tests"] == [counts | both | {"measures": measures}]
     assert found["checkpoints"] == [{"name": "best", "steps": 1000}]
     assert found["versions"]["python"] == sys.version.split()[0]
     assert found["problems"] == []

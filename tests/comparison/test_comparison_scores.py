@@ -9,8 +9,9 @@ from typing import Any
 import pytest
 from support.compared_runs import SPEC, contender, run
 
-from karolos.comparison import Contender, Estimate, compare
+from karolos.comparison import ComparedRun, Contender, Estimate, compare
 from karolos.errors import UsageError
+from karolos.report.comparison_tables import measures_table
 from karolos.statistics.intervals import wilson
 
 FIVE = [[0, 50, 90], [0, 40, 100], [10, 60, 95], [0, 0, 0], [0, 20, 85]]
@@ -32,6 +33,22 @@ def test_two_seeds_and_more_have_their_range_and_five_a_bootstrap_interval(seeds
     assert scores.any.kind == kind
     assert 0 <= scores.any.low < scores.any.value < scores.any.high <= (seeds - 1) / 10
     assert kind != "range" or (scores.any.low, scores.any.high) == (0, (seeds - 1) / 10)
+
+
+def test_measures_are_means_over_seeds_and_unknown_where_a_seed_does_not_know() -> None:
+    def known(seed: int, force: float, time: float | None) -> ComparedRun:
+        about = {"peak_force": ("N", "smaller", force), "time": ("s", "larger", time)}
+        measures = {name: dict(zip(("unit", "better", "mean"), one, strict=True)) for name, one in about.items()}
+        return run(seed, [10], measures=measures)
+
+    comparison = compare([Contender("a", (known(0, 20.0, None), known(1, 40.0, 2.0))), contender("old", [[10]])])
+    [scores, old] = comparison.scores
+    assert scores.measures == {"peak_force": Estimate(30.0, 20.0, 40.0, "range"), "time": None}
+    assert old.measures == {}
+    assert measures_table(comparison).rows == [("peak_force, N", "30.0 (20.0 to 40.0)", "-")]
+    assert comparison.rows()[0]["measures"]["time"] == {
+        "unit": "s", "better": "larger", "value": None, "seeds": [None, 2.0]
+    }  # fmt: skip
 
 
 def test_inter_quartile_mean_leaves_out_a_quarter_at_each_end() -> None:

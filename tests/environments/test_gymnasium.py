@@ -53,6 +53,17 @@ def test_box_actions_are_rescaled() -> None:
         environment.step(np.array([np.nan]))
 
 
+def test_measures_are_numbers_of_the_last_info() -> None:
+    measures = {"is_success": {"better": "larger"}, "force": {"unit": "N", "better": "smaller"}}
+    environment = make(id=POINT, goals=True, measures=measures)
+    assert [one.unit for one in environment.signature.measures] == ["1", "N"]
+    end = play(environment, 0, [0.0, 0.0])[-1]
+    np.testing.assert_array_equal(environment.measures(), np.array([end.success, np.nan], np.float32))
+    environment._info = {"force": "much"}
+    with pytest.raises(UsageError, match="other values than numbers"):
+        environment.measures()
+
+
 def test_own_limit_of_steps_truncates() -> None:
     steps = play(make(id="Pendulum-v1", max_steps=7), 0, [0.0])
     assert len(steps) == 8

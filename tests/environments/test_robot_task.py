@@ -1,9 +1,12 @@
 from __future__ import annotations
 
+from itertools import pairwise
+from math import dist
+
 import numpy as np
 import pytest
+from support.rig import ENGINES, part
 from support.rig import made as made_of
-from support.rig import part
 
 from karolos.environments.build import build_environment
 from karolos.environments.robot_task import RobotTask
@@ -73,10 +76,39 @@ def test_physics_blow_up_truncates_with_finite_numbers_and_the_next_episode_is_s
     assert not step.terminated
     assert all(np.isfinite(part).all() for part in step)
     assert made.divergences == 1
+    assert np.isnan(made.measures()).all()
     with pytest.raises(RuntimeError, match="over"):
         made.step(np.zeros(3))
     np.testing.assert_array_equal(made.reset(3).observation, reference.observation)
     assert not made.step(np.zeros(3)).truncated
+    made.close()
+
+
+@pytest.mark.parametrize("engine", ENGINES)
+def test_measures_are_those_of_the_episode(engine: str) -> None:
+    made = made_of("push", environment={"engine": engine})
+    step, robot, expert = made.reset(3), made.robot, made.expert()
+    expert.reset()
+    made.world.forces(robot.body)  # PyBullet records all of them from the first question on
+    tools, reached, forces, speeds = [robot.tool_position], [False], [], []
+    while not step.truncated:
+        step = made.step(expert.act())
+        tools.append(robot.tool_position)
+        reached.append(bool(step.success))
+        forces += made.world.forces(robot.body).values()
+        speeds += [abs(one) / most for one, most in zip(robot.joint_velocities, robot.limits.velocity, strict=True)]
+    found = dict(zip([one.name for one in made.signature.measures], made.measures().tolist(), strict=True))
+    assert found["path_length"] == pytest.approx(sum(dist(*pair) for pair in pairwise(tools)), rel=1e-5)
+    assert found["peak_force"] == pytest.approx(max(forces), rel=1e-5)
+    assert found["final_distance"] == pytest.approx(dist(step.achieved_goal, step.desired_goal), rel=1e-4)
+    since = len(reached) - reached[::-1].index(False)
+    assert found["time_to_success"] == pytest.approx(since / made.rate)
+    assert max(speeds) <= found["peak_joint_speed"] * 1.00001 <= 1
+    assert 0.1 < found["peak_joint_torque"] <= 1.001
+    assert 0.1 < found["peak_joint_acceleration"] <= 1.05
+    made.reset(3)
+    made.step(np.zeros(3))
+    assert made.measures()[2] < 0.1 * found["path_length"], "an episode begins with none"
     made.close()
 
 

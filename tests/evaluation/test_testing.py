@@ -9,11 +9,11 @@ from hypothesis import given, settings
 from hypothesis import strategies as st
 from support.processes import kill_worker
 
-from karolos.core import Environment, Field, GoalRule, Layout, Signature, Step
+from karolos.core import Environment, Field, GoalRule, Layout, Measure, Signature, Step
 from karolos.environments.toy import Toy
 from karolos.evaluation.testing import play_episodes, test_seeds
 from karolos.orchestrator.local import Local
-from karolos.records.results import TestResult
+from karolos.records.results import TestResult, measure_means
 
 # What an episode is: whether the goal holds at the reset and after each step, and whether it ends by termination.
 Script = tuple[tuple[bool, ...], bool]
@@ -123,17 +123,25 @@ class TenthsOfSteps(GoalRule):
 class Measured(Scripted):
     def __init__(self, scripts: list[Script]) -> None:
         super().__init__(scripts)
-        self.signature = replace(self.signature, goal_rule=TenthsOfSteps())
+        measures = Measure("steps", "1", "smaller", ""), Measure("won", "m", "larger", "")
+        self.signature = replace(self.signature, goal_rule=TenthsOfSteps(), measures=measures)
+
+    def measures(self) -> np.ndarray:
+        return np.array([self._step, self._step / 3 if self._successes[self._step] else np.nan], np.float32)
 
 
 @pytest.mark.parametrize("size", [1, 3, 8])
-def test_distances_are_those_at_the_end_of_each_episode_and_unknown_without_a_rule(size):
+def test_distances_and_measures_are_those_at_the_end_of_each_episode_and_unknown_without_a_rule(size):
     with Local(Local.Settings(processes=0, environments=size), partial(Measured, SCRIPTS)) as orchestrator:
         result = play_episodes(orchestrator, Echo(), range(len(SCRIPTS)))
     assert result.distances == pytest.approx((0.2, 0.2, 0.1, 0.4, 0.1))
     assert (result.within(0.05), result.within(0.15), result.within(0.25)) == (0, 0.4, 0.8)
+    assert result.measures["steps"] == {"unit": "1", "better": "smaller", "values": (2, 2, 1, 4, 1)}
+    assert result.measures["won"]["values"] == (None, 0.666667, None, None, 0.333333)
+    assert measure_means(result.measures)["won"]["mean"] == pytest.approx(0.5)
     without = play(SCRIPTS, size)
     assert without.distances is None
+    assert without.measures == {}
     assert without.within(0.05) is None
 
 

@@ -15,7 +15,8 @@ from karolos import checkpoint
 from karolos.core import Agent
 from karolos.core.deployed import Deployed, Layer
 from karolos.errors import MachineError, RunError, UsageError
-from karolos.export import NumpyPolicy, export_policy
+from karolos.export import NumpyPolicy
+from karolos.export.export import export_policy
 from karolos.export.onnx_file import run_onnx
 from karolos.registry import load, names
 

@@ -11,7 +11,8 @@ import numpy as np
 import pytest
 from support.exported_policies import trained
 
-from karolos.export import NumpyPolicy, export_policy, numpy_policy
+from karolos.export import NumpyPolicy, numpy_policy
+from karolos.export.export import export_policy
 
 DOCS = Path(__file__).parents[2] / "docs" / "export.md"
 ALONE = """

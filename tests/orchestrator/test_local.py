@@ -8,7 +8,7 @@ import pytest
 from hypothesis import given
 from hypothesis import strategies as st
 from pydantic import ValidationError
-from support.fake_environments import FINE, Fake
+from support.fake_environments import END, FINE, Fake
 
 from karolos.core import Field, Layout, Signature
 from karolos.orchestrator.local import Local
@@ -47,6 +47,17 @@ def test_parameters_are_those_of_the_running_episode(layout):
         orchestrator.reset([0], [12])
         orchestrator.receive()
         np.testing.assert_array_equal(orchestrator.parameters([0, 3]), [[12, 6], [40, 20]])
+
+
+@pytest.mark.parametrize("layout", [(0, 1, 4), (2, 1, 2)])
+def test_measures_are_those_of_the_episode_that_ended_last(layout):
+    with make(*layout) as orchestrator:
+        orchestrator.reset([0, 3], [10, 40])
+        orchestrator.receive()
+        for actions in ([FINE, END], [END]):
+            orchestrator.step([0, 3][: len(actions)], np.array(actions, np.float32)[:, None])
+            orchestrator.receive()
+        np.testing.assert_array_equal(orchestrator.measures([3, 0]), [[1, np.nan], [2, np.nan]])
 
 
 @pytest.mark.parametrize("layout", [(0, 1, 1), (1, 1, 1)])

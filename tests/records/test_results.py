@@ -26,6 +26,12 @@ results = st.integers(1, 9).flatmap(
         lengths=st.tuples(*[st.integers(0, 2**40)] * n),
         distances=st.none() | st.tuples(*[st.floats(0)] * n),
         has_success=st.booleans(),
+        measures=st.dictionaries(
+            st.sampled_from(["peak_force", "miss"]),
+            st.tuples(*[st.none() | st.floats(-1e6, 1e6)] * n).map(
+                lambda values: {"unit": "N", "better": "larger", "values": values}
+            ),
+        ),
     )
 )
 

@@ -20,6 +20,7 @@ from karolos.simulation import engines, urdf
 from karolos.simulation.engines import Engine, make_world
 from karolos.simulation.interface import Body, Camera, JointLimits, Motors, World
 from karolos.simulation.interface.engine import Material
+from karolos.simulation.parts import Mechanism
 from karolos.simulation.shapes import Capsule, Cuboid, Inertia, Sphere, inertia_of, volume_of
 from karolos.specification import spec_from_dict
 
@@ -77,7 +78,7 @@ def test_a_falling_body_falls_as_it_must(divided: World) -> None:
 
 def pendulum(world: World, effort: float, speed: float = 2.0) -> tuple[Body, Motors]:
     """A pendulum held horizontally, far above the floor."""
-    body = world.load(urdf.ElementTree.fromstring(PENDULUM), position=(0.0, 0.0, 3.0))
+    body = world.load(Mechanism(urdf.ElementTree.fromstring(PENDULUM)), position=(0.0, 0.0, 3.0))
     motors = world.motors(body, ["arm"], JointLimits((-3.0,), (3.0,), (speed,), (effort,)), None)
     motors.write([0.0], 0.0)
     return body, motors
@@ -324,7 +325,7 @@ def test_a_urdf_that_the_engine_refuses_is_a_clear_error(world: World) -> None:
         assert child is not None
         child.set("link", "nowhere")
     with pytest.raises(PluginError, match="cannot load"):
-        world.load(robot)
+        world.load(Mechanism(robot))
 
 
 def test_a_window_without_a_display_is_a_clear_error(engine: Engine, monkeypatch: pytest.MonkeyPatch) -> None:

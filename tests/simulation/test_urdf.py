@@ -14,6 +14,7 @@ from karolos.plugins.contracts.joined import joined
 from karolos.robots.panda import Panda
 from karolos.simulation import urdf
 from karolos.simulation.bullet.world import World
+from karolos.simulation.parts import Mechanism
 
 PANDA = Panda.model.urdf
 LIMIT = '<limit lower="0" upper="1" effort="1" velocity="1"/>'
@@ -55,8 +56,8 @@ def test_welded_robot_weighs_as_much_on_its_joints_as_the_whole_one() -> None:
     pytest.importorskip("pybullet")
     world = World()
     pose = [0.3, 0.5, -0.2, -1.5, 0.4, 2.0, 0.9]
-    whole = world.load(urdf.read(PANDA))
-    welded = world.load(urdf.weld(urdf.read(PANDA), {"finger_joint1": 0.0, "finger_joint2": 0.0}))
+    whole = world.load(Mechanism(urdf.read(PANDA)))
+    welded = world.load(Mechanism(urdf.weld(urdf.read(PANDA), {"finger_joint1": 0.0, "finger_joint2": 0.0})))
 
     def torques(index: int, fingers: int) -> list[float]:
         nothing = [0.0] * (7 + fingers)

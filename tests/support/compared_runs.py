@@ -55,6 +55,7 @@ def run(
         "state": "finished",
         "steps": len(tests) * interval,
         "seconds": len(tests) * interval / rate,
+        "updates": len(tests) * interval / rate * 50,
         **dict.fromkeys(("success_any", "success_end", "steps_to_95", "seconds_to_95", "robot", "error"), None),
         "name": name,
         "episodes": episodes,
@@ -66,7 +67,7 @@ def run(
         "updated": "2026-01-01T00:00:00.000000Z",
         "folder": f"/nowhere/{name}-s{seed}",
     }
-    return ComparedRun(RunSummary(**values | summary), tests, spec, versions or {}, commit, 50.0)
+    return ComparedRun(RunSummary(**values | summary), tests, spec, versions or {}, commit)
 
 
 def contender(label: str, curves: Sequence[Sequence[int]], **options: Any) -> Contender:

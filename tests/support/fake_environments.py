@@ -7,7 +7,7 @@ import time
 
 import numpy as np
 
-from karolos.core import Discrete, Environment, Field, Layout, Signature, Step
+from karolos.core import Discrete, Environment, Field, Layout, Measure, Signature, Step
 from karolos.errors import KarolosError, PluginError
 
 OBSERVATION = Layout(tuple(Field(name, 1) for name in ("pid", "steps", "torch", "blas_threads", "main_imported")))
@@ -44,6 +44,7 @@ class Fake(Environment):
             Discrete(tuple("0123456789")) if recipe == "discrete" else Layout((Field("trouble", 1),)),
             max_steps=100,
             parameters=Layout((Field("seed", 1), Field("half", 1))),
+            measures=(Measure("steps", "1", "smaller", "of the episode"), Measure("never", "N", "larger", "undefined")),
         )
         self._recipe = recipe
         self._steps = 0
@@ -87,6 +88,9 @@ class Fake(Environment):
 
     def parameters(self) -> np.ndarray:
         return np.array([self._seed, self._seed / 2], np.float32)
+
+    def measures(self) -> np.ndarray:
+        return np.array([self._steps, np.nan], np.float32)
 
     def _step(self) -> Step:
         threads = os.environ.get("OMP_NUM_THREADS", "0")

@@ -7,10 +7,12 @@ import math
 import pytest
 from support.sweep_samples import LEARNING_RATE, sweep_spec
 
+from karolos.errors import UsageError
 from karolos.records.results import TestResult
 from karolos.specification import spec_from_dict
-from karolos.sweep.objectives import measure, nominal_steps, so_far
+from karolos.sweep.objectives import directions, measure, nominal_steps, so_far
 from karolos.sweep.study import Study
+from karolos.training.assembly import check_parts
 
 CONDITIONAL = {
     **LEARNING_RATE,
@@ -20,7 +22,8 @@ CONDITIONAL = {
 
 
 def study(folder, space=CONDITIONAL, **sweep) -> Study:
-    return Study(folder / "journal.log", spec_from_dict(sweep_spec(space, **sweep)).sweep, "line", 200)
+    spec = spec_from_dict(sweep_spec(space, **sweep))
+    return Study(folder / "journal.log", spec.sweep, "line", 200, directions(spec))
 
 
 def finish(one: Study, count: int) -> None:
@@ -111,17 +114,29 @@ def test_several_objectives_give_a_front(tmp_path):
     assert [trial.number for trial in one.front()] == [0, 1]
 
 
+def test_a_measure_says_itself_what_is_better_and_one_that_is_not_there_is_refused():
+    spec = spec_from_dict(sweep_spec(LEARNING_RATE, objective=["measures.final_distance", "success_end"]))
+    assert directions(spec) == ("minimize", "maximize")
+    unknown = spec_from_dict(sweep_spec(LEARNING_RATE, objective="measures.distance"))
+    with pytest.raises(UsageError, match=r"no objective 'measures\.distance'; did you mean 'measures\.final_distance'"):
+        check_parts(unknown)
+
+
 def test_importance_finds_what_matters(tmp_path):
     one = study(tmp_path, {**LEARNING_RATE, "agent.discount": {"float": [0.5, 0.9]}}, sampler="random")
-    assert one.importances() == {}
+    finish(one, 2)
+    assert set(one.figures()) == {"history", "parallel"}
     finish(one, 40)
-    found = one.importances()
-    assert found["agent.learning_rate"] > 0.6 > found["agent.discount"]
+    [axes, *_] = one.figures()["importances"].axes
+    names = [label.get_text() for label in axes.get_yticklabels()]
+    shares = dict(zip(names, (bar.get_width() for bar in axes.patches), strict=True))
+    assert shares["agent.learning_rate"] > 0.6 > shares["agent.discount"]
 
 
 def result(steps: int, successes: int, value: float = -1.0) -> TestResult:
     flags = tuple(place < successes for place in range(10))
-    return TestResult(steps, 1.0, flags, flags, (False,) * 10, (value,) * 10, (5,) * 10)
+    miss = {"unit": "m", "better": "smaller", "values": (None, 2.0, 3.0)}
+    return TestResult(steps, 1.0, flags, flags, (False,) * 10, (value,) * 10, (5,) * 10, measures={"miss": miss})
 
 
 TESTS = {0: [result(100, 2), result(200, 10)], 1: [result(100, 4), result(200, 8)]}
@@ -133,6 +148,7 @@ TESTS = {0: [result(100, 2), result(200, 10)], 1: [result(100, 4), result(200, 8
         ("success_end", 0.9),
         ("mean_success_any", 0.6),
         ("return", -1.0),
+        ("measures.miss", 2.5),
         ("steps_to_50", 200),
         ("steps_to_95", (200 + 2 * 200) / 2),  # the second never gets there: twice its steps
     ],

@@ -2,16 +2,17 @@
 
 from __future__ import annotations
 
+from collections.abc import Mapping
 from functools import partial
 from importlib.util import find_spec
 from pathlib import Path
-from typing import Any
+from typing import Any, Literal
 
 import numpy as np
 from pydantic import Field as Setting
 from pydantic import JsonValue, field_validator, model_validator
 
-from ...core import Array, Discrete, Environment, Field, Layout, Signature, Step
+from ...core import Array, Discrete, Environment, Field, FloatArray, Layout, Measure, Signature, Step
 from ...core import Settings as BaseSettings
 from ...errors import KarolosError, MachineError, UsageError, described
 from ..action_set import action_index
@@ -20,6 +21,14 @@ from .goals import GOALS, GymnasiumGoals
 ID_SETTING = "environment.id"
 MOST_ACTIONS = 100_000
 NO_GOAL = np.zeros(0, np.float32)
+
+
+class InfoMeasure(BaseSettings):
+    """A measure in the info of an environment."""
+
+    unit: str = Setting("1", description="e.g. N; 1: a number without unit")
+    better: Literal["smaller", "larger"] = Setting(description="which of two values is better")
+    description: str = Setting("", description="one line")
 
 
 class Gymnasium(Environment):
@@ -35,6 +44,7 @@ class Gymnasium(Environment):
     return of at least `success_return`; without it, of at least the `reward_threshold` the id is registered with;
     without either, `info["is_success"]`, and results show returns only until a test has such a success. Returns are
     judged at the end only: where rewards are negative, every episode begins above any threshold.
+    Measures: numbers in the `info` of the last step, by the names in `measures`; undefined where the info lacks one.
 
     Raises:
         UsageError: unknown id, spaces that karolos cannot use, or a `compute_reward` that disagrees with the rewards;
@@ -67,6 +77,9 @@ class Gymnasium(Environment):
             "compute_terminated says, false without one",
         )
         flatten_goals: bool = Setting(False, description="take the goals of a goal environment as observations")
+        measures: dict[str, InfoMeasure] = Setting(
+            {}, description="what an episode is measured by: keys of the last step's info, each with unit and better"
+        )
         window: bool = Setting(False, description="show the environment in a window; needs a display")
 
         @field_validator("id")
@@ -89,7 +102,7 @@ class Gymnasium(Environment):
 
         def identity(self) -> dict[str, Any]:
             """The settings that results depend on."""
-            return self.model_dump(mode="json", exclude={"window"})
+            return self.model_dump(mode="json", exclude={"window", "measures"})
 
     def __init__(self, settings: Gymnasium.Settings) -> None:
         self.settings = settings
@@ -117,6 +130,7 @@ class Gymnasium(Environment):
                 reward_range=settings.reward_range or (-np.inf, np.inf),
                 goal_rule=self._rule,
                 has_success=settings.goals or settings.flatten_goals or self._success_return is not None,
+                measures=tuple(Measure(name, **dict(one)) for name, one in settings.measures.items()),
                 **goals,
             )
         except BaseException:
@@ -128,6 +142,8 @@ class Gymnasium(Environment):
         self._steps = steps  # no episode is running
         self._return = 0.0
         self._last: Step | None = None
+        self._info: Mapping[str, Any] = {}
+        """Of the last step."""
 
     def reset(self, seed: int) -> Step:
         observation, info = self._env.reset(seed=seed)
@@ -146,12 +162,13 @@ class Gymnasium(Environment):
             raise RuntimeError(f"{self.settings.id}: the episode is over; reset the environment first")
         observation, reward, terminated, truncated, info = self._env.step(converted)
         self._steps += 1
+        self._info = info
         reward = float(reward)
         out_of_time = bool(truncated) or self._steps >= self.signature.max_steps
         self._return += reward
         step = self._step(observation, reward, bool(terminated), out_of_time and not terminated, info)
         if not (np.isfinite(reward) and all(np.isfinite(values).all() for values in step[:3])):
-            self._steps = self.signature.max_steps
+            self._steps, self._info = self.signature.max_steps, {}
             return self._last._replace(reward=0.0, terminated=False, truncated=True, success=False, diverged=True)
         if self._rule is not None:
             self._rule.check_end(step)
@@ -184,6 +201,16 @@ class Gymnasium(Environment):
         low, high = space.low.astype(np.float64).ravel(), space.high.astype(np.float64).ravel()
         middle = low + (np.clip(action, -1, 1) + 1) / 2 * (high - low)
         return np.clip(middle.astype(space.dtype).reshape(space.shape), space.low, space.high)
+
+    def measures(self) -> FloatArray:
+        values = {one.name: self._info.get(one.name) for one in self.signature.measures}
+        try:
+            found = np.array(list(values.values()), np.float32)
+        except (TypeError, ValueError) as error:
+            what = f"the info of {self.settings.id} has other values than numbers: {values}"
+            raise UsageError(what, setting="environment.measures", hint="name keys whose values are numbers") from error
+        found[np.isinf(found)] = np.nan
+        return found
 
     def render(self, width: int = 640, height: int = 480) -> Array:
         if self._env.render_mode != "rgb_array":

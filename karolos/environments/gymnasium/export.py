@@ -100,13 +100,20 @@ class GoalEnv(gymnasium.Env[Observation, NDArray[np.float32]]):
         return _observed(step), info
 
     def step(self, action: NDArray[np.float32]) -> tuple[Observation, float, bool, bool, dict[str, Any]]:
-        """One control step. Raises ValueError for a wrong shape or NaN, RuntimeError after the end of the episode."""
+        """One control step. At the end of an episode the info has its measures, nan where undefined.
+
+        Raises ValueError for a wrong shape or NaN, RuntimeError after the end of the episode.
+        """
         step = self._environment.step(np.array(action, np.float32))
         if self.render_mode == "human":  # in real time
             now, period = time.monotonic(), 1 / self._environment.rate
             time.sleep(max(0.0, min(self._shown + period - now, period)))
             self._shown = time.monotonic()
-        return _observed(step), float(step.reward), bool(step.terminated), bool(step.truncated), self._info(step)
+        info, measures = self._info(step), self._environment.signature.measures
+        if measures and (step.terminated or step.truncated):
+            values = self._environment.measures().tolist()
+            info["measures"] = {one.name: value for one, value in zip(measures, values, strict=True)}
+        return _observed(step), float(step.reward), bool(step.terminated), bool(step.truncated), info
 
     def _info(self, step: Step, *, started: bool = True) -> dict[str, Any]:
         info = {"is_success": bool(step.success), "truncated": bool(step.truncated), "diverged": bool(step.diverged)}

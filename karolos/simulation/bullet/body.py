@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 from collections.abc import Collection, Sequence
+from functools import cached_property
 from typing import Any
 
 import numpy as np
@@ -73,6 +74,26 @@ class Body:
     def joints(self, joints: Sequence[int]) -> tuple[tuple[float, float, Any, float], ...]:
         states: tuple[tuple[float, float, Any, float], ...] = self.api.getJointStates(self.index, joints)
         return states
+
+    @cached_property
+    def _named(self) -> dict[str, int]:
+        """Index of each joint by name."""
+        count = self.api.getNumJoints(self.index)
+        return {self.api.getJointInfo(self.index, joint)[1].decode(): joint for joint in range(count)}
+
+    def joint(self, name: str) -> tuple[float, float]:
+        position, velocity, *_ = self.api.getJointState(self.index, self._named[name])
+        return position, velocity
+
+    def place_joint(self, name: str, position: float) -> None:
+        self.api.resetJointState(self.index, self._named[name], position, 0.0)
+
+    def drive_joint(self, name: str, speed: float, force: float) -> None:
+        mode = self.api.VELOCITY_CONTROL
+        self.api.setJointMotorControl2(self.index, self._named[name], mode, targetVelocity=speed, force=force)
+
+    def set_joint_damping(self, name: str, damping: float) -> None:
+        self.change(self._named[name], jointDamping=damping)
 
     def set_friction(self, lateral: float, link: int = -1) -> None:
         self.change(link, lateralFriction=lateral)

@@ -4,10 +4,13 @@ from __future__ import annotations
 
 from collections.abc import Mapping, Sequence
 from functools import partial
+from math import exp
 
 import numpy as np
 
-from ..interface.engine import FINGER_RATE, OPENS, PHYSICS_RATE, Fingers, JointLimits, Loads
+from ...errors import UsageError
+from ..geometry import Quaternion, Vector, matrix_of
+from ..interface.engine import FINGER_RATE, OPENS, PHYSICS_RATE, Fingers, Frame, JointLimits, Loads, Spring
 from .body import Body
 
 STABLE_DAMPING = 0.5
@@ -23,6 +26,7 @@ class Motors:
         timestep: seconds of a physics step.
         joints: of the arm, from base to wrist, as the body counts them.
         pads: joints of the two fingers; empty without a gripper.
+        tool: frame of the tool in the last link; None for an arm without.
     """
 
     def __init__(
@@ -35,9 +39,14 @@ class Motors:
         pads: Sequence[int],
         *,
         timestep: float,
+        tool: Frame | None = None,
     ) -> None:
         self.pads = pads
         self._timestep = timestep
+        self._tool = tool
+        self.feels = False
+        """Whether the wrench is measured in every physics step."""
+        self._wrench, self._share, self._peak = np.zeros(6), 1.0, 0.0
         self._body, self.index = body, body.index
         self._api = api = body.api
         self._fractions = [(step + 1) / substeps for step in range(substeps)]
@@ -119,6 +128,7 @@ class Motors:
         self._begin = self._end = (0.0,) * len(self._arm)
         self._write(self._arm, positions, self._begin)
         self._speeds, self._loads[:], self.largest = np.array(self._begin), 0.0, {}
+        self._wrench[:] = self._peak = 0.0
         if self._fingers is not None:
             finger = self._fingers.position(opening)
             self._write(self.pads, [finger, finger], [0.0, 0.0])
@@ -166,9 +176,44 @@ class Motors:
         np.maximum(self._loads, np.abs((self._speeds, rises, torques)), out=self._loads)
         for key, force in forces.items():
             self.largest[key] = max(self.largest.get(key, 0.0), force)
+        if not self.feels:
+            self.feel(1.0)
 
     def loads(self) -> Loads:
-        return Loads(*self._loads.tolist())
+        speed, acceleration, torque = self._loads.tolist()
+        return Loads(speed, acceleration, torque, self._peak)
+
+    def attach(self, spring: Spring) -> None:  # noqa: ARG002
+        raise UsageError("PyBullet has no springs at tools", hint="set environment.engine=mujoco")
+
+    def aim(self, position: Vector, orientation: Quaternion, velocity: Vector, spin: Vector) -> None:
+        """Nothing: there is no spring."""
+
+    def wrench(self) -> Sequence[float]:
+        self.feels = True
+        felt: list[float] = self._wrench.tolist()
+        return felt
+
+    def set_wrench_filter(self, seconds: float) -> None:
+        self._share = 1 - exp(-self._timestep / seconds) if seconds else 1.0
+
+    def feel(self, share: float | None = None) -> None:
+        """Take what contacts did to the hand in the last physics step into the wrench, with its low-pass's share."""
+        if self._tool is None:
+            return
+        share = self._share if share is None else share
+        hand, now = {self._arm[-1], *self.pads}, np.zeros(6)
+        _, _, _, _, place, turn, *_ = self._api.getLinkState(self._body.index, self._arm[-1], 0, 1)
+        place, turn = self._api.multiplyTransforms(place, turn, *self._tool)
+        for _, _, other, link, opposite, at, _, normal, _, force, *friction in self._api.getContactPoints(self.index):
+            if link in hand and not (other == self.index and opposite in hand):
+                total = force * np.array(normal)
+                for size, direction in zip(friction[::2], friction[1::2], strict=True):
+                    total += size * np.array(direction)
+                now += (*total, *np.cross(np.subtract(at, place), total))
+        own = matrix_of(turn).T
+        self._wrench += share * (np.concatenate((own @ now[:3], own @ now[3:])) - self._wrench)
+        self._peak = max(self._peak, float(np.linalg.norm(self._wrench[:3])))
 
     def read(self) -> tuple[Sequence[float], Sequence[float], float]:
         positions, velocities, _, _ = zip(*self._body.joints(self._joints), strict=True)

@@ -16,13 +16,13 @@ from numpy.typing import NDArray
 from ...core import Array, FloatArray
 from ...errors import PluginError
 from .. import parts
-from ..geometry import Vector
+from ..fixtures import read
+from ..geometry import Colour, Vector
 from ..interface.engine import (
     FLOOR_FRICTION,
     GRAVITY,
     PHYSICS_RATE,
     Camera,
-    Colour,
     Contact,
     Fingers,
     Frame,
@@ -30,6 +30,7 @@ from ..interface.engine import (
 )
 from ..interface.engine import Body as AnyBody
 from ..meshes import stl, triangles
+from ..parts import Mechanism
 from ..picture import FLOOR_COLOUR, GRID_COLOUR, GRIDS, SKY_COLOUR, Eye, Marker, draw
 from ..shapes import Inertia, Shape, inertia_of
 from .body import Body
@@ -122,6 +123,9 @@ class World:
             for motors in self._motors:
                 motors.substep(substep)
             self.api.stepSimulation()
+            for motors in self._motors:
+                if motors.feels:
+                    motors.feel()
             for body, peaks in self._peaks.items():
                 now = self._forces(body)
                 self._peaks[body] = {key: max(peaks.get(key, 0.0), now.get(key, 0.0)) for key in (*peaks, *now)}
@@ -135,8 +139,14 @@ class World:
     def set_floor_friction(self, friction: float) -> None:
         self.floor.set_friction(friction)
 
-    def load(self, robot: Element, *, position: Vector = (0.0, 0.0, 0.0)) -> Body:
-        return Body(self.api, self._load(robot, fixed=True, position=position))
+    def load(self, source: Path | Mechanism, *, position: Vector = (0.0, 0.0, 0.0)) -> Body:
+        mechanism = read(source) if isinstance(source, Path) else source
+        body = Body(self.api, self._load(mechanism.robot, fixed=True, position=position))
+        if mechanism.frictions:
+            body.collide_only(())
+        for name, friction in mechanism.frictions.items():
+            body.drive_joint(name, 0.0, friction)
+        return body
 
     def _load(self, robot: Element, *, fixed: bool, maximal: bool = False, position: Vector = (0.0, 0.0, 0.0)) -> int:
         robot = copy.deepcopy(robot)
@@ -168,12 +178,14 @@ class World:
         joints: Sequence[str],
         limits: JointLimits,
         fingers: Fingers | None,
-        tool: Frame | None = None,  # noqa: ARG002 (of the wrench and springs)
+        tool: Frame | None = None,
     ) -> Motors:
         links = body.links()
         pads = [links[name] for name in fingers.links] if fingers else []
         arm = [links[name] for name in joints]
-        motors = Motors(Body(self.api, body.index), self.substeps, limits, arm, fingers, pads, timestep=self.timestep)
+        motors = Motors(
+            Body(self.api, body.index), self.substeps, limits, arm, fingers, pads, timestep=self.timestep, tool=tool
+        )
         self._motors.append(motors)
         return motors
 

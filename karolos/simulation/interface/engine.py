@@ -8,11 +8,12 @@ from __future__ import annotations
 from collections.abc import Collection, Mapping, Sequence
 from dataclasses import dataclass
 from operator import gt
+from pathlib import Path
 from typing import Any, Final, NamedTuple, Protocol
-from xml.etree.ElementTree import Element
 
 from ...core import Array
-from ..geometry import UPRIGHT, Quaternion, Vector
+from ..geometry import UPRIGHT, Colour, Quaternion, Vector
+from ..parts import Mechanism
 from ..shapes import Inertia, Shape
 
 PHYSICS_RATE: Final = 240
@@ -25,8 +26,6 @@ OPENS = 0.01
 """The gripper opens while its commanded opening (0 to 1) is larger than the measured one by more than this."""
 FINGER_RATE = 24.0
 """Speed in 1/s by which a finger closes the distance to its target."""
-Colour = tuple[float, float, float, float]
-"""Red, green, blue, opacity in [0, 1]."""
 
 
 @dataclass(frozen=True)
@@ -92,7 +91,7 @@ class Material:
 
 
 OBJECT_MATERIAL = Material(stiffness=4e5)
-"""Of a free body, if nothing else is said."""
+"""Of a free body and of what moves on a mechanism, if nothing else is said."""
 
 
 Frame = tuple[Vector, Quaternion]
@@ -192,6 +191,18 @@ class Body(Protocol):
     def joints(self, joints: Sequence[int]) -> tuple[tuple[float, float, Any, float], ...]:
         """For each joint its position (rad or m), velocity (per s), reaction forces and motor torque (N m or N)."""
 
+    def joint(self, name: str) -> tuple[float, float]:
+        """Position (rad or m) and velocity (per s) of a mechanism's joint."""
+
+    def place_joint(self, name: str, position: float) -> None:
+        """Put a mechanism's joint there at rest."""
+
+    def drive_joint(self, name: str, speed: float, force: float) -> None:
+        """Let a mechanism's joint go at a speed (per s) with at most this force (N or N m). Speed 0 is dry friction."""
+
+    def set_joint_damping(self, name: str, damping: float) -> None:
+        """Set the viscous friction of a mechanism's joint in N s/m or N m s/rad."""
+
     def set_friction(self, lateral: float, link: int = -1) -> None:
         """Set the lateral friction coefficient of a link."""
 
@@ -211,6 +222,8 @@ class Loads(NamedTuple):
     """rad/s2, the mean of a control step."""
     torque: Sequence[float]
     """Of the motor, in N m."""
+    wrench: float
+    """The largest force of `Motors.wrench` since then, in N; with PyBullet as for `World.largest_forces`."""
 
 
 class Motors(Protocol):
@@ -250,11 +263,12 @@ class Motors(Protocol):
     def wrench(self) -> Sequence[float]:
         """What contacts do to the tool and what moves with it: force in N and torque in N m at the tool, in its frame.
 
-        Zero at a reset. A held body counts with its weight and inertia, the gripper itself does not.
+        Low-passed, and zero at a reset. A held body counts with its weight and inertia, the gripper itself does not: it
+        is what a sensor at the wrist measures whose own load is compensated. With PyBullet from the first question on.
         """
 
     def set_wrench_filter(self, seconds: float) -> None:
-        """Set the time constant of the wrench's low-pass."""
+        """Set the time constant in s of the wrench's low-pass, before the first step; 0: none."""
 
     def write(self, positions: Sequence[float], opening: float) -> None:
         """Put the joints (n,) in rad and the gripper there at rest; the motors hold the arm still."""
@@ -297,8 +311,11 @@ class World(Protocol):
     def set_floor_friction(self, friction: float) -> None:
         """Set the lateral friction coefficient of the floor."""
 
-    def load(self, robot: Element, *, position: Vector = (0.0, 0.0, 0.0)) -> Body:
-        """Add what a URDF's <robot> describes, its base fixed. Raises PluginError when the engine refuses it."""
+    def load(self, source: Path | Mechanism, *, position: Vector = (0.0, 0.0, 0.0)) -> Body:
+        """Add a mechanism, or what a URDF or MJCF file describes (`fixtures.read`); its links do not meet each other.
+
+        The base is fixed, `place` moves it. Raises PluginError when the file or the engine refuses it.
+        """
 
     def motors(
         self,

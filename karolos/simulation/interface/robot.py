@@ -75,6 +75,15 @@ class RobotView(Protocol):
     stopped: bool
     """Whether a protective stop has ended the running episode."""
 
+    wrench: Sequence[float]
+    """What contacts do to the gripper and what it holds, as a sensor at the wrist feels it: force in N and torque in
+    N m at the tool centre point, in the tool's frame, low-passed; zero at a reset."""
+    joint_torques: Sequence[float]
+    """Of the motors in the last physics step, in N m: (n,)."""
+
+    def contact_force(self, body: Body) -> float:
+        """Largest force in N of a body on the links in a physics step of the last control step."""
+
     def largest_force(self, *allowed: Body) -> float:
         """Largest force in N on a link in a physics step of the last control step, by other bodies than these."""
 

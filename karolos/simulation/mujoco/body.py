@@ -39,6 +39,9 @@ class Body:
         self.inertias: dict[int, tuple[float, Vector]] = {}
         self.pairs: set[tuple[int, int]] = set()
         """Links that collide with each other."""
+        self.passive_joints: dict[str, int] = {}
+        """Of a mechanism, by name; `passive` moves them."""
+        self.passive: Any = None
         self._simulation = simulation
         self._names = names
 
@@ -124,6 +127,20 @@ class Body:
             )
             for joint in joints
         )
+
+    def joint(self, name: str) -> tuple[float, float]:
+        place, data = self.passive_joints[name] + 1, self._simulation.ready()
+        return float(data.qpos[self.positions[place]]), float(data.qvel[self.dofs[place]])
+
+    def place_joint(self, name: str, position: float) -> None:
+        place, data = self.passive_joints[name] + 1, self._simulation.writable()
+        data.qpos[self.positions[place]], data.qvel[self.dofs[place]] = position, 0.0
+
+    def drive_joint(self, name: str, speed: float, force: float) -> None:
+        self.passive.drive(self.passive_joints[name], speed, force)
+
+    def set_joint_damping(self, name: str, damping: float) -> None:
+        self.passive.set_damping(self.passive_joints[name], damping)
 
     def set_friction(self, lateral: float, link: int = -1) -> None:
         self.frictions[link + 1] = lateral

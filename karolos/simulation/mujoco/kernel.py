@@ -68,6 +68,7 @@ TOOL = np.dtype(
         ("torques", np.float64, MOST_JOINTS),  # written: of the spring in the last physics step, N m
         ("added", np.float64, (MOST_JOINTS, MOST_JOINTS)),  # written: what was added to the inertia
         ("wrench", np.float64, 6),  # written: what is felt, N and N m
+        ("peak", np.float64),  # raised to the size of its force
     ]
 )
 """What the kernel knows of an arm's tool. Quaternions are w x y z as MuJoCo's."""
@@ -388,8 +389,10 @@ def _feel(data, at, tools, hands):
                     felt[hand, axis] += turn[k, axis] * sign * pressure[k]
                     felt[hand, 3 + axis] += turn[k, axis] * torque
     for hand in range(len(tools)):
+        wrench = tools[hand].wrench
         for axis in range(6):
-            tools[hand].wrench[axis] += tools[hand].share * (felt[hand, axis] - tools[hand].wrench[axis])
+            wrench[axis] += tools[hand].share * (felt[hand, axis] - wrench[axis])
+        tools[hand].peak = max(tools[hand].peak, np.sqrt(wrench[0] ** 2 + wrench[1] ** 2 + wrench[2] ** 2))
 
 
 @_compiled

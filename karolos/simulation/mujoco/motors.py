@@ -15,6 +15,8 @@ from .simulation import Simulation
 
 MOTOR_IMPEDANCE = (0.9999, 0.9999, 0.001, 0.5, 2.0)
 """`solimp` of a motor: it reaches its target speed unless its torque does not allow it."""
+LEAST_FORCE = 1e-9
+"""N or N m: friction of a joint without friction."""
 
 
 class Motors:
@@ -175,7 +177,7 @@ class Motors:
     def write(self, positions: Sequence[float], opening: float) -> None:
         data = self._simulation.writable()
         if self._tool is not None:
-            self._row["wrench"] = 0.0
+            self._row["wrench"] = self._row["peak"] = 0.0
         self.targets[:] = 0.0
         if self._fingers is not None:
             self.targets[:, -2:] = goal = self._fingers.position(opening)
@@ -203,4 +205,50 @@ class Motors:
         return positions, velocities, opening
 
     def loads(self) -> Loads:
-        return Loads(*self._simulation.loads[:, self._dofs[: self._size]].tolist())
+        wrench = 0.0 if self._tool is None else float(self._row["peak"])
+        speed, acceleration, torque = self._simulation.loads[:, self._dofs[: self._size]].tolist()
+        return Loads(speed, acceleration, torque, wrench)
+
+
+class Passive:
+    """The joints of a mechanism. Each has dry friction, which is a motor with the target speed 0; see `Motors`.
+
+    Args:
+        frictions: in N or N m, by the joint as the body counts it.
+    """
+
+    def __init__(self, simulation: Simulation, body: Body, frictions: Mapping[int, float]) -> None:
+        self._simulation, self._body = simulation, body
+        self._order = {joint: place for place, joint in enumerate(frictions)}
+        self._forces = list(frictions.values())
+        size = len(frictions)
+        self._dampings = np.full(size, np.nan)  # as the file says
+        self.targets = np.zeros((simulation.substeps, size))
+        self.gains, self.most = np.zeros(size), np.full(size, np.inf)
+        self.rates = np.full(size, 1 / simulation.timestep)
+
+    def find(self, model: Any) -> None:
+        """Look up the joints' places in a model that was just compiled."""
+        self._dofs = np.array([self._body.dofs[joint + 1] for joint in self._order])
+        self.places = np.stack([[self._body.positions[joint + 1] for joint in self._order], self._dofs], 1)
+        self._own_damping = model.dof_damping[self._dofs].copy()
+
+    def write_parameters(self, model: Any) -> None:
+        """Write friction and damping into the model; the kernel needs a constraint for each joint."""
+        dofs = self._dofs
+        model.dof_frictionloss[dofs] = np.maximum(self._forces, LEAST_FORCE)
+        model.dof_solimp[dofs] = MOTOR_IMPEDANCE
+        damping = np.where(np.isnan(self._dampings), self._own_damping, self._dampings)
+        model.dof_damping[dofs] = damping
+        model.dof_armature[dofs] = self._simulation.timestep * damping  # implicit, as in `Motors`
+
+    def drive(self, joint: int, speed: float, force: float) -> None:
+        """Let a joint go at a speed (per s) with at most this force (N or N m)."""
+        self.targets[:, self._order[joint]] = speed
+        self._forces[self._order[joint]] = force
+        self._simulation.reparametrise()
+
+    def set_damping(self, joint: int, damping: float) -> None:
+        """Set the viscous friction of a joint in N s/m or N m s/rad."""
+        self._dampings[self._order[joint]] = damping
+        self._simulation.reparametrise()

@@ -16,14 +16,26 @@ from numpy.typing import NDArray
 from ...core import Array, FloatArray
 from ...errors import MachineError, PluginError
 from .. import parts
-from ..geometry import Vector
-from ..interface.engine import FLOOR_FRICTION, PHYSICS_RATE, Camera, Colour, Contact, Fingers, Frame, JointLimits
+from ..fixtures import read
+from ..geometry import Colour, Vector
+from ..interface.engine import (
+    FLOOR_FRICTION,
+    OBJECT_MATERIAL,
+    PHYSICS_RATE,
+    Camera,
+    Contact,
+    Fingers,
+    Frame,
+    JointLimits,
+)
 from ..interface.engine import Body as AnyBody
 from ..meshes import stl, triangles
+from ..parts import Mechanism
 from ..picture import Eye, Marker, draw
 from ..shapes import Inertia, Shape
+from ..urdf import link_of
 from .body import Body
-from .motors import Motors
+from .motors import Motors, Passive
 from .renderer import Renderer
 from .simulation import JOINT_IMPEDANCE, Simulation
 
@@ -60,7 +72,7 @@ class World:
         self._simulation = simulation = Simulation(substeps, 1 / rate, self._declare_pairs, self._write_surfaces)
         self._spec, self.api = simulation.spec, simulation.api
         self._bodies: list[Body] = []
-        self._motors: list[Motors] = []
+        self._motors: list[Motors | Passive] = []
         self._markers: list[tuple[Body, float, Colour]] = []
         self._renderers: dict[tuple[int, int], Renderer] = {}
         self._spec.visual.headlight.active = 0
@@ -88,8 +100,21 @@ class World:
     def set_floor_friction(self, friction: float) -> None:
         self.floor.set_friction(friction)
 
-    def load(self, robot: Element, *, position: Vector = (0.0, 0.0, 0.0)) -> Body:
-        return self._load(robot, position=position)
+    def load(self, source: Path | Mechanism, *, position: Vector = (0.0, 0.0, 0.0)) -> Body:
+        mechanism = read(source) if isinstance(source, Path) else source
+        body = self._load(mechanism.robot, position=position)
+        if mechanism.frictions:
+            links = body.links()
+            moved = {joint.get("name", ""): links[link_of(joint, "child")] for joint in mechanism.robot.iter("joint")}
+            body.passive = Passive(
+                self._simulation, body, {moved[name]: one for name, one in mechanism.frictions.items()}
+            )
+            body.passive_joints = {name: moved[name] for name in mechanism.frictions}
+            self._motors.append(body.passive)
+            self._simulation.parts.append(body.passive)
+            for link in moved.values():
+                body.set_material(OBJECT_MATERIAL, link)
+        return body
 
     def _load(
         self, robot: Element, *, position: Vector = (0.0, 0.0, 0.0), free: bool = False, colour: Colour | None = None

@@ -1,0 +1,228 @@
+"""Fixtures and objects with joints from somebody's URDF or MJCF file, each name and number checked.
+
+Of MJCF this is known; anything else is refused: <mujoco> with <compiler angle meshdir>, <asset> with <mesh name file
+scale>, and one <body> in <worldbody>, which is the base. A body has name, pos, quat or euler, further bodies, at most
+one <joint> (name, type hinge or slide, pos, axis, range, damping, frictionloss), at most one <inertial> (pos, quat,
+mass, diaginertia), and <geom> (type, size, pos, quat or euler, fromto, mesh, mass or density). What is only drawn or
+measured is left out: geoms with contype and conaffinity 0, cameras, lights, sites, sensors, options. A link has the
+name of its joint, and is equally dense everywhere unless it has an <inertial>.
+"""
+
+from __future__ import annotations
+
+import copy
+from collections.abc import Iterator
+from pathlib import Path
+from typing import Any
+from xml.etree.ElementTree import Element, SubElement
+
+import numpy as np
+
+from ..core import Array
+from ..errors import PluginError, UsageError
+from . import meshes, urdf
+from .geometry import Quaternion, Vector, matrix_of, quaternion_of
+from .parts import Link, Mechanism, mechanism
+from .shapes import Capsule, Cuboid, Cylinder, Inertia, Mesh, Shape, Sphere, volume_of
+
+_LEFT_OUT = {"option", "visual", "statistic", "size", "sensor", "camera", "light", "site", "keyframe", "custom"}
+_ATTRIBUTES = {
+    "mujoco": "model",
+    "compiler": "angle meshdir autolimits",
+    "asset": "",
+    "worldbody": "",
+    "mesh": "name file scale",
+    "body": "name pos quat euler",
+    "joint": "name type pos axis range limited damping frictionloss",
+    "inertial": "pos quat mass diaginertia",
+    "geom": "name type size pos quat euler fromto mesh mass density rgba friction group condim contype conaffinity",
+}
+"""What is known of each element of MJCF."""
+DENSITY = 1000.0
+"""kg/m3 of a geom of MJCF that does not say its mass."""
+
+
+def read(path: Path, collision: meshes.Collision | None = None) -> Mechanism:
+    """A fixture or an object with joints from a URDF or MJCF file.
+
+    Args:
+        path: of the file.
+        collision: what its meshes collide as; by default as their hulls, with a warning where that fills a hole.
+
+    Raises:
+        PluginError: the file holds what karolos does not know or cannot simulate. The message names element and line.
+    """
+    root, _ = urdf.parse(path)
+    if root.tag == "mujoco":
+        return mechanism(list(_Reader(path, collision).links()))
+    description = urdf.load(path, driven=False)
+    for joint in description.joints:
+        if joint.mimic is not None:
+            raise PluginError(f"it mimics {joint.mimic}, which only a motor does", where=f"{path}: joint {joint.name}")
+    robot = copy.deepcopy(description.robot)
+    for link in robot.findall("link"):
+        for shape in link.findall("collision"):
+            if (mesh := shape.find("geometry/mesh")) is None:
+                continue
+            file = Path(mesh.get("filename", ""))
+            if collision is None:
+                meshes.warn_of_hull(file)
+            elif collision == "decomposed":
+                if link.find("visual") is None:
+                    SubElement(link, "visual").extend(copy.deepcopy(list(shape)))
+                link.remove(shape)
+                for piece in meshes.pieces(file):
+                    mesh.set("filename", str(piece))
+                    link.append(copy.deepcopy(shape))
+    return Mechanism(robot, {joint.name: joint.friction for joint in description.joints})
+
+
+class _Reader:
+    """Reads the links of an MJCF file."""
+
+    def __init__(self, path: Path, collision: meshes.Collision | None) -> None:
+        self._path, self._collision = path, collision
+        self._root, self._lines = urdf.parse(path)
+        self._files: dict[str, tuple[Path, float]] = {}
+        self._degree = np.pi / 180
+
+    def links(self) -> Iterator[Link]:
+        """The base, then each link after the one that it moves on."""
+        bodies: list[Element] = []
+        folder = self._path.parent
+        for part in self._parts(self._root, "compiler asset worldbody"):
+            if part.tag == "compiler":
+                folder = folder / part.get("meshdir", "")
+                self._degree = 1.0 if part.get("angle") == "radian" else self._degree
+            for mesh in self._parts(part, "mesh") if part.tag == "asset" else ():
+                file, scale = folder / mesh.get("file", ""), self._numbers(mesh, "scale", (1.0, 1.0, 1.0))
+                if not file.is_file() or file.suffix.lower() not in meshes.MESH_SUFFIXES or np.ptp(scale):
+                    raise self._error(mesh, "it needs a file of STL or OBJ, and one scale for all axes")
+                self._files[mesh.get("name", file.stem)] = file, float(scale[0])
+            bodies += self._parts(part, "body") if part.tag == "worldbody" else []
+        if len(bodies) != 1:
+            raise self._error(self._root, f"{len(bodies)} bodies in <worldbody>; it needs one, the base")
+        yield from self._body(bodies[0], "", np.zeros(3))
+
+    def _body(self, body: Element, parent: str, offset: Array) -> Iterator[Link]:
+        """A body and what moves on it. A link's frame is in its joint: `offset` (3,) of the parent's in its body."""
+        parts = self._parts(body, "joint inertial geom body")
+        joints, inertials = ([part for part in parts if part.tag == tag] for tag in ("joint", "inertial"))
+        if len(joints) != bool(parent) or len(inertials) > 1:
+            raise self._error(body, "a body on another has one joint, the base none, and each one <inertial> at most")
+        joint = joints[0] if joints else Element("joint", range="0 0")
+        name, turns = joint.get("name", body.get("name", "base")), joint.get("type", "hinge") == "hinge"
+        if "range" not in joint.attrib or joint.get("type", "hinge") not in ("hinge", "slide"):
+            raise self._error(joint, "it needs the type hinge or slide and a range")
+        place, turn = self._pose(body)
+        pivot = self._numbers(joint, "pos", (0.0, 0.0, 0.0))
+        low, high = self._numbers(joint, "range", (0.0, 0.0)) * (self._degree if turns else 1.0)
+        shapes, mass, inertia = [], 0.0, None
+        for geom in parts:
+            if geom.tag == "geom" and (geom.get("contype"), geom.get("conaffinity")) != ("0", "0"):
+                shapes.append(shape := self._shape(geom, pivot))
+                density = self._number(geom, "density", DENSITY)
+                mass += self._number(geom, "mass", density * volume_of([shape]))
+        for inertial in inertials:
+            mass, (centre, axes) = self._number(inertial, "mass", 0.0), self._pose(inertial)
+            inertia = Inertia(
+                _vector(centre - pivot), _vector(self._numbers(inertial, "diaginertia", (0.0,) * 3)), axes
+            )
+        yield Link(
+            name=name,
+            shapes=shapes,
+            mass=mass if parent else 0.0,
+            inertia=inertia if parent else None,
+            parent=parent,
+            joint="hinge" if turns else "slide",
+            axis=_vector(self._numbers(joint, "axis", (0.0, 0.0, 1.0))),
+            range=(float(low), float(high)),
+            friction=self._number(joint, "frictionloss", 0.0),
+            damping=self._number(joint, "damping", 0.0),
+            position=_vector(place - offset + matrix_of(turn) @ pivot),
+            orientation=turn,
+        )
+        for part in parts:
+            if part.tag == "body":
+                yield from self._body(part, name, pivot)
+
+    def _shape(self, geom: Element, pivot: Array) -> Shape:
+        """The shape of a geom in the frame at `pivot` (3,) of its body."""
+        place, turn = self._pose(geom)
+        kind, size = geom.get("type", "sphere"), self._numbers(geom, "size", ())
+        if "fromto" in geom.attrib:
+            ends = self._numbers(geom, "fromto", (0.0,) * 6).reshape(2, 3)
+            place, along = ends.mean(0), ends[1] - ends[0]
+            size = np.append(size[:1], np.linalg.norm(along) / 2)
+            turn = _from_z(along)
+        pose: dict[str, Any] = {"position": _vector(place - pivot), "orientation": turn}
+        if kind == "mesh" and geom.get("mesh") in self._files:
+            file, scale = self._files[geom.get("mesh", "")]
+            return Mesh(file, scale, self._collision, **pose)
+        half = [float(one) for one in size]
+        try:
+            match kind, half:
+                case "box", [x, y, z]:
+                    return Cuboid((2 * x, 2 * y, 2 * z), **pose)
+                case "sphere", [radius]:
+                    return Sphere(radius, **pose)
+                case "cylinder", [radius, length]:
+                    return Cylinder(radius, 2 * length, **pose)
+                case "capsule", [radius, length]:
+                    return Capsule(radius, 2 * length, **pose)
+        except UsageError as error:
+            raise self._error(geom, str(error)) from None
+        raise self._error(geom, f"type {kind!r} with {len(half)} sizes: box 3, sphere 1, cylinder and capsule 2, mesh")
+
+    def _pose(self, element: Element) -> tuple[Array, Quaternion]:
+        """Position (3,) and rotation of an element."""
+        w, x, y, z = self._numbers(element, "quat", (1.0, 0.0, 0.0, 0.0)).tolist()
+        if "euler" in element.attrib:  # MuJoCo's order: about x, then the new y, then the new z
+            a, b, c = self._numbers(element, "euler", (0.0,) * 3) * self._degree
+            x_, y_, z_ = ((1.0, 0.0, 0.0), (0.0, 1.0, 0.0), (0.0, 0.0, 1.0))
+            x, y, z, w = quaternion_of(urdf.about(x_, a) @ urdf.about(y_, b) @ urdf.about(z_, c))
+        if not any((w, x, y, z)):
+            raise self._error(element, "its quat is 0")
+        return self._numbers(element, "pos", (0.0, 0.0, 0.0)), (x, y, z, w)
+
+    def _number(self, element: Element, key: str, usual: float) -> float:
+        return float(self._numbers(element, key, (usual,))[0])
+
+    def _numbers(self, element: Element, key: str, usual: tuple[float, ...]) -> Array:
+        """The numbers of an attribute, as many as are usual; 1 to 3 for ()."""
+        if key not in element.attrib:
+            return np.array(usual)
+        found = urdf.numbers(element.get(key, ""))
+        if found is None or len(found) not in ((len(usual),) if usual else (1, 2, 3)):
+            raise self._error(element, f"its {key} is {urdf.short(element.get(key, ''))}")
+        return np.array(found)
+
+    def _parts(self, element: Element, known: str) -> list[Element]:
+        """The parts of an element. Raises PluginError for parts and attributes that are not known."""
+        strange = [key for key in element.attrib if key not in _ATTRIBUTES[element.tag].split()]
+        parts = [part for part in element if part.tag not in _LEFT_OUT]
+        for part in parts:
+            if part.tag not in known.split():
+                raise self._error(part, f"<{part.tag}> in <{element.tag}> is not known to karolos")
+            if part.tag in ("geom", "joint", "inertial"):
+                self._parts(part, "")
+        if strange:
+            raise self._error(element, f"{', '.join(strange)} is not known to karolos")
+        return parts
+
+    def _error(self, element: Element, what: str) -> PluginError:
+        place = f"{self._path}:{self._lines.get(element, 0)}: {element.tag} {element.get('name', '')}".strip()
+        return PluginError(what, where=place, hint="docs/parts.md lists what of MJCF is known; a URDF may say more")
+
+
+def _vector(values: Array) -> Vector:
+    x, y, z = values.tolist()
+    return x, y, z
+
+
+def _from_z(along: Array) -> Quaternion:
+    """A rotation that turns the z axis there."""
+    ahead = along / np.linalg.norm(along)
+    across = np.cross(ahead, np.eye(3)[np.argmin(np.abs(ahead))])
+    across /= np.linalg.norm(across)
+    return quaternion_of(np.column_stack([across, np.cross(ahead, across), ahead]))

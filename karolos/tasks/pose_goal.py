@@ -1,0 +1,95 @@
+"""Goals that are poses: position and orientation."""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+from math import cos, pi, sin, sqrt
+
+import numpy as np
+
+from ..core import Array, BoolArray, Field, FloatArray, GoalRule
+from ..core.seeding import Generator
+from ..simulation.geometry import Orientations, Quaternion, Vector, angles, columns, matrix_of
+
+METRES_PER_RADIAN = 0.1
+"""What a radian costs in a dense reward."""
+
+
+def pose_fields(what: str) -> tuple[Field, Field]:
+    """The layout of a pose in a goal: its position in m, then the first two columns of its rotation matrix."""
+    return Field(f"{what}_position", 3, "m"), Field(f"{what}_rotation", 6, "1")
+
+
+def pose_array(position: Sequence[float], orientation: Quaternion) -> FloatArray:
+    """A pose as a goal has it: (9,)."""
+    return np.array([*position, *columns(orientation)], np.float32)
+
+
+def sample_orientation(generator: Generator, orientations: Orientations) -> Quaternion:
+    """One of these, its tilt uniform in a disc and its turn uniform in a range."""
+    tilt, direction = orientations.tilt * sqrt(generator.uniform()), generator.uniform(-pi, pi)
+    turn = generator.uniform(-orientations.turn, orientations.turn)
+    return orientations.at(tilt * cos(direction), tilt * sin(direction), turn)
+
+
+class PoseGoal(GoalRule):
+    """Success where position and orientation of `achieved` (..., 9) are both near those of `desired` (..., 9).
+
+    Sparse reward: 0 on success, else -1. Dense reward: minus the distance in m, minus .1 m per rad of the angle.
+
+    Args:
+        threshold: distance under which the position is reached, m.
+        angle_threshold: angle under which the orientation is reached, rad: that of the rotation between the two.
+        span: largest possible distance in m; it bounds the dense reward.
+        symmetries: turns of the moved thing about its own axes that leave it as it is, besides none: a square peg has
+            three, of 90, 180 and 270 degrees.
+        axis: of a thing that is the same after any turn about it; only the directions of this axis are compared.
+    """
+
+    def __init__(
+        self,
+        threshold: float,
+        angle_threshold: float,
+        *,
+        dense: bool,
+        span: float,
+        symmetries: Sequence[Quaternion] = (),
+        axis: Vector | None = None,
+    ) -> None:
+        self.threshold, self.angle_threshold, self.dense = threshold, angle_threshold, dense
+        self.reward_range = (-span - METRES_PER_RADIAN * pi, 0.0) if dense else (-1.0, 0.0)
+        self._turns = [np.float32(matrix_of(one)[:, :2]) for one in symmetries]
+        self._axis = None if axis is None else np.float32(np.divide(axis, np.linalg.norm(axis)))
+
+    def reward(self, achieved: Array, desired: Array) -> FloatArray:
+        if self.dense:
+            lost = self.distance(achieved, desired) + np.float32(METRES_PER_RADIAN) * self.angle(achieved, desired)
+            return np.asarray(-lost, np.float32)
+        return -np.asarray(~self.success(achieved, desired), np.float32)
+
+    def success(self, achieved: Array, desired: Array) -> BoolArray:
+        near = self.distance(achieved, desired) < self.threshold
+        return np.asarray(near & (self.angle(achieved, desired) < self.angle_threshold))
+
+    def distance(self, achieved: Array, desired: Array) -> FloatArray:
+        difference = achieved[..., :3] - desired[..., :3]
+        metres: FloatArray = np.sqrt(np.vecdot(difference, difference), dtype=np.float32)
+        return metres
+
+    def angle(self, achieved: Array, desired: Array) -> FloatArray:
+        first, second = achieved[..., 3:], desired[..., 3:]
+        if self._axis is not None:
+            cosine = np.vecdot(_frame(first) @ self._axis, _frame(second) @ self._axis)
+            between: FloatArray = np.arccos(np.clip(cosine, -1, 1), dtype=np.float32)
+            return between
+        found = angles(first, second)
+        for turn in self._turns:
+            turned = np.swapaxes(_frame(first) @ turn, -1, -2)
+            found = np.minimum(found, angles(turned.reshape(first.shape), second))
+        return found
+
+
+def _frame(rotation: Array) -> Array:
+    """Rotation matrices (..., 3, 3) of two columns (..., 6)."""
+    x, y = rotation[..., :3], rotation[..., 3:]
+    return np.stack([x, y, np.cross(x, y)], -1)
