@@ -6,7 +6,7 @@ import os
 import threading
 import time
 from collections import OrderedDict
-from collections.abc import Callable, Mapping
+from collections.abc import Callable, Iterable, Iterator, Mapping, Sequence
 from hashlib import sha256
 from pathlib import Path
 from typing import Any
@@ -30,7 +30,18 @@ from ..records.sweep_records import FOLDER as SWEEPS
 from ..report import page
 from ..report.comparison_figures import comparison_figures, learning
 from ..report.page import Section, comparison_sections
-from ..report.tables import Table, count, duration, number, run_state, setting, table_of_tests, transfers_table
+from ..report.tables import (
+    Table,
+    count,
+    duration,
+    heading,
+    measures_table,
+    number,
+    run_state,
+    setting,
+    table_of_tests,
+    transfers_table,
+)
 from ..store import Store, check
 from ..store.experiments import ORDERS
 from . import films
@@ -169,7 +180,7 @@ class Application:
             final=final and tables[0],
             tests=tables[-1] if record.tests else None,
             steps=[test.steps for test in record.tests],
-            measures=_measures(record.tests),
+            measures=list(_measures(last, record.tests)) if last else [],
             failures=_episodes(last)[1] if last and last.has_success else None,
             last=last,
             transfers=transfers_table(transfers) if transfers else None,
@@ -325,17 +336,11 @@ def _settings(spec: Mapping[str, Any], about: Mapping[str, Any]) -> list[tuple[s
     return [(path, setting(value), origin(path)) for path, value in flatten(spec)]
 
 
-def _measures(tests: tuple[TestCounts, ...]) -> list[dict[str, Any]]:
-    """The measures of the last test, each with its curve over training."""
-    found = []
-    for name, one in (tests[-1].measures if tests else {}).items():
+def _measures(last: TestResult, tests: Iterable[TestCounts]) -> Iterator[tuple[Sequence[str], tuple[str, ...]]]:
+    """Each measure of the last test as a row of `measures_table`, with its curve over training."""
+    for name, row in zip(last.measures, measures_table(last.measures, "").rows, strict=True):
         known = [(test.steps, test.measures[name]["mean"]) for test in tests if name in test.measures]
-        points = [(steps, mean) for steps, mean in known if mean is not None]
-        mean = one["mean"]
-        value = "-" if mean is None else f"{mean:.4g}"
-        lines = sparkline([points], is_ratio=False)
-        found.append({"name": name, "unit": one["unit"], "better": one["better"], "value": value, "lines": lines})
-    return found
+        yield row, sparkline([[(steps, mean) for steps, mean in known if mean is not None]], is_ratio=False)
 
 
 def _episodes(result: TestResult) -> tuple[Table, list[int]]:
@@ -350,7 +355,7 @@ def _episodes(result: TestResult) -> tuple[Table, list[int]]:
     if result.distances is not None:
         columns["distance from goal (m)"] = [f"{far:.4f}" for far in result.distances]
     for name, one in result.measures.items():
-        columns[f"{name} ({one['unit']})"] = ["-" if value is None else f"{value:.4g}" for value in one["values"]]
+        columns[heading(name, one)] = ["-" if value is None else f"{value:.4g}" for value in one["values"]]
     failures = [place for place in numbers if not result.end[place]]
     return Table(list(columns), list(zip(*columns.values(), strict=True))), failures
 
