@@ -5,6 +5,7 @@ from __future__ import annotations
 import errno
 import gc
 import os
+import signal
 import sys
 import traceback
 from typing import Annotated, Any
@@ -36,7 +37,7 @@ looking through the objects that imports make."""
 
 
 class Commands(TyperGroup):
-    """Commands whose help says what each option takes."""
+    """Commands whose help says what each option takes, and that say that they are interrupted."""
 
     def get_command(self, ctx: Any, cmd_name: str) -> Any:
         command = super().get_command(ctx, cmd_name)
@@ -47,6 +48,13 @@ class Commands(TyperGroup):
                 elif option.type_descriptor.is_ranged:
                     option.metavar = "INTEGER" if option.type_descriptor.ranged_type_name == "int" else "NUMBER"
         return command
+
+    def invoke(self, ctx: Any) -> Any:
+        try:
+            return super().invoke(ctx)
+        except KeyboardInterrupt:  # of a second Ctrl-C, or of an environment
+            say("interrupted")
+            raise typer.Exit(128 + signal.SIGINT) from None
 
 
 app = typer.Typer(

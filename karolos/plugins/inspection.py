@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 from collections.abc import Iterable, Mapping
-from dataclasses import dataclass, field
+from dataclasses import asdict, dataclass, field
 from typing import Any
 
 import numpy as np
@@ -68,6 +68,7 @@ def inspect_robot(name: str, *, size: tuple[int, int] | None = (960, 720)) -> In
         suffix = f" ({mode})" if mode else ""
         tables[f"action{suffix}"] = _fields(robot.action)
         tables[f"observation{suffix}"] = _fields(robot.observation)
+    tables["measures"] = [asdict(one) for one in first.measures]
     tables["parameters"] = _parameters({f"robot.{key}": value for key, value in first.parameters.items()})
     tables["settings"] = _settings(plugin)
     return Inspection(name, _about(plugin), tables, _picture(name, None, size))
@@ -102,6 +103,7 @@ def inspect_task(name: str, robot: str = "panda", *, size: tuple[int, int] | Non
         "achieved goal": _fields(signature.achieved_goal),
         "desired goal": _fields(signature.desired_goal),
         "observation": _fields(task.observation),
+        "measures": [asdict(one) for one in signature.measures],
         "parameters": _parameters({f"task.{key}": value for key, value in task.parameters.items()}),
         "settings": _settings(plugin),
     }
