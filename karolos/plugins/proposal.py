@@ -20,6 +20,7 @@ from ..errors import PluginError
 from ..robots.arm import ArmModel
 from ..robots.settings import ArmSettings
 from ..simulation import urdf
+from ..simulation.fixtures import hulls
 from ..simulation.geometry import Vector
 from ..simulation.interface import Fingers, Gripper
 from ..simulation.meshes import MESH_SUFFIXES, triangles
@@ -113,6 +114,7 @@ def propose(path: Path, tool: str | None = None) -> Proposal:
         turned = f"turned by {ArmModel.turn:g} rad and tilted by {ArmModel.tilt:g}"
         where = f"{_metres(dexterous.low)} to {_metres(dexterous.high)} m; the tool can be {turned} there"
     fast = ", ".join(joint.name for joint in joints if joint.velocity > DOUBTED_SPEED)
+    filled = ", ".join(f"{name} ({what} filled)" for name, what in hulls(found.robot).items())
     slow, heavy = f"{best.tool_step} m per control step instead of {usual}", ", ".join(found.corrected)
     notes = {
         f"base: {base}{merged and f' (with {merged})'}, at the origin of the world, on the floor z = 0": True,
@@ -126,6 +128,7 @@ def propose(path: Path, tool: str | None = None) -> Proposal:
         f"workspace: {_metres(low)} to {_metres(high)} m; the tool reaches it pointing down": True,
         f"dexterous: {where}": True,
         f"tool_step: {slow}: the joints are slower": best.tool_step < usual,
+        f"collision: the convex hulls of {filled}": filled,
         "self-collisions: none; `self_collisions` in the ArmModel names pairs of links that shall collide": True,
     }
     model = ArmModel(

@@ -105,7 +105,7 @@ def test_code_works_as_written(page: Path, folder: Path, monkeypatch: pytest.Mon
     for language, reason, text in blocks(page):
         if reason or language not in RUN:
             continue
-        file = re.match(r"# ([\w/]+\.(?:yaml|py))\n", text)
+        file = re.match(r"# ([\w/-]+\.(?:yaml|py))\n", text)
         if file:
             Path(file[1]).write_text(text)
         if language == "yaml":
