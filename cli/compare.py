@@ -12,7 +12,6 @@ import typer
 from karolos.errors import UsageError
 
 from .arguments import MANY_HELP, Database, Json, Runs, open_store
-from .completion import complete_run
 from .output import print_rows, print_table, say, warn
 
 if TYPE_CHECKING:
@@ -29,7 +28,6 @@ def compare(
         typer.Argument(
             metavar="EXPERIMENT...",
             help=f"{MANY_HELP} Or a policy that ships. The first is the one that the others are measured against.",
-            autocompletion=complete_run,
         ),
     ],
     runs: Runs = Path("runs"),
