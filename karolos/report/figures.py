@@ -16,6 +16,7 @@ from .tables import clean
 if TYPE_CHECKING:
     from matplotlib.artist import Artist
     from matplotlib.figure import Figure
+    from matplotlib.legend import Legend
 
 STYLE = Path(__file__).with_suffix(".mplstyle")
 FORMATS = (".svg", ".pdf", ".png")
@@ -73,6 +74,7 @@ class Drawing:
         self.figure = Figure(figsize=(WIDTH, HEIGHT), layout="constrained")
         self.axes = self.figure.add_subplot()
         self.axes.set_title(short(title, 44))
+        self._legend: Legend | None = None
         self.parts: dict[str, tuple[str, str]] = {}
         """Group id of an artist -> class names and tooltip of its element in the page."""
 
@@ -87,7 +89,7 @@ class Drawing:
         from matplotlib.lines import Line2D  # noqa: PLC0415
 
         lines = [Line2D([], [], **style(series), label=short(label)) for series, label in enumerate(labels)]
-        legend = self.figure.legend(handles=lines, loc="outside lower center", ncols=min(len(labels), 2))
+        self._legend = legend = self.figure.legend(handles=lines, loc="outside lower center", ncols=min(len(labels), 2))
         for series, (line, text) in enumerate(zip(legend.legend_handles, legend.get_texts(), strict=True)):
             assert line is not None
             self.part(line, f"series-{series}")
@@ -115,9 +117,10 @@ class Drawing:
             self.figure.savefig(path, metadata=_UNDATED[path.suffix])
         return path
 
-    def svg(self) -> str:
+    def svg(self, *, legend: bool = True) -> str:
         """The figure as an <svg> element for an HTML page. The groups of artists get their classes and tooltips.
 
+        `legend`: whether it is shown; a page of contenders has one for all figures.
         Other ids are hashes salted with the figure's name, so that several figures fit into one page.
         """
         from io import StringIO  # noqa: PLC0415
@@ -125,6 +128,9 @@ class Drawing:
         import matplotlib  # noqa: PLC0415
 
         stream = StringIO()
+        if self._legend is not None:
+            self._legend.set_visible(legend)
+            self._legend.set_in_layout(legend)
         with look(), matplotlib.rc_context({"svg.hashsalt": self.name}):
             self.figure.savefig(stream, format="svg", metadata={"Date": None})
         text = re.sub(r"<metadata>.*?</metadata>| xmlns(:xlink)?=\S+\"", "", stream.getvalue(), flags=re.DOTALL)

@@ -11,7 +11,7 @@ from markupsafe import Markup
 
 from .. import __version__
 from ..comparison import ComparedRun, Comparison
-from .comparison_tables import explanations, measures_table, parameters_table, scores_table
+from .comparison_tables import explanations, measures_table, parameters_table, scores_table, verdict
 from .figures import Drawing, style
 from .tables import Columns, Table, clean, count, duration, number, success
 
@@ -38,7 +38,13 @@ class Section:
 
 
 def document(
-    title: str, what: str, sections: Iterable[Section], warnings: Sequence[str] = (), contenders: Sequence[str] = ()
+    title: str,
+    what: str,
+    sections: Iterable[Section],
+    warnings: Sequence[str] = (),
+    contenders: Sequence[str] = (),
+    *,
+    verdict: str = "",
 ) -> str:
     """An HTML file. Every text in it is escaped, and cleaned of signs that steer a terminal or reorder a line.
 
@@ -49,11 +55,14 @@ def document(
         what: it shows, below the title, beside karolos's version.
         sections: in their order.
         warnings: stand above the sections.
+        verdict: what it all says, in some sentences.
         contenders: labels for check boxes that show or hide what is theirs, by the style sheet alone.
     """
     environment = Environment(autoescape=True, finalize=_cleaned, trim_blocks=True, lstrip_blocks=True)
     template = environment.from_string(TEMPLATE.read_text("utf-8"), {"style": style, "version": __version__})
-    return template.render(title=title, what=what, sections=sections, warnings=warnings, contenders=contenders)
+    return template.render(
+        title=title, what=what, sections=sections, warnings=warnings, contenders=contenders, verdict=verdict
+    )
 
 
 def _cleaned(value: object) -> object:
@@ -82,7 +91,7 @@ def comparison_page(comparison: Comparison, drawings: Sequence[Drawing]) -> str:
     ]
     title = f"{' and '.join(labels) if len(labels) < 3 else f'{labels[0]} and {len(labels) - 1} others'} compared"
     what = f"{sum(len(one.runs) for one in comparison.contenders)} runs"
-    return document(title, what, sections, comparison.warnings, labels)
+    return document(title, what, sections, comparison.warnings, labels, verdict=verdict(comparison))
 
 
 def _runs_section(comparison: Comparison) -> Section:
