@@ -31,8 +31,6 @@ if TYPE_CHECKING:
     from karolos.records.sweep_records import Trial
     from karolos.sweep.events import SweepEvent
 
-WIDE = 130
-"""Characters of a terminal that shows everything beside a bar."""
 SWEEP_SPEED_SECONDS = 600.0
 """Seconds over which the speed of a sweep is averaged for the time left."""
 SPEED_WINDOW = 50
@@ -99,10 +97,9 @@ class Live(Quiet):
 
     def __init__(self, stream: TextIO | None = None) -> None:
         super().__init__(stream)
-        self._narrow = self._console.width < WIDE
         self._bars: Progress = Progress(
             TextColumn("{task.description}"),
-            BarColumn(bar_width=12 if self._narrow else 24),
+            BarColumn(bar_width=12),
             MofNCompleteColumn(),
             TextColumn("{task.fields[speed]}", style="cyan"),
             TextColumn("{task.fields[activity]}", style="yellow"),
@@ -129,16 +126,14 @@ class Live(Quiet):
         """The fields of a run's bar that an event changes."""
         if isinstance(event, RunAdvanced):
             self._points[event.run].append(event)
-            speed = _speed(self._points[event.run])
-            speed = speed.partition(",")[0] if self._narrow else speed
+            speed, _, _ = _speed(self._points[event.run]).partition(",")
             return {"completed": event.steps, "speed": speed}
         if isinstance(event, RunBusy):
             return {"activity": _activity(event)}
         if isinstance(event, RunTested):  # training may have gone on since the test was due
-            score = _brief(event.result) if self._narrow else event.result.score
-            return {"completed": max(event.result.steps, completed), "score": score}
+            return {"completed": max(event.result.steps, completed), "score": _brief(event.result)}
         if isinstance(event, RunFinalTested):
-            return {"score": _brief(event.final.last) if self._narrow else _final(event.final)}
+            return {"score": _brief(event.final.last)}
         return {"speed": event.state, "activity": ""} if isinstance(event, RunEnded) else {}
 
 

@@ -5,6 +5,7 @@ from __future__ import annotations
 import errno
 import gc
 import os
+import signal
 import sys
 import traceback
 from typing import Annotated, Any
@@ -27,6 +28,7 @@ from .play import play
 from .run import resume, run
 from .sweep import sweep
 from .transfer import transfer
+from .ui import ui
 from .zero_shot import zero_shot
 
 OBJECTS_PER_COLLECTION = 50_000
@@ -35,7 +37,7 @@ looking through the objects that imports make."""
 
 
 class Commands(TyperGroup):
-    """Commands whose help says what each option takes."""
+    """Commands whose help says what each option takes, and that say that they are interrupted."""
 
     def get_command(self, ctx: Any, cmd_name: str) -> Any:
         command = super().get_command(ctx, cmd_name)
@@ -47,6 +49,13 @@ class Commands(TyperGroup):
                     option.metavar = "INTEGER" if option.type_descriptor.ranged_type_name == "int" else "NUMBER"
         return command
 
+    def invoke(self, ctx: Any) -> Any:
+        try:
+            return super().invoke(ctx)
+        except KeyboardInterrupt:  # of a second Ctrl-C, or of an environment
+            say("interrupted")
+            raise typer.Exit(128 + signal.SIGINT) from None
+
 
 app = typer.Typer(
     name="karolos",
@@ -56,7 +65,7 @@ app = typer.Typer(
     rich_markup_mode="markdown",
     pretty_exceptions_enable=False,
 )
-for command in (run, resume, check, sweep, compare, diff, zero_shot, transfer, play, export, board):
+for command in (run, resume, check, sweep, compare, diff, zero_shot, transfer, play, export, board, ui):
     app.command("test" if command is zero_shot else None)(command)
 for group in (spec, plugins, inspect, runs, db, sweeps):
     app.add_typer(group.app, cls=Commands)

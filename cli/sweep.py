@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-from collections import Counter
 from pathlib import Path
 from typing import TYPE_CHECKING, Annotated, Any
 
@@ -89,24 +88,17 @@ def _trial_row(trial: Trial, sweep: SweepRecord) -> dict[str, Any]:
 
 
 def print_trials(sweep: SweepRecord) -> None:
-    """Print a table of trials that fits a terminal: without runs, errors and `unused`, and with short headings.
+    """Print a table of trials, without runs, errors and `unused`.
 
-    Only the last part of a setting's name is shown if it is unique. A trial that has not ended is `open` unless the
-    sweep is running: it waits until the sweep is resumed.
+    A trial that has not ended is `open` unless the sweep is running: it waits until the sweep is resumed.
     """
-    rows = [_trial_row(trial, sweep) for trial in sweep.trials]
     running = sweep.state() == "running"
     left_out = ("error", "runs", *(f"{name}_unused" for name in sweep.objectives))
-    names = [name for name in (rows[0] if rows else {}) if name not in left_out]
-    short = {name: name.rpartition(".")[2] for name in names}
-    if len(sweep.objectives) == 1:
-        short[f"{sweep.objectives[0]}_fresh"] = "fresh"
-    count = Counter(short.values())
-    headings = {name: short[name] if count[short[name]] == 1 else name for name in names}
-    for row in rows:
-        if row["state"] == "running" and not running:
-            row["state"] = "open"
-    print_rows([{headings[name]: short_text(row[name], digits=3) for name in names} for row in rows], json=False)
+    rows = []
+    for row in (_trial_row(trial, sweep) for trial in sweep.trials):
+        row["state"] = "open" if row["state"] == "running" and not running else row["state"]
+        rows.append({name: short_text(value, 3) for name, value in row.items() if name not in left_out})
+    print_rows(rows, json=False)
 
 
 def report_best(sweep: SweepRecord) -> None:

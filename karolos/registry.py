@@ -7,12 +7,10 @@ party's. Its settings are a nested pydantic model called `Settings`.
 from __future__ import annotations
 
 import importlib.metadata
-import signal
 import sys
-import threading
 import traceback
-from collections.abc import Callable, Iterable, Iterator
-from contextlib import contextmanager, redirect_stdout
+from collections.abc import Callable, Iterable
+from contextlib import redirect_stdout
 from dataclasses import dataclass
 from difflib import get_close_matches
 from functools import cache, partial
@@ -22,8 +20,6 @@ from .errors import PluginError, UsageError
 
 KINDS = ("robots", "tasks", "environments", "agents", "buffers", "distributions", "orchestrators", "launchers")
 
-IMPORT_SECONDS = 120.0
-"""What the import of a plugin may take; that of torch from a slow disk takes half a minute."""
 NEEDED_ATTRIBUTES = {
     "robots": ("prepare", "build", "apply", "reset", "act", "read", "observe"),
     "tasks": ("fit", "build", "reset", "observe", "achieved"),
@@ -135,7 +131,7 @@ def _load(entry: PluginEntry) -> Any:
     where = f"{singular(entry.kind)} {entry.name!r} of {entry.distribution} {entry.version}"
     broken = partial(PluginError, where=where, plugin=(entry.kind, entry.name))
     try:
-        with redirect_stdout(sys.stderr), _limited(IMPORT_SECONDS):
+        with redirect_stdout(sys.stderr):
             plugin = point.load()
             _check(plugin, entry.kind, broken)
     except (PluginError, KeyboardInterrupt):
@@ -145,25 +141,6 @@ def _load(entry: PluginEntry) -> Any:
         hint = f"repair {entry.target}, or uninstall {entry.distribution}"
         raise broken(f"does not import: {text}", hint=hint) from error
     return plugin
-
-
-@contextmanager
-def _limited(seconds: float) -> Iterator[None]:
-    """Raise TimeoutError in the main thread when it is late, unless a timer of somebody else runs."""
-    if threading.current_thread() is not threading.main_thread() or signal.getitimer(signal.ITIMER_REAL)[0]:
-        yield
-        return
-
-    def late(*_: object) -> None:
-        raise TimeoutError(f"not done after {seconds:g} s")
-
-    before = signal.signal(signal.SIGALRM, late)
-    signal.setitimer(signal.ITIMER_REAL, seconds)
-    try:
-        yield
-    finally:
-        signal.setitimer(signal.ITIMER_REAL, 0)
-        signal.signal(signal.SIGALRM, before)
 
 
 def _check(plugin: object, kind: str, broken: Callable[..., PluginError]) -> None:

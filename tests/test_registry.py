@@ -72,8 +72,6 @@ HOSTILE = {
     "raise RuntimeError('no licence\\nsecond line')": "RuntimeError: no licence",
     "import sys; sys.exit(0)": "SystemExit: 0",
     "raise GeneratorExit": "GeneratorExit",
-    "while True: pass": "TimeoutError: not done after",
-    "import time; time.sleep(60)": "TimeoutError: not done after",
     "import sys; sys.modules[__name__] = None": "AttributeError",
     "class Dumb(Exception):\n  def __str__(self): raise self\nraise Dumb": "exception str",
     "import sys; sys.modules[__name__] = 5": "AttributeError",
@@ -91,7 +89,6 @@ def test_a_plugin_that_does_not_come_out_of_its_import_is_named_in_one_line(
     (tmp_path / "hostile_plugin.py").write_text(module)
     monkeypatch.syspath_prepend(tmp_path)
     monkeypatch.delitem(sys.modules, "hostile_plugin", raising=False)
-    monkeypatch.setattr(registry, "IMPORT_SECONDS", 0.3)
     fake_plugins("robots", "hostile", "hostile_plugin:Robot")
     with pytest.raises(PluginError, match=what) as caught:
         registry.load("robots", "hostile")

@@ -20,7 +20,7 @@ from typing import Any
 
 from karolos.comparison import Comparison, Contender, Estimate, compare, gather
 from karolos.errors import KarolosError
-from karolos.export import export_policy
+from karolos.export.export import export_policy
 from karolos.files import write_json
 from karolos.records import RunFolder, paths, shipped
 from karolos.records.decode import from_json

@@ -82,8 +82,8 @@ class Run:
         try:
             self._writer.start(self.snapshot, exact=self.spec.training.at_least is None)
             ending = self._train()
-        except (KeyboardInterrupt, TimeIsUpError):
-            self._end(Ending("stopped", reason=f"{self.stop.reason or 'SIGINT'}, at once"))
+        except (KeyboardInterrupt, TimeIsUpError) as error:
+            self._end(Ending("stopped", reason=f"{self.stop.reason or type(error).__name__}, at once"))
             raise
         except KarolosError as error:
             trace = error.traceback if isinstance(error, WorkerError) else None

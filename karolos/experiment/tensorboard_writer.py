@@ -41,8 +41,6 @@ class TensorBoardWriter:
         from tensorboard.summary.writer.record_writer import RecordWriter  # noqa: PLC0415
 
         self._event, self._summary, self._writer = Event, Summary, writer
-        self._steps: int = snapshot.meta["steps"] if snapshot else 0
-        self._updates: int = snapshot.meta["updates"] if snapshot else 0
         self._path = folder / f"events.out.tfevents.{time.time_ns()}.karolos"
         with writing(self._path):
             folder.mkdir(parents=True, exist_ok=True)
@@ -50,7 +48,8 @@ class TensorBoardWriter:
         self._records = RecordWriter(self._file)
         self._records.write(Event(wall_time=time.time(), file_version="brain.Event:2").SerializeToString())
         if snapshot is not None:
-            start, purge = SessionLog(status=SessionLog.START), self._steps + 1  # points here are not made again
+            purge = snapshot.meta["steps"] + 1  # points at these steps are not made again
+            start = SessionLog(status=SessionLog.START)
             self._records.write(Event(wall_time=time.time(), step=purge, session_log=start).SerializeToString())
 
     def add_report(self, training: Training, episodes: Sequence[Episode], metrics: Mapping[str, float]) -> None:
@@ -59,7 +58,6 @@ class TensorBoardWriter:
             "steps_per_second": training.steps / training.seconds,
             "updates_per_second": training.updates / training.seconds,
             **training.collector.read_policy_lag(),
-            **self._replay_ratio(training),
         }
         groups = {"agent": metrics, "buffer": training.buffer.metrics(), "speed": speed}
         has_success = training.orchestrator.signature.has_success
@@ -86,18 +84,6 @@ class TensorBoardWriter:
                 event = self._event(wall_time=time.time(), step=steps, summary=self._summary(value=points))
                 self._records.write(event.SerializeToString())
             self._records.flush()
-
-    def _replay_ratio(self, training: Training) -> dict[str, float]:
-        """Transitions learned from per environment step since the last point; empty for an on-policy agent.
-
-        Updates before the first environment step count with the steps that follow.
-        """
-        if training.agent.on_policy or training.steps == self._steps:
-            return {}
-        learned = (training.updates - self._updates) * training.amounts.batch_size
-        ratio = learned / (training.steps - self._steps)
-        self._steps, self._updates = training.steps, training.updates
-        return {"replay_ratio": ratio}
 
 
 def _episode_means(episodes: Sequence[Episode], *, has_success: bool) -> dict[str, float]:

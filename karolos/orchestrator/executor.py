@@ -52,7 +52,7 @@ class Executor:
                 self._reset(index)
             else:
                 self._step(index)
-        except FAILURES:
+        except BaseException:
             self._broken.add(index)
             raise
         finally:

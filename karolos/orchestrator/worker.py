@@ -31,6 +31,8 @@ DONE = b"."
 FAILED = b"!"
 NO_ENVIRONMENT = -1
 """The environment id in errors of building."""
+WORKER_FAILURES = (*FAILURES, KeyboardInterrupt)
+"""Workers ignore Ctrl-C: an interrupt in one is the environment's."""
 ORPHAN_TIMEOUT = 2.0
 """Seconds for the channels to end by themselves after the parent has ended."""
 
@@ -95,7 +97,7 @@ def build_environments(packed_build: bytes, count: int, stack: ExitStack, where:
     try:
         executor = Executor(pickle.loads(packed_build), count, stack)
         return executor, DONE + pickle.dumps(executor.signature)
-    except FAILURES as error:
+    except WORKER_FAILURES as error:
         return None, FAILED + pack_errors([(NO_ENVIRONMENT, as_karolos_error(error, where))])
 
 
@@ -116,6 +118,6 @@ def run_command(executor: Executor, message: bytes, where: str) -> bytes:
     for index in environments_in(message).tolist():
         try:
             executor.run(command, index)
-        except FAILURES as error:
+        except WORKER_FAILURES as error:
             errors.append((index, as_karolos_error(error, f"{where}, environment {index}")))
     return FAILED + pack_errors(errors) if errors else DONE

@@ -11,13 +11,15 @@ import numpy as np
 
 from ..core import Array
 from ..core.seeding import SeedTree
-from ..robots.arm import POSTURE_GAIN
-from ..simulation.geometry import Box, Vector
-from ..simulation.kinematics import Chain, downward
+from ..robots.arm import POSTURE_GAIN, ArmModel
+from ..simulation.geometry import Box, Orientations, Vector
+from ..simulation.kinematics import Chain, Pose, downward
 from ..simulation.urdf import Joint
 
 STARTS = 6
 """Random joint positions from which inverse kinematics looks for a home pose, for each yaw of the tool."""
+TILTS = tuple((cos(way), sin(way)) for way in (0.0, pi / 3, 2 * pi / 3, pi, 4 * pi / 3, 5 * pi / 3))
+"""Directions in which the tool is tilted to see where it can be."""
 YAWS = (0.0, pi / 2, pi, 3 * pi / 2)
 LIMIT_DISTANCE = 0.1
 """Distance in rad from the limits of the joints that home and workspace keep."""
@@ -120,11 +122,38 @@ class Poses:
         room *= (0.5 if box.low[2] > 0.05 else 1.0) * (1.0 if free else 0.5)
         return Place(room if edges.min() >= SMALLEST_WORKSPACE else 0.0, home, tool, step, box)
 
+    def dexterous(self, place: Place) -> Box | None:
+        """A part of the workspace, around home, in which the tool can be turned as an `ArmModel` says by default.
+
+        The first of some sizes in which it can be; None if it is too small.
+        """
+        home, rest = self.chain.forward(place.home).tool, np.array(place.home)
+        around = Orientations(home.orientation, ArmModel.tilt, ArmModel.turn)
+        turns = [
+            around.at(around.tilt * x, around.tilt * y, turn)
+            for (x, y), turn in product(TILTS, (-around.turn, around.turn))
+        ]
+        for share in (0.9, 0.75, 0.6, 0.45, 0.3):
+            low, high = (
+                np.round(home.position + share * np.subtract(end, home.position), 3)
+                for end in (place.workspace.low, place.workspace.high)
+            )
+            corners = product(*zip(low.tolist(), ((low + high) / 2).tolist(), high.tolist(), strict=True))
+            goals = (Pose.at(at, turn) for at, turn in product(corners, turns))
+            if all(self._takes(self._led(rest, goal, rest, 60), goal) for goal in goals):
+                (a, b, c), (d, e, f) = low.tolist(), high.tolist()
+                return Box((a, b, c), (d, e, f))
+        return None
+
     def _solved(self, pose: Array, target: Vector, yaw: float, rest: Array, steps: int) -> Array:
         """A pose (n,) near this one with the tool at `target`, pointing down, if inverse kinematics finds one."""
+        return self._led(pose, downward(target, yaw), rest, steps)
+
+    def _led(self, pose: Array, target: Pose, rest: Array, steps: int) -> Array:
+        """A pose (n,) near this one with the tool there, if inverse kinematics finds one."""
         for _ in range(steps):
             at = self.chain.forward(pose.tolist())
-            change = np.array(self.chain.step(at, downward(target, yaw), (POSTURE_GAIN * (rest - pose)).tolist()))
+            change = np.array(self.chain.step(at, target, (POSTURE_GAIN * (rest - pose)).tolist()))
             pose = np.clip(pose + np.clip(change, -0.5, 0.5), self.low, self.high)
             if np.abs(change).max() < 1e-6:
                 break
@@ -135,6 +164,12 @@ class Poses:
         at = self.chain.forward(pose.tolist())
         off = float(np.linalg.norm(np.subtract(at.tool.position, target)))
         return off < 1e-3 and at.tool.z[2] < -1 + 1e-5 and min(at.axes[8::6]) > CLEARANCE
+
+    def _takes(self, pose: Array, target: Pose) -> bool:
+        """Whether the tool has this position and orientation, with all joints above the floor."""
+        at = self.chain.forward(pose.tolist())
+        off = (float(np.linalg.norm(np.subtract(*pair))) for pair in zip(at.tool, target, strict=True))
+        return max(off) < 2e-3 and min(at.axes[8::6]) > CLEARANCE
 
     def _tool_step(self, home: Array) -> float:
         """The distance in m that the tool can move per control step along every axis from home."""

@@ -20,6 +20,7 @@ from ..errors import PluginError
 from ..robots.arm import ArmModel
 from ..robots.settings import ArmSettings
 from ..simulation import urdf
+from ..simulation.fixtures import hulls
 from ..simulation.geometry import Vector
 from ..simulation.interface import Fingers, Gripper
 from ..simulation.meshes import MESH_SUFFIXES, triangles
@@ -107,8 +108,13 @@ def propose(path: Path, tool: str | None = None) -> Proposal:
             where=str(path),
             hint="choose the tool with --tool LINK; the base stands on the floor with its z axis upwards",
         )
-    low, high = best.workspace.low, best.workspace.high
+    low, high, dexterous = best.workspace.low, best.workspace.high, poses.dexterous(best)
+    where = "none found: tasks whose goal is a pose refuse this robot"
+    if dexterous is not None:
+        turned = f"turned by {ArmModel.turn:g} rad and tilted by {ArmModel.tilt:g}"
+        where = f"{_metres(dexterous.low)} to {_metres(dexterous.high)} m; the tool can be {turned} there"
     fast = ", ".join(joint.name for joint in joints if joint.velocity > DOUBTED_SPEED)
+    filled = ", ".join(f"{name} ({what} filled)" for name, what in hulls(found.robot).items())
     slow, heavy = f"{best.tool_step} m per control step instead of {usual}", ", ".join(found.corrected)
     notes = {
         f"base: {base}{merged and f' (with {merged})'}, at the origin of the world, on the floor z = 0": True,
@@ -120,13 +126,16 @@ def propose(path: Path, tool: str | None = None) -> Proposal:
         tool_note: True,
         f"home: tool at {_metres(best.tool)} m, pointing down; by inverse kinematics, far from joint limits": True,
         f"workspace: {_metres(low)} to {_metres(high)} m; the tool reaches it pointing down": True,
+        f"dexterous: {where}": True,
         f"tool_step: {slow}: the joints are slower": best.tool_step < usual,
+        f"collision: the convex hulls of {filled}": filled,
         "self-collisions: none; `self_collisions` in the ArmModel names pairs of links that shall collide": True,
     }
     model = ArmModel(
         urdf=path,
         home=best.home,
         workspace=best.workspace,
+        dexterous=dexterous,
         tool=_vector(position),
         tool_rpy=_vector(urdf.roll_pitch_yaw(rotation)),
         fingers=hand.fingers,

@@ -85,6 +85,8 @@ def _rendered(
     if kind == "robot":
         templates[f"{package}/{name}.urdf"] = "robot.urdf"
         templates[f"specs/{name}_reach.yaml"] = "reach.yaml"
+    if kind == "task":
+        templates[f"{package}/part.obj"] = "part.obj"
     if urdf is not None:
         from .proposal import propose, with_meshes  # noqa: PLC0415 (takes half a second)
 

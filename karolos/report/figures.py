@@ -16,7 +16,6 @@ from .tables import clean
 if TYPE_CHECKING:
     from matplotlib.artist import Artist
     from matplotlib.figure import Figure
-    from matplotlib.legend import Legend
 
 STYLE = Path(__file__).with_suffix(".mplstyle")
 FORMATS = (".svg", ".pdf", ".png")
@@ -74,7 +73,6 @@ class Drawing:
         self.figure = Figure(figsize=(WIDTH, HEIGHT), layout="constrained")
         self.axes = self.figure.add_subplot()
         self.axes.set_title(short(title, 44))
-        self._legend: Legend | None = None
         self.parts: dict[str, tuple[str, str]] = {}
         """Group id of an artist -> class names and tooltip of its element in the page."""
 
@@ -89,7 +87,7 @@ class Drawing:
         from matplotlib.lines import Line2D  # noqa: PLC0415
 
         lines = [Line2D([], [], **style(series), label=short(label)) for series, label in enumerate(labels)]
-        self._legend = legend = self.figure.legend(handles=lines, loc="outside lower center", ncols=min(len(labels), 2))
+        legend = self.figure.legend(handles=lines, loc="outside lower center", ncols=min(len(labels), 2))
         for series, (line, text) in enumerate(zip(legend.legend_handles, legend.get_texts(), strict=True)):
             assert line is not None
             self.part(line, f"series-{series}")
@@ -128,11 +126,12 @@ class Drawing:
         import matplotlib  # noqa: PLC0415
 
         stream = StringIO()
-        if self._legend is not None:
-            self._legend.set_visible(legend)
-            self._legend.set_in_layout(legend)
+        legends = [*self.figure.legends]
+        if not legend:
+            self.figure.legends.clear()
         with look(), matplotlib.rc_context({"svg.hashsalt": self.name}):
             self.figure.savefig(stream, format="svg", metadata={"Date": None})
+        self.figure.legends[:] = legends
         text = re.sub(r"<metadata>.*?</metadata>| xmlns(:xlink)?=\S+\"", "", stream.getvalue(), flags=re.DOTALL)
         for gid, (classes, tooltip) in self.parts.items():
             title = f"<title>{escape(tooltip)}</title>" if tooltip else ""

@@ -391,7 +391,8 @@ class Arm:
         for _ in range(100):
             configuration = self.chain.forward(joints)
             tool = configuration.tool
-            if dist(tool.position, position) < PLACE_TOLERANCE and dist(tool.z, target.z) < PLACE_TOLERANCE:
+            turned = 0.0 if orientation is None else dist(tool.x, target.x)  # a yaw that is home's is near anyway
+            if max(dist(tool.position, position), dist(tool.z, target.z), turned) < PLACE_TOLERANCE:
                 break
             changes = self.chain.step(configuration, target, self.posture(joints))
             joints = self._clipped([joint + change for joint, change in zip(joints, changes, strict=True)])
@@ -465,6 +466,11 @@ class Arm:
     @property
     def tool(self) -> Pose:
         return self.configuration.tool
+
+    @property
+    def closing(self) -> Vector:
+        tool = self.configuration.tool
+        return (tool.x, tool.y)[self._pad_sides[0]]
 
     @property
     def stops(self) -> int:

@@ -284,25 +284,32 @@ class ImpedanceControl(PoseControl):
         self.arm.motors.aim(self._position, self._orientation, (0.0, 0.0, 0.0), (0.0, 0.0, 0.0))
 
     def act(self, values: Sequence[float], openings: Mapping[int, float]) -> None:
-        arm, tool = self.arm, self.arm.configuration.tool
+        arm = self.arm
         still = [0.0] * arm.chain.size
         arm.motors.drive(still, still, openings)
         if arm.settings.stiffness_range is not None:
             low, high = arm.settings.stiffness_range
             self._attach(low * (high / low) ** (0.5 + 0.5 * values[6]))
-        error, turn = self._error()
-        x, y, z = (own + ahead for own, ahead in zip(tool.position, error, strict=True))
-        orientation = multiply(rotation_about(turn), tool.orientation)
+        self._cut()
+        (x, y, z), orientation = self._position, self._orientation
         self._position, self._orientation = self._changed((x, y, z), orientation, values, arm.workspace.low[2])
+        self._cut()
         (end_x, end_y, end_z), (a, b, c) = self._position, self._turned(orientation)
         speed = (end_x - x) / arm.period, (end_y - y) / arm.period, (end_z - z) / arm.period
         arm.motors.aim((x, y, z), orientation, speed, (a / arm.period, b / arm.period, c / arm.period))
 
+    def _cut(self) -> None:
+        """Bring the set point so near to the tool that no error is beyond the largest."""
+        tool, (error, turn) = self.arm.configuration.tool, self._error()
+        x, y, z = (own + ahead for own, ahead in zip(tool.position, error, strict=True))
+        self._position, self._orientation = (x, y, z), multiply(rotation_about(turn), tool.orientation)
+
     def _error(self) -> tuple[Vector, Vector]:
-        """The way from the tool to the set point, m and rad, cut to the largest."""
+        """The way from the tool to the set point, m and rad, no longer than the largest error."""
         settings, tool = self.arm.settings, self.arm.configuration.tool
         x, y, z = (there - here for there, here in zip(self._position, tool.position, strict=True))
-        return _cut((x, y, z), settings.error_limit), _cut(self._turned(tool.orientation), settings.turn_error_limit)
+        turn = self._turned(tool.orientation)
+        return _shortened((x, y, z), settings.error_limit), _shortened(turn, settings.turn_error_limit)
 
     def _turned(self, orientation: Quaternion) -> Vector:
         """The rotation vector in rad from an orientation to that of the set point."""
@@ -317,7 +324,7 @@ class ImpedanceControl(PoseControl):
         return values if self.arm.settings.stiffness_range is None else [*values, 0.0]
 
 
-def _cut(vector: Vector, most: float) -> Vector:
+def _shortened(vector: Vector, most: float) -> Vector:
     """The vector, no longer than this."""
     share = min(1.0, most / max(hypot(*vector), 1e-12))
     return share * vector[0], share * vector[1], share * vector[2]

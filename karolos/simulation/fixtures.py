@@ -77,6 +77,16 @@ def read(path: Path, collision: meshes.Collision | None = None) -> Mechanism:
     return Mechanism(robot, {joint.name: joint.friction for joint in description.joints})
 
 
+def hulls(robot: Element) -> dict[str, str]:
+    """What the convex hulls of a URDF's meshes fill, by link; without the links of which they fill nothing."""
+    found = {}
+    for link in robot.findall("link"):
+        files = [Path(mesh.get("filename", "")) for mesh in link.iterfind("collision/geometry/mesh")]
+        if what := [filled for file in files if (filled := meshes.solid(file).filled)]:
+            found[link.get("name", "")] = what[0]
+    return found
+
+
 class _Reader:
     """Reads the links of an MJCF file."""
 

@@ -109,7 +109,7 @@ def _holes(faces: NDArray[np.intp]) -> int | None:
 
     edges = faces[:, [0, 1, 1, 2, 2, 0]].reshape(-1, 2)
     edges, counts = np.unique(edges[edges[:, 0] != edges[:, 1]], axis=0, return_counts=True)
-    if counts.max() > 1 or len(np.unique(np.vstack([edges, edges[:, ::-1]]), axis=0)) > len(edges):
+    if not len(edges) or counts.max() > 1 or len(np.unique(np.vstack([edges, edges[:, ::-1]]), axis=0)) > len(edges):
         return None  # an edge without a triangle on its other side
     size = int(faces.max()) + 1
     parts, _ = connected_components(coo_array((np.ones(len(edges)), edges.T), (size, size)), directed=False)

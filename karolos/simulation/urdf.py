@@ -297,7 +297,7 @@ def load(
         found.append(_joint(element, source, strict=strict, driven=driven))
     corrected = []
     if strict:
-        root = carriers[link_of(order[0], "parent")] if order else ""
+        root = carriers[link_of(order[0], "parent")] if order else robot.findall("link")[0].get("name")
         fingers = {joint.child for joint in found if joint.name in slides}
         for link in robot.findall("link"):
             name = link.get("name", "")

@@ -109,14 +109,13 @@ def write_report(report: TransferReport, path: Path, figures: Path | None = None
 def page(report: TransferReport, maps: Sequence[Drawing], curves: Sequence[Drawing]) -> str:
     """The page as text."""
     sections = [
-        Section(figures=maps),
+        Section(text=verdict(report), figures=maps),
         Section("In numbers", table=cells_table(report), notes=notes(report)),
         Section("Sources and targets", table=variants_table(report)),
         *([Section("Learning", figures=curves)] if curves else []),
         Section("Runs", table=_runs_table(report)),
     ]
-    what = f"{len(report.seeds)} seeds"
-    return document(f"Transfer: {report.name}", what, sections, report.warnings, verdict=verdict(report))
+    return document(f"Transfer: {report.name}", f"{len(report.seeds)} seeds", sections, report.warnings)
 
 
 def _runs_table(report: TransferReport) -> Table:

@@ -56,6 +56,26 @@ def test_transitions_that_weigh_nothing_teach_nothing() -> None:
     assert not torch.equal(unweighted.critic.named["layer0.weight"], states[0]["layer0.weight"])
 
 
+def test_a_policy_needs_nothing_of_what_critics_alone_observe() -> None:
+    wide = signature(critic_only=4)
+    agent = make(wide)
+    for _ in range(3):
+        agent.learn(batch(32, wide))
+    data = batch(8, wide)
+    acted = agent.act(data.observation, data.desired_goal, explore=False)
+    np.testing.assert_array_equal(acted, agent.act(data.observation[:, :3], data.desired_goal, explore=False))
+    other = make(wide)
+    other.adopt(agent.deployed())
+    assert agent.deployed().shift.size == 3 + 2
+    np.testing.assert_allclose(acted, other.act(data.observation, data.desired_goal, explore=False), atol=1e-6)
+    changed = data.observation.copy()
+    changed[:, 3:] += 1
+    agents = [make(wide), make(wide)]
+    for one, observation in zip(agents, (data.observation, changed), strict=True):
+        one.learn(data._replace(observation=observation))
+    assert not torch.equal(*(one.critic.vector for one in agents))
+
+
 @pytest.mark.parametrize("target", [0.3, -0.5])
 def test_entropy_comes_near_its_target(target: float) -> None:
     of = signature(goal=0, action=1)

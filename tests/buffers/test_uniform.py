@@ -12,7 +12,7 @@ from support.worlds import Counting, counting_signature, goals, make_buffer, pla
 
 from karolos.buffers.uniform import Uniform
 from karolos.core import Field, Layout, Signature
-from karolos.errors import PluginError, RunError, UsageError
+from karolos.errors import PluginError, UsageError
 
 
 def make(signature: Signature, capacity: int, **settings: Any) -> Any:
@@ -163,11 +163,6 @@ def test_state_of_another_shape_is_refused() -> None:
 def test_capacity_below_an_episode_per_environment_is_refused() -> None:
     with pytest.raises(UsageError, match=r"buffer\.capacity.*set buffer\.capacity to 150"):
         make(counting_signature(50), 149, environments=3)
-
-
-def test_sampling_from_an_empty_buffer_is_an_error() -> None:
-    with pytest.raises(RunError, match="empty"):
-        make(counting_signature(5), 10).sample(4)
 
 
 def test_hindsight_without_goals_is_refused() -> None:

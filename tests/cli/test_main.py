@@ -6,6 +6,7 @@ import json
 import subprocess
 import sys
 from pathlib import Path
+from typing import Any
 
 import pytest
 import typer
@@ -32,18 +33,22 @@ def test_standard_output_that_is_full_or_closed_is_told_in_one_line_or_nothing()
         assert ended.stderr.count("\n") <= 1
 
 
-def test_an_environment_that_hangs_past_the_time_limit_ends_the_command_with_124_and_says_so(
-    tmp_path: Path, monkeypatch: pytest.MonkeyPatch, capsys: pytest.CaptureFixture[str]
+@pytest.mark.parametrize(
+    ("trouble", "code", "said"),
+    [("init:hang", 124, "the time limit is over"), ("init:interrupt", 130, "interrupted\n")],
+)
+def test_an_environment_that_hangs_past_the_time_limit_or_interrupts_ends_the_command_and_says_so(
+    trouble: str, code: int, said: str, tmp_path: Path, monkeypatch: pytest.MonkeyPatch, capsys: Any
 ) -> None:
-    (tmp_path / "spec.yaml").write_text(json.dumps(spec("init:hang")))
+    (tmp_path / "spec.yaml").write_text(json.dumps(spec(trouble)))
     monkeypatch.setattr("karolos.experiment.signals.HANG_SECONDS", 0.1)
     monkeypatch.setattr(
         sys, "argv", ["karolos", "run", f"{tmp_path}/spec.yaml", "--time-limit", "1s", "--runs", f"{tmp_path}"]
     )
     with pytest.raises(SystemExit) as end:
         main()
-    assert end.value.code == 124
-    assert "the time limit is over" in capsys.readouterr().err
+    assert end.value.code == code
+    assert said in capsys.readouterr().err
 
 
 def test_version_is_printed() -> None:

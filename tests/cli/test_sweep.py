@@ -3,7 +3,6 @@
 from __future__ import annotations
 
 import json
-import sys
 from dataclasses import replace
 from pathlib import Path
 
@@ -16,9 +15,8 @@ from support.commands import Terminal, call
 from support.sweep_samples import LEARNING_RATE, sweep_spec, write_sweep
 
 from karolos.records.sweep_records import SweepFinal, Trial
-from karolos.specification import load_spec, spec_from_dict
+from karolos.specification import spec_from_dict
 from karolos.sweep.events import FinalBegan, SweepOutcome, TrialBegan, TrialEnded
-from karolos.sweep.study import Study
 
 ROOT = Path(__file__).parents[2]
 
@@ -107,24 +105,3 @@ def test_bar_shows_trials_and_the_best_so_far():
         assert (task.completed, task.total, task.description) == (0, 2, "choosing")
     text = screen.text()
     assert "trial 0 complete: success_end 0.9 with agent.learning_rate=0.001 [1/4]" in text
-
-
-@pytest.mark.parametrize("path", ["specs/panda_reach_sweep.yaml", "specs/smoke/toy_sweep.yaml"])
-def test_a_row_of_the_table_takes_one_line_on_a_narrow_terminal(path, monkeypatch, tmp_path):
-    search = load_spec(ROOT / path).sweep
-    drawn = Study.draws(search, 12)
-    trials = tuple(
-        Trial(number, f"a-t{number:03}", "complete", values, (0.123456789,), ("panda_reach_sweep-t000-s0-2026",), None)
-        for number, values in enumerate(drawn)
-    )
-    final = SweepFinal(1, (2, 3), (4, 5), (0.123456789,), {1: (0.0123456789,)}, (0.3456789,))
-    screen = Terminal()
-    monkeypatch.setattr(sys, "stdout", screen)
-    monkeypatch.setenv("COLUMNS", "80")
-    monkeypatch.setenv("TERM", "xterm")
-    report(outcome_of(tmp_path, search, trials, final), quiet=False, json=False)
-    text = screen.text()
-    lines = [line for line in text.splitlines() if line.strip()]
-    head = next(place for place, line in enumerate(lines) if "─" in line)
-    assert len(lines) == head + 1 + 12, text
-    assert max(map(len, lines)) <= 80

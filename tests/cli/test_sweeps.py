@@ -74,7 +74,7 @@ def test_without_sweeps_it_says_how_to_make_one(tmp_path: Path) -> None:
 
 def test_reindex_enters_sweeps_and_names_what_is_damaged(runs: Path) -> None:
     (runs / "sweeps" / "half" / "sweep.json").write_text("{}")
-    told = call(db, "reindex", "--jobs", 1, exit_code=1).stderr
+    told = call(db, "reindex", exit_code=1).stderr
     assert "1 sweeps entered, 0 forgotten" in told
     assert "half: sweep.json is damaged; remove that file: `karolos sweep SPEC` writes it again" in told
     assert [row["name"] for row in rows(app, "list")] == ["done"]

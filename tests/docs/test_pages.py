@@ -24,8 +24,8 @@ DOCS = ROOT / "docs"
 RUN = ("sh", "python", "yaml")
 OTHER = ("text", "toml", "{eval-rst}", "{figure}", "{toctree}")
 """Languages of blocks: `text` is output."""
-NOT_RUN = {"minutes", "hours", "cluster", "pandas", "stable-baselines3", "part"}
-"""The second word of a block that is not run: how long it takes, what it needs, or `part` of a spec."""
+NOT_RUN = {"minutes", "hours", "server", "cluster", "pandas", "stable-baselines3", "part"}
+"""The second word of a block that is not run: how long it takes, that it does not end, what it needs, `part`."""
 BLOCK = re.compile(r"(^<!-- from [^\n]*-->\n)?^```(\S+)(?: ([^\n]+))?\n(.*?)^```$", re.MULTILINE | re.DOTALL)
 TINY = [
     *("training.steps=40", "training.replay_ratio=1", "training.warmup_episodes=1", "training.batch_size=8"),
@@ -105,7 +105,7 @@ def test_code_works_as_written(page: Path, folder: Path, monkeypatch: pytest.Mon
     for language, reason, text in blocks(page):
         if reason or language not in RUN:
             continue
-        file = re.match(r"# ([\w/]+\.(?:yaml|py))\n", text)
+        file = re.match(r"# ([\w/-]+\.(?:yaml|py))\n", text)
         if file:
             Path(file[1]).write_text(text)
         if language == "yaml":

@@ -59,12 +59,13 @@ def test_rewards_and_ends_are_those_of_the_goals_one_by_one_and_together(name: s
         over = steps[-1][2] or steps[-1][3]
     for state, reward, terminated, truncated, info in steps:
         goals = state["achieved_goal"], state["desired_goal"], info
-        assert environment.compute_reward(*goals) == reward
+        assert environment.compute_reward(*goals) == pytest.approx(reward, abs=1e-6)
         assert environment.compute_terminated(*goals) == terminated
         assert environment.compute_truncated(*goals) == truncated
     achieved, desired = (np.stack([step[0][key] for step in steps]) for key in ("achieved_goal", "desired_goal"))
     rewards = np.array([step[1] for step in steps], np.float32)
-    np.testing.assert_array_equal(environment.compute_reward(achieved, desired, None), rewards)
+    computed = environment.compute_reward(achieved, desired, [step[4] for step in steps])
+    np.testing.assert_allclose(computed, rewards, atol=1e-6)
     np.testing.assert_array_equal(environment.compute_terminated(achieved, desired, None), [s[2] for s in steps])
     assert steps[-1][2] or steps[-1][3]
     environment.close()

@@ -209,15 +209,6 @@ def test_any_layout_finds_the_same():
     assert 0 < results[0].success_end < 1, "some goals lie too far away to be reached in time"
 
 
-def test_repeating_a_test_finds_the_same():
-    """Environments that have been used, and left in the middle of an episode, play as fresh ones do."""
-    with Local(Local.Settings(processes=0, environments=4), partial(Toy, Toy.Settings())) as orchestrator:
-        first = play_episodes(orchestrator, Greedy(), test_seeds(0, 10))
-        orchestrator.reset([1, 2], [5, 5])
-        orchestrator.receive()
-        assert play_episodes(orchestrator, Greedy(), test_seeds(0, 10)) == first
-
-
 def test_test_seeds_depend_on_their_root_alone_and_grow_at_the_end():
     assert test_seeds(0, 5) == test_seeds(0, 9)[:5]
     assert len(set(test_seeds(0, 500)) | set(test_seeds(1, 500))) == 1000

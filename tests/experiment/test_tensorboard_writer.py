@@ -10,7 +10,6 @@ from typing import Any
 import pytest
 from tensorboard.backend.event_processing.event_accumulator import EventAccumulator
 
-from karolos import checkpoint
 from karolos.experiment.events import RunTested
 from karolos.launchers.experiment import Experiment
 from karolos.records import RunFolder
@@ -71,24 +70,3 @@ def test_between_two_tests_there_are_ten_points(folder: RunFolder) -> None:
     steps = [step for step, _ in points(folder, "buffer/transitions")]
     assert sum(100 < step <= 200 for step in steps) == 10
     assert points(folder, "buffer/transitions")[-1] == (240, 240)
-
-
-def test_the_replay_ratio_is_the_one_that_came_out(folder: RunFolder) -> None:
-    ratios = points(folder, "speed/replay_ratio")
-    assert ratios[0][1] == 0, "warming up"
-    assert [ratio for _, ratio in ratios[-5:]] == pytest.approx([4] * 5), "updates x 16 transitions / steps"
-    before = [0, *(step for step, _ in ratios)]
-    learned = sum(ratio * (step - since) for (step, ratio), since in zip(ratios, before, strict=False))
-    assert learned == pytest.approx(16 * checkpoint.read_meta(folder.checkpoints, "last")["updates"])
-
-
-def test_an_on_policy_agent_has_no_replay_ratio(tmp_path: Path) -> None:
-    changes = {
-        "agent": {"name": "ppo", "hidden": [8]},
-        "buffer": {"name": "on_policy", "rollout": 20},
-        "training": {"steps": 240},
-    }
-    played = RunFolder.open(Experiment({**TOY, **changes}).run(tmp_path).runs[0].folder)
-    tags = series(played).Tags()["scalars"]
-    assert {"speed/updates_per_second", "agent/kl"} <= set(tags)
-    assert "speed/replay_ratio" not in tags

@@ -2,8 +2,10 @@
 
 import multiprocessing
 import os
+import pickle
 import signal
 import threading
+from contextlib import ExitStack
 from functools import partial
 from pathlib import Path
 from time import sleep
@@ -33,6 +35,7 @@ from karolos.environments.toy import Toy
 from karolos.errors import KarolosError, MachineError, PluginError, WorkerError
 from karolos.orchestrator import pool, processes, start
 from karolos.orchestrator.local import Local
+from karolos.orchestrator.worker import build_environments
 
 every_layout = pytest.mark.parametrize("layout", [IN_PROCESS, ONE, TWO, THREADS], ids=["0", "1", "2", "threads"])
 
@@ -59,6 +62,17 @@ def test_what_a_step_raises_arrives_in_one_line(layout, trouble, kind, told):
             orchestrator.receive()
     assert "\n" not in str(caught.value)
     assert trouble != RAISE or "_fail_deep_inside" in caught.value.traceback
+
+
+def interrupt() -> None:
+    raise KeyboardInterrupt
+
+
+def test_an_interrupt_of_an_environment_is_told_by_its_worker() -> None:
+    executor, answer = build_environments(pickle.dumps(interrupt), 1, ExitStack(), "worker 0")
+    ((_, error),) = pickle.loads(answer[1:])
+    assert executor is None
+    assert str(error).startswith("worker 0: KeyboardInterrupt;")
 
 
 @every_layout

@@ -14,7 +14,7 @@ from karolos.errors import PluginError
 from karolos.evaluation.playing import score
 from karolos.evaluation.policies import expert_policy
 from karolos.plugins.contracts import Candidate, candidate, cases, robots
-from karolos.plugins.contracts.joined import CONTROLS, goes_with, join, joined, reaching
+from karolos.plugins.contracts.joined import CONTROLS, goes_with, join, joined, reaching, refusal
 from karolos.registry import load, names
 from karolos.simulation.interface import Box
 
@@ -41,6 +41,9 @@ def test_every_task_is_solved_by_its_expert(small: Candidate, task: str, control
     if not goes_with(candidate("tasks", task), control):
         pytest.skip(f"{task} is not done in {control} control")
     robot = replace(small, settings={"control": control})
+    if task == "reach_pose":
+        assert "where its tool can be turned" in str(refusal(robot, candidate("tasks", task)))
+        pytest.skip("it does not say where its tool can be turned")
     with joined(robot, candidate("tasks", task)) as made:
         found = score(made, expert_policy(made), episodes=10, seed=0)
         assert made.divergences == 0
@@ -63,6 +66,8 @@ def test_a_cube_lies_where_this_robot_works_and_as_its_gripper_is_held(small: Ca
 def test_a_robot_without_gripper_is_refused_where_one_is_needed_and_solves_the_rest(tmp_path: Path) -> None:
     bare = Candidate("robots", "bare", small_arm(tmp_path, fingers=False))
     for task in names("tasks"):
+        if task == "reach_pose":  # see above
+            continue
         if load("tasks", task).uses_gripper:
             with pytest.raises(PluginError, match="Small: this robot has no gripper"):
                 join(bare, candidate("tasks", task))

@@ -28,24 +28,6 @@ def test_collision_adds_a_number(tmp_path: Path, monkeypatch: pytest.MonkeyPatch
     assert ids == ["reach-s0-20260102-030405", "reach-s0-20260102-030405-2", "reach-s0-20260102-030405-3"]
 
 
-def test_sixteen_processes_get_sixteen_folders(tmp_path: Path) -> None:
-    script = (
-        "import os, sys; from karolos.records import RunFolder\n"
-        "children = []\n"
-        "for index in range(16):\n"
-        "    child = os.fork()\n"
-        "    if not child:\n"
-        "        folder = RunFolder.create(sys.argv[1], 'x', 0); folder.describe({}, experiment='e')\n"
-        "        folder.set_state('finished'); os._exit(0)\n"
-        "    children.append(child)\n"
-        "assert not any(os.waitpid(child, 0)[1] for child in children)\n"
-    )
-    subprocess.run([sys.executable, "-c", script, str(tmp_path)], check=True)
-    folders = list(scan(tmp_path))
-    assert len(folders) == 16
-    assert {folder.state().state for folder in folders if isinstance(folder, RunFolder)} == {"finished"}
-
-
 def test_runs_folder_that_is_a_file_is_told(tmp_path: Path) -> None:
     (tmp_path / "runs").write_text("")
     for attempt in (RunFolder.check_writable, lambda runs: RunFolder.create(runs, "x", 0)):

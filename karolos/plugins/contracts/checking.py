@@ -11,7 +11,7 @@ from ...registry import alternatives, names, singular
 from ...robots.arm import Arm
 from . import agents, buffers, distributions, environments, pairs, robots, tasks
 from .case import Candidate, Case, candidate
-from .joined import controls, goes_with, refusal, under
+from .joined import TURNING, controls, goes_with, refusal, under
 
 KINDS = ("robots", "tasks", "agents", "buffers", "environments", "distributions")
 """Kinds with contracts. Orchestrators are tested in karolos alone."""
@@ -62,6 +62,8 @@ def of_pair(robot: Candidate, task: Candidate) -> list[Case]:
     if task.name == "reach":
         groups += [pairs.IN_REACH, pairs.ARM_IN_REACH] if issubclass(robot.plugin, Arm) else [pairs.IN_REACH]
     modes = [mode for mode in controls(robot) if goes_with(task, mode.settings.get("control"))]
+    if task.plugin.control in TURNING and issubclass(robot.plugin, Arm):
+        modes.append(under(robot, task.plugin.control))
     both = environments.REPEATS, environments.PROMISES
     found = [case for mode in modes for group in both for case in group.cases(mode, task)]
     return found + [case for group in groups for case in group.cases(robot, task)]
@@ -112,6 +114,8 @@ def check(kind: str, name: str, **settings: Any) -> None:
 
 def _of_robot(one: Candidate) -> list[Case]:
     modes, is_arm = controls(one), issubclass(one.plugin, Arm)
+    turned = [under(one, control) for control in TURNING if is_arm and (control, one.engine) != ("impedance", "bullet")]
+    modes += turned
     groups = [robots.ANY_ROBOT, robots.ARM] if is_arm else [robots.ANY_ROBOT]
     found = [case for mode in modes for case in robots.BEGINS.cases(mode)]
     found += [case for group in groups for mode in modes for case in group.cases(mode)]
@@ -121,6 +125,9 @@ def _of_robot(one: Candidate) -> list[Case]:
         found += robots.SHEET.cases(joint) if one.plugin.model.accelerations is not None else []
         found += robots.CARTESIAN_CONTROL.cases(cartesian)
         found += robots.GRIPPER.cases(cartesian) if _has_gripper(one) else []
+        for mode in turned:
+            found += robots.TURNED.cases(mode) if one.plugin.model.dexterous is not None else []
+            found += robots.IMPEDANCE_CONTROL.cases(mode) if mode.settings["control"] == "impedance" else []
     return found
 
 

@@ -88,14 +88,15 @@ def a_step_stays_as_it_was_returned(environment: Environment) -> None:
 
 @PROMISES
 def the_goal_rule_gives_the_rewards_and_ends_of_the_steps(environment: Environment) -> None:
-    """The goal rule, if there is one, gives the reward, success and termination of every step."""
-    rule = environment.signature.goal_rule
+    """The goal rule, if there is one, gives success, termination and, but for its extra part, reward of every step."""
+    rule, (low, high) = environment.signature.goal_rule, environment.signature.extra_reward
     if rule is None:
         return
     steps = _played(environment, 9)[1:]
     achieved, desired = (np.stack([step[column] for step in steps]) for column in (1, 2))
     rewards, ruled = np.array([step.reward for step in steps], np.float32), rule.reward(achieved, desired)
-    wrong = np.flatnonzero(~np.isclose(rewards, ruled, rtol=1e-4, atol=1e-5))  # goals may be computed as float64
+    allowed = np.clip(rewards, ruled + low, ruled + high)
+    wrong = np.flatnonzero(~np.isclose(rewards, allowed, rtol=1e-4, atol=1e-5))  # goals may be computed as float64
     demand(not wrong.size, f"step {[int(step) + 1 for step in wrong[:1]]} has another reward than the rule's")
     demand_same(rule.success(achieved, desired), [step.success for step in steps], "the rule's success")
     demand_same(rule.terminated(achieved, desired), [step.terminated for step in steps], "the rule's termination")

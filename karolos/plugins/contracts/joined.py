@@ -14,6 +14,9 @@ from ...randomization.distributions import Choice
 from .case import Candidate, candidate
 
 CONTROLS = ("joint", "cartesian")
+"""Control modes in which a robot is checked with every task."""
+TURNING = ("pose", "impedance")
+"""Those in which it is checked alone, and with tasks that ask for them."""
 
 
 def opened(first: Candidate, task: Candidate | None = None) -> AbstractContextManager[Environment]:

@@ -15,6 +15,7 @@ from ...core import Array, FloatArray, random_actions
 from ...core.seeding import Generator
 from ...environments.robot_task import RobotTask
 from ...randomization.randomization import RandomizedParameter
+from ...simulation.geometry import inverse, multiply, rotated, rotation_vector
 from ...simulation.interface import Body, World
 from ...simulation.shapes import Cuboid
 from ...tasks.reach import Reach
@@ -66,7 +67,9 @@ ANY_ROBOT = Promises(reaching)
 """Promises that need the public protocol `Robot` alone."""
 ARM = Promises(reaching)
 """Promises of every `robots.arm.Arm` under each control mode. They look at its motors and its body."""
-JOINT_CONTROL, CARTESIAN_CONTROL = Promises(reaching), Promises(reaching)
+JOINT_CONTROL, CARTESIAN_CONTROL, IMPEDANCE_CONTROL = Promises(reaching), Promises(reaching), Promises(reaching)
+TURNED = Promises(reaching)
+"""Promises of pose and impedance control of an arm that says where it can turn its tool."""
 LIMITS = Promises(in_physics_steps)
 """Promises of an arm's joint control that hold in each physics step."""
 SHEET = Promises(as_its_sheet_says)
@@ -97,7 +100,7 @@ def the_tool_reaches_every_corner_of_the_workspace(environment: RobotTask) -> No
     box = robot.workspace
     for x, y, z in product(*zip(box.low, box.centre, box.high, strict=True)):
         environment.reset(0)
-        for _ in range(45):
+        for _ in range(45 if "robot.control" not in robot.mujoco_only else 150):  # a spring is slower
             environment.step(robot.towards((x, y, z), 0.0))
         distance = float(np.linalg.norm(np.subtract(robot.tool_position, (x, y, z))))
         demand(distance < 0.005, f"the tool stays {1000 * distance:.1f} mm away from {x:.3f} {y:.3f} {z:.3f}")
@@ -252,6 +255,56 @@ def a_full_action_moves_the_tool_by_one_tool_step(environment: RobotTask) -> Non
         demand(abs(step / robot.tool_step - 1) < 0.1, f"a full action along {where} moves the tool by {found}")
 
 
+@TURNED
+def each_of_100_poses_is_reached(environment: RobotTask) -> None:
+    """The tool comes within 5 mm and .02 rad of 100 poses in `dexterous`, tilted as far as the arm says."""
+    robot: Any = environment.robot
+    draws, orientations, box = _generator(), robot.orientations, robot.dexterous
+    environment.reset(0)
+    for _ in range(100):
+        position, direction = tuple(draws.uniform(box.low, box.high).tolist()), draws.uniform(-np.pi, np.pi)
+        tilt, turn = orientations.tilt, draws.uniform(-orientations.turn, orientations.turn)
+        goal = orientations.at(tilt * cos(direction), tilt * sin(direction), turn)
+        for _ in range(150):
+            environment.step(robot.towards(position, 0.0, goal))
+            distance = float(np.linalg.norm(np.subtract(robot.tool_position, position)))
+            angle = float(np.linalg.norm(rotation_vector(multiply(goal, inverse(robot.tool.orientation)))))
+            if distance < 0.005 and angle < 0.02:
+                break
+        found = f"{1000 * distance:.1f} mm and {angle:.3f} rad away from {np.round(position, 3)} m, turned by {goal}"
+        demand(distance < 0.005 and angle < 0.02, f"the tool stays {found}")
+
+
+@IMPEDANCE_CONTROL
+def a_spring_presses_as_its_stiffness_and_its_limit_say(environment: RobotTask) -> None:
+    """Against a wall at each side the wrist feels stiffness times error within 5 %, and just what its limit allows."""
+    robot: Any = environment.robot
+    environment.reset(0)
+    wall = environment.world.body([Cuboid((0.1, 0.1, 0.1))], 0.0, (0.6, 0.6, 0.6, 1.0))
+    settings, where = robot.settings, environment.signature.observation.slice("set_point")
+    stiffness = np.repeat([settings.stiffness, settings.turn_stiffness], 3)
+    most = settings.stiffness * settings.error_limit
+    for axis, side in ((0, -1.0), (0, 1.0), (1, -1.0), (1, 1.0), (2, -1.0)):
+        environment.reset(0)
+        start = robot.workspace.centre
+        robot.place_tool(start, 0.0)
+        aside = [0.0, 0.0, -0.045] if axis < 2 else [0.045, 0.045, 0.0]  # it meets an edge, which turns the tool, too
+        aside[axis] = 0.15 * side
+        wall.place(tuple(np.add(start, aside).tolist()))
+        felt, pulled = np.zeros(6), np.zeros(6)
+        for step in range(120):
+            observation = environment.step(_along(environment, axis, side) * (step < 60)).observation
+            if step >= 96:
+                turn = np.transpose([robot.tool.x, robot.tool.y, robot.tool.z])
+                felt += np.concatenate((turn @ robot.wrench[:3], turn @ robot.wrench[3:])) / 24
+                pulled += stiffness * observation[where] / 24
+        off, size = (np.linalg.norm(one.reshape(2, 3), axis=1) for one in (felt + pulled, pulled))
+        found = f"feels {felt.round(2)}, stiffness times error is {pulled.round(2)} (N, N m)"
+        demand((off < 0.05 * size + [0.1, 0.01]).all(), f"pressing along {axis}, the wrist {found}")
+        force = float(np.linalg.norm(felt[:3]))
+        demand(0.9 * most < force < 1.01 * most, f"a wall is pressed with {force:.1f} N, the limit is {most:.1f} N")
+
+
 @CARTESIAN_CONTROL
 def a_pressed_cube_stays_on_the_floor(environment: RobotTask) -> None:
     """A cube of 4 cm, pressed for 2 s, sinks less than 5 mm into the floor and is not shot away.
@@ -362,6 +415,25 @@ def each_pad_presses_with_the_force_of_the_gripper(environment: RobotTask) -> No
     declared = robot.gripper.force
     near = np.abs(measured / declared - 1) < 0.05
     demand(near.all(), f"the pads press with {measured.round(1)} N, the gripper declares {declared:g} N")
+
+
+@GRIPPER
+def the_wrist_weighs_what_the_gripper_holds(environment: RobotTask) -> None:
+    """The wrench at the wrist is the weight of a held cube of .3 kg within 2 %, also with the tool tilted."""
+    robot: Any = environment.robot
+    environment.reset(0)
+    cube: Body = environment.task.cube  # type: ignore[attr-defined]
+    cube.set_inertia(0.3, (0.3 * SIZE**2 / 6,) * 3)
+    place, felt = robot.tool_position, np.zeros(6)
+    for turn in (robot.orientations.middle, robot.orientations.at(robot.orientations.tilt, 0.0, 0.0)):
+        for step in range(48):
+            environment.step(robot.towards(place, 0.0, turn))
+            felt = felt + np.divide(robot.wrench, 12) if step >= 36 else np.zeros(6)
+        weight = np.array(rotated(inverse(robot.tool.orientation), (0.0, 0.0, -0.3 * 9.81)))
+        lever = rotated(inverse(robot.tool.orientation), np.subtract(cube.pose()[0], robot.tool_position).tolist())
+        off = felt - np.concatenate((weight, np.cross(lever, weight)))
+        near = np.abs(off[:3]).max() < 0.02 * 0.3 * 9.81 and np.abs(off[3:]).max() < 0.002 * 0.3 * 9.81
+        demand(near, f"the wrist feels {felt.round(3)} of a weight of {weight.round(3)} N")
 
 
 def _generator() -> np.random.Generator:

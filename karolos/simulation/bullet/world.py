@@ -32,7 +32,7 @@ from ..interface.engine import Body as AnyBody
 from ..meshes import stl, triangles
 from ..parts import Mechanism
 from ..picture import FLOOR_COLOUR, GRID_COLOUR, GRIDS, SKY_COLOUR, Eye, Marker, draw
-from ..shapes import Inertia, Shape, inertia_of
+from ..shapes import Inertia, Mesh, Shape, inertia_of
 from .body import Body
 from .client import Client
 from .motors import Motors
@@ -142,8 +142,10 @@ class World:
     def load(self, source: Path | Mechanism, *, position: Vector = (0.0, 0.0, 0.0)) -> Body:
         mechanism = read(source) if isinstance(source, Path) else source
         body = Body(self.api, self._load(mechanism.robot, fixed=True, position=position))
-        if mechanism.frictions:
+        if mechanism.frictions or mechanism is not source:  # no arm
             body.collide_only(())
+            for link in (-1, *body.links().values()):
+                body.change(link, collisionMargin=0.0)
         for name, friction in mechanism.frictions.items():
             body.drive_joint(name, 0.0, friction)
         return body
@@ -200,6 +202,8 @@ class World:
         self.api.changeVisualShape(index, -1, rgbaColor=colour)
         body = Body(self.api, index, inertia)
         body.let_drift()
+        if any(isinstance(shape, Mesh) for shape in shapes):
+            body.change(-1, collisionMargin=0.0)  # PyBullet would keep 1 mm around a mesh
         if mass > 0:
             self._free.append(body)
         return body

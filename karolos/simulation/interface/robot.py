@@ -58,6 +58,8 @@ class RobotView(Protocol):
 
     tool: Pose
     """Current pose of the tool."""
+    closing: Vector
+    """Direction in which the pads close, of either of them; only with a gripper that the task uses."""
     tool_position: Vector
     """Current position of the tool centre point, in m."""
     tool_velocity: Vector

@@ -1,0 +1,101 @@
+"""Pictures of docs/parts.md, of what its own code makes: python docs/_scripts/parts.py"""
+
+from __future__ import annotations
+
+import os
+import re
+import sys
+import tempfile
+from contextlib import chdir
+from pathlib import Path
+from typing import Any
+
+import imageio
+import numpy as np
+
+from karolos.environments.robot_task import RobotTask
+from karolos.registry import load
+from karolos.simulation.engines import make_world
+from karolos.simulation.interface import Camera
+from karolos.simulation.meshes import stl
+from karolos.simulation.shapes import Capsule, Mesh, Sphere, volume_of
+
+PAGE = Path(__file__).parents[1] / "parts.md"
+SIZE = 560, 360
+ORANGE, BLUE = (0.9, 0.5, 0.1, 1.0), (0.2, 0.45, 0.85, 1.0)
+
+
+def save(name: str, world: Any, **camera: Any) -> None:
+    picture = world.render(2 * SIZE[0], 2 * SIZE[1], Camera(**camera))
+    small = picture.reshape(SIZE[1], 2, SIZE[0], 2, 3).mean((1, 3)).astype(np.uint8)
+    imageio.imwrite(PAGE.with_suffix("") / f"{name}.png", small)
+
+
+def shapes(names: dict[str, Any]) -> None:
+    """The page's ring with its peg, beside a capsule and a ball."""
+    world, others = names["world"], []
+    for place, shape in (((0.32, 0.14, 0.01), Capsule(0.01, 0.04)), ((0.34, 0.05, 0.015), Sphere(0.015))):
+        turned = type(shape)(**{**vars(shape), "orientation": (0.5**0.5, 0.0, 0.0, 0.5**0.5)})
+        others.append(world.body([turned], 0.1, BLUE))
+        others[-1].place(place)
+    save("shapes", world, target=(0.37, 0.1, 0.02), distance=0.35, yaw=30.0, pitch=-35.0)
+    for body in (*others, names["peg"]):
+        body.place((3.0, 3.0, 0.1))
+
+
+def mesh(folder: Path) -> None:
+    """An L on its legs and one on its tips."""
+    outline = [(0, 0), (60, 0), (60, 20), (20, 20), (20, 60), (0, 60)]
+    made = []
+    for (a, b), (c, d) in zip(outline, outline[1:] + outline[:1], strict=True):
+        made += [[(a, b, 0), (c, d, 0), (c, d, 20)], [(a, b, 0), (c, d, 20), (a, b, 20)]]
+        made += [[(0, 0, 20), (a, b, 20), (c, d, 20)], [(0, 0, 0), (c, d, 0), (a, b, 0)]]
+    path = folder / "l.stl"
+    path.write_bytes(stl(np.array(made, np.float32)))
+    world = make_world("mujoco")
+    z, w, half = -np.sin(np.pi / 8), np.cos(np.pi / 8), 0.5**0.5
+    for place, turn, colour in (
+        ((0.0, 0.0, 0.02), (half, 0.0, 0.0, half), ORANGE),
+        ((0.0, 0.13, 0.058), (half * z, half * w, half * z, half * w), BLUE),
+    ):
+        body = world.body(
+            [Mesh(path, 0.001, collision="convex")], 1200 * volume_of([Mesh(path, 0.001, "convex")]), colour
+        )
+        body.place(place, turn)
+    for _ in range(24):
+        world.step()
+    save("mesh", world, target=(0.0, 0.07, 0.02), distance=0.5, yaw=60.0, pitch=-25.0)
+
+
+def main() -> None:
+    names: dict[str, Any] = {}
+    with tempfile.TemporaryDirectory() as folder, chdir(folder):
+        package = Path("karolos-insert-pin/src/karolos_insert_pin")
+        package.mkdir(parents=True)
+        for text in re.findall(r"```python\n(.*?)```", PAGE.read_text("utf-8"), re.DOTALL):
+            file = re.match(r"# (\S+\.py)\n", text)
+            if file:
+                Path(file[1]).write_text(text, "utf-8")
+            else:
+                exec(text, names)
+            if "peg.place" in text:
+                shapes(names)
+            if "drawer.joint" in text:
+                save("fixture", names["world"], target=(0.5, 0.0, 0.05), distance=0.9, yaw=-40.0, pitch=-25.0)
+            if "door.place" in text:
+                save("mechanism", names["world"], target=(0.58, 0.4, 0.18), distance=1.0, yaw=20.0, pitch=-20.0)
+        mesh(Path.cwd())
+        sys.path.insert(0, str(package.parent))
+        os.environ.setdefault("MUJOCO_GL", "egl")
+        from karolos_insert_pin.insert_pin import InsertPin  # noqa: PLC0415 (just written)
+
+        arm = load("robots", "panda")
+        settings = RobotTask.Settings.model_validate({})
+        environment = RobotTask(settings, robot=arm(arm.Settings()), task=InsertPin(InsertPin.Settings()))
+        environment.reset(3)
+        save("insert_pin", environment.world, target=(0.5, 0.0, 0.12), distance=0.75, yaw=-50.0, pitch=-15.0)
+        environment.close()
+
+
+if __name__ == "__main__":
+    main()

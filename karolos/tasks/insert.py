@@ -1,0 +1,398 @@
+"""Insert: the gripper holds a peg and puts it into a hole with little play."""
+
+from __future__ import annotations
+
+from math import atan2, cos, hypot, pi, sin, sqrt, tan, tanh
+from typing import Annotated, Literal
+
+import numpy as np
+from pydantic import Field as Setting
+
+from ..core import Array, BoolArray, Expert, Field, FloatArray, GoalRule, Layout, Measure, Settings
+from ..core.seeding import Generator
+from ..errors import PluginError
+from ..randomization.randomization import Drawn, Probability
+from ..simulation.geometry import Quaternion, Vector, inverse, multiply, rotated, rotation_about, rotation_vector
+from ..simulation.interface import Camera, RobotView, Task, World
+from ..simulation.shapes import Cuboid, Cylinder, Shape
+from .cube import LOST_DISTANCE, aligned
+from .force_penalty import ForcePenalty
+
+PEG_COLOUR, BLOCK_COLOUR = (0.93, 0.45, 0.13, 1.0), (0.35, 0.42, 0.5, 1.0)
+PEG_LENGTH = 0.06
+PEG_WIDTH = {"square": 0.02, "round": 0.016}
+"""Edge or diameter of the peg in m."""
+DEPTH, FLOOR = 0.025, 0.005
+"""Depth of the hole and thickness of the floor below it, in m."""
+TOP = DEPTH + FLOOR
+WALL = 0.02
+"""Thickness of the walls around the hole in m."""
+SIDES = 32
+"""Boxes around a round hole. Between them it is wider by R (1 / cos(pi / 32) - 1): .04 mm for a radius of 8 mm."""
+GRIP = 0.02
+"""m of the tool above the middle of the peg."""
+HOLE_RANGE, HOLE_TURN = 0.05, pi / 4
+"""Largest offset of the hole along each axis in m, and largest turn in rad."""
+HAND_OFFSET, HAND_TILT = 0.003, 0.05
+"""Largest offset in m and tilt in rad of the peg in the hand. Pads centre it in the direction in which they close."""
+START_HEIGHT, START_ASIDE = (0.02, 0.05), 0.02
+"""Of the tip over the hole at the start, and largest distance beside it along each axis, in m."""
+NEAR_HEIGHT, NEAR_ASIDE, NEAR_TURN = 0.012, 0.008, 0.15
+"""The same of training episodes that start near the hole, in m, and the largest turn of the peg to it, in rad."""
+ASIDE = 0.005
+"""Largest distance of the tip from the axis of the hole as it is known, in m, that counts as in it. At depth only the
+hole has room for it; a smaller one would decide nothing."""
+UPRIGHT_WITHIN = 0.1
+"""Largest component of the peg's axis across that of the hole: about 6 degrees. The walls leave it less."""
+SCALES = (0.004, 0.001)
+"""Errors are also observed as tanh(error / scale), in m: networks see no tenths of a millimetre otherwise."""
+TURN_SCALE = 0.05
+"""The same in rad."""
+
+
+class Insertion(GoalRule):
+    """Success where the tip is deep enough and upright, and no force was too large.
+
+    `achieved` (..., 6): the tip from the mouth of the hole (3, m), components of the peg's axis across it (2), and 1
+    once a force exceeded the limit. `desired` (..., 5) the same without the last. Reward 0 on success, else -1.
+
+    Args:
+        tolerance: of the depth, in m.
+    """
+
+    reward_range = (-1.0, 0.0)
+
+    def __init__(self, tolerance: float) -> None:
+        self.tolerance = tolerance
+
+    def reward(self, achieved: Array, desired: Array) -> FloatArray:
+        return -np.asarray(~self.success(achieved, desired), np.float32)
+
+    def success(self, achieved: Array, desired: Array) -> BoolArray:
+        off = np.abs(achieved[..., :5] - desired)
+        aside, tilt = np.hypot(off[..., 0], off[..., 1]), np.hypot(off[..., 3], off[..., 4])
+        there = (off[..., 2] < self.tolerance) & (aside < ASIDE) & (tilt < UPRIGHT_WITHIN)
+        whole: BoolArray = there & (achieved[..., 5] == 0)
+        return whole
+
+    def distance(self, achieved: Array, desired: Array) -> FloatArray:
+        off = achieved[..., :3] - desired[..., :3]
+        metres: FloatArray = np.sqrt(np.vecdot(off, off), dtype=np.float32)
+        return metres
+
+
+class Insert(Task):
+    """What to do: put the peg in the hand into the hole, to within 1 mm of its depth of 25 mm, with little force.
+
+    What is randomised: the hole, within 5 cm of the middle of the workspace along each axis and turned by up to 45
+    degrees; the peg in the hand, by up to 3 mm along the pads and upwards and tilted by up to 3 degrees; the start, 2
+    to 5 cm above the hole and up to 2 cm beside it. With `hole_error` and `hole_turn_error` the hole is known only so
+    far, drawn once per episode. With probability `start_inserted` an episode begins with the peg partly in the hole, of
+    the others with probability `start_near` at most 8 mm beside it: parameters that training may draw.
+
+    Observation, along the world's axes: tip_from_hole (3, m, from the middle of the mouth of the hole as it is known),
+    peg_turn (3, rad, the rotation vector to the nearest position that fits), tip_velocity (3, m/s),
+    peg_angular_velocity (3, rad/s), near_errors (11, tanh of the errors at fine scales), peg_wrench (6, N and N m: the
+    wrist's), overloaded (1, whether a force was too large). For critics alone: hole_error (3, m and rad: what is not
+    known), peg_forces (2, N: largest on the peg and on the arm).
+    Action: the robot's. The gripper stays closed.
+    Goals: achieved, the tip from the hole as it is known (3, m), the peg's axis across that of the hole (2) and whether
+    a force was too large (1); desired, the bottom of the hole and an upright peg (5).
+    Reward: sparse -1 until the peg is in, then 0; less where a force exceeds that of `force_penalty`.
+    What counts as success: the tip within 1 mm of the depth, in the hole, and never a force above `force_limit`.
+    Termination: never; the episode is truncated after `max_steps`.
+    """
+
+    class Settings(Settings):
+        shape: Literal["square", "round"] = Setting(
+            "square", description="of peg and hole: square 20 x 20 mm, or round with a diameter of 16 mm"
+        )
+        play: float = Setting(0.0005, gt=0, le=0.01, description="width of the hole less that of the peg, m")
+        chamfer: float = Setting(0.001, ge=0, le=0.005, description="height and width of the chamfer of the hole, m")
+        hole_error: float = Setting(
+            0.0, ge=0, le=0.005, description="largest error along x and y of the hole as it is known, m"
+        )
+        hole_turn_error: float = Setting(0.0, ge=0, le=0.1, description="largest error of its turn, rad")
+        peg_mass: Annotated[float, Drawn("kg", 0.02, 1.0)] = Setting(0.1, gt=0, le=1, description="of the peg, kg")
+        friction: Annotated[float, Drawn("1", 0.0, 2.0)] = Setting(
+            0.3, ge=0, le=2, description="lateral friction coefficient between peg and block"
+        )
+        force_limit: float = Setting(50.0, gt=0, description="force on peg or arm beyond which an episode fails, N")
+        force_penalty: ForcePenalty | None = Setting(
+            ForcePenalty.model_validate({"limit": 15.0, "weight": 0.5, "most": 0.5}),
+            description="what pressing costs: of the largest force on peg or arm, the grip left out; null: nothing",
+        )
+        start_inserted: Probability = Setting(
+            0.0, description="probability that an episode starts with the peg partly in the hole"
+        )
+        start_near: Probability = Setting(
+            0.0, description="probability that another episode starts with the peg close to the hole"
+        )
+        max_steps: int = Setting(100, ge=1, le=100_000, description="control steps per episode")
+
+    settings: Settings
+    drawn: Settings
+    uses_gripper = True
+    control = "impedance"
+    camera = Camera(target=(0.5, 0.0, 0.08), distance=0.9)
+    observation = Layout(
+        (
+            Field("tip_from_hole", 3, "m"),
+            Field("peg_turn", 3, "rad"),
+            Field("tip_velocity", 3, "m/s"),
+            Field("peg_angular_velocity", 3, "rad/s"),
+            Field("near_errors", 11),
+            Field("peg_wrench", 6, "N, N m"),
+            Field("overloaded", 1),
+        )
+    )
+    critic_only = Layout((Field("hole_error", 3, "m, rad"), Field("peg_forces", 2, "N")))
+    measures = (
+        Measure(
+            "insertion_force", "N", "smaller", "largest force of the block on the peg or of anything else on the arm"
+        ),
+    )
+    distance_measure = Measure("final_distance", "m", "smaller", "distance of the tip from the bottom of the hole")
+    desired_goal = Layout((Field("tip_from_hole", 3, "m"), Field("peg_axis", 2)))
+    achieved_goal = desired_goal + Layout((Field("overloaded", 1),))
+
+    def __init__(self, settings: Insert.Settings) -> None:
+        super().__init__(settings)
+        self.width = PEG_WIDTH[settings.shape]
+        self.goal_rule = Insertion(0.001)
+        self.goal = np.array((0.0, 0.0, -DEPTH, 0.0, 0.0), np.float32)
+        if settings.force_penalty is not None:
+            self.extra_reward_range = -settings.force_penalty.most, 0.0
+
+    def fit(self, robot: RobotView) -> None:
+        self._robot = robot
+        if robot.gripper is None:
+            raise PluginError("this robot has no gripper", where=type(robot).__name__, hint="Insert holds a peg")
+        self._opening = self.width / robot.gripper.width
+        if self._opening > 0.9:
+            raise PluginError(f"a peg of {self.width:g} m does not go into the gripper", where=type(robot).__name__)
+        x, y, _ = robot.workspace.centre
+        self.middle = x, y
+
+    def build(self, world: World) -> None:
+        self.world = world
+        self.block = world.body(block(self.settings), 0.0, BLOCK_COLOUR)
+        self.peg = world.body([_peg(self.settings.shape)], self.settings.peg_mass, PEG_COLOUR)
+        self.block.set_friction(self.settings.friction)
+        self.peg.set_friction(1.0)
+        world.forces(self.peg)  # recorded from the first question on
+        self._robot.largest_force()
+
+    def apply(self, world: World, name: str, value: float) -> None:
+        super().apply(world, name, value)
+        if name == "friction":
+            self.block.set_friction(value)
+
+    def reset(self, generator: Generator) -> None:
+        settings, drawn = self.settings, self.drawn
+        self._closing = self._robot.closing
+        x, y, turn = generator.uniform(-1, 1, 3).tolist()
+        hole: Vector = (self.middle[0] + HOLE_RANGE * x, self.middle[1] + HOLE_RANGE * y, TOP)
+        turn *= HOLE_TURN
+        along, up, tilt = (generator.uniform(-1, 1, 3) * (HAND_OFFSET, HAND_OFFSET, HAND_TILT)).tolist()
+        aside, height = generator.uniform(-1, 1, 3).tolist(), generator.uniform()
+        start, inserted = generator.uniform(), drawn.start_inserted
+        if start < inserted:
+            tilt, turned, room = 0.0, turn, 0.4 * settings.play
+            tip = room * aside[0], room * aside[1], -DEPTH * height
+        elif start < inserted + (1 - inserted) * drawn.start_near:
+            turned = turn + NEAR_TURN * aside[2]
+            tip = NEAR_ASIDE * aside[0], NEAR_ASIDE * aside[1], NEAR_HEIGHT * height
+        else:
+            low, high = START_HEIGHT
+            turned, tip = 0.0, (START_ASIDE * aside[0], START_ASIDE * aside[1], low + (high - low) * height)
+        self._hold(_sum(hole, tip), turned, along, up, tilt)
+        yaw = _yaw(aligned(self._robot))
+        self.block.place((hole[0], hole[1], 0.0), _about_z(yaw + turn))
+        errors = generator.uniform(-1, 1, 3) * (settings.hole_error, settings.hole_error, settings.hole_turn_error)
+        self.hole_error: list[float] = errors.tolist()
+        self.known: Vector = (hole[0] + errors[0], hole[1] + errors[1], TOP)
+        self.known_yaw = yaw + turn + errors[2]
+        self.overloaded, self.largest = False, 0.0
+        self.forces = [0.0, 0.0]
+        self._read()
+
+    def _hold(self, tip: Vector, turn: float, along: float, up: float, tilt: float) -> None:
+        """Put the tool and the peg in its hand so that the tip is there, at rest.
+
+        Args:
+            tip: in m.
+            turn: of the tool from home about the vertical, rad.
+            along: offset in m of the peg in the hand along the pads.
+            up: offset in m of the peg in the hand upwards.
+            tilt: of the peg in the hand about the direction in which pads close, rad.
+        """
+        robot, turned = self._robot, _about_z(turn)
+        along_x, along_y, _ = rotated(turned, self._closing)
+        tilted = rotation_about((tilt * along_x, tilt * along_y, 0.0))
+        offset = -along * along_y, along * along_x, 0.0
+        middle = _sum(offset, rotated(tilted, (0.0, 0.0, up - GRIP)))
+        bottom = _sum(middle, rotated(tilted, (0.0, 0.0, -PEG_LENGTH / 2)))
+        tool = _sum(tip, bottom, sign=-1)
+        robot.place_tool(tool, self._opening, orientation=multiply(turned, robot.orientations.middle), closing=True)
+        self.peg.place(_sum(tool, middle), multiply(tilted, multiply(turned, aligned(robot))))
+
+    def read(self) -> None:
+        self._read()
+        self.forces = [
+            self.world.forces(self.peg).get((-1, self.block.index), 0.0),
+            self._robot.largest_force(self.peg),
+        ]
+        self.largest = max(self.largest, *self.forces)
+        self.overloaded = self.largest > self.settings.force_limit
+
+    def _read(self) -> None:
+        position, self.rotation = self.peg.pose()
+        self.velocity, self.spin = self.peg.velocity()
+        arm = rotated(self.rotation, (0.0, 0.0, -PEG_LENGTH / 2))
+        self.tip = _sum(position, arm)
+        self.axis = rotated(self.rotation, (0.0, 0.0, 1.0))
+        self.tip_velocity = _sum(self.velocity, _cross(self.spin, arm))
+
+    @property
+    def tip_from_hole(self) -> Vector:
+        """The tip from the mouth of the hole as it is known, m, along the world's axes."""
+        return _sum(self.tip, self.known, sign=-1)
+
+    @property
+    def target(self) -> Quaternion:
+        """The nearest rotation of the peg that fits into the hole as it is known."""
+        yaw = _yaw(self.rotation)
+        if self.settings.shape == "square":
+            yaw += (self.known_yaw - yaw + pi / 4) % (pi / 2) - pi / 4
+        return _about_z(yaw)
+
+    def observe(self) -> list[float]:
+        turn = rotation_vector(multiply(self.target, inverse(self.rotation)))
+        values = self._robot.with_noise([*self.tip_from_hole, *turn, *self.tip_velocity, *self.spin])
+        x, y, z = values[:3]
+        near = [tanh(error / scale) for scale in SCALES for error in (x, y, z, z + DEPTH)]
+        near += [tanh(error / TURN_SCALE) for error in values[3:6]]
+        rotation, wrench = self._robot.tool.orientation, self._robot.wrench
+        felt = [*rotated(rotation, wrench[:3]), *rotated(rotation, wrench[3:])]
+        return [*values, *near, *felt, float(self.overloaded)]
+
+    def observe_for_critics(self) -> list[float]:
+        return [*self.hole_error, *self.forces]
+
+    def achieved(self) -> FloatArray:
+        return np.array((*self.tip_from_hole, *self.axis[:2], self.overloaded), np.float32)
+
+    def extra_reward(self) -> float:
+        penalty = self.settings.force_penalty
+        return 0.0 if penalty is None else penalty.reward(max(self.forces))
+
+    def measure(self) -> dict[str, float]:
+        return {"insertion_force": self.largest}
+
+    def lost(self) -> bool:
+        return not hypot(*self.tip) < LOST_DISTANCE
+
+    def expert(self) -> Expert:
+        return InsertExpert(self._robot, self)
+
+
+CLEARANCE = 0.004
+"""m of the tip above the mouth while it is not yet over it."""
+OVER, STRAIGHT = 0.0015, 0.02
+"""m beside the axis of the hole as it is known, and rad of the peg's turn, within which the tip goes down."""
+SINKING, GENTLY, NEAR = 0.072, 0.02, 0.009
+"""m/s at which the set point goes down, the same near mouth and bottom, and what is near, in m: 5 kg that stop at
+2 cm/s are 24 N for 1/240 s."""
+PRESSING = 0.0125
+"""m of the set point below the tip at the most: 10 N for 800 N/m."""
+STUCK = 0.006
+"""m/s: a tip that sinks slower rests on something."""
+SPIRAL_TURN, SPIRAL_WIDTH = 8.0, 0.0015
+"""Speed of the spiral in rad/s, and distance in m between its turns."""
+WIDEST = 0.006
+"""Radius in m at which the spiral begins again. A spring of 800 N/m pulls the peg out of friction with 5 N there."""
+
+
+class InsertExpert(Expert):
+    """Goes over the hole, straightens the peg, goes down, and searches in a spiral where it stands on the mouth."""
+
+    def __init__(self, robot: RobotView, task: Insert) -> None:
+        self._robot, self._task = robot, task
+        self.reset()
+
+    def reset(self) -> None:
+        self._angle = 0.0
+        self._before, self._height = 1.0, 1.0
+        """Height of the tip a step before and of its set point, from the mouth of the hole in m."""
+
+    def act(self) -> FloatArray:
+        task, tool, period = self._task, self._robot.tool, self._robot.period
+        x, y, z = task.tip_from_hole
+        turn = rotation_about(rotation_vector(multiply(task.target, inverse(task.rotation))))
+        straight = hypot(*rotation_vector(turn)) < STRAIGHT
+        sinks, self._before = self._before - z, z
+        if z > CLEARANCE / 2 and not (straight and hypot(x, y) < OVER):
+            self._height = max(z, CLEARANCE)
+            side = 0.0, 0.0
+        else:
+            sink = GENTLY if abs(self._height) < NEAR or self._height < NEAR - DEPTH else SINKING
+            self._height = max(self._height - sink * period, z - PRESSING, -DEPTH - PRESSING / 2)
+            if sinks < STUCK * period and -DEPTH / 2 < z < CLEARANCE / 2:
+                self._angle += SPIRAL_TURN * period
+            radius = SPIRAL_WIDTH * self._angle / (2 * pi) % WIDEST
+            side = radius * cos(self._angle), radius * sin(self._angle)
+        tip = _sum(task.known, (*side, self._height))
+        place = _sum(tip, rotated(turn, _sum(task.tip, tool.position, sign=-1)), sign=-1)
+        return self._robot.towards(place, 0.0, multiply(turn, tool.orientation))
+
+
+def block(settings: Insert.Settings) -> list[Shape]:
+    """A block with a hole, of boxes: its bottom is at z = 0, the middle of the hole at x = y = 0."""
+    sides = 4 if settings.shape == "square" else SIDES
+    half, chamfer = (PEG_WIDTH[settings.shape] + settings.play) / 2, settings.chamfer
+    slope = tan(pi / sides)
+    outside = 2 * (half + WALL)
+    shapes: list[Shape] = [Cuboid((outside, outside, FLOOR), position=(0.0, 0.0, FLOOR / 2))]
+    for side in range(sides):
+        turn = _about_z(2 * pi * side / sides)
+
+        def wall(inner: float, low: float, high: float, turn: Quaternion = turn) -> Shape:
+            size = WALL, 2 * (inner + WALL) * slope, high - low
+            return Cuboid(size, position=rotated(turn, (inner + WALL / 2, 0.0, (low + high) / 2)), orientation=turn)
+
+        shapes.append(wall(half, FLOOR, TOP - chamfer))
+        if chamfer:
+            depth = WALL / 4
+            middle = half + chamfer / 2 + depth / 2 * sqrt(0.5), 0.0, TOP - chamfer / 2 - depth / 2 * sqrt(0.5)
+            size = depth, 2 * (half + chamfer) * slope, chamfer * sqrt(2)
+            leaning = multiply(turn, rotation_about((0.0, pi / 4, 0.0)))
+            shapes += [
+                wall(half + chamfer, TOP - chamfer, TOP),
+                Cuboid(size, position=rotated(turn, middle), orientation=leaning),
+            ]
+    return shapes
+
+
+def _peg(shape: str) -> Shape:
+    width = PEG_WIDTH[shape]
+    return Cuboid((width, width, PEG_LENGTH)) if shape == "square" else Cylinder(width / 2, PEG_LENGTH)
+
+
+def _sum(first: Vector, second: Vector, *, sign: float = 1.0) -> Vector:
+    return first[0] + sign * second[0], first[1] + sign * second[1], first[2] + sign * second[2]
+
+
+def _cross(first: Vector, second: Vector) -> Vector:
+    (a, b, c), (x, y, z) = first, second
+    return b * z - c * y, c * x - a * z, a * y - b * x
+
+
+def _about_z(angle: float) -> Quaternion:
+    return 0.0, 0.0, sin(angle / 2), cos(angle / 2)
+
+
+def _yaw(rotation: Quaternion) -> float:
+    """Angle of the x axis about the vertical."""
+    x, y, _ = rotated(rotation, (1.0, 0.0, 0.0))
+    return atan2(y, x)
