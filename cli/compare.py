@@ -11,7 +11,6 @@ import typer
 from karolos.errors import UsageError
 
 from .arguments import MANY_HELP, Database, Json, Runs, open_store
-from .completion import complete_run
 from .output import print_rows, print_table, say, warn
 
 if TYPE_CHECKING:
@@ -28,7 +27,6 @@ def compare(
         typer.Argument(
             metavar="EXPERIMENT...",
             help=f"{MANY_HELP} Or a policy that ships. The first is the one that the others are measured against.",
-            autocompletion=complete_run,
         ),
     ],
     runs: Runs = Path("runs"),
