@@ -134,7 +134,7 @@ class Insert(Task):
     drawn: Settings
     uses_gripper = True
     control = "impedance"
-    camera = Camera(target=(0.5, 0.0, 0.08), distance=0.9)
+    camera = Camera(target=(0.5, 0.0, 0.07), distance=0.55)
     observation = Layout(
         (
             Field("tip_from_hole", 3, "m"),
