@@ -13,7 +13,6 @@ import typer
 
 from karolos.errors import UsageError
 
-from .completion import complete_run
 from .output import say, warn
 
 if TYPE_CHECKING:
@@ -56,11 +55,9 @@ Overrides = Annotated[
         help="Settings that replace the spec's, e.g. agent.learning_rate=1e-4 seeds=[0,1].",
     ),
 ]
-OneRun = Annotated[str, typer.Argument(metavar="RUN", help=RUN_HELP, autocompletion=complete_run)]
-APolicy = Annotated[str, typer.Argument(metavar="RUN", help=POLICY_HELP, autocompletion=complete_run)]
-PolicyOrSpec = Annotated[
-    str, typer.Argument(metavar="RUN", help=f"{POLICY_HELP} With --expert a SPEC.yaml.", autocompletion=complete_run)
-]
+OneRun = Annotated[str, typer.Argument(metavar="RUN", help=RUN_HELP)]
+APolicy = Annotated[str, typer.Argument(metavar="RUN", help=POLICY_HELP)]
+PolicyOrSpec = Annotated[str, typer.Argument(metavar="RUN", help=f"{POLICY_HELP} With --expert a SPEC.yaml.")]
 Changes = Annotated[
     list[str] | None,
     typer.Argument(
@@ -69,7 +66,7 @@ Changes = Annotated[
         "of the world, e.g. robot=ur5 task.object_mass=0.3 task.gravity=-5. With --expert any setting.",
     ),
 ]
-ManyRuns = Annotated[list[str] | None, typer.Argument(metavar="[RUN]...", help=MANY_HELP, autocompletion=complete_run)]
+ManyRuns = Annotated[list[str] | None, typer.Argument(metavar="[RUN]...", help=MANY_HELP)]
 Where = Annotated[str | None, typer.Option(metavar="FILTER", help=FILTER_HELP)]
 On = Annotated[
     str | None,

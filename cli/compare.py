@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-from collections import Counter
 from contextlib import nullcontext
 from pathlib import Path
 from typing import TYPE_CHECKING, Annotated, Literal
@@ -12,7 +11,6 @@ import typer
 from karolos.errors import UsageError
 
 from .arguments import MANY_HELP, Database, Json, Runs, open_store
-from .completion import complete_run
 from .output import print_rows, print_table, say, warn
 
 if TYPE_CHECKING:
@@ -29,7 +27,6 @@ def compare(
         typer.Argument(
             metavar="EXPERIMENT...",
             help=f"{MANY_HELP} Or a policy that ships. The first is the one that the others are measured against.",
-            autocompletion=complete_run,
         ),
     ],
     runs: Runs = Path("runs"),
@@ -112,11 +109,13 @@ def _runs_of(selector: str, store: Store | None, runs: Path) -> tuple[Store | No
 def _labels(
     chosen: Sequence[str] | None, selectors: Sequence[str], selected: Sequence[Sequence[RunSummary]]
 ) -> Sequence[str]:
-    """The label of each experiment: as chosen, or its name. Of several with one name: name and hash, or a run's id.
+    """The label of each experiment: as chosen, or that of `labels_of`.
 
     Raises:
         UsageError: there is not one distinct label for each; or two arguments mean the same runs.
     """
+    from karolos.comparison import labels_of
+
     if chosen and (len(chosen) != len(selectors) or len(set(chosen)) < len(chosen)):
         raise UsageError(
             f"{len(set(chosen))} different labels for {len(selectors)} experiments",
@@ -128,17 +127,19 @@ def _labels(
         same = first.setdefault(frozenset(run.run for run in found), selector)
         if same is not selector:
             raise UsageError(f"{same!r} and {selector!r} mean the same runs", hint="name each once")
-    names = Counter(found[0].name for found in selected)
-    labels = []
-    for run, *others in selected:
-        distinct = f"{run.name} {run.experiment[:8]}" if others else run.run
-        labels.append(run.name if names[run.name] == 1 else distinct)
-    return chosen or labels
+    return chosen or labels_of(selected)
 
 
 def _print_comparison(comparison: Comparison) -> None:
-    from karolos.report.comparison_tables import explanations, measures_table, parameters_table, scores_table
+    from karolos.report.comparison_tables import (
+        explanations,
+        measures_table,
+        parameters_table,
+        scores_table,
+        verdict,
+    )
 
+    print(f"{verdict(comparison)}\n")
     print_table(scores_table(comparison))
     if comparison.measures:
         print_table(measures_table(comparison))

@@ -10,7 +10,6 @@ import typer
 from karolos.errors import MachineError, UsageError
 
 from .arguments import Json
-from .completion import complete_plugin
 from .output import print_line, print_rows
 
 if TYPE_CHECKING:
@@ -25,9 +24,7 @@ Size = Annotated[int, typer.Option(min=16, max=2048, help="Size of the picture i
 
 @app.command()
 def robot(
-    name: Annotated[
-        str, typer.Argument(metavar="NAME", help="Name of a robot.", autocompletion=complete_plugin("robot"))
-    ],
+    name: Annotated[str, typer.Argument(metavar="NAME", help="Name of a robot.")],
     out: Out = None,
     width: Size = 960,
     height: Size = 720,
@@ -42,12 +39,10 @@ def robot(
 
 @app.command()
 def task(
-    name: Annotated[
-        str, typer.Argument(metavar="NAME", help="Name of a task.", autocompletion=complete_plugin("task"))
-    ],
+    name: Annotated[str, typer.Argument(metavar="NAME", help="Name of a task.")],
     robot: Annotated[
         str,
-        typer.Option(metavar="NAME", help="Robot to show the task with.", autocompletion=complete_plugin("robot")),
+        typer.Option(metavar="NAME", help="Robot to show the task with."),
     ] = "panda",
     out: Out = None,
     width: Size = 960,

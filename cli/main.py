@@ -28,6 +28,7 @@ from .play import play
 from .run import resume, run
 from .sweep import sweep
 from .transfer import transfer
+from .ui import ui
 from .zero_shot import zero_shot
 
 OBJECTS_PER_COLLECTION = 50_000
@@ -64,7 +65,7 @@ app = typer.Typer(
     rich_markup_mode="markdown",
     pretty_exceptions_enable=False,
 )
-for command in (run, resume, check, sweep, compare, diff, zero_shot, transfer, play, export, board):
+for command in (run, resume, check, sweep, compare, diff, zero_shot, transfer, play, export, board, ui):
     app.command("test" if command is zero_shot else None)(command)
 for group in (spec, plugins, inspect, runs, db, sweeps):
     app.add_typer(group.app, cls=Commands)

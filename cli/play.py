@@ -6,7 +6,7 @@ import math
 import os
 import sys
 import time
-from collections.abc import Iterable, Iterator
+from collections.abc import Iterator
 from pathlib import Path
 from typing import TYPE_CHECKING, Annotated, Literal
 
@@ -18,14 +18,8 @@ from .arguments import Changes, Database, PolicyOrSpec, Runs, open_run
 from .output import say, warn
 
 if TYPE_CHECKING:
-    import numpy as np
-    from numpy.typing import NDArray
-
     from karolos.evaluation.playing import Moment
     from karolos.records import RunFolder
-
-OUTCOME_SECONDS = 0.7
-"""A film shows the outcome of an episode for this long."""
 
 
 def play(
@@ -67,7 +61,7 @@ def play(
     from karolos.evaluation.playing import play_failures
     from karolos.evaluation.policies import engine_of, has_window, load_expert
     from karolos.records.shipped import is_shipped
-    from karolos.report.video import check_video_path, write_video
+    from karolos.report.video import check_video_path, pictures, write_video
     from karolos.specification import load_spec
 
     if expert:
@@ -109,7 +103,7 @@ def play(
             transient=True,
             disable=not sys.stderr.isatty(),
         )
-        write_video(target, _pictures(filmed, width, height), environment.rate)
+        write_video(target, pictures(filmed, width, height), environment.rate)
     print(target)
 
 
@@ -136,20 +130,6 @@ def _best_or_last(folder: RunFolder) -> str:
         return "best"
     say(f"{folder.id} was never tested and has no checkpoint best: playing last")
     return "last"
-
-
-def _pictures(moments: Iterable[Moment], width: int, height: int) -> Iterator[NDArray[np.uint8]]:
-    """A picture of each moment that says whether the goal is reached; the last of an episode stands for a while."""
-    from karolos.report.video import with_caption
-
-    for moment in moments:
-        picture = moment.environment.render(width, height)
-        failed = moment.over and not moment.success and moment.environment.signature.has_success
-        outcome = "success" if moment.success else "no success" if failed else ""
-        text = f"episode {moment.episode + 1}   step {moment.step}   {outcome}"
-        picture = with_caption(picture, text, success=moment.success, failed=failed)
-        for _ in range(1 + moment.over * round(OUTCOME_SECONDS * moment.environment.rate)):
-            yield picture
 
 
 def _report_episodes(moments: Iterator[Moment]) -> Iterator[Moment]:

@@ -11,7 +11,6 @@ from karolos.errors import PluginError
 from karolos.report.tables import Columns, Table, setting
 
 from .arguments import Json
-from .completion import complete_kind, complete_plugin
 from .output import print_line, print_rows, print_table, say
 
 if TYPE_CHECKING:
@@ -23,11 +22,11 @@ app = typer.Typer(
 )
 Kind = Annotated[
     str,
-    typer.Argument(metavar="KIND", help="robot, task, environment, agent, buffer, ...", autocompletion=complete_kind),
+    typer.Argument(metavar="KIND", help="robot, task, environment, agent, buffer, ..."),
 ]
 Name = Annotated[
     str,
-    typer.Argument(metavar="NAME", help="The name that a spec uses.", autocompletion=complete_plugin()),
+    typer.Argument(metavar="NAME", help="The name that a spec uses."),
 ]
 
 

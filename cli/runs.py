@@ -39,7 +39,6 @@ from .arguments import (
     open_store,
     select_runs,
 )
-from .completion import complete_run
 from .output import print_csv, print_rows, print_table, say, warn
 
 if TYPE_CHECKING:
@@ -54,7 +53,7 @@ app = typer.Typer(
 )
 WATCH_SECONDS = 2.0
 """Time between two tables of `runs list --watch`."""
-LabelledRun = Annotated[str, typer.Argument(metavar="RUN", help=MANY_HELP, autocompletion=complete_run)]
+LabelledRun = Annotated[str, typer.Argument(metavar="RUN", help=MANY_HELP)]
 
 
 @app.command("list")

@@ -1,6 +1,6 @@
 """From runs to the numbers that compare experiments. `karolos.report` draws them."""
 
-from .contenders import ComparedRun, Contender, Metric, Success, gather
+from .contenders import ComparedRun, Contender, Metric, Success, gather, labels_of, one_per_seed
 from .curves import Curve, densities, learning_curve
 from .differences import MISSING, differences
 from .scores import Comparison, Estimate, Reaching, Scores, compare
@@ -20,5 +20,7 @@ __all__ = [
     "densities",
     "differences",
     "gather",
+    "labels_of",
     "learning_curve",
+    "one_per_seed",
 ]

@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import math
 import os
+from collections import Counter
 from collections.abc import Mapping, Sequence
 from contextlib import suppress
 from dataclasses import dataclass, replace
@@ -152,9 +153,7 @@ def gather(store: Store | None, runs: Sequence[RunSummary], label: str) -> Conte
             f"{label} means {len(experiments)} experiments, whose specs differ",
             hint=f"name one by its hash: {shown}{more}",
         )
-    chosen: dict[int, RunSummary] = {}
-    for run in sorted(runs, key=lambda run: (run.state == "finished", run.created)):
-        chosen[run.seed] = run
+    chosen = one_per_seed(runs)
     if len(chosen) < len(runs):
         problems.append(
             f"{label}: {len(runs) - len(chosen)} of {len(runs)} runs repeat a seed; of each seed the newest "
@@ -168,6 +167,21 @@ def gather(store: Store | None, runs: Sequence[RunSummary], label: str) -> Conte
     if untested:
         problems.append(f"{label}: left out, because they have no test: {', '.join(untested)}")
     return Contender(label, tested, tuple(problems))
+
+
+def one_per_seed(runs: Sequence[RunSummary]) -> dict[int, RunSummary]:
+    """Seed -> of its runs the newest finished one, or the newest if none is finished."""
+    return {run.seed: run for run in sorted(runs, key=lambda run: (run.state == "finished", run.created))}
+
+
+def labels_of(selected: Sequence[Sequence[RunSummary]]) -> list[str]:
+    """A label for each of some selections of runs: its name. Of several with one name: name and hash, or a run's id."""
+    names = Counter(found[0].name for found in selected)
+    labels = []
+    for run, *others in selected:
+        distinct = f"{run.name} {run.experiment[:8]}" if others else run.run
+        labels.append(run.name if names[run.name] == 1 else distinct)
+    return labels
 
 
 def _reporting(store: Store, runs: Sequence[RunSummary], label: str) -> tuple[Sequence[RunSummary], list[str]]:

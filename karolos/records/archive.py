@@ -39,7 +39,7 @@ UNFINISHED_IMPORT = ".import-"
 """Beginning of the names of folders in which archives are unpacked."""
 _AGAIN = "was it copied completely? Export it again"
 _FILE = re.compile(
-    r"spec\.yaml|code\.diff|play\.mp4"
+    r"spec\.yaml|code\.diff|play(?:-failures)?\.mp4"
     r"|(?:run|resolved|state|labels)\.json|(?:tests|final|events|episodes|transfers)\.jsonl"
     r"|tensorboard/events\.out\.tfevents\.[0-9A-Za-z._-]{1,100}"
     r"|export/(?:policy\.(?:npz|json|onnx)|golden\.npz)"

@@ -2,20 +2,22 @@
 
 from __future__ import annotations
 
+import re
 from collections.abc import Iterable, Sequence
 from dataclasses import dataclass
 from pathlib import Path
 
-from jinja2 import Environment
+from jinja2 import Environment, FileSystemLoader
 from markupsafe import Markup
 
 from .. import __version__
 from ..comparison import ComparedRun, Comparison
-from .comparison_tables import explanations, measures_table, parameters_table, scores_table
+from .comparison_tables import explanations, measures_table, parameters_table, scores_table, verdict
 from .figures import Drawing, style
 from .tables import Columns, Table, clean, count, duration, number, success
 
-TEMPLATE = Path(__file__).with_name("page.html")
+_INTERVAL = re.compile(r"(-?[\d.,]+|-) ((?:~?\[|\().*[\])])")
+FOLDER = Path(__file__).parent
 _DENSITIES = (
     "At each test the kernel density over the seeds, reflected at 0 and 1 and normalised by Simpson's rule. Darker is "
     "denser: shades follow the square root of the density and are the same in all figures. Bold: mean of the density; "
@@ -51,9 +53,27 @@ def document(
         warnings: stand above the sections.
         contenders: labels for check boxes that show or hide what is theirs, by the style sheet alone.
     """
-    environment = Environment(autoescape=True, finalize=_cleaned, trim_blocks=True, lstrip_blocks=True)
-    template = environment.from_string(TEMPLATE.read_text("utf-8"), {"style": style, "version": __version__})
+    template = templates(FOLDER).get_template("page.html")
     return template.render(title=title, what=what, sections=sections, warnings=warnings, contenders=contenders)
+
+
+def templates(*folders: Path) -> Environment:
+    """The templates in some folders. Every value in them is escaped and cleaned."""
+    loader = FileSystemLoader(folders)
+    environment = Environment(loader=loader, autoescape=True, finalize=_cleaned, trim_blocks=True, lstrip_blocks=True)
+    environment.globals |= {"style": style, "version": __version__, "split": _split, "breakable": _breakable}
+    return environment
+
+
+def _split(text: str) -> tuple[str, str]:
+    """A number and its interval, which is empty for any other text."""
+    found = _INTERVAL.fullmatch(text)
+    return (found[1], found[2]) if found else (text, "")
+
+
+def _breakable(text: str) -> Markup:
+    """A name that may go on in the next line after each underscore."""
+    return Markup("_<wbr>").join(str(_cleaned(part)) for part in text.split("_"))
 
 
 def _cleaned(value: object) -> object:
@@ -62,6 +82,14 @@ def _cleaned(value: object) -> object:
 
 def comparison_page(comparison: Comparison, drawings: Sequence[Drawing]) -> str:
     """A comparison as a page, with its figures."""
+    labels = comparison.labels
+    title = f"{' and '.join(labels) if len(labels) < 3 else f'{labels[0]} and {len(labels) - 1} others'} compared"
+    what = f"{sum(len(one.runs) for one in comparison.contenders)} runs"
+    return document(title, what, comparison_sections(comparison, drawings), comparison.warnings, labels)
+
+
+def comparison_sections(comparison: Comparison, drawings: Sequence[Drawing]) -> list[Section]:
+    """The parts of a comparison's page."""
     labels, same = comparison.labels, not comparison.parameters
     no_density = f"{'Returns have' if comparison.metric == 'return' else 'A single seed has'} no density."
     settings = Section(
@@ -71,7 +99,8 @@ def comparison_page(comparison: Comparison, drawings: Sequence[Drawing]) -> str:
     )
     densities, measures = ([one for one in drawings if one.name.startswith(kind)] for kind in ("density_", "measure_"))
     measured = [Section("Measures", table=measures_table(comparison)), Section(figures=measures)]
-    sections = [
+    return [
+        Section(text=verdict(comparison)),
         Section("Learning", figures=drawings[:2]),
         Section("In numbers", table=scores_table(comparison), notes=explanations(comparison)),
         *(measured if measures else []),
@@ -80,9 +109,6 @@ def comparison_page(comparison: Comparison, drawings: Sequence[Drawing]) -> str:
         Section("Density of the success ratio over training", _DENSITIES if densities else no_density, densities),
         _runs_section(comparison),
     ]
-    title = f"{' and '.join(labels) if len(labels) < 3 else f'{labels[0]} and {len(labels) - 1} others'} compared"
-    what = f"{sum(len(one.runs) for one in comparison.contenders)} runs"
-    return document(title, what, sections, comparison.warnings, labels)
 
 
 def _runs_section(comparison: Comparison) -> Section:

@@ -2,9 +2,9 @@
 
 from __future__ import annotations
 
-from collections.abc import Iterable, Sequence
+from collections.abc import Iterable, Iterator, Sequence
 from pathlib import Path
-from typing import Any
+from typing import TYPE_CHECKING, Any
 
 import numpy as np
 from numpy.typing import NDArray
@@ -12,7 +12,12 @@ from numpy.typing import NDArray
 from ..errors import UsageError
 from ..files import writing
 
+if TYPE_CHECKING:
+    from ..evaluation.playing import Moment
+
 FORMATS = (".mp4", ".gif")
+OUTCOME_SECONDS = 0.7
+"""A film shows the outcome of an episode for this long."""
 TEXT, SUCCESS, FAILURE = "#20262c", "#22a559", "#c8452f"
 
 
@@ -37,6 +42,18 @@ def with_caption(picture: NDArray[np.uint8], text: str, *, success: bool, failed
         edge = max(1, height // 80)
         draw.rectangle((0, 0, width - 1, height - 1), outline=SUCCESS if success else FAILURE, width=edge)
     return np.asarray(image)
+
+
+def pictures(moments: Iterable[Moment], width: int, height: int) -> Iterator[NDArray[np.uint8]]:
+    """A picture of each moment that says whether the goal is reached; the last of an episode stands for a while."""
+    for moment in moments:
+        picture = moment.environment.render(width, height)
+        failed = moment.over and not moment.success and moment.environment.signature.has_success
+        outcome = "success" if moment.success else "no success" if failed else ""
+        text = f"episode {moment.episode + 1}   step {moment.step}   {outcome}"
+        picture = with_caption(picture, text, success=moment.success, failed=failed)
+        for _ in range(1 + moment.over * round(OUTCOME_SECONDS * moment.environment.rate)):
+            yield picture
 
 
 def write_video(path: Path, pictures: Iterable[NDArray[np.uint8]], frames_per_second: float) -> None:

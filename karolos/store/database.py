@@ -29,6 +29,8 @@ BUSY_SECONDS = 20.0
 """How long a transaction waits for those of other processes, which hold the lock for milliseconds."""
 _READ = "karolos_read"
 """Execution option of a connection that only reads and therefore does not wait for writers."""
+_CHANGE_COUNTER = 24
+"""Where SQLite counts transactions in the header of its file (https://www.sqlite.org/fileformat.html)."""
 _ADVISORY_LOCK = 0x6B61726F  # arbitrary, the same in every karolos
 _LOCK_NOT_AVAILABLE = "55P03"
 """PostgreSQL's code of the error after `lock_timeout`."""
@@ -94,6 +96,15 @@ class Database:
     def close(self) -> None:
         """Close every connection. Safe to call twice."""
         self.engine.dispose()
+
+    def version(self) -> bytes | None:
+        """Changes with every transaction that writes. Costs no query; None where only a query could tell."""
+        try:
+            with open(self._path or os.devnull, "rb") as file:
+                file.seek(_CHANGE_COUNTER)
+                return file.read(4) or None
+        except OSError:
+            return None
 
     @contextlib.contextmanager
     def reading(self) -> Iterator[Connection]:

@@ -61,6 +61,10 @@ class Filter:
     matches: Condition
     comparisons: tuple[FilterComparison, ...]
 
+    @property
+    def keys(self) -> frozenset[str]:
+        return frozenset(comparison.key for comparison in self.comparisons)
+
     def refuse_unknown(self, known: Callable[[str], bool], closest: Callable[[str], str | None]) -> None:
         """Raise a UsageError at the first unknown key, or at a state that does not exist.
 

@@ -9,7 +9,7 @@ from dataclasses import replace
 from pathlib import Path
 from typing import Any, TypedDict, Unpack
 
-from sqlalchemy import Connection, func, select
+from sqlalchemy import Connection, Select, func, select
 
 from ..errors import RunError, UsageError
 from ..records import RunFolder
@@ -74,8 +74,8 @@ def find_runs(database: Database, **conditions: Unpack[RunConditions]) -> tuple[
         query = query.where(of_trial if trials else ~of_trial)
     with database.reading() as connection:
         if state is None and condition is None:
-            return tuple(_summary(row, database.home) for row in connection.execute(query.limit(limit)))
-        shared = _shared_values(connection, condition) if condition else {}
+            return summaries(connection, query.limit(limit), database.home)
+        shared = shared_values(connection, condition) if condition else {}
         matching: list[RunSummary] = []
         for row in connection.execute(query):
             run = _summary(row, database.home)
@@ -103,25 +103,31 @@ def records_of(database: Database, runs: Sequence[RunSummary]) -> tuple[RunRecor
     return tuple(RunRecord(run, contents[run.run][0], tuple(tests[run.run]), contents[run.run][1]) for run in known)
 
 
-def _shared_values(connection: Connection, condition: Filter) -> dict[str, dict[str, Any]]:
-    """Digest of a spec or of software -> its values by the keys of filters.
+def shared_values(connection: Connection, condition: Filter) -> dict[str, dict[str, Any]]:
+    """Digest of a spec or of software -> its values by those keys of the filter that are no fields of runs.
 
     Raises UsageError if the filter names what no run has.
     """
-    specs = {name: dict(flatten(spec)) for name, spec in connection.execute(select(SPECS))}
-    software = {
-        name: {f"versions.{package}": version for package, version in versions.items()}
-        for name, versions in connection.execute(select(SOFTWARE))
-    }
-    measures = map(means, connection.scalars(select(RUNS.c.measures)))
-    known = {key for values in (*specs.values(), *software.values(), *measures) for key in values}.union(SUMMARY_FIELDS)
+    wanted = condition.keys.difference(SUMMARY_FIELDS)
+    found: dict[str, dict[str, Any]] = {}
+    known = set(SUMMARY_FIELDS)
+    if wanted:
+        found = {name: dict(flatten(spec)) for name, spec in connection.execute(select(SPECS))}
+        for name, versions in connection.execute(select(SOFTWARE)):
+            found[name] = {f"versions.{package}": version for package, version in versions.items()}
+        measures = map(means, connection.scalars(select(RUNS.c.measures)))
+        known.update(*found.values(), *measures)
 
     def like(key: str) -> str | None:
         endings = [name for name in known if name.rpartition(".")[2] == key]  # learning_rate for agent.learning_rate
         return endings[0] if len(endings) == 1 else closest(key, known)
 
     condition.refuse_unknown(known.__contains__, like)
-    return specs | software
+    return {name: {key: values[key] for key in wanted & values.keys()} for name, values in found.items()}
+
+
+def summaries(connection: Connection, query: Select[Any], home: Path | None) -> tuple[RunSummary, ...]:
+    return tuple(_summary(row, home) for row in connection.execute(query))
 
 
 def _summary(row: Any, home: Path | None) -> RunSummary:

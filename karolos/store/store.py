@@ -16,6 +16,7 @@ from ..records.results import TestCounts
 from ..records.run_records import RunRecord, RunSummary
 from . import selectors
 from .database import BUSY_SECONDS, Database
+from .experiments import ExperimentPage, find_experiments
 from .rows import digest, put, run_row, without_seeds
 from .runs import RunConditions, find_runs, records_of
 from .sweeps import Sweeps
@@ -115,6 +116,10 @@ class Store:
     def runs(self, **conditions: Unpack[RunConditions]) -> tuple[RunSummary, ...]:
         """Runs that meet all conditions, the newest first; see `runs.find_runs`."""
         return find_runs(self.database, **conditions)
+
+    def experiments(self, where: str | None = None, **options: Any) -> ExperimentPage:
+        """A page of the experiments with runs that match a filter; see `experiments.find_experiments`."""
+        return find_experiments(self.database, where, **options)
 
     def find(self, selector: str) -> RunSummary:
         """The one run that a selector means (`selectors.select`). Raises UsageError if it means none, or several."""

@@ -24,8 +24,8 @@ DOCS = ROOT / "docs"
 RUN = ("sh", "python", "yaml")
 OTHER = ("text", "toml", "{eval-rst}", "{figure}", "{toctree}")
 """Languages of blocks: `text` is output."""
-NOT_RUN = {"minutes", "hours", "cluster", "pandas", "stable-baselines3", "part"}
-"""The second word of a block that is not run: how long it takes, what it needs, or `part` of a spec."""
+NOT_RUN = {"minutes", "hours", "server", "cluster", "pandas", "stable-baselines3", "part"}
+"""The second word of a block that is not run: how long it takes, that it does not end, what it needs, `part`."""
 BLOCK = re.compile(r"(^<!-- from [^\n]*-->\n)?^```(\S+)(?: ([^\n]+))?\n(.*?)^```$", re.MULTILINE | re.DOTALL)
 TINY = [
     *("training.steps=40", "training.replay_ratio=1", "training.warmup_episodes=1", "training.batch_size=8"),

@@ -1,0 +1,49 @@
+"""`karolos ui`: the runs in a browser."""
+
+from __future__ import annotations
+
+import importlib.util
+from pathlib import Path
+from typing import Annotated
+
+import typer
+
+from karolos.errors import UsageError
+
+from .arguments import Database, Runs, open_or_make_store
+from .output import print_line, say
+
+
+def ui(
+    runs: Runs = Path("runs"),
+    database: Database = None,
+    port: Annotated[int, typer.Option(min=0, max=65535, help="Port on this machine; 0 takes a free one.")] = 6789,
+    host: Annotated[
+        str, typer.Option(help="Name or address to listen on. Beyond this machine the page asks for a token.")
+    ] = "127.0.0.1",
+    token: Annotated[
+        str | None,
+        typer.Option(
+            metavar="TEXT",
+            envvar="KAROLOS_TOKEN",
+            help="Token that the page asks for. Default: none on this machine, beyond it a random one.",
+        ),
+    ] = None,
+    open_browser: Annotated[bool, typer.Option("--open", help="Open the page in a browser.")] = False,
+) -> None:
+    """Show the runs in a browser, live while they train: curves, tests, films, comparisons. Ctrl-C ends it."""
+    missing = [name for name in ("starlette", "uvicorn") if importlib.util.find_spec(name) is None]
+    if missing:
+        raise UsageError(f"{' and '.join(missing)} is missing", hint="pip install 'karolos[ui]'")
+    from karolos.ui.server import serve
+
+    def ready(address: str) -> None:
+        print_line(address)
+        if open_browser:
+            import webbrowser
+
+            webbrowser.open(address)
+
+    with open_or_make_store(runs, database) as store:
+        say(f"shows {runs}; Ctrl-C ends it")
+        serve(runs, store, host=host, port=port, token=token, ready=ready)

@@ -1,0 +1,139 @@
+"""Experiments with their runs, page by page: a list of ten thousand runs reads all columns of one page only."""
+
+from __future__ import annotations
+
+from collections import defaultdict
+from collections.abc import Sequence
+from dataclasses import dataclass
+from itertools import islice
+from math import inf
+from statistics import fmean
+from typing import Any, NamedTuple
+
+from sqlalchemy import select
+
+from ..errors import UsageError
+from ..records.run_records import UNFINISHED, RunSummary
+from ..registry import alternatives
+from . import filters
+from .database import Database
+from .rows import MEASURES, SUMMARY_FIELDS, folder_path, means
+from .runs import shared_values, summaries
+from .tables import RUNS, SPECS, TESTS, TRIALS
+
+ORDERS = ("created", "name", "success_end", "mean_return", "steps", "seconds")
+"""What experiments can be sorted by: means over their runs, and when the newest run was created."""
+SMALLEST_FIRST = ("name", "steps", "seconds")
+_DECODE = {"seed": int}
+
+
+@dataclass(frozen=True)
+class ExperimentPage:
+    """Some of the experiments that match a filter."""
+
+    experiments: tuple[tuple[RunSummary, ...], ...]
+    """The matching runs of each, the newest first."""
+    total: int
+    """Experiments that match, on all pages."""
+
+
+class CurvePoint(NamedTuple):
+    """One test of a run."""
+
+    steps: int
+    success_end: float | None
+    mean_return: float | None
+
+
+def find_experiments(
+    database: Database,
+    where: str | None = None,
+    *,
+    trials: bool = False,
+    order: str = "created",
+    offset: int = 0,
+    limit: int = 50,
+) -> ExperimentPage:
+    """A page of the experiments that have runs which match a filter, sorted.
+
+    Args:
+        database: the index.
+        where: a filter, as for `find_runs`.
+        trials: whether runs of sweeps' trials count.
+        order: one of ORDERS. Experiments without a value come last.
+        offset: experiments before the page.
+        limit: experiments of the page.
+
+    Raises:
+        UsageError: the order is unknown, or the filter cannot be read or names what no run has.
+    """
+    if order not in ORDERS:
+        raise UsageError(f"runs have no order {order!r}", hint=alternatives(order, ORDERS, what="orders"))
+    condition = filters.parse(where) if where is not None else None
+    names = condition.keys.intersection(SUMMARY_FIELDS) if condition else frozenset()
+    measured = {"measures"} if condition and any(key.startswith(MEASURES) for key in condition.keys) else set()
+    columns = [RUNS.c[name] for name in sorted({*names, *measured, "run", "experiment", "spec", "software", order})]
+    query = select(*columns).order_by(RUNS.c.created.desc(), RUNS.c.run.desc())
+    if not trials:
+        query = query.where(RUNS.c.name.not_in(select(TRIALS.c.name)))
+    with database.reading() as connection:
+        shared = shared_values(connection, condition) if condition else {}
+        unfinished = summaries(connection, select(RUNS).where(RUNS.c.state.in_(UNFINISHED)), database.home)
+        current = {run.run: run for run in unfinished}
+        matching: dict[str, list[tuple[str, Any]]] = defaultdict(list)
+        for row in connection.execute(query):
+            if condition is not None:
+                own: dict[str, Any] = {name: _DECODE.get(name, _same)(getattr(row, name)) for name in names}
+                if "folder" in own:
+                    own["folder"] = folder_path(own["folder"], database.home)
+                if row.run in current:
+                    own |= {name: getattr(current[row.run], name) for name in names}
+                if measured:
+                    own |= means(row.measures)
+                if not condition.matches(shared.get(row.spec, {}) | shared.get(row.software, {}) | own):
+                    continue
+            matching[row.experiment].append((row.run, getattr(row, order)))
+        ranks = {experiment: _rank([value for _, value in runs], order) for experiment, runs in matching.items()}
+        chosen = islice(sorted(matching, key=ranks.__getitem__), offset, offset + limit)
+        wanted = {run: experiment for experiment in chosen for run, _ in matching[experiment]}
+        newest = select(RUNS).where(RUNS.c.run.in_(wanted)).order_by(RUNS.c.created.desc(), RUNS.c.run.desc())
+        found = summaries(connection, newest, database.home)
+    groups: dict[str, list[RunSummary]] = {experiment: [] for experiment in wanted.values()}
+    for run in found:
+        groups[wanted[run.run]].append(run)
+    return ExperimentPage(tuple(map(tuple, filter(None, groups.values()))), len(matching))
+
+
+def curves(database: Database, runs: Sequence[str]) -> dict[str, list[CurvePoint]]:
+    """The tests of some runs in the order of their steps, without their measures."""
+    columns = TESTS.c
+    query = select(columns.run, columns.steps, columns.successes_end, columns.episodes, columns.mean_return)
+    found: dict[str, list[CurvePoint]] = defaultdict(list)
+    for run, steps, successes, episodes, mean in database.fetch(
+        query.where(columns.run.in_(runs)).order_by(columns.run, columns.steps)
+    ):
+        found[run].append(CurvePoint(steps, None if successes is None or not episodes else successes / episodes, mean))
+    return dict(found)
+
+
+def steps_asked(database: Database, runs: Sequence[str]) -> dict[str, int]:
+    """The environment steps that the specs of some runs ask for."""
+    query = select(RUNS.c.run, SPECS.c.content).join(SPECS).where(RUNS.c.run.in_(runs))
+    asked = {run: (spec.get("training") or {}).get("steps") for run, spec in database.fetch(query)}
+    return {run: steps for run, steps in asked.items() if isinstance(steps, int) and steps > 0}
+
+
+def _same(value: Any) -> Any:
+    return value
+
+
+def _rank(values: Sequence[Any], order: str) -> Any:
+    """A key that sorts experiments by the values of their runs: the newest, or the best or smallest mean first."""
+    if order == "name":
+        return values[0]
+    if order == "created":
+        return 0  # they come in this order
+    known = [value for value in values if value is not None]
+    if not known:
+        return inf
+    return fmean(known) if order in SMALLEST_FIRST else -fmean(known)

@@ -1,0 +1,411 @@
+"""The application: which address shows what. Nothing is computed here: the store answers, `karolos.report` draws."""
+
+from __future__ import annotations
+
+import os
+import threading
+import time
+from collections import OrderedDict
+from collections.abc import Callable, Iterable, Iterator, Mapping, Sequence
+from hashlib import sha256
+from pathlib import Path
+from typing import Any
+from urllib.parse import parse_qsl, quote, urlencode
+
+from starlette.applications import Starlette
+from starlette.concurrency import run_in_threadpool
+from starlette.requests import Request
+from starlette.responses import FileResponse, HTMLResponse, RedirectResponse, Response
+from starlette.routing import Mount, Route
+from starlette.staticfiles import StaticFiles
+
+from .. import files
+from ..comparison import compare, gather, labels_of
+from ..comparison.contenders import Contender, load_compared
+from ..errors import KarolosError, NoSuchRunError, RunError, UsageError
+from ..records import RunFolder, labels, transfer_results
+from ..records.results import TestCounts, TestResult
+from ..records.run_records import UNFINISHED, RunRecord, RunSummary, flatten
+from ..records.sweep_records import FOLDER as SWEEPS
+from ..report import page
+from ..report.comparison_figures import comparison_figures, learning
+from ..report.page import Section, comparison_sections
+from ..report.tables import (
+    Table,
+    count,
+    duration,
+    heading,
+    measures_table,
+    number,
+    run_state,
+    setting,
+    table_of_tests,
+    transfers_table,
+)
+from ..store import Store, check
+from ..store.experiments import ORDERS
+from . import films
+from .rows import SIGNS, experiment_rows, sparkline
+
+HERE = Path(__file__).parent
+EXPERIMENTS, MOST_COMPARED, LISTED = 50, 12, 12
+"""Experiments of a page and of a comparison; failures that are listed."""
+MOST_POSTED = 1 << 20
+"""Bytes of a form: more than the longest note has."""
+KEPT = 8
+"""Drawn comparisons and runs that are kept."""
+NO_LONGER_SECONDS = 30
+"""After this time a list is made again although the database did not change: a run may have been killed."""
+REPORTS = {"sweeps": SWEEPS, "transfers": "transfers"}
+"""Kind of a report -> folder of its folders in the runs folder."""
+
+
+class Application:
+    """The pages over one runs folder and its database.
+
+    Args:
+        runs: the runs folder.
+        store: its index.
+    """
+
+    def __init__(self, runs: Path, store: Store) -> None:
+        self._runs, self._store, self.films = runs, store, films.Films()
+        self._templates = page.templates(HERE / "pages", page.FOLDER)
+        self._drawing = threading.Lock()  # matplotlib's settings are those of the process
+        self._drawn: OrderedDict[object, Any] = OrderedDict()
+
+    def asgi(self) -> Starlette:
+        """What a server calls."""
+        routes = [
+            Route("/", self.experiments),
+            Route("/compare", self.compared),
+            Route("/runs/{run}", self.run),
+            Route("/runs/{run}/labels", self.label, methods=["POST"]),
+            Route("/runs/{run}/film/{kind}", self.film, methods=["POST"]),
+            Route("/runs/{run}/film/{kind}", self.film_file),
+            Route("/runs/{run}/tests/{test}", self.test),
+            Route("/sweeps", self.sweeps),
+            Route("/reports/{kind}/{name}", self.report),
+            Route("/folders", self.folders),
+            Route("/static/page.css", lambda _: FileResponse(page.FOLDER / "page.css")),
+            Mount("/static", StaticFiles(directory=HERE / "static")),
+        ]
+        return Starlette(routes=routes, exception_handlers={KarolosError: self._explained})
+
+    def experiments(self, request: Request) -> Response:
+        """Experiments with their seeds, the newest first; the page asks again while it is open."""
+        asked = request.query_params
+        where, order = asked.get("where", "").strip(), asked.get("order", "created")
+        trials, first = "trials" in asked, _whole(asked.get("from"))
+        seen = _digest(self._store.database.version() or os.urandom(8), time.monotonic() // NO_LONGER_SECONDS)
+        if asked.get("seen") == seen:
+            return Response(status_code=204)
+        shown: dict[str, Any] = {"problem": None, "rows": [], "total": 0}
+        try:
+            options: dict[str, Any] = {"trials": trials, "order": order, "offset": first, "limit": EXPERIMENTS}
+            found = self._store.experiments(where or None, **options)
+            shown |= {"rows": experiment_rows(self._store, found.experiments), "total": found.total}
+        except UsageError as error:
+            shown["problem"] = str(error)
+        kept: dict[str, Any] = {"where": where, "order": order, **({"trials": 1} if trials else {})}
+
+        def address(**changes: object) -> str:
+            return "/?" + urlencode({key: value for key, value in (kept | changes).items() if value})
+
+        last = first + len(shown["rows"])
+        pages: dict[str, Any] = {"first": first + 1, "last": last}
+        pages["before"] = address(**{"from": max(first - EXPERIMENTS, 0)}) if first else None
+        pages["after"] = address(**{"from": last}) if last < shown["total"] else None
+        live = address(**{"from": first, "seen": seen})
+        return self._page("experiments.html", **kept, **shown, **pages, address=address, live=live, orders=ORDERS)
+
+    def compared(self, request: Request) -> Response:
+        """Experiments side by side, or one with its seeds: the page of `karolos compare`."""
+        hashes = list(dict.fromkeys(request.query_params.getlist("e")))
+        if not 1 <= len(hashes) <= MOST_COMPARED:
+            raise UsageError(f"{len(hashes)} experiments to compare", hint=f"choose 1 to {MOST_COMPARED} in the list")
+        selected = [self._store.runs(experiment=experiment) for experiment in hashes]
+        if not all(selected):
+            raise NoSuchRunError("an experiment has no runs any more", hint="go back to the list")
+        key = ("comparison", tuple(hashes), self._store.database.version())
+
+        def draw() -> Any:
+            contenders = [gather(self._store, *one) for one in zip(selected, labels_of(selected), strict=True)]
+            comparison = compare(contenders, store=self._store)
+            sections = comparison_sections(comparison, comparison_figures(comparison))
+            return comparison, self._shown(sections, comparison.labels)
+
+        comparison, shown = self._once(key, draw)
+        return self._page("compare.html", comparison=comparison, shown=shown, hashes=hashes)
+
+    def run(self, request: Request) -> Response:
+        """One run: how it learns, its tests, failures, films, settings and events."""
+        summary = self._found(request)
+        path = Path(summary.folder)
+        seen = _digest(summary.state, *(_changed(path / name) for name in ("state.json", "tests.jsonl", "final.jsonl")))
+        if request.query_params.get("seen") == seen:
+            return Response(status_code=204)
+        folder, record, broken = self._opened(summary.folder)
+        record = record or self._store.records([summary])[0]
+        about: Mapping[str, Any] = folder.description() if folder else {}
+        results, final = (folder.tests(), folder.final()) if folder else ((), None)
+        events = folder.events() if folder else ()
+        transfers, unreadable = transfer_results.read(folder) if folder else ((), ())
+
+        def draw() -> Any:
+            if not record.tests:
+                return ""
+            comparison = compare([Contender(record.summary.name, (load_compared(record),))])
+            drawings = [learning(comparison, "steps"), learning(comparison, "seconds")]
+            return self._shown([Section(figures=drawings)], [])
+
+        run, settings = record.summary, _settings(record.spec, about)
+        last = final.last if final else results[-1] if results else None
+        failures = _episodes(last)[1] if last and last.has_success else None
+        tables = [table_of_tests(record.tests, results)] if record.tests else []
+        if final is not None:
+            policies = {"last": final.last, "best": final.best}
+            tested = {name: result for name, result in policies.items() if result is not None}
+            table = table_of_tests(map(TestCounts.of, tested.values()), tested.values())
+            rows = [(name, *row) for name, row in zip(tested, table.rows, strict=True)]
+            tables.insert(0, Table(["policy", *table.columns], rows))
+        return self._page(
+            "run.html",
+            run=run,
+            state=run_state(run),
+            sign=SIGNS.get(run.state),
+            facts=_facts(record, about),
+            problems=(*broken, *record.problems, *unreadable),
+            live=f"/runs/{quote(run.run)}?seen={seen}" if run.state in UNFINISHED else None,
+            shown=self._once(("run", run.run, seen), draw),
+            final=final and tables[0],
+            tests=tables[-1] if record.tests else None,
+            steps=[test.steps for test in record.tests],
+            measures=list(_measures(last, record.tests)) if last else [],
+            failures=failures,
+            last=last,
+            transfers=transfers_table(transfers) if transfers else None,
+            given=[one for one in settings if one[2] != "default"],
+            defaults=[one for one in settings if one[2] == "default"],
+            events=[_event(event) for event in events],
+            films=self._films(folder, failures),
+        )
+
+    def test(self, request: Request) -> Response:
+        """A test of a run, episode by episode."""
+        folder, test = self._folder(request), request.path_params["test"]
+        final = folder.final()
+        known = {str(one.steps): one for one in folder.tests()}
+        if final is not None:
+            known |= {"last": final.last} | ({"best": final.best} if final.best else {})
+        if test not in known:
+            raise NoSuchRunError(f"{folder.id} has no test {test!r}", hint="its page lists its tests")
+        table, failures = _episodes(known[test])
+        return self._page("test.html", run=folder.id, test=test, table=table, failures=failures, result=known[test])
+
+    async def label(self, request: Request) -> Response:
+        """Change tags and note as `karolos runs tag` and `note` do."""
+        asked = await _form(request)
+
+        def change() -> None:
+            summary = self._found(request)
+            chosen = self._store.runs(experiment=summary.experiment) if "all" in asked else [summary]
+            for folder in [RunFolder.open(one.folder) for one in chosen]:
+                if tag := asked.get("add", "").strip():
+                    labels.add_tags(folder.path, [tag])
+                if tag := asked.get("remove", ""):
+                    labels.remove_tags(folder.path, [tag])
+                if "note" in asked:
+                    labels.set_note(folder.path, asked["note"].replace("\r\n", "\n").strip())
+                self._store.refresh_labels(folder)
+
+        await run_in_threadpool(change)
+        return _back(request, "labels")
+
+    def film(self, request: Request) -> Response:
+        """Begin to make a film."""
+        kind = request.path_params["kind"]
+        if kind not in films.FILES:
+            raise UsageError(f"there are no films of {kind!r}")
+        self.films.begin(self._folder(request), kind)
+        return _back(request, "films")
+
+    def film_file(self, request: Request) -> Response:
+        """A film that was made."""
+        path = self._folder(request).path / films.FILES.get(request.path_params["kind"], "none")
+        return _file(path, "video/mp4")
+
+    def sweeps(self, _: Request) -> Response:
+        """Sweeps and matrices, with their reports."""
+        transfers = [path for path in sorted((self._runs / REPORTS["transfers"]).glob("*")) if path.is_dir()]
+        found = [(sweep, sweep.state(), _has_report(Path(sweep.folder))) for sweep in self._store.sweeps.all()]
+        matrices = [(path.name, _has_report(path)) for path in transfers]
+        return self._page("sweeps.html", sweeps=found, matrices=matrices)
+
+    def report(self, request: Request) -> Response:
+        """The page that a sweep or a matrix wrote, which may run no script."""
+        kind = REPORTS.get(request.path_params["kind"])
+        if kind is None:
+            raise UsageError("only sweeps and matrices have reports")
+        path = files.below(self._runs / kind, request.path_params["name"]) / "report.html"
+        answer = _file(path, "text/html")
+        answer.headers["Content-Security-Policy"] = (
+            "sandbox; default-src 'none'; style-src 'unsafe-inline'; img-src data:"
+        )
+        return answer
+
+    def folders(self, request: Request) -> Response:
+        """How the run folders and the database differ: the lines of `karolos db check`."""
+        found = list(check(self._store, self._runs)) if "check" in request.query_params else None
+        return self._page("folders.html", found=found, folder=self._runs, database=self._store.database.name)
+
+    def _explained(self, _: Request, error: Exception) -> Response:
+        assert isinstance(error, KarolosError)  # the application registers it for these
+        return self._page("error.html", 404 if isinstance(error, NoSuchRunError) else 400, problem=str(error))
+
+    def _page(self, template: str, status: int = 200, **values: Any) -> Response:
+        return HTMLResponse(self._templates.get_template(template).render(values), status)
+
+    def _shown(self, sections: list[Section], contenders: list[str]) -> Any:
+        """Sections as markup."""
+        parts: Any = self._templates.get_template("sections.html").module
+        return parts.show(sections, contenders, "/runs/")
+
+    def _once(self, key: object, draw: Callable[[], Any]) -> Any:
+        """What was drawn for this key, or is drawn now: one drawing at a time."""
+        with self._drawing:
+            if key not in self._drawn:
+                self._drawn[key] = draw()
+                if len(self._drawn) > KEPT:
+                    self._drawn.popitem(last=False)
+            return self._drawn[key]
+
+    def _found(self, request: Request) -> RunSummary:
+        """The run in the address."""
+        run = request.path_params["run"]
+        if found := self._store.runs(ids=[run]):
+            return found[0]
+        raise NoSuchRunError(f"there is no run {run!r}", hint="the list shows all runs")
+
+    def _folder(self, request: Request) -> RunFolder:
+        return RunFolder.open(self._found(request).folder)
+
+    def _opened(self, path: str) -> tuple[RunFolder | None, RunRecord | None, tuple[str, ...]]:
+        """A run folder with its record; or what is wrong with it."""
+        try:
+            folder = RunFolder.open(path)
+            return folder, folder.record(), ()
+        except RunError as error:
+            return None, None, (str(error),)
+
+    def _films(self, folder: RunFolder | None, failures: Sequence[int] | None) -> dict[str, tuple[bool, str]]:
+        """What a film can show -> whether it exists, and what is going on with it."""
+        if folder is None:
+            return {}
+        paths = {kind: folder.path / name for kind, name in films.FILES.items() if failures or kind != "failures"}
+        return {kind: (path.is_file(), self.films.state(path)) for kind, path in paths.items()}
+
+
+def _facts(record: RunRecord, about: Mapping[str, Any]) -> dict[str, object]:
+    """What is known about a run besides its tests and settings."""
+    run, git = record.summary, about.get("git") or {}
+    solved = run.steps_to_95 and f"{run.steps_to_95:,} steps, {duration(run.seconds_to_95)}"
+    facts = {
+        "steps": count(run.steps),
+        "training": duration(run.seconds),
+        "from start to end": duration(run.total_seconds),
+        "to .95 success": solved,
+        "created": run.created[:19].replace("T", " "),
+        "attempt": run.attempt if run.attempt > 1 else None,
+        "command": " ".join(about.get("command") or ()),
+        "commit": f"{git['commit'][:12]}{' and changes' if git.get('dirty') else ''}" if git.get("commit") else None,
+        "folder": run.folder,
+    }
+    return {name: value for name, value in facts.items() if value not in (None, "")}
+
+
+def _settings(spec: Mapping[str, Any], about: Mapping[str, Any]) -> list[tuple[str, str, str]]:
+    """Each setting with its value and whether the command line, the spec or a default gave it."""
+    changed = dict(flatten(about.get("changed") or {}))
+    given = [word.partition("=")[0] for word in about.get("command") or () if "=" in word and not word.startswith("-")]
+
+    def origin(path: str) -> str:
+        if any(path == key or path.startswith(f"{key}.") for key in given):
+            return "command line"
+        return "spec" if path in changed else "default" if about.get("changed") is not None else ""
+
+    return [(path, setting(value), origin(path)) for path, value in flatten(spec)]
+
+
+def _measures(last: TestResult, tests: Iterable[TestCounts]) -> Iterator[tuple[Sequence[str], tuple[str, ...]]]:
+    """Each measure of the last test as a row of `measures_table`, with its curve over training."""
+    for name, row in zip(last.measures, measures_table(last.measures, "").rows, strict=True):
+        known = [(test.steps, test.measures[name]["mean"]) for test in tests if name in test.measures]
+        yield row, sparkline([[(steps, mean) for steps, mean in known if mean is not None]], is_ratio=False)
+
+
+def _episodes(result: TestResult) -> tuple[Table, list[int]]:
+    """One row per episode of a test, and which episodes end without success."""
+    numbers = range(result.episodes)
+    columns: dict[str, list[str]] = {"episode": [str(place + 1) for place in numbers]}
+    if result.has_success:
+        columns["success end"] = ["yes" if flag else "no" for flag in result.end]
+        columns["at any step"] = ["yes" if flag else "no" for flag in result.any]
+    columns["return"] = list(map(number, result.returns))
+    columns["steps"] = list(map(count, result.lengths))
+    if result.distances is not None:
+        columns["distance from goal (m)"] = [f"{far:.4f}" for far in result.distances]
+    for name, one in result.measures.items():
+        columns[heading(name, one)] = ["-" if value is None else f"{value:.4g}" for value in one["values"]]
+    failures = [place for place in numbers if not result.end[place]]
+    return Table(list(columns), list(zip(*columns.values(), strict=True))), failures
+
+
+def _event(event: Mapping[str, Any]) -> tuple[str, str, str]:
+    """Time, kind and data of an event."""
+    data = {key: value for key, value in event.items() if key not in ("time", "event", "last", "best")}
+    shown = ", ".join(f"{key} {setting(value)}" for key, value in data.items())
+    return str(event.get("time", ""))[:19].replace("T", " "), str(event.get("event", "")), shown
+
+
+def _has_report(folder: Path) -> bool:
+    return (folder / "report.html").is_file()
+
+
+def _file(path: Path, kind: str) -> Response:
+    if not path.is_file():
+        raise NoSuchRunError(f"there is no {path.name} yet")
+    return FileResponse(path, media_type=kind)
+
+
+def _back(request: Request, part: str) -> Response:
+    """To a part of the run's page."""
+    return RedirectResponse(f"/runs/{quote(request.path_params['run'])}#{part}", 303)
+
+
+async def _form(request: Request) -> dict[str, str]:
+    """The fields of a form that was sent."""
+    body = b""
+    async for part in request.stream():
+        body += part
+        if len(body) > MOST_POSTED:
+            raise UsageError(f"a form of more than {MOST_POSTED:,} bytes", hint="shorten the note")
+    return dict(parse_qsl(body.decode(errors="replace"), keep_blank_values=True))
+
+
+def _whole(text: str | None) -> int:
+    """A whole number in an address; 0 for anything else."""
+    return int(text) if text is not None and text.isdecimal() and len(text) < 10 else 0
+
+
+def _changed(path: Path) -> tuple[int, int]:
+    """Time and size of a file, which change when it is written."""
+    try:
+        found = path.stat()
+    except OSError:
+        return 0, 0
+    return found.st_mtime_ns, found.st_size
+
+
+def _digest(*values: object) -> str:
+    return sha256(repr(values).encode()).hexdigest()[:16]

@@ -1,0 +1,82 @@
+"""Films of a run's policy, made when somebody asks, one at a time and in a process of their own.
+
+python -m karolos.ui.films RUN_FOLDER FILE [failures]   what that process does
+"""
+
+from __future__ import annotations
+
+import subprocess
+import sys
+import threading
+from pathlib import Path
+
+from ..checkpoint import names
+from ..environments.build import used
+from ..errors import KarolosError, UsageError
+from ..evaluation.changed_spec import load_player
+from ..evaluation.playing import play, play_failures
+from ..records import RunFolder
+from ..report.video import pictures, write_video
+
+FILES = {"episodes": "play.mp4", "failures": "play-failures.mp4"}
+"""What a film shows -> its file in the run folder."""
+EPISODES, WIDTH, HEIGHT = 3, 640, 480
+
+
+class Films:
+    """Makes films; safe for several threads."""
+
+    def __init__(self) -> None:
+        self._lock = threading.Lock()
+        self._process: subprocess.Popen[str] | None = None
+        self._path = Path()
+        self._problems: dict[Path, str] = {}
+
+    def begin(self, folder: RunFolder, kind: str) -> None:
+        """Start to make a film. Raises UsageError while another one is made."""
+        with self._lock:
+            self._look()
+            if self._process is not None:
+                raise UsageError("another film is being made", hint="wait until it is ready")
+            self._path = folder.path / FILES[kind]
+            self._problems.pop(self._path, None)
+            command = [sys.executable, "-m", "karolos.ui.films", str(folder.path), str(self._path), kind]
+            self._process = subprocess.Popen(
+                command, stdin=subprocess.DEVNULL, stdout=subprocess.DEVNULL, stderr=subprocess.PIPE, text=True
+            )
+
+    def state(self, path: Path) -> str:
+        """`making`, or why a film could not be made, or nothing."""
+        with self._lock:
+            self._look()
+            return "making" if self._process is not None and path == self._path else self._problems.get(path, "")
+
+    def end(self) -> None:
+        """Stop the film that is being made."""
+        if self._process is not None:
+            self._process.kill()
+            self._process.communicate()
+
+    def _look(self) -> None:
+        """Notice that the film is ready, or failed."""
+        if self._process is not None and self._process.poll() is not None:
+            said = self._process.communicate()[1].strip().splitlines()
+            if self._process.returncode:
+                self._problems[self._path] = said[-1] if said else f"it ended with {self._process.returncode}"
+            self._process = None
+
+
+def make(folder: RunFolder, path: Path, kind: str) -> None:
+    """Film test episodes of the best policy, or episodes that fail. Raises as `load_player` and `write_video`."""
+    player = load_player(folder, "best" if "best" in names(folder.checkpoints) else "last")
+    seed, chosen = player.spec.testing.seed, play_failures if kind == "failures" else play
+    with used(player.environment) as environment:
+        moments = chosen(environment, player.policy, episodes=EPISODES, seed=seed)
+        write_video(path, pictures(moments, WIDTH, HEIGHT), environment.rate)
+
+
+if __name__ == "__main__":
+    try:
+        make(RunFolder.open(sys.argv[1]), Path(sys.argv[2]), sys.argv[3])
+    except KarolosError as error:
+        sys.exit(str(error))

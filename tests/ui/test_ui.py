@@ -1,0 +1,190 @@
+"""`karolos ui`: what its pages show and whom it refuses. In a browser it is walked through by test_ui_in_browser."""
+
+from __future__ import annotations
+
+import socket
+import time
+from pathlib import Path
+from urllib.parse import quote
+
+import pytest
+from starlette.testclient import TestClient
+from support.compared_runs import EVIL
+from support.run_commands import add_run
+from support.store_samples import bare
+from support.sweep_samples import some_trial, write_sweep
+
+from karolos.errors import MachineError
+from karolos.records import RunFolder, labels
+from karolos.records.sweep_records import FOLDER
+from karolos.store import Store, reindex
+from karolos.ui.app import Application
+from karolos.ui.server import guarded, serve
+
+HOST = "http://127.0.0.1:6789"
+
+
+def client(runs: Path, listening: str = "127.0.0.1", token: str | None = None, **headers: str) -> TestClient:
+    application = Application(runs, Store(Store.default_url(runs)))
+    headers = {"origin": HOST} | headers
+    return TestClient(guarded(application, listening, 6789, token), base_url=HOST, headers=headers)
+
+
+def test_list_shows_experiments_and_takes_the_filters_of_runs_list(tmp_path: Path) -> None:
+    page = client(tmp_path)
+    assert "karolos run panda_reach" in page.get("/").text  # what to do next
+    for seed in (0, 1):
+        add_run(tmp_path, seed)
+    other = add_run(tmp_path, 0, 0.1, name="slide")
+    text = page.get("/").text
+    assert text.count("data-row") == 2
+    assert f"/runs/{other}" in text
+    assert "(0.950 to 0.950)" in text
+    assert text.index("slide") < text.index(">reach<")  # the newest first
+    for where, count in (
+        ("agent.learning_rate>.01", 1),
+        ("name=reach and seed=1", 1),
+        ("folder~slide", 1),
+        ("seed>4", 0),
+    ):
+        found = page.get("/", params={"where": where}).text
+        assert (where, found.count("data-row")) == (where, count)
+    wrong = page.get("/", params={"where": "state=finished and tsk=reach"}).text
+    assert "filter, column 20: no run has &#39;tsk&#39;; did you mean task?" in wrong
+    by_name = page.get("/", params={"order": "name"}).text
+    assert by_name.index(">reach<") < by_name.index(">slide<")
+
+
+def test_a_page_that_has_seen_everything_gets_nothing(tmp_path: Path) -> None:
+    add_run(tmp_path, 0)
+    page = client(tmp_path)
+    live = page.get("/").text.partition('data-live hx-get="')[2].partition('"')[0].replace("&amp;", "&")
+    assert page.get(live).status_code == 204
+    add_run(tmp_path, 1)
+    assert page.get(live).text.count("seed-link") == 2
+
+
+def test_run_page_shows_its_tests_and_settings_and_changes_its_labels(tmp_path: Path) -> None:
+    run, other = add_run(tmp_path, 0), add_run(tmp_path, 1)
+    page = client(tmp_path)
+    text = page.get(f"/runs/{run}").text
+    for part in ("0.950", "agent.learning_rate", "1 of 20 episodes of the last test end without success", "<svg"):
+        assert part in text
+    episodes = page.get(f"/runs/{run}/tests/1000").text
+    assert episodes.count('<tr id="e') == 20
+    assert episodes.count('class="failure"') == 1
+    page.post(f"/runs/{run}/labels", data={"add": "good", "all": "on"})
+    page.post(f"/runs/{run}/labels", data={"note": "a\r\nb"})
+    page.post(f"/runs/{other}/labels", data={"remove": "good"})
+    assert labels.read(tmp_path / run) == labels.Labels(("good",), "a\nb")
+    assert labels.read(tmp_path / other) == labels.Labels()
+    assert page.get("/", params={"where": "tags=good"}).text.count("seed-link") == 1
+    assert page.post(f"/runs/{run}/labels", data={"add": "x" * 300}).status_code == 400
+    assert page.get("/runs/other").status_code == 404
+
+
+def test_comparison_is_that_of_the_command(tmp_path: Path) -> None:
+    add_run(tmp_path, 0)
+    add_run(tmp_path, 0, 0.1, name="slide")
+    page = client(tmp_path)
+    store = Store(Store.default_url(tmp_path))
+    one, two = (store.runs(name=name)[0].experiment for name in ("reach", "slide"))
+    text = page.get("/compare", params={"e": [one, two]}).text
+    assert text.count("<figure") == 4
+    for part in ("reach, slide", "In numbers", "agent.learning_rate", 'id="show-1"', "/runs/slide-s0"):
+        assert part in text
+    assert page.get("/compare").status_code == 400
+
+
+def test_names_notes_and_errors_are_text(tmp_path: Path) -> None:
+    store = Store(Store.default_url(tmp_path))
+    bare(store, "evil-s0", name=EVIL, error=EVIL, note=EVIL, tags=(EVIL,), task=EVIL, state="failed")
+    page = client(tmp_path)
+    made_up = (f"/?where={quote(EVIL)}", f"/runs/{quote('<script>alert')}")
+    for address in ("/", "/runs/evil-s0", "/compare?e=abc", *made_up):
+        text = page.get(address).text
+        assert "&lt;script&gt;" in text
+        assert "<script>alert" not in text
+        assert "<img" not in text
+
+
+def test_damaged_folders_are_shown_as_such(tmp_path: Path) -> None:
+    run, other = add_run(tmp_path, 0), add_run(tmp_path, 1)
+    (tmp_path / run / "run.json").write_text("{")
+    (tmp_path / other / "tests.jsonl").write_text("nonsense\n")
+    page = client(tmp_path)
+    assert "run.json is damaged" in page.get(f"/runs/{run}").text
+    assert "tests.jsonl:1: " in page.get(f"/runs/{other}").text
+    assert "run.json is damaged" in page.get("/folders?check=1").text
+
+
+def test_sweeps_lead_to_their_trials_and_reports(tmp_path: Path) -> None:
+    write_sweep(tmp_path, "x", [some_trial(0)])
+    (tmp_path / FOLDER / "x" / "report.html").write_text("<h1>the report</h1>")
+    (tmp_path / "transfers" / "matrix").mkdir(parents=True)
+    reindex(Store(Store.default_url(tmp_path)), tmp_path)
+    page = client(tmp_path)
+    text = page.get("/sweeps").text
+    for part in ("1 of 3", "agent.learning_rate = 1.0", "/reports/sweeps/x", "matrix has no report yet"):
+        assert part in text
+    report = page.get("/reports/sweeps/x")
+    assert "the report" in report.text
+    assert report.headers["content-security-policy"].startswith("sandbox")
+    assert page.get("/reports/sweeps/%2e%2e%2fx").status_code in (400, 404)
+
+
+@pytest.mark.parametrize(
+    ("host", "named", "status"),
+    [
+        ("127.0.0.1", "localhost:6789", 200),
+        ("127.0.0.1", "evil.example:6789", 421),
+        ("127.0.0.1", "192.168.0.7:6789", 421),
+        ("0.0.0.0", "192.168.0.7:6789", 200),
+        ("0.0.0.0", "evil.example", 421),
+        ("lab.example", "lab.example:6789", 200),
+    ],
+)
+def test_a_request_names_this_machine(tmp_path: Path, host: str, named: str, status: int) -> None:
+    assert client(tmp_path, host, host=named).get("/").status_code == status
+
+
+def test_token_is_asked_for_once(tmp_path: Path) -> None:
+    page = client(tmp_path, token="secret")
+    for address in ("/", "/?token=secre", "/static/ui.js"):
+        assert page.get(address).status_code == 403
+    answer = page.get("/?token=secret&where=a%3D1", follow_redirects=False)
+    assert answer.headers["location"] == f"{HOST}/?where=a%3D1"
+    assert "HttpOnly" in answer.headers["set-cookie"]
+    assert page.get("/").status_code == 200
+
+
+@pytest.mark.parametrize("origin", ["", "null", "http://evil.example", "http://127.0.0.1:1"])
+def test_forms_of_other_pages_are_refused(tmp_path: Path, origin: str) -> None:
+    run = add_run(tmp_path, 0)
+    answer = client(tmp_path, origin=origin).post(f"/runs/{run}/labels", data={"add": "bad"})
+    assert answer.status_code == 403
+    assert labels.read(tmp_path / run).tags == ()
+
+
+def test_a_film_that_cannot_be_made_says_why(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
+    run = add_run(tmp_path, 0)
+    monkeypatch.setattr("sys.executable", "/bin/false")
+    page = client(tmp_path)
+    text = page.post(f"/runs/{run}/film/failures").text
+    until = time.monotonic() + 20
+    while "is being made" in text and time.monotonic() < until:
+        text = page.get(f"/runs/{run}").text
+    assert "it ended with 1" in text
+    assert page.get(f"/runs/{run}/film/failures").status_code == 404
+    (RunFolder.open(tmp_path / run).path / "play.mp4").write_bytes(b"film")
+    part = page.get(f"/runs/{run}/film/episodes", headers={"range": "bytes=0-1"})
+    assert (part.status_code, part.content) == (206, b"fi")
+
+
+def test_port_that_is_taken_is_named(tmp_path: Path) -> None:
+    with socket.socket() as taken, Store(Store.default_url(tmp_path)) as store:
+        taken.bind(("127.0.0.1", 0))
+        taken.listen()
+        port = taken.getsockname()[1]
+        with pytest.raises(MachineError, match=f"127.0.0.1:{port}: cannot listen"):
+            serve(tmp_path, store, host="127.0.0.1", port=port, ready=print)
