@@ -44,6 +44,8 @@ SLOWEST_BOUNCE = 0.1
 """m/s; slower than that nothing bounces."""
 POSTURE_STIFFNESS, POSTURE_DAMPING = 10.0, 5.0
 """N m/rad and N m s/rad, with which a redundant arm on a spring returns to its home pose, unfelt by the tool."""
+BRAKING = 0.05
+"""Share of its largest speed by which a joint is faster when it is braked with its largest torque."""
 SINGULAR = 1e-6
 """Added to J J^T, whose inverse is needed, in m2."""
 
@@ -60,6 +62,7 @@ TOOL = np.dtype(
         ("positions", np.int64, MOST_JOINTS),
         ("entries", np.int64, (MOST_JOINTS, MOST_JOINTS)),  # of the inertia of each two joints in the data's, i >= j
         ("efforts", np.float64, MOST_JOINTS),  # largest torques in N m
+        ("speeds", np.float64, MOST_JOINTS),  # largest ones in rad/s
         ("home", np.float64, MOST_JOINTS),  # in rad
         ("spring", np.float64, 4),  # stiffness, N/m and N m/rad; largest error, m and rad; 0 N/m: there is no spring
         ("damping", np.float64, (6, 6)),  # along and about the world's axes, N s/m, N m s/rad and mixed
@@ -310,6 +313,10 @@ def _pull(model, data, at, h, positions, velocities, tool, time):
     for j in range(n):
         dof = 8 * tool.dofs[j]
         tool.torques[j] = min(max(tool.torques[j] + _number(bias + dof), -tool.efforts[j]), tool.efforts[j])
+        if abs(speeds[j]) > tool.speeds[j]:
+            brake = tool.efforts[j] / (BRAKING * tool.speeds[j])
+            tool.torques[j] -= brake * (speeds[j] - np.sign(speeds[j]) * tool.speeds[j])
+            tool.added[j, j] += h * brake
         _store(applied + dof, tool.torques[j])
         for k in range(j + 1):
             entry = inertia + 8 * tool.entries[j, k]
