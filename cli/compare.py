@@ -131,8 +131,15 @@ def _labels(
 
 
 def _print_comparison(comparison: Comparison) -> None:
-    from karolos.report.comparison_tables import explanations, measures_table, parameters_table, scores_table
+    from karolos.report.comparison_tables import (
+        explanations,
+        measures_table,
+        parameters_table,
+        scores_table,
+        verdict,
+    )
 
+    print(f"{verdict(comparison)}\n")
     print_table(scores_table(comparison))
     if comparison.measures:
         print_table(measures_table(comparison))

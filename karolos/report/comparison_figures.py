@@ -17,6 +17,10 @@ from .figures import COLOURS, Drawing, look, short, style
 from .tables import heading
 
 _Floats = NDArray[np.float64]
+HOVERED = 25
+"""Points of a curve, at the most about twice as many, that tell their values on hover."""
+WHOLE = 0.6
+"""Part of 0 to 1 from which an axis of ratios shows all of it."""
 _SECONDS = ((7200, 3600, "h"), (120, 60, "min"), (0, 1, "s"))
 """From how many seconds on a time axis has which unit, and the seconds in that unit."""
 
@@ -68,6 +72,11 @@ def learning(comparison: Comparison, axis: Axis) -> Drawing:
             drawing.part(line, f"seed series-{series}", _run_text(contender, place))
         [line] = axes.plot(at, curve.middle, **style(series), linewidth=2, zorder=3)
         drawing.part(line, f"main series-{series}", f"{contender.label}: {name}")
+        for place in range(0, at.size, at.size // HOVERED + 1):
+            middle, low, high = (ends[place] for ends in (curve.middle, curve.low, curve.high))
+            [dot] = axes.plot(at[place], middle, "o", color=colour, alpha=0, markersize=9, zorder=4)
+            text = f"{contender.label} at {curve.at[place]:,.0f} {axis}: {middle:.3f}, {low:.3f} to {high:.3f}"
+            drawing.part(dot, f"value series-{series}", text)
     _metric_axis(drawing, "y", comparison)
     drawing.legend(comparison.labels)
     return drawing
@@ -133,7 +142,7 @@ def _dots(
         row, colour = count - series, style(series)["color"]
         for place, (x, y) in enumerate(zip(dots, row + _offsets(dots, span or 1.0), strict=True)):
             [dot] = axes.plot(x, y, "o", color=colour, alpha=0.75, markersize=4.5, markeredgewidth=0, clip_on=False)
-            drawing.part(dot, f"dot series-{series}", _run_text(contender, place))
+            drawing.part(dot, f"dot series-{series}", f"{_run_text(contender, place)}, {x:.4g}")
         if found is None:
             continue
         [line] = axes.plot([found.low, found.high], [row - 0.3] * 2, color=colour, linewidth=1.2)
@@ -204,7 +213,8 @@ def density_figures(comparison: Comparison) -> list[Drawing]:
             classes, width = ("main", 2.0) if key == "mean" else ("edge", 0.8)
             [line] = axes.plot(at, [getattr(one, key) for one in each], color=style(series)["color"], linewidth=width)
             drawing.part(line, classes, text)
-        _metric_axis(drawing, "y", comparison)
+        ends = [(one.low, one.high) for _, each in found.values() for one in each]
+        _metric_axis(drawing, "y", comparison, data=(min(low for low, _ in ends), max(high for _, high in ends)))
         drawings.append(drawing)
     return drawings
 
@@ -235,7 +245,11 @@ def heat_map(
         shades = np.clip(values - neutral, -1, 1) * (1 if larger_is_better else -1)
         low, colours = -1, [COLOURS[1], *colours]
     axes, shading = drawing.axes, LinearSegmentedColormap.from_list("shades", colours)
-    axes.pcolormesh(np.ma.masked_invalid(shades), cmap=shading, vmin=low, vmax=1, edgecolors="#ffffff", linewidth=2)
+    mesh = axes.pcolormesh(np.ma.masked_invalid(shades), cmap=shading, vmin=low, vmax=1, edgecolors="#fff", linewidth=2)
+    legend = drawing.figure.colorbar(mesh, ax=axes, ticks=(low, 0, 1), shrink=0.8, aspect=14)
+    offset, sign = neutral or 0.0, -1 if neutral is not None and not larger_is_better else 1
+    legend.set_ticklabels([f"{offset + sign * tick:g}" for tick in (low, 0, 1)])
+    legend.outline.set_visible(False)
     for row, (label, cells) in enumerate(rows):
         for column, cell in enumerate(cells):
             text, colour = (
@@ -269,9 +283,28 @@ def _x_axis(drawing: Drawing, contenders: Sequence[Contender], axis: Axis) -> fl
     return scale
 
 
-def _metric_axis(drawing: Drawing, axis: Literal["x", "y"], comparison: Comparison, before: str = "") -> None:
-    """An axis of what is compared."""
-    _value_axis(drawing, axis, f"{before}{_LABELS[comparison.metric]}", ratio=comparison.metric != "return")
+def _metric_axis(
+    drawing: Drawing,
+    axis: Literal["x", "y"],
+    comparison: Comparison,
+    before: str = "",
+    data: tuple[float, float] | None = None,
+) -> None:
+    """An axis of what is compared. That of a ratio shows the part of 0 to 1 that holds the data, and says so.
+
+    `data`: the smallest and the largest ratio; None: of what was drawn.
+    """
+    _value_axis(drawing, axis, f"{before}{_LABELS[comparison.metric]}", ratio=False)
+    if comparison.metric == "return":
+        return
+    low, high = data or (drawing.axes.dataLim.intervaly if axis == "y" else drawing.axes.dataLim.intervalx)
+    margin = max(0.06 * (high - low), 0.003)
+    low, high = max(low - margin, -margin), min(high + margin, 1 + margin)
+    if high - low > WHOLE:
+        _value_axis(drawing, axis, f"{before}{_LABELS[comparison.metric]}")
+        return
+    drawing.axes.set(**{f"{axis}lim": (low, high)})
+    drawing.caption += f" The axis shows {max(low, 0):.2g} to {min(high, 1):.2g} only."
 
 
 def _value_axis(drawing: Drawing, axis: Literal["x", "y"], label: str, *, ratio: bool = True) -> None:
@@ -288,10 +321,8 @@ def _columns(at: _Floats) -> _Floats:
 
 
 def _ends(comparison: Comparison) -> tuple[float, float]:
-    """Smallest and largest return that a run reports, or 0 and 1 for success."""
-    if comparison.metric != "return":
-        return 0.0, 1.0
-    reported = [run.reported("return") for contender in comparison.contenders for run in contender.runs]
+    """Smallest and largest success or return that a run reports."""
+    reported = [run.reported(comparison.metric) for contender in comparison.contenders for run in contender.runs]
     return min(reported), max(reported)
 
 

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import math
 from collections.abc import Iterable, Sequence
 from functools import partial
 from typing import Any
@@ -17,6 +18,32 @@ _INTERVALS = {
     "wilson": "[low, high] of a single run: 95 % Wilson interval of its test, which says nothing about seeds",
 }
 """Kind of an interval -> how it is written and what it is."""
+
+
+def verdict(comparison: Comparison) -> str:
+    """What the comparison says, in a few sentences: the best, and who differs from the first contender."""
+    what = {"any": "success at any step", "end": "success at the end", "return": "return"}[comparison.metric]
+    found = [{"any": one.any, "end": one.end, "return": one.returns}[comparison.metric] for one in comparison.scores]
+    first, *others = comparison.labels
+    if not others:
+        return f"{first}: {what} {estimate(found[0])} over {len(comparison.contenders[0].runs)} seeds."
+    means = [one.value if one is not None else -math.inf for one in found]
+    best = means.index(max(means))
+    groups: dict[str, list[str]] = {"better": [], "worse": [], "alike": [], "unknown": []}
+    for label, scores in zip(others, comparison.scores[1:], strict=True):
+        one = scores.improvement
+        unknown = one is None or one.kind == "none"
+        key = "unknown" if one is None or unknown else "better" if one.low > 0.5 else "worse" if one.high < 0.5 else ""
+        groups[key or "alike"].append(label)
+    listed = {key: ", ".join(labels) for key, labels in groups.items() if labels}
+    sentences = {
+        "better": f"Better than {first}: {{}}.",
+        "worse": f"Worse than {first}: {{}}.",
+        "alike": f"No difference from {first} is shown: {{}}.",
+        "unknown": f"Too few seeds to tell from {first} (5 of each are needed): {{}}.",
+    }
+    said = [sentences[key].format(labels) for key, labels in listed.items()]
+    return " ".join([f"Highest mean of {what}: {comparison.labels[best]}, {estimate(found[best])}.", *said])
 
 
 def scores_table(comparison: Comparison) -> Table:

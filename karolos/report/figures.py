@@ -115,9 +115,10 @@ class Drawing:
             self.figure.savefig(path, metadata=_UNDATED[path.suffix])
         return path
 
-    def svg(self) -> str:
+    def svg(self, *, legend: bool = True) -> str:
         """The figure as an <svg> element for an HTML page. The groups of artists get their classes and tooltips.
 
+        `legend`: whether it is shown; a page of contenders has one for all figures.
         Other ids are hashes salted with the figure's name, so that several figures fit into one page.
         """
         from io import StringIO  # noqa: PLC0415
@@ -125,8 +126,12 @@ class Drawing:
         import matplotlib  # noqa: PLC0415
 
         stream = StringIO()
+        legends = [*self.figure.legends]
+        if not legend:
+            self.figure.legends.clear()
         with look(), matplotlib.rc_context({"svg.hashsalt": self.name}):
             self.figure.savefig(stream, format="svg", metadata={"Date": None})
+        self.figure.legends[:] = legends
         text = re.sub(r"<metadata>.*?</metadata>| xmlns(:xlink)?=\S+\"", "", stream.getvalue(), flags=re.DOTALL)
         for gid, (classes, tooltip) in self.parts.items():
             title = f"<title>{escape(tooltip)}</title>" if tooltip else ""

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import re
 from collections.abc import Iterable, Sequence
 from dataclasses import dataclass
 from pathlib import Path
@@ -11,10 +12,11 @@ from markupsafe import Markup
 
 from .. import __version__
 from ..comparison import ComparedRun, Comparison
-from .comparison_tables import explanations, measures_table, parameters_table, scores_table
+from .comparison_tables import explanations, measures_table, parameters_table, scores_table, verdict
 from .figures import Drawing, style
 from .tables import Columns, Table, clean, count, duration, number, success
 
+_INTERVAL = re.compile(r"(-?[\d.,]+|-) ((?:~?\[|\().*[\])])")
 FOLDER = Path(__file__).parent
 _DENSITIES = (
     "At each test the kernel density over the seeds, reflected at 0 and 1 and normalised by Simpson's rule. Darker is "
@@ -59,8 +61,19 @@ def templates(*folders: Path) -> Environment:
     """The templates in some folders. Every value in them is escaped and cleaned."""
     loader = FileSystemLoader(folders)
     environment = Environment(loader=loader, autoescape=True, finalize=_cleaned, trim_blocks=True, lstrip_blocks=True)
-    environment.globals |= {"style": style, "version": __version__}
+    environment.globals |= {"style": style, "version": __version__, "split": _split, "breakable": _breakable}
     return environment
+
+
+def _split(text: str) -> tuple[str, str]:
+    """A number and its interval, which is empty for any other text."""
+    found = _INTERVAL.fullmatch(text)
+    return (found[1], found[2]) if found else (text, "")
+
+
+def _breakable(text: str) -> Markup:
+    """A name that may go on in the next line after each underscore."""
+    return Markup("_<wbr>").join(str(_cleaned(part)) for part in text.split("_"))
 
 
 def _cleaned(value: object) -> object:
@@ -87,6 +100,7 @@ def comparison_sections(comparison: Comparison, drawings: Sequence[Drawing]) -> 
     densities, measures = ([one for one in drawings if one.name.startswith(kind)] for kind in ("density_", "measure_"))
     measured = [Section("Measures", table=measures_table(comparison)), Section(figures=measures)]
     return [
+        Section(text=verdict(comparison)),
         Section("Learning", figures=drawings[:2]),
         Section("In numbers", table=scores_table(comparison), notes=explanations(comparison)),
         *(measured if measures else []),

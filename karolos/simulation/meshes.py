@@ -36,6 +36,8 @@ LARGEST_PART, LEAST_PART = 5.0, 1e-4
 """m: the longest edge of the box around a part, in its scale. Beyond, its unit is wrong."""
 SAME_VOLUME = 0.95
 """A mesh that fills less of its convex hull is not convex."""
+LEAST_SHARE = 1e-3
+"""A closed mesh that fills less of its convex hull encloses nothing: its sides cancel each other."""
 CONCAVITY = 0.02
 """Largest concavity of a convex piece, as CoACD measures it, in parts of the mesh's size."""
 _TRIANGLE = np.dtype([("normal", "<f4", 3), ("corners", "<f4", (3, 3)), ("attributes", "<u2")])
@@ -93,13 +95,21 @@ def solid(path: Path) -> Solid:
     except QhullError:
         raise PluginError("flat: its corners are in one plane", where=str(path)) from None
     holes = _holes(faces)
-    volume, centre, tensor = _moments(corners, hull.simplices if holes is None else faces, convex=holes is None)
+    if holes is None or abs(_volumes(corners, faces).sum()) < LEAST_SHARE * hull.volume:
+        return Solid(*_moments(corners, hull.simplices, convex=True), "an open surface")
+    volume, centre, tensor = _moments(corners, faces, convex=False)
     filled = ""
     if holes:
         filled = "a hole" if holes == 1 else f"{holes} holes"
-    elif holes is not None and volume < SAME_VOLUME * hull.volume:
+    elif volume < SAME_VOLUME * hull.volume:
         filled = f"a hollow: {1 - volume / hull.volume:.0%} of it"
     return Solid(volume, centre, tensor, filled)
+
+
+def _volumes(corners: NDArray[np.float32], faces: NDArray[np.intp]) -> Array:
+    """Volumes (n,) of the tetrahedra from the mean corner to each triangle; negative behind one."""
+    volumes: Array = np.linalg.det(corners[faces] - corners.mean(0).astype(float)) / 6
+    return volumes
 
 
 def _holes(faces: NDArray[np.intp]) -> int | None:
@@ -122,10 +132,8 @@ def _moments(corners: NDArray[np.float32], faces: NDArray[np.intp], *, convex: b
     Triangles of a hull may face either way: the point is inside, and each tetrahedron counts.
     """
     middle = corners.mean(0).astype(float)
-    tetrahedra = corners[faces] - middle
-    volumes = np.linalg.det(tetrahedra) / 6
-    if convex:
-        volumes = np.abs(volumes)
+    tetrahedra, volumes = corners[faces] - middle, _volumes(corners, faces)
+    volumes = np.abs(volumes) if convex else volumes
     volume = float(volumes.sum())
     sums = tetrahedra.sum(1)
     centre = volumes @ sums / (4 * volume)

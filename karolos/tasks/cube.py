@@ -12,7 +12,7 @@ from ..core import Field, Layout
 from ..core import Settings as BaseSettings
 from ..errors import PluginError, UsageError
 from ..randomization.randomization import Drawn
-from ..simulation.geometry import UPRIGHT, Quaternion, Vector
+from ..simulation.geometry import UPRIGHT, Quaternion, Vector, columns
 from ..simulation.interface import Box, Gripper, RobotView, Task, World
 from ..simulation.interface.engine import Material
 from ..simulation.shapes import Cuboid
@@ -32,8 +32,7 @@ FIELDS = (
     Field("object_angular_velocity", 3, "rad/s"),
     Field("object_from_tool", 3, "m"),
 )
-"""Observation of a task with an object. The rotation is the first two columns of its matrix: unlike quaternions and
-angles they change continuously (Zhou et al. 2019, On the Continuity of Rotation Representations)."""
+"""Observation of a task with an object. The rotation is the first two columns of its matrix, see `geometry.columns`."""
 
 
 class CubeSettings(BaseSettings):
@@ -97,19 +96,6 @@ class Cube:
         self.velocity, self.angular_velocity = self.body.velocity()
 
     @property
-    def columns(self) -> tuple[float, ...]:
-        """The first two columns of the rotation matrix: 6 numbers."""
-        x, y, z, w = self.orientation
-        return (
-            1 - 2 * (y * y + z * z),
-            2 * (x * y + w * z),
-            2 * (x * z - w * y),
-            2 * (x * y - w * z),
-            1 - 2 * (x * x + z * z),
-            2 * (y * z + w * x),
-        )
-
-    @property
     def lowest(self) -> float:
         """Height of the lowest corner above the floor in m."""
         x, y, z, w = self.orientation
@@ -121,7 +107,7 @@ class Cube:
 
         The offset from the tool is that of the observed positions: it tells nothing that they do not tell.
         """
-        values = robot.with_noise([*self.position, *self.columns, *self.velocity, *self.angular_velocity])
+        values = robot.with_noise([*self.position, *columns(self.orientation), *self.velocity, *self.angular_velocity])
         return values + [own - tool for own, tool in zip(values, robot.observed_tool_position, strict=False)]
 
     @property

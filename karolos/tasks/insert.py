@@ -119,7 +119,7 @@ class Insert(Task):
         )
         force_limit: float = Setting(50.0, gt=0, description="force on peg or arm beyond which an episode fails, N")
         force_penalty: ForcePenalty | None = Setting(
-            ForcePenalty.model_validate({"limit": 15.0, "weight": 0.5, "most": 0.5}),
+            ForcePenalty.model_validate({"limit": 15.0, "weight": 2.0, "most": 5.0}),
             description="what pressing costs: of the largest force on peg or arm, the grip left out; null: nothing",
         )
         start_inserted: Probability = Setting(
@@ -134,7 +134,7 @@ class Insert(Task):
     drawn: Settings
     uses_gripper = True
     control = "impedance"
-    camera = Camera(target=(0.5, 0.0, 0.08), distance=0.9)
+    camera = Camera(target=(0.5, 0.0, 0.07), distance=0.55)
     observation = Layout(
         (
             Field("tip_from_hole", 3, "m"),

@@ -12,6 +12,7 @@ from ..core import Array, BoolArray, Expert, Field, FloatArray, GoalRule, Layout
 from ..core.seeding import Generator
 from ..errors import UsageError
 from ..randomization.randomization import Drawn, Probability
+from ..simulation.geometry import axes
 from ..simulation.interface import Box, Camera, RobotView, World
 from ..simulation.interface.engine import GRAVITY
 from .cube import FIELDS, CubeSettings, CubeTask, check_gripper
@@ -215,10 +216,15 @@ class Throw(CubeTask):
 
     def _current_flight(self) -> Flight:
         cube = self.cube
-        a, b, c, d, e, f = cube.columns
-        axes = (a, b, c), (d, e, f), (b * f - c * e, c * d - a * f, a * e - b * d)
         x, y, z = cube.velocity
-        return Flight(cube.position, (x, y, self._rise(z)), axes, cube.angular_velocity, cube.half, self._gravity)
+        return Flight(
+            cube.position,
+            (x, y, self._rise(z)),
+            axes(cube.orientation),
+            cube.angular_velocity,
+            cube.half,
+            self._gravity,
+        )
 
     def achieved(self) -> FloatArray:
         x, y = self._landing or self.cube.position[:2]

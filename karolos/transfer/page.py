@@ -5,6 +5,7 @@ from __future__ import annotations
 from collections.abc import Sequence
 from functools import partial
 from pathlib import Path
+from statistics import fmean
 
 from ..comparison import ComparedRun
 from ..files import write_whole
@@ -43,6 +44,23 @@ def cells_table(report: TransferReport) -> Table:
         columns[metric.title.lower()] = partial(_estimate, name)
     columns[f"steps to {report.threshold:g}"] = lambda cell: reached(cell.reaching)
     return Table.of([cell for cell in report.cells if cell.source != cell.target], columns)
+
+
+def verdict(report: TransferReport) -> str:
+    """What the matrix says about transfer between different variants, in a sentence or two."""
+    pairs = [cell for cell in report.cells if cell.source != cell.target]
+    found = [(one.value, cell) for cell in pairs if (one := cell.estimates.get("zero_shot")) is not None]
+    if not found:
+        return ""
+    low, high = (end(found, key=lambda one: one[0]) for end in (min, max))
+    ends = [f"{value:.3f} ({cell.source} to {cell.target})" for value, cell in (low, high)]
+    text = f"Zero-shot success: {ends[0]} to {ends[1]}, mean {fmean(value for value, _ in found):.3f}."
+    gains = [one.value for cell in pairs if (one := cell.estimates.get("asymptote")) is not None]
+    if gains:
+        text += (
+            f" Fine-tuning ends above training from scratch in {sum(one > 0 for one in gains)} of {len(gains)} pairs."
+        )
+    return text
 
 
 def notes(report: TransferReport) -> list[str]:
@@ -91,7 +109,7 @@ def write_report(report: TransferReport, path: Path, figures: Path | None = None
 def page(report: TransferReport, maps: Sequence[Drawing], curves: Sequence[Drawing]) -> str:
     """The page as text."""
     sections = [
-        Section(figures=maps),
+        Section(text=verdict(report), figures=maps),
         Section("In numbers", table=cells_table(report), notes=notes(report)),
         Section("Sources and targets", table=variants_table(report)),
         *([Section("Learning", figures=curves)] if curves else []),

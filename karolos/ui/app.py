@@ -161,6 +161,7 @@ class Application:
 
         run, settings = record.summary, _settings(record.spec, about)
         last = final.last if final else results[-1] if results else None
+        failures = _episodes(last)[1] if last and last.has_success else None
         tables = [table_of_tests(record.tests, results)] if record.tests else []
         if final is not None:
             policies = {"last": final.last, "best": final.best}
@@ -181,13 +182,13 @@ class Application:
             tests=tables[-1] if record.tests else None,
             steps=[test.steps for test in record.tests],
             measures=list(_measures(last, record.tests)) if last else [],
-            failures=_episodes(last)[1] if last and last.has_success else None,
+            failures=failures,
             last=last,
             transfers=transfers_table(transfers) if transfers else None,
             given=[one for one in settings if one[2] != "default"],
             defaults=[one for one in settings if one[2] == "default"],
             events=[_event(event) for event in events],
-            films=self._films(folder),
+            films=self._films(folder, failures),
         )
 
     def test(self, request: Request) -> Response:
@@ -297,11 +298,11 @@ class Application:
         except RunError as error:
             return None, None, (str(error),)
 
-    def _films(self, folder: RunFolder | None) -> dict[str, tuple[bool, str]]:
-        """What a film shows -> whether it exists, and what is going on with it."""
+    def _films(self, folder: RunFolder | None, failures: Sequence[int] | None) -> dict[str, tuple[bool, str]]:
+        """What a film can show -> whether it exists, and what is going on with it."""
         if folder is None:
             return {}
-        paths = {kind: folder.path / name for kind, name in films.FILES.items()}
+        paths = {kind: folder.path / name for kind, name in films.FILES.items() if failures or kind != "failures"}
         return {kind: (path.is_file(), self.films.state(path)) for kind, path in paths.items()}
 
 

@@ -12,6 +12,7 @@ from support.compared_runs import CURVES, contender, run
 from karolos.comparison import Comparison, Contender, compare
 from karolos.errors import MachineError
 from karolos.report import comparison_figures as figures
+from karolos.report.comparison_tables import verdict
 from karolos.report.figures import COLOURS, Drawing, short, write_figures
 
 NAMES = ["success_over_steps", "success_over_seconds", "final_success", "performance_profiles", "density_1"]
@@ -54,15 +55,37 @@ def test_density_has_a_column_for_each_test_and_one_scale_for_all() -> None:
 def test_profile_is_a_step_function_down_from_all_seeds() -> None:
     [line] = artists(figures.profiles(compare([contender("a", [[20], [50], [100], [100]])], "any")), "main series-0")
     assert line.get_drawstyle() == "steps-pre"
-    assert line.get_xdata().tolist() == [0, 0.2, 0.5, 1]
-    assert line.get_ydata().tolist() == [1, 1, 0.75, 0.5]
+    assert line.get_xdata().tolist() == [0.2, 0.5, 1]
+    assert line.get_ydata().tolist() == [1, 0.75, 0.5]
 
 
 def test_final_success_shows_each_seed_by_its_run() -> None:
     drawing = figures.final(compare([contender("a", CURVES)], "any"))
     dots = artists(drawing, "dot series-0")
     assert [dot.get_xdata()[0] for dot in dots] == [0.9, 1.0, 0.95, 0.0, 0.85]
-    assert drawing.parts[dots[3].get_gid()][1] == "a, seed 3: a-s3 (finished)"
+    assert drawing.parts[dots[3].get_gid()][1] == "a, seed 3: a-s3 (finished), 0"
+
+
+@pytest.mark.parametrize(
+    ("successes", "low", "high"), [((994, 999), 0.98, 1.01), ((0, 90), -0.01, 0.12), ((0, 990), -0.03, 1.03)]
+)
+def test_axes_of_ratios_show_what_is_there_and_say_so(successes: tuple[int, int], low: float, high: float) -> None:
+    compared = compare(
+        [contender(name, [[one]], episodes=1000) for name, one in zip("ab", successes, strict=True)], "any"
+    )
+    for drawing, axis in ((figures.final(compared), "x"), (figures.learning(compared, "steps"), "y")):
+        ends = getattr(drawing.axes, f"get_{axis}lim")()
+        assert low <= ends[0] <= min(successes) / 1000 < max(successes) / 1000 <= ends[1] <= high
+        assert ("only" in drawing.caption) == (high - low < 0.6)
+
+
+def test_verdict_names_the_best_and_who_differs_from_the_first() -> None:
+    curves = {"a": range(40, 60, 2), "b": range(80, 100, 2), "c": range(41, 61, 2), "d": [90]}
+    compared = compare([contender(name, [[one] for one in ends]) for name, ends in curves.items()], "any")
+    assert verdict(compared) == (
+        "Highest mean of success at any step: d, 0.900 [0.826, 0.945]. Better than a: b. "
+        "No difference from a is shown: c. Too few seeds to tell from a (5 of each are needed): d."
+    )
 
 
 def test_returns_are_drawn_on_their_own_axis() -> None:

@@ -23,7 +23,13 @@ def test_page_shows_figures_numbers_warnings_settings_and_runs() -> None:
     assert text.count("<figure") == text.count("</svg><figcaption>") == 6
     for title in ("over environment steps", "over wall-clock time", "at the end of training", "Performance profiles"):
         assert f"{title}</text>" in text
-    for part in ("0.740 ~[", "0.950 (0.900 to 1.000)", "unequal numbers of seeds: one 5; two 2", "agent.name", "ppo"):
+    for part in (
+        "0.740<small>~[",
+        "0.950<small>(0.900 to 1.000)",
+        "unequal numbers of seeds: one 5; two 2",
+        "agent.name",
+        "ppo",
+    ):
         assert part in text
     assert text.count("two-s1") >= 2  # in the table and on its lines
 

@@ -220,12 +220,13 @@ class World:
         if not self._stepped:  # a detection before the first step would change the order of contacts
             return
         self._stepped = False
-        poses = [body.pose() for body in self._free]
+        api = self.api
+        poses = [api.getBasePositionAndOrientation(body.index) for body in self._free]  # `pose` might round
         for number, body in enumerate(self._free):
             body.place((0.0, 0.0, 10.0 + number))
-        self.api.performCollisionDetection()
+        api.performCollisionDetection()
         for body, (position, orientation) in zip(self._free, poses, strict=True):
-            body.place(position, orientation)
+            api.resetBasePositionAndOrientation(body.index, position, orientation)
 
     def contacts(self, first: AnyBody, second: AnyBody, link: int) -> list[Contact]:
         points = self.api.getContactPoints(first.index, second.index, linkIndexA=link)

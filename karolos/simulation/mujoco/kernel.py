@@ -44,6 +44,8 @@ SLOWEST_BOUNCE = 0.1
 """m/s; slower than that nothing bounces."""
 POSTURE_STIFFNESS, POSTURE_DAMPING = 10.0, 5.0
 """N m/rad and N m s/rad, with which a redundant arm on a spring returns to its home pose, unfelt by the tool."""
+BRAKING = 0.05
+"""Share of its largest speed by which a joint is faster when it is braked with its largest torque."""
 SINGULAR = 1e-6
 """Added to J J^T, whose inverse is needed, in m2."""
 
@@ -60,6 +62,7 @@ TOOL = np.dtype(
         ("positions", np.int64, MOST_JOINTS),
         ("entries", np.int64, (MOST_JOINTS, MOST_JOINTS)),  # of the inertia of each two joints in the data's, i >= j
         ("efforts", np.float64, MOST_JOINTS),  # largest torques in N m
+        ("speeds", np.float64, MOST_JOINTS),  # largest ones in rad/s
         ("home", np.float64, MOST_JOINTS),  # in rad
         ("spring", np.float64, 4),  # stiffness, N/m and N m/rad; largest error, m and rad; 0 N/m: there is no spring
         ("damping", np.float64, (6, 6)),  # along and about the world's axes, N s/m, N m s/rad and mixed
@@ -310,6 +313,10 @@ def _pull(model, data, at, h, positions, velocities, tool, time):
     for j in range(n):
         dof = 8 * tool.dofs[j]
         tool.torques[j] = min(max(tool.torques[j] + _number(bias + dof), -tool.efforts[j]), tool.efforts[j])
+        if abs(speeds[j]) > tool.speeds[j]:
+            brake = tool.efforts[j] / (BRAKING * tool.speeds[j])
+            tool.torques[j] -= brake * (speeds[j] - np.sign(speeds[j]) * tool.speeds[j])
+            tool.added[j, j] += h * brake
         _store(applied + dof, tool.torques[j])
         for k in range(j + 1):
             entry = inertia + 8 * tool.entries[j, k]
@@ -363,35 +370,41 @@ def _keep_posture(h, positions, tool, jacobian, speeds):
 @_compiled
 def _feel(data, at, tools, hands):
     """Low-pass what contacts do to the hands: force in N and torque in N m at the tool, in its frame."""
-    felt, turn = np.zeros((len(tools), 6)), np.empty((3, 3))
-    pose, pressure, lever = np.empty(7), np.empty(3), np.empty(3)
+    felt, turn, pose, own = np.zeros((len(tools), 6)), np.empty((3, 3)), np.empty(7), np.zeros(6)
     force, first = _address(data + at[FORCE]), _address(data + at[CONTACT])
     for contact in range(first, first + at[STRIDE] * _integer(data + at[CONTACTS]), at[STRIDE]):
         one, other = hands[_integer(contact + at[ONE])], hands[_integer(contact + at[OTHER])]
         row = _integer(contact + at[ROW])
         if row < 0 or one == other:
             continue
-        for axis in range(3):
-            pressure[axis] = 0.0
-            for k in range(3):
-                along = _number(contact + at[AXES] + 8 * (3 * k + axis))
-                pressure[axis] += along * _number(force + 8 * (row + k))
-        for side in range(2):
-            hand, sign = (one, -1.0) if side == 0 else (other, 1.0)
-            if hand < 0:
-                continue
-            _locate(data, at, tools[hand], pose, turn)
-            for axis in range(3):
-                lever[axis] = sign * (_number(contact + at[POINT] + 8 * axis) - pose[axis])
-            for axis in range(3):
-                for k in range(3):
-                    torque = lever[(k + 1) % 3] * pressure[(k + 2) % 3] - lever[(k + 2) % 3] * pressure[(k + 1) % 3]
-                    felt[hand, axis] += turn[k, axis] * sign * pressure[k]
-                    felt[hand, 3 + axis] += turn[k, axis] * torque
+        normal, right, ahead = _number(force + 8 * row), _number(force + 8 * row + 8), _number(force + 8 * row + 16)
+        axes, point = contact + at[AXES], contact + at[POINT]
+        a = normal * _number(axes) + right * _number(axes + 24) + ahead * _number(axes + 48)
+        b = normal * _number(axes + 8) + right * _number(axes + 32) + ahead * _number(axes + 56)
+        c = normal * _number(axes + 16) + right * _number(axes + 40) + ahead * _number(axes + 64)
+        x, y, z = _number(point), _number(point + 8), _number(point + 16)
+        for hand, sign in ((one, -1.0), (other, 1.0)):
+            if hand >= 0:
+                felt[hand, 0] += sign * a
+                felt[hand, 1] += sign * b
+                felt[hand, 2] += sign * c
+                felt[hand, 3] += sign * (y * c - z * b)
+                felt[hand, 4] += sign * (z * a - x * c)
+                felt[hand, 5] += sign * (x * b - y * a)
     for hand in range(len(tools)):
-        wrench = tools[hand].wrench
+        world, wrench = felt[hand], tools[hand].wrench
+        if world[0] != 0 or world[1] != 0 or world[2] != 0:
+            _locate(data, at, tools[hand], pose, turn)
+            world[3] -= pose[1] * world[2] - pose[2] * world[1]
+            world[4] -= pose[2] * world[0] - pose[0] * world[2]
+            world[5] -= pose[0] * world[1] - pose[1] * world[0]
+            for axis in range(3):
+                own[axis] = turn[0, axis] * world[0] + turn[1, axis] * world[1] + turn[2, axis] * world[2]
+                own[3 + axis] = turn[0, axis] * world[3] + turn[1, axis] * world[4] + turn[2, axis] * world[5]
+        else:
+            own[:] = 0.0
         for axis in range(6):
-            wrench[axis] += tools[hand].share * (felt[hand, axis] - wrench[axis])
+            wrench[axis] += tools[hand].share * (own[axis] - wrench[axis])
         tools[hand].peak = max(tools[hand].peak, np.sqrt(wrench[0] ** 2 + wrench[1] ** 2 + wrench[2] ** 2))
 
 

@@ -103,6 +103,7 @@ class Motors:
         for body in range(carrier + 1, model.nbody):
             hand |= {body} if int(model.body_parentid[body]) in hand else set()
         self._simulation.hands[np.isin(model.geom_bodyid, [*hand])] = row
+        own["speeds"][:size] = self.limits.velocity
         own["efforts"][:size], own["aim"], own["share"] = self.limits.effort, self._aim, self._share
         if self._spring is not None:
             own["home"][:size] = self._spring.home
@@ -154,10 +155,16 @@ class Motors:
         self._spring = spring
 
     def _write_spring(self, spring: Spring) -> None:
-        """D = z (M^(1/2) K^(1/2) + K^(1/2) M^(1/2)): Albu-Schaeffer et al. 2003, Cartesian Impedance Control."""
+        """D = z (M^(1/2) K^(1/2) + K^(1/2) M^(1/2)): Albu-Schaeffer et al. 2003, Cartesian Impedance Control.
+
+        Where a hand is light, D is raised until the largest torque turns it no faster than the slowest joint turns.
+        """
         self._row["spring"] = spring.stiffness, spring.turn_stiffness, spring.error, spring.turn_error
         half = self._root * np.sqrt([spring.stiffness] * 3 + [spring.turn_stiffness] * 3)
-        self._row["damping"] = spring.damping_ratio * (half + half.T)
+        damping = spring.damping_ratio * (half + half.T)
+        least = spring.turn_stiffness * spring.turn_error / min(self.limits.velocity)
+        damping[range(3, 6), range(3, 6)] = np.maximum(np.diagonal(damping)[3:], least)
+        self._row["damping"] = damping
 
     def aim(self, position: Vector, orientation: Quaternion, velocity: Vector, spin: Vector) -> None:
         x, y, z, w = orientation

@@ -55,5 +55,6 @@ document.addEventListener("htmx:beforeRequest", event => {
   const live = event.detail.elt.matches("[data-live]");
   if (live && (document.hidden || event.detail.elt.querySelector("details[open]"))) event.preventDefault();
 });
+document.addEventListener("htmx:afterSwap", restore);
 document.addEventListener("htmx:afterSettle", restore);
 document.addEventListener("DOMContentLoaded", restore);
