@@ -19,7 +19,10 @@ def ui(
     database: Database = None,
     port: Annotated[int, typer.Option(min=0, max=65535, help="Port on this machine; 0 takes a free one.")] = 6789,
     host: Annotated[
-        str, typer.Option(help="Name or address to listen on. Beyond this machine the page asks for a token.")
+        str,
+        typer.Option(
+            metavar="ADDRESS", help="Name or address to listen on. Beyond this machine the page asks for a token."
+        ),
     ] = "127.0.0.1",
     token: Annotated[
         str | None,

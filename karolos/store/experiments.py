@@ -1,4 +1,4 @@
-"""Experiments with their runs, page by page: a list of ten thousand runs reads all columns of one page only."""
+"""Experiments with their runs, page by page: without a filter all columns of one page only are read."""
 
 from __future__ import annotations
 
@@ -13,18 +13,15 @@ from typing import Any, NamedTuple
 from sqlalchemy import select
 
 from ..errors import UsageError
-from ..records.run_records import UNFINISHED, RunSummary
+from ..records.run_records import RunSummary
 from ..registry import alternatives
-from . import filters
 from .database import Database
-from .rows import MEASURES, SUMMARY_FIELDS, folder_path, means
-from .runs import shared_values, summaries
+from .runs import find_runs, summaries
 from .tables import RUNS, SPECS, TESTS, TRIALS
 
 ORDERS = ("created", "name", "success_end", "mean_return", "steps", "seconds")
 """What experiments can be sorted by: means over their runs, and when the newest run was created."""
 SMALLEST_FIRST = ("name", "steps", "seconds")
-_DECODE = {"seed": int}
 
 
 @dataclass(frozen=True)
@@ -69,30 +66,16 @@ def find_experiments(
     """
     if order not in ORDERS:
         raise UsageError(f"runs have no order {order!r}", hint=alternatives(order, ORDERS, what="orders"))
-    condition = filters.parse(where) if where is not None else None
-    names = condition.keys.intersection(SUMMARY_FIELDS) if condition else frozenset()
-    measured = {"measures"} if condition and any(key.startswith(MEASURES) for key in condition.keys) else set()
-    columns = [RUNS.c[name] for name in sorted({*names, *measured, "run", "experiment", "spec", "software", order})]
-    query = select(*columns).order_by(RUNS.c.created.desc(), RUNS.c.run.desc())
+    kept = None if where is None else {run.run for run in find_runs(database, where=where)}
+    query = select(*{RUNS.c[name] for name in ("run", "experiment", order)})
+    query = query.order_by(RUNS.c.created.desc(), RUNS.c.run.desc())
     if not trials:
         query = query.where(RUNS.c.name.not_in(select(TRIALS.c.name)))
+    matching: dict[str, list[tuple[str, Any]]] = defaultdict(list)
     with database.reading() as connection:
-        shared = shared_values(connection, condition) if condition else {}
-        unfinished = summaries(connection, select(RUNS).where(RUNS.c.state.in_(UNFINISHED)), database.home)
-        current = {run.run: run for run in unfinished}
-        matching: dict[str, list[tuple[str, Any]]] = defaultdict(list)
         for row in connection.execute(query):
-            if condition is not None:
-                own: dict[str, Any] = {name: _DECODE.get(name, _same)(getattr(row, name)) for name in names}
-                if "folder" in own:
-                    own["folder"] = folder_path(own["folder"], database.home)
-                if row.run in current:
-                    own |= {name: getattr(current[row.run], name) for name in names}
-                if measured:
-                    own |= means(row.measures)
-                if not condition.matches(shared.get(row.spec, {}) | shared.get(row.software, {}) | own):
-                    continue
-            matching[row.experiment].append((row.run, getattr(row, order)))
+            if kept is None or row.run in kept:
+                matching[row.experiment].append((row.run, getattr(row, order)))
         ranks = {experiment: _rank([value for _, value in runs], order) for experiment, runs in matching.items()}
         chosen = islice(sorted(matching, key=ranks.__getitem__), offset, offset + limit)
         wanted = {run: experiment for experiment in chosen for run, _ in matching[experiment]}
@@ -121,10 +104,6 @@ def steps_asked(database: Database, runs: Sequence[str]) -> dict[str, int]:
     query = select(RUNS.c.run, SPECS.c.content).join(SPECS).where(RUNS.c.run.in_(runs))
     asked = {run: (spec.get("training") or {}).get("steps") for run, spec in database.fetch(query)}
     return {run: steps for run, steps in asked.items() if isinstance(steps, int) and steps > 0}
-
-
-def _same(value: Any) -> Any:
-    return value
 
 
 def _rank(values: Sequence[Any], order: str) -> Any:

@@ -18,8 +18,6 @@ from ..records.results import MeasureMean
 from ..records.run_records import RunSummary
 
 _T = TypeVar("_T")
-MEASURES = "measures."
-"""How keys of measures begin in filters."""
 SUMMARY_FIELDS = tuple(field.name for field in fields(RunSummary))
 
 
@@ -60,7 +58,7 @@ def valid(kind: type[_T], values: Mapping[str, Any], what: str) -> _T:
 
 def means(measures: Mapping[str, MeasureMean]) -> dict[str, float | None]:
     """The means of measures by their keys in filters: measures.peak_force."""
-    return {f"{MEASURES}{name}": one["mean"] for name, one in measures.items()}
+    return {f"measures.{name}": one["mean"] for name, one in measures.items()}
 
 
 def without_seeds(spec: Mapping[str, Any]) -> dict[str, Any]:

@@ -75,7 +75,7 @@ def find_runs(database: Database, **conditions: Unpack[RunConditions]) -> tuple[
     with database.reading() as connection:
         if state is None and condition is None:
             return summaries(connection, query.limit(limit), database.home)
-        shared = shared_values(connection, condition) if condition else {}
+        shared = _shared_values(connection, condition) if condition else {}
         matching: list[RunSummary] = []
         for row in connection.execute(query):
             run = _summary(row, database.home)
@@ -103,7 +103,7 @@ def records_of(database: Database, runs: Sequence[RunSummary]) -> tuple[RunRecor
     return tuple(RunRecord(run, contents[run.run][0], tuple(tests[run.run]), contents[run.run][1]) for run in known)
 
 
-def shared_values(connection: Connection, condition: Filter) -> dict[str, dict[str, Any]]:
+def _shared_values(connection: Connection, condition: Filter) -> dict[str, dict[str, Any]]:
     """Digest of a spec or of software -> its values by those keys of the filter that are no fields of runs.
 
     Raises UsageError if the filter names what no run has.

@@ -7,7 +7,6 @@ import shutil
 from pathlib import Path
 from typing import Any
 
-import pytest
 import typer
 from karolos_cli.compare import compare
 from karolos_cli.diff import diff
@@ -46,13 +45,6 @@ def add_run(
         run.set_state(state, steps=1000 * len(successes), seconds=10.0 * len(successes))
         store.add_records([run.record()])
         return run.id
-
-
-@pytest.fixture
-def runs(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> Path:
-    monkeypatch.delenv("KAROLOS_RUNS", raising=False)
-    monkeypatch.delenv("KAROLOS_DATABASE", raising=False)
-    return tmp_path / "runs"
 
 
 def rows(*arguments: object) -> list[dict[str, Any]]:

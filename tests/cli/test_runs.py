@@ -41,13 +41,6 @@ def add_run(runs: Path, seed: int, state: str = "finished", spec: dict[str, Any]
         return run.id
 
 
-@pytest.fixture
-def runs(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> Path:
-    monkeypatch.delenv("KAROLOS_RUNS", raising=False)
-    monkeypatch.delenv("KAROLOS_DATABASE", raising=False)
-    return tmp_path / "runs"
-
-
 def test_list_gives_a_row_per_run_newest_first(runs: Path) -> None:
     first, second = add_run(runs, 0), add_run(runs, 1, "failed")
     found = rows("list", "--runs", runs)
@@ -101,10 +94,10 @@ def test_environment_names_folder_and_database(runs: Path, monkeypatch: pytest.M
     assert [row["run"] for row in rows("list")] == [run]
 
 
-def test_place_without_runs_lists_nothing_and_makes_nothing(
-    runs: Path, tmp_path: Path, monkeypatch: pytest.MonkeyPatch
-) -> None:
+@pytest.mark.usefixtures("runs")
+def test_place_without_runs_lists_nothing_and_makes_nothing(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
     monkeypatch.chdir(tmp_path)
+    monkeypatch.delenv("KAROLOS_RUNS")
     nothing = call("list")
     assert nothing.stdout == ""
     assert "no runs in runs yet; `karolos run SPEC` makes one" in nothing.stderr

@@ -19,14 +19,6 @@ from karolos.records import RunFolder
 from karolos.store import Store
 
 
-@pytest.fixture
-def runs(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> Path:
-    monkeypatch.delenv("KAROLOS_DATABASE", raising=False)
-    monkeypatch.setenv("KAROLOS_RUNS", str(tmp_path / "runs"))
-    (tmp_path / "runs").mkdir()
-    return tmp_path / "runs"
-
-
 def call(*arguments: object) -> Result:
     return run_commands.call(app, *arguments)
 

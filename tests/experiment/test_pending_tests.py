@@ -12,6 +12,7 @@ from typing import Any
 
 import pytest
 from support.states import assert_same_runs, assert_same_state
+from support.toy_runs import run_of, toy
 
 from karolos import checkpoint
 from karolos.evaluation import due_tests
@@ -19,23 +20,18 @@ from karolos.experiment import pending_tests
 from karolos.experiment.events import RunWarned
 from karolos.experiment.pending_tests import PendingTests
 from karolos.launchers import experiment
-from karolos.launchers.experiment import Experiment
 from karolos.records import RunFolder
 
-SPEC: dict[str, Any] = {
-    "name": "toy",
-    "environment": "toy",
-    "agent": {"name": "sac", "hidden": [16], "precision": "float32"},
-    "buffer": {"name": "uniform", "capacity": 400, "hindsight": {"strategy": "future"}},
-    "orchestrator": {"processes": 0, "environments": 4},
-    "training": {"steps": 240, "batch_size": 16, "replay_ratio": 4, "warmup_episodes": 4},
-    "testing": {"interval": 40, "episodes": 6},
-}
+SPEC = toy(
+    buffer={"capacity": 400, "hindsight": {"strategy": "future"}},
+    orchestrator={"environments": 4},
+    training={"steps": 240, "batch_size": 16, "warmup_episodes": 4},
+    testing={"interval": 40, "episodes": 6},
+)
 
 
-def run(runs: Path, spec: dict[str, Any] = SPEC, **options: Any) -> RunFolder:
-    (summary,) = Experiment(spec).run(runs, **options).runs
-    return RunFolder.open(summary.folder)
+def run(runs: Path, **options: Any) -> RunFolder:
+    return run_of(SPEC, runs, **options)
 
 
 def second_processes() -> list[Any]:

@@ -5,24 +5,16 @@ from __future__ import annotations
 import re
 import signal
 from pathlib import Path
-from typing import Any
 
 import pytest
+from support.toy_runs import toy
 from tensorboard.backend.event_processing.event_accumulator import EventAccumulator
 
 from karolos.experiment.events import RunTested
 from karolos.launchers.experiment import Experiment
 from karolos.records import RunFolder
 
-TOY: dict[str, Any] = {
-    "name": "toy",
-    "environment": "toy",
-    "agent": {"name": "sac", "hidden": [16], "precision": "float32"},
-    "buffer": {"name": "priority", "capacity": 1000},
-    "orchestrator": {"processes": 0, "environments": 4},
-    "training": {"steps": 240, "batch_size": 16, "replay_ratio": 4, "warmup_episodes": 4},
-    "testing": {"interval": 100, "episodes": 6},
-}
+TOY = toy(buffer={"name": "priority"}, training={"steps": 240}, testing={"interval": 100, "episodes": 6})
 
 
 @pytest.fixture(scope="module")
