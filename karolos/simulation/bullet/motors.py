@@ -95,7 +95,8 @@ class Motors:
         self._openings: Mapping[int, float] = {}
         self._begin: Sequence[float] = (0.0,) * len(joints)
         self._period = substeps * timestep
-        self._speeds, self._loads = np.zeros(len(joints)), np.zeros((3, len(joints)))
+        self._speeds: Sequence[float] = ()
+        self._loads = [[0.0] * len(joints)] * 3
         self.largest: dict[tuple[int, int], float] = {}
         """As `World.largest_forces`."""
         self._end: Sequence[float] = self._begin
@@ -127,7 +128,7 @@ class Motors:
     def write(self, positions: Sequence[float], opening: float) -> None:
         self._begin = self._end = (0.0,) * len(self._arm)
         self._write(self._arm, positions, self._begin)
-        self._speeds, self._loads[:], self.largest = np.array(self._begin), 0.0, {}
+        self._speeds, self._loads, self.largest = (), [[0.0] * len(self._arm)] * 3, {}
         self._wrench[:] = self._peak = 0.0
         if self._fingers is not None:
             finger = self._fingers.position(opening)
@@ -169,18 +170,14 @@ class Motors:
         self._drive_arm(targetVelocities=speeds, forces=self._torques, velocityGains=self._gains)
 
     def record(self, forces: Mapping[tuple[int, int], float]) -> None:
-        """Raise the loads and the largest forces to those at the end of a control step."""
-        _, speeds, _, torques = zip(*self._body.joints(self._arm), strict=True)
-        before, self._speeds = self._speeds, np.array(speeds)
-        rises = (self._speeds - before) / self._period
-        np.maximum(self._loads, np.abs((self._speeds, rises, torques)), out=self._loads)
+        """Raise the largest forces to those of a control step; `read` raises the loads."""
         for key, force in forces.items():
             self.largest[key] = max(self.largest.get(key, 0.0), force)
         if not self.feels:
             self.feel(1.0)
 
     def loads(self) -> Loads:
-        speed, acceleration, torque = self._loads.tolist()
+        speed, acceleration, torque = self._loads
         return Loads(speed, acceleration, torque, self._peak)
 
     def attach(self, spring: Spring) -> None:  # noqa: ARG002
@@ -216,7 +213,12 @@ class Motors:
         self._peak = max(self._peak, float(np.linalg.norm(self._wrench[:3])))
 
     def read(self) -> tuple[Sequence[float], Sequence[float], float]:
-        positions, velocities, _, _ = zip(*self._body.joints(self._joints), strict=True)
+        positions, velocities, _, torques = zip(*self._body.joints(self._joints), strict=True)
+        before, self._speeds = self._speeds, velocities[: len(self._arm)]
+        if before:  # the first time after `write` the arm is at rest, with torques of the episode before
+            rises = [(now - then) / self._period for now, then in zip(self._speeds, before, strict=True)]
+            pairs = zip(self._loads, (self._speeds, rises, torques), strict=True)
+            self._loads = [[max(most, abs(now)) for most, now in zip(*pair, strict=False)] for pair in pairs]
         opening = 0.0
         if self._fingers is not None:
             self._opening = opening = self._fingers.opening(positions[-1])
