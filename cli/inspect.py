@@ -1,4 +1,4 @@
-"""`karolos inspect`: a robot or a task as a picture and as numbers."""
+"""`karolos inspect`: a robot, a gripper or a task as a picture and as numbers."""
 
 from __future__ import annotations
 
@@ -15,7 +15,9 @@ from .output import print_line, print_rows
 if TYPE_CHECKING:
     from karolos.plugins.inspection import Inspection
 
-app = typer.Typer(name="inspect", help="Show a robot or a task: a picture and its numbers.", no_args_is_help=True)
+app = typer.Typer(
+    name="inspect", help="Show a robot, a gripper or a task: a picture and its numbers.", no_args_is_help=True
+)
 Out = Annotated[
     Path | None, typer.Option("--out", metavar="FILE", help="Picture to write: FILE.png. Default: ./NAME.png.")
 ]
@@ -35,6 +37,21 @@ def robot(
     from karolos.plugins.inspection import inspect_robot
 
     _show("robot", inspect_robot(name, size=(width, height)), target, json=json)
+
+
+@app.command()
+def gripper(
+    name: Annotated[str, typer.Argument(metavar="NAME", help="Name of a gripper.")],
+    out: Out = None,
+    width: Size = 960,
+    height: Size = 720,
+    json: Json = False,
+) -> None:
+    """Show a gripper: its numbers, and the workspace of each arm that carries it."""
+    target = _target(out, name)
+    from karolos.plugins.inspection import inspect_gripper
+
+    _show("gripper", inspect_gripper(name, size=(width, height)), target, json=json)
 
 
 @app.command()

@@ -18,7 +18,9 @@ if TYPE_CHECKING:
 
 
 app = typer.Typer(
-    name="plugins", help="List, show and check robots, tasks, agents and others; start a new one.", no_args_is_help=True
+    name="plugins",
+    help="List, show and check robots, grippers, tasks, agents and others; start a new one.",
+    no_args_is_help=True,
 )
 Kind = Annotated[
     str,
@@ -85,12 +87,12 @@ def show(
 @app.command()
 def new(
     kind: Annotated[
-        str, typer.Argument(metavar="KIND", help="robot, task, agent, buffer, environment or distribution.")
+        str, typer.Argument(metavar="KIND", help="robot, gripper, task, agent, buffer, environment or distribution.")
     ],
     name: Annotated[str, typer.Argument(metavar="NAME", help="Its name in specs, e.g. my_arm.")],
     out: Annotated[Path | None, typer.Option(metavar="FOLDER", help="Folder to write. Default: karolos-NAME.")] = None,
     urdf: Annotated[
-        Path | None, typer.Option(metavar="FILE", help="A robot's URDF: write the robot that it describes.")
+        Path | None, typer.Option(metavar="FILE", help="A URDF: write the robot or the gripper that it describes.")
     ] = None,
     tool: Annotated[
         str | None, typer.Option(metavar="LINK", help="The link of the URDF that is the tool frame, z forwards.")
@@ -121,7 +123,8 @@ def check(
 ) -> None:
     """Check what plugins of this kind promise, as karolos's own tests do. Exit code 3 if a promise is broken.
 
-    A robot is checked with every installed task, and a task with every installed robot. This takes a minute.
+    A robot is checked with every installed task, a task with every installed robot, and a gripper on every arm that
+    has a flange. This takes a minute.
     """
     from karolos.plugins.contracts import candidate, cases, results
     from karolos.specification import parse_settings

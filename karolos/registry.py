@@ -18,10 +18,21 @@ from typing import Any
 
 from .errors import PluginError, UsageError
 
-KINDS = ("robots", "tasks", "environments", "agents", "buffers", "distributions", "orchestrators", "launchers")
+KINDS = (
+    "robots",
+    "grippers",
+    "tasks",
+    "environments",
+    "agents",
+    "buffers",
+    "distributions",
+    "orchestrators",
+    "launchers",
+)
 
 NEEDED_ATTRIBUTES = {
     "robots": ("prepare", "build", "apply", "reset", "act", "read", "observe"),
+    "grippers": ("model",),
     "tasks": ("fit", "build", "reset", "observe", "achieved"),
     "environments": ("reset", "step", "close"),
     "agents": ("on_policy", "act", "learn", "check", "memory", "state", "load_state"),

@@ -1,4 +1,4 @@
-"""Tables of facts about a robot or a task, and a picture of it."""
+"""Tables of facts about a robot, a gripper or a task, and a picture of it."""
 
 from __future__ import annotations
 
@@ -14,7 +14,7 @@ from ..core.seeding import SeedTree
 from ..environments.robot_task import RobotTask
 from ..evaluation.testing import test_seeds
 from ..randomization.randomization import RandomizedParameter
-from ..registry import load
+from ..registry import load, names
 from ..simulation.engines import Engine, make_world
 from ..simulation.interface import Camera
 from .contracts.case import candidate
@@ -51,8 +51,8 @@ def inspect_robot(name: str, *, size: tuple[int, int] | None = (960, 720)) -> In
     robots = {mode: _prepared(plugin, mode) for mode in modes}
     first = next(iter(robots.values()))
     limits, workspace = first.limits, first.workspace
-    names = map(limits.name, range(len(limits.lower)))
-    joints = zip(names, limits.lower, limits.upper, limits.velocity, limits.effort, strict=True)
+    labels = map(limits.name, range(len(limits.lower)))
+    joints = zip(labels, limits.lower, limits.upper, limits.velocity, limits.effort, strict=True)
     places = {"home": first.home, "workspace low": workspace.low, "workspace high": workspace.high}
     tables: dict[str, list[Facts]] = {
         "joints": [
@@ -74,12 +74,35 @@ def inspect_robot(name: str, *, size: tuple[int, int] | None = (960, 720)) -> In
     return Inspection(name, _about(plugin), tables, _picture(name, None, size))
 
 
+def inspect_gripper(name: str, *, size: tuple[int, int] | None = (960, 720)) -> Inspection:
+    """Facts about a gripper and the arms that carry it. `size`: of the picture in pixels; None: no picture."""
+    plugin = load("grippers", name)
+    model, grip = plugin.model, plugin.model.fingers.gripper
+    values = grip.width, grip.force, grip.speed, grip.pad_friction, round(model.mass, 3)
+    arms, first = [], None
+    for arm in names("robots"):
+        own = getattr(load("robots", arm), "model", None)
+        if own is None or getattr(own, "flange", None) is None:
+            continue
+        first = arm if first is None or own.gripper == name else first
+        robot = _prepared(load("robots", arm), None, gripper=name)
+        low, high = (" ".join(f"{x:.3f}" for x in end) for end in (robot.workspace.low, robot.workspace.high))
+        left = None if own.payload is None else round(own.payload - model.mass, 2)
+        arms.append({"arm": arm, "own": own.gripper == name, "payload_left_kg": left, "from_m": low, "to_m": high})
+    tables: dict[str, list[Facts]] = {
+        "gripper": [_named("width_m force_N speed_m_s pad_friction mass_kg", values)],
+        "tool": [{"what": "tool centre point", **_named("x_m y_m z_m", model.tool)}],
+        "workspace": arms,
+    }
+    return Inspection(name, _about(plugin), tables, _picture(first, None, size, gripper=name) if first else None)
+
+
 def _named(columns: str, values: Iterable[Any]) -> Facts:
     return dict(zip(columns.split(), values, strict=True))
 
 
-def _prepared(plugin: Any, mode: str | None) -> Any:
-    robot = plugin(plugin.Settings(**({"control": mode} if mode else {})))
+def _prepared(plugin: Any, mode: str | None, **settings: Any) -> Any:
+    robot = plugin(plugin.Settings(**({"control": mode} if mode else {}), **settings))
     robot.prepare(gripper=robot.gripper is not None, period=1 / 24)
     return robot
 
@@ -145,13 +168,16 @@ def _settings(plugin: Any) -> list[Facts]:
     ]
 
 
-def _picture(robot: str, task: str | None, size: tuple[int, int] | None) -> NDArray[np.uint8] | None:
+def _picture(robot: str, task: str | None, size: tuple[int, int] | None, **settings: Any) -> NDArray[np.uint8] | None:
     """A picture of the first test episode's start, or of the robot alone at home."""
     if size is None:
         return None
     width, height = size
     if task is None:
-        alone, world = _prepared(load("robots", robot), None), make_world(RobotTask.Settings.model_validate({}).engine)
+        alone, world = (
+            _prepared(load("robots", robot), None, **settings),
+            make_world(RobotTask.Settings.model_validate({}).engine),
+        )
         try:
             alone.build(world)
             alone.reset(SeedTree(0).generator())

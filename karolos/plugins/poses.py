@@ -11,7 +11,8 @@ import numpy as np
 
 from ..core import Array
 from ..core.seeding import SeedTree
-from ..robots.arm import POSTURE_GAIN, ArmModel
+from ..robots.arm import POSTURE_GAIN
+from ..robots.model import ArmModel
 from ..simulation.geometry import Box, Orientations, Vector
 from ..simulation.kinematics import Chain, Pose, downward
 from ..simulation.urdf import Joint

@@ -17,7 +17,7 @@ import numpy as np
 
 from ..core import Array
 from ..errors import PluginError
-from ..robots.arm import ArmModel
+from ..robots.model import ArmModel
 from ..robots.settings import ArmSettings
 from ..simulation import urdf
 from ..simulation.fixtures import hulls
@@ -40,6 +40,9 @@ DOUBTED_SPEED = 2 * pi
 """Speed in rad/s from which a joint's limit is doubted."""
 PAD_DEPTH = 0.01
 """Distance in m from the tips of the fingers to the tool centre point."""
+
+FLOOR_CLEARANCE = 0.005
+"""Height in m of the tips of a gripper above the floor, at its lowest."""
 
 
 @dataclass(frozen=True)
@@ -145,6 +148,43 @@ def propose(path: Path, tool: str | None = None) -> Proposal:
     gripper = f"a gripper of two fingers that opens {100 * width:g} cm" if width else "without a gripper"
     summary = f"{len(joints)} joints, {poses.length:.2f} m long, {gripper}."
     return Proposal(model, best.tool_step, summary, tuple(note for note, holds in notes.items() if holds))
+
+
+def propose_gripper(path: Path, tool: str | None = None) -> tuple[dict[str, str], tuple[str, ...]]:
+    """What the template of a gripper says of this URDF, and what was assumed.
+
+    Args:
+        path: of the file. Its base is mounted on the flange, z away from the arm.
+        tool: the link of the tool centre point; by default it lies before the tips of the fingers.
+
+    Raises:
+        PluginError: the file is not a gripper of two sliding fingers.
+    """
+    loose = urdf.load(path, strict=False)
+    slides = tuple(joint.name for joint in loose.joints if not joint.revolute)
+    if len(slides) != 2 or len(loose.joints) != 2:
+        what = f"{len(loose.joints)} joints that move, {len(slides)} of which slide"
+        hint = "two sliding fingers; make the others fixed, and stand-ins of a linkage sliding, in a copy of the URDF"
+        raise PluginError(what, where=str(path), hint=hint)
+    found = urdf.load(path, slides=slides)
+    hand, base = _hand(found, found.joints), found.joints[0].parent
+    if abs(hand.across[2]) > 0.1:
+        raise PluginError("the fingers slide along z", where=str(path), hint="z of the base points away from the arm")
+    middle, tip = (hand.tips.min(0) + hand.tips.max(0)) / 2, float(hand.tips[:, 2].max())
+    place, what = np.array([*middle[:2], tip - PAD_DEPTH]), f"{PAD_DEPTH:g} m from the tips of the fingers"
+    if tool is not None:
+        if found.carriers.get(tool) != base:
+            raise PluginError(f"no link {tool!r} is fixed to {base}", where=str(path))
+        place, what = found.frames[tool][0], f"the frame {tool}"
+    height = round(max(tip - float(place[2]), 0.0) + FLOOR_CLEARANCE, 4)
+    notes = (
+        f"base: {base} is mounted on the flange, its z axis away from the arm",
+        hand.note,
+        f"tool: {what}, {_metres(place)} m in {base}",
+        f"least height: {height:g} m of the tool above the floor; there the tips are {FLOOR_CLEARANCE:g} m above it",
+    )
+    fingers = textwrap.indent(pformat(hand.fingers, width=100), " " * 16).lstrip()
+    return {"tool": repr(_vector(place)), "fingers": fingers, "height": repr(height)}, notes
 
 
 def _metres(place: Sequence[float] | Array) -> str:

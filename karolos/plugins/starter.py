@@ -1,6 +1,6 @@
 """Starter packages: a small, complete and tested plugin of each kind, to be changed step by step.
 
-A robot can be written from somebody's URDF; see `proposal`.
+A robot or a gripper can be written from somebody's URDF; see `proposal`.
 """
 
 from __future__ import annotations
@@ -15,7 +15,7 @@ from string import Template
 from ..errors import UsageError
 from ..registry import alternatives
 
-KINDS = ("robot", "task", "agent", "buffer", "environment", "distribution")
+KINDS = ("robot", "gripper", "task", "agent", "buffer", "environment", "distribution")
 """Kinds with a starter package."""
 
 
@@ -28,12 +28,12 @@ def write_starter(
         kind: one of KINDS.
         name: of the plugin in specs: lower-case letters, digits and underscores.
         out: the package's folder; created if it is missing.
-        urdf: a robot's description, instead of the made-up arm.
+        urdf: a robot's or a gripper's description, instead of the made-up one.
         tool: the link of its tool frame, if it is not found by its name.
 
     Raises:
         UsageError: the kind or the name is invalid, or the folder is not empty or cannot be written.
-        PluginError: the URDF is not of an arm that karolos can simulate.
+        PluginError: the URDF is not of an arm or a gripper that karolos can simulate.
     """
     if kind not in KINDS:
         raise UsageError(f"there is no starter for {kind!r}", hint=alternatives(kind, KINDS))
@@ -42,8 +42,8 @@ def write_starter(
             f"{name!r} cannot be the name of a plugin",
             hint="lower-case letters, digits and single underscores, beginning with a letter, not a Python keyword",
         )
-    if urdf is not None and kind != "robot":
-        raise UsageError(f"a {kind} has no URDF", where="--urdf", hint="leave it out, or write a robot")
+    if urdf is not None and kind not in ("robot", "gripper"):
+        raise UsageError(f"a {kind} has no URDF", where="--urdf", hint="leave it out, or write a robot or a gripper")
     if tool is not None and urdf is None:
         raise UsageError("names a link of a URDF", where="--tool", hint="add --urdf FILE")
     contents, notes = _rendered(kind, name, urdf, tool)
@@ -72,31 +72,39 @@ def _rendered(
         "class_name": "".join(word.capitalize() for word in name.split("_")),
         "threshold": "0.05",
     }
-    package = f"src/karolos_{name}"
+    folder, package = files("karolos.plugins") / "starters", f"src/karolos_{name}"
     templates = {
         "pyproject.toml": "pyproject.toml",
         "README.md": "README.md",
         f"{package}/__init__.py": "__init__.py",
-        f"{package}/{name}.py": f"{kind}.py" if urdf is None else "robot_from_urdf.py",
+        f"{package}/{name}.py": "robot_from_urdf.py" if kind == "robot" and urdf is not None else f"{kind}.py",
         f"tests/test_{name}.py": f"test_{kind}.py",
     }
     contents: dict[str, str | Path] = {}
     notes: tuple[str, ...] = ()
+    if kind in ("robot", "gripper"):
+        templates[f"{package}/{name}.urdf"] = f"{kind}.urdf"
     if kind == "robot":
-        templates[f"{package}/{name}.urdf"] = "robot.urdf"
         templates[f"specs/{name}_reach.yaml"] = "reach.yaml"
     if kind == "task":
         templates[f"{package}/part.obj"] = "part.obj"
+    if kind == "gripper":
+        from .proposal import propose_gripper  # noqa: PLC0415
+
+        model = folder / "gripper.urdf.txt" if urdf is None else urdf
+        code, found = propose_gripper(Path(str(model)), tool)
+        values.update(code)
+        notes = () if urdf is None else found
     if urdf is not None:
         from .proposal import propose, with_meshes  # noqa: PLC0415 (takes half a second)
 
         del templates[f"{package}/{name}.urdf"]
-        proposal = propose(urdf, tool)
-        values.update(proposal.code())
-        notes = proposal.notes
+        if kind == "robot":
+            proposal = propose(urdf, tool)
+            values.update(proposal.code())
+            notes = proposal.notes
         contents[f"{package}/{name}.urdf"], meshes = with_meshes(urdf)
         contents |= {f"{package}/{path}": file for path, file in meshes.items()}
-    folder = files("karolos.plugins") / "starters"
     for path, template in templates.items():
         contents[path] = Template((folder / f"{template}.txt").read_text(encoding="utf-8")).substitute(values)
     return contents, notes

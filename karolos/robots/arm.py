@@ -7,11 +7,9 @@ from __future__ import annotations
 
 from collections import deque
 from collections.abc import Callable, Mapping, Sequence
-from dataclasses import dataclass, field
 from functools import cached_property
 from math import atan2, dist, inf, sqrt
 from operator import mul, truediv
-from pathlib import Path
 from typing import ClassVar
 
 import numpy as np
@@ -22,13 +20,14 @@ from ..errors import PluginError, UsageError
 from ..randomization.randomization import RandomizedParameter, drawn_settings
 from ..simulation import urdf
 from ..simulation.geometry import Orientations, Quaternion, Vector, quaternion_of
-from ..simulation.interface import Body, Box, Fingers, Gripper, JointLimits, World
+from ..simulation.interface import Body, Gripper, JointLimits, World
 from ..simulation.interface.engine import OPENS
 from ..simulation.interface.robot import ControlMode
 from ..simulation.kinematics import Chain, Configuration, Pose, downward
 from ..simulation.parts import Mechanism
-from ..simulation.urdf import Description, Joint
 from .control import CONTROLS, ROTATION, Control, Way
+from .model import ArmModel, arm_joints, check_model
+from .mounting import mounted
 from .protective_stop import Guard, ProtectiveStop
 from .ramps import ACCELERATION_TIME, Ramps
 from .settings import ArmSettings
@@ -81,99 +80,6 @@ PAD_FORCE = Measure("peak_pad_force", "N", "smaller", "largest force of a body o
 STOPS = Measure("protective_stops", "1", "smaller", "protective stops, those that are only counted included")
 
 
-@dataclass(frozen=True)
-class ArmModel:
-    """The numbers of one arm; limits, efforts and speeds of the joints come from its URDF.
-
-    The revolute and continuous joints of the URDF that are not locked are the arm: a serial chain from its base. The
-    base is the link without a joint above it. Positions are those in its frame, with z = 0 on the floor.
-    """
-
-    urdf: Path
-    home: tuple[float, ...]
-    """Joint positions in rad with the tool pointing down."""
-    workspace: Box
-    """Region that the tool reaches while pointing down, in m."""
-    tool: Vector
-    """Tool centre point in the frame of the link that the last joint moves, in m."""
-    tool_rpy: Vector
-    """Tool frame in that frame, rad; its z axis is the direction of approach."""
-    dexterous: Box | None = None
-    """Part of the workspace in which the tool can be turned by `turn` and tilted by `tilt`, in m; None: unknown."""
-    tilt: float = 0.3
-    """Largest angle of the tool from pointing down, in any direction, in rad."""
-    turn: float = 0.8
-    """Largest angle of the tool about the vertical from home, in rad."""
-    fingers: Fingers | None = None
-    accelerations: tuple[float, ...] | None = None
-    """Largest acceleration of each joint in rad/s2 as its maker publishes it; None where no maker does."""
-    tool_speed: float | None = None
-    """Largest speed of the tool centre point in m/s as its maker publishes it; None where no maker does."""
-    self_collisions: tuple[tuple[str, str], ...] = ()
-    """Pairs of links that collide; all other pairs of the arm's links do not."""
-    locked: Mapping[str, float] = field(default_factory=dict)
-    """Joints that are held at a position in rad or m, such as those of a gripper with turning fingers."""
-
-    @property
-    def description(self) -> Description:
-        """What is simulated of the URDF."""
-        fingers = self.fingers.joints if self.fingers is not None else ()
-        return urdf.load(self.urdf, tuple(sorted(self.locked.items())), fingers)
-
-
-def _check_model(model: ArmModel, arm: Sequence[Joint], home: Vector) -> None:
-    """Refuse a model that does not fit its URDF. `home`: position of the tool at home in the base's frame, in m.
-
-    Raises PluginError for a home outside the limits or the workspace, for fingers and links that the URDF lacks, and
-    for sliding joints that nothing moves.
-    """
-
-    def demand(holds: bool, what: str, *, joint: str = "", hint: str | None = None) -> None:
-        if not holds:
-            raise PluginError(what, where=f"{model.urdf}{joint and f': joint {joint}'}", hint=hint)
-
-    for joint, position in zip(arm, model.home, strict=True):
-        outside = f"home is {position:g}, outside its limits from {joint.lower:g} to {joint.upper:g}"
-        demand(joint.lower <= position <= joint.upper, outside, joint=joint.name)
-    place, low, high = (" ".join(f"{x:.3f}" for x in at) for at in (home, model.workspace.low, model.workspace.high))
-    outside = f"at home the tool is at {place}, outside the workspace from {low} to {high}"
-    demand(model.workspace.contains(home), outside, hint="change `home`, `tool` or `workspace`")
-    slides = {joint.name: joint for joint in model.description.joints if not joint.revolute}
-    if (fingers := model.fingers) is not None:
-        for name, link in zip(fingers.joints, fingers.links, strict=True):
-            demand(name in slides, f"no finger joint is called {name!r}", hint=f"prismatic joints: {', '.join(slides)}")
-            slide = slides.pop(name)
-            what = f"finger joint {name!r} does not move a link {link!r}"
-            demand(slide.child == link, what, hint=f"it moves {slide.child!r}")
-            far = f"finger joint {name!r} moves by {slide.upper:g} m, `travel` is {fingers.travel:g}"
-            demand(fingers.travel <= slide.upper + 1e-6, far)
-    unmoved = f"nothing moves the prismatic joints {', '.join(sorted(slides))}"
-    demand(not slides, unmoved, hint="name them in `fingers` or `locked`")
-    for link in {link for pair in model.self_collisions for link in pair}:
-        known_link = link in model.description.carriers
-        demand(known_link, f"self_collisions names a link {link!r}, which the URDF lacks")
-
-
-def _arm_joints(model: ArmModel) -> list[Joint]:
-    """The joints of the arm. Raises PluginError where they are no serial chain, or do not fit the home pose."""
-    found = [joint for joint in model.description.joints if joint.revolute]
-    for before, joint in zip([None, *found], found, strict=False):
-        problem = None
-        if joint.mimic is not None:
-            problem = f"it mimics {joint.mimic}, and karolos drives every joint of an arm by itself"
-        elif before is not None and joint.parent != before.child:
-            problem = f"it does not follow joint {before.name}: an arm is a serial chain"
-        if problem is not None:
-            raise PluginError(problem, where=f"{model.urdf}: joint {joint.name}", hint="name it in `locked`")
-    if len(found) != len(model.home):
-        raise PluginError(
-            f"{len(found)} revolute joints, but a home pose of {len(model.home)}",
-            where=str(model.urdf),
-            hint=f"the joints that are not locked: {', '.join(joint.name for joint in found)}",
-        )
-    return found
-
-
 class Arm:
     """Implements `karolos.simulation.interface.Robot` for a serial arm; a subclass sets `model` and may set `Settings`.
 
@@ -190,12 +96,13 @@ class Arm:
     """
 
     Settings: ClassVar[type[ArmSettings]] = ArmSettings
-    model: ClassVar[ArmModel]
+    model: ArmModel
+    """Of the class: without a gripper where the arm has a flange. Of an instance: with the gripper of its settings."""
 
     def __init__(self, settings: ArmSettings) -> None:
         self.settings = settings
-        model = self.model
-        self._joints = _arm_joints(model)
+        self.model = model = mounted(self.model, settings.gripper)
+        self._joints = arm_joints(model)
         self.limits = JointLimits(
             *(
                 tuple(getattr(joint, key) for joint in self._joints)
@@ -215,7 +122,7 @@ class Arm:
         pose = self.configuration.tool
         self.home = pose.position
         self.home_yaw = atan2(pose.x[1], pose.x[0])
-        _check_model(model, self._joints, tuple(np.subtract(pose.position, self.base).tolist()))
+        check_model(model, self._joints, tuple(np.subtract(pose.position, self.base).tolist()))
         self.reset_noise = settings.reset_noise
         self._fingers = model.fingers
         self.gripper_delay = settings.gripper_delay

@@ -4,12 +4,23 @@ from __future__ import annotations
 
 from typing import Annotated, Literal
 
+from pydantic import AfterValidator
 from pydantic import Field as Setting
+from pydantic_core import PydanticCustomError
 
 from ..core import Settings
+from ..errors import UsageError
 from ..randomization.randomization import Drawn
+from ..registry import find
 from ..simulation.interface.robot import ControlMode
 from .protective_stop import ProtectiveStop
+
+
+def _installed_gripper(name: str) -> str:
+    try:
+        return find("grippers", name).name
+    except UsageError as error:
+        raise PydanticCustomError("unknown_name", "{message}", {"message": error.what, "hint": error.hint}) from None
 
 
 class ArmSettings(Settings):
@@ -20,6 +31,9 @@ class ArmSettings(Settings):
     direction in steady motion.
     """
 
+    gripper: Annotated[str, AfterValidator(_installed_gripper)] | None = Setting(
+        None, description="what is mounted at the flange: franka_hand, robotiq_2f85, ...; null: the arm's own"
+    )
     control: ControlMode | None = Setting(
         None,
         description="what the action changes: joint positions; the position of a tool that points down (cartesian); "

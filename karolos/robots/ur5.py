@@ -7,12 +7,12 @@ from math import pi
 from pathlib import Path
 
 from ..simulation.interface import Box
-from .arm import Arm, ArmModel
-from .robotiq import ROBOTIQ_2F_85
+from .arm import Arm
+from .model import FINGERS, ArmModel, Flange
 
 
 class UR5(Arm):
-    """Six joints, reach .85 m, payload 5 kg, a gripper of two fingers that opens 8.5 cm.
+    """Six joints, reach .85 m, payload 5 kg, with a gripper of two fingers.
 
     Sources: Universal Robots' data sheet and Denavit-Hartenberg parameters, ur_description; see urdf/ur5.urdf.
     Universal Robots publishes torques, but no accelerations (ur_description, joint_limits.yaml). The safety
@@ -24,12 +24,11 @@ class UR5(Arm):
         home=(-0.2294, -1.5893, 1.8333, -1.8149, -1.5708, -1.8002),  # tool at .48 0 .2
         workspace=Box((0.25, -0.25, 0.02), (0.65, 0.25, 0.4)),  # lower, the pads (half .01875 m high) meet the floor
         dexterous=Box((0.37, -0.15, 0.04), (0.61, 0.15, 0.34)),
-        tool=(0.0, 0.2193, 0.0),  # flange .0823, tool centre point .137 beyond it
         tool_rpy=(-pi / 2, 0.0, 0.0),
-        fingers=ROBOTIQ_2F_85,
+        flange=Flange("wrist_3", (0.0, 0.0823, 0.0), (-pi / 2, 0.0, 0.0)),
+        gripper="robotiq_2f85",  # turned, the broader franka_hand meets the forearm
+        payload=5.0,
         tool_speed=1.5,  # default of the safety configuration, "General limits"
-        self_collisions=tuple(
-            product(("wrist_1", "wrist_2", "wrist_3", "finger1", "finger2"), ("base", "shoulder", "upper_arm"))
-        )
-        + tuple((distal, "forearm") for distal in ("base", "shoulder", "wrist_3", "finger1", "finger2")),
+        self_collisions=tuple(product(("wrist_1", "wrist_2", "wrist_3", FINGERS), ("base", "shoulder", "upper_arm")))
+        + tuple((distal, "forearm") for distal in ("base", "shoulder", "wrist_3", FINGERS)),
     )

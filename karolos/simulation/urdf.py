@@ -95,6 +95,23 @@ class Joint:
 
 
 @dataclass(frozen=True)
+class Mount:
+    """The URDF of a gripper on a link of an arm. Its links and joints are called `name`/... there."""
+
+    name: str
+    path: Path
+    link: str
+    """The link of the arm."""
+    position: Vector
+    """Of the gripper's base in the frame of that link, in m."""
+    rpy: Vector
+
+    def named(self, name: str) -> str:
+        """What a link or joint of the gripper is called on the arm."""
+        return f"{self.name}/{name}"
+
+
+@dataclass(frozen=True)
 class Description:
     """What is simulated of a URDF."""
 
@@ -167,11 +184,13 @@ def parse(path: Path) -> tuple[Element, dict[Element, int]]:
 
 
 class _Source:
-    """What is known of a URDF, with the line of each element."""
+    """What is known of a URDF, with the place of each element."""
 
     def __init__(self, path: Path) -> None:
         self.path = path
-        root, self.lines = parse(path)
+        root, lines = parse(path)
+        self.places = {element: f"{path}:{line}" for element, line in lines.items()}
+        """Where each element stands."""
         if any("ros.org/wiki/xacro" in element.tag for element in root):
             hint = f"expand it first: xacro {path.name} > robot.urdf"
             raise PluginError("macros of xacro, which are not expanded", where=str(path), hint=hint)
@@ -184,7 +203,7 @@ class _Source:
     def error(self, element: Element, what: str, within: str = "", hint: str | None = None) -> PluginError:
         """An error at an element, which is named as a link or joint or by `within`."""
         place = within or f"{element.tag} {element.get('name')}"
-        return PluginError(what, where=f"{self.path}:{self.lines[element]}: {place}", hint=hint)
+        return PluginError(what, where=f"{self.places[element]}: {place}", hint=hint)
 
     def _checked(self, element: Element, above: str = "") -> Element:
         """A copy of an element with what is known of a URDF alone; `above` names those that it stands in.
@@ -193,7 +212,7 @@ class _Source:
         """
         tag, parts = element.tag, Counter(part.tag for part in element)
         within, made = f"{above}<{tag}>", Element(tag)
-        self.lines[made] = self.lines[element]
+        self.places[made] = self.places[element]
         if tag in ("link", "joint"):
             within = f"{tag} {self._text(element, 'name', within)}"
         for known in _KNOWN[tag].split():
@@ -253,6 +272,7 @@ def load(
     slides: tuple[str, ...] = (),
     strict: bool = True,
     driven: bool = True,
+    mount: Mount | None = None,
 ) -> Description:
     """What is simulated of a URDF. The result is shared and must not be changed.
 
@@ -267,11 +287,14 @@ def load(
         slides: prismatic joints of a gripper.
         strict: whether limits, masses and meshes must be such that the robot can be simulated.
         driven: whether joints have motors, so that they need a largest effort and speed.
+        mount: a gripper that is not in the file.
 
     Raises:
         PluginError: names the joint or link that is not as a URDF must be, or that cannot be simulated, and its line.
     """
     source = _Source(path)
+    if mount is not None:
+        _mount(source, mount)
     robot, order = source.robot, _tree(source)
     held = _held(order, dict(locked), path)
     carriers: dict[str, str] = {}
@@ -304,6 +327,53 @@ def load(
             if _check_link(link, source, base=name == root, least=FINGER_MASS if name in fingers else 0.0):
                 corrected.append(name)
     return Description(robot, tuple(found), carriers, frames, tuple(corrected))
+
+
+def _mount(source: _Source, mount: Mount) -> None:
+    """Add a gripper to an arm, its base merged into the link that carries it.
+
+    Masses are rounded to 6 digits and positions to 1e-12 m, so that the sums of decimals are decimals.
+    """
+    gripper = _Source(mount.path)
+    order = _tree(gripper)
+    base = link_of(order[0], "parent") if order else gripper.robot.findall("link")[0].get("name", "")
+    carrier = next((link for link in source.robot.findall("link") if link.get("name") == mount.link), None)
+    if carrier is None:
+        raise PluginError(f"there is no link {mount.link!r} to mount a gripper on", where=str(source.path))
+    _find_meshes(gripper)
+    for element in gripper.robot.iter():
+        keys = {
+            "link": "name",
+            "joint": "name",
+            "material": "name",
+            "parent": "link",
+            "child": "link",
+            "mimic": "joint",
+        }
+        if (key := keys.get(element.tag)) is not None and (name := element.get(key)):
+            element.set(key, mount.named(name))
+    joint = Element("joint", name=mount.named("mount"), type="fixed")
+    for tag, link in (("parent", mount.link), ("child", mount.named(base))):
+        ElementTree.SubElement(joint, tag, link=link)
+    _set_origin(joint, np.array(mount.position), rotation_matrix(*mount.rpy))
+    moved = [one for one in gripper.robot.findall("joint") if link_of(one, "parent") == mount.named(base)]
+    moved += [
+        shape for shape in gripper.robot.iterfind(f"link[@name='{mount.named(base)}']/*") if shape.tag != "inertial"
+    ]
+    source.robot.extend([*gripper.robot, joint])
+    source.places |= gripper.places
+    _merge(source.robot, {mount.named("mount"): 0.0})
+    for element in moved:
+        for origin in element.findall("origin"):
+            place = (round(float(value), 12) + 0.0 for value in origin.get("xyz", "").split())
+            origin.set("xyz", " ".join(map(repr, place)))
+    mass, centre, tensor = _inertia(carrier)
+    _set_inertia(carrier, _six(mass), np.vectorize(_six)(centre), np.vectorize(_six)(tensor))
+
+
+def _six(value: float) -> float:
+    """A mass, length or inertia in 6 digits."""
+    return float(f"{value:.6g}") if abs(value) > LEAST_INERTIA else 0.0
 
 
 def _tree(source: _Source) -> list[Element]:

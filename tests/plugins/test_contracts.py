@@ -34,7 +34,7 @@ DISTRIBUTIONS = {
 
 def installed_cases() -> Iterator[Case]:
     """What the installed plugins promise, left out those that cannot do without settings; then robots with tasks."""
-    for kind in ("agents", "buffers", "environments", "robots", "tasks"):
+    for kind in ("agents", "buffers", "environments", "robots", "grippers", "tasks"):
         for name in names(kind):
             fields = load(kind, name).Settings.model_fields.values()
             if name != "robot_task" and not any(field.is_required() for field in fields):

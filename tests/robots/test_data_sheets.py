@@ -10,7 +10,6 @@ import pytest
 from karolos.core import Array
 from karolos.registry import load
 from karolos.robots.panda import Panda
-from karolos.simulation import urdf
 
 STANDARD = {
     # Universal Robots
@@ -89,7 +88,7 @@ def test_forward_kinematics_is_that_of_the_published_table(robot: str, pose: tup
 
 
 def test_the_panda_has_its_links_its_home_and_the_masses_that_were_identified() -> None:
-    robot = urdf.read(Panda.model.urdf)
+    robot = Panda(Panda.Settings()).model.description.robot
     assert len(robot.findall("link")) == 7 + 2 + 1
     masses = [float(mass.get("value", "nan")) for mass in robot.iter("mass")]
     identified = 0.6298 + 4.9707 + 0.6469 + 3.2286 + 3.5879 + 1.2259 + 1.6666 + 0.7355 + 0.73 + 2 * 0.015

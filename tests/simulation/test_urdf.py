@@ -37,9 +37,13 @@ def test_roll_pitch_yaw_holds_at_the_poles(pitch: float) -> None:
     np.testing.assert_allclose(urdf.rotation_matrix(*urdf.roll_pitch_yaw(rotation)), rotation, atol=1e-7)
 
 
+WHOLE = Panda(Panda.Settings()).model.description.robot
+FINGERS = {"franka_hand/finger_joint1": 0.0, "franka_hand/finger_joint2": 0.0}
+
+
 def test_welding_removes_links_and_keeps_mass_and_shapes() -> None:
-    whole = urdf.read(PANDA)
-    welded = urdf.weld(whole, {"finger_joint1": 0.0, "finger_joint2": 0.0})
+    whole = WHOLE
+    welded = urdf.weld(whole, FINGERS)
 
     def masses(robot: urdf.Element) -> float:
         return sum(float(mass.get("value", "nan")) for mass in robot.iter("mass"))
@@ -56,8 +60,8 @@ def test_welded_robot_weighs_as_much_on_its_joints_as_the_whole_one() -> None:
     pytest.importorskip("pybullet")
     world = World()
     pose = [0.3, 0.5, -0.2, -1.5, 0.4, 2.0, 0.9]
-    whole = world.load(Mechanism(urdf.read(PANDA)))
-    welded = world.load(Mechanism(urdf.weld(urdf.read(PANDA), {"finger_joint1": 0.0, "finger_joint2": 0.0})))
+    whole = world.load(Mechanism(WHOLE))
+    welded = world.load(Mechanism(urdf.weld(WHOLE, FINGERS)))
 
     def torques(index: int, fingers: int) -> list[float]:
         nothing = [0.0] * (7 + fingers)

@@ -10,6 +10,7 @@ from pathlib import Path
 
 STARTERS = {
     "robot": "desk_arm",
+    "gripper": "my_hand",
     "task": "my_task",
     "agent": "my_agent",
     "buffer": "my_buffer",

@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import traceback
 from collections.abc import Iterable, Iterator
+from dataclasses import replace
 from typing import Any
 
 from ...errors import KarolosError, UsageError
@@ -13,7 +14,7 @@ from . import agents, buffers, distributions, environments, pairs, robots, tasks
 from .case import Candidate, Case, candidate
 from .joined import TURNING, controls, goes_with, refusal, under
 
-KINDS = ("robots", "tasks", "agents", "buffers", "environments", "distributions")
+KINDS = ("robots", "grippers", "tasks", "agents", "buffers", "environments", "distributions")
 """Kinds with contracts. Orchestrators are tested in karolos alone."""
 USUAL_ROBOT = "panda"
 """The robot with which a task's own promises are checked."""
@@ -24,7 +25,8 @@ def cases(one: Candidate, *, alone: bool = False) -> list[Case]:
 
     Args:
         one: the plugin.
-        alone: leave out the promises of a robot with each installed task, and of a task with each installed robot.
+        alone: leave out the promises of a robot with each installed task, of a task with each installed robot, and of a
+            gripper with the arms whose own it is.
 
     Raises:
         UsageError: a setting is missing, the kind has no contracts, or it is the environment robot_task, which is
@@ -37,12 +39,13 @@ def cases(one: Candidate, *, alone: bool = False) -> list[Case]:
         found = environments.BEGINS.cases(usual, one) + tasks.PROMISES.cases(usual, one)
         return found + ([] if alone else [case for robot in _all("robots") for case in of_pair(robot, one)])
     one.settled()
+    if one.kind == "grippers":
+        return _of_gripper(one, alone=alone)
     if one.kind == "agents":
         return agents.PROMISES.cases(one)
-    if one.kind == "buffers":
-        return (buffers.ON_POLICY if one.plugin.on_policy else buffers.REPLAY).cases(one)
-    if one.kind == "distributions":
-        return distributions.PROMISES.cases(one)
+    if one.kind in ("buffers", "distributions"):
+        replay = buffers.ON_POLICY if getattr(one.plugin, "on_policy", False) else buffers.REPLAY
+        return (replay if one.kind == "buffers" else distributions.PROMISES).cases(one)
     if one.kind == "environments" and one.name != "robot_task":
         return environments.BEGINS.cases(one) + environments.REPEATS.cases(one) + environments.PROMISES.cases(one)
     hint = "check a robot or a task" if one.kind == "environments" else alternatives(one.kind, KINDS)
@@ -95,7 +98,7 @@ def check(kind: str, name: str, **settings: Any) -> None:
     """Check every promise of an installed plugin. A robot and a task take about a minute.
 
     Args:
-        kind: robots, tasks, agents, buffers, environments or distributions.
+        kind: robots, grippers, tasks, agents, buffers, environments or distributions.
         name: its name in specs.
         settings: those that differ from the defaults.
 
@@ -128,6 +131,21 @@ def _of_robot(one: Candidate) -> list[Case]:
         for mode in turned:
             found += robots.TURNED.cases(mode) if one.plugin.model.dexterous is not None else []
             found += robots.IMPEDANCE_CONTROL.cases(mode) if mode.settings["control"] == "impedance" else []
+    return found
+
+
+def _of_gripper(one: Candidate, *, alone: bool) -> list[Case]:
+    """Promises of a gripper on each installed arm with a flange."""
+    found = []
+    for arm in _all("robots"):
+        model = arm.plugin.model if issubclass(arm.plugin, Arm) else None
+        if model is None or model.flange is None or (alone and model.gripper == one.name):
+            continue
+        robot = under(replace(arm, settings={"gripper": one.name}, engine=one.engine), "cartesian")
+        for group in (robots.BEGINS, robots.ANY_ROBOT, robots.GRIPPER):
+            found += group.cases(robot)
+        if robot.plugin(robot.settled()).dexterous is not None:
+            found += robots.TURNED.cases(under(robot, "pose"))
     return found
 
 

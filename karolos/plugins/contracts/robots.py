@@ -418,6 +418,16 @@ def each_pad_presses_with_the_force_of_the_gripper(environment: RobotTask) -> No
 
 
 @GRIPPER
+def the_pads_are_as_far_apart_as_the_gripper_says(environment: RobotTask) -> None:
+    """Around a cube of 4 cm the fingers are 4 cm apart within 1 mm, by the declared width and travel."""
+    cube = _lifted_cube(environment, 0.1)
+    robot: Any = environment.robot
+    apart = robot.gripper.width - 2 * robot.model.fingers.travel * (1 - robot.opening)
+    demand(robot.pads_gripping(cube) == 2, "the pads do not hold the cube with their inner faces")
+    demand(abs(apart - SIZE) < 0.001, f"around a cube of 40 mm the pads are {1000 * apart:.1f} mm apart")
+
+
+@GRIPPER
 def the_wrist_weighs_what_the_gripper_holds(environment: RobotTask) -> None:
     """The wrench at the wrist is the weight of a held cube of .3 kg within 2 %, also with the tool tilted."""
     robot: Any = environment.robot

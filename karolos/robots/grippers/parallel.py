@@ -1,0 +1,47 @@
+"""A gripper of two fingers that slide towards each other: a part that a spec mounts on an arm."""
+
+from __future__ import annotations
+
+from collections.abc import Mapping
+from dataclasses import dataclass, field
+from functools import cached_property
+from pathlib import Path
+from typing import ClassVar
+
+from ... import core
+from ...simulation import urdf
+from ...simulation.geometry import Vector
+from ...simulation.interface import Fingers
+
+
+@dataclass(frozen=True)
+class GripperModel:
+    """The numbers of one gripper. The frame of its URDF's base lies in the arm's flange, with z away from the arm.
+
+    Masses, and the limits of the fingers, come from its URDF. Every joint that moves there is one of the fingers.
+    """
+
+    urdf: Path
+    tool: Vector
+    """Tool centre point in the frame of the base, in m. The tool approaches along z."""
+    fingers: Fingers
+    least_height: float = 0.02
+    """Least height of the tool centre point above the floor while the tool points down, in m. An arm that comes with
+    the gripper may know better."""
+    variants: Mapping[str, Path] = field(default_factory=dict)
+    """URDFs that stand for this one on some arms, by the `name` of the arm's URDF."""
+
+    @cached_property
+    def mass(self) -> float:
+        """In kg."""
+        robot = urdf.load(self.urdf, slides=self.fingers.joints).robot
+        return sum(float(one.get("value", "0")) for one in robot.iterfind("link/inertial/mass"))
+
+
+class ParallelGripper:
+    """A gripper; a subclass sets `model`."""
+
+    class Settings(core.Settings):
+        """None: the spec of an arm names its gripper."""
+
+    model: ClassVar[GripperModel]

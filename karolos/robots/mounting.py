@@ -1,0 +1,136 @@
+"""An arm with the gripper that its spec names: what depends on both."""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+from dataclasses import replace
+from functools import cache
+from itertools import product
+from math import atan2, cos, dist, sin
+
+import numpy as np
+
+from ..core import Array
+from ..errors import PluginError, UsageError
+from ..registry import load
+from ..simulation import urdf
+from ..simulation.geometry import Box, Vector
+from ..simulation.kinematics import Chain, downward
+from ..simulation.urdf import Joint, Mount
+from .grippers.parallel import GripperModel
+from .model import FINGERS, ArmModel
+
+REACHED = 2e-3
+"""Largest error, in m for the position and without unit for the approach, with which inverse kinematics reaches."""
+
+
+def mounted(model: ArmModel, name: str | None) -> ArmModel:
+    """The model with this gripper at the arm's flange; None: with the arm's own.
+
+    The joints at home stay, and the tool's position follows. The workspace begins where the gripper meets the floor; of
+    an arm with a gripper that is not its own it is drawn in as far as the tool does not reach it.
+
+    Raises:
+        UsageError: the arm has no flange, or the gripper is too heavy for it.
+        PluginError: the gripper is unknown, or the arm cannot use it.
+    """
+    own, flange = model.gripper, model.flange
+    if flange is None or own is None:
+        if name is not None:
+            hint = "its own is part of its URDF; an arm with a `flange` in its ArmModel takes another"
+            raise UsageError(f"this arm cannot take the gripper {name}", setting="robot.gripper", hint=hint)
+        return model
+    gripper: GripperModel = load("grippers", name or own).model
+    if model.payload is not None and gripper.mass > model.payload:
+        what = f"{name or own} weighs {gripper.mass:.2f} kg, more than the payload of {model.payload:g} kg"
+        raise UsageError(what, setting="robot.gripper", hint="choose a lighter gripper")
+    path = gripper.variants.get(urdf.read(model.urdf).get("name", ""), gripper.urdf)
+    mount = Mount(name or own, path, flange.link, flange.position, flange.rpy)
+    links, joints = ((mount.named(a), mount.named(b)) for a, b in (gripper.fingers.links, gripper.fingers.joints))
+    pairs = [
+        (first, second)
+        for pair in model.self_collisions
+        for first, second in product(*(links if link == FINGERS else (link,) for link in pair))
+    ]
+    whole = replace(
+        model,
+        tool=_placed(flange.position, urdf.rotation_matrix(*flange.rpy), gripper.tool),
+        fingers=replace(gripper.fingers, joints=joints, links=links),
+        mount=mount,
+        self_collisions=tuple(pairs),
+    )
+    if name in (None, own):
+        return whole
+    before: GripperModel = load("grippers", own).model
+    found = urdf.load(model.urdf, tuple(sorted(model.locked.items())), joints, mount=mount)
+    arm = tuple(joint for joint in found.joints if joint.revolute)
+    x, y, _ = model.workspace.low
+    box = Box((x, y, gripper.least_height), model.workspace.high)
+    box = _reached(arm, whole.tool, whole.tool_rpy, whole.home, box)
+    if model.dexterous is None or name not in model.turn_with:
+        return replace(whole, workspace=box, dexterous=None)
+    turned = _turned(model.dexterous, gripper.tool[2] - before.tool[2], model.tilt, box)
+    return replace(whole, workspace=box, dexterous=turned, turn=model.turn_with[name])
+
+
+def _placed(origin: Vector, rotation: Array, position: Vector) -> Vector:
+    """A position in another frame, to 1e-12 m, so that the sum of decimals is a decimal."""
+    x, y, z = (round(float(value), 12) + 0.0 for value in np.array(origin) + rotation @ position)
+    return x, y, z
+
+
+@cache
+def _reached(joints: tuple[Joint, ...], tool: Vector, rpy: Vector, home: tuple[float, ...], box: Box) -> Box:
+    """The box, drawn in towards the tool at home until the tool reaches it pointing down. It stays on the floor.
+
+    Args:
+        joints: of the arm.
+        tool: position of the tool in the frame of the last link, in m.
+        rpy: its frame there.
+        home: joint positions in rad.
+        box: as large as it may be, in m.
+    """
+    chain = Chain(joints, (np.array(tool), urdf.rotation_matrix(*rpy)))
+    at = chain.forward(home).tool
+    yaw = atan2(at.x[1], at.x[0])
+    for share in np.linspace(1.0, 0.5, 26):
+        (a, b, _), (c, d, e) = (
+            np.add(at.position, share * np.subtract(end, at.position)) for end in (box.low, box.high)
+        )
+        inner = box if share == 1 else Box((float(a), float(b), box.low[2]), (float(c), float(d), float(e)))
+        corners = product(*zip(inner.low, inner.centre, inner.high, strict=True))
+        if inner.contains(at.position) and all(_reaches(chain, joints, home, place, yaw) for place in corners):
+            return inner
+    hint = "it needs another home pose: a robot of its own, with its own `home` and `workspace`"
+    raise PluginError("with this gripper the tool does not reach half of the workspace", hint=hint)
+
+
+def _reaches(
+    chain: Chain, joints: tuple[Joint, ...], home: tuple[float, ...], place: Sequence[float], yaw: float
+) -> bool:
+    """Whether the tool comes from home to a place, pointing down, within the limits of the joints."""
+    x, y, z = place
+    target, pose = downward((x, y, z), yaw), np.array(home)
+    low, high = (np.array([getattr(joint, end) for joint in joints]) for end in ("lower", "upper"))
+    for _ in range(60):
+        now = chain.forward(pose.tolist())
+        if max(dist(now.tool.position, place), dist(now.tool.z, target.z)) < REACHED:
+            return True
+        change = np.array(chain.step(now, target, (0.1 * (np.array(home) - pose)).tolist()))
+        pose = np.clip(pose + np.clip(change, -0.5, 0.5), low, high)
+    return False
+
+
+def _turned(box: Box, longer: float, tilt: float, within: Box) -> Box | None:
+    """The part of a workspace in which the tool of a gripper that is `longer`, in m, can be tilted by `tilt`, in rad.
+
+    With the flange where it was, the tool is by `longer` further along its approach. What is common to all of its tilts
+    is left. None: nothing is.
+    """
+    aside, far, near = abs(longer) * sin(tilt), max(longer, longer * cos(tilt)), min(longer, longer * cos(tilt))
+    low = np.maximum(np.add(box.low, (aside, aside, -near)), within.low)
+    high = np.minimum(np.subtract(box.high, (aside, aside, far)), within.high)
+    if (low >= high).any():
+        return None
+    (a, b, c), (d, e, f) = low.tolist(), high.tolist()
+    return Box((a, b, c), (d, e, f))
