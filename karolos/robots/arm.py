@@ -343,10 +343,10 @@ class Arm:
         """Lowest height to aim at, so that the tool comes to rest at the lower end of the workspace and not below.
 
         A control step moves the tool by the mean of its speeds before and after. Afterwards it may be as fast as leaves
-        it the distance that is then left: s = d - (v T + s) / 2.
+        it the distance that is then left: s = d - (v T + s) / 2, which makes 1.5 of `steps_down`.
         """
         low, z, speed = self.workspace.low[2], self.tool_position[2], min(self.tool_velocity[2], 0.0)
-        return max(low, z - (z - low + speed * self.period / 2) / 1.5)
+        return max(low, z - (z - low + speed * self.period / 2) / self.model.steps_down)
 
     def _timed(self, opening: float) -> tuple[float, float]:
         """What the gripper is told in this control step, and the fraction of the step after which it is.

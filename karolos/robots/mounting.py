@@ -20,6 +20,8 @@ from ..simulation.urdf import Joint, Mount
 from .grippers.parallel import GripperModel
 from .model import FINGERS, ArmModel
 
+STEPS_DOWN = 3.0
+"""`ArmModel.steps_down` with another gripper: a Panda, which brakes slowly, would jam broad pads in the floor."""
 REACHED = 2e-3
 """Largest error, in m for the position and without unit for the approach, with which inverse kinematics reaches."""
 
@@ -44,7 +46,7 @@ def mounted(model: ArmModel, name: str | None) -> ArmModel:
     if model.payload is not None and gripper.mass > model.payload:
         what = f"{name or own} weighs {gripper.mass:.2f} kg, more than the payload of {model.payload:g} kg"
         raise UsageError(what, setting="robot.gripper", hint="choose a lighter gripper")
-    path = gripper.variants.get(urdf.read(model.urdf).get("name", ""), gripper.urdf)
+    path = gripper.variants.get(model.urdf.stem, gripper.urdf)
     mount = Mount(name or own, path, flange.link, flange.position, flange.rpy)
     links, joints = ((mount.named(a), mount.named(b)) for a, b in (gripper.fingers.links, gripper.fingers.joints))
     pairs = [
@@ -67,10 +69,11 @@ def mounted(model: ArmModel, name: str | None) -> ArmModel:
     x, y, _ = model.workspace.low
     box = Box((x, y, gripper.least_height), model.workspace.high)
     box = _reached(arm, whole.tool, whole.tool_rpy, whole.home, box)
+    whole = replace(whole, workspace=box, dexterous=None, steps_down=STEPS_DOWN)
     if model.dexterous is None or name not in model.turn_with:
-        return replace(whole, workspace=box, dexterous=None)
+        return whole
     turned = _turned(model.dexterous, gripper.tool[2] - before.tool[2], model.tilt, box)
-    return replace(whole, workspace=box, dexterous=turned, turn=model.turn_with[name])
+    return replace(whole, dexterous=turned, turn=model.turn_with[name])
 
 
 def _placed(origin: Vector, rotation: Array, position: Vector) -> Vector:

@@ -358,7 +358,10 @@ def _mount(source: _Source, mount: Mount) -> None:
     _set_origin(joint, np.array(mount.position), rotation_matrix(*mount.rpy))
     moved = [one for one in gripper.robot.findall("joint") if link_of(one, "parent") == mount.named(base)]
     moved += [
-        shape for shape in gripper.robot.iterfind(f"link[@name='{mount.named(base)}']/*") if shape.tag != "inertial"
+        shape
+        for link in gripper.robot.findall("link")
+        if link.get("name") == mount.named(base)
+        for shape in [*link.findall("visual"), *link.findall("collision")]
     ]
     source.robot.extend([*gripper.robot, joint])
     source.places |= gripper.places

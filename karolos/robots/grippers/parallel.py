@@ -29,7 +29,7 @@ class GripperModel:
     """Least height of the tool centre point above the floor while the tool points down, in m. An arm that comes with
     the gripper may know better."""
     variants: Mapping[str, Path] = field(default_factory=dict)
-    """URDFs that stand for this one on some arms, by the `name` of the arm's URDF."""
+    """URDFs that stand for this one on some arms, by the name of the arm's URDF, such as ur5."""
 
     @cached_property
     def mass(self) -> float:

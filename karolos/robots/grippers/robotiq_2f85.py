@@ -24,6 +24,6 @@ class Robotiq2F85(ParallelGripper):
             # force: of 20 to 235 N; speed: of up to .15 m/s of both pads together; pads: rubber
             gripper=Gripper(width=0.085, force=30.0, speed=0.075, pad_friction=1.0),
         ),
-        least_height=0.024,  # the pads are half .01875 m high
+        least_height=0.02,  # the pads are half .01875 m high
         variants={"ur5": URDF / "robotiq_2f85_ur5.urdf"},
     )

@@ -1,0 +1,63 @@
+"""Arms with grippers that are not their own; what each combination promises is checked with the contracts."""
+
+from __future__ import annotations
+
+from dataclasses import replace
+from pathlib import Path
+from xml.etree.ElementTree import Element
+
+import numpy as np
+import pytest
+from support.fourth_robot import small_arm
+from support.rig import ROBOTS
+from support.spec_files import problems_of, write
+from support.toy_runs import run_of
+
+from karolos.errors import PluginError, UsageError
+from karolos.registry import load, names
+from karolos.robots.mounting import mounted
+from karolos.simulation import urdf
+from karolos.specification import load_spec
+
+SMOKE = Path(__file__).parents[2] / "specs" / "smoke" / "ur5_pick.yaml"
+
+
+def mass(robot: Element) -> float:
+    return sum(float(one.get("value", "nan")) for one in robot.iter("mass"))
+
+
+@pytest.mark.parametrize("gripper", names("grippers"))
+@pytest.mark.parametrize("robot", ROBOTS)
+def test_a_mounted_gripper_adds_its_mass_and_moves_the_tool_along_the_approach(robot: str, gripper: str) -> None:
+    plugin, part = load("robots", robot), load("grippers", gripper).model
+    own, other = (plugin(plugin.Settings(gripper=name)) for name in (None, gripper))
+    assert mass(other.model.description.robot) == pytest.approx(mass(urdf.read(plugin.model.urdf)) + part.mass)
+    longer = part.tool[2] - load("grippers", plugin.model.gripper).model.tool[2]
+    np.testing.assert_allclose(other.home, np.subtract(own.home, (0, 0, longer)), atol=1e-3)
+    if gripper == plugin.model.gripper:
+        assert other.model == own.model
+        assert other.workspace == plugin.model.workspace
+
+
+def test_what_cannot_be_mounted_is_refused_in_one_line(tmp_path: Path) -> None:
+    with pytest.raises(UsageError, match="cannot take the gripper franka_hand"):
+        mounted(small_arm(tmp_path).model, "franka_hand")
+    model = load("robots", "ur5").model
+    with pytest.raises(UsageError, match=r"franka_hand weighs 0.76 kg, more than the payload of 0.5 kg"):
+        mounted(replace(model, payload=0.5), "franka_hand")
+    with pytest.raises(PluginError, match="no link 'nowhere' to mount a gripper on"):
+        _ = mounted(replace(model, flange=replace(model.flange, link="nowhere")), "robotiq_2f85").description
+
+
+def test_an_unknown_gripper_is_told_at_its_place_with_the_closest_name(tmp_path: Path) -> None:
+    text = "robot: {name: ur5, gripper: franka_hnd}\ntask: reach\nagent: sac\n"
+    (line,) = problems_of(write(tmp_path, "s.yaml", text))
+    expected = "s.yaml:1:29: robot.gripper: no gripper is called 'franka_hnd'; did you mean 'franka_hand'?"
+    assert line.startswith(expected)
+
+
+def test_a_run_with_another_gripper_trains_and_tests(tmp_path: Path) -> None:
+    spec = load_spec(SMOKE, ["robot.gripper=franka_hand", "training.steps=60", "testing.interval=60"])
+    run = run_of(spec.dump(), tmp_path)
+    assert run.spec()["robot"]["gripper"] == "franka_hand"
+    assert len(run.tests()) == 1
