@@ -89,7 +89,7 @@ class Arm:
     with a gripper gripper_opening (1, 0 closed to 1 open); with joint control joint_positions (n, rad) and
     joint_velocities (n, rad/s).
     Action, each number in [-1, 1]: tool_position_change (3, in units of `tool_step`), with `yaw` yaw_change (1, in
-    units of `turn_step`), with pose and impedance control tool_turn (3, rotation vector in units of `turn_step`); with
+    units of `yaw_step`), with pose and impedance control tool_turn (3, rotation vector in units of `turn_step`); with
     joint control instead joint_changes (n, in units of the joint step); with a gripper gripper_opening (1, -1 closed
     to 1 open). With `timed_release` a gripper that holds something and is told to open
     lets go within the control step, the later the less the action exceeds the opening that it has.

@@ -172,7 +172,7 @@ class CartesianControl(Control):
         arm = self.arm
         step = arm.tool_step
         change = step * values[0], step * values[1], step * values[2]
-        yaw = self._yaw() + arm.settings.turn_step * values[3] if self._yaws else arm.home_yaw
+        yaw = self._yaw() + arm.settings.yaw_step * values[3] if self._yaws else arm.home_yaw
         return self._within_steps(downward(self._ahead(arm.tool_position, change, arm.lowest()), yaw))
 
     def observe(self) -> list[float]:
@@ -189,7 +189,7 @@ class CartesianControl(Control):
         values = [value / arm.tool_step / longest for value in difference]
         if self._yaws:
             turn = arm.home_yaw - self._yaw()
-            values.append(atan2(sin(turn), cos(turn)) / arm.settings.turn_step)
+            values.append(atan2(sin(turn), cos(turn)) / arm.settings.yaw_step)
         return values
 
     def _yaw(self) -> float:

@@ -60,7 +60,10 @@ class ArmSettings(Settings):
         "where no maker publishes one (iiwa), what the joints allow",
     )
     yaw: bool = Setting(False, description="whether a cartesian action also turns the gripper about the vertical")
-    turn_step: float = Setting(0.1, gt=0, le=0.5, description="largest turn of the tool per control step, rad")
+    yaw_step: float = Setting(0.2, gt=0, le=0.5, description="largest turn of the gripper per control step by yaw, rad")
+    turn_step: float = Setting(
+        0.1, gt=0, le=0.5, description="largest turn of the tool per control step by pose and impedance control, rad"
+    )
     frame: Literal["base", "tool"] = Setting(
         "base", description="the axes along and about which pose and impedance actions move the tool"
     )

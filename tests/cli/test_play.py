@@ -30,13 +30,18 @@ def spec(tmp_path: Path) -> Path:
     return path
 
 
+def episodes(told: str) -> list[str]:
+    """The lines of episodes, without those of their measures."""
+    return [line for line in told.splitlines() if line.startswith("episode")]
+
+
 def test_the_expert_of_a_spec_is_filmed_and_its_episodes_are_told(spec: Path, tmp_path: Path) -> None:
     film = tmp_path / "film.gif"
     size = ("--width", "64", "--height", "48")
     code, out, err = call(app, str(spec), "--expert", "--out", str(film), "--episodes", "2", *size)
     assert code == 0, err
     assert out.strip() == str(film)
-    assert [line.split(":")[0] for line in err.splitlines()] == ["episode 1", "episode 2"]
+    assert [line.split(":")[0] for line in episodes(err)] == ["episode 1", "episode 2"]
     assert "after 6 steps" in err
     pictures = imageio.imread(film)
     assert pictures.shape[1:3] == (48, 64)
@@ -114,7 +119,7 @@ def test_a_window_shows_the_episodes_at_the_pace_of_control(spec: Path, monkeypa
     assert opened == [pybullet.GUI]
     assert len(cameras) == 1
     assert pauses == [pytest.approx(1 / 24)] * 2 * 7
-    assert [line.split(":")[0] for line in err.splitlines()] == ["episode 1", "episode 2"]
+    assert [line.split(":")[0] for line in episodes(err)] == ["episode 1", "episode 2"]
     assert [path.name for path in spec.parent.iterdir()] == [spec.name], "no film is written"
     code, out, err = call(app, str(spec), "--expert", "--width", "64", "--height", "48")
     assert (code, out) == (0, "tiny.mp4\n"), err
@@ -128,7 +133,7 @@ def test_a_run_without_a_best_checkpoint_plays_its_last_and_says_so(tmp_path: Pa
     folder = Path(Experiment(TOY).run(tmp_path / "runs").runs[0].folder)
     film = ("--out", str(tmp_path / "film.gif"), "--episodes", "1", "--width", "64", "--height", "48")
     code, _, err = call(app, str(folder), *film)
-    assert (code, [line.split(":")[0] for line in err.splitlines()]) == (0, ["episode 1"])
+    assert (code, [line.split(":")[0] for line in episodes(err)]) == (0, ["episode 1"])
     shutil.rmtree(folder / "checkpoints" / "best")  # as in a run that was stopped before its first test
     code, _, err = call(app, str(folder), *film)
     assert code == 0, err
@@ -177,9 +182,10 @@ def test_failures_alone_are_played_and_called_by_their_numbers(tmp_path: Path, m
     short = "task.max_steps=8"  # too few steps for the furthest goals
     code, _, err = call(app, "panda_reach", short, *film, "--episodes", "3")
     assert code == 0, err
-    assert [line.split(": ")[1].split(" after")[0] for line in err.splitlines()] == ["no success"] * 3
-    numbers = [int(line.split(":")[0].removeprefix("episode ")) for line in err.splitlines()]
+    told = episodes(err)
+    assert [line.split(": ")[1].split(" after")[0] for line in told] == ["no success"] * 3
+    numbers = [int(line.split(":")[0].removeprefix("episode ")) for line in told]
     assert numbers == sorted(numbers)
     code, _, err = call(app, "panda_reach", short, *film[:-1], "--episodes", str(numbers[-1]))
-    every = [line for line in err.splitlines() if ": success" not in line]
+    every = [line for line in episodes(err) if ": success" not in line]
     assert [int(line.split(":")[0].removeprefix("episode ")) for line in every] == numbers

@@ -100,7 +100,7 @@ def test_a_distribution_with_a_generator_of_its_own_breaks_a_promise() -> None:
 
 def test_a_robot_whose_tool_moves_too_little_breaks_a_promise() -> None:
     parent = load("robots", "panda")
-    slow = {"towards": lambda self, target, opening: 0.1 * parent.towards(self, target, opening)}
+    slow = {"towards": lambda self, *target: 0.1 * parent.towards(self, *target)}
     found = broken(made("robots", "panda", slow))
     assert "mm away from" in found["the_tool_reaches_every_corner_of_the_workspace"]
 

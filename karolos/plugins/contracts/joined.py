@@ -86,5 +86,7 @@ def under(robot: Candidate, control: str) -> Candidate:
 
 
 def goes_with(task: Candidate, control: str | None) -> bool:
-    """Whether the task works under a control mode: cartesian control keeps the tool pointing down."""
+    """Whether the task works under a control mode: cartesian control keeps the tool pointing down, joints are stiff."""
+    if task.plugin.control == "impedance":
+        return control not in ("cartesian", "joint")
     return control != "cartesian" or task.plugin.control == "cartesian"
