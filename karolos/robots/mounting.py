@@ -97,10 +97,8 @@ def _reached(joints: tuple[Joint, ...], tool: Vector, rpy: Vector, home: tuple[f
     at = chain.forward(home).tool
     yaw = atan2(at.x[1], at.x[0])
     for share in np.linspace(1.0, 0.5, 26):
-        (a, b, _), (c, d, e) = (
-            np.add(at.position, share * np.subtract(end, at.position)) for end in (box.low, box.high)
-        )
-        inner = box if share == 1 else Box((float(a), float(b), box.low[2]), (float(c), float(d), float(e)))
+        low, high = (np.add(at.position, share * np.subtract(end, at.position)) for end in (box.low, box.high))
+        inner = box if share == 1 else _inside(np.array([*low[:2], box.low[2]]), high)
         corners = product(*zip(inner.low, inner.centre, inner.high, strict=True))
         if inner.contains(at.position) and all(_reaches(chain, joints, home, place, yaw) for place in corners):
             return inner
@@ -135,5 +133,10 @@ def _turned(box: Box, longer: float, tilt: float, within: Box) -> Box | None:
     high = np.minimum(np.subtract(box.high, (aside, aside, far)), within.high)
     if (low >= high).any():
         return None
-    (a, b, c), (d, e, f) = low.tolist(), high.tolist()
-    return Box((a, b, c), (d, e, f))
+    return _inside(low, high)
+
+
+def _inside(low: Array, high: Array) -> Box:
+    """The box between two corners, drawn in to millimetres."""
+    (a, b, c), (d, e, f) = np.ceil(np.round(1000 * low, 6)) / 1000, np.floor(np.round(1000 * high, 6)) / 1000
+    return Box((float(a), float(b), float(c)), (float(d), float(e), float(f)))
