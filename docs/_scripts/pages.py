@@ -43,6 +43,7 @@ TASKS = {"reach": ("reach",), "push": ("push",), "pick_place": ("pick", "pick_de
 COPIED = {"ARCHITECTURE.md": "architecture.md", "CONTRIBUTING.md": "contributing.md", "CHANGELOG.md": "changelog.md"}
 KIND_TEXTS = {
     "robots": "A robot with a task is an environment.",
+    "grippers": "What an arm holds things with: `robot.gripper`.",
     "tasks": "A task goes with every robot.",
     "environments": "What the agent acts in. With `robot` and `task` it is `robot_task`.",
     "agents": "The algorithm.",
