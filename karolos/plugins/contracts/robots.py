@@ -289,7 +289,10 @@ def a_spring_presses_as_its_stiffness_and_its_limit_say(environment: RobotTask) 
         start = robot.workspace.centre
         robot.place_tool(start, 0.0)
         aside = [0.0, 0.0, -0.045] if axis < 2 else [0.045, 0.045, 0.0]  # it meets an edge, which turns the tool, too
-        aside[axis] = 0.15 * side
+        room = (
+            robot.workspace.high[axis] - start[axis] - settings.error_limit - 0.005
+        )  # set points stay in the workspace
+        aside[axis] = (0.05 + min(0.1, room)) * side
         wall.place(tuple(np.add(start, aside).tolist()))
         felt, pulled = np.zeros(6), np.zeros(6)
         for step in range(120):
