@@ -19,6 +19,7 @@ from ..simulation.shapes import Cuboid, Shape, inertia_of
 from .cube import braking, drift
 from .force_penalty import ForcePenalty
 from .point_goal import GOAL_COLOUR, PointGoal, sample_position
+from .starts import drawn_stage, start
 
 PIECE_COLOUR, FRONT_COLOUR = (0.35, 0.42, 0.5, 1.0), (0.93, 0.45, 0.13, 1.0)
 TRAVEL, ANGLE = 0.15, pi / 2
@@ -103,12 +104,8 @@ class Open(Task):
         force_penalty: ForcePenalty | None = Setting(
             None, description="what pressing costs: of the largest force on a link of arm or gripper; null: nothing"
         )
-        start_near: Probability = Setting(
-            0.0, description="probability that an episode starts with the tool near the handle"
-        )
-        start_hooked: Probability = Setting(
-            0.0, description="probability that an episode starts with the tool behind the bar of the handle"
-        )
+        start_hooked: Probability = start("the tool behind the bar of the handle")
+        start_near: Probability = start("the tool behind the bar of the handle or above it")
         max_steps: int = Setting(60, ge=1, le=100_000, description="control steps per episode")
 
     settings: Settings
@@ -192,20 +189,17 @@ class Open(Task):
             self.piece.set_joint_damping("front", value * self.lever**2)
 
     def reset(self, generator: Generator) -> None:
-        drawn = self.drawn
         self.yaw = pi + generator.uniform(-TURN, TURN)
         self._stand(sample_position(generator, self.places, "the handle", self._fits))
         self.piece.place((*self.origin, 0.0), (0.0, 0.0, sin(self.yaw / 2), cos(self.yaw / 2)))
-        start, goal = generator.uniform(0.0, self.range, 2).tolist()
-        while abs(goal - start) < self.goal_rule.threshold:
+        begin, goal = generator.uniform(0.0, self.range, 2).tolist()
+        while abs(goal - begin) < self.goal_rule.threshold:
             goal = generator.uniform(0.0, self.range)
-        self.piece.place_joint("front", start)
-        how, above = generator.uniform(), generator.uniform(0.0, NEAR)
-        x, y, z = self.handle_at(start)
-        if how < drawn.start_hooked:
-            self._robot.place_tool((x, y, z), 0.0)
-        elif how < drawn.start_hooked + (1 - drawn.start_hooked) * drawn.start_near:
-            self._robot.place_tool((x, y, z + above), 0.0)
+        self.piece.place_joint("front", begin)
+        stage, above = drawn_stage(self.drawn, generator.uniform(), "hooked", "near"), generator.uniform(0.0, NEAR)
+        x, y, z = self.handle_at(begin)
+        if stage:
+            self._robot.place_tool((x, y, z + above * (stage == "near")), 0.0)
         self.goal = np.array((goal, *self.handle_at(goal)), np.float32)
         self._marker.place(self.handle_at(goal))
         self.read()

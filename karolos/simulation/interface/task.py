@@ -40,8 +40,8 @@ class Task(ABC):
     protective_stop: ClassVar[bool] = True
     """Whether a robot stops protectively if its settings do not say; a stop ends the episode without success."""
     camera: ClassVar[Camera] = Camera()
-    observation: ClassVar[Layout] = Layout()
-    """The task's part of the observation, without the goals."""
+    observation: Layout = Layout()
+    """The task's part of the observation, without the goals; may depend on the settings."""
     critic_only: ClassVar[Layout] = Layout()
     """What critics may observe besides, and no policy: a spec chooses from it by `environment.critic_observes`."""
     extra_reward_range: tuple[float, float] = (0.0, 0.0)
