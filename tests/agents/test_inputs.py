@@ -33,9 +33,9 @@ def test_statistics_over_batches_equal_those_over_all_rows(batches: list[np.ndar
 def test_goals_enter_as_what_is_missing_where_what_is_achieved_is_observed() -> None:
     achieved, seen = Layout((Field("place", 2), Field("held", 1))), Layout((Field("speed", 1), Field("place", 2)))
     signature = Signature(seen, Layout((Field("move", 1),)), 5, achieved_goal=achieved, desired_goal=achieved)
-    agent = SAC(SAC.Settings(relative_goal=True), signature, SeedTree(0))
+    agent = SAC(SAC.Settings(fine_goal=5), signature, SeedTree(0))
     observation, goal = np.float32([[7, 1, 2]]), np.float32([[5, 5, 9]])
-    assert agent.unscaled(observation, goal).tolist() == [[7, 1, 2, 4, 3, 9]], "held is not observed"
+    assert agent.unscaled(observation, goal).tolist() == [[7, 1, 2, 5, 5, 9, 4, 3]], "held is not observed"
     zero = np.zeros(1, np.float32)
     batch = Batch(observation, goal, zero[:, None], zero, observation + 1, zero, zero, zero, np.zeros(1, np.int64))
     inputs = tensor_batch(batch, agent.normaliser, torch.device("cpu"), observed_goal=agent.missing)
