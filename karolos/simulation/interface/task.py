@@ -41,8 +41,8 @@ class Task(ABC):
     """Whether a robot stops protectively if its settings do not say; a stop ends the episode without success."""
     camera: Camera = Camera()
     """Where pictures are taken from if the arm stands at the origin. Nothing that moves leaves the picture."""
-    observation: ClassVar[Layout] = Layout()
-    """The task's part of the observation, without the goals."""
+    observation: Layout = Layout()
+    """The task's part of the observation, without the goals; may depend on the settings."""
     critic_only: ClassVar[Layout] = Layout()
     """What critics may observe besides, and no policy: a spec chooses from it by `environment.critic_observes`."""
     extra_reward_range: tuple[float, float] = (0.0, 0.0)
