@@ -1,10 +1,10 @@
-"""The cube that tasks move: settings, body, observation, ground it may lie on, and motions of experts near it."""
+"""Cubes that tasks move: settings, bodies, observation, ground they may lie on, and motions of experts near them."""
 
 from __future__ import annotations
 
 from collections.abc import Sequence
 from math import cos, hypot, pi, sin
-from typing import Annotated
+from typing import Annotated, ClassVar
 
 from pydantic import Field as Setting
 
@@ -12,7 +12,7 @@ from ..core import Field, Layout
 from ..core import Settings as BaseSettings
 from ..errors import PluginError, UsageError
 from ..randomization.randomization import Drawn
-from ..simulation.geometry import UPRIGHT, Quaternion, Vector, columns
+from ..simulation.geometry import UPRIGHT, Colour, Quaternion, Vector, columns
 from ..simulation.interface import Box, Gripper, RobotView, Task, World
 from ..simulation.interface.engine import Material
 from ..simulation.shapes import Cuboid
@@ -23,16 +23,25 @@ LOST_DISTANCE = 10.0
 """m from the origin; the physics has diverged when an object is further away or below the floor."""
 GROUND_EDGE = 0.3
 """Edge in m of the square in the middle of the workspace in which cube and goal lie, as in panda-gym."""
+REST_SPEED = 0.03
+"""m/s below which an object is at rest."""
 BRAKING_SHARE = 0.5
 """Fraction of the remaining distance covered in one control step: an arm at full speed needs two steps to brake."""
-FIELDS = (
-    Field("object_position", 3, "m"),
-    Field("object_rotation", 6, "1"),
-    Field("object_velocity", 3, "m/s"),
-    Field("object_angular_velocity", 3, "rad/s"),
-    Field("object_from_tool", 3, "m"),
-)
-"""Observation of a task with an object. The rotation is the first two columns of its matrix, see `geometry.columns`."""
+
+
+def fields(name: str) -> tuple[Field, ...]:
+    """What is observed of an object. The rotation is the first two columns of its matrix, see `geometry.columns`."""
+    return (
+        Field(f"{name}_position", 3, "m"),
+        Field(f"{name}_rotation", 6, "1"),
+        Field(f"{name}_velocity", 3, "m/s"),
+        Field(f"{name}_angular_velocity", 3, "rad/s"),
+        Field(f"{name}_from_tool", 3, "m"),
+    )
+
+
+FIELDS = fields("object")
+"""Observation of a task with one object."""
 
 
 class CubeSettings(BaseSettings):
@@ -56,10 +65,10 @@ class CubeSettings(BaseSettings):
 class Cube:
     """A cube of a world: built once, placed at a reset, read after each step."""
 
-    def __init__(self, settings: CubeSettings, world: World) -> None:
+    def __init__(self, settings: CubeSettings, world: World, colour: Colour = CUBE_COLOUR) -> None:
         edge, mass = settings.object_size, settings.object_mass
         self.half = edge / 2
-        self.body = world.body([Cuboid((edge, edge, edge))], mass, CUBE_COLOUR)
+        self.body = world.body([Cuboid((edge, edge, edge))], mass, colour)
         self.body.set_friction(settings.object_friction)
         if settings.object_stiffness is not None:
             self.body.set_material(Material(stiffness=settings.object_stiffness))
@@ -103,12 +112,18 @@ class Cube:
         return self.position[2] - self.half * upright
 
     def observe(self, robot: RobotView) -> list[float]:
-        """The numbers of `FIELDS`, with the robot's observation noise.
+        """The numbers of `fields`, with the robot's observation noise.
 
         The offset from the tool is that of the observed positions: it tells nothing that they do not tell.
         """
         values = robot.with_noise([*self.position, *columns(self.orientation), *self.velocity, *self.angular_velocity])
         return values + [own - tool for own, tool in zip(values, robot.observed_tool_position, strict=False)]
+
+    @property
+    def at_rest(self) -> bool:
+        """Whether it is slower than `REST_SPEED`."""
+        x, y, z = self.velocity
+        return x * x + y * y + z * z < REST_SPEED * REST_SPEED
 
     @property
     def lost(self) -> bool:
@@ -128,9 +143,12 @@ def aligned(robot: RobotView) -> Quaternion:
 
 
 class CubeTask(Task):
-    """The part that tasks with one cube share; a task sets `_robot` in `fit`."""
+    """The part that tasks with cubes share; a task sets `_robot` in `fit`. `cube` is the first of `cubes`."""
 
     observation = Layout(FIELDS)
+    colours: ClassVar[Sequence[Colour]] = (CUBE_COLOUR,)
+    """Of the cubes that the world can have; there are `number` of them."""
+    number = 1
     settings: CubeSettings
     _robot: RobotView
 
@@ -144,25 +162,28 @@ class CubeTask(Task):
         return () if self.settings.object_stiffness is None else ("task.object_stiffness",)
 
     def build(self, world: World) -> None:
-        self.cube = Cube(self.settings, world)
+        self.cubes = [Cube(self.settings, world, colour) for colour in self.colours[: self.number]]
+        self.cube = self.cubes[0]
         if self.settings.force_penalty is not None:
             self._robot.largest_force()  # PyBullet records forces from the first question on
 
     def apply(self, world: World, name: str, value: float) -> None:
         super().apply(world, name, value)
-        if name == "object_mass":
-            self.cube.set_mass(value)
-        elif name == "object_friction":
-            self.cube.body.set_friction(value)
+        for cube in self.cubes:
+            if name == "object_mass":
+                cube.set_mass(value)
+            elif name == "object_friction":
+                cube.body.set_friction(value)
 
     def read(self) -> None:
-        self.cube.read()
+        for cube in self.cubes:
+            cube.read()
 
     def observe(self) -> list[float]:
         return self.cube.observe(self._robot)
 
     def lost(self) -> bool:
-        return self.cube.lost
+        return any(cube.lost for cube in self.cubes)
 
     def extra_reward(self) -> float:
         penalty = self.settings.force_penalty

@@ -17,6 +17,7 @@ from ..simulation.interface import Camera, RobotView, Task, World
 from ..simulation.shapes import Cuboid, Cylinder, Shape
 from .cube import LOST_DISTANCE, aligned
 from .force_penalty import ForcePenalty
+from .starts import drawn_stage, start
 
 PEG_COLOUR, BLOCK_COLOUR = (0.93, 0.45, 0.13, 1.0), (0.35, 0.42, 0.5, 1.0)
 PEG_LENGTH = 0.06
@@ -122,12 +123,8 @@ class Insert(Task):
             ForcePenalty.model_validate({"limit": 15.0, "weight": 2.0, "most": 5.0}),
             description="what pressing costs: of the largest force on peg or arm, the grip left out; null: nothing",
         )
-        start_inserted: Probability = Setting(
-            0.0, description="probability that an episode starts with the peg partly in the hole"
-        )
-        start_near: Probability = Setting(
-            0.0, description="probability that another episode starts with the peg close to the hole"
-        )
+        start_inserted: Probability = start("the peg partly in the hole")
+        start_near: Probability = start("the peg close to the hole")
         max_steps: int = Setting(100, ge=1, le=100_000, description="control steps per episode")
 
     settings: Settings
@@ -189,18 +186,18 @@ class Insert(Task):
             self.block.set_friction(value)
 
     def reset(self, generator: Generator) -> None:
-        settings, drawn = self.settings, self.drawn
+        settings = self.settings
         self._closing = self._robot.closing
         x, y, turn = generator.uniform(-1, 1, 3).tolist()
         hole: Vector = (self.middle[0] + HOLE_RANGE * x, self.middle[1] + HOLE_RANGE * y, TOP)
         turn *= HOLE_TURN
         along, up, tilt = (generator.uniform(-1, 1, 3) * (HAND_OFFSET, HAND_OFFSET, HAND_TILT)).tolist()
         aside, height = generator.uniform(-1, 1, 3).tolist(), generator.uniform()
-        start, inserted = generator.uniform(), drawn.start_inserted
-        if start < inserted:
+        stage = drawn_stage(self.drawn, generator.uniform(), "inserted", "near")
+        if stage == "inserted":
             tilt, turned, room = 0.0, turn, 0.4 * settings.play
             tip = room * aside[0], room * aside[1], -DEPTH * height
-        elif start < inserted + (1 - inserted) * drawn.start_near:
+        elif stage == "near":
             turned = turn + NEAR_TURN * aside[2]
             tip = NEAR_ASIDE * aside[0], NEAR_ASIDE * aside[1], NEAR_HEIGHT * height
         else:

@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-from math import hypot
 from typing import Literal
 
 import numpy as np
@@ -11,10 +10,11 @@ from pydantic import Field as Setting
 from ..core import Array, BoolArray, Expert, Field, FloatArray, Layout
 from ..core.seeding import Generator
 from ..randomization.randomization import Probability
-from ..simulation.geometry import Vector
 from ..simulation.interface import Box, RobotView
-from .cube import CubeSettings, CubeTask, aligned, braking, check_gripper, drift, ground
+from .carrying import GRIP_HEIGHT, HOVER_HEIGHT, Carrier
+from .cube import CubeSettings, CubeTask, aligned, check_gripper, ground
 from .point_goal import PointGoal, PointGoalSettings, PointGoalTask, sample_position
+from .starts import drawn_stage, start
 
 AIR_HEIGHT = 0.2
 """Highest goal above a resting cube in m, as in panda-gym."""
@@ -82,12 +82,8 @@ class PickPlace(PointGoalTask, CubeTask):
 
     class Settings(PointGoalSettings, CubeSettings):
         reward: Literal["sparse", "dense"] = Setting("sparse", description="-1 until there, or staged in [-1, 0]")
-        start_near: Probability = Setting(
-            0.0, description="probability that an episode starts with the gripper near the cube"
-        )
-        start_grasped: Probability = Setting(
-            0.0, description="probability that an episode starts with the cube in the gripper"
-        )
+        start_near: Probability = start("the gripper near the cube")
+        start_grasped: Probability = start("the cube in the gripper")
 
     settings: Settings
     drawn: Settings
@@ -113,10 +109,10 @@ class PickPlace(PointGoalTask, CubeTask):
 
     def reset(self, generator: Generator) -> None:
         robot, (x, y, z) = self._robot, sample_position(generator, self.ground, "the cube").tolist()
-        grasped, start = self.drawn.start_grasped, generator.uniform()
-        if start < grasped:
+        stage = drawn_stage(self.drawn, generator.uniform(), "grasped", "near")
+        if stage == "grasped":
             self.cube.put_in_gripper(robot, self.gripper, (x, y, z))
-        elif start < grasped + (1 - grasped) * self.drawn.start_near:
+        elif stage == "near":
             self.cube.place_with_tool(robot, (x, y, z), (x, y, z + generator.uniform(GRIP_HEIGHT, HOVER_HEIGHT)), 1.0)
         else:
             self.cube.place((x, y, z), aligned(robot))
@@ -133,82 +129,16 @@ class PickPlace(PointGoalTask, CubeTask):
         return PickExpert(self._robot, self)
 
 
-HOVER_HEIGHT = 0.08
-"""m above the cube at which the gripper arrives."""
-ALIGNED_DISTANCE = 0.018
-"""m off the cube's axis at which the gripper may go down; open, it has 1.5 cm to each side of a 4 cm cube."""
-STILL_DRIFT = 0.015
-"""Largest horizontal drift of the tool, in m per control step, when it goes down or closes."""
-GRIP_HEIGHT = 0.006
-"""m above the centre of the cube at which it is gripped, so that the pads do not rub on the floor: there the fingers
-stick, and an arm that drags them along lags behind."""
-CARRYING_CLEARANCE = 0.03
-"""m above the floor at which the cube moves to a goal on the floor: a dragged cube twists out of the pads."""
-SET_DOWN_GAP = 0.003
-"""m above the floor at which the cube is held over a goal on the floor: an arm that aims at the floor presses on it."""
-CLOSING_STEPS = 3
-"""Control steps for which both pads must touch before the cube is lifted: until then they push it to the middle."""
-GRASP_PATIENCE = 30
-"""Control steps after which a gripper that has closed on nothing opens again."""
-
-
 class PickExpert(Expert):
-    """Goes over the cube, down, closes, lifts, moves to the goal. Restarts when it loses the cube."""
+    """Carries the cube to the goal and holds it there."""
 
     def __init__(self, robot: RobotView, task: PickPlace) -> None:
-        self._robot = robot
         self._task = task
-        # wide enough for a cube on its diagonal
-        self._open = min(1.0, (1.5 * task.settings.object_size + 0.01) / task.gripper.width)
-        self._closing = 0
-        """Control steps since the gripper began to close; 0 while it is open."""
-        self._held = 0
-        """Control steps for which the cube has been between the pads."""
+        self._carrier = Carrier(robot, task.gripper)
 
     def reset(self) -> None:
-        self._held = CLOSING_STEPS if self._enclosed() else 0
-        self._closing = self._held
-
-    def _enclosed(self) -> bool:
-        """Whether the cube is between the pads; on its diagonal it is 1.42 times as wide as along its edges."""
-        robot, cube, size = self._robot, self._task.cube.position, self._task.settings.object_size
-        near = sum((a - b) ** 2 for a, b in zip(robot.tool_position, cube, strict=True)) < size**2
-        return near and 0.8 * size < robot.opening * self._task.gripper.width < 1.45 * size
-
-    def _holding(self) -> bool:
-        """Whether the cube is between the pads, and both touched it before it was lifted."""
-        return self._enclosed() and (
-            self._held >= CLOSING_STEPS or self._robot.pads_touching(self._task.cube.body) == 2
-        )
+        self._carrier.begin(self._task.cube)
 
     def act(self) -> FloatArray:
-        robot, (x, y, z), (tx, ty, tz) = self._robot, self._task.cube.position, self._robot.tool_position
-        grip: Vector = (x, y, max(z + GRIP_HEIGHT, robot.workspace.low[2]))
-        if self._closing:
-            self._closing += 1
-            lifted = self._held > CLOSING_STEPS
-            self._held = self._held + 1 if self._holding() else 0
-            if self._held > CLOSING_STEPS:
-                return robot.towards(self._transport(), 0.0)
-            if not lifted and self._closing < GRASP_PATIENCE:
-                return robot.towards((tx, ty, tz) if self._held else grip, 0.0)
-            self._closing = 0
-        error, above = hypot(tx - x, ty - y), z + HOVER_HEIGHT
-        high = tz > z + HOVER_HEIGHT / 2
-        if error > ALIGNED_DISTANCE or (high and drift(robot) > STILL_DRIFT):
-            target: Vector = (x, y, above) if high else (tx, ty, above)
-            return robot.towards(braking(robot, target), self._open)
-        if tz > grip[2] + 0.006 or drift(robot) > STILL_DRIFT:
-            return robot.towards(braking(robot, grip), self._open)
-        self._closing = 1
-        return robot.towards(grip, 0.0)
-
-    def _transport(self) -> Vector:
-        """Position of the tool at which the cube, as it lies in the gripper, is at the goal."""
-        tool, cube, goal = self._robot.tool_position, self._task.cube, self._task.goal.tolist()
-        x, y, z = (t + g - c for t, g, c in zip(tool, goal, cube.position, strict=True))
-        if hypot(x - tool[0], y - tool[1]) > CARRYING_CLEARANCE:
-            if cube.lowest < CARRYING_CLEARANCE / 3:
-                return tool[0], tool[1], tool[2] + CARRYING_CLEARANCE
-            z = max(z, tool[2] + CARRYING_CLEARANCE - cube.lowest)
-        return x, y, max(z, self._robot.workspace.low[2], tool[2] + SET_DOWN_GAP - cube.lowest)
+        x, y, z = self._task.goal.tolist()
+        return self._carrier.act((x, y, z))

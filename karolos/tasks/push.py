@@ -5,7 +5,6 @@ from __future__ import annotations
 from math import cos, hypot, pi, sin
 
 import numpy as np
-from pydantic import Field as Setting
 
 from ..core import Expert, Field, FloatArray, Layout
 from ..core.seeding import Generator
@@ -14,6 +13,7 @@ from ..simulation.geometry import Vector
 from ..simulation.interface import RobotView
 from .cube import LOST_DISTANCE, CubeSettings, CubeTask, aligned, braking, drift, ground
 from .point_goal import PointGoalSettings, PointGoalTask, sample_position
+from .starts import drawn_stage, start
 
 CUBE_MARGIN = 0.03
 """m between the side of the cube and the edge of the workspace, room for the gripper behind the cube."""
@@ -41,9 +41,7 @@ class Push(PointGoalTask, CubeTask):
     """
 
     class Settings(PointGoalSettings, CubeSettings):
-        start_near: Probability = Setting(
-            0.0, description="probability that an episode starts with the gripper near the cube"
-        )
+        start_near: Probability = start("the gripper near the cube")
 
     settings: Settings
     drawn: Settings
@@ -60,7 +58,7 @@ class Push(PointGoalTask, CubeTask):
 
     def reset(self, generator: Generator) -> None:
         position: Vector = tuple(sample_position(generator, self.ground, "the cube").tolist())
-        if generator.uniform() < self.drawn.start_near:
+        if drawn_stage(self.drawn, generator.uniform(), "near"):
             self.cube.place_with_tool(self._robot, position, self._near(position, generator), 0.0)
         else:
             self.cube.place(position, aligned(self._robot))

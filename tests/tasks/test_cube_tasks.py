@@ -1,10 +1,10 @@
-"""Pick-and-place and push: solved by their experts, placed honestly, the same episode again with contacts."""
+"""Pick-and-place, push and stack: placed honestly, what counts as success, starts by stages."""
 
 from __future__ import annotations
 
 import numpy as np
 import pytest
-from support.rig import ROBOTS, expert_episode, made, values
+from support.rig import ENGINES, ROBOTS, expert_episode, made, values
 
 from karolos.errors import KarolosError
 
@@ -99,6 +99,43 @@ def test_start_near_is_the_share_of_the_episodes_that_do_not_start_grasped(
     close = [np.linalg.norm((start.achieved_goal[:3] - start.observation[tool])[:2]) < 0.01 for start in starts]
     assert np.mean(held) == pytest.approx(grasped, abs=0.08)
     assert np.mean(close) - np.mean(held) == pytest.approx(expected, abs=0.08)
+    environment.close()
+
+
+@pytest.mark.parametrize("engine", ENGINES)
+def test_a_stack_counts_only_where_cubes_stand_on_each_other_and_nothing_holds_them(engine: str) -> None:
+    environment = made("stack", environment={"engine": engine}, start_above=1.0)
+    still = np.zeros(environment.signature.action.size, np.float32)
+    held = environment.reset(0)
+    assert not held.success
+    (x, y, z), lower = environment.task.cube.position, environment.task.cubes[1]
+    for place, opening, counts in [
+        ((x, y, z + 0.04), -1.0, False),  # in the hand, if that is just above the other
+        ((x + 0.041, y, z), 1.0, False),
+        ((x + 0.016, y, z + 0.04), 1.0, False),
+        ((x + 0.012, y, z + 0.04), 1.0, True),
+    ]:
+        still[3] = opening
+        if opening > 0:
+            for _ in range(12):  # out of the way
+                environment.step(np.array([0, 0, 1, 1], np.float32))
+            lower.place(place)
+        for _ in range(4):
+            step = environment.step(still)
+        assert step.success == counts, place
+    lower.body.set_velocity((0.0, 0.0, 1.0))
+    assert not environment.step(still).success
+    environment.close()
+
+
+@pytest.mark.parametrize(("stacked", "height"), [(0.0, 0.02), (1.0, 0.06)])
+def test_three_cubes_are_stacked_from_the_floor_or_from_two(stacked: float, height: float) -> None:
+    environment = made("stack", height=3, max_steps=200, start_stacked=stacked)
+    steps = expert_episode(environment, 1)
+    second = environment.signature.observation.slice("cube_2_position")
+    assert steps[0].observation[second][2] == pytest.approx(height, abs=1e-3)
+    assert not steps[0].success
+    assert steps[-1].success
     environment.close()
 
 

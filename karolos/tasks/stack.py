@@ -1,0 +1,225 @@
+"""Stack: the gripper puts one cube on another and lets go, or two on one."""
+
+from __future__ import annotations
+
+from itertools import pairwise
+from math import hypot, tanh
+from typing import Literal
+
+import numpy as np
+from pydantic import Field as Setting
+
+from ..core import Array, BoolArray, Expert, Field, FloatArray, GoalRule, Layout, Measure
+from ..core.seeding import Generator
+from ..errors import UsageError
+from ..randomization.randomization import Probability
+from ..simulation.geometry import Vector
+from ..simulation.interface import RobotView
+from .carrying import GRIP_HEIGHT, HOVER_HEIGHT, Carrier
+from .cube import CUBE_COLOUR, CubeSettings, CubeTask, aligned, check_gripper, fields, ground
+from .point_goal import sample_position
+from .starts import drawn_stage, start
+
+GAP = {2: 0.06, 3: 0.1}
+"""Least distance in m between the sides of cubes at the start, by their number: room for the fingers, or, beside two
+that stand on each other, for the hand."""
+ABOVE = 0.05
+"""Largest height in m above its place of a cube that starts there in the gripper."""
+NEAR_SCALE = 0.02
+"""m: errors are observed as tanh(error / scale), too, in which a network sees millimetres."""
+
+
+class Stacked(GoalRule):
+    """Success where each cube is near its place on the one below, and all are let go and at rest if that is wanted.
+
+    `achieved` (..., 3 n + 1): the position of each cube but the lowest from the one below (3, m), and 1 if the robot
+    touches no cube and all are at rest, else 0. `desired` (..., 3 n + 1) is the same; with 0 at the end it does not
+    matter whether a cube is held. Reward 0 on success, else -1.
+    """
+
+    reward_range = (-1.0, 0.0)
+
+    def __init__(self, threshold: float) -> None:
+        self.threshold = threshold
+
+    def reward(self, achieved: Array, desired: Array) -> FloatArray:
+        return -np.asarray(~self.success(achieved, desired), np.float32)
+
+    def success(self, achieved: Array, desired: Array) -> BoolArray:
+        free: BoolArray = achieved[..., -1] >= desired[..., -1]
+        return free & (self.distance(achieved, desired) < self.threshold)
+
+    def distance(self, achieved: Array, desired: Array) -> FloatArray:
+        """Of the cube that is furthest from its place."""
+        off = (achieved - desired)[..., :-1]
+        off = off.reshape(*off.shape[:-1], -1, 3)
+        metres: FloatArray = np.sqrt(np.vecdot(off, off).max(-1), dtype=np.float32)
+        return metres
+
+
+class Stack(CubeTask):
+    """What to do: put the second cube on the first, with `height: 3` the third on the second, and let go.
+
+    What is randomised: the cubes, uniformly in a square of .3 m in the middle of the workspace, their sides at least
+    6 cm apart, with `height: 3` 10 cm. With `height: 3` the second lies on the first already with probability
+    `start_stacked`. The next cube begins in the gripper up to 5 cm above its place with probability `start_above`, of
+    the other episodes in the gripper where it lies with `start_grasped`, of the others with the open gripper around or
+    above it with `start_near`: parameters that training may draw, tests never do.
+
+    Observation: of each cube, from the lowest: cube_1_position (3, m), cube_1_rotation (6, two columns of its matrix),
+    cube_1_velocity (3, m/s), cube_1_angular_velocity (3, rad/s), cube_1_from_tool (3, m); then cube_2_from_cube_1
+    (3, m) and cube_2_error (3, tanh of the way from its place on cube_1 over 2 cm), with `height: 3` also of cube_3.
+    Action: the robot's, with the gripper.
+    Goals: achieved, cube_2_from_cube_1 (3, m), with `height: 3` also cube_3_from_cube_2, and whether the robot touches
+    no cube and all are at rest (1); desired, an edge above one another and 1.
+    Reward: sparse -1 until the cubes are stacked, then 0; less where a force exceeds that of `force_penalty`.
+    What counts as success: each cube within `threshold` of its place on the one below, all let go and at rest. A cube
+    that lies beside the other or is held on it does not count.
+    Termination: never; the episode is truncated after `max_steps`.
+    """
+
+    class Settings(CubeSettings):
+        height: Literal[2, 3] = Setting(2, description="number of cubes")
+        threshold: float = Setting(0.015, gt=0, le=0.1, description="distance of a cube from its place, m")
+        start_stacked: Probability = start("the second of three cubes on the first")
+        start_above: Probability = start("the next cube in the gripper above its place")
+        start_grasped: Probability = start("the next cube in the gripper")
+        start_near: Probability = start("the gripper near the next cube")
+        max_steps: int = Setting(
+            100, ge=1, le=100_000, description="control steps per episode; three cubes take twice as many"
+        )
+
+    settings: Settings
+    drawn: Settings
+    uses_gripper = True
+    colours = (CUBE_COLOUR, (0.16, 0.5, 0.8, 1.0), (0.85, 0.75, 0.2, 1.0))
+    distance_measure = Measure("miss", "m", "smaller", "distance of the furthest cube from its place at the end")
+
+    def __init__(self, settings: Stack.Settings) -> None:
+        self.number = number = settings.height
+        pairs = [f"cube_{k + 1}_from_cube_{k}" for k in range(1, number)]
+        self.achieved_goal = self.desired_goal = Layout((*(Field(name, 3, "m") for name in pairs), Field("let_go", 1)))
+        observed = [field for k in range(1, number + 1) for field in fields(f"cube_{k}")]
+        for k, name in enumerate(pairs, 2):
+            observed += [Field(name, 3, "m"), Field(f"cube_{k}_error", 3)]
+        self.observation = Layout(tuple(observed))
+        super().__init__(settings)
+        self.goal_rule = Stacked(settings.threshold)
+        self.goal = np.array((0.0, 0.0, settings.object_size) * (number - 1) + (1.0,), np.float32)
+
+    def fit(self, robot: RobotView) -> None:
+        settings, self._robot = self.settings, robot
+        self.gripper = check_gripper(robot, type(self).__name__, settings.object_size)
+        self.ground = ground(robot.workspace, "box", settings.object_size / 2)
+        if settings.threshold >= settings.object_size / 2:
+            raise UsageError(
+                f"within {settings.threshold:g} m of its place a cube does not stand on the other",
+                setting="task.threshold",
+                hint=f"set less than half an edge, {settings.object_size / 2:g} m",
+            )
+        if (top := settings.object_size * (settings.height + 0.5) + HOVER_HEIGHT) > robot.workspace.high[2]:
+            raise UsageError(
+                f"the tool has to rise to {top:.2f} m",
+                setting="task.object_size",
+                hint=f"its workspace is {robot.workspace.high[2]:g} m high; take smaller cubes",
+            )
+
+    def reset(self, generator: Generator) -> None:
+        places, edge, robot = list[Vector](), self.settings.object_size, self._robot
+        apart = GAP[self.number] + edge
+        for _ in self.cubes:
+            x, y, z = sample_position(
+                generator,
+                self.ground,
+                "the cubes",
+                lambda one: all(hypot(one[0] - x, one[1] - y) > apart for x, y, _ in places),
+            ).tolist()
+            places.append((x, y, z))
+        draws = generator.uniform(size=3).tolist()
+        standing = 1 + bool(self.number > 2 and drawn_stage(self.drawn, draws[0], "stacked"))
+        x, y, z = places[0]
+        for k, cube in enumerate(self.cubes):
+            cube.place((x, y, z + k * edge) if k < standing else places[k], aligned(robot))
+        stage, cube = drawn_stage(self.drawn, draws[1], "above", "grasped", "near"), self.cubes[standing]
+        if stage == "above":
+            cube.put_in_gripper(robot, self.gripper, (x, y, z + standing * edge + ABOVE * draws[2]))
+        elif stage == "grasped":
+            cube.put_in_gripper(robot, self.gripper, places[standing])
+        elif stage == "near":
+            (x, y, z), rise = places[standing], GRIP_HEIGHT + (HOVER_HEIGHT - GRIP_HEIGHT) * draws[2]
+            cube.place_with_tool(robot, (x, y, z), (x, y, z + rise), 1.0)
+        self.let_go = stage in ("near", None)
+
+    def read(self) -> None:
+        super().read()
+        robot = self._robot
+        self.let_go = all(cube.at_rest and not robot.contact_force(cube.body) for cube in self.cubes)
+
+    @property
+    def offsets(self) -> list[Vector]:
+        """The position of each cube but the lowest from the one below, in m."""
+        return [_difference(upper.position, lower.position) for lower, upper in pairwise(self.cubes)]
+
+    def observe(self) -> list[float]:
+        seen = [cube.observe(self._robot) for cube in self.cubes]
+        values = [value for one in seen for value in one]
+        for lower, upper in pairwise(seen):
+            x, y, z = _difference(upper, lower)
+            errors = x, y, z - self.settings.object_size
+            values += [x, y, z, *(tanh(error / NEAR_SCALE) for error in errors)]
+        return values
+
+    def achieved(self) -> FloatArray:
+        return np.array([*(value for offset in self.offsets for value in offset), self.let_go], np.float32)
+
+    def expert(self) -> Expert:
+        return StackExpert(self._robot, self)
+
+
+def _difference(one: list[float] | Vector, other: list[float] | Vector) -> Vector:
+    return one[0] - other[0], one[1] - other[1], one[2] - other[2]
+
+
+PLACED = 0.005
+"""m off its place, along each axis, at which a cube is let go."""
+
+
+class StackExpert(Expert):
+    """Carries the lowest cube that is not on its place there, opens, rises, and goes on with the next."""
+
+    def __init__(self, robot: RobotView, task: Stack) -> None:
+        self._robot, self._task = robot, task
+        self._carrier = Carrier(robot, task.gripper)
+
+    def reset(self) -> None:
+        self._leaving = False
+        self._begin(self._next())
+
+    def _begin(self, level: int) -> None:
+        self._level = level
+        self._carrier.begin(self._task.cubes[min(level, self._task.number - 1)])
+
+    def _next(self) -> int:
+        """How many cubes stand on their places."""
+        task = self._task
+        for level, (x, y, z) in enumerate(task.offsets, 1):
+            held = self._robot.pads_touching(task.cubes[level].body)
+            near = PLACED if held else task.settings.threshold
+            if max(abs(x), abs(y), abs(z - task.settings.object_size)) > near:
+                return level
+        return task.number
+
+    def act(self) -> FloatArray:
+        robot, task, level = self._robot, self._task, self._next()
+        (x, y, z), edge = robot.tool_position, task.settings.object_size
+        if level > self._level or level == task.number:
+            self._leaving = True
+        if level != self._level:
+            self._begin(level)
+        if self._leaving:
+            touching = any(robot.pads_touching(cube.body) for cube in task.cubes)
+            top = level * edge + HOVER_HEIGHT
+            self._leaving = touching or z < top - HOVER_HEIGHT / 2
+            return robot.towards((x, y, z if touching else top), self._carrier.open)
+        bx, by, bz = task.cubes[level - 1].position
+        return self._carrier.act((bx, by, bz + edge), level * edge)
