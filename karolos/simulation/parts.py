@@ -90,7 +90,7 @@ def mechanism(links: Sequence[Link]) -> Mechanism:
 
 def _link(name: str, shapes: Sequence[Shape], mass: float, inertia: Inertia | None, look: Colour | None) -> Element:
     link = Element("link", name=name)
-    found = inertia or (inertia_of(shapes, mass) if shapes else Inertia((0.0, 0.0, 0.0), (mass, mass, mass)))
+    found = inertia or (inertia_of(shapes, mass) if shapes and mass else Inertia((0.0, 0.0, 0.0), (mass, mass, mass)))
     inertial = SubElement(link, "inertial")
     _place(inertial, found.centre, found.axes)
     SubElement(inertial, "mass", value=repr(mass))

@@ -1,0 +1,302 @@
+"""Open: the closed gripper hooks the handle of a drawer or a door and brings it to a position, open or closed."""
+
+from __future__ import annotations
+
+from math import cos, hypot, pi, sin
+from typing import Annotated, Literal
+
+import numpy as np
+from pydantic import Field as Setting
+
+from ..core import Array, BoolArray, Expert, Field, FloatArray, Layout
+from ..core import Settings as BaseSettings
+from ..core.seeding import Generator
+from ..randomization.randomization import Drawn, Probability
+from ..simulation.geometry import Vector
+from ..simulation.interface import Camera, RobotView, Task, World
+from ..simulation.parts import Link, mechanism
+from ..simulation.shapes import Cuboid, Shape, inertia_of
+from .cube import braking, drift
+from .force_penalty import ForcePenalty
+from .point_goal import GOAL_COLOUR, PointGoal, sample_position
+from .starts import drawn_stage, start
+
+PIECE_COLOUR, FRONT_COLOUR = (0.35, 0.42, 0.5, 1.0), (0.93, 0.45, 0.13, 1.0)
+TRAVEL, ANGLE = 0.15, pi / 2
+"""How far the drawer moves in m, and how far the door turns in rad."""
+WIDTH, DEPTH, TOP, BOARD = 0.18, 0.16, 0.06, 0.016
+"""Of the piece, and thickness of its boards, in m. It is so low that no hand meets it that is at the handle."""
+BAR = 0.012
+"""Thickness of the bar of the handle in m. With its two legs it encloses a square in front of drawer or door."""
+BAR_HEIGHT, GRIP = 0.05, 0.045
+"""Height of the bar, and of the tool that is behind it, in m."""
+HINGE_DISTANCE = 0.13
+"""m from the hinge of the door to its handle, along the door."""
+PLACE, TURN, MARGIN = (0.08, 0.16, 0.0), pi / 4, 0.01
+"""Edges in m of the box in which the middle of the handle's way lies, the largest turn of the piece from facing the
+robot in rad, and the distance in m of that way from the edges of the workspace."""
+NEAR = 0.08
+"""m above the handle of the highest start near it."""
+
+
+class JointGoal(PointGoal):
+    """Success where a joint is near its goal, in m or rad.
+
+    `achieved` and `desired` (..., 4): the position of the joint and that of the handle (3, m), which follows from it.
+    """
+
+    def success(self, achieved: Array, desired: Array) -> BoolArray:
+        near: BoolArray = np.abs(achieved[..., 0] - desired[..., 0]) < self.threshold
+        return near
+
+    def distance(self, achieved: Array, desired: Array) -> FloatArray:
+        return super().distance(achieved[..., 1:], desired[..., 1:])
+
+
+class HingeGoal(JointGoal):
+    """The same for a joint that turns, whose position is an angle."""
+
+    def angle(self, achieved: Array, desired: Array) -> FloatArray:
+        off: FloatArray = np.abs(achieved[..., 0] - desired[..., 0])
+        return off
+
+
+class Open(Task):
+    """What to do: bring a drawer to within 1 cm of a position, or a door to within 3 degrees, by its handle.
+
+    A drawer moves by 15 cm, a door turns by 90 degrees. A handle is a bar on two legs, which a closed gripper that
+    points down pulls and pushes from behind. The goal may be more or less open than the start.
+
+    What is randomised: the middle of the handle's way, in a box of 8 by 16 cm in the middle of the workspace; where the
+    piece faces, by up to 45 degrees from the robot; the position of the joint at the start and the goal, uniformly over
+    its range. With probability `start_hooked` an episode begins with the tool behind the bar, of the others with
+    probability `start_near` with the tool there or up to 8 cm above: parameters that training may draw.
+
+    Observation: handle_position (3, m), handle_direction (2, where it moves when the piece opens), handle_speed (1, m/s
+    along it), joint_position (1, m or rad), handle_from_tool (3, m).
+    Action: the robot's, without the gripper.
+    Goals: achieved and desired, the position of the joint (1, m or rad) and that of the handle (3, m).
+    Reward: sparse -1 until the goal is reached, then 0; dense minus the distance of the handle in m.
+    What counts as success: the joint lies within `threshold` of the goal, that of a door within `angle_threshold`.
+    Termination: never; the episode is truncated after `max_steps`.
+    """
+
+    class Settings(BaseSettings):
+        mechanism: Literal["drawer", "door"] = Setting("drawer", description="what is opened and closed")
+        reward: Literal["sparse", "dense"] = Setting("sparse", description="-1 until there, or minus the distance in m")
+        threshold: float = Setting(0.01, gt=0, le=0.05, description="distance at which a drawer's goal is reached, m")
+        angle_threshold: float = Setting(
+            pi / 60, gt=0, le=0.5, description="angle at which a door's goal is reached, rad; the default is 3 degrees"
+        )
+        handle_width: float = Setting(
+            0.07, ge=0.04, le=0.1, description="edge of the square behind the bar of the handle, m"
+        )
+        friction: Annotated[float, Drawn("1", 0.0, 3.0)] = Setting(
+            0.5, ge=0, le=5, description="lateral friction coefficient of drawer or door and handle"
+        )
+        mass: Annotated[float, Drawn("kg", 0.2, 5.0)] = Setting(1.0, gt=0, le=20, description="of what moves, kg")
+        joint_friction: Annotated[float, Drawn("N", 0.0, 20.0)] = Setting(
+            3.0, ge=0, le=50, description="dry friction of the joint, as a force at the handle, N"
+        )
+        joint_damping: Annotated[float, Drawn("N s/m", 0.0, 50.0)] = Setting(
+            5.0, ge=0, le=200, description="viscous friction of the joint, at the handle, N s/m"
+        )
+        force_penalty: ForcePenalty | None = Setting(
+            None, description="what pressing costs: of the largest force on a link of arm or gripper; null: nothing"
+        )
+        start_hooked: Probability = start("the tool behind the bar of the handle")
+        start_near: Probability = start("the tool behind the bar of the handle or above it")
+        max_steps: int = Setting(60, ge=1, le=100_000, description="control steps per episode")
+
+    settings: Settings
+    drawn: Settings
+    goal_rule: JointGoal
+    uses_gripper = False
+    protective_stop = False  # a tool that meets the bar at full speed presses with 200 N, and must learn not to
+    camera = Camera(target=(0.5, 0.0, 0.08), distance=1.2)
+    observation = Layout(
+        (
+            Field("handle_position", 3, "m"),
+            Field("handle_direction", 2),
+            Field("handle_speed", 1, "m/s"),
+            Field("joint_position", 1, "m, rad"),
+            Field("handle_from_tool", 3, "m"),
+        )
+    )
+    achieved_goal = desired_goal = Layout((Field("joint_position", 1, "m, rad"), Field("handle_position", 3, "m")))
+
+    def __init__(self, settings: Open.Settings) -> None:
+        super().__init__(settings)
+        self.turns = settings.mechanism == "door"
+        self.range = ANGLE if self.turns else TRAVEL
+        self.handle = BOARD / 2 + settings.handle_width / 2, HINGE_DISTANCE if self.turns else 0.0
+        """Its x and y in m from the middle of the front or from the hinge, closed: x is where it opens to."""
+        self.lever = hypot(*self.handle) if self.turns else 1.0
+        """m that the handle moves per m or rad of the joint."""
+        dense = settings.reward == "dense"
+        rule, threshold = (HingeGoal, settings.angle_threshold) if self.turns else (JointGoal, settings.threshold)
+        self.goal_rule = rule(threshold, dense=dense, span=1.0)
+        if settings.force_penalty is not None:
+            self.extra_reward_range = -settings.force_penalty.most, 0.0
+
+    def fit(self, robot: RobotView) -> None:
+        self._robot = robot
+        self.places = robot.workspace.middle(PLACE)
+
+    def build(self, world: World) -> None:
+        shapes = self._front()
+        front = Link(
+            name="front",
+            shapes=shapes,
+            mass=1.0,
+            colour=FRONT_COLOUR,
+            parent="piece",
+            joint="hinge" if self.turns else "slide",
+            axis=(0.0, 0.0, -1.0) if self.turns else (1.0, 0.0, 0.0),
+            range=(0.0, self.range),
+        )
+        self.inertia = inertia_of(shapes, 1.0).moments
+        """Of 1 kg, in kg m2."""
+        self.piece = world.load(mechanism([_body(WIDTH / 2 if self.turns else 0.0), front]))
+        self.link = self.piece.links()["front"]
+        self._marker = world.marker(0.02, GOAL_COLOUR)
+        for name in ("mass", "friction", "joint_friction", "joint_damping"):
+            self.apply(world, name, getattr(self.settings, name))
+        if self.settings.force_penalty is not None:
+            self._robot.largest_force()  # PyBullet records forces from the first question on
+
+    def _front(self) -> list[Shape]:
+        """The drawer or the door with its handle, closed. The middle of the drawer's front or the hinge is at 0."""
+        inner, (x, y), middle = self.settings.handle_width, self.handle, WIDTH / 2 if self.turns else 0.0
+        legs = [
+            Cuboid((inner, BAR, BAR), position=(x, y + sign * (inner + BAR) / 2, BAR_HEIGHT)) for sign in (-1.0, 1.0)
+        ]
+        bar = Cuboid((BAR, inner + 2 * BAR, BAR), position=(x + (inner + BAR) / 2, y, BAR_HEIGHT))
+        plate = Cuboid((BOARD, WIDTH, TOP - 0.01), position=(0.0, middle, (TOP + 0.01) / 2))
+        tray = Cuboid((DEPTH - 2 * BOARD, WIDTH - 3 * BOARD, TOP / 2), position=(-DEPTH / 2, 0.0, TOP / 2))
+        return [plate, bar, *legs] if self.turns else [plate, bar, *legs, tray]
+
+    def apply(self, world: World, name: str, value: float) -> None:
+        super().apply(world, name, value)
+        if name == "mass":
+            a, b, c = self.inertia
+            self.piece.set_inertia(value, (value * a, value * b, value * c), self.link)
+        elif name == "friction":
+            self.piece.set_friction(value, self.link)
+        elif name == "joint_friction":
+            self.piece.drive_joint("front", 0.0, value * self.lever)
+        elif name == "joint_damping":
+            self.piece.set_joint_damping("front", value * self.lever**2)
+
+    def reset(self, generator: Generator) -> None:
+        self.yaw = pi + generator.uniform(-TURN, TURN)
+        self._stand(sample_position(generator, self.places, "the handle", self._fits))
+        self.piece.place((*self.origin, 0.0), (0.0, 0.0, sin(self.yaw / 2), cos(self.yaw / 2)))
+        begin, goal = generator.uniform(0.0, self.range, 2).tolist()
+        while abs(goal - begin) < self.goal_rule.threshold:
+            goal = generator.uniform(0.0, self.range)
+        self.piece.place_joint("front", begin)
+        stage, above = drawn_stage(self.drawn, generator.uniform(), "hooked", "near"), generator.uniform(0.0, NEAR)
+        x, y, z = self.handle_at(begin)
+        if stage:
+            self._robot.place_tool((x, y, z + above * (stage == "near")), 0.0)
+        self.goal = np.array((goal, *self.handle_at(goal)), np.float32)
+        self._marker.place(self.handle_at(goal))
+        self.read()
+
+    def _stand(self, middle: FloatArray) -> None:
+        """Set the place of the piece so that the middle of the handle's way is there, in m."""
+        self.origin = 0.0, 0.0
+        x, y, _ = np.subtract(middle, self.handle_at(self.range / 2)).tolist()
+        self.origin = x, y
+
+    def _fits(self, middle: FloatArray) -> bool:
+        """Whether the handle stays in the workspace on its way, if the middle of that is there."""
+        self._stand(middle)
+        way = (self.handle_at(share * self.range) for share in (0.0, 0.25, 0.5, 0.75, 1.0))
+        return all(self._robot.workspace.contains(point, -MARGIN) for point in way)
+
+    def handle_at(self, position: float) -> Vector:
+        """Where a tool hooks the handle, in m, at a position of the joint."""
+        (x, y), turned = self.handle, self.yaw - position if self.turns else self.yaw
+        x, a, b = x if self.turns else x + position, cos(turned), sin(turned)
+        return self.origin[0] + a * x - b * y, self.origin[1] + b * x + a * y, GRIP
+
+    def direction_at(self, position: float) -> tuple[float, float]:
+        """Where the handle moves when the joint opens, as a unit vector along the floor."""
+        (x, y), turned = self.handle, self.yaw - position if self.turns else self.yaw
+        across, along = (-x / self.lever, y / self.lever) if self.turns else (0.0, 1.0)
+        return cos(turned) * along - sin(turned) * across, sin(turned) * along + cos(turned) * across
+
+    def read(self) -> None:
+        self.position, self.speed = self.piece.joint("front")
+
+    def observe(self) -> list[float]:
+        values = [*self.handle_at(self.position), *self.direction_at(self.position)]
+        values = self._robot.with_noise([*values, self.lever * self.speed, self.position])
+        return values + [own - tool for own, tool in zip(values, self._robot.observed_tool_position, strict=False)]
+
+    def achieved(self) -> FloatArray:
+        return np.array((self.position, *self.handle_at(self.position)), np.float32)
+
+    def extra_reward(self) -> float:
+        penalty = self.settings.force_penalty
+        return 0.0 if penalty is None else penalty.reward(self._robot.largest_force())
+
+    def lost(self) -> bool:
+        return not abs(self.position) < 10.0
+
+    def expert(self) -> Expert:
+        return OpenExpert(self._robot, self)
+
+
+HOVER = 0.055
+"""m above the handle at which the tool arrives."""
+ALIGNED = 0.01
+"""m of the tool beside the middle of the handle's square at which it goes down."""
+AHEAD, GAIN, SLOWING = 0.008, 1.5, 0.6
+"""m of the handle's way that the tool aims ahead while the handle rests, what it aims further per m that the handle
+moves in a control step, and the share of the way to the goal that it aims ahead at the most."""
+DONE = 0.3
+"""Fraction of the threshold at which the handle is left alone."""
+
+
+class OpenExpert(Expert):
+    """Goes over the handle, down behind its bar, and along its way. Restarts when it is out of it."""
+
+    def __init__(self, robot: RobotView, task: Open) -> None:
+        self._robot, self._task = robot, task
+
+    def act(self) -> FloatArray:
+        robot, task = self._robot, self._task
+        (x, y, z), (tx, ty, tz) = task.handle_at(task.position), robot.tool_position
+        beside = hypot(tx - x, ty - y)
+        if beside > task.settings.handle_width / 2 or tz > z + BAR:
+            high = tz > z + 0.8 * HOVER
+            if beside < ALIGNED and (not high or drift(robot) < ALIGNED):
+                target: Vector = (x, y, z)
+            else:
+                target = (x, y, z + HOVER) if high else (tx, ty, z + HOVER)
+            return robot.towards(braking(robot, target), 0.0)
+        error = (float(task.goal[0]) - task.position) * task.lever
+        most = AHEAD + GAIN * abs(task.speed) * task.lever * robot.period
+        ahead = 0.0 if abs(error) < DONE * task.goal_rule.threshold * task.lever else SLOWING * error
+        ahead = max(-most, min(most, ahead))
+        gx, gy, gz = task.handle_at(task.position + ahead / task.lever)
+        a, b = task.direction_at(task.position)
+        behind = (tx - x) * a + (ty - y) * b  # kept, because the tool touches one side of the square
+        return robot.towards((gx + behind * a, gy + behind * b, gz), 0.0)
+
+
+def _body(middle: float) -> Link:
+    """What stands on the floor behind the front: four boards around a drawer or behind a door.
+
+    Args:
+        middle: of the piece, in m to the side of the origin.
+    """
+    front, back = -BOARD, -BOARD - DEPTH
+    side = DEPTH, BOARD, TOP
+    shapes = [Cuboid(side, position=((front + back) / 2, middle + y, TOP / 2)) for y in (-WIDTH / 2, WIDTH / 2)]
+    shapes.append(Cuboid((DEPTH, WIDTH, BOARD), position=((front + back) / 2, middle, TOP - BOARD / 2)))
+    shapes.append(Cuboid((BOARD, WIDTH, TOP), position=(back + BOARD / 2, middle, TOP / 2)))
+    return Link(name="piece", shapes=shapes, colour=PIECE_COLOUR)
