@@ -61,7 +61,7 @@ def play(
     from karolos.evaluation.playing import play_failures
     from karolos.evaluation.policies import engine_of, has_window, load_expert
     from karolos.records.shipped import is_shipped
-    from karolos.report.video import check_video_path, pictures, write_video
+    from karolos.report.video import check_video_path, write_film
     from karolos.specification import load_spec
 
     if expert:
@@ -78,7 +78,8 @@ def play(
     else:
         if modules := _modules(folder):
             say(f"{folder.id} names code of this machine: {', '.join(modules)} will be imported")
-        player = load_player(folder, checkpoint or _best_or_last(folder), changed, window=window)
+        name = checkpoint or _best_or_last(folder)
+        player = load_player(folder, name, changed, window=window)
         spec, environment, policy, note = player.spec, player.environment, player.policy, player.note
     if note:
         warn(note)
@@ -103,7 +104,9 @@ def play(
             transient=True,
             disable=not sys.stderr.isatty(),
         )
-        write_video(target, pictures(filmed, width, height), environment.rate)
+        beginning = write_film(target, filmed, environment, (width, height))
+    if not (expert or out or failures or changed or is_shipped(folder)):
+        _show_in_tensorboard(folder, name, beginning, (width // 2, height // 2))
     print(target)
 
 
@@ -130,6 +133,13 @@ def _best_or_last(folder: RunFolder) -> str:
         return "best"
     say(f"{folder.id} was never tested and has no checkpoint best: playing last")
     return "last"
+
+
+def _show_in_tensorboard(folder: RunFolder, checkpoint: str, film: bytes, size: tuple[int, int]) -> None:
+    from karolos.checkpoint import read_meta
+    from karolos.experiment.tensorboard_writer import add_film
+
+    add_film(folder.tensorboard, film, size, read_meta(folder.checkpoints, checkpoint)["steps"])
 
 
 def _report_episodes(moments: Iterator[Moment]) -> Iterator[Moment]:

@@ -9,20 +9,17 @@ import hashlib
 import sys
 from pathlib import Path
 
-import numpy as np
 from PIL import Image
 
 from karolos.evaluation.changed_spec import load_player
 from karolos.evaluation.playing import play
 from karolos.records import RunFolder, shipped
-from karolos.report.video import with_caption, write_gif
+from karolos.report.video import pictures_per_second, with_caption, write_gif
 
 FILMS = Path(__file__).parents[1] / "films"
-SIZE = (288, 216)
-SCALE = 2
-"""Pictures are drawn larger and made smaller, which smooths edges."""
-RATE, HOLD, EPISODES, COLOURS = 12, 8, 2, 96
-"""Pictures per second, pictures of the end of an episode, episodes, colours."""
+SIZE = (320, 240)
+HOLD, EPISODES, COLOURS = 16, 2, 192
+"""Pictures of the end of an episode, episodes, colours."""
 
 
 def sha256(name: str) -> str:
@@ -39,21 +36,18 @@ def make(name: str) -> Path:
     """Film the test episodes of a policy that ships."""
     player = load_player(RunFolder.open(shipped.FOLDER / name))
     environment = player.environment
-    pictures, every = [], round(environment.rate / RATE)
+    pictures, rate = [], pictures_per_second(environment)
     try:
         for moment in play(environment, player.policy, episodes=EPISODES, seed=player.spec.testing.seed):
-            if moment.step % every and not moment.over:
-                continue
-            large = Image.fromarray(environment.render(SCALE * SIZE[0], SCALE * SIZE[1]))
-            small = np.asarray(large.resize(SIZE, Image.Resampling.LANCZOS))
-            text = "success" if moment.success else ""
-            small = with_caption(small, text, success=moment.success, failed=moment.over and not moment.success)
-            pictures += [small] * (HOLD if moment.over else 1)
+            text, failed = "success" if moment.success else "", moment.over and not moment.success
+            for picture in environment.film(round(rate / environment.rate) if moment.step else 1, *SIZE):
+                pictures.append(with_caption(picture, text, success=moment.success, failed=failed))
+            pictures += pictures[-1:] * (HOLD * moment.over)
     finally:
         environment.close()
     FILMS.mkdir(exist_ok=True)
     film = FILMS / f"{name}.gif"
-    write_gif(film, pictures, 1000 * every / environment.rate, colours=COLOURS, comment=f"policy {sha256(name)}")
+    write_gif(film, pictures, 1000 / rate, colours=COLOURS, comment=f"policy {sha256(name)}")
     return film
 
 

@@ -26,9 +26,7 @@ ORANGE, BLUE = (0.9, 0.5, 0.1, 1.0), (0.2, 0.45, 0.85, 1.0)
 
 
 def save(name: str, world: Any, **camera: Any) -> None:
-    picture = world.render(2 * SIZE[0], 2 * SIZE[1], Camera(**camera))
-    small = picture.reshape(SIZE[1], 2, SIZE[0], 2, 3).mean((1, 3)).astype(np.uint8)
-    imageio.imwrite(PAGE.with_suffix("") / f"{name}.png", small)
+    imageio.imwrite(PAGE.with_suffix("") / f"{name}.png", world.render(*SIZE, Camera(**camera)))
 
 
 def shapes(names: dict[str, Any]) -> None:

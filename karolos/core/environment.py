@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import sys
 from abc import ABC, abstractmethod
+from collections.abc import Iterator
 
 import numpy as np
 from numpy.typing import NDArray
@@ -83,6 +84,13 @@ class Environment(ABC):
     def render(self, width: int = 640, height: int = 480) -> NDArray[np.uint8]:
         """An image of the current state: (height, width, 3). Raises NotImplementedError without rendering."""
         raise NotImplementedError(f"{type(self).__name__} cannot render")
+
+    def film(self, pictures: int, width: int = 640, height: int = 480) -> Iterator[NDArray[np.uint8]]:
+        """Pictures of the time since the last one, evenly spaced; the last shows the current state.
+
+        An environment that only renders shows the current state in all of them.
+        """
+        yield from [self.render(width, height)] * pictures
 
     def close(self) -> None:  # noqa: B027 (nothing to free by default)
         """Release resources. Safe to call twice."""

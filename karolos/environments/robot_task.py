@@ -2,9 +2,9 @@
 
 from __future__ import annotations
 
-from collections.abc import Mapping
+from collections.abc import Iterator, Mapping
 from dataclasses import replace
-from math import isfinite
+from math import hypot, isfinite
 from typing import Any, Literal
 
 import numpy as np
@@ -18,7 +18,8 @@ from ..errors import PluginError, UsageError
 from ..randomization.distributions import Distribution
 from ..randomization.randomization import Randomization
 from ..simulation.engines import Engine, check_engine, make_world
-from ..simulation.interface import Camera, Robot, Task, World
+from ..simulation.geometry import rotated
+from ..simulation.interface import Camera, Robot, Stroke, Task, World
 from ..simulation.interface.engine import PHYSICS_RATE
 from .action_set import ActionSet, action_index
 
@@ -26,6 +27,10 @@ TIME_TO_SUCCESS = Measure(
     "time_to_success", "s", "smaller", "time from which on the goal is reached until the end; undefined in a failure"
 )
 FINAL_ANGLE = Measure("final_angle", "rad", "smaller", "angle to the goal's orientation at the end of the episode")
+FORCE_COLOUR = (0.84, 0.1, 0.5, 1.0)
+LEAST_SHOWN, LONGEST_SHOWN, LENGTH_OF_FORCE = 1.0, 20.0, 0.25
+"""Forces in N from which on a picture has an arrow and from which on it is no longer, and this length as a fraction of
+the camera's distance."""
 
 
 class RobotTask(Environment):
@@ -80,6 +85,7 @@ class RobotTask(Environment):
             period=settings.substeps / PHYSICS_RATE,
             control=task.control,
             protective_stop=task.protective_stop,
+            fingers=task.fingers,
         )
         for setting in (*robot.mujoco_only, *task.mujoco_only) if settings.engine == "bullet" else ():
             raise UsageError("PyBullet cannot do this", setting=setting, hint="set environment.engine=mujoco")
@@ -115,6 +121,7 @@ class RobotTask(Environment):
             )
         if not kept:
             raise UsageError("nothing would be observed", setting="environment.omit", hint="leave out less")
+        self._feels = any("wrench" in field.name for field in full.fields)
         self._columns: NDArray[np.intp] | None = None
         """Those of the full observation that are kept; None: all."""
         if settings.omit:
@@ -166,7 +173,7 @@ class RobotTask(Environment):
     def camera(self) -> Camera:
         """Where pictures are taken from: the task's camera, which moves with the robot's base."""
         x, y, z = (own + base for own, base in zip(self.task.camera.target, self.robot.base, strict=True))
-        return replace(self.task.camera, target=(x, y, z))
+        return replace(self.task.camera, target=(x, y, z), base=self.robot.base)
 
     @property
     def world(self) -> World:
@@ -307,7 +314,26 @@ class RobotTask(Environment):
         return found
 
     def render(self, width: int = 640, height: int = 480) -> Array:
-        return self.world.render(width, height, self.camera)
+        """The world, what the task draws, and the force at the tool where robot or task observe the wrench."""
+        [picture] = self.film(1, width, height)
+        return picture
+
+    def film(self, pictures: int, width: int = 640, height: int = 480) -> Iterator[Array]:
+        strokes = [*self.task.strokes(), *self._force()]
+        for left in range(pictures - 1, -1, -1):
+            yield self.world.render(width, height, self.camera, strokes, left / pictures)
+
+    def _force(self) -> Iterator[Stroke]:
+        """An arrow from the tool along the force on it."""
+        if not self._feels or self._world is None:
+            return
+        force = rotated(self.robot.tool.orientation, self.robot.wrench[:3])
+        newtons = hypot(*force)
+        if newtons >= LEAST_SHOWN:
+            metres = self.camera.distance * LENGTH_OF_FORCE / max(newtons, LONGEST_SHOWN)
+            start = self.robot.tool.position
+            x, y, z = (own + metres * part for own, part in zip(start, force, strict=True))
+            yield Stroke((start, (x, y, z)), FORCE_COLOUR, width=2.0, label=f"{newtons:.0f} N")
 
     def close(self) -> None:
         self._steps = self.signature.max_steps  # no episode is running

@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 import pickle
-from collections.abc import Mapping, Sequence
+from collections.abc import Iterator, Mapping, Sequence
 from dataclasses import replace
 from itertools import product
 from typing import Any
@@ -69,6 +69,9 @@ class VariedRobotTask(Environment):
 
     def render(self, width: int = 640, height: int = 480) -> NDArray[np.uint8]:
         return self._current.render(width, height)
+
+    def film(self, pictures: int, width: int = 640, height: int = 480) -> Iterator[NDArray[np.uint8]]:
+        return self._current.film(pictures, width, height)
 
     def close(self) -> None:
         for variant in self._variants.values():

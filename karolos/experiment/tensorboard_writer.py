@@ -86,6 +86,29 @@ class TensorBoardWriter:
             self._records.flush()
 
 
+def add_film(folder: Path, film: bytes, size: tuple[int, int], steps: int) -> None:
+    """Show a film (GIF) of width and height `size`, of the policy at these environment steps.
+
+    It gets a folder below that of the event files: TensorBoard reads one growing file per folder, which is the run's.
+    Raises MachineError when the file cannot be written.
+    """
+    from tensorboard.compat.proto.event_pb2 import Event  # noqa: PLC0415
+    from tensorboard.compat.proto.summary_pb2 import Summary  # noqa: PLC0415
+    from tensorboard.summary.writer.record_writer import RecordWriter  # noqa: PLC0415
+
+    width, height = size
+    image = Summary.Image(width=width, height=height, colorspace=3, encoded_image_string=film)
+    shown = Summary(value=[Summary.Value(tag="film", image=image)])
+    path = folder / "film" / f"events.out.tfevents.{time.time_ns()}.karolos"
+    with writing(path):
+        path.parent.mkdir(parents=True, exist_ok=True)
+        with path.open("xb") as file:
+            records = RecordWriter(file)
+            records.write(Event(wall_time=time.time(), file_version="brain.Event:2").SerializeToString())
+            records.write(Event(wall_time=time.time(), step=steps, summary=shown).SerializeToString())
+            records.flush()
+
+
 def _episode_means(episodes: Sequence[Episode], *, has_success: bool) -> dict[str, float]:
     """Means over training episodes; empty without episodes."""
     if not episodes:

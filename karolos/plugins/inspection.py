@@ -181,19 +181,12 @@ def _picture(robot: str, task: str | None, size: tuple[int, int] | None, **setti
         try:
             alone.build(world)
             alone.reset(SeedTree(0).generator())
-            return _halved(world.render(2 * width, 2 * height, Camera()))
+            return world.render(width, height, Camera(base=alone.base))
         finally:
             world.close()
     environment = pair(robot, task)
     try:
         environment.reset(test_seeds(0, 1)[0])
-        return _halved(environment.render(2 * width, 2 * height))
+        return environment.render(width, height)
     finally:
         environment.close()
-
-
-def _halved(picture: NDArray[np.uint8]) -> NDArray[np.uint8]:
-    """A picture (2h, 2w, 3) as (h, w, 3), each pixel the mean of four, because the renderer does not smooth edges."""
-    from PIL import Image  # noqa: PLC0415
-
-    return np.asarray(Image.fromarray(picture).reduce(2))

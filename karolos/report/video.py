@@ -3,6 +3,8 @@
 from __future__ import annotations
 
 from collections.abc import Iterable, Iterator, Sequence
+from io import BytesIO
+from math import ceil
 from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
@@ -13,9 +15,14 @@ from ..errors import UsageError
 from ..files import writing
 
 if TYPE_CHECKING:
+    from ..core import Environment
     from ..evaluation.playing import Moment
 
 FORMATS = (".mp4", ".gif")
+RATE = 24
+"""Pictures per second at least, where an environment takes fewer control steps."""
+BEGINNING_SECONDS = 8
+"""So much of a film is shown in TensorBoard."""
 OUTCOME_SECONDS = 0.7
 """A film shows the outcome of an episode for this long."""
 TEXT, SUCCESS, FAILURE = "#20262c", "#22a559", "#c8452f"
@@ -44,16 +51,41 @@ def with_caption(picture: NDArray[np.uint8], text: str, *, success: bool, failed
     return np.asarray(image)
 
 
+def pictures_per_second(environment: Environment) -> float:
+    """Of a film in real time: the control rate, or its first multiple from `RATE` on."""
+    return environment.rate * ceil(RATE / environment.rate - 1e-9)
+
+
 def pictures(moments: Iterable[Moment], width: int, height: int) -> Iterator[NDArray[np.uint8]]:
-    """A picture of each moment that says whether the goal is reached; the last of an episode stands for a while."""
+    """Pictures of each control step that say whether the goal is reached; the last of an episode stands for a while."""
     for moment in moments:
-        picture = moment.environment.render(width, height)
-        failed = moment.over and not moment.success and moment.environment.signature.has_success
+        environment = moment.environment
+        count = round(pictures_per_second(environment) / environment.rate)
+        failed = moment.over and not moment.success and environment.signature.has_success
         outcome = "success" if moment.success else "no success" if failed else ""
         text = f"episode {moment.episode + 1}   step {moment.step}   {outcome}"
-        picture = with_caption(picture, text, success=moment.success, failed=failed)
-        for _ in range(1 + moment.over * round(OUTCOME_SECONDS * moment.environment.rate)):
+        for picture in environment.film(count if moment.step else 1, width, height):
+            shown = with_caption(picture, text, success=moment.success, failed=failed)
+            yield shown
+        for _ in range(moment.over * round(OUTCOME_SECONDS * count * environment.rate)):
+            yield shown
+
+
+def write_film(path: Path, moments: Iterable[Moment], environment: Environment, size: tuple[int, int]) -> bytes:
+    """Film what is played, as `write_video`; returns the beginning as a GIF of half the size and rate."""
+    beginning: list[NDArray[np.uint8]] = []
+    rate = pictures_per_second(environment)
+
+    def drawn() -> Iterator[NDArray[np.uint8]]:
+        for number, picture in enumerate(pictures(moments, *size)):
+            if number % 2 == 0 and number < BEGINNING_SECONDS * rate:
+                beginning.append(picture[::2, ::2])
             yield picture
+
+    write_video(path, drawn(), rate)
+    gif = BytesIO()
+    write_gif(gif, beginning, 2000 / rate)
+    return gif.getvalue()
 
 
 def write_video(path: Path, pictures: Iterable[NDArray[np.uint8]], frames_per_second: float) -> None:
@@ -85,7 +117,12 @@ def write_video(path: Path, pictures: Iterable[NDArray[np.uint8]], frames_per_se
 
 
 def write_gif(
-    path: Path, pictures: Sequence[NDArray[np.uint8]], milliseconds: float, *, colours: int = 256, comment: str = ""
+    target: Path | BytesIO,
+    pictures: Sequence[NDArray[np.uint8]],
+    milliseconds: float,
+    *,
+    colours: int = 256,
+    comment: str = "",
 ) -> None:
     """Write pictures (height, width, 3), each shown for some milliseconds, in the same colours.
 
@@ -96,4 +133,5 @@ def write_gif(
     shades = np.unique(np.concatenate([one.reshape(-1, 3) >> 2 for one in pictures[::8]]), axis=0) << 2
     palette = Image.fromarray(shades[None].astype(np.uint8)).quantize(colours)
     first, *others = (Image.fromarray(one).quantize(palette=palette, dither=Image.Dither.NONE) for one in pictures)
-    first.save(path, save_all=True, append_images=others, duration=round(milliseconds), loop=0, comment=comment)
+    options: dict[str, Any] = {"duration": round(milliseconds), "loop": 0, "comment": comment}
+    first.save(target, "GIF", save_all=True, append_images=others, **options)

@@ -110,5 +110,8 @@ class ArmSettings(Settings):
         "open; false: at the beginning of the step",
     )
     finger_opening: float = Setting(
-        0.0, ge=0, le=1, description="how far a gripper that the task does not use stands open: 0 closed, 1 open"
+        0.0,
+        ge=0,
+        le=1,
+        description="how far a gripper that the task does not use stands open, up to 1; 0: closed, in slide half open",
     )

@@ -1,34 +1,45 @@
-"""Pictures of a world: the engine's renderer draws the bodies, NumPy the floor, the shadow and the markers.
+"""Pictures of a world: the engine's renderer draws the bodies, NumPy the floor, the shadow, markers and strokes.
 
 So pictures look alike whatever the engine, and cost a fifth with PyBullet, whose own floor and shadows are slow. The
-floor is a plane with lines every 0.1 and 0.5 m, and the shadow falls straight down, so that heights can be read.
+floor is a plane with lines every 0.1 and 0.5 m and a plate under the arm. The shadow falls straight down, so that
+heights can be read. Pictures are drawn larger and made smaller, which smooths edges.
 """
 
 from __future__ import annotations
 
-from collections.abc import Callable, Sequence
+from collections.abc import Callable, Iterator, Sequence
 from functools import lru_cache
-from math import atan, cos, degrees, radians, sin, tan
-from typing import NamedTuple
+from math import atan, cos, degrees, hypot, pi, radians, sin, tan
+from typing import Any, NamedTuple
 
 import numpy as np
 from numpy.typing import NDArray
 
 from ..core import Array, FloatArray
 from .geometry import Colour, Vector
-from .interface.engine import Camera
+from .interface.engine import Camera, Stroke
 
+SAMPLES = 2
+"""A pixel is the mean of so many to a side."""
 FLOOR_COLOUR = (158.0, 173.0, 189.0)
 SKY_COLOUR = (226.0, 232.0, 238.0)
-GRIDS = ((0.1, 0.001, 0.3), (0.5, 0.002, 0.55))
+PLATE_COLOUR, PLATE_EDGE = (122.0, 134.0, 147.0), (84.0, 94.0, 105.0)
+PLATE = (-0.4, 0.9, 0.55)
+"""The plate under the arm: its ends before and behind, and half its width, in m from the arm's base."""
+PLATE_CORNER, PLATE_RIM, PLATE_SHADOW = 0.06, 0.012, 0.05
+"""Radius of its corners, width of its rim and of the shadow around it, in m."""
+GRIDS = ((0.1, 0.0008, 0.22), (0.5, 0.0015, 0.4))
 """Distance between lines (m), half their width (m), opacity."""
 GRID_COLOUR = (235.0, 239.0, 243.0)
 SHADOW_OPACITY = 0.42
 """Opacity of the shadow of a body."""
-MARKER_SHADOW = 0.16
-MARKER_OPACITY = 0.55
-SHADOW_CELLS = 320
-"""The shadow is a square of so many cells to a side."""
+MARKER_OPACITY = 0.5
+STROKE = 0.006
+"""Width of a stroke as a fraction of the picture's height."""
+PIECES = 4
+"""Lines are hidden in so many pieces per point."""
+SHADOW_CELLS = 160, 480
+"""The shadow is a square of as many cells to a side as the picture is high, within these limits."""
 LIGHT_HEIGHT = 30.0
 """Height from which the shadow is taken, in m: light falls nearly straight down."""
 
@@ -54,12 +65,17 @@ width), which is infinite where there is no body."""
 
 
 class Marker(NamedTuple):
-    """A translucent sphere that is not a body."""
+    """A place without a body: a translucent sphere in a ring with a line down to the floor, or a disc on the floor."""
 
     position: Vector
     radius: float
     """In m."""
     colour: Colour
+
+    @property
+    def lies(self) -> bool:
+        """Whether it touches the floor, where a disc reads better than what is left of a sphere."""
+        return self.position[2] <= self.radius
 
 
 class View(NamedTuple):
@@ -74,11 +90,12 @@ class View(NamedTuple):
     """Through each pixel, 1 m long along the axis of the camera: (h, w, 3)."""
     empty: NDArray[np.uint8]
     """The floor and the sky: (h, w, 3)."""
+    floor: FloatArray
+    """x and y of the floor in each pixel, in m: (h, w, 2)."""
     above: Eye
     """The light."""
-    centre: tuple[float, float]
-    half: float
-    """Half the edge of the square that can have a shadow, in m."""
+    cells: int
+    """To a side of the square that can have a shadow."""
     cell: Array
     """Index of each pixel's cell in the square: (h, w). Pixels beside it have an index of the border."""
 
@@ -97,7 +114,7 @@ def view_of(width: int, height: int, camera: Camera) -> View:
     falls = rays[..., 2] < -1e-3
     away = np.where(falls, -origin[2] / np.minimum(rays[..., 2], -1e-3), 1e3)
     x, y = origin[0] + away * rays[..., 0], origin[1] + away * rays[..., 1]
-    empty = np.broadcast_to(np.array(FLOOR_COLOUR), (height, width, 3)).copy()
+    empty = _plate(x - camera.base[0], y - camera.base[1])
     for spacing, half, opacity in GRIDS:
         for place in (x, y):
             pixel = sum(np.abs(np.gradient(place, axis=axis)) for axis in (0, 1)) + 1e-6
@@ -108,8 +125,9 @@ def view_of(width: int, height: int, camera: Camera) -> View:
     empty = fog[..., None] * empty + (1 - fog)[..., None] * np.array(SKY_COLOUR)
     half = 0.8 * camera.distance
     centre = (camera.target[0], camera.target[1])
+    cells = min(max(height // SAMPLES, SHADOW_CELLS[0]), SHADOW_CELLS[1])
     columns, rows = (
-        np.clip(((sign * (place - middle) / half + 1) / 2 * SHADOW_CELLS).astype(np.int64), 0, SHADOW_CELLS - 1)
+        np.clip(((sign * (place - middle) / half + 1) / 2 * cells).astype(np.int64), 0, cells - 1)
         for sign, place, middle in ((1, x, centre[0]), (-1, y, centre[1]))
     )
     return View(
@@ -118,6 +136,7 @@ def view_of(width: int, height: int, camera: Camera) -> View:
         edge,
         rays.astype(np.float32),
         empty.astype(np.uint8),
+        np.stack((x, y), -1).astype(np.float32),
         Eye(
             (*centre, LIGHT_HEIGHT),
             (0.0, 0.0, -1.0),
@@ -126,10 +145,20 @@ def view_of(width: int, height: int, camera: Camera) -> View:
             LIGHT_HEIGHT - 4,
             LIGHT_HEIGHT + 1,
         ),
-        centre,
-        half,
-        (rows * SHADOW_CELLS + columns).astype(np.int32),
+        cells,
+        (rows * cells + columns).astype(np.int32),
     )
+
+
+def _plate(x: Array, y: Array) -> Array:
+    """The floor with the plate, for places (h, w) in m from the arm's base: colours (h, w, 3)."""
+    behind, ahead, half = PLATE
+    along = np.abs(x - (behind + ahead) / 2) - (ahead - behind) / 2 + PLATE_CORNER
+    across = np.abs(y) - half + PLATE_CORNER
+    beyond = np.hypot(np.maximum(along, 0), np.maximum(across, 0)) + np.minimum(np.maximum(along, across), 0)
+    outside = (beyond - PLATE_CORNER)[..., None]  # distance from its edge in m, negative on the plate
+    shaded = np.array(FLOOR_COLOUR) * (1 - SHADOW_OPACITY * np.exp(-((outside / PLATE_SHADOW) ** 2)))
+    return np.where(outside > 0, shaded, np.where(outside > -PLATE_RIM, PLATE_EDGE, PLATE_COLOUR))
 
 
 def _vector(values: Array) -> Vector:
@@ -137,32 +166,45 @@ def _vector(values: Array) -> Vector:
     return x, y, z
 
 
-def draw(render: Renderer, width: int, height: int, camera: Camera, markers: Sequence[Marker]) -> Array:
+def draw(
+    render: Renderer, width: int, height: int, camera: Camera, markers: Sequence[Marker], strokes: Sequence[Stroke]
+) -> Array:
     """A picture (height, width, 3) uint8."""
-    view = view_of(width, height, camera)
-    colours, away = render(view.eye, width, height)
+    from PIL import Image  # noqa: PLC0415
+
+    size = SAMPLES * width, SAMPLES * height
+    view = view_of(*size, camera)
+    colours, away = render(view.eye, *size)
     seen = np.isfinite(away)
     picture = view.empty.copy()
-    shade = _shadow(render, view, markers).ravel()[view.cell]
+    rings = [ring for marker in markers for ring in _rings(marker, view)]
+    for marker in markers:
+        if marker.lies:
+            place = np.nonzero(
+                ((view.floor - np.array(marker.position[:2], np.float32)) ** 2).sum(-1) < marker.radius**2
+            )
+            _blend(picture, place, 255 * np.array(marker.colour[:3], np.float32))
+    shade = _shadow(render, view).ravel()[view.cell]
     dark = np.nonzero((shade > 0) & ~seen)
     picture[dark] = picture[dark] * (1 - shade[dark])[:, None]
     np.copyto(picture, colours, where=seen[..., None])
     for marker in markers:
-        _draw_marker(picture, view, away, marker)
-    return picture
+        if not marker.lies:
+            _draw_sphere(picture, view, away, marker)
+    if rings or strokes:
+        picture = _draw_strokes(picture, view, away, [*rings, *strokes])
+    return np.asarray(Image.fromarray(picture).reduce(SAMPLES))
 
 
-def _shadow(render: Renderer, view: View, markers: Sequence[Marker]) -> FloatArray:
-    """Opacity of the shadow in each cell of the square, seen from above: (SHADOW_CELLS, SHADOW_CELLS)."""
-    _, below = render(view.above, SHADOW_CELLS, SHADOW_CELLS)
+def _blend(picture: NDArray[np.uint8], place: tuple[Array, ...], colour: Array) -> None:
+    picture[place] = picture[place] * (1 - MARKER_OPACITY) + MARKER_OPACITY * colour
+
+
+def _shadow(render: Renderer, view: View) -> FloatArray:
+    """Opacity of the shadow in each cell of the square, seen from above: (cells, cells)."""
+    _, below = render(view.above, view.cells, view.cells)
     shadow = SHADOW_OPACITY * np.isfinite(below).astype(np.float32)
-    size = 2 * view.half / SHADOW_CELLS
-    for marker in markers:
-        x = view.centre[0] - view.half + (np.arange(SHADOW_CELLS) + 0.5) * size - marker.position[0]
-        y = view.centre[1] + view.half - (np.arange(SHADOW_CELLS) + 0.5) * size - marker.position[1]
-        disc = x[None] ** 2 + y[:, None] ** 2 < marker.radius**2
-        shadow[disc] = np.maximum(shadow[disc], MARKER_SHADOW)
-    for _ in range(2):  # a soft edge
+    for _ in range(4):  # a soft edge
         shadow[1:-1] = (shadow[:-2] + shadow[1:-1] + shadow[2:]) / 3
         shadow[:, 1:-1] = (shadow[:, :-2] + shadow[:, 1:-1] + shadow[:, 2:]) / 3
     shadow[[0, -1]] = 0
@@ -170,7 +212,74 @@ def _shadow(render: Renderer, view: View, markers: Sequence[Marker]) -> FloatArr
     return shadow
 
 
-def _draw_marker(picture: NDArray[np.uint8], view: View, away: FloatArray, marker: Marker) -> None:
+def _rings(marker: Marker, view: View) -> Iterator[Stroke]:
+    """What outlines a marker: on the floor, or towards the camera and with a line down to the floor below it."""
+    (x, y, z), radius, colour = marker
+    turn = np.linspace(0.0, 2 * pi, 49)
+    circle = radius * np.stack((np.cos(turn), np.sin(turn), np.zeros(49)), -1)
+    floor = np.array((x, y, 0.001))
+    if marker.lies:
+        ring = circle + floor
+    else:
+        ring = circle @ view.axes + np.array(marker.position)
+        yield Stroke(((x, y, z - radius), (x, y, 0.001)), colour, width=0.4)
+        below = circle / 3 + floor
+        yield Stroke(tuple(map(_vector, below)), colour, width=0.6)
+    yield Stroke(tuple(map(_vector, ring)), colour)
+
+
+def _draw_strokes(
+    picture: NDArray[np.uint8], view: View, away: FloatArray, strokes: Sequence[Stroke]
+) -> NDArray[np.uint8]:
+    """The picture with strokes, which bodies in front hide, and arrows, which nothing hides."""
+    from PIL import Image, ImageDraw  # noqa: PLC0415
+
+    image = Image.fromarray(picture)
+    drawing = ImageDraw.Draw(image)
+    height, width = picture.shape[:2]
+    for stroke in strokes:
+        if len(stroke.points) < 2:
+            continue
+        colour = tuple(round(255 * level) for level in stroke.colour[:3])
+        thick = max(1, round(stroke.width * STROKE * height))
+        last = len(stroke.points) - 1
+        places = np.linspace(0, last, 1 + PIECES * last)
+        points = np.stack([np.interp(places, range(last + 1), axis) for axis in np.transpose(stroke.points)], -1)
+        right, up, ahead = (view.axes @ (points - np.array(view.eye.origin)).T).astype(float)
+        ahead = np.maximum(ahead, view.eye.near)
+        scale = height / 2 / view.edge / ahead
+        across, down = width / 2 + right * scale, height / 2 - up * scale
+        ends = list(zip(across.tolist(), down.tolist(), strict=True))
+        if stroke.label is None:
+            columns, rows = (np.clip(at, 0, end - 1).astype(int) for at, end in ((across, width), (down, height)))
+            shown = away[rows, columns] > ahead - 0.004
+            for first, second, visible in zip(ends, ends[1:], (shown[1:] & shown[:-1]).tolist(), strict=False):
+                if visible:
+                    drawing.line((first, second), fill=colour, width=thick)
+        else:
+            _draw_arrow(drawing, ends[0], ends[-1], thick, colour, stroke.label)
+    return np.asarray(image)
+
+
+def _draw_arrow(
+    drawing: Any, start: tuple[float, float], end: tuple[float, float], thick: int, colour: Any, label: str
+) -> None:
+    """An arrow between two places in the picture, with a white edge; the label stands right of its head."""
+    from PIL import ImageFont  # noqa: PLC0415
+
+    (x, y), (end_x, end_y) = start, end
+    long = max(hypot(end_x - x, end_y - y), 1e-6)
+    a, b = (end_x - x) / long, (end_y - y) / long
+    head = min(4.0 * thick, long)
+    neck = end_x - a * head, end_y - b * head
+    half = [(start, 0.5), (neck, 0.5), (neck, 1.6), (end, 0.0)]  # places and how far the edge is from them
+    edge = [(px - side * b * w * thick, py + side * a * w * thick) for side in (1, -1) for (px, py), w in half[::side]]
+    drawing.polygon(edge, fill=colour, outline="white", width=max(1, thick // 4))
+    font, white = ImageFont.load_default(5.5 * thick), {"stroke_width": max(1, thick // 4), "stroke_fill": "white"}
+    drawing.text((end_x + 2 * thick, end_y), label, fill=colour, font=font, anchor="lm", **white)
+
+
+def _draw_sphere(picture: NDArray[np.uint8], view: View, away: FloatArray, marker: Marker) -> None:
     """Blend a sphere into the picture where no body is in front of it. `away`: depth of the bodies in m."""
     offset = np.array(marker.position, np.float32) - np.array(view.eye.origin, np.float32)
     right, up, ahead = (view.axes @ offset).tolist()
@@ -191,4 +300,4 @@ def _draw_marker(picture: NDArray[np.uint8], view: View, away: FloatArray, marke
     place = np.nonzero((beside > 0) & (depth > view.eye.near) & (depth < away[part]))
     normal_z = (depth[place] * rays[place][:, 2] - offset[2]) / marker.radius
     colour = 255 * np.array(marker.colour[:3], np.float32) * (0.85 + 0.15 * normal_z[:, None])
-    picture[part][place] = picture[part][place] * (1 - MARKER_OPACITY) + MARKER_OPACITY * colour
+    _blend(picture[part], place, colour)

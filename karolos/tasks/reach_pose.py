@@ -9,16 +9,16 @@ from pydantic import Field as Setting
 
 from ..core import Expert, FloatArray, Layout, Settings
 from ..core.seeding import Generator
-from ..simulation.geometry import rotated
-from ..simulation.interface import RobotView, Task, World
+from ..simulation.geometry import axes
+from ..simulation.interface import RobotView, Stroke, Task, World
 from .point_goal import GOAL_COLOUR, check_threshold, sample_position
 from .pose_goal import PoseGoal, check_turning, pose_array, pose_fields, sample_orientation
 
 GOAL_BOX = (0.16, 0.24, 0.24)
 """Edges in m of the box of goals; every built-in arm has such a one in which it can turn its tool."""
-AXIS_COLOUR = (0.9, 0.3, 0.2, 0.8)
+AXIS_COLOURS = (0.86, 0.24, 0.2, 1.0), (0.16, 0.6, 0.3, 1.0), (0.2, 0.4, 0.86, 1.0)
 AXIS_LENGTH = 0.06
-"""m from the goal to the marker that shows from where the tool comes."""
+"""m, of the axes that pictures show at the goal."""
 
 
 class ReachPoseSettings(Settings):
@@ -67,7 +67,7 @@ class ReachPose(Task):
 
     def build(self, world: World) -> None:
         super().build(world)
-        self._markers = world.marker(0.015, GOAL_COLOUR), world.marker(0.008, AXIS_COLOUR)
+        self._marker = world.marker(0.015, GOAL_COLOUR)
 
     def reset(self, generator: Generator) -> None:
         start = self.achieved()
@@ -78,13 +78,19 @@ class ReachPose(Task):
 
         x, y, z = self.position = sample_position(generator, self.box, "the goal", away).tolist()
         self.goal = pose_array(self.position, self.orientation)
-        a, b, c = rotated(self.orientation, (0.0, 0.0, -AXIS_LENGTH))
-        for marker, place in zip(self._markers, ((x, y, z), (x + a, y + b, z + c)), strict=True):
-            marker.place(place)
+        self._marker.place((x, y, z))
 
     def achieved(self) -> FloatArray:
         tool = self._robot.tool
         return np.array([*tool.position, *tool.x, *tool.y], np.float32)
+
+    def strokes(self) -> list[Stroke]:
+        """The axes of the tool at the goal, the last from where it comes."""
+        x, y, z = self.position
+        ends = [(AXIS_LENGTH * a, AXIS_LENGTH * b, AXIS_LENGTH * c) for a, b, c in axes(self.orientation)]
+        ends[2] = -ends[2][0], -ends[2][1], -ends[2][2]
+        lines = [((x, y, z), (x + a, y + b, z + c)) for a, b, c in ends]
+        return [Stroke(line, colour) for line, colour in zip(lines, AXIS_COLOURS, strict=True)]
 
     def expert(self) -> Expert:
         return ReachPoseExpert(self._robot, self)

@@ -23,14 +23,14 @@ from ..simulation.geometry import (
     rotation_about,
     rotation_vector,
 )
-from ..simulation.interface import Gripper, RobotView, World
+from ..simulation.interface import Gripper, RobotView, Stroke, World
 from ..simulation.interface.engine import Material
 from ..simulation.shapes import Cuboid, Cylinder, Shape, inertia_of
 from .carrying import CARRYING_CLEARANCE, GRIP_HEIGHT, HOVER_HEIGHT
 from .cube import CUBE_COLOUR, Cube, CubeSettings, CubeTask, braking, drift
 from .point_goal import GOAL_COLOUR, sample_position
 from .pose_goal import PoseGoal, check_turning, pose_array, pose_fields, sample_orientation
-from .reach_pose import AXIS_COLOUR, AXIS_LENGTH, GOAL_BOX
+from .reach_pose import AXIS_COLOURS, GOAL_BOX
 from .starts import drawn_stage, start
 
 EDGES = (1.0, 4 / 3, 2.0)
@@ -171,7 +171,7 @@ class Reorient(CubeTask):
     def build(self, world: World) -> None:
         self.cube = Piece(self.settings, world)
         self.cubes = [self.cube]
-        self._markers = world.marker(0.015, GOAL_COLOUR), world.marker(0.008, AXIS_COLOUR)
+        self._marker = world.marker(0.015, GOAL_COLOUR)
         if self.settings.force_penalty is not None:
             self._robot.largest_force()  # PyBullet records forces from the first question on
 
@@ -206,19 +206,26 @@ class Reorient(CubeTask):
             opening = 1.0 if open_ else piece.width / self.gripper.width
             robot.place_tool(place, opening, orientation=tool, closing=not open_)
         piece.place((x, y, z), turned(tool))
-        start_pose, place = self.achieved(), piece.position
+        start_pose = self.achieved()
         while True:
             position, tool = pose(air=generator.uniform() < AIR_PROBABILITY)
             self.goal_position, self.goal_rotation = position, turned(tool)
             self.goal = pose_array(position, self.goal_rotation)
             if not self.goal_rule.success(start_pose, self.goal):
                 break
-        (x, y, z), (a, b, c) = position, rotated(self.goal_rotation, (0.0, 0.0, AXIS_LENGTH))
-        for marker, place in zip(self._markers, ((x, y, z), (x + a, y + b, z + c)), strict=True):
-            marker.place(place)
+        self._marker.place(self.goal_position)
 
     def achieved(self) -> FloatArray:
         return pose_array(self.cube.position, self.cube.orientation)
+
+    def strokes(self) -> list[Stroke]:
+        """The axes of the object at the goal, both ways."""
+        found = []
+        for axis, edge, colour in zip(axes(self.goal_rotation), self.cube.edges, AXIS_COLOURS, strict=True):
+            x, y, z = self.goal_position
+            a, b, c = (edge * part for part in axis)
+            found.append(Stroke([(x - a, y - b, z - c), (x + a, y + b, z + c)], colour))
+        return found
 
     def expert(self) -> Expert:
         return ReorientExpert(self._robot, self)

@@ -12,8 +12,8 @@ from ..core import Array, BoolArray, Expert, Field, FloatArray, GoalRule, Layout
 from ..core.seeding import Generator
 from ..errors import UsageError
 from ..randomization.randomization import Drawn, Probability
-from ..simulation.geometry import axes
-from ..simulation.interface import Box, Camera, RobotView, World
+from ..simulation.geometry import Vector, axes
+from ..simulation.interface import Box, Camera, RobotView, Stroke, World
 from ..simulation.interface.engine import GRAVITY
 from .cube import FIELDS, CubeSettings, CubeTask, check_gripper
 from .flight import FLIGHT_STEPS, Flight, flight_time
@@ -22,6 +22,7 @@ from .throw_planner import RUN_UP, ThrowPlanner
 
 FLOOR_CONTACT = 0.002
 """m above the floor below which a corner of the cube counts as touching it."""
+TRAIL_COLOUR = (0.86, 0.3, 0.06, 1.0)
 BOUNCE_HEIGHT = 0.08
 """m above the floor: a control step after a landing no corner of the cube is higher."""
 
@@ -113,7 +114,6 @@ class Throw(CubeTask):
     observation = Layout((*FIELDS, Field("landing_if_released", 2, "m"), Field("time_of_flight", 1, "s")))
     uses_gripper = True
     control = "joint"
-    camera = Camera(target=(0.9, 0.0, 0.35), distance=4.3, yaw=22.0, pitch=-22.0)
     achieved_goal = Layout((Field("landing_point", 2, "m"), Field("landed", 1)))
     desired_goal = Layout((Field("target", 2, "m"),))
     distance_measure = Measure("miss", "m", "smaller", "distance of the landing from the target; undefined without one")
@@ -137,6 +137,7 @@ class Throw(CubeTask):
                 hint="a smaller threshold, or a larger robot.tool_speed or robot.joint_step, leaves more",
             )
         angle, far = radians(settings.sector), self.furthest
+        self.camera = Camera(target=(0.5 * far, 0.0, 0.25 * far), distance=2.5 * far, yaw=22.0, pitch=-22.0)
         targets = Box((self.nearest * cos(angle), -far * sin(angle), 0.0), (far, far * sin(angle), 0.0))
         self._targets = targets.moved((*planner.axis, 0.0))
 
@@ -167,6 +168,8 @@ class Throw(CubeTask):
         self._flight: Flight | None = None
         self._landing: tuple[float, float] | None = None
         self._status = 0.0
+        self._trail: list[Vector] = []
+        """Positions of the cube since its release, one per control step."""
         target = sample_position(generator, self._targets, "the target", self._is_target)
         self.goal = target[:2].copy()
         self._marker.place((float(target[0]), float(target[1]), 0.0))
@@ -195,6 +198,7 @@ class Throw(CubeTask):
             self._landing = cube.position[:2]
             self._status = -1.0 if held else 1.0
         self._flight = None if held else self._current_flight()
+        self._trail = [] if held else [*self._trail, cube.position]
         if self._ends_at_release and self._flight is not None and not self._status:
             seconds = float(flight_time(cube.position[2], self._flight.velocity[2], self._gravity))
             self._landing = self._flight.landing(seconds, steps=FLIGHT_STEPS)
@@ -229,6 +233,15 @@ class Throw(CubeTask):
     def achieved(self) -> FloatArray:
         x, y = self._landing or self.cube.position[:2]
         return np.array((x, y, self._status), np.float32)
+
+    def strokes(self) -> list[Stroke]:
+        """The flight, and a cross where the cube landed."""
+        if self._landing is None:
+            return [Stroke(self._trail, TRAIL_COLOUR)]
+        (x, y), arm = self._landing, 0.6 * self.settings.threshold
+        cross = [((x - arm, y - side * arm, 0.001), (x + arm, y + side * arm, 0.001)) for side in (1, -1)]
+        flight = [*self._trail[:-1], (x, y, self.cube.half)]
+        return [Stroke(flight, TRAIL_COLOUR), *(Stroke(line, TRAIL_COLOUR, width=1.5) for line in cross)]
 
     def expert(self) -> Expert:
         return ThrowExpert(self._robot, self)

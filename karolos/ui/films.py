@@ -10,13 +10,14 @@ import sys
 import threading
 from pathlib import Path
 
-from ..checkpoint import names
+from ..checkpoint import names, read_meta
 from ..environments.build import used
 from ..errors import KarolosError, UsageError
 from ..evaluation.changed_spec import load_player
 from ..evaluation.playing import play, play_failures
+from ..experiment.tensorboard_writer import add_film
 from ..records import RunFolder
-from ..report.video import pictures, write_video
+from ..report.video import write_film
 
 FILES = {"episodes": "play.mp4", "failures": "play-failures.mp4"}
 """What a film shows -> its file in the run folder."""
@@ -67,12 +68,19 @@ class Films:
 
 
 def make(folder: RunFolder, path: Path, kind: str) -> None:
-    """Film test episodes of the best policy, or episodes that fail. Raises as `load_player` and `write_video`."""
-    player = load_player(folder, "best" if "best" in names(folder.checkpoints) else "last")
+    """Film test episodes of the best policy, in TensorBoard, too, or episodes that fail.
+
+    Raises as `load_player`, `write_video` and `add_film`.
+    """
+    name = "best" if "best" in names(folder.checkpoints) else "last"
+    player = load_player(folder, name)
     seed, chosen = player.spec.testing.seed, play_failures if kind == "failures" else play
     with used(player.environment) as environment:
         moments = chosen(environment, player.policy, episodes=EPISODES, seed=seed)
-        write_video(path, pictures(moments, WIDTH, HEIGHT), environment.rate)
+        beginning = write_film(path, moments, environment, (WIDTH, HEIGHT))
+    if kind == "episodes":
+        size = WIDTH // 2, HEIGHT // 2
+        add_film(folder.tensorboard, beginning, size, read_meta(folder.checkpoints, name)["steps"])
 
 
 if __name__ == "__main__":

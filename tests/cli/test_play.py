@@ -129,11 +129,16 @@ def test_a_window_shows_the_episodes_at_the_pace_of_control(spec: Path, monkeypa
 TOY = toy(environment={"name": "toy", "max_steps": 7}, training={"steps": 40, "replay_ratio": 2})
 
 
-def test_a_run_without_a_best_checkpoint_plays_its_last_and_says_so(tmp_path: Path) -> None:
+def test_a_run_is_filmed_for_tensorboard_too_and_without_a_best_checkpoint_its_last(tmp_path: Path) -> None:
     folder = Path(Experiment(TOY).run(tmp_path / "runs").runs[0].folder)
     film = ("--out", str(tmp_path / "film.gif"), "--episodes", "1", "--width", "64", "--height", "48")
     code, _, err = call(app, str(folder), *film)
     assert (code, [line.split(":")[0] for line in episodes(err)]) == (0, ["episode 1"])
+    assert not (folder / "tensorboard" / "film").exists()
+    code, out, err = call(app, str(folder), *film[2:])
+    assert (code, out) == (0, f"{folder / 'play.mp4'}\n"), err
+    [events] = (folder / "tensorboard" / "film").iterdir()
+    assert b"GIF89a" in events.read_bytes()
     shutil.rmtree(folder / "checkpoints" / "best")  # as in a run that was stopped before its first test
     code, _, err = call(app, str(folder), *film)
     assert code == 0, err

@@ -68,7 +68,7 @@ def test_a_cube_lies_where_this_robot_works_and_as_its_gripper_is_held(small: Ca
 def test_a_robot_without_gripper_is_refused_where_one_is_needed_and_solves_the_rest(tmp_path: Path) -> None:
     bare = Candidate("robots", "bare", small_arm(tmp_path, fingers=False))
     for task in names("tasks"):
-        if task in TURNING:  # see above
+        if task in (*TURNING, "slide"):  # see above; a puck rolls off a stick
             continue
         if load("tasks", task).uses_gripper:
             with pytest.raises(PluginError, match="Small: this robot has no gripper"):

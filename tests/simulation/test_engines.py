@@ -18,7 +18,7 @@ from karolos.errors import MachineError, PluginError, UsageError
 from karolos.robots.panda import Panda
 from karolos.simulation import engines, urdf
 from karolos.simulation.engines import Engine, make_world
-from karolos.simulation.interface import Body, Camera, JointLimits, Motors, World
+from karolos.simulation.interface import Body, Camera, JointLimits, Motors, Stroke, World
 from karolos.simulation.interface.engine import Material
 from karolos.simulation.parts import Mechanism
 from karolos.simulation.shapes import Capsule, Cuboid, Inertia, Sphere, inertia_of, volume_of
@@ -264,6 +264,23 @@ def test_picture_shows_markers_and_leaves_them_where_they_are(world: World) -> N
     changed = (seen != empty).any(-1)
     assert 5 < changed.sum() < changed.size / 4
     assert marker.pose()[0] == (0.3, 0.0, 0.3)
+    for label in (None, "3 N"):
+        stroke = Stroke([(0.3, -0.4, 0.2), (0.3, -0.2, 0.2)], (1.0, 0.0, 1.0, 1.0), label=label)
+        assert 5 < (world.render(64, 48, camera, [stroke]) != seen).any(-1).sum() < seen.size / 20
+
+
+def test_pictures_between_control_steps_show_what_moved_and_change_nothing(engine: Engine) -> None:
+    filmed, other = (made("pick_place", environment={"engine": engine}) for _ in range(2))
+    for environment in (filmed, other):
+        environment.reset(0)
+    before = filmed.render(64, 48).astype(int)
+    for environment in (filmed, other):
+        environment.step(np.ones(4))
+    middle, after = (picture.astype(int) for picture in filmed.film(2, 64, 48))
+    far, near = np.abs(after - before).sum(), np.abs(after - middle).sum()
+    assert near == 0 if engine == "bullet" else 0.2 * far < near < 0.9 * far
+    one, two = (environment.step(-np.ones(4)).observation for environment in (filmed, other))
+    np.testing.assert_array_equal(one, two)
 
 
 def test_shadow_tells_how_high_a_body_is(world: World) -> None:
@@ -271,10 +288,10 @@ def test_shadow_tells_how_high_a_body_is(world: World) -> None:
     empty = world.render(160, 120, camera)
     box = world.body([Cuboid((0.06, 0.06, 0.06))], 0.1, (1.0, 0.0, 0.0, 1.0))
     rows = []
-    for height in (0.03, 0.3):
+    for height in (0.12, 0.4):
         box.place((0.3, 0.0, height))
         picture = world.render(160, 120, camera).astype(int)
-        red = picture[..., 0] > picture[..., 1] + 60
+        red = picture[..., 0] > picture[..., 1]  # the box with its smoothed edge
         shadow = (picture.sum(-1) < empty.astype(int).sum(-1) - 60) & ~red
         rows.append((np.nonzero(red)[0].mean(), np.nonzero(shadow)[0].mean()))
     (low, low_shadow), (high, high_shadow) = rows

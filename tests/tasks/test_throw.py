@@ -111,6 +111,9 @@ def test_the_landing_is_where_free_fall_from_the_release_comes_down_not_where_th
         task.read()
     assert np.linalg.norm(np.array(task.cube.position[:2]) - landing[:2]) > 0.005
     np.testing.assert_array_equal(task.achieved(), landing)
+    flight, *cross = task.strokes()
+    np.testing.assert_allclose(flight.points[-1][:2], landing[:2], atol=1e-6)
+    assert len(cross) == 2
     environment.close()
 
 

@@ -27,6 +27,7 @@ from ..interface.engine import (
     Fingers,
     Frame,
     JointLimits,
+    Stroke,
 )
 from ..interface.engine import Body as AnyBody
 from ..meshes import stl, triangles
@@ -248,12 +249,19 @@ class World:
                     found[one, other] = found.get((one, other), 0.0) + force
         return found
 
-    def render(self, width: int, height: int, camera: Camera) -> Array:
+    def render(
+        self,
+        width: int,
+        height: int,
+        camera: Camera,
+        strokes: Sequence[Stroke] = (),
+        back: float = 0.0,  # noqa: ARG002 (a state between would have to be written into the simulation)
+    ) -> Array:
         markers = [Marker(body.pose()[0], radius, colour) for body, radius, colour in self._markers]
-        return draw(self._render_bodies, width, height, camera, markers)
+        return draw(self._render_bodies, width, height, camera, markers, strokes)
 
     def _render_bodies(self, eye: Eye, width: int, height: int) -> tuple[NDArray[np.uint8], FloatArray]:
-        """PyBullet's software renderer, which needs no display and has no antialiasing."""
+        """PyBullet's software renderer, which needs no display."""
         aim = [own + step for own, step in zip(eye.origin, eye.ahead, strict=True)]
         image = self.api.getCameraImage(
             width,

@@ -6,7 +6,7 @@ Units: m, s, kg, N, rad; float32 arrays; the world's frame has its origin at the
 """
 
 from ..geometry import Box
-from .engine import Body, Camera, Fingers, Gripper, JointLimits, Motors, World
+from .engine import Body, Camera, Fingers, Gripper, JointLimits, Motors, Stroke, World
 from .robot import Robot, RobotView
 from .task import Task
 
@@ -20,6 +20,7 @@ __all__ = [
     "Motors",
     "Robot",
     "RobotView",
+    "Stroke",
     "Task",
     "World",
 ]

@@ -32,11 +32,24 @@ FINGER_RATE = 24.0
 class Camera:
     """Where a picture is taken from: `distance` m away from `target`, at angles in degrees."""
 
-    target: Vector = (0.33, 0.0, 0.35)
-    distance: float = 2.0
+    target: Vector = (0.33, 0.0, 0.33)
+    distance: float = 1.75
     yaw: float = 42.0
     pitch: float = -20.0
     field_of_view: float = 33.0
+    base: Vector = (0.0, 0.0, 0.0)
+    """Where the arm stands: a plate is drawn on the floor below it."""
+
+
+class Stroke(NamedTuple):
+    """What a picture shows besides bodies: a line through points in m, or an arrow from the first to the last."""
+
+    points: Sequence[Vector]
+    colour: Colour
+    width: float = 1.0
+    """Of a usual line's width."""
+    label: str | None = None
+    """At the head of an arrow; None: a line, which bodies in front of it hide."""
 
 
 @dataclass(frozen=True)
@@ -373,8 +386,16 @@ class World(Protocol):
         With PyBullet those of the last physics step of each control step, unless `forces` has been asked for.
         """
 
-    def render(self, width: int, height: int, camera: Camera) -> Array:
-        """A picture (height, width, 3) uint8."""
+    def render(
+        self, width: int, height: int, camera: Camera, strokes: Sequence[Stroke] = (), back: float = 0.0
+    ) -> Array:
+        """A picture (height, width, 3) uint8.
+
+        Args:
+            strokes: what is drawn besides bodies and markers.
+            back: the fraction of the way from now to the state of the last picture with 0, of which a picture is taken.
+                PyBullet shows the present state always.
+        """
 
     def close(self) -> None:
         """Free the world. A second call has no effect."""

@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 from abc import ABC, abstractmethod
-from collections.abc import Mapping
+from collections.abc import Mapping, Sequence
 from typing import Any, ClassVar
 
 import numpy as np
@@ -12,7 +12,7 @@ from pydantic import BaseModel
 from ...core import Expert, FloatArray, GoalRule, Layout, Measure
 from ...core.seeding import Generator
 from ...randomization.randomization import RandomizedParameter, drawn_settings
-from .engine import FLOOR_FRICTION, GRAVITY, Camera, World
+from .engine import FLOOR_FRICTION, GRAVITY, Camera, Stroke, World
 from .robot import ControlMode, RobotView
 
 FINAL_DISTANCE = Measure("final_distance", "m", "smaller", "distance from the goal at the end of the episode")
@@ -33,13 +33,16 @@ class Task(ABC):
     drawn: Any
     """The same in the running episode: a setting that is marked with `Drawn` has the value that training drew."""
     uses_gripper: ClassVar[bool]
-    """Whether the action moves the gripper. If not, it stays closed and is not simulated."""
+    """Whether the action moves the gripper. If not, its fingers stand still and are not simulated."""
+    fingers: ClassVar[float] = 0.0
+    """How far they stand open then if the robot's settings do not say: 0 closed, 1 open."""
     control: ClassVar[ControlMode] = "cartesian"
     """What the actions of a robot change if its settings do not say: joint positions (joint), the position of a tool
     that points down (cartesian), its whole pose (pose), or that of a spring that moves the tool (impedance)."""
     protective_stop: ClassVar[bool] = True
     """Whether a robot stops protectively if its settings do not say; a stop ends the episode without success."""
-    camera: ClassVar[Camera] = Camera()
+    camera: Camera = Camera()
+    """Where pictures are taken from if the arm stands at the origin. Nothing that moves leaves the picture."""
     observation: Layout = Layout()
     """The task's part of the observation, without the goals; may depend on the settings."""
     critic_only: ClassVar[Layout] = Layout()
@@ -111,6 +114,10 @@ class Task(ABC):
     def expert(self) -> Expert | None:
         """A scripted policy, or None for a task without one. Called after `build`."""
         return None
+
+    def strokes(self) -> Sequence[Stroke]:
+        """Lines and arrows that a picture shows besides bodies and markers. Called for each picture, after `read`."""
+        return ()
 
     def lost(self) -> bool:
         """Whether the physics diverged, e.g. an object is far away: the episode is truncated."""

@@ -27,6 +27,7 @@ class Renderer:
         self._context = _context(width, height)
         self._context.make_current()
         model.vis.global_.offwidth, model.vis.global_.offheight = self.size
+        model.vis.quality.offsamples = 0  # pictures are drawn larger and made smaller, with floor and shadow
         self._drawing = api.MjrContext(model, api.mjtFontScale.mjFONTSCALE_100.value)
         api.mjr_setBuffer(api.mjtFramebuffer.mjFB_OFFSCREEN.value, self._drawing)
         self._scene = api.MjvScene(model, maxgeom=1000)

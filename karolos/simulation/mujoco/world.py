@@ -27,6 +27,7 @@ from ..interface.engine import (
     Fingers,
     Frame,
     JointLimits,
+    Stroke,
 )
 from ..interface.engine import Body as AnyBody
 from ..meshes import stl, triangles
@@ -75,6 +76,10 @@ class World:
         self._motors: list[Motors | Passive] = []
         self._markers: list[tuple[Body, float, Colour]] = []
         self._renderers: dict[tuple[int, int], Renderer] = {}
+        self._shown: Any = None
+        """MuJoCo's data of pictures, so that they leave the simulation as it is."""
+        self._pictured: Any = None
+        """Positions of joints and bodies in the last picture of a present state: (nq,)."""
         self._spec.visual.headlight.active = 0
         self._spec.worldbody.add_light(
             type=self.api.mjtLightType.mjLIGHT_DIRECTIONAL,
@@ -237,23 +242,35 @@ class World:
                     found[key] = found.get(key, 0.0) + float(between[tuple(pair)])
         return found
 
-    def render(self, width: int, height: int, camera: Camera) -> Array:
-        data = self._simulation.ready()
-        for compute in (self.api.mj_kinematics, self.api.mj_comPos, self.api.mj_camlight):
-            compute(self._simulation.model, data)
+    def render(
+        self, width: int, height: int, camera: Camera, strokes: Sequence[Stroke] = (), back: float = 0.0
+    ) -> Array:
+        data, model, api = self._simulation.ready(), self._simulation.model, self.api
+        if self._shown is None:
+            self._shown, self._pictured = api.MjData(model), data.qpos.copy()
+        shown = self._shown
+        shown.qpos[:], shown.mocap_pos[:], shown.mocap_quat[:] = data.qpos, data.mocap_pos, data.mocap_quat
+        if back:
+            way = np.zeros(model.nv)
+            api.mj_differentiatePos(model, way, 1.0, data.qpos, self._pictured)
+            api.mj_integratePos(model, shown.qpos, way, back)
+        else:
+            self._pictured = data.qpos.copy()
+        for compute in (api.mj_kinematics, api.mj_comPos, api.mj_camlight):
+            compute(model, shown)
         markers = [Marker(body.pose()[0], radius, colour) for body, radius, colour in self._markers]
-        return draw(self._render_bodies, width, height, camera, markers)
+        return draw(self._render_bodies, width, height, camera, markers, strokes)
 
     def _render_bodies(self, eye: Eye, width: int, height: int) -> tuple[NDArray[np.uint8], FloatArray]:
         size = width, height
         if size not in self._renderers:
             self._renderers[size] = Renderer(self.api, self._simulation.model, width, height)
-        return self._renderers[size](self._simulation.ready(), eye)
+        return self._renderers[size](self._shown, eye)
 
     def close(self) -> None:
         for renderer in self._renderers.values():
             renderer.close()
-        self._renderers = {}
+        self._renderers, self._shown = {}, None
 
     def _write_surfaces(self, model: Any) -> None:
         """Write friction and material of every shape. MuJoCo has put the pairs into an order of its own."""
