@@ -97,7 +97,7 @@ class ActorCritic(TorchAgent):
     """
 
     on_policy: ClassVar[bool] = False
-    shaping: ClassVar[tuple[str, ...]] = ("hidden", "layer_norm")
+    shaping: ClassVar[tuple[str, ...]] = ("hidden", "fine_goal", "layer_norm")
     arrays: ClassVar[int] = 16  # measured: 21 for SAC
     critics: ClassVar[int] = 2
     judges: ClassVar[int | None] = None

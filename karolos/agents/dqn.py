@@ -62,7 +62,7 @@ class DQN(TorchAgent):
             return self
 
     on_policy: ClassVar[bool] = False
-    shaping: ClassVar[tuple[str, ...]] = ("hidden", "layer_norm", "dueling")
+    shaping: ClassVar[tuple[str, ...]] = ("hidden", "fine_goal", "layer_norm", "dueling")
     learned: ClassVar[tuple[str, ...]] = ("network", "target", "normaliser")
     stored: tuple[str, ...] = (*learned, "explored", "updates")
 

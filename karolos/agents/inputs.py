@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+from collections.abc import Sequence
 from typing import NamedTuple
 
 import numpy as np
@@ -20,6 +21,7 @@ INPUT_CLIP = 5.0
 """Default bound of normalised inputs. Source: OpenAI baselines, HER (norm_clip)."""
 SMALLEST_SPREAD = 0.01
 """Lower bound of a column's standard deviation. Source: OpenAI baselines, HER (norm_eps)."""
+NONE_MISSING = slice(0, 0)
 
 
 class Normaliser:
@@ -31,10 +33,20 @@ class Normaliser:
         columns: how many.
         device: where the statistics live.
         clip: normalised columns are clipped to +- this.
+        missing: of the columns, those with what is missing of a goal.
+        fine: factor of these columns over their spread; not the clip but tanh bounds them.
     """
 
-    def __init__(self, columns: int, device: torch.device | str, *, clip: float = INPUT_CLIP) -> None:
-        self.clip = clip
+    def __init__(
+        self,
+        columns: int,
+        device: torch.device | str,
+        *,
+        clip: float = INPUT_CLIP,
+        missing: slice = NONE_MISSING,
+        fine: float = 1.0,
+    ) -> None:
+        self.clip, self.missing, self.fine = clip, missing, fine
         self.count = 0
         """Rows seen so far."""
         self.mean = torch.zeros(columns, dtype=torch.float64, device=device)
@@ -63,11 +75,18 @@ class Normaliser:
     def _refresh(self) -> None:
         self.shift.copy_(self.mean)
         self.scale.copy_(self.spread.reciprocal_())
+        self.shift[self.missing] = 0.0
+        self.scale[self.missing] *= self.fine
 
     def __call__(self, rows: Tensor) -> Tensor:
         """(n, columns) normalised and clipped; a new tensor. With fewer columns: the first ones."""
         columns = rows.shape[1]
-        return (rows - self.shift[:columns]).mul_(self.scale[:columns]).clamp_(-self.clip, self.clip)
+        scaled = (rows - self.shift[:columns]).mul_(self.scale[:columns])
+        if self.missing == NONE_MISSING:
+            return scaled.clamp_(-self.clip, self.clip)
+        squashed = torch.tanh(scaled[:, self.missing])
+        scaled.clamp_(-self.clip, self.clip)[:, self.missing] = squashed
+        return scaled
 
     def adopt(self, shift: Tensor, scale: Tensor) -> None:
         """Take the statistics behind `(x - shift) * scale`, as those of ADOPTED_ROWS rows.
@@ -76,6 +95,7 @@ class Normaliser:
         """
         mean, squares = torch.zeros_like(self.mean), torch.full_like(self.mean, ADOPTED_ROWS)
         mean[: len(shift)], squares[: len(scale)] = shift, ADOPTED_ROWS / scale.double().square()
+        squares[self.missing] *= self.fine**2
         self.load_state({"count": ADOPTED_ROWS, "mean": mean, "squares": squares})
 
     def state(self) -> State:
@@ -111,20 +131,29 @@ class TensorBatch(NamedTuple):
 
 
 def tensor_batch(
-    batch: Batch, normaliser: Normaliser, device: torch.device, update: int = 0, critic_only: int = 0
+    batch: Batch,
+    normaliser: Normaliser,
+    device: torch.device,
+    update: int = 0,
+    critic_only: int = 0,
+    observed_goal: tuple[Sequence[int], Sequence[int]] = ((), ()),
 ) -> TensorBatch:
     """The batch of an agent's update (the first is 0) as tensors.
 
     Its inputs, relabelled goals included, first enter the statistics in early updates, and later in some.
-    `critic_only`: how many of the last columns of observations the policy does not see.
+    `critic_only`: how many of the last columns of observations the policy does not see; `observed_goal`: see Signature.
     """
     count, size = batch.observation.shape
     columns = size - critic_only
-    width = columns + batch.desired_goal.shape[1]
+    goals = columns + batch.desired_goal.shape[1]
+    width = goals + len(observed_goal[0])
     rows = np.empty((2 * count, width + critic_only), np.float32)
     rows[:count, :columns] = batch.next_observation[:, :columns]
     rows[count:, :columns] = batch.observation[:, :columns]
-    rows[:count, columns:width] = rows[count:, columns:width] = batch.desired_goal
+    rows[:count, columns:goals] = rows[count:, columns:goals] = batch.desired_goal
+    if observed_goal[0]:
+        places, seen = observed_goal
+        rows[:, goals:width] = rows[:, columns:goals][:, places] - rows[:, seen]
     rows[:count, width:] = batch.next_observation[:, columns:]
     rows[count:, width:] = batch.observation[:, columns:]
 

@@ -79,7 +79,7 @@ class PPO(TorchAgent[Rollout]):
         std: float = Setting(1.0, gt=0, description="standard deviation of continuous actions at the start")
 
     on_policy: ClassVar[bool] = True
-    shaping: ClassVar[tuple[str, ...]] = ("hidden",)
+    shaping: ClassVar[tuple[str, ...]] = ("hidden", "fine_goal")
     learned: ClassVar[tuple[str, ...]] = ("policy", "distribution", "value", "normaliser")
     stored = learned
 
@@ -124,8 +124,7 @@ class PPO(TorchAgent[Rollout]):
             if metrics is None:
                 break
             updates.append(metrics)
-        seen = np.concatenate((batch.observation, batch.desired_goal), -1)[batch.stored]
-        self.normaliser.update(torch.from_numpy(seen).to(self.device))
+        self.normaliser.update(self.unscaled(batch.observation[batch.stored], batch.desired_goal[batch.stored]))
 
         unexplained = (transitions.target - transitions.value).var(correction=0)
         total = transitions.target.var(correction=0)

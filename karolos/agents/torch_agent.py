@@ -8,6 +8,7 @@ from collections.abc import Iterator
 from itertools import pairwise
 from typing import Annotated, Any, ClassVar
 
+import numpy as np
 import torch
 from numpy import int64
 from numpy.typing import NDArray
@@ -49,6 +50,13 @@ class OptimiserSettings(AgentSettings):
     learning_rate_updates: int | None = Setting(
         None, ge=1, description="updates of the agent until learning_rate_end is reached, whatever its policy_delay"
     )
+    fine_goal: float | None = Setting(
+        None,
+        gt=0,
+        le=100,
+        description="networks also see what is missing of the goal, desired minus achieved, so many times as fine as "
+        "it spreads (bounded by tanh), where observations have what is achieved; null: they do not",
+    )
     gradient_norm: float | None = Setting(None, gt=0, description="longer gradients are clipped to this; null: never")
 
     @model_validator(mode="after")
@@ -86,11 +94,21 @@ class TorchAgent(Agent[Experience]):
         self, settings: Any, signature: Signature, seeds: SeedTree, device: str, *, input_clip: float = INPUT_CLIP
     ) -> None:
         self.settings, self.device, self.discount = settings, torch.device(device), settings.discount
-        self.inputs = signature.observation.acting.size + signature.desired_goal.size
+        seen = signature.observation.acting.size
+        goals = seen + signature.desired_goal.size
+        self.missing = signature.observed_goal if settings.fine_goal else ((), ())
+        """Columns of goals and of observations whose difference networks see, see `Signature.observed_goal`."""
+        self.inputs: int = goals + len(self.missing[0])
         """Columns of a policy's input."""
-        self.critic_only = signature.observation.size - signature.observation.acting.size
+        self.critic_only = signature.observation.size - seen
         """Further columns of a critic's input."""
-        self.normaliser = Normaliser(self.inputs + self.critic_only, device, clip=input_clip)
+        self.normaliser = Normaliser(
+            self.inputs + self.critic_only,
+            device,
+            clip=input_clip,
+            missing=slice(goals, self.inputs),
+            fine=settings.fine_goal or 1.0,
+        )
         self.weights_generator = torch.Generator().manual_seed(seeds.child("weights").integer())
         """Draws the weights of the networks, on the CPU."""
         self.generator = torch.Generator(self.device).manual_seed(seeds.child("noise").integer())
@@ -120,15 +138,21 @@ class TorchAgent(Agent[Experience]):
 
         Columns of observations that critics alone observe may be missing, and do not count.
         """
-        seen = observation[..., : self.inputs - desired_goal.shape[-1]]
-        rows = torch.cat((torch.from_numpy(seen), torch.from_numpy(desired_goal)), -1).flatten(0, -2)
-        return self.normaliser(rows.to(self.device))
+        return self.normaliser(self.unscaled(observation, desired_goal))
+
+    def unscaled(self, observation: FloatArray, desired_goal: FloatArray) -> Tensor:
+        """`network_input` before it is normalised."""
+        goals, seen = self.missing
+        parts = [observation[..., : self.inputs - desired_goal.shape[-1] - len(goals)], desired_goal]
+        if goals:
+            parts.append(desired_goal[..., goals] - observation[..., seen])
+        return torch.cat([torch.from_numpy(part) for part in parts], -1).flatten(0, -2).to(self.device)
 
     def begin_update(self, batch: Batch, update: int) -> TensorBatch:
         """Set the learning rates of this update (the first is 0); returns its batch on the device."""
         for optimiser in self.optimisers.values():
             optimiser.learning_rate = self.settings.rate(update)
-        return tensor_batch(batch, self.normaliser, self.device, update, self.critic_only)
+        return tensor_batch(batch, self.normaliser, self.device, update, self.critic_only, self.missing)
 
     def adam(self, vector: Tensor, *, epsilon: float = 1e-8) -> Adam:
         """An optimiser as the settings say."""
@@ -148,7 +172,8 @@ class TorchAgent(Agent[Experience]):
         statistics = self.normaliser.shift, self.normaliser.scale
         shift, scale = (to_array(part[: self.inputs]).copy() for part in statistics)
         epsilon = LAYER_NORM_EPSILON if network.shape.layer_norm else None
-        return Deployed(shift, scale, self.normaliser.clip, tuple(layers), output, epsilon)
+        missing = np.array(self.missing, np.int64)
+        return Deployed(shift, scale, self.normaliser.clip, tuple(layers), output, epsilon, missing)
 
     @classmethod
     def memory(cls, settings: Any, signature: Signature, size: RunSize) -> Iterator[MemoryNeed]:

@@ -2,11 +2,12 @@
 
 from __future__ import annotations
 
-from dataclasses import dataclass
+from dataclasses import dataclass, field
 from pathlib import Path
 from typing import Literal
 
 import numpy as np
+from numpy.typing import NDArray
 
 from .arrays import FloatArray
 
@@ -28,8 +29,9 @@ class Layer:
 class Deployed:
     """A policy without exploration as float32 arrays.
 
-    The input x is the observation concatenated with the desired goal, (n, i). Then x = clip((x - shift) * scale, -clip,
-    clip), the layers with max(x, 0) between them, and `output`. With `layer_norm`, each hidden layer is normalised
+    The input x is the observation o, the desired goal g and what is missing, g[missing[0]] - o[missing[1]], side by
+    side. Then x = (x - shift) * scale, bounded by tanh(x) where it is what is missing and by clip(x, -clip, clip)
+    elsewhere, the layers with max(x, 0) between them, and `output`. With `layer_norm`, each hidden layer is normalised
     before max(x, 0): (x - mean) / sqrt(variance + layer_norm), with mean and variance over the row.
     """
 
@@ -42,6 +44,8 @@ class Deployed:
     output: Output
     layer_norm: float | None = None
     """None: no layer normalisation."""
+    missing: NDArray[np.int64] = field(default_factory=lambda: np.zeros((2, 0), np.int64))
+    """(2, k): columns of the goal, and those of the observation that hold what is achieved of them."""
 
     @classmethod
     def read(cls, path: Path) -> Deployed:
@@ -50,7 +54,8 @@ class Deployed:
             layers = [Layer(file[f"weight{place}"], file[f"bias{place}"]) for place in range(int(file["layers"]))]
             norm, output = float(file["layer_norm"]), str(file["output"])
             norms = None if np.isnan(norm) else norm
-            return cls(file["shift"], file["scale"], float(file["clip"]), tuple(layers), output, norms)  # type: ignore[arg-type]
+            known = file["shift"], file["scale"], float(file["clip"])
+            return cls(*known, tuple(layers), output, norms, file["missing"])  # type: ignore[arg-type]
 
     def __post_init__(self) -> None:
         columns = [self.shift.size, *(layer.bias.size for layer in self.layers)]

@@ -38,6 +38,21 @@ class Signature:
     measures: tuple[Measure, ...] = ()
     """What an episode is measured by, see `Environment.measures`. No name is there twice."""
 
+    @property
+    def observed_goal(self) -> tuple[list[int], list[int]]:
+        """Columns of the desired goal, and the columns of observations that hold what is achieved of them.
+
+        The n-th column of the achieved goal belongs to the n-th of the desired one. It is observed where the layout of
+        what policies observe has a field of the same name and size.
+        """
+        observed, places, columns = self.observation.acting, list[int](), list[int]()
+        for field in self.achieved_goal.fields:
+            part = self.achieved_goal.slice(field.name)
+            if field in observed.fields and part.stop <= self.desired_goal.size:
+                places += range(part.start, part.stop)
+                columns += range(observed.size)[observed.slice(field.name)]
+        return places, columns
+
 
 def random_actions(signature: Signature, size: int, generator: np.random.Generator) -> FloatArray:
     """Uniformly random actions (size, action.size)."""

@@ -85,6 +85,7 @@ class RobotTask(Environment):
             period=settings.substeps / PHYSICS_RATE,
             control=task.control,
             protective_stop=task.protective_stop,
+            fingers=task.fingers,
         )
         for setting in (*robot.mujoco_only, *task.mujoco_only) if settings.engine == "bullet" else ():
             raise UsageError("PyBullet cannot do this", setting=setting, hint="set environment.engine=mujoco")

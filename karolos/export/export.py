@@ -100,6 +100,7 @@ def arrays(policy: Deployed) -> dict[str, Any]:
         "format": np.int64(FORMAT),
         "shift": policy.shift,
         "scale": policy.scale,
+        "missing": policy.missing,
         "clip": np.float32(policy.clip),
         "layer_norm": np.float32(np.nan if policy.layer_norm is None else policy.layer_norm),
         "output": np.str_(policy.output),
@@ -117,7 +118,7 @@ def golden_samples(saved: SavedAgent, policy: Deployed) -> dict[str, Any]:
     size = saved.signature.observation.acting.size
     noise = SeedTree(0).child("export").generator().normal(size=(GOLDEN_ROWS, policy.shift.size))
     inputs = (policy.shift + 3 * noise / policy.scale).astype(np.float32)
-    observation, goal = inputs[:, :size].copy(), inputs[:, size:].copy()
+    observation, goal = inputs[:, :size].copy(), inputs[:, size : policy.shift.size - policy.missing.shape[1]].copy()
     action = saved.agent.act(observation, goal, explore=False)
     if policy.output == "argmax":
         action = action[:, 0].astype(np.int64)

@@ -7,7 +7,7 @@ from os import PathLike
 import numpy as np
 from numpy.typing import ArrayLike, NDArray
 
-FORMAT = 1
+FORMAT = 2
 """Version of the file's layout."""
 
 
@@ -28,6 +28,8 @@ class NumpyPolicy:
                 raise ValueError(f"{path}: a policy of format {found}; this reads format {FORMAT}")
             self.shift: NDArray[np.float32] = file["shift"]
             self.scale: NDArray[np.float32] = file["scale"]
+            self.missing: NDArray[np.int64] = file["missing"]
+            """(2, k): columns of the goal, and those of the observation that hold what is achieved of them."""
             self.clip = float(file["clip"])
             self.epsilon = float(file["layer_norm"])
             """Added to the variance in layer normalisation; nan if hidden layers are not normalised."""
@@ -48,10 +50,17 @@ class NumpyPolicy:
             ValueError: the number of inputs is not the one that the policy takes.
         """
         parts = [np.asarray(observation, np.float32), np.asarray(desired_goal, np.float32)]
+        count = self.missing.shape[1]
+        if count and parts[0].shape[-1] + parts[1].shape[-1] + count == self.shift.size:
+            parts.append(parts[1][..., self.missing[0]] - parts[0][..., self.missing[1]])
         x: NDArray[np.float32] = np.concatenate([part for part in parts if part.shape[-1]], axis=-1)
         if x.shape[-1] != self.shift.size:
-            raise ValueError(f"observation and goal have {x.shape[-1]} numbers, the policy takes {self.shift.size}")
-        x = ((x - self.shift) * self.scale).clip(-self.clip, self.clip)
+            raise ValueError(
+                f"observation and goal have {x.shape[-1]} numbers, the policy takes {self.shift.size - count}"
+            )
+        scaled = (x - self.shift) * self.scale
+        x = scaled.clip(-self.clip, self.clip)
+        x[..., x.shape[-1] - count :] = np.tanh(scaled[..., x.shape[-1] - count :])
         for place, (weight, bias) in enumerate(self.layers):
             if place:
                 x = np.maximum(self._normalised(x), 0)

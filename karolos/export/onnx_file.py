@@ -86,10 +86,24 @@ def _model(policy: Deployed, sizes: tuple[int, int]) -> Any:
         helper.make_tensor_value_info(name, TensorProto.FLOAT, ["n", size])
         for name, size in zip(names, [size for size in sizes if size], strict=True)
     ]
+    missing = policy.missing.shape[1]
+    if missing:
+        parts = [
+            node("Gather", [name, constant(f"{name}_columns", columns)], f"{name}_part", axis=1)
+            for name, columns in (("desired_goal", policy.missing[0]), ("observation", policy.missing[1]))
+        ]
+        names.append(node("Sub", parts, "missing"))
     x = node("Concat", names, "observed", axis=1)
     x = node("Sub", [x, constant("shift", policy.shift)], "centred")
     x = node("Mul", [x, constant("scale", policy.scale)], "scaled")
-    x = bounded(x, policy.clip, "normalised")
+    if missing:
+        known = constant("parts", np.array([policy.shift.size - missing, missing]))
+        nodes.append(helper.make_node("Split", [x, known], ["known", "far"], name="split", axis=1))
+        x = node(
+            "Concat", [bounded("known", policy.clip, "clipped"), node("Tanh", ["far"], "near")], "normalised", axis=1
+        )
+    else:
+        x = bounded(x, policy.clip, "normalised")
     for place, layer in enumerate(policy.layers):
         if place and policy.layer_norm is not None:
             ones = constant(f"ones{place}", np.ones(layer.weight.shape[1], np.float32))

@@ -139,7 +139,13 @@ class Arm:
         return self.chain.forward(joints)
 
     def prepare(
-        self, *, gripper: bool, period: float, control: ControlMode = "cartesian", protective_stop: bool = False
+        self,
+        *,
+        gripper: bool,
+        period: float,
+        control: ControlMode = "cartesian",
+        protective_stop: bool = False,
+        fingers: float = 0.0,
     ) -> None:
         if gripper and self.model.fingers is None:
             hint = "choose a task that needs no gripper"
@@ -148,6 +154,7 @@ class Arm:
             what = "the task moves the gripper, so it cannot be held open"
             raise UsageError(what, setting="robot.finger_opening", hint="set it to 0")
         self._fingers = self.model.fingers if gripper else None
+        self._held_open = self.settings.finger_opening or fingers
         self.period = period
         limits = self.settings.protective_stop
         if limits == "task":
@@ -223,7 +230,7 @@ class Arm:
         robot, carriers = self.model.description.robot, self.model.description.carriers
         fingers = self.model.fingers
         if fingers is not None and self._fingers is None:
-            robot = urdf.weld(robot, dict.fromkeys(fingers.joints, fingers.position(self.settings.finger_opening)))
+            robot = urdf.weld(robot, dict.fromkeys(fingers.joints, fingers.position(self._held_open)))
         self.world = world
         self.body = world.load(Mechanism(robot), position=self.base)
         links = {**self.body.links(), self._joints[0].parent: -1}

@@ -102,7 +102,7 @@ class ArmSettings(Settings):
     protective_stop: ProtectiveStop | Literal["task"] | None = Setting(
         "task",
         description="limits beyond which the arm stops, which ends the episode without success; task: as the task says "
-        "(throw: the default limits; reach, push and pick_place: off); null: off",
+        "(reach, push, pick_place, open and reorient: off; other tasks: the default limits); null: off",
     )
     timed_release: bool = Setting(
         False,
@@ -110,5 +110,8 @@ class ArmSettings(Settings):
         "open; false: at the beginning of the step",
     )
     finger_opening: float = Setting(
-        0.0, ge=0, le=1, description="how far a gripper that the task does not use stands open: 0 closed, 1 open"
+        0.0,
+        ge=0,
+        le=1,
+        description="how far a gripper that the task does not use stands open, up to 1; 0: closed, in slide half open",
     )

@@ -15,7 +15,7 @@ from ..randomization.randomization import Drawn
 from ..simulation.geometry import UPRIGHT, Colour, Quaternion, Vector, columns
 from ..simulation.interface import Box, Gripper, RobotView, Task, World
 from ..simulation.interface.engine import Material
-from ..simulation.shapes import Cuboid
+from ..simulation.shapes import Cuboid, Shape
 from .force_penalty import ForcePenalty
 
 CUBE_COLOUR = (0.93, 0.45, 0.13, 1.0)
@@ -23,7 +23,7 @@ LOST_DISTANCE = 10.0
 """m from the origin; the physics has diverged when an object is further away or below the floor."""
 GROUND_EDGE = 0.3
 """Edge in m of the square in the middle of the workspace in which cube and goal lie, as in panda-gym."""
-REST_SPEED = 0.03
+REST_SPEED = 0.01
 """m/s below which an object is at rest."""
 BRAKING_SHARE = 0.5
 """Fraction of the remaining distance covered in one control step: an arm at full speed needs two steps to brake."""
@@ -63,21 +63,29 @@ class CubeSettings(BaseSettings):
 
 
 class Cube:
-    """A cube of a world: built once, placed at a reset, read after each step."""
+    """A cube of a world: built once, placed at a reset, read after each step. A subclass has another shape."""
 
     def __init__(self, settings: CubeSettings, world: World, colour: Colour = CUBE_COLOUR) -> None:
-        edge, mass = settings.object_size, settings.object_mass
-        self.half = edge / 2
-        self.body = world.body([Cuboid((edge, edge, edge))], mass, colour)
+        mass, shape = settings.object_mass, self.shape(settings.object_size)
+        self.body = world.body([shape], mass, colour)
         self.body.set_friction(settings.object_friction)
         if settings.object_stiffness is not None:
             self.body.set_material(Material(stiffness=settings.object_stiffness))
         self.set_mass(mass)
 
-    def set_mass(self, mass: float) -> None:
-        """Set the mass in kg and the inertia of a solid cube, m a^2 / 6 about every axis."""
+    def shape(self, size: float) -> Shape:
+        """The shape, given the setting `object_size`; sets `half`, half its height in m."""
+        self.half = size / 2
+        return Cuboid((size, size, size))
+
+    def moments(self, mass: float) -> Vector:
+        """Principal moments of inertia in kg m2: m a^2 / 6 about every axis."""
         inertia = mass * (2 * self.half) ** 2 / 6
-        self.body.set_inertia(mass, (inertia, inertia, inertia))
+        return inertia, inertia, inertia
+
+    def set_mass(self, mass: float) -> None:
+        """Set the mass in kg, and the inertia of a solid body."""
+        self.body.set_inertia(mass, self.moments(mass))
 
     def place(self, position: Sequence[float], orientation: Quaternion = UPRIGHT) -> None:
         """Put the cube there at rest, and read its state."""
@@ -149,6 +157,7 @@ class CubeTask(Task):
     colours: ClassVar[Sequence[Colour]] = (CUBE_COLOUR,)
     """Of the cubes that the world can have; there are `number` of them."""
     number = 1
+    object_class: ClassVar[type[Cube]] = Cube
     settings: CubeSettings
     _robot: RobotView
 
@@ -162,7 +171,7 @@ class CubeTask(Task):
         return () if self.settings.object_stiffness is None else ("task.object_stiffness",)
 
     def build(self, world: World) -> None:
-        self.cubes = [Cube(self.settings, world, colour) for colour in self.colours[: self.number]]
+        self.cubes = [self.object_class(self.settings, world, colour) for colour in self.colours[: self.number]]
         self.cube = self.cubes[0]
         if self.settings.force_penalty is not None:
             self._robot.largest_force()  # PyBullet records forces from the first question on

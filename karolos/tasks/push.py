@@ -59,27 +59,28 @@ class Push(PointGoalTask, CubeTask):
     def reset(self, generator: Generator) -> None:
         position: Vector = tuple(sample_position(generator, self.ground, "the cube").tolist())
         if drawn_stage(self.drawn, generator.uniform(), "near"):
-            self.cube.place_with_tool(self._robot, position, self._near(position, generator), 0.0)
+            self.cube.place_with_tool(self._robot, position, near_start(self._robot, position, generator), 0.0)
         else:
             self.cube.place(position, aligned(self._robot))
         self._sample_goal(generator, self.ground)
-
-    def _near(self, cube: Vector, generator: Generator) -> Vector:
-        """A random position of the tool beside the cube, within the workspace, at which it does not touch the cube."""
-        (x, y, _), box = cube, self._robot.workspace
-        angle, distance = generator.uniform(-pi, pi), generator.uniform(*NEAR_DISTANCES)
-        above = max(0.0, generator.uniform(-NEAR_HEIGHT, NEAR_HEIGHT))
-        return (
-            min(max(x + distance * cos(angle), box.low[0]), box.high[0]),
-            min(max(y + distance * sin(angle), box.low[1]), box.high[1]),
-            min(box.low[2] + PUSHING_CLEARANCE + above, box.high[2]),
-        )
 
     def achieved(self) -> FloatArray:
         return np.array(self.cube.position, np.float32)
 
     def expert(self) -> Expert:
-        return PushExpert(self._robot, self)
+        return PushExpert(self._robot, self, self.settings.threshold)
+
+
+def near_start(robot: RobotView, cube: Vector, generator: Generator) -> Vector:
+    """A random position of the tool beside the cube, within the workspace, at which it does not touch the cube."""
+    (x, y, _), box = cube, robot.workspace
+    angle, distance = generator.uniform(-pi, pi), generator.uniform(*NEAR_DISTANCES)
+    above = max(0.0, generator.uniform(-NEAR_HEIGHT, NEAR_HEIGHT))
+    return (
+        min(max(x + distance * cos(angle), box.low[0]), box.high[0]),
+        min(max(y + distance * sin(angle), box.low[1]), box.high[1]),
+        min(box.low[2] + PUSHING_CLEARANCE + above, box.high[2]),
+    )
 
 
 CROSSING_HEIGHT = 0.065
@@ -95,9 +96,10 @@ DONE_SHARE = 0.5
 class PushExpert(Expert):
     """Goes behind the cube as seen from the goal, down, then straight to the goal. Restarts when it slips."""
 
-    def __init__(self, robot: RobotView, task: Push) -> None:
+    def __init__(self, robot: RobotView, task: CubeTask, threshold: float) -> None:
         self._robot = robot
         self._task = task
+        self._threshold = threshold
         self._pushing = False
 
     def reset(self) -> None:
@@ -105,14 +107,24 @@ class PushExpert(Expert):
 
     def act(self) -> FloatArray:
         robot, task = self._robot, self._task
-        (x, y, z), (gx, gy, _), (tx, ty, tz) = task.cube.position, task.goal.tolist(), robot.tool_position
+        (x, y, z), (gx, gy, *_) = task.cube.position, task.goal.tolist()
         distance = hypot(gx - x, gy - y)
-        if distance < DONE_SHARE * task.settings.threshold:
-            return robot.towards((tx, ty, tz), 0.0)
+        if distance < DONE_SHARE * self._threshold:
+            return robot.towards(robot.tool_position, 0.0)
         ux, uy = (gx - x) / distance, (gy - y) / distance
+        low = max(z, robot.workspace.low[2] + PUSHING_CLEARANCE)
+        along, way = self._behind(ux, uy, low)
+        if way is not None:
+            return robot.towards(way, 0.0)
+        ahead = along + min(0.3 * distance, robot.tool_step)  # slowly: a cube that is hit slides on
+        # back onto the line through cube and goal
+        return robot.towards((x + ux * ahead, y + uy * ahead, low), 0.0)
+
+    def _behind(self, ux: float, uy: float, low: float) -> tuple[float, Vector | None]:
+        """How far the tool is ahead of the cube along (ux, uy) in m, and the way to behind it; None: it is there."""
+        robot, (x, y, _), (tx, ty, tz) = self._robot, self._task.cube.position, self._robot.tool_position
         # position of the tool relative to the cube, along and across the direction of the push
         along, across = (tx - x) * ux + (ty - y) * uy, (ty - y) * ux - (tx - x) * uy
-        low = max(z, robot.workspace.low[2] + PUSHING_CLEARANCE)
         if self._pushing and (along > 0 or abs(across) > 0.02):
             self._pushing = False
         if not self._pushing:
@@ -122,14 +134,12 @@ class PushExpert(Expert):
             if error > ALIGNED_DISTANCE or (high and drift(robot) > ALIGNED_DISTANCE / 2):
                 above: Vector = (start[0], start[1], CROSSING_HEIGHT)
                 if high:
-                    return robot.towards(braking(robot, above), 0.0)
-                return robot.towards(braking(robot, above if error < 0.04 else (tx, ty, CROSSING_HEIGHT)), 0.0)
+                    return along, braking(robot, above)
+                return along, braking(robot, above if error < 0.04 else (tx, ty, CROSSING_HEIGHT))
             if tz - low > 0.012:
-                return robot.towards(braking(robot, start), 0.0)
+                return along, braking(robot, start)
             self._pushing = True
-        ahead = along + min(0.3 * distance, robot.tool_step)  # slowly: a cube that is hit slides on
-        # back onto the line through cube and goal
-        return robot.towards((x + ux * ahead, y + uy * ahead, low), 0.0)
+        return along, None
 
     def _start(self, ux: float, uy: float, low: float) -> Vector:
         """Position of the tool from which it pushes along (ux, uy): behind the cube, within the workspace."""

@@ -8,7 +8,10 @@ from hypothesis import given, settings
 from hypothesis import strategies as st
 from hypothesis.extra import numpy as hnp
 
-from karolos.agents.inputs import INPUT_CLIP, SMALLEST_SPREAD, Normaliser
+from karolos.agents.inputs import INPUT_CLIP, SMALLEST_SPREAD, Normaliser, tensor_batch
+from karolos.agents.sac import SAC
+from karolos.core import Batch, Field, Layout, Signature
+from karolos.core.seeding import SeedTree
 
 NUMBERS = st.floats(-1000, 1000, width=32)
 
@@ -25,6 +28,20 @@ def test_statistics_over_batches_equal_those_over_all_rows(batches: list[np.ndar
     np.testing.assert_allclose(normaliser.mean.numpy(), together.mean(0), rtol=1e-6, atol=1e-6)
     expected = np.maximum(together.std(0), SMALLEST_SPREAD)
     np.testing.assert_allclose(normaliser.spread.numpy(), expected, rtol=1e-4, atol=1e-4)
+
+
+def test_goals_enter_as_what_is_missing_where_what_is_achieved_is_observed() -> None:
+    achieved, seen = Layout((Field("place", 2), Field("held", 1))), Layout((Field("speed", 1), Field("place", 2)))
+    signature = Signature(seen, Layout((Field("move", 1),)), 5, achieved_goal=achieved, desired_goal=achieved)
+    agent = SAC(SAC.Settings(fine_goal=5), signature, SeedTree(0))
+    observation, goal = np.float32([[7, 1, 2]]), np.float32([[5, 5, 9]])
+    assert agent.unscaled(observation, goal).tolist() == [[7, 1, 2, 5, 5, 9, 4, 3]], "held is not observed"
+    zero = np.zeros(1, np.float32)
+    batch = Batch(observation, goal, zero[:, None], zero, observation + 1, zero, zero, zero, np.zeros(1, np.int64))
+    inputs = tensor_batch(batch, agent.normaliser, torch.device("cpu"), observed_goal=agent.missing)
+    assert torch.equal(agent.network_input(observation, goal), inputs.input)
+    fine = torch.tanh(torch.tensor([[4.0, 3.0]]) * 5 / agent.normaliser.spread[-2:].float())
+    torch.testing.assert_close(inputs.input[:, -2:], fine)
 
 
 def test_inputs_pass_unchanged_before_the_first_update() -> None:

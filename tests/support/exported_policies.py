@@ -28,12 +28,12 @@ ROLLOUTS: dict[str, Any] = {
 BITS = {"environment": {"name": "bit_flip", "bits": 4}}
 POLE = {"environment": {"name": "gymnasium", "id": "CartPole-v1"}}
 CASES: dict[str, dict[str, Any]] = {
-    "sac": REPLAY | {"agent": {"name": "sac", "hidden": [16, 8]}},
+    "sac": REPLAY | {"agent": {"name": "sac", "hidden": [16, 8], "fine_goal": 3}},
     "td3": REPLAY | {"agent": {"name": "td3", "hidden": [16]}},
     "ddpg": REPLAY | {"agent": {"name": "ddpg", "hidden": [16]}},
     "dqn": REPLAY | BITS | {"agent": {"name": "dqn", "hidden": [16, 8]}},
     "dqn_dueling": REPLAY | BITS | {"agent": {"name": "dqn", "hidden": [16, 8], "dueling": True, "layer_norm": True}},
-    "ppo": ROLLOUTS | {"agent": {"name": "ppo", "hidden": [16]}},
+    "ppo": ROLLOUTS | {"agent": {"name": "ppo", "hidden": [16], "fine_goal": 3}},
     "ppo_discrete": ROLLOUTS | BITS | {"agent": {"name": "ppo", "hidden": [16]}},
     "ppo_goalless": ROLLOUTS | POLE | {"agent": {"name": "ppo", "hidden": [16]}},
 }

@@ -57,7 +57,13 @@ class Gantry:
         self.play = 0.0
 
     def prepare(
-        self, *, gripper: bool, period: float, control: str = "cartesian", protective_stop: bool = False
+        self,
+        *,
+        gripper: bool,
+        period: float,
+        control: str = "cartesian",
+        protective_stop: bool = False,
+        fingers: float = 0.0,
     ) -> None:
         if gripper:
             raise PluginError("this robot has no gripper", where="Gantry")

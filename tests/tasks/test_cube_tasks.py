@@ -139,6 +139,25 @@ def test_three_cubes_are_stacked_from_the_floor_or_from_two(stacked: float, heig
     environment.close()
 
 
+@pytest.mark.parametrize("engine", ENGINES)
+def test_a_puck_comes_to_rest_where_it_is_computed_to_and_counts_only_then(engine: str) -> None:
+    ends, lengths = [], []
+    for early in (1.0, 0.0):
+        environment = made("slide", environment={"engine": engine}, end_at_release=early)
+        steps = expert_episode(environment, 1)
+        assert [step.success for step in steps] == [False] * (len(steps) - 1) + [True]
+        assert steps[-1].terminated
+        ends.append(steps[-1].achieved_goal[:2])
+        lengths.append(len(steps))
+    np.testing.assert_allclose(*ends, atol=2e-3 if engine == "mujoco" else 0.02)
+    assert lengths[0] < lengths[1] - 30
+    place = environment.task.cube.position
+    np.testing.assert_allclose(place[:2], ends[1], atol=1e-3)
+    assert np.hypot(*place[:2]) > environment.robot.workspace.high[0]
+    assert environment.task.nearest - 0.05 == pytest.approx(made("throw").task.planner.reach, abs=5e-3)
+    environment.close()
+
+
 def test_a_cube_wider_than_the_gripper_is_refused():
     with pytest.raises(KarolosError, match="does not go into the gripper"):
         made("pick_place", object_size=0.15)

@@ -150,7 +150,13 @@ class Robot(RobotView, Protocol):
     """Settings with values that PyBullet does not offer, as a spec calls them."""
 
     def prepare(
-        self, *, gripper: bool, period: float, control: ControlMode = "cartesian", protective_stop: bool = False
+        self,
+        *,
+        gripper: bool,
+        period: float,
+        control: ControlMode = "cartesian",
+        protective_stop: bool = False,
+        fingers: float = 0.0,
     ) -> None:
         """Adapt layouts and step sizes to a task.
 
@@ -159,6 +165,7 @@ class Robot(RobotView, Protocol):
             period: duration of a control step in s.
             control: what actions change unless the settings say otherwise, see `Task.control`.
             protective_stop: whether the robot stops protectively unless the settings say otherwise.
+            fingers: how far a gripper that the task does not use stands open unless the settings say otherwise.
 
         Raises PluginError when the task needs a gripper and the robot has none, UsageError when its settings contradict
         the task.

@@ -33,7 +33,9 @@ class Task(ABC):
     drawn: Any
     """The same in the running episode: a setting that is marked with `Drawn` has the value that training drew."""
     uses_gripper: ClassVar[bool]
-    """Whether the action moves the gripper. If not, it stays closed and is not simulated."""
+    """Whether the action moves the gripper. If not, its fingers stand still and are not simulated."""
+    fingers: ClassVar[float] = 0.0
+    """How far they stand open then if the robot's settings do not say: 0 closed, 1 open."""
     control: ClassVar[ControlMode] = "cartesian"
     """What the actions of a robot change if its settings do not say: joint positions (joint), the position of a tool
     that points down (cartesian), its whole pose (pose), or that of a spring that moves the tool (impedance)."""

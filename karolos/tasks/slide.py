@@ -1,0 +1,241 @@
+"""Slide: the arm pushes a puck over a smooth floor, so that it comes to rest where the arm does not reach."""
+
+from __future__ import annotations
+
+from math import copysign, cos, hypot, pi, radians, sin, sqrt
+from typing import Annotated, Literal
+
+import numpy as np
+from pydantic import Field as Setting
+
+from ..core import Expert, Field, FloatArray, Layout, Measure
+from ..core.seeding import Generator
+from ..errors import UsageError
+from ..randomization.randomization import Drawn, Probability
+from ..simulation.geometry import Vector
+from ..simulation.interface import Box, Camera, RobotView, World
+from ..simulation.interface.engine import FLOOR_FRICTION, GRAVITY
+from ..simulation.shapes import Cylinder, Shape
+from .cube import FIELDS, Cube, CubeSettings, CubeTask, aligned, ground
+from .point_goal import GOAL_COLOUR, sample_position
+from .push import PUSHING_CLEARANCE, PushExpert, near_start
+from .starts import drawn_stage, start
+from .throw import Landing
+
+ROOM_BEHIND = 0.12
+"""m of the workspace behind a puck at the start, for the gripper."""
+START_WIDTH = 0.2
+"""Width in m of the box in which pucks start, in the middle of the workspace."""
+ROOM_AHEAD = 0.05
+"""m before the end of the workspace where the arm lets the puck go at the latest."""
+USABLE_SPEED = 0.8
+"""Share of the tool's largest speed that every arm has everywhere in its workspace, to either side, too."""
+CLEAR = 0.03
+"""m between the puck and the workspace at which nothing of the arm touches it."""
+
+
+class Puck(Cube):
+    """A cylinder on its base, half as high as it is wide."""
+
+    def shape(self, size: float) -> Shape:
+        self.half, self.radius = size / 4, size / 2
+        return Cylinder(self.radius, 2 * self.half)
+
+    def moments(self, mass: float) -> Vector:
+        across = mass * (self.radius**2 / 4 + self.half**2 / 3)
+        return across, across, mass * self.radius**2 / 2
+
+
+class Slide(CubeTask):
+    """What to do: push the puck so that it slides to the target, beyond the arm's reach, and comes to rest there.
+
+    What is randomised: the puck, in the near half of the workspace within 10 cm to either side; the target: within
+    `sector` degrees to either side of straight ahead, beyond the arm's reach by at least `threshold`, and from there at
+    most the fraction `share` of the way to the furthest slide. With probability `start_near` an episode begins with
+    the gripper near the puck, a parameter that training may draw.
+
+    Observation: object_position (3, m), object_rotation (6, two columns of its matrix), object_velocity (3, m/s),
+    object_angular_velocity (3, rad/s), object_from_tool (3, m), rest_if_left (2, m): where the puck would come to rest
+    if nothing touched it from now on.
+    Action: the robot's, without the gripper.
+    Goals: achieved, where the puck comes to rest if nothing touches it any more (2, m), and a status (0 while it moves
+    or the arm may reach it, 1 at rest beyond); desired, the target (2, m).
+    Reward: at rest; sparse 1 within the threshold, else 0; dense in [0, 1], see `Landing`.
+    What counts as success: the puck lies at rest within `threshold` of the target.
+    Termination: when the puck lies beyond the workspace, untouched; truncated after `max_steps`. With probability
+    `end_at_release` already when it has left the workspace, at the place of rest that is computed from its speed and
+    the friction; as a parameter of domain randomization in training alone.
+
+    The furthest slide follows from the speed of the tool and the friction, which is the product of the floor's and the
+    puck's.
+    """
+
+    class Settings(CubeSettings):
+        object_size: float = Setting(0.06, ge=0.03, le=0.1, description="diameter of the puck, m; it is half as high")
+        object_friction: Annotated[float, Drawn("1", 0.01, 0.02)] = Setting(
+            0.015, ge=0.001, le=1, description="lateral friction coefficient of the puck, times .5 on the floor"
+        )
+        reward: Literal["sparse", "dense"] = Setting("sparse", description="at rest: 1 or 0, or by the distance")
+        threshold: float = Setting(0.05, gt=0, le=0.5, description="distance at which the target is hit, m")
+        share: float = Setting(
+            0.5, gt=0, le=1, description="how far targets lie from the nearest one towards the furthest slide"
+        )
+        sector: float = Setting(15.0, gt=0, le=60, description="of targets, to either side of straight ahead, degrees")
+        start_near: Probability = start("the gripper near the puck")
+        end_at_release: Probability = Setting(
+            0.0, description="probability that an episode ends when the puck leaves the workspace, its rest computed"
+        )
+        max_steps: int = Setting(200, ge=1, le=100_000, description="control steps per episode")
+
+    settings: Settings
+    drawn: Settings
+    observation = Layout((*FIELDS, Field("rest_if_left", 2, "m")))
+    object_class = Puck
+    uses_gripper = False
+    fingers = 0.5  # the puck lies between them and goes where they go
+    camera = Camera(target=(0.8, 0.0, 0.2), distance=3.4, yaw=22.0, pitch=-25.0)
+    achieved_goal = Layout((Field("rest", 2, "m"), Field("arrived", 1)))
+    desired_goal = Layout((Field("target", 2, "m"),))
+    distance_measure = Measure("miss", "m", "smaller", "distance of the puck from the target; undefined if it moves")
+
+    def __init__(self, settings: Slide.Settings) -> None:
+        super().__init__(settings)
+        self.goal_rule = Landing(settings.threshold, dense=settings.reward == "dense")
+        self._gravity, self._floor = GRAVITY, FLOOR_FRICTION
+
+    def fit(self, robot: RobotView) -> None:
+        settings, box, self._robot = self.settings, robot.workspace, robot
+        rest = settings.object_size / 4
+        ground(box, "box", max(rest, box.low[2]))
+        self.axis, centre = robot.base[:2], box.centre[:2]
+        ways = [middle - base for middle, base in zip(centre, self.axis, strict=True)]
+        k = int(abs(ways[1]) > abs(ways[0]))
+        side = copysign(1.0, ways[k])
+        self.ahead = (0.0, side) if k else (side, 0.0)
+        """Unit vector along the axis of the world that leads from the base to the workspace."""
+        depth, width = (box.high[one] - box.low[one] for one in (k, 1 - k))
+        near = [centre[k] - side * max(depth / 2 - ROOM_BEHIND, 0.0), centre[k]]
+        across = [centre[1 - k] - min(START_WIDTH, width) / 2, centre[1 - k] + min(START_WIDTH, width) / 2]
+        xs, ys = (across, sorted(near)) if k else (sorted(near), across)
+        self.starts = Box((xs[0], ys[0], rest), (xs[1], ys[1], rest))
+        self.nearest = reach(robot) + settings.threshold
+        slide = (USABLE_SPEED * robot.tool_step / robot.period) ** 2 / (2 * self.deceleration)
+        most = abs(ways[k]) + depth / 2 - ROOM_AHEAD + slide
+        self.furthest = self.nearest + settings.share * (most - self.nearest)
+        if self.furthest <= self.nearest:
+            raise UsageError(
+                f"a puck slides to {most:.2f} m from the base at the most, and the arm reaches {self.nearest:.2f} m "
+                "with the threshold",
+                setting="task.object_friction",
+                hint="a smaller friction or a larger robot.tool_step lets it slide further",
+            )
+
+    @property
+    def deceleration(self) -> float:
+        """Of the sliding puck, in m/s2: Coulomb's friction."""
+        return max(-self.drawn.object_friction * self._floor * self._gravity, 1e-3)
+
+    def build(self, world: World) -> None:
+        super().build(world)
+        self._robot.touches_others()  # the world records forces from the first question on
+        self._marker = world.marker(self.settings.threshold, GOAL_COLOUR)
+
+    def apply(self, world: World, name: str, value: float) -> None:
+        super().apply(world, name, value)
+        if name == "gravity":
+            self._gravity = value
+        elif name == "floor_friction":
+            self._floor = value
+
+    def reset(self, generator: Generator) -> None:
+        x, y, z = sample_position(generator, self.starts, "the puck").tolist()
+        if drawn_stage(self.drawn, generator.uniform(), "near"):
+            self.cube.place_with_tool(self._robot, (x, y, z), near_start(self._robot, (x, y, z), generator), 0.0)
+        else:
+            self.cube.place((x, y, z), aligned(self._robot))
+        angle = radians(self.settings.sector) * generator.uniform(-1, 1)
+        far, (ax, ay) = generator.uniform(self.nearest, self.furthest), self.ahead
+        turned = ax * cos(angle) - ay * sin(angle), ay * cos(angle) + ax * sin(angle)
+        self.goal = np.array([base + far * way for base, way in zip(self.axis, turned, strict=True)], np.float32)
+        self._marker.place((*self.goal.tolist(), 0.0))
+        self._ends_at_release = generator.uniform() < self.drawn.end_at_release
+        self.arrived = False
+
+    def read(self) -> None:
+        super().read()
+        (x, y, _), box, cube = self.cube.position, self._robot.workspace, self.cube
+        room = CLEAR + self.settings.object_size / 2
+        beyond = max(box.low[0] - x, x - box.high[0], box.low[1] - y, y - box.high[1]) > room
+        self.arrived = beyond and (self._ends_at_release or cube.at_rest) and not self._robot.contact_force(cube.body)
+
+    def rest(self, position: list[float] | Vector, velocity: list[float] | Vector) -> tuple[float, float]:
+        """Where a puck that is left alone comes to rest, in m."""
+        seconds = hypot(velocity[0], velocity[1]) / (2 * self.deceleration)
+        return position[0] + velocity[0] * seconds, position[1] + velocity[1] * seconds
+
+    def observe(self) -> list[float]:
+        values = super().observe()
+        return [*values, *self.rest(values[:3], values[9:12])]
+
+    def achieved(self) -> FloatArray:
+        return np.array((*self.rest(self.cube.position, self.cube.velocity), self.arrived), np.float32)
+
+    def expert(self) -> Expert:
+        return SlideExpert(self._robot, self, self.settings.threshold)
+
+
+def reach(robot: RobotView) -> float:
+    """The largest horizontal distance of the tool from the robot's base in m, found by turning one joint at a time."""
+    joints, limits = list(robot.home_joints), robot.limits
+    best = 0.0
+    for _ in range(8):
+        for joint, (low, high) in enumerate(zip(limits.lower, limits.upper, strict=True)):
+            for angle in np.linspace(max(low, joints[joint] - pi), min(high, joints[joint] + pi), 33).tolist():
+                x, y, _ = robot.forward([*joints[:joint], angle, *joints[joint + 1 :]]).tool.position
+                if (far := hypot(x - robot.base[0], y - robot.base[1])) > best:
+                    best, joints[joint] = far, angle
+    return best
+
+
+NUDGE = 0.1
+"""m/s with which the fingers come to the puck: one that is hit harder leaves them again."""
+SPEED_UP = 0.12
+"""m/s by which the tool is told to be faster than the puck at the most."""
+GAIN = 0.35
+"""Share of a missing velocity that is added to what the tool is told in each control step."""
+ENOUGH = 0.99
+"""Share of the speed that the puck needs at which it is let go."""
+
+
+class SlideExpert(PushExpert):
+    """Goes behind the puck, takes it between the fingers, and pushes it until it slides to the target by itself."""
+
+    _task: Slide
+
+    def reset(self) -> None:
+        super().reset()
+        self._left = False
+        self._told = self._nudge = NUDGE * self._task.ahead[0], NUDGE * self._task.ahead[1]
+        """Velocity in m/s that the tool is told, along x and y."""
+
+    def act(self) -> FloatArray:
+        robot, task, (tx, ty, _) = self._robot, self._task, self._robot.tool_position
+        (x, y, z), (vx, vy, _), (gx, gy) = task.cube.position, task.cube.velocity, task.goal.tolist()
+        distance = hypot(gx - x, gy - y)
+        ux, uy = (gx - x) / distance, (gy - y) / distance
+        speed, wanted = vx * ux + vy * uy, sqrt(2 * task.deceleration * distance)
+        self._left = (self._left or speed > ENOUGH * wanted) and not task.cube.at_rest
+        if self._left:
+            return robot.towards(robot.tool_position, 0.0)
+        low = max(z, robot.workspace.low[2] + PUSHING_CLEARANCE)
+        ax, ay = task.ahead
+        along, way = self._behind(ax, ay, low)
+        if way is not None or task.cube.at_rest:
+            self._told, along = self._nudge, along + NUDGE * robot.period
+            return robot.towards(way or (x + ax * along, y + ay * along, low), 0.0)
+        wx, wy = self._told
+        wx += GAIN * (wanted * ux - robot.tool_velocity[0])
+        wy += GAIN * (wanted * uy - robot.tool_velocity[1])
+        slower = min(1.0, (speed + SPEED_UP) / hypot(wx, wy))
+        self._told = wx, wy = wx * slower, wy * slower
+        return robot.towards((tx + wx * robot.period, ty + wy * robot.period, low), 0.0)
