@@ -163,10 +163,10 @@ class Slide(CubeTask):
 
     def read(self) -> None:
         super().read()
-        (x, y, _), box, cube = self.cube.position, self._robot.workspace, self.cube
+        robot, cube, box, (x, y, _) = self._robot, self.cube, self._robot.workspace, self.cube.position
         room = CLEAR + self.settings.object_size / 2
         beyond = max(box.low[0] - x, x - box.high[0], box.low[1] - y, y - box.high[1]) > room
-        self.arrived = beyond and (self._ends_at_release or cube.at_rest) and not self._robot.contact_force(cube.body)
+        self.arrived = beyond and (not robot.contact_force(cube.body) if self._ends_at_release else self.let_go())
 
     def rest(self, position: list[float] | Vector, velocity: list[float] | Vector) -> tuple[float, float]:
         """Where a puck that is left alone comes to rest, in m."""
