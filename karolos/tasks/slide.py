@@ -92,6 +92,7 @@ class Slide(CubeTask):
     observation = Layout((*FIELDS, Field("rest_if_left", 2, "m")))
     object_class = Puck
     uses_gripper = False
+    protective_stop = False  # a policy that learns presses on the floor; `force_penalty` teaches it not to
     fingers = 0.5  # the puck lies between them and goes where they go
     camera = Camera(target=(0.8, 0.0, 0.2), distance=3.4, yaw=22.0, pitch=-25.0)
     achieved_goal = Layout((Field("rest", 2, "m"), Field("arrived", 1)))

@@ -63,6 +63,7 @@ class Stack(CarryTask):
 
     settings: Settings
     drawn: Settings
+    protective_stop = False  # a policy that learns presses on the cubes; `force_penalty` teaches it not to
     colours = (CUBE_COLOUR, (0.16, 0.5, 0.8, 1.0), (0.85, 0.75, 0.2, 1.0))
     distance_measure = Measure("miss", "m", "smaller", "distance of the furthest cube from its place at the end")
 
