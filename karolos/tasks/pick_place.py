@@ -113,7 +113,8 @@ class PickPlace(PointGoalTask, CubeTask):
         if stage == "grasped":
             self.cube.put_in_gripper(robot, self.gripper, (x, y, z))
         elif stage == "near":
-            self.cube.place_with_tool(robot, (x, y, z), (x, y, z + generator.uniform(GRIP_HEIGHT, HOVER_HEIGHT)), 1.0)
+            above = z + self.cube.rise(self.gripper) + generator.uniform(GRIP_HEIGHT, HOVER_HEIGHT)
+            self.cube.place_with_tool(robot, (x, y, z), (x, y, above), 1.0)
         else:
             self.cube.place((x, y, z), aligned(robot))
         self._sample_goal(generator, self.air if generator.uniform() < AIR_PROBABILITY else self.ground)

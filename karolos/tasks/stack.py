@@ -147,7 +147,7 @@ class Stack(CubeTask):
             cube.put_in_gripper(robot, self.gripper, places[standing])
         elif stage == "near":
             (x, y, z), rise = places[standing], GRIP_HEIGHT + (HOVER_HEIGHT - GRIP_HEIGHT) * draws[2]
-            cube.place_with_tool(robot, (x, y, z), (x, y, z + rise), 1.0)
+            cube.place_with_tool(robot, (x, y, z), (x, y, z + cube.rise(self.gripper) + rise), 1.0)
         self.let_go = stage in ("near", None)
 
     def read(self) -> None:
