@@ -102,7 +102,7 @@ class ArmSettings(Settings):
     protective_stop: ProtectiveStop | Literal["task"] | None = Setting(
         "task",
         description="limits beyond which the arm stops, which ends the episode without success; task: as the task says "
-        "(throw: the default limits; reach, push and pick_place: off); null: off",
+        "(reach, push, pick_place, open and reorient: off; other tasks: the default limits); null: off",
     )
     timed_release: bool = Setting(
         False,

@@ -1,13 +1,14 @@
-"""Carrying: an expert's way of gripping a cube and bringing it to a place."""
+"""Carrying: how episodes with a gripped cube begin, and how experts grip a cube and bring it to a place."""
 
 from __future__ import annotations
 
 from math import hypot
 
 from ..core import FloatArray
+from ..core.seeding import Generator
 from ..simulation.geometry import Vector
 from ..simulation.interface import Cup, Gripper, RobotView
-from .cube import BRAKING_SHARE, Cube, braking, drift
+from .cube import BRAKING_SHARE, Cube, CubeTask, aligned, braking, drift
 
 HOVER_HEIGHT = 0.08
 """m above the cube at which the gripper arrives."""
@@ -28,10 +29,30 @@ SLOW_SHARE = 0.5
 """Of the largest speed, with which it goes down near what stands there: arms swing aside when they stop."""
 CUP_GAP = 0.001
 """m above the cube at which a cup begins to suck, and pulls the cube up: an arm that aims at the cube presses on it."""
+NEAR, NEAR_CUP = 0.006, 0.0007
+"""m above the height of the grip at which the gripper closes, or a cup sucks."""
 CLOSING_STEPS = 3
 """Control steps for which both pads must touch before the cube is lifted: until then they push it to the middle."""
 GRASP_PATIENCE = 30
 """Control steps after which a gripper that has closed on nothing opens again."""
+
+
+class CarryTask(CubeTask):
+    """The part that tasks share in which cubes are gripped; a task sets `gripper` in `fit`."""
+
+    uses_gripper = True
+    gripper: Gripper | Cup
+
+    def _begin(self, cube: Cube, place: Vector, stage: str | None, generator: Generator) -> None:
+        """Put a cube there in m: in the gripper (`grasped`), the open gripper around or above it (`near`), or alone."""
+        if stage == "grasped":
+            cube.put_in_gripper(self._robot, self.gripper, place)
+        elif stage == "near":
+            x, y, z = place
+            above = x, y, z + cube.rise(self.gripper) + generator.uniform(GRIP_HEIGHT, HOVER_HEIGHT)
+            cube.place_with_tool(self._robot, place, above, 1.0)
+        else:
+            cube.place(place, aligned(self._robot))
 
 
 class Carrier:
@@ -49,7 +70,7 @@ class Carrier:
         """Take up a cube, which may be in the hand already."""
         self._cube, self._size = cube, 2 * cube.half
         self._rise = cube.rise(self._gripper)
-        self._grip_height, self._near = (self._rise + CUP_GAP, 0.0007) if self._rise else (GRIP_HEIGHT, 0.006)
+        self._grip_height, self._near = (self._rise + CUP_GAP, NEAR_CUP) if self._rise else (GRIP_HEIGHT, NEAR)
         self.open = 1.0
         """Opening of the gripper that is wide enough for the cube on its diagonal."""
         if isinstance(self._gripper, Gripper):

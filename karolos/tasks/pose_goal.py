@@ -9,7 +9,9 @@ import numpy as np
 
 from ..core import Array, BoolArray, Field, FloatArray, GoalRule
 from ..core.seeding import Generator
+from ..errors import UsageError
 from ..simulation.geometry import Orientations, Quaternion, Vector, angles, columns, matrix_of
+from ..simulation.interface import Box, RobotView
 
 METRES_PER_RADIAN = 0.1
 """What a radian costs in a dense reward."""
@@ -32,6 +34,17 @@ def sample_orientation(generator: Generator, orientations: Orientations) -> Quat
     return orientations.at(tilt * cos(direction), tilt * sin(direction), turn)
 
 
+def check_turning(robot: RobotView) -> Box:
+    """Where the robot can turn its tool. Raises UsageError if its actions do not turn it, or that is not known."""
+    if not robot.orientations.tilt:
+        hint = "set robot.control: pose"
+        raise UsageError("these actions do not turn the tool", setting="robot.control", hint=hint)
+    if robot.dexterous is None:
+        hint = "declare `dexterous` in its model"
+        raise UsageError("the robot does not say where its tool can be turned", setting="robot", hint=hint)
+    return robot.dexterous
+
+
 class PoseGoal(GoalRule):
     """Success where position and orientation of `achieved` (..., 9) are both near those of `desired` (..., 9).
 
@@ -43,7 +56,8 @@ class PoseGoal(GoalRule):
         span: largest possible distance in m; it bounds the dense reward.
         symmetries: turns of the moved thing about its own axes that leave it as it is, besides none: a square peg has
             three, of 90, 180 and 270 degrees.
-        axis: of a thing that is the same after any turn about it; only the directions of this axis are compared.
+        axis: of a thing that is the same after any turn about it; only the directions of this axis are compared. If a
+            symmetry reverses it, both directions are the same.
     """
 
     def __init__(
@@ -60,6 +74,7 @@ class PoseGoal(GoalRule):
         self.reward_range = (-span - METRES_PER_RADIAN * pi, 0.0) if dense else (-1.0, 0.0)
         self._turns = [np.float32(matrix_of(one)[:, :2]) for one in symmetries]
         self._axis = None if axis is None else np.float32(np.divide(axis, np.linalg.norm(axis)))
+        self._reversed = axis is not None and any(np.dot(matrix_of(one) @ axis, axis) < 0 for one in symmetries)
 
     def reward(self, achieved: Array, desired: Array) -> FloatArray:
         if self.dense:
@@ -80,6 +95,7 @@ class PoseGoal(GoalRule):
         first, second = achieved[..., 3:], desired[..., 3:]
         if self._axis is not None:
             cosine = np.vecdot(_frame(first) @ self._axis, _frame(second) @ self._axis)
+            cosine = np.abs(cosine) if self._reversed else cosine
             between: FloatArray = np.arccos(np.clip(cosine, -1, 1), dtype=np.float32)
             return between
         found = angles(first, second)

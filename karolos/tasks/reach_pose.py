@@ -9,11 +9,10 @@ from pydantic import Field as Setting
 
 from ..core import Expert, FloatArray, Layout, Settings
 from ..core.seeding import Generator
-from ..errors import UsageError
 from ..simulation.geometry import axes
 from ..simulation.interface import RobotView, Stroke, Task, World
 from .point_goal import GOAL_COLOUR, check_threshold, sample_position
-from .pose_goal import PoseGoal, pose_array, pose_fields, sample_orientation
+from .pose_goal import PoseGoal, check_turning, pose_array, pose_fields, sample_orientation
 
 GOAL_BOX = (0.16, 0.24, 0.24)
 """Edges in m of the box of goals; every built-in arm has such a one in which it can turn its tool."""
@@ -59,14 +58,8 @@ class ReachPose(Task):
     desired_goal = Layout(pose_fields("goal"))
 
     def fit(self, robot: RobotView) -> None:
-        if not robot.orientations.tilt:
-            hint = "set robot.control: pose"
-            raise UsageError("these actions do not turn the tool", setting="robot.control", hint=hint)
-        if robot.dexterous is None:
-            hint = "declare `dexterous` in its model"
-            raise UsageError("the robot does not say where its tool can be turned", setting="robot", hint=hint)
         self._robot = robot
-        self.box = robot.dexterous.middle(GOAL_BOX)
+        self.box = check_turning(robot).middle(GOAL_BOX)
         settings = self.settings
         check_threshold(settings.threshold, self.box)
         dense, span = settings.reward == "dense", 2 * robot.workspace.diagonal

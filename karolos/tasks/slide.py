@@ -92,6 +92,7 @@ class Slide(CubeTask):
     observation = Layout((*FIELDS, Field("rest_if_left", 2, "m")))
     object_class = Puck
     uses_gripper = False
+    protective_stop = False  # a policy that learns presses on the floor; `force_penalty` teaches it not to
     fingers = 0.5  # the puck lies between them and goes where they go
     camera = Camera(target=(0.8, 0.0, 0.2), distance=3.4, yaw=22.0, pitch=-25.0)
     achieved_goal = Layout((Field("rest", 2, "m"), Field("arrived", 1)))
@@ -163,10 +164,10 @@ class Slide(CubeTask):
 
     def read(self) -> None:
         super().read()
-        (x, y, _), box, cube = self.cube.position, self._robot.workspace, self.cube
+        robot, cube, box, (x, y, _) = self._robot, self.cube, self._robot.workspace, self.cube.position
         room = CLEAR + self.settings.object_size / 2
         beyond = max(box.low[0] - x, x - box.high[0], box.low[1] - y, y - box.high[1]) > room
-        self.arrived = beyond and (self._ends_at_release or cube.at_rest) and not self._robot.contact_force(cube.body)
+        self.arrived = beyond and (not robot.contact_force(cube.body) if self._ends_at_release else self.let_go())
 
     def rest(self, position: list[float] | Vector, velocity: list[float] | Vector) -> tuple[float, float]:
         """Where a puck that is left alone comes to rest, in m."""

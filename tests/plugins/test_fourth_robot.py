@@ -22,6 +22,8 @@ LAST_JOINT = '<joint name="joint6" type="revolute">'
 LIGHT = '<mass value="0.1"/><inertia ixx="4e-5" iyy="4e-5" izz="8e-5"'
 ENOUGH = {"pick_place": 0.9, "push": 0.9, "reach": 1.0}
 """Share of episodes that the expert solves at the least; any other task has to be solved once."""
+TURNING = ("reach_pose", "reorient")
+"""Tasks that need a robot which says where its tool can be turned."""
 
 
 @pytest.fixture(scope="module")
@@ -41,7 +43,7 @@ def test_every_task_is_solved_by_its_expert(small: Candidate, task: str, control
     if not goes_with(candidate("tasks", task), control):
         pytest.skip(f"{task} is not done in {control} control")
     robot = replace(small, settings={"control": control})
-    if task == "reach_pose":
+    if task in TURNING:
         assert "where its tool can be turned" in str(refusal(robot, candidate("tasks", task)))
         pytest.skip("it does not say where its tool can be turned")
     with joined(robot, candidate("tasks", task)) as made:
@@ -66,7 +68,7 @@ def test_a_cube_lies_where_this_robot_works_and_as_its_gripper_is_held(small: Ca
 def test_a_robot_without_gripper_is_refused_where_one_is_needed_and_solves_the_rest(tmp_path: Path) -> None:
     bare = Candidate("robots", "bare", small_arm(tmp_path, fingers=False))
     for task in names("tasks"):
-        if task in ("reach_pose", "slide"):  # see above; a puck rolls off a stick
+        if task in (*TURNING, "slide"):  # see above; a puck rolls off a stick
             continue
         if load("tasks", task).uses_gripper:
             with pytest.raises(PluginError, match="Small: this robot has no gripper"):

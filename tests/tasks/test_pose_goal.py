@@ -72,11 +72,16 @@ def test_symmetries_and_an_axis_leave_turns_without_effect() -> None:
         turned = multiply(tilted, rotation_about((0.0, 0.0, turn)))
         assert around.angle(pose_array(ORIGIN, turned), goal) == pytest.approx(0, abs=1e-3)
     assert around.angle(pose_array(ORIGIN, multiply(tilted, rotation_about((0.5, 0, 0)))), goal) == pytest.approx(0.5)
+    reversed_ = pose_array(ORIGIN, multiply(tilted, rotation_about((pi, 0.0, 0.0))))
+    both = PoseGoal(0.01, 0.1, dense=True, span=1.0, axis=(0.0, 0.0, 1.0), symmetries=[(1.0, 0.0, 0.0, 0.0)])
+    assert around.angle(reversed_, goal) == pytest.approx(pi, abs=1e-3)
+    assert both.angle(reversed_, goal) == pytest.approx(0, abs=1e-3)
 
 
 def test_cartesian_actions_and_springs_of_pybullet_are_refused() -> None:
-    with pytest.raises(UsageError, match=r"robot.control: these actions do not turn the tool"):
-        made("reach_pose", arm={"control": "cartesian"})
+    for task in ("reach_pose", "reorient"):
+        with pytest.raises(UsageError, match=r"robot.control: these actions do not turn the tool"):
+            made(task, arm={"control": "cartesian"})
     with pytest.raises(UsageError, match=r"robot.control: PyBullet cannot do this"):
         made("reach_pose", arm={"control": "impedance"}, environment={"engine": "bullet"})
 

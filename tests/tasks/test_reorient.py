@@ -1,0 +1,42 @@
+"""Reorienting: a cylinder is brought to its pose, objects lie or stand, and starts are what they say."""
+
+from __future__ import annotations
+
+import numpy as np
+import pytest
+from support.rig import ROBOTS, expert_episode, made, values
+
+from karolos.simulation.geometry import axes
+
+
+@pytest.mark.parametrize("robot", ROBOTS)
+def test_the_expert_brings_a_cylinder_to_its_pose_with_every_arm(robot: str) -> None:
+    environment = made("reorient", robot, shape="cylinder")
+    stood = []
+    for seed in range(4):
+        steps = expert_episode(environment, seed)
+        assert steps[-1].success
+        assert not steps[0].success
+        stood.append(abs(axes(environment.task.goal_rotation)[2][2]) > 0.7)
+    environment.close()
+    assert 0 < sum(stood) < 4
+
+
+@pytest.mark.parametrize("shape", ["box", "cylinder"])
+@pytest.mark.parametrize("start", ["start_carried", "start_grasped", "start_near"])
+def test_training_may_start_with_the_object_in_the_hand_or_near_it(start: str, shape: str) -> None:
+    environment = made("reorient", draws={f"task.{start}": values(1.0)}, shape=shape)
+    layout = environment.signature.observation
+    action = np.zeros(environment.signature.action.size, np.float32)
+    action[-1] = 1.0 if start == "start_near" else -1.0
+    heights = []
+    for seed in range(8):
+        begin = environment.reset(seed)
+        heights.append(environment.task.cube.lowest)
+        for _ in range(6):
+            after = environment.step(action)
+        np.testing.assert_allclose(after.achieved_goal, begin.achieved_goal, atol=0.02)
+        assert np.linalg.norm(after.observation[layout.slice("object_from_tool")]) < 0.1
+    environment.close()
+    assert min(heights) == pytest.approx(0.0, abs=1e-3) or start == "start_carried"
+    assert (max(heights) > 0.05) == (start == "start_carried")
