@@ -126,7 +126,9 @@ class Carrier:
                 return tool[0], tool[1], tool[2] + CARRYING_CLEARANCE
             z = max(z, tool[2] + CARRYING_CLEARANCE - lowest)
         if floor:
-            x, y, slow = braking(robot, (x, y, z))
-            z = slow if self._rise else z  # a cup that goes down when it lets go presses on the cube
+            x, y, _ = braking(robot, (x, y, z))
             z = max(z, tool[2] - SLOW_SHARE * robot.tool_step)
-        return x, y, max(z, robot.workspace.low[2], tool[2] + SET_DOWN_GAP - lowest)
+        z = max(z, robot.workspace.low[2], tool[2] + SET_DOWN_GAP - lowest)
+        if self._rise and z < tool[2]:  # the cube is pressed between the arm and what it comes down on
+            _, _, z = braking(robot, (x, y, z))
+        return x, y, z

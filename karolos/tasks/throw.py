@@ -125,7 +125,7 @@ class Throw(CubeTask):
 
     def fit(self, robot: RobotView) -> None:
         settings, self._robot = self.settings, robot
-        check_pads(robot, type(self).__name__, "lets go in flight")
+        check_pads(robot, type(self).__name__, "throws")
         self.gripper = check_gripper(robot, type(self).__name__, settings.object_size)
         self.planner = planner = ThrowPlanner(robot, settings.object_size / 2)
         self.nearest = planner.reach + settings.threshold
