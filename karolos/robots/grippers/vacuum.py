@@ -28,6 +28,6 @@ class VacuumCup:
     model: ClassVar[GripperModel] = GripperModel(
         urdf=Path(__file__).parent / "urdf" / "vacuum.urdf",
         tool=(0.0, 0.0, 0.08),
-        cup=Cup(radius=RADIUS, max_force=PRESSURE * pi * RADIUS**2, pad_friction=1.0),
+        cup=Cup(radius=RADIUS, max_force=round(PRESSURE * pi * RADIUS**2, 1), pad_friction=1.0),
         least_height=0.01,
     )
