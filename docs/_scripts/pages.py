@@ -298,34 +298,34 @@ def gallery(folder: Path) -> dict[str, str]:
     """An overview and a page for each pair of robot and task; figures are written into `folder`."""
     found = references.contenders()
     overview = (
-        "# Gallery\n\nEvery robot with every task. Films show policies that ship with karolos. The number is "
+        "# Gallery\n\nEvery robot with every task. Films show policies that ship with karolos. The numbers are "
         "success at the end of 1,000 episodes that nothing was chosen on, mean over the seeds of the "
         "[reference runs](../../results.md).\n\n"
     )
-    overview += f"| {' | '.join(['', *references.ROBOTS])} |\n|{' --- |' * (1 + len(references.ROBOTS))}\n"
     pages: dict[str, str] = {}
     for task, specs in TASKS.items():
-        cells = []
+        overview += f"## {task}\n\n::::{{grid}} 1 2 3 3\n:gutter: 2\n\n"
         for robot in references.ROBOTS:
             names = [f"{robot}_{one}" for one in specs]
             pages[f"gallery/{robot}_{task}.md"] = _pair(robot, task, names, found, folder)
-            many = len(names) > 1
-            numbers = [
-                f"{one}: " * many + f"{_end(found[name]):.3f}"
-                for one, name in zip(specs, names, strict=True)
-                if name in found
-            ]
-            label = f"{robot} {task}"
-            picture = f"[![{label}](../../films/{_film(names)}.gif)]({robot}_{task}.md)"
-            cells.append(f"{picture} {', '.join(numbers) or 'no reference run'}")
-        overview += f"| {task} | {' | '.join(cells)} |\n"
+            numbers = "<br>".join(_labelled(name, found.get(name)) for name in names)
+            overview += (
+                f":::{{grid-item-card}} {robot}\n:img-top: ../../films/{_film(names)}.gif\n"
+                f":img-alt: {robot} {task}\n:link: {robot}_{task}\n:link-type: doc\n\n{numbers}\n:::\n"
+            )
+        overview += "::::\n\n"
     listed = "\n".join(Path(name).stem for name in pages)
     pages["gallery/index.md"] = f"{overview}\n```{{toctree}}\n:hidden:\n\n{listed}\n```\n"
     return pages
 
 
-def _end(one: Contender) -> float:
-    return float(compare([one]).scores[0].end.value)
+def _labelled(name: str, one: Contender | None) -> str:
+    """A line about a spec: its success with what the number is."""
+    if one is None:
+        return f"`{name}`: no reference run"
+    seeds = len(one.runs)
+    end = float(compare([one]).scores[0].end.value)
+    return f"`{name}`: **{end:.3f}** success, {seeds} seed{'s' * (seeds != 1)}"
 
 
 def _film(names: Sequence[str]) -> str:

@@ -357,9 +357,9 @@ def _markdown(columns: list[str], rows: list[list[str]]) -> str:
 
 
 def pages() -> dict[Path, str]:
-    """The texts of README.md and docs/results.md with the generated tables between their markers."""
+    """The texts of README.md, docs/index.md and docs/results.md with the generated tables between their markers."""
     generated, found = tables(), {}
-    for page in (ROOT / "README.md", ROOT / "docs" / "results.md"):
+    for page in (ROOT / "README.md", ROOT / "docs" / "index.md", ROOT / "docs" / "results.md"):
         text = page.read_text(encoding="utf-8")
         for name, table in generated.items():
             begin, end = f"<!-- {name}: written by docs/_scripts/references.py -->", f"<!-- end of {name} -->"

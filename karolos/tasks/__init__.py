@@ -1,4 +1,5 @@
 """Tasks, one file each with its scripted expert. No task knows a robot.
 
-`point_goal` and `cube` hold what several tasks share, `flight` and `throw_planner` what throwing needs.
+What several tasks share: `point_goal`, `pose_goal` (goals), `cube` (things), `carrying` (grips), `starts` (of training
+episodes), `force_penalty`. What throwing needs: `flight`, `throw_planner`.
 """

@@ -1,13 +1,14 @@
-"""Carrying: an expert's way of gripping a cube and bringing it to a place."""
+"""Carrying: how episodes with a gripped cube begin, and how experts grip a cube and bring it to a place."""
 
 from __future__ import annotations
 
 from math import hypot
 
 from ..core import FloatArray
+from ..core.seeding import Generator
 from ..simulation.geometry import Vector
 from ..simulation.interface import Gripper, RobotView
-from .cube import BRAKING_SHARE, Cube, braking, drift
+from .cube import BRAKING_SHARE, Cube, CubeTask, aligned, braking, drift
 
 HOVER_HEIGHT = 0.08
 """m above the cube at which the gripper arrives."""
@@ -30,6 +31,24 @@ CLOSING_STEPS = 3
 """Control steps for which both pads must touch before the cube is lifted: until then they push it to the middle."""
 GRASP_PATIENCE = 30
 """Control steps after which a gripper that has closed on nothing opens again."""
+
+
+class CarryTask(CubeTask):
+    """The part that tasks share in which cubes are gripped; a task sets `gripper` in `fit`."""
+
+    uses_gripper = True
+    gripper: Gripper
+
+    def _begin(self, cube: Cube, place: Vector, stage: str | None, generator: Generator) -> None:
+        """Put a cube there in m: in the gripper (`grasped`), the open gripper around or above it (`near`), or alone."""
+        if stage == "grasped":
+            cube.put_in_gripper(self._robot, self.gripper, place)
+        elif stage == "near":
+            x, y, z = place
+            above = x, y, z + generator.uniform(GRIP_HEIGHT, HOVER_HEIGHT)
+            cube.place_with_tool(self._robot, place, above, 1.0)
+        else:
+            cube.place(place, aligned(self._robot))
 
 
 class Carrier:

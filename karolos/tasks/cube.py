@@ -194,6 +194,10 @@ class CubeTask(Task):
     def lost(self) -> bool:
         return any(cube.lost for cube in self.cubes)
 
+    def let_go(self) -> bool:
+        """Whether all cubes are at rest and the robot touched none in the last control step."""
+        return all(cube.at_rest and not self._robot.contact_force(cube.body) for cube in self.cubes)
+
     def extra_reward(self) -> float:
         penalty = self.settings.force_penalty
         return 0.0 if penalty is None else penalty.reward(self._robot.largest_force())

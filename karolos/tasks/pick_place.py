@@ -11,8 +11,8 @@ from ..core import Array, BoolArray, Expert, Field, FloatArray, Layout
 from ..core.seeding import Generator
 from ..randomization.randomization import Probability
 from ..simulation.interface import Box, RobotView
-from .carrying import GRIP_HEIGHT, HOVER_HEIGHT, Carrier
-from .cube import CubeSettings, CubeTask, aligned, check_gripper, ground
+from .carrying import Carrier, CarryTask
+from .cube import CubeSettings, check_gripper, ground
 from .point_goal import PointGoal, PointGoalSettings, PointGoalTask, sample_position
 from .starts import drawn_stage, start
 
@@ -61,7 +61,7 @@ class StagedPick(PointGoal):
         return super().distance(achieved[..., :3], desired)
 
 
-class PickPlace(PointGoalTask, CubeTask):
+class PickPlace(PointGoalTask, CarryTask):
     """What to do: grasp the cube and bring it to the goal, held by friction alone.
 
     What is randomised: cube and goal, uniformly in a square of .3 m in the middle of the workspace (`goals: workspace`:
@@ -87,7 +87,6 @@ class PickPlace(PointGoalTask, CubeTask):
 
     settings: Settings
     drawn: Settings
-    uses_gripper = True
     protective_stop = False  # reference runs were made without
     achieved_goal = Layout((Field("object_position", 3, "m"),))
 
@@ -108,14 +107,9 @@ class PickPlace(PointGoalTask, CubeTask):
             self.goal_rule = StagedPick(settings.threshold, rest=rest)
 
     def reset(self, generator: Generator) -> None:
-        robot, (x, y, z) = self._robot, sample_position(generator, self.ground, "the cube").tolist()
+        x, y, z = sample_position(generator, self.ground, "the cube").tolist()
         stage = drawn_stage(self.drawn, generator.uniform(), "grasped", "near")
-        if stage == "grasped":
-            self.cube.put_in_gripper(robot, self.gripper, (x, y, z))
-        elif stage == "near":
-            self.cube.place_with_tool(robot, (x, y, z), (x, y, z + generator.uniform(GRIP_HEIGHT, HOVER_HEIGHT)), 1.0)
-        else:
-            self.cube.place((x, y, z), aligned(robot))
+        self._begin(self.cube, (x, y, z), stage, generator)
         self._sample_goal(generator, self.air if generator.uniform() < AIR_PROBABILITY else self.ground)
 
     def achieved(self) -> FloatArray:

@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 from collections.abc import Callable
+from math import hypot
 from typing import Literal
 
 import numpy as np
@@ -11,6 +12,7 @@ from pydantic import Field as Setting
 from ..core import Array, BoolArray, Field, FloatArray, GoalRule, Layout, Settings
 from ..core.seeding import Generator
 from ..errors import RunError, UsageError
+from ..simulation.geometry import Vector
 from ..simulation.interface import Box, Task, World
 
 PLACE_ATTEMPTS = 1000
@@ -49,6 +51,27 @@ class PointGoal(GoalRule):
         return metres
 
 
+class Places(PointGoal):
+    """Several positions at once, and whether they are left alone, such as the places of things on one another.
+
+    `achieved` and `desired` (..., 3 n + 1): n positions in m, and 1 if all things are let go and at rest, else 0. With
+    0 in `desired` it does not matter. Sparse reward. The distance is that of the furthest.
+    """
+
+    def __init__(self, threshold: float) -> None:
+        super().__init__(threshold, dense=False, span=1.0)
+
+    def success(self, achieved: Array, desired: Array) -> BoolArray:
+        left: BoolArray = achieved[..., -1] >= desired[..., -1]
+        return left & (self.distance(achieved, desired) < self.threshold)
+
+    def distance(self, achieved: Array, desired: Array) -> FloatArray:
+        off = (achieved - desired)[..., :-1]
+        off = off.reshape(*off.shape[:-1], -1, 3)
+        metres: FloatArray = np.sqrt(np.vecdot(off, off).max(-1), dtype=np.float32)
+        return metres
+
+
 def check_threshold(threshold: float, box: Box) -> None:
     """Raises UsageError when a position in the box may be near every goal in it."""
     if 2 * threshold >= box.diagonal:
@@ -57,6 +80,19 @@ def check_threshold(threshold: float, box: Box) -> None:
             setting="task.threshold",
             hint=f"goals lie in a box with a diagonal of {box.diagonal:.2f} m; take a smaller threshold",
         )
+
+
+def sample_apart(generator: Generator, box: Box, number: int, apart: float, what: str) -> list[Vector]:
+    """So many positions in m in the box, each further than `apart` m from the others along the floor."""
+    places: list[Vector] = []
+
+    def far(one: FloatArray) -> bool:
+        return all(hypot(one[0] - x, one[1] - y) > apart for x, y, _ in places)
+
+    for _ in range(number):
+        x, y, z = sample_position(generator, box, what, far).tolist()
+        places.append((x, y, z))
+    return places
 
 
 def sample_position(

@@ -71,10 +71,13 @@ class Push(PointGoalTask, CubeTask):
         return PushExpert(self._robot, self, self.settings.threshold)
 
 
-def near_start(robot: RobotView, cube: Vector, generator: Generator) -> Vector:
-    """A random position of the tool beside the cube, within the workspace, at which it does not touch the cube."""
+def near_start(robot: RobotView, cube: Vector, generator: Generator, angles: tuple[float, float] = (-pi, pi)) -> Vector:
+    """A random position of the tool beside the cube, within the workspace, at which it does not touch the cube.
+
+    `angles`: range in rad of its direction from the cube, from the x axis.
+    """
     (x, y, _), box = cube, robot.workspace
-    angle, distance = generator.uniform(-pi, pi), generator.uniform(*NEAR_DISTANCES)
+    angle, distance = generator.uniform(*angles), generator.uniform(*NEAR_DISTANCES)
     above = max(0.0, generator.uniform(-NEAR_HEIGHT, NEAR_HEIGHT))
     return (
         min(max(x + distance * cos(angle), box.low[0]), box.high[0]),

@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from math import copysign, cos, hypot, pi, radians, sin, sqrt
+from math import atan2, copysign, cos, hypot, pi, radians, sin, sqrt
 from typing import Annotated, Literal
 
 import numpy as np
@@ -30,6 +30,10 @@ ROOM_AHEAD = 0.05
 """m before the end of the workspace where the arm lets the puck go at the latest."""
 USABLE_SPEED = 0.8
 """Share of the tool's largest speed that every arm has everywhere in its workspace, to either side, too."""
+BEHIND = pi / 4
+"""Largest angle in rad between straight behind the puck and a start near it."""
+MOVED = 0.01
+"""m that a puck has slid at the least where its rest ends an episode."""
 CLEAR = 0.03
 """m between the puck and the workspace at which nothing of the arm touches it."""
 
@@ -52,17 +56,17 @@ class Slide(CubeTask):
     What is randomised: the puck, in the near half of the workspace within 10 cm to either side; the target: within
     `sector` degrees to either side of straight ahead, beyond the arm's reach by at least `threshold`, and from there at
     most the fraction `share` of the way to the furthest slide. With probability `start_near` an episode begins with
-    the gripper near the puck, a parameter that training may draw.
+    the gripper behind the puck, a parameter that training may draw.
 
     Observation: object_position (3, m), object_rotation (6, two columns of its matrix), object_velocity (3, m/s),
     object_angular_velocity (3, rad/s), object_from_tool (3, m), rest_if_left (2, m): where the puck would come to rest
     if nothing touched it from now on.
     Action: the robot's, without the gripper.
-    Goals: achieved, where the puck comes to rest if nothing touches it any more (2, m), and a status (0 while it moves
-    or the arm may reach it, 1 at rest beyond); desired, the target (2, m).
+    Goals: achieved, where the puck comes to rest if nothing touches it any more (2, m), and a status (0 until it has
+    been moved, and while it moves or is touched, 1 at rest); desired, the target (2, m).
     Reward: at rest; sparse 1 within the threshold, else 0; dense in [0, 1], see `Landing`.
     What counts as success: the puck lies at rest within `threshold` of the target.
-    Termination: when the puck lies beyond the workspace, untouched; truncated after `max_steps`. With probability
+    Termination: when the puck has been moved and lies at rest, untouched; truncated after `max_steps`. With probability
     `end_at_release` already when it has left the workspace, at the place of rest that is computed from its speed and
     the friction; as a parameter of domain randomization in training alone.
 
@@ -81,7 +85,7 @@ class Slide(CubeTask):
             0.5, gt=0, le=1, description="how far targets lie from the nearest one towards the furthest slide"
         )
         sector: float = Setting(15.0, gt=0, le=60, description="of targets, to either side of straight ahead, degrees")
-        start_near: Probability = start("the gripper near the puck")
+        start_near: Probability = start("the gripper behind the puck")
         end_at_release: Probability = Setting(
             0.0, description="probability that an episode ends when the puck leaves the workspace, its rest computed"
         )
@@ -92,6 +96,7 @@ class Slide(CubeTask):
     observation = Layout((*FIELDS, Field("rest_if_left", 2, "m")))
     object_class = Puck
     uses_gripper = False
+    protective_stop = False  # a policy that learns presses on the floor; `force_penalty` teaches it not to
     fingers = 0.5  # the puck lies between them and goes where they go
     camera = Camera(target=(0.8, 0.0, 0.2), distance=3.4, yaw=22.0, pitch=-25.0)
     achieved_goal = Layout((Field("rest", 2, "m"), Field("arrived", 1)))
@@ -150,7 +155,9 @@ class Slide(CubeTask):
     def reset(self, generator: Generator) -> None:
         x, y, z = sample_position(generator, self.starts, "the puck").tolist()
         if drawn_stage(self.drawn, generator.uniform(), "near"):
-            self.cube.place_with_tool(self._robot, (x, y, z), near_start(self._robot, (x, y, z), generator), 0.0)
+            behind = atan2(-self.ahead[1], -self.ahead[0])
+            tool = near_start(self._robot, (x, y, z), generator, (behind - BEHIND, behind + BEHIND))
+            self.cube.place_with_tool(self._robot, (x, y, z), tool, 0.0)
         else:
             self.cube.place((x, y, z), aligned(self._robot))
         angle = radians(self.settings.sector) * generator.uniform(-1, 1)
@@ -158,15 +165,19 @@ class Slide(CubeTask):
         turned = ax * cos(angle) - ay * sin(angle), ay * cos(angle) + ax * sin(angle)
         self.goal = np.array([base + far * way for base, way in zip(self.axis, turned, strict=True)], np.float32)
         self._marker.place((*self.goal.tolist(), 0.0))
+        self._from = x, y
         self._ends_at_release = generator.uniform() < self.drawn.end_at_release
         self.arrived = False
 
     def read(self) -> None:
         super().read()
-        (x, y, _), box, cube = self.cube.position, self._robot.workspace, self.cube
+        robot, cube, box, (x, y, _) = self._robot, self.cube, self._robot.workspace, self.cube.position
         room = CLEAR + self.settings.object_size / 2
         beyond = max(box.low[0] - x, x - box.high[0], box.low[1] - y, y - box.high[1]) > room
-        self.arrived = beyond and (self._ends_at_release or cube.at_rest) and not self._robot.contact_force(cube.body)
+        if self._ends_at_release and beyond:
+            self.arrived = not robot.contact_force(cube.body)
+        else:
+            self.arrived = hypot(x - self._from[0], y - self._from[1]) > MOVED and self.let_go()
 
     def rest(self, position: list[float] | Vector, velocity: list[float] | Vector) -> tuple[float, float]:
         """Where a puck that is left alone comes to rest, in m."""

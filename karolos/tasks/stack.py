@@ -3,21 +3,21 @@
 from __future__ import annotations
 
 from itertools import pairwise
-from math import hypot, tanh
+from math import tanh
 from typing import Literal
 
 import numpy as np
 from pydantic import Field as Setting
 
-from ..core import Array, BoolArray, Expert, Field, FloatArray, GoalRule, Layout, Measure
+from ..core import Expert, Field, FloatArray, Layout, Measure
 from ..core.seeding import Generator
 from ..errors import UsageError
 from ..randomization.randomization import Probability
 from ..simulation.geometry import Vector
 from ..simulation.interface import RobotView
-from .carrying import GRIP_HEIGHT, HOVER_HEIGHT, Carrier
-from .cube import CUBE_COLOUR, CubeSettings, CubeTask, aligned, check_gripper, fields, ground
-from .point_goal import sample_position
+from .carrying import HOVER_HEIGHT, Carrier, CarryTask
+from .cube import CUBE_COLOUR, CubeSettings, aligned, check_gripper, fields, ground
+from .point_goal import Places, sample_apart
 from .starts import drawn_stage, start
 
 GAP = {2: 0.06, 3: 0.1}
@@ -29,35 +29,7 @@ NEAR_SCALE = 0.02
 """m: errors are observed as tanh(error / scale), too, in which a network sees millimetres."""
 
 
-class Stacked(GoalRule):
-    """Success where each cube is near its place on the one below, and all are let go and at rest if that is wanted.
-
-    `achieved` (..., 3 n + 1): the position of each cube but the lowest from the one below (3, m), and 1 if the robot
-    touches no cube and all are at rest, else 0. `desired` (..., 3 n + 1) is the same; with 0 at the end it does not
-    matter whether a cube is held. Reward 0 on success, else -1.
-    """
-
-    reward_range = (-1.0, 0.0)
-
-    def __init__(self, threshold: float) -> None:
-        self.threshold = threshold
-
-    def reward(self, achieved: Array, desired: Array) -> FloatArray:
-        return -np.asarray(~self.success(achieved, desired), np.float32)
-
-    def success(self, achieved: Array, desired: Array) -> BoolArray:
-        free: BoolArray = achieved[..., -1] >= desired[..., -1]
-        return free & (self.distance(achieved, desired) < self.threshold)
-
-    def distance(self, achieved: Array, desired: Array) -> FloatArray:
-        """Of the cube that is furthest from its place."""
-        off = (achieved - desired)[..., :-1]
-        off = off.reshape(*off.shape[:-1], -1, 3)
-        metres: FloatArray = np.sqrt(np.vecdot(off, off).max(-1), dtype=np.float32)
-        return metres
-
-
-class Stack(CubeTask):
+class Stack(CarryTask):
     """What to do: put the second cube on the first, with `height: 3` the third on the second, and let go.
 
     What is randomised: the cubes, uniformly in a square of .3 m in the middle of the workspace, their sides at least
@@ -91,7 +63,7 @@ class Stack(CubeTask):
 
     settings: Settings
     drawn: Settings
-    uses_gripper = True
+    protective_stop = False  # a policy that learns presses on the cubes; `force_penalty` teaches it not to
     colours = (CUBE_COLOUR, (0.16, 0.5, 0.8, 1.0), (0.85, 0.75, 0.2, 1.0))
     distance_measure = Measure("miss", "m", "smaller", "distance of the furthest cube from its place at the end")
 
@@ -104,7 +76,7 @@ class Stack(CubeTask):
             observed += [Field(name, 3, "m"), Field(f"cube_{k}_error", 3)]
         self.observation = Layout(tuple(observed))
         super().__init__(settings)
-        self.goal_rule = Stacked(settings.threshold)
+        self.goal_rule = Places(settings.threshold)
         self.goal = np.array((0.0, 0.0, settings.object_size) * (number - 1) + (1.0,), np.float32)
 
     def fit(self, robot: RobotView) -> None:
@@ -125,35 +97,22 @@ class Stack(CubeTask):
             )
 
     def reset(self, generator: Generator) -> None:
-        places, edge, robot = list[Vector](), self.settings.object_size, self._robot
-        apart = GAP[self.number] + edge
-        for _ in self.cubes:
-            x, y, z = sample_position(
-                generator,
-                self.ground,
-                "the cubes",
-                lambda one: all(hypot(one[0] - x, one[1] - y) > apart for x, y, _ in places),
-            ).tolist()
-            places.append((x, y, z))
-        draws = generator.uniform(size=3).tolist()
-        standing = 1 + bool(self.number > 2 and drawn_stage(self.drawn, draws[0], "stacked"))
+        edge, robot = self.settings.object_size, self._robot
+        places = sample_apart(generator, self.ground, self.number, GAP[self.number] + edge, "the cubes")
+        standing = 1 + bool(self.number > 2 and drawn_stage(self.drawn, generator.uniform(), "stacked"))
         x, y, z = places[0]
-        for k, cube in enumerate(self.cubes):
-            cube.place((x, y, z + k * edge) if k < standing else places[k], aligned(robot))
-        stage, cube = drawn_stage(self.drawn, draws[1], "above", "grasped", "near"), self.cubes[standing]
+        places[:standing] = [(x, y, z + k * edge) for k in range(standing)]
+        for cube, place in zip(self.cubes, places, strict=True):
+            cube.place(place, aligned(robot))
+        stage, cube = drawn_stage(self.drawn, generator.uniform(), "above", "grasped", "near"), self.cubes[standing]
         if stage == "above":
-            cube.put_in_gripper(robot, self.gripper, (x, y, z + standing * edge + ABOVE * draws[2]))
-        elif stage == "grasped":
-            cube.put_in_gripper(robot, self.gripper, places[standing])
-        elif stage == "near":
-            (x, y, z), rise = places[standing], GRIP_HEIGHT + (HOVER_HEIGHT - GRIP_HEIGHT) * draws[2]
-            cube.place_with_tool(robot, (x, y, z), (x, y, z + rise), 1.0)
-        self.let_go = stage in ("near", None)
+            stage, places[standing] = "grasped", (x, y, z + standing * edge + ABOVE * generator.uniform())
+        self._begin(cube, places[standing], stage, generator)
+        self._free = stage != "grasped"
 
     def read(self) -> None:
         super().read()
-        robot = self._robot
-        self.let_go = all(cube.at_rest and not robot.contact_force(cube.body) for cube in self.cubes)
+        self._free = self.let_go()
 
     @property
     def offsets(self) -> list[Vector]:
@@ -170,7 +129,7 @@ class Stack(CubeTask):
         return values
 
     def achieved(self) -> FloatArray:
-        return np.array([*(value for offset in self.offsets for value in offset), self.let_go], np.float32)
+        return np.array([*(value for offset in self.offsets for value in offset), self._free], np.float32)
 
     def expert(self) -> Expert:
         return StackExpert(self._robot, self)

@@ -13,7 +13,7 @@ from ...evaluation.policies import expert_policy, random_policy
 from .case import Candidate, Promises, demand, demand_same
 from .joined import joined, refusal
 
-EPISODES = 10
+EPISODES, CHANCE_EPISODES = 10, 4
 REFUSED, PROMISES, IN_REACH = Promises(), Promises(), Promises()
 ARM_IN_REACH = Promises()
 """Gravity need not move a robot that is no arm."""
@@ -30,12 +30,14 @@ def the_expert_solves_the_pair_and_random_actions_do_not(robot: Candidate, task:
     """The expert succeeds in at least 70 % of the episodes, defining every measure; random actions in at most 30 %."""
     with joined(robot, task) as environment:
         expert = score(environment, expert_policy(environment), episodes=EPISODES, seed=1)
-        chance = score(environment, random_policy(environment, 1), episodes=EPISODES, seed=1)
+        chance = score(environment, random_policy(environment, 1), episodes=CHANCE_EPISODES, seed=1)
         demand(environment.divergences == 0, f"the simulation diverges in {environment.divergences} episodes")
     undefined = [name for name, one in expert.measures.items() if one["mean"] is None]
     demand(not undefined, f"measures that no episode of the expert defines: {', '.join(undefined)}")
     demand(expert.success_end >= 0.7, f"the expert succeeds in only {expert.success_end:.0%} of {EPISODES} episodes")
-    demand(chance.success_end <= 0.3, f"random actions succeed in {chance.success_end:.0%} of {EPISODES} episodes")
+    demand(
+        chance.success_end <= 0.3, f"random actions succeed in {chance.success_end:.0%} of {CHANCE_EPISODES} episodes"
+    )
 
 
 @PROMISES
