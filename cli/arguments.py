@@ -80,6 +80,8 @@ Jobs = Annotated[
     int | None,
     typer.Option(min=1, help="Runs at the same time, each in its own process. Default: 1, or all with --on."),
 ]
+Resume = Annotated[bool, typer.Option("--resume", help="Resume interrupted runs; skip finished seeds.")]
+IfNeeded = Annotated[bool, typer.Option("--if-needed", help="Skip seeds that are finished.")]
 Json = Annotated[bool, typer.Option("--json", help="Print one JSON object per row.")]
 Quiet = Annotated[bool, typer.Option("--quiet", "-q", help="Show only warnings and failures.")]
 
@@ -166,11 +168,11 @@ def select_runs(
     return store, tuple(selected.values())
 
 
-def seconds(text: str | None) -> float | None:
+def seconds(text: str | None, option: str = "--time-limit") -> float | None:
     """A duration such as 90, 90s, 30m, 2h or 1d in seconds. Raises UsageError for anything else."""
     if text is None:
         return None
     found = re.fullmatch(r"(\d+(?:\.\d+)?)\s*([smhd]?)", text.strip())
     if found is None or float(found[1]) <= 0:
-        raise UsageError(f"{text!r} is not a duration", where="--time-limit", hint="write e.g. 90s, 30m, 2h or 1d")
+        raise UsageError(f"{text!r} is not a duration", where=option, hint="write e.g. 90s, 30m, 2h or 1d")
     return float(found[1]) * {"": 1, "s": 1, "m": 60, "h": 3600, "d": 86400}[found[2]]

@@ -5,7 +5,7 @@ from __future__ import annotations
 import os
 from collections.abc import Sequence
 from pathlib import Path
-from typing import Annotated, Any
+from typing import TYPE_CHECKING, Annotated, Any
 
 import typer
 
@@ -13,6 +13,9 @@ from karolos.errors import KarolosError, Problem, SpecError, UsageError
 
 from .arguments import Json, Runs
 from .output import print_line, print_rows
+
+if TYPE_CHECKING:
+    from karolos.specification import Spec
 
 
 def check(
@@ -26,35 +29,26 @@ def check(
     runs: Runs = Path("runs"),
     json: Json = False,
 ) -> None:
-    """Check specs and print every problem as file:line:column: key: what is wrong.
+    """Check specs and suites, and print every problem as file:line:column: key: what is wrong.
 
     The parts of a valid spec are created once to see whether they fit together, and those of each variant of a
-    transfer. Nothing is trained.
+    transfer and of each spec of a suite. Nothing is trained.
     Exit code 0: all specs are valid; 2: one is invalid; 3: one names a broken plugin.
     """
     from karolos.specification import load_spec
+    from karolos.specification.suite import is_suite, load_suite
 
     worst = 0
     overrides = [argument for argument in arguments if _is_override(argument)]
-    specs = [Path(argument) for argument in arguments if not _is_override(argument)]
-    if not specs:
+    paths = [Path(argument) for argument in arguments if not _is_override(argument)]
+    if not paths:
         raise UsageError(f"{' '.join(overrides)} is not a spec", hint="karolos check SPEC... [PATH=VALUE]...")
-    for path in specs:
+    for path in paths:
         found: Sequence[Problem | KarolosError] = ()
         note = None
         try:
-            spec = load_spec(path, overrides)
-            from karolos.training.assembly import check_parts  # not for an invalid spec: it takes half a second
-
-            note = check_parts(spec)
-            if getattr(spec.agent.settings, "start_from", None) is not None:
-                from karolos.experiment.start_from import pinned
-
-                pinned(spec, runs)
-            if spec.transfer is not None:
-                from karolos.transfer.matrix import Matrix
-
-                Matrix(spec).check()
+            specs = load_suite(path, overrides).specs if is_suite(path) else [load_spec(path, overrides)]
+            note = "; ".join(dict.fromkeys(filter(None, (_check_parts(spec, runs) for spec in specs)))) or None
         except KarolosError as error:
             worst = max(worst, error.exit_code)
             found = error.problems if isinstance(error, SpecError) else (error,)
@@ -65,6 +59,22 @@ def check(
         for one in () if json else found:
             print_line(str(one))
     raise typer.Exit(worst)
+
+
+def _check_parts(spec: Spec, runs: Path) -> str | None:
+    """Raise an error for what cannot work; returns a note on what may surprise."""
+    from karolos.training.assembly import check_parts  # not for an invalid spec: it takes half a second
+
+    note = check_parts(spec)
+    if getattr(spec.agent.settings, "start_from", None) is not None:
+        from karolos.experiment.start_from import pinned
+
+        pinned(spec, runs)
+    if spec.transfer is not None:
+        from karolos.transfer.matrix import Matrix
+
+        Matrix(spec).check()
+    return note
 
 
 def _is_override(argument: str) -> bool:

@@ -26,6 +26,7 @@ from .export import export
 from .output import say
 from .play import play
 from .run import resume, run
+from .suite import suite
 from .sweep import sweep
 from .transfer import transfer
 from .ui import ui
@@ -65,7 +66,7 @@ app = typer.Typer(
     rich_markup_mode="markdown",
     pretty_exceptions_enable=False,
 )
-for command in (run, resume, check, sweep, compare, diff, zero_shot, transfer, play, export, board, ui):
+for command in (run, resume, check, sweep, suite, compare, diff, zero_shot, transfer, play, export, board, ui):
     app.command("test" if command is zero_shot else None)(command)
 for group in (spec, plugins, inspect, runs, db, sweeps):
     app.add_typer(group.app, cls=Commands)

@@ -13,12 +13,14 @@ from karolos.files import writing
 
 from .arguments import (
     Database,
+    IfNeeded,
     Jobs,
     Json,
     On,
     OneRun,
     Overrides,
     Quiet,
+    Resume,
     Runs,
     SpecFile,
     TimeLimit,
@@ -38,10 +40,8 @@ def run(
     runs: Runs = Path("runs"),
     database: Database = None,
     jobs: Jobs = None,
-    resume: Annotated[
-        bool, typer.Option("--resume", help="Resume interrupted runs of this spec; skip finished seeds.")
-    ] = False,
-    if_needed: Annotated[bool, typer.Option("--if-needed", help="Skip seeds that are finished.")] = False,
+    resume: Resume = False,
+    if_needed: IfNeeded = False,
     on: On = None,
     detach: Annotated[
         bool, typer.Option("--detach", help="Go on in the background; the output is in NAME.log in the runs folder.")

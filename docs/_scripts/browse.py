@@ -9,6 +9,7 @@ scroll sideways. The search must find "prioritised". A page with all these fault
 from __future__ import annotations
 
 import json
+import os
 import shutil
 import subprocess
 import sys
@@ -21,11 +22,13 @@ from pathlib import Path
 from typing import Any
 
 SITE = Path(__file__).parents[1] / "_build" / "html"
+PICTURES = os.environ.get("KAROLOS_PICTURES")
+"""A folder in which pictures of some pages are left; none are taken without it."""
 WIDTH, SECONDS = 390, 120
 SEARCHED = "prioritised"
 FLAGS = (
     *("--headless", "--no-sandbox", "--disable-gpu", "--no-first-run", "--disable-background-networking"),
-    *("--disable-component-update", "--disable-sync", "--enable-logging=stderr", "--v=0", "--remote-debugging-port=0"),
+    *("--disable-component-update", "--disable-sync", "--enable-logging=stderr", "--v=0"),
     "--host-resolver-rules=MAP * ~NOTFOUND, EXCLUDE 127.0.0.1",  # no page may need the network
 )
 FAULTY = f"""<!doctype html><title>faulty</title><p style="width:{WIDTH + 100}px">x</p>
@@ -115,10 +118,22 @@ def main() -> None:
     with Server(["/faulty", *pages]) as server, tempfile.TemporaryDirectory(ignore_cleanup_errors=True) as profile:
         threading.Thread(target=server.serve_forever, daemon=True).start()
         url = f"http://127.0.0.1:{server.server_port}/look"
-        command = [chromium, *FLAGS, f"--user-data-dir={profile}", url]
+        command = [chromium, *FLAGS, "--remote-debugging-port=0", f"--user-data-dir={profile}/look", url]
         browser = subprocess.Popen(command, stdout=subprocess.DEVNULL, stderr=subprocess.PIPE, text=True)
         is_answered = server.answered.wait(SECONDS)
         browser.terminate()
+        for page in ("index", "results", "generated/gallery/index") if PICTURES else ():
+            picture = f"--screenshot={PICTURES}/site-{page.rpartition('/')[0].rpartition('/')[2] or page}.png"
+            address = f"http://127.0.0.1:{server.server_port}/{page}.html"
+            shot = [
+                chromium,
+                *FLAGS,
+                f"--user-data-dir={profile}/pictures",
+                "--window-size=1200,1400",
+                picture,
+                address,
+            ]
+            subprocess.run(shot, check=True, capture_output=True, timeout=60)
         console = [line for line in browser.communicate()[1].splitlines() if ":CONSOLE" in line]
         server.shutdown()
     if not is_answered:

@@ -123,7 +123,7 @@ class Experiment:
             check_parts(self.spec, jobs or 1)  # within the time limit, because an environment may hang
             spec = pinned(self.spec.alone(), home.runs)
             for seed in spec.seeds:
-                _claim(home, spec, seed, stack)
+                claim(home, spec, seed, stack)
             if is_local and jobs == 1:
                 folders = (home.find(spec, one) or home.create(spec, one) for one in spec.seeds if not stop.requested)
                 summaries = [_execute(one, home.url, listener, stop) for one in folders]
@@ -163,7 +163,7 @@ def resume_run(
     return Outcome((summary,), 1, stop.exit_code)
 
 
-def _claim(home: Home, spec: Spec, seed: int, stack: ExitStack) -> None:
+def claim(home: Home, spec: Spec, seed: int, stack: ExitStack) -> None:
     """Let no other process run this seed as well, which would be a second copy of its run. Released by the stack.
 
     Raises:

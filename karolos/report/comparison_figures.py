@@ -70,7 +70,8 @@ def learning(comparison: Comparison, axis: Axis) -> Drawing:
             x = places(run, axis) / scale
             [line] = axes.plot(x, run.values(metric), **style(series), linewidth=0.6, alpha=0.45)
             drawing.part(line, f"seed series-{series}", _run_text(contender, place))
-        [line] = axes.plot(at, curve.middle, **style(series), linewidth=2, zorder=3)
+        alone = "o" if at.size == 1 else ""  # a single point would not be seen
+        [line] = axes.plot(at, curve.middle, **style(series), linewidth=2, marker=alone, zorder=3)
         drawing.part(line, f"main series-{series}", f"{contender.label}: {name}")
         for place in range(0, at.size, at.size // HOVERED + 1):
             middle, low, high = (ends[place] for ends in (curve.middle, curve.low, curve.high))

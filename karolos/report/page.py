@@ -36,6 +36,8 @@ class Section:
     """Its first column names the rows. On a page of contenders each other column is one's."""
     series: Sequence[int] = ()
     """If each row of the table is one contender's instead: which one's."""
+    links: Sequence[str] = ()
+    """Addresses that the names of the rows lead to."""
     notes: Sequence[str] = ()
 
 

@@ -56,7 +56,7 @@ def shipped_text(name: str) -> str:
     for target in reversed(list(extends.walk()) if extends else []):
         if isinstance(target.value, str):
             row, column = target.at.line - 1, target.at.column - 1
-            rest = lines[row][column:].replace(target.value, _beside(source, target.value), 1)
+            rest = lines[row][column:].replace(target.value, beside(source, target.value), 1)
             lines[row] = lines[row][:column] + rest
     return "".join(lines)
 
@@ -87,7 +87,7 @@ class SpecFiles:
             SpecError: the root file cannot be read.
         """
         path, name = find_spec(self.root)
-        if wrong := _unreadable(path):
+        if wrong := unreadable(path):
             refuse([Problem(Mark(name), "", *wrong)])
         try:
             return self._load(path, name, ())
@@ -136,8 +136,8 @@ class SpecFiles:
         if given.startswith(SHIPPED):
             base, name = find_spec(given)
         else:
-            base, name = path.parent / given, _beside(name, given)
-        if wrong := _unreadable(base):
+            base, name = path.parent / given, beside(name, given)
+        if wrong := unreadable(base):
             self.broken.append(Problem(target.at, "extends", f"{shown(given)}: {wrong[0]}", wrong[1]))
             return None
         file = os.path.realpath(base)
@@ -152,13 +152,13 @@ class SpecFiles:
             return None
 
 
-def _beside(name: str, given: str) -> str:
+def beside(name: str, given: str) -> str:
     """The name in positions of a file that the file `name` extends as `given`."""
     prefix = SHIPPED if name.startswith(SHIPPED) else ""
     return prefix + os.path.normpath(os.path.join(os.path.dirname(name.removeprefix(prefix)), given))
 
 
-def _unreadable(path: Path) -> tuple[str, str | None] | None:
+def unreadable(path: Path) -> tuple[str, str | None] | None:
     """The reason why `path` is unreadable and a hint, or None. Refuses pipes and devices: they may never end."""
     try:
         mode = os.stat(path).st_mode

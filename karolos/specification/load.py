@@ -27,10 +27,13 @@ from .problems import ROBOT_TASK, validate
 from .space import application_order, space_problems
 
 
-def load_spec(path: str | Path, overrides: Iterable[str] = ()) -> Spec:
+def load_spec(path: str | Path, overrides: Iterable[str] = (), above: Iterable[Node] = ()) -> Spec:
     """The spec in a YAML file, merged with the files that it extends and with `path.to.key=value` overrides.
 
-    `path` may be the name of a shipped spec (`find_spec`).
+    Args:
+        path: of the file, or the name of a shipped spec (`find_spec`).
+        overrides: above all else.
+        above: settings of a suite, above the file's.
 
     Raises:
         SpecError: the file is unreadable or invalid; carries every problem found, at file:line:column.
@@ -41,7 +44,7 @@ def load_spec(path: str | Path, overrides: Iterable[str] = ()) -> Spec:
     trees = override_trees(overrides, files.count, files.broken)
     if files.broken:
         refuse([*files.problems, *files.broken])
-    spec = _resolve(tree, trees, files.problems, find_spec(path)[0].stem)
+    spec = _resolve(tree, [*above, *trees], files.problems, find_spec(path)[0].stem)
     spec._text = files.text
     return spec
 

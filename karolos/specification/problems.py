@@ -51,11 +51,11 @@ def validate(tree: Node) -> tuple[Spec | None, list[Problem]]:
     try:
         return validate_strictly(Spec, tree.plain()), problems
     except ValidationError as error:
-        return None, [*problems, *_located_problems(error, tree)]
+        return None, [*problems, *located_problems(error, tree)]
 
 
-def _located_problems(error: ValidationError, tree: Node) -> list[Problem]:
-    """One problem for each mistake, at its key or value."""
+def located_problems(error: ValidationError, tree: Node, model: type[BaseModel] = Spec) -> list[Problem]:
+    """One problem for each mistake in what should be this model, at its key or value."""
     errors: dict[Path, list[dict[str, Any]]] = {}
     union_paths: set[Path] = set()
     for entry in error.errors(include_url=False):
@@ -71,7 +71,7 @@ def _located_problems(error: ValidationError, tree: Node) -> list[Problem]:
             ]  # a less specific error of a union's member; the length of a list without its invalid items
     unknown = [path for path, entries in errors.items() if entries[0]["type"] == "extra_forbidden"]
     return [
-        _problem(tree, path, entries)
+        _problem(tree, path, entries, model)
         for path, entries in errors.items()
         if entries[0]["type"] != "missing" or not _reported_elsewhere(path, unknown)
     ]
@@ -101,16 +101,18 @@ def _untagged(tree: Node, location: Iterable[str | int], kind: str) -> tuple[Pat
     return path, tagged
 
 
-def _problem(tree: Node, path: Path, entries: list[dict[str, Any]]) -> Problem:
+def _problem(tree: Node, path: Path, entries: list[dict[str, Any]], model: type[BaseModel]) -> Problem:
     """The problem at a path. Several errors at one path come from the members of a union and are joined by "or"."""
     kind = entries[0]["type"]
     place = _place(tree, path, kind, at_key="[key]" in entries[0]["loc"])
     text = dotted(path)
     if kind == "extra_forbidden":
-        allowed = _allowed(tree, path)
+        allowed = _allowed(tree, path, model)
         hint = alternatives(str(path[-1]), allowed) if allowed else None
         if len(path) == 2 and path[0] in ("robot", "task") and not closest(str(path[-1]), allowed):
             hint = f"{hint}; a parameter of the world is set as randomization: {{{text}: NUMBER}}"
+        elif text == "specs":
+            hint = "`karolos suite` trains a file that names specs"
         return Problem(place, text, "no such key", hint)
     if kind == "missing":
         return Problem(place, text, "is missing", AGENT_HINT if path == ("agent",) else None)
@@ -170,14 +172,14 @@ def _near_choice(entries: list[dict[str, Any]], given: object) -> str | None:
     return f"did you mean {match!r}?" if match else None
 
 
-def _allowed(tree: Node, path: Path) -> list[str]:
+def _allowed(tree: Node, path: Path, model: type[BaseModel]) -> list[str]:
     """The allowed keys at the last position of `path`."""
     steps = tuple(str(step) for step in path[:-1])
     if not steps:
-        return ["extends", *Spec.model_fields]
+        return ["extends", *model.model_fields]
     depth = next((length for length in (1, 2) if is_part(steps[:length])), 0)
     if not depth:
-        return _keys([Spec], path[:-1])
+        return _keys([model], path[:-1])
     kind = PARTS.get(steps[0], "distributions")
     name = tree.get(*steps[:depth], "name")
     plugin = loaded(kind, name.value) if name else None

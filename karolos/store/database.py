@@ -97,14 +97,17 @@ class Database:
         """Close every connection. Safe to call twice."""
         self.engine.dispose()
 
-    def version(self) -> bytes | None:
-        """Changes with every transaction that writes. Costs no query; None where only a query could tell."""
+    def version(self) -> bytes:
+        """Changes with every transaction that writes, and always where that cannot be told. SQLite needs no query."""
+        if self.engine.dialect.name == "postgresql":
+            with self.reading() as connection:
+                return str(connection.exec_driver_sql("SELECT pg_current_snapshot()::text").scalar()).encode()
         try:
             with open(self._path or os.devnull, "rb") as file:
                 file.seek(_CHANGE_COUNTER)
-                return file.read(4) or None
+                return file.read(4) or os.urandom(8)
         except OSError:
-            return None
+            return os.urandom(8)
 
     @contextlib.contextmanager
     def reading(self) -> Iterator[Connection]:

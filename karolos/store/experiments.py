@@ -16,7 +16,7 @@ from ..errors import UsageError
 from ..records.run_records import RunSummary
 from ..registry import alternatives
 from .database import Database
-from .runs import find_runs, summaries
+from .runs import matching_runs, summaries
 from .tables import RUNS, SPECS, TESTS, TRIALS
 
 ORDERS = ("created", "name", "success_end", "mean_return", "steps", "seconds")
@@ -66,7 +66,7 @@ def find_experiments(
     """
     if order not in ORDERS:
         raise UsageError(f"runs have no order {order!r}", hint=alternatives(order, ORDERS, what="orders"))
-    kept = None if where is None else {run.run for run in find_runs(database, where=where)}
+    kept = None if where is None else matching_runs(database, where)
     query = select(*{RUNS.c[name] for name in ("run", "experiment", order)})
     query = query.order_by(RUNS.c.created.desc(), RUNS.c.run.desc())
     if not trials:

@@ -19,7 +19,7 @@ from ..registry import alternatives, closest
 from . import filters
 from .database import Database
 from .filters import Filter
-from .rows import SUMMARY_FIELDS, means, summary_of
+from .rows import SUMMARY_FIELDS, folder_path, means, summary_of
 from .tables import RUNS, SOFTWARE, SPECS, TESTS, TRIALS
 
 MOST_NAMED = 500
@@ -75,16 +75,47 @@ def find_runs(database: Database, **conditions: Unpack[RunConditions]) -> tuple[
     with database.reading() as connection:
         if state is None and condition is None:
             return summaries(connection, query.limit(limit), database.home)
-        shared = _shared_values(connection, condition) if condition else {}
+        kept = _matching(connection, condition, database.home) if condition else None
         matching: list[RunSummary] = []
         for row in connection.execute(query):
+            if kept is not None and row.run not in kept:
+                continue
             run = _summary(row, database.home)
-            values = shared.get(row.spec, {}) | shared.get(row.software, {}) | means(run.measures) | vars(run)
-            if state in (None, run.state) and (condition is None or condition.matches(values)):
+            if state in (None, run.state):
                 matching.append(run)
                 if len(matching) == limit:
                     break
         return tuple(matching)
+
+
+def matching_runs(database: Database, where: str) -> set[str]:
+    """The ids of the runs that match a filter, of which only what the filter names is read. Raises as `find_runs`."""
+    condition = filters.parse(where)
+    with database.reading() as connection:
+        return _matching(connection, condition, database.home)
+
+
+def _matching(connection: Connection, condition: Filter, home: Path | None) -> set[str]:
+    shared = _shared_values(connection, condition)
+    named = condition.keys & set(SUMMARY_FIELDS)
+    measured = any(key.startswith("measures") for key in condition.keys)
+    unfinished = select(RUNS).where(RUNS.c.state.in_(UNFINISHED))
+    current = {run.run: run for run in summaries(connection, unfinished, home)}
+    columns = [RUNS.c[name] for name in sorted({"run", "spec", "software", *named, *["measures"] * measured})]
+    found: set[str] = set()
+    for row in connection.execute(select(*columns)).mappings():
+        own: Any = vars(current[row["run"]]) if row["run"] in current else row
+        values = shared.get(row["spec"], {}) | shared.get(row["software"], {})
+        if measured:
+            values |= means(own["measures"])
+        values |= {name: own[name] for name in named}
+        if "seed" in named:
+            values["seed"] = int(own["seed"])
+        if "folder" in named:
+            values["folder"] = folder_path(own["folder"], home)
+        if condition.matches(values):
+            found.add(row["run"])
+    return found
 
 
 def records_of(database: Database, runs: Sequence[RunSummary]) -> tuple[RunRecord, ...]:

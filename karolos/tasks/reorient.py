@@ -67,7 +67,7 @@ class ReorientSettings(CubeSettings):
     start_carried: Probability = start("the object in the gripper, somewhere in the air")
     start_grasped: Probability = start("the object in the gripper")
     start_near: Probability = start("the gripper near the object")
-    max_steps: int = Setting(100, ge=1, le=100_000, description="control steps per episode")
+    max_steps: int = Setting(70, ge=1, le=100_000, description="control steps per episode")
 
 
 class Piece(Cube):

@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-import os
 import threading
 import time
 from collections import OrderedDict
@@ -97,7 +96,7 @@ class Application:
         asked = request.query_params
         where, order = asked.get("where", "").strip(), asked.get("order", "created")
         trials, first = "trials" in asked, _whole(asked.get("from"))
-        seen = _digest(self._store.database.version() or os.urandom(8), time.monotonic() // NO_LONGER_SECONDS)
+        seen = _digest(self._store.database.version(), time.monotonic() // NO_LONGER_SECONDS)
         if asked.get("seen") == seen:
             return Response(status_code=204)
         shown: dict[str, Any] = {"problem": None, "rows": [], "total": 0}

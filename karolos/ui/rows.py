@@ -124,5 +124,8 @@ def sparkline(curves: Sequence[Sequence[tuple[float, float]]], is_ratio: bool) -
     low, high = (0.0, 1.0) if is_ratio else (min(y for _, y in points), max(y for _, y in points))
     across, up = (WIDTH - 2 * EDGE) / right, (HEIGHT - 2 * EDGE) / ((high - low) or 1.0)
     return tuple(
-        " ".join(f"{EDGE + x * across:.1f},{HEIGHT - EDGE - (y - low) * up:.1f}" for x, y in curve) for curve in curves
+        " ".join(
+            f"{EDGE + x * across:.1f},{HEIGHT - EDGE - (y - low) * up:.1f}" for x, y in curve * (1 + (len(curve) == 1))
+        )
+        for curve in map(list, curves)  # a single point is drawn as a line to itself
     )

@@ -47,8 +47,12 @@ def test_filters_know_columns_settings_labels_and_versions(store: Store, tmp_pat
     first, second, third = add(store, tmp_path, 1), add(store, tmp_path, 2, 1e-4), add(store, tmp_path, 3, 1e-4)
     labels.add_tags(first.path, ["good", "to show"])
     labels.set_note(second.path, 'fell "over"')
+    before = store.database.version()
+    assert store.runs()
+    assert store.database.version() == before
     for run in (first, second):
         store.refresh_labels(run)
+    assert store.database.version() != before, "a reader notices"
     third.set_state("running")  # and nobody runs it
     store.add_records([third.record()])
     assert seeds(store, "task=reach and agent.learning_rate<1e-3") == [2, 3]

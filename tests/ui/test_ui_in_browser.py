@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import json
+import os
 import shutil
 import subprocess
 import threading
@@ -27,6 +28,8 @@ from karolos.store import Store
 from karolos.ui.app import Application
 
 CHROMIUM = next(filter(None, map(shutil.which, ("chromium", "chromium-browser", "google-chrome"))), None)
+PICTURES = os.environ.get("KAROLOS_PICTURES")
+"""A folder in which pictures of the pages are left; none are taken without it."""
 FLAGS = ("--headless", "--no-sandbox", "--disable-gpu", "--no-first-run", "--disable-background-networking")
 WALK = """<!doctype html><iframe id="frame" width="390" height="800"></iframe><script>
 const frame = document.getElementById("frame"), steps = {}, times = {};
@@ -75,7 +78,8 @@ async function walk() {
   steps["the comparison draws its figures"] = count("figure svg") >= 4 && fits();
   await open("/?where=name=brand_new");
   await left(() => find("a.seed-link").click());
-  steps["a seed leads to its run"] = find("h1").innerText.startsWith("brand_new-s0") && fits();
+  const shown = find("h1").innerText.startsWith("brand_new-s0") && count("video") === 1;
+  steps["a seed leads to its run and its film"] = shown && fits();
   find("input[name=add]").value = "good";
   await left(() => find("input[name=add]").form.querySelector("button").click());
   steps["a tag is added"] = find(".tag")?.innerText.startsWith("good");
@@ -99,6 +103,23 @@ def thousand_runs(store: Store) -> None:
     store.add_records(records)
 
 
+def take_pictures(url: str, store: Store) -> None:
+    """A list, a run, a comparison and a phone, to be looked at."""
+    run = store.runs(name="brand_new")[0].run
+    pages = {"list": "/", "run": f"/runs/{run}", "comparison": "/compare?e=exp1&e=exp2", "phone": "/"}
+    for name, address in pages.items():
+        size = "--window-size=500,900" if name == "phone" else "--window-size=1200,900"
+        shot = [
+            str(CHROMIUM),
+            *FLAGS,
+            "--hide-scrollbars",
+            size,
+            f"--screenshot={PICTURES}/ui-{name}.png",
+            url + address,
+        ]
+        subprocess.run(shot, check=True, capture_output=True, timeout=60)
+
+
 @pytest.mark.skipif(CHROMIUM is None, reason="there is no Chromium on this machine")
 def test_walk_through_the_pages_in_a_browser(tmp_path: Path) -> None:
     store, answers = Store(Store.default_url(tmp_path)), Queue[dict[str, Any]]()
@@ -108,7 +129,7 @@ def test_walk_through_the_pages_in_a_browser(tmp_path: Path) -> None:
     )
 
     def add(_: Request) -> Response:
-        add_run(tmp_path, 0, name="brand_new")
+        (tmp_path / add_run(tmp_path, 0, name="brand_new") / "play.mp4").touch()
         return Response()
 
     async def done(request: Request) -> Response:
@@ -122,9 +143,9 @@ def test_walk_through_the_pages_in_a_browser(tmp_path: Path) -> None:
     thread.start()
     while not server.started:
         thread.join(0.01)
-    url = f"http://127.0.0.1:{server.servers[0].sockets[0].getsockname()[1]}/walk"
+    url = f"http://127.0.0.1:{server.servers[0].sockets[0].getsockname()[1]}"
     browser = subprocess.Popen(
-        [str(CHROMIUM), *FLAGS, f"--user-data-dir={tmp_path / 'profile'}", "--remote-debugging-port=0", url],
+        [str(CHROMIUM), *FLAGS, f"--user-data-dir={tmp_path / 'profile'}", "--remote-debugging-port=0", f"{url}/walk"],
         stdout=subprocess.DEVNULL,
         stderr=subprocess.DEVNULL,
     )
@@ -133,6 +154,8 @@ def test_walk_through_the_pages_in_a_browser(tmp_path: Path) -> None:
     finally:
         browser.terminate()
         browser.wait()
+        if PICTURES:
+            take_pictures(url, store)
         server.should_exit = True
         thread.join()
     assert [step for step, holds in answer["steps"].items() if not holds] == []

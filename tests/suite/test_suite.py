@@ -1,0 +1,139 @@
+"""`karolos suite`: nothing is trained twice, mistakes have positions, and specs share a budget."""
+
+from __future__ import annotations
+
+import json
+import os
+import shutil
+import signal
+import subprocess
+import sys
+import time
+from pathlib import Path
+from typing import Any
+
+import pytest
+import typer
+import yaml
+from karolos_cli.suite import suite
+from support.commands import call
+from support.fake_launcher import FakeLauncher
+from support.transfer_samples import LINE
+
+from karolos.errors import SpecError
+from karolos.experiment.events import RunStarted
+from karolos.launchers import suite as training
+from karolos.launchers.runs import Home, RunJob
+from karolos.records import RunFolder, scan
+from karolos.specification import spec_from_dict
+from karolos.specification.suite import load_suite
+
+app = typer.Typer()
+app.command()(suite)
+SUITE = {"specs": ["fast.yaml", {"spec": "slow.yaml", "overrides": {"training.steps": 600, "testing.interval": 150}}]}
+COMMAND = ("mine.yaml", "seeds=[0]", "--runs", "runs", "--resume", "--json")
+SAME = ("spec", "steps", "success_end", "mean_return", "measures")
+
+
+@pytest.fixture
+def folder(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> Path:
+    monkeypatch.chdir(tmp_path)
+    line = {key: value for key, value in LINE.items() if key not in ("name", "transfer")}
+    for name, speed in (("fast", 0.3), ("slow", 0.15)):
+        environment = {**LINE["environment"], "speed": speed}
+        Path(f"{name}.yaml").write_text(yaml.safe_dump({**line, "environment": environment}))
+    Path("mine.yaml").write_text(yaml.safe_dump(SUITE))
+    return tmp_path
+
+
+def trained(monkeypatch: pytest.MonkeyPatch, *options: str) -> tuple[list[dict[str, Any]], list[str]]:
+    """The rows of the suite executed in this process, and the names of the runs that were started."""
+    launcher = FakeLauncher()
+    monkeypatch.setattr("karolos.launchers.driver.make_launcher", lambda *_: launcher)
+    code, out, err = call(app, *COMMAND, *options)
+    assert code == 0, err
+    return [json.loads(row) for row in out.splitlines()], [path.name.partition("-")[0] for path in launcher.started]
+
+
+def folders(runs: Path) -> dict[str, RunFolder]:
+    return {run.description()["name"]: run for run in scan(runs) if isinstance(run, RunFolder)}
+
+
+def test_a_suite_killed_on_local_and_resumed_trains_nothing_twice_and_reports_the_same(
+    folder: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    whole, started = trained(monkeypatch)
+    assert started == ["fast", "slow"]
+    assert [row["success_end"]["seeds"] for row in whole] == [[row["success_end"]["value"]] for row in whole]
+    shutil.move("runs", "undisturbed")
+    first = folders(Path("undisturbed"))["fast"]
+    shutil.copytree(first.path, Path("runs", first.id))
+    command = [sys.executable, "-m", "karolos_cli", "suite", *COMMAND]
+    with subprocess.Popen(command, start_new_session=True, env={**os.environ, "OMP_NUM_THREADS": "1"}) as process:
+        deadline = time.monotonic() + 300
+        while not list(Path("runs").glob("slow-*/tests.jsonl")):
+            assert process.poll() is None
+            assert time.monotonic() < deadline
+            time.sleep(0.01)
+        os.killpg(process.pid, signal.SIGKILL)
+    while (state := folders(Path("runs"))["slow"].summary().state) == "running":  # stops when its driver is gone
+        time.sleep(0.01)
+    assert state in ("stopped", "lost")
+    again, started = trained(monkeypatch, "--beside", "undisturbed")
+    assert started == ["slow"]
+    assert len(folders(Path("runs"))) == len(list(Path("runs").glob("*/run.json"))) == 2
+    for row, before in zip(again, whole, strict=True):
+        assert row["beside"]["runs"] == before["runs"]
+        assert row["improvement"]["probability"] == 0.5
+        assert {key: row[key] for key in SAME} == {key: before[key] for key in SAME}
+    page = Path("runs/suites/mine-seeds-0/report.html").read_text()
+    assert f'href="../../{again[1]["runs"][0]}"' in page
+
+
+def test_mistakes_are_shown_where_they_are(folder: Path) -> None:
+    Path("fast.yaml").write_text("robot: panda\ntask: reach\nagent: {name: sac, discont: 1}\n")
+    entries = "  - fast.yaml\n  - none.yaml\n  - {spec: slow.yaml, overrides: {agent.learning_rate: fast}}\n"
+    Path("mine.yaml").write_text(f"specs:\n{entries}  - slow.yaml\n  - slow.yaml\n")
+    with pytest.raises(SpecError) as refused:
+        load_suite("mine.yaml", ["training.steps=0"])
+    found = [str(problem).split(": ")[:2] for problem in refused.value.problems]
+    assert found == [
+        ["fast.yaml:3:20", "agent.discont"],
+        ["override training.steps=0", "training.steps"],
+        ["mine.yaml:3:5", "specs"],
+        ["mine.yaml:4:56", "agent.learning_rate"],
+    ]
+    Path("mine.yaml").write_text("specs:\n  - {spec: slow.yaml, steps: 4}\nmeasure: [x]\n")
+    with pytest.raises(SpecError) as refused:
+        load_suite("mine.yaml")
+    assert [str(problem).split(": ")[0] for problem in refused.value.problems] == ["mine.yaml:2:23", "mine.yaml:3:1"]
+    Path("mine.yaml").write_text("specs: [slow.yaml, slow.yaml]\n")
+    with pytest.raises(SpecError, match=r"^mine.yaml:1:20: specs\[1\]: two specs are called slow; give"):
+        load_suite("mine.yaml")
+
+
+def test_specs_share_a_budget_by_their_steps_and_get_what_others_leave(
+    tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    now = 0.0
+    monkeypatch.setattr(training, "monotonic", lambda: now)
+    line = {**LINE, "seeds": [0]}
+    jobs = [
+        RunJob(spec_from_dict({**line, "name": name}, [f"training.steps={steps}"]), Home(tmp_path, "", "resume"))
+        for name, steps in (("short", 100), ("long", 300), ("last", 100))
+    ]
+    shares = training.Shares(jobs, 100.0, 1)
+    event = RunStarted("run", 0, 100, "folder")
+    assert shares.heard(jobs[0], event) is None
+    now = 4.0  # of 20
+    shares.ended(jobs[0])
+    assert shares.heard(jobs[1], event) is None
+    now = 4.0 + 96.0 * 300 / 400
+    assert shares.heard(jobs[1], event) is None
+    now += 0.1
+    assert shares.heard(jobs[1], event) == "cut after 72 s, its share of the budget"
+    shares.ended(jobs[1])
+    assert shares.heard(jobs[2], event) is None
+    now = 100.1
+    assert shares.heard(jobs[2], event) is not None
+    assert list(shares.cut) == ["long", "last"]
