@@ -14,7 +14,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from ...core import Array, FloatArray
-from ...errors import PluginError
+from ...errors import PluginError, UsageError
 from .. import parts
 from ..fixtures import read
 from ..geometry import Colour, Quaternion, Vector
@@ -24,6 +24,7 @@ from ..interface.engine import (
     PHYSICS_RATE,
     Camera,
     Contact,
+    Cup,
     Fingers,
     Frame,
     JointLimits,
@@ -192,7 +193,10 @@ class World:
         limits: JointLimits,
         fingers: Fingers | None,
         tool: Frame | None = None,
+        cup: Cup | None = None,
     ) -> Motors:
+        if cup is not None:
+            raise UsageError("PyBullet has no suction", hint="set environment.engine=mujoco")
         links = body.links()
         pads = [links[name] for name in fingers.links] if fingers else []
         arm = [links[name] for name in joints]
