@@ -418,7 +418,6 @@ class World(Protocol):
         Args:
             strokes: what is drawn besides bodies and markers.
             back: the fraction of the way from now to the state of the last picture with 0, of which a picture is taken.
-                PyBullet shows the present state always.
         """
 
     def close(self) -> None:
