@@ -106,7 +106,7 @@ class Open(Task):
         )
         start_hooked: Probability = start("the tool behind the bar of the handle")
         start_near: Probability = start("the tool behind the bar of the handle or above it")
-        max_steps: int = Setting(60, ge=1, le=100_000, description="control steps per episode")
+        max_steps: int = Setting(50, ge=1, le=100_000, description="control steps per episode")
 
     settings: Settings
     drawn: Settings
