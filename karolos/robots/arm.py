@@ -22,7 +22,7 @@ from ..simulation import urdf
 from ..simulation.geometry import Orientations, Quaternion, Vector, quaternion_of
 from ..simulation.interface import Body, Cup, Gripper, JointLimits, World
 from ..simulation.interface.engine import OPENS
-from ..simulation.interface.robot import ControlMode
+from ..simulation.interface.robot import ControlMode, GripperUse
 from ..simulation.kinematics import Chain, Configuration, Pose, downward
 from ..simulation.parts import Mechanism
 from .control import CONTROLS, ROTATION, Control, Way
@@ -141,7 +141,7 @@ class Arm:
     def prepare(
         self,
         *,
-        gripper: bool,
+        gripper: GripperUse,
         period: float,
         control: ControlMode = "cartesian",
         protective_stop: bool = False,
@@ -154,6 +154,8 @@ class Arm:
             what = "the task moves the gripper, so it cannot be held open"
             raise UsageError(what, setting="robot.finger_opening", hint="set it to 0")
         self._grip = self.gripper if gripper else None
+        self._commanded = gripper is True
+        """Whether actions move the gripper."""
         self._held_open = self.settings.finger_opening or fingers
         self.period = period
         limits = self.settings.protective_stop
@@ -194,7 +196,7 @@ class Arm:
 
     @cached_property
     def observation(self) -> Layout:
-        gripper = () if self._grip is None else (Field("gripper_opening", 1, "1"),)
+        gripper = (Field("gripper_opening", 1, "1"),) if self._commanded else ()
         torques = Field("joint_torques", self.chain.size, "N m")
         offered = {"rotation": ROTATION, "wrench": WRENCH, "torques": torques}
         fields = (*self._control.observed, *gripper, *self._control.observed_joints)
@@ -202,7 +204,7 @@ class Arm:
 
     @cached_property
     def action(self) -> Layout:
-        gripper = () if self._grip is None else (Field("gripper_opening", 1),)  # -1 closed, 1 open
+        gripper = (Field("gripper_opening", 1),) if self._commanded else ()  # -1 closed, 1 open
         return Layout((*self._control.action, *gripper))
 
     @property
@@ -284,7 +286,7 @@ class Arm:
         self._opens = False
         # until the first delayed action takes effect the arm rests and the gripper keeps its command
         rest = [0.0] * self.action.size
-        if self._grip is not None:
+        if self._commanded:
             rest[-1] = 2 * command - 1
         self._delayed = deque(rest for _ in range(round(self._values["action_delay"])))
         self._told.clear()
@@ -334,7 +336,8 @@ class Arm:
         if self._delayed:
             self._delayed.append(values)
             values = self._delayed.popleft()
-        opening = None if self._grip is None else 0.5 + 0.5 * values[-1]
+        closed = None if self._grip is None else 0.0
+        opening = 0.5 + 0.5 * values[-1] if self._commanded else closed
         self.opening_command = opening or 0.0
         self._control.act(values, {} if opening is None else self._openings(opening))
 
@@ -418,7 +421,7 @@ class Arm:
 
     def observe(self) -> list[float]:
         values = self._control.observe()
-        if self._grip is not None:
+        if self._commanded:
             values.append(self.opening)
         values += self._control.observe_joints()
         values = self.with_noise(values)
@@ -500,6 +503,6 @@ class Arm:
         return self._action([change / step for change, step in zip(changes, self.joint_step, strict=True)], opening)
 
     def _action(self, values: list[float], opening: float) -> FloatArray:
-        if self._grip is not None:
+        if self._commanded:
             values.append(2 * opening - 1)
         return np.clip(np.array(values, np.float32), -1, 1)

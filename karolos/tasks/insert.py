@@ -38,13 +38,9 @@ HAND_OFFSET, HAND_TILT = 0.003, 0.05
 """Largest offset in m and tilt in rad of the peg in the hand. Pads centre it in the direction in which they close."""
 START_HEIGHT, START_ASIDE = (0.02, 0.05), 0.02
 """Of the tip over the hole at the start, and largest distance beside it along each axis, in m."""
-NEAR_HEIGHT, NEAR_ASIDE, NEAR_TURN = 0.012, 0.008, 0.15
-"""The same of training episodes that start near the hole, in m, and the largest turn of the peg to it, in rad."""
-ASIDE = 0.005
-"""Largest distance of the tip from the axis of the hole as it is known, in m, that counts as in it. At depth only the
-hole has room for it; a smaller one would decide nothing."""
-UPRIGHT_WITHIN = 0.1
-"""Largest component of the peg's axis across that of the hole: about 6 degrees. The walls leave it less."""
+SLACK, TURN_SLACK = 0.001, 0.03
+"""Of a tip beside the axis in m and of a turn in rad that count as in the hole, beyond what the play leaves them and what
+is not known of the hole. At depth they decide nothing; goals that hindsight gives are as narrow as the hole by them."""
 SCALES = (0.004, 0.001)
 """Errors are also observed as tanh(error / scale), in m: networks see no tenths of a millimetre otherwise."""
 TURN_SCALE = 0.05
@@ -52,28 +48,31 @@ TURN_SCALE = 0.05
 
 
 class Insertion(GoalRule):
-    """Success where the tip is deep enough and upright, and no force was too large.
+    """Success where the tip is deep enough and turned as the hole is, and no force was too large.
 
-    `achieved` (..., 6): the tip from the mouth of the hole (3, m), components of the peg's axis across it (2), and 1
-    once a force exceeded the limit. `desired` (..., 5) the same without the last. Reward 0 on success, else -1.
+    `achieved` (..., 7): the tip from the mouth of the hole (3, m), the peg's turn to the nearest position that fits (3,
+    rotation vector, rad), and 1 once a force exceeded the limit. `desired` (..., 6) the same without the last. Reward 0
+    on success, else -1.
 
     Args:
         tolerance: of the depth, in m.
+        aside: largest distance of the tip from the axis, in m.
+        turn: largest angle of the turn, in rad.
     """
 
     reward_range = (-1.0, 0.0)
 
-    def __init__(self, tolerance: float) -> None:
-        self.tolerance = tolerance
+    def __init__(self, tolerance: float, aside: float, turn: float) -> None:
+        self.tolerance, self.aside, self.turn = tolerance, aside, turn
 
     def reward(self, achieved: Array, desired: Array) -> FloatArray:
         return -np.asarray(~self.success(achieved, desired), np.float32)
 
     def success(self, achieved: Array, desired: Array) -> BoolArray:
-        off = np.abs(achieved[..., :5] - desired)
-        aside, tilt = np.hypot(off[..., 0], off[..., 1]), np.hypot(off[..., 3], off[..., 4])
-        there = (off[..., 2] < self.tolerance) & (aside < ASIDE) & (tilt < UPRIGHT_WITHIN)
-        whole: BoolArray = there & (achieved[..., 5] == 0)
+        off = np.abs(achieved[..., :6] - desired)
+        aside, turn = np.hypot(off[..., 0], off[..., 1]), np.vecdot(off[..., 3:], off[..., 3:])
+        there = (off[..., 2] < self.tolerance) & (aside < self.aside) & (turn < self.turn**2)
+        whole: BoolArray = there & (achieved[..., 6] == 0)
         return whole
 
     def distance(self, achieved: Array, desired: Array) -> FloatArray:
@@ -89,16 +88,16 @@ class Insert(Task):
     degrees; the peg in the hand, by up to 3 mm along the pads and upwards and tilted by up to 3 degrees; the start, 2
     to 5 cm above the hole and up to 2 cm beside it. With `hole_error` and `hole_turn_error` the hole is known only so
     far, drawn once per episode. With probability `start_inserted` an episode begins with the peg partly in the hole, of
-    the others with probability `start_near` at most 8 mm beside it: parameters that training may draw.
+    the others with probability `start_near` a part of the way from it to such a start: parameters that training may draw.
 
     Observation, along the world's axes: tip_from_hole (3, m, from the middle of the mouth of the hole as it is known),
     peg_turn (3, rad, the rotation vector to the nearest position that fits), tip_velocity (3, m/s),
     peg_angular_velocity (3, rad/s), near_errors (11, tanh of the errors at fine scales), peg_wrench (6, N and N m: the
     wrist's), overloaded (1, whether a force was too large). For critics alone: hole_error (3, m and rad: what is not
     known), peg_forces (2, N: largest on the peg and on the arm).
-    Action: the robot's. The gripper stays closed.
-    Goals: achieved, the tip from the hole as it is known (3, m), the peg's axis across that of the hole (2) and whether
-    a force was too large (1); desired, the bottom of the hole and an upright peg (5).
+    Action: the robot's, without the gripper: it stays closed around the peg.
+    Goals: achieved, the tip from the hole as it is known (3, m), the peg's turn (3, rad) and whether a force was too
+    large (1); desired, the bottom of the hole and no turn (6).
     Reward: sparse -1 until the peg is in, then 0; less where a force exceeds that of `force_penalty`.
     What counts as success: the tip within 1 mm of the depth, in the hole, and never a force above `force_limit`.
     Termination: never; the episode is truncated after `max_steps`.
@@ -124,12 +123,12 @@ class Insert(Task):
             description="what pressing costs: of the largest force on peg or arm, the grip left out; null: nothing",
         )
         start_inserted: Probability = start("the peg partly in the hole")
-        start_near: Probability = start("the peg close to the hole")
+        start_near: Probability = start("the peg a part of the way from the hole")
         max_steps: int = Setting(100, ge=1, le=100_000, description="control steps per episode")
 
     settings: Settings
     drawn: Settings
-    uses_gripper = True
+    uses_gripper = "closed"
     control = "impedance"
     camera = Camera(target=(0.5, 0.0, 0.07), distance=0.55)
     observation = Layout(
@@ -150,14 +149,16 @@ class Insert(Task):
         ),
     )
     distance_measure = Measure("final_distance", "m", "smaller", "distance of the tip from the bottom of the hole")
-    desired_goal = Layout((Field("tip_from_hole", 3, "m"), Field("peg_axis", 2)))
+    desired_goal = Layout((Field("tip_from_hole", 3, "m"), Field("peg_turn", 3, "rad")))
     achieved_goal = desired_goal + Layout((Field("overloaded", 1),))
 
     def __init__(self, settings: Insert.Settings) -> None:
         super().__init__(settings)
         self.width = PEG_WIDTH[settings.shape]
-        self.goal_rule = Insertion(0.001)
-        self.goal = np.array((0.0, 0.0, -DEPTH, 0.0, 0.0), np.float32)
+        aside = SLACK + settings.play + sqrt(2) * settings.hole_error
+        turn = TURN_SLACK + settings.play / DEPTH + 2 * settings.play / self.width + settings.hole_turn_error
+        self.goal_rule = Insertion(0.001, aside, turn)
+        self.goal = np.array((0.0, 0.0, -DEPTH, 0.0, 0.0, 0.0), np.float32)
         if settings.force_penalty is not None:
             self.extra_reward_range = -settings.force_penalty.most, 0.0
 
@@ -196,8 +197,9 @@ class Insert(Task):
             tilt, turned, room = 0.0, turn, 0.4 * settings.play
             tip = room * aside[0], room * aside[1], -DEPTH * height
         elif stage == "near":
-            turned = turn + NEAR_TURN * aside[2]
-            tip = NEAR_ASIDE * aside[0], NEAR_ASIDE * aside[1], NEAR_HEIGHT * height
+            share, (low, high) = generator.uniform(), START_HEIGHT
+            tilt, turned, beside = share * tilt, (1 - share) * turn, share * START_ASIDE
+            tip = beside * aside[0], beside * aside[1], share * (low + (high - low) * height)
         else:
             low, high = START_HEIGHT
             turned, tip = 0.0, (START_ASIDE * aside[0], START_ASIDE * aside[1], low + (high - low) * height)
@@ -246,7 +248,6 @@ class Insert(Task):
         self.velocity, self.spin = self.peg.velocity()
         arm = rotated(self.rotation, (0.0, 0.0, -PEG_LENGTH / 2))
         self.tip = _sum(position, arm)
-        self.axis = rotated(self.rotation, (0.0, 0.0, 1.0))
         self.tip_velocity = _sum(self.velocity, _cross(self.spin, arm))
 
     @property
@@ -262,9 +263,13 @@ class Insert(Task):
             yaw += (self.known_yaw - yaw + pi / 4) % (pi / 2) - pi / 4
         return _about_z(yaw)
 
+    @property
+    def turn(self) -> Vector:
+        """The rotation vector in rad from the peg's rotation to `target`."""
+        return rotation_vector(multiply(self.target, inverse(self.rotation)))
+
     def observe(self) -> list[float]:
-        turn = rotation_vector(multiply(self.target, inverse(self.rotation)))
-        values = self._robot.with_noise([*self.tip_from_hole, *turn, *self.tip_velocity, *self.spin])
+        values = self._robot.with_noise([*self.tip_from_hole, *self.turn, *self.tip_velocity, *self.spin])
         x, y, z = values[:3]
         near = [tanh(error / scale) for scale in SCALES for error in (x, y, z, z + DEPTH)]
         near += [tanh(error / TURN_SCALE) for error in values[3:6]]
@@ -276,7 +281,7 @@ class Insert(Task):
         return [*self.hole_error, *self.forces]
 
     def achieved(self) -> FloatArray:
-        return np.array((*self.tip_from_hole, *self.axis[:2], self.overloaded), np.float32)
+        return np.array((*self.tip_from_hole, *self.turn, self.overloaded), np.float32)
 
     def extra_reward(self) -> float:
         penalty = self.settings.force_penalty
@@ -324,7 +329,7 @@ class InsertExpert(Expert):
     def act(self) -> FloatArray:
         task, tool, period = self._task, self._robot.tool, self._robot.period
         x, y, z = task.tip_from_hole
-        turn = rotation_about(rotation_vector(multiply(task.target, inverse(task.rotation))))
+        turn = rotation_about(task.turn)
         straight = hypot(*rotation_vector(turn)) < STRAIGHT
         sinks, self._before = self._before - z, z
         if z > CLEARANCE / 2 and not (straight and hypot(x, y) < OVER):

@@ -35,7 +35,7 @@ SIZE = 0.04
 class Grasping(Reach):
     """Reach with a gripper that opens and closes, and a cube that the gripper holds at the start, below a cup."""
 
-    uses_gripper = True
+    uses_gripper = True  # type: ignore[assignment]  # mypy narrows the union to the literal of Reach
 
     def build(self, world: World) -> None:
         super().build(world)

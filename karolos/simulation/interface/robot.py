@@ -14,6 +14,7 @@ from ..geometry import Box, Orientations, Quaternion, Vector
 from ..kinematics import Configuration, Pose
 from .engine import Body, Cup, Gripper, JointLimits, World
 
+GripperUse = bool | Literal["closed"]
 ControlMode = Literal["joint", "cartesian", "pose", "impedance"]
 
 
@@ -152,7 +153,7 @@ class Robot(RobotView, Protocol):
     def prepare(
         self,
         *,
-        gripper: bool,
+        gripper: GripperUse,
         period: float,
         control: ControlMode = "cartesian",
         protective_stop: bool = False,
@@ -161,7 +162,7 @@ class Robot(RobotView, Protocol):
         """Adapt layouts and step sizes to a task.
 
         Args:
-            gripper: whether the task uses the gripper.
+            gripper: whether the task uses the gripper, see `Task.uses_gripper`.
             period: duration of a control step in s.
             control: what actions change unless the settings say otherwise, see `Task.control`.
             protective_stop: whether the robot stops protectively unless the settings say otherwise.

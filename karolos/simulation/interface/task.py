@@ -13,7 +13,7 @@ from ...core import Expert, FloatArray, GoalRule, Layout, Measure
 from ...core.seeding import Generator
 from ...randomization.randomization import RandomizedParameter, drawn_settings
 from .engine import FLOOR_FRICTION, GRAVITY, Camera, Stroke, World
-from .robot import ControlMode, RobotView
+from .robot import ControlMode, GripperUse, RobotView
 
 FINAL_DISTANCE = Measure("final_distance", "m", "smaller", "distance from the goal at the end of the episode")
 
@@ -32,8 +32,9 @@ class Task(ABC):
     """As the spec has them."""
     drawn: Any
     """The same in the running episode: a setting that is marked with `Drawn` has the value that training drew."""
-    uses_gripper: ClassVar[bool]
-    """Whether the action moves the gripper. If not, its fingers stand still and are not simulated."""
+    uses_gripper: ClassVar[GripperUse]
+    """Whether the action moves the gripper. If not, its fingers stand still and are not simulated. "closed": the gripper
+    stays closed around what the task puts between its fingers, and no action opens it."""
     fingers: ClassVar[float] = 0.0
     """How far they stand open then if the robot's settings do not say: 0 closed, 1 open."""
     control: ClassVar[ControlMode] = "cartesian"
