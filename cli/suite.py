@@ -124,6 +124,7 @@ def _print(report: SuiteReport) -> None:
 
     print(verdict(report))
     for table in (grid_table(report), entries_table(report), measures_table(report)):
-        print_table(table)
+        if table.rows:
+            print_table(table)
     for line in notes(report):
         print(f"  {line}")

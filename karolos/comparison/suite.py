@@ -97,7 +97,8 @@ def suite_report(
         found: the runs.
         label: of these runs.
         beside: folder of other runs; those named as a spec stand beside it.
-        experiments: name of a spec -> hash of the experiment that is meant, if the folder has several of that name.
+        experiments: name of a spec -> hash of the experiment that is meant, if the folder has several of that name;
+            by default the suite's own.
     """
     entries, warnings = [], dict[str, list[str]]()
     other = None if beside is None else beside.name if beside.name != label else f"{beside.name}/"
@@ -111,7 +112,7 @@ def suite_report(
         contenders = [Contender(label, runs)]
         if beside is not None and other is not None:
             mine = {folder.path.resolve() for folder in folders}
-            theirs = _runs_beside(spec.name, beside, mine, (experiments or {}).get(spec.name), problems)
+            theirs = _runs_beside(spec.name, beside, mine, (experiments or {}).get(spec.name, spec.hash()), problems)
             contenders[:0] = [Contender(other, theirs)] if theirs else []
         comparison = compare(contenders)
         for warning in (*problems, *comparison.warnings):
@@ -123,14 +124,16 @@ def suite_report(
             median_reaching([run.summary.steps_to_95 for run in runs]),
             median_reaching([run.summary.seconds_to_95 for run in runs]),
         )
-        known = contenders[-1].has_success
-        entries.append(Entry(spec, comparison, reaching if known else None, found.cut.get(spec.name)))
+        reached = reaching if contenders[-1].has_success else None
+        entries.append(Entry(spec, comparison, reached, found.cut.get(spec.name)))
+    known = {name for entry in entries for name in entry.comparison.measures}
+    warnings |= {"no spec has these measures": missing} if (missing := sorted({*found.suite.measures} - known)) else {}
     said = [f"{warning} ({', '.join(names)})" for warning, names in warnings.items()]
     return SuiteReport(found.suite.name, label, other, tuple(entries), found.suite.measures, (*found.problems, *said))
 
 
 def _runs_beside(
-    name: str, folder: Path, mine: set[Path], experiment: str | None, problems: list[str]
+    name: str, folder: Path, mine: set[Path], experiment: str, problems: list[str]
 ) -> tuple[ComparedRun, ...]:
     """The tested runs of this name, one for each seed: those of the experiment, or of the only one there is."""
     opened = (one for one in scan(folder, f"{name}*") if not isinstance(one, RunError))

@@ -16,7 +16,7 @@ from ..evaluation.testing import test_seeds
 from ..randomization.randomization import RandomizedParameter
 from ..registry import load, names
 from ..simulation.engines import Engine, make_world
-from ..simulation.interface import Camera
+from ..simulation.interface import Camera, Cup, Gripper
 from .contracts.case import candidate
 from .contracts.joined import CONTROLS, join
 
@@ -62,8 +62,7 @@ def inspect_robot(name: str, *, size: tuple[int, int] | None = (960, 720)) -> In
         "tool": [{"what": what, **_named("x_m y_m z_m", place)} for what, place in places.items()],
     }
     if (grip := first.gripper) is not None:
-        values = grip.width, grip.force, grip.speed, grip.pad_friction
-        tables["gripper"] = [_named("width_m force_N speed_m_s pad_friction", values)]
+        tables["gripper"] = [_grip(grip)]
     for mode, robot in robots.items():
         suffix = f" ({mode})" if mode else ""
         tables[f"action{suffix}"] = _fields(robot.action)
@@ -77,8 +76,7 @@ def inspect_robot(name: str, *, size: tuple[int, int] | None = (960, 720)) -> In
 def inspect_gripper(name: str, *, size: tuple[int, int] | None = (960, 720)) -> Inspection:
     """Facts about a gripper and the arms that carry it. `size`: of the picture in pixels; None: no picture."""
     plugin = load("grippers", name)
-    model, grip = plugin.model, plugin.model.fingers.gripper
-    values = grip.width, grip.force, grip.speed, grip.pad_friction, round(model.mass, 3)
+    model = plugin.model
     arms, first = [], None
     for arm in names("robots"):
         own = getattr(load("robots", arm), "model", None)
@@ -90,11 +88,18 @@ def inspect_gripper(name: str, *, size: tuple[int, int] | None = (960, 720)) -> 
         left = None if own.payload is None else round(own.payload - model.mass, 2)
         arms.append({"arm": arm, "own": own.gripper == name, "payload_left_kg": left, "from_m": low, "to_m": high})
     tables: dict[str, list[Facts]] = {
-        "gripper": [_named("width_m force_N speed_m_s pad_friction mass_kg", values)],
+        "gripper": [{**_grip(model.fingers.gripper if model.fingers else model.cup), "mass_kg": round(model.mass, 3)}],
         "tool": [{"what": "tool centre point", **_named("x_m y_m z_m", model.tool)}],
         "workspace": arms,
     }
     return Inspection(name, _about(plugin), tables, _picture(first, None, size, gripper=name) if first else None)
+
+
+def _grip(grip: Gripper | Cup) -> Facts:
+    """The numbers of fingers or of a cup."""
+    if isinstance(grip, Cup):
+        return _named("radius_m max_force_N pad_friction", (grip.radius, grip.max_force, grip.pad_friction))
+    return _named("width_m force_N speed_m_s pad_friction", (grip.width, grip.force, grip.speed, grip.pad_friction))
 
 
 def _named(columns: str, values: Iterable[Any]) -> Facts:

@@ -56,7 +56,7 @@ def measures_table(report: SuiteReport) -> Table:
     for name, one in found.items():
         if name in report.measures or not report.measures:
             columns[heading(name, one)] = partial(_measure, name)
-    return Table.of(report.entries, columns, "measures")
+    return Table.of(report.entries if len(columns) > 1 else [], columns, "measures")
 
 
 def _measure(name: str, entry: Entry) -> str:
@@ -118,7 +118,7 @@ def _page(report: SuiteReport, drawings: Sequence[Drawing], curves: Sequence[Dra
         Section(text=verdict(report), figures=drawings),
         Section("Tasks and robots", table=grid_table(report)),
         Section("In numbers", table=entries_table(report), notes=notes(report)),
-        Section("Measures", table=measures_table(report)),
+        *([Section("Measures", table=measures)] if (measures := measures_table(report)).rows else []),
         Section("Learning", figures=curves),
         Section("Runs", table=runs_table(runs), links=[relpath(run.folder, folder) for run in runs]),
     ]

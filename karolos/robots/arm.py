@@ -20,7 +20,7 @@ from ..errors import PluginError, UsageError
 from ..randomization.randomization import RandomizedParameter, drawn_settings
 from ..simulation import urdf
 from ..simulation.geometry import Orientations, Quaternion, Vector, quaternion_of
-from ..simulation.interface import Body, Gripper, JointLimits, World
+from ..simulation.interface import Body, Cup, Gripper, JointLimits, World
 from ..simulation.interface.engine import OPENS
 from ..simulation.interface.robot import ControlMode
 from ..simulation.kinematics import Chain, Configuration, Pose, downward
@@ -86,12 +86,13 @@ class Arm:
     Observation: tool_position (3, m), tool_velocity (3, m/s); with `yaw` tool_heading (2, cosine and sine of the yaw);
     with pose and impedance control also tool_rotation (6, the first two columns of its matrix) and
     tool_angular_velocity (3, rad/s), with impedance control set_point (6, the way from the tool to it, m and rad);
-    with a gripper gripper_opening (1, 0 closed to 1 open); with joint control joint_positions (n, rad) and
+    with a gripper gripper_opening (1, 0 closed to 1 open; of a cup 1 without suction, .5 while it holds something, else
+    0); with joint control joint_positions (n, rad) and
     joint_velocities (n, rad/s).
     Action, each number in [-1, 1]: tool_position_change (3, in units of `tool_step`), with `yaw` yaw_change (1, in
     units of `yaw_step`), with pose and impedance control tool_turn (3, rotation vector in units of `turn_step`); with
     joint control instead joint_changes (n, in units of the joint step); with a gripper gripper_opening (1, -1 closed
-    to 1 open). With `timed_release` a gripper that holds something and is told to open
+    to 1 open; a cup sucks below 0). With `timed_release` a gripper that holds something and is told to open
     lets go within the control step, the later the less the action exceeds the opening that it has.
     """
 
@@ -124,14 +125,13 @@ class Arm:
         self.home_yaw = atan2(pose.x[1], pose.x[0])
         check_model(model, self._joints, tuple(np.subtract(pose.position, self.base).tolist()))
         self.reset_noise = settings.reset_noise
-        self._fingers = model.fingers
         self.gripper_delay = settings.gripper_delay
         self._told: list[tuple[int, float]] = []
         """What the gripper was told and has not done yet: opening, and in how many physics steps."""
         self._pressing: dict[tuple[int, int], float] | None = None
         nominal = {**ARM_PARAMETERS, "wrench_noise": WRENCH_NOISE, **drawn_settings(settings)}
         self._values = {name: parameter.nominal for name, parameter in nominal.items()}
-        self.gripper: Gripper | None = model.fingers.gripper if model.fingers else None
+        self.gripper: Gripper | Cup | None = model.fingers.gripper if model.fingers else model.cup
         self.home_joints = model.home
         self.prepare(gripper=False, period=1 / 24)
 
@@ -147,13 +147,13 @@ class Arm:
         protective_stop: bool = False,
         fingers: float = 0.0,
     ) -> None:
-        if gripper and self.model.fingers is None:
+        if gripper and self.gripper is None:
             hint = "choose a task that needs no gripper"
             raise PluginError("this robot has no gripper", where=type(self).__name__, hint=hint)
         if self.settings.finger_opening and gripper:
             what = "the task moves the gripper, so it cannot be held open"
             raise UsageError(what, setting="robot.finger_opening", hint="set it to 0")
-        self._fingers = self.model.fingers if gripper else None
+        self._grip = self.gripper if gripper else None
         self._held_open = self.settings.finger_opening or fingers
         self.period = period
         limits = self.settings.protective_stop
@@ -163,7 +163,8 @@ class Arm:
         self.joint_step = tuple(min(self.settings.joint_step, speed * period) for speed in self.limits.velocity)
         self.tool_step = self.settings.tool_step
         mode = self.settings.control or control
-        self.mujoco_only = ("robot.control",) if mode == "impedance" else ()
+        self.mujoco_only = ("robot.control",) * (mode == "impedance")
+        self.mujoco_only += ("robot.gripper",) * isinstance(self._grip, Cup)
         self._control: Control = CONTROLS[mode](self)
         self._observed = list(dict.fromkeys(self.settings.observe))
         if ROTATION in self._control.observed and "rotation" in self._observed:
@@ -185,15 +186,15 @@ class Arm:
             parameters = {**parameters, "joint_friction": SPRING_FRICTION, **drawn}
         if "wrench" in self._observed:
             parameters["wrench_noise"] = WRENCH_NOISE
-        if self._fingers is None:
+        if self._grip is None:
             return parameters
-        nominal = self._fingers.gripper.pad_friction
+        nominal = self._grip.pad_friction
         friction = RandomizedParameter("1", nominal, 0.0, 5.0, "lateral friction coefficient of the gripper's pads")
         return {**parameters, "pad_friction": friction, "gripper_delay": delay}
 
     @cached_property
     def observation(self) -> Layout:
-        gripper = () if self._fingers is None else (Field("gripper_opening", 1, "1"),)
+        gripper = () if self._grip is None else (Field("gripper_opening", 1, "1"),)
         torques = Field("joint_torques", self.chain.size, "N m")
         offered = {"rotation": ROTATION, "wrench": WRENCH, "torques": torques}
         fields = (*self._control.observed, *gripper, *self._control.observed_joints)
@@ -201,14 +202,14 @@ class Arm:
 
     @cached_property
     def action(self) -> Layout:
-        gripper = () if self._fingers is None else (Field("gripper_opening", 1),)  # -1 closed, 1 open
+        gripper = () if self._grip is None else (Field("gripper_opening", 1),)  # -1 closed, 1 open
         return Layout((*self._control.action, *gripper))
 
     @property
     def measures(self) -> tuple[Measure, ...]:
         return (
             *ARM_MEASURES,
-            *[PAD_FORCE] * (self._fingers is not None),
+            *[PAD_FORCE] * isinstance(self._grip, Gripper),
             *[STOPS] * (self._guard is not None),
         )
 
@@ -229,7 +230,7 @@ class Arm:
     def build(self, world: World) -> None:
         robot, carriers = self.model.description.robot, self.model.description.carriers
         fingers = self.model.fingers
-        if fingers is not None and self._fingers is None:
+        if fingers is not None and self._grip is None:
             robot = urdf.weld(robot, dict.fromkeys(fingers.joints, fingers.position(self._held_open)))
         self.world = world
         self.body = world.load(Mechanism(robot), position=self.base)
@@ -241,7 +242,8 @@ class Arm:
         self.ramps = Ramps(self.limits, world.period, self._accelerations, (self.chain, self.tool_speed))
         arm = [joint.child for joint in self._joints]
         tool = self.model.tool, quaternion_of(urdf.rotation_matrix(*self.model.tool_rpy))
-        self.motors = motors = world.motors(self.body, arm, self.limits, self._fingers, tool)
+        fingers, cup = (self.model.fingers, self.model.cup) if self._grip is not None else (None, None)
+        self.motors = motors = world.motors(self.body, arm, self.limits, fingers, tool, cup)
         motors.set_wrench_filter(self.settings.wrench_filter)
         if "wrench" in self._observed:
             motors.wrench()  # PyBullet measures it from the first question on
@@ -282,7 +284,7 @@ class Arm:
         self._opens = False
         # until the first delayed action takes effect the arm rests and the gripper keeps its command
         rest = [0.0] * self.action.size
-        if self._fingers is not None:
+        if self._grip is not None:
             rest[-1] = 2 * command - 1
         self._delayed = deque(rest for _ in range(round(self._values["action_delay"])))
         self._told.clear()
@@ -332,7 +334,7 @@ class Arm:
         if self._delayed:
             self._delayed.append(values)
             values = self._delayed.popleft()
-        opening = None if self._fingers is None else 0.5 + 0.5 * values[-1]
+        opening = None if self._grip is None else 0.5 + 0.5 * values[-1]
         self.opening_command = opening or 0.0
         self._control.act(values, {} if opening is None else self._openings(opening))
 
@@ -416,7 +418,7 @@ class Arm:
 
     def observe(self) -> list[float]:
         values = self._control.observe()
-        if self._fingers is not None:
+        if self._grip is not None:
             values.append(self.opening)
         values += self._control.observe_joints()
         values = self.with_noise(values)
@@ -452,9 +454,13 @@ class Arm:
         return sum(force for (_, other), force in self._forces().items() if other == body.index)
 
     def pads_touching(self, body: Body) -> int:
+        if isinstance(self._grip, Cup):
+            return 2 * self.motors.holds(body)
         return sum(bool(self.world.contacts(self.body, body, link)) for link in self.motors.pads)
 
     def pads_gripping(self, body: Body) -> int:
+        if isinstance(self._grip, Cup):
+            return 2 * self.motors.holds(body)
         axes = (self.configuration.tool.x, self.configuration.tool.y)
         axis, sides = self._pad_sides
         count = 0
@@ -494,6 +500,6 @@ class Arm:
         return self._action([change / step for change, step in zip(changes, self.joint_step, strict=True)], opening)
 
     def _action(self, values: list[float], opening: float) -> FloatArray:
-        if self._fingers is not None:
+        if self._grip is not None:
             values.append(2 * opening - 1)
         return np.clip(np.array(values, np.float32), -1, 1)

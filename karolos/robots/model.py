@@ -9,7 +9,7 @@ from pathlib import Path
 from ..errors import PluginError
 from ..simulation import urdf
 from ..simulation.geometry import Box, Vector
-from ..simulation.interface import Fingers
+from ..simulation.interface import Cup, Fingers
 from ..simulation.urdf import Description, Joint, Mount
 
 FINGERS = "fingers"
@@ -60,6 +60,8 @@ class ArmModel:
     """`turn` with grippers that are not its own, by their names. With others it is unknown what they would meet."""
     fingers: Fingers | None = None
     """Of the gripper in the URDF. With a flange they follow from the gripper."""
+    cup: Cup | None = None
+    """Of a gripper that sucks, instead of fingers."""
     accelerations: tuple[float, ...] | None = None
     """Largest acceleration of each joint in rad/s2 as its maker publishes it; None where no maker does."""
     tool_speed: float | None = None

@@ -48,7 +48,11 @@ def mounted(model: ArmModel, name: str | None) -> ArmModel:
         raise UsageError(what, setting="robot.gripper", hint="choose a lighter gripper")
     path = gripper.variants.get(model.urdf.stem, gripper.urdf)
     mount = Mount(name or own, path, flange.link, flange.position, flange.rpy)
-    links, joints = ((mount.named(a), mount.named(b)) for a, b in (gripper.fingers.links, gripper.fingers.joints))
+    fingers, links, joints = gripper.fingers, tuple[str, ...](), tuple[str, ...]()
+    if fingers is not None:
+        (a, b), (c, d) = fingers.links, fingers.joints
+        links, joints = (mount.named(a), mount.named(b)), (mount.named(c), mount.named(d))
+        fingers = replace(fingers, links=links, joints=joints)
     pairs = [
         (first, second)
         for pair in model.self_collisions
@@ -57,7 +61,8 @@ def mounted(model: ArmModel, name: str | None) -> ArmModel:
     whole = replace(
         model,
         tool=_placed(flange.position, urdf.rotation_matrix(*flange.rpy), gripper.tool),
-        fingers=replace(gripper.fingers, joints=joints, links=links),
+        fingers=fingers,
+        cup=gripper.cup,
         mount=mount,
         self_collisions=tuple(pairs),
     )

@@ -32,7 +32,7 @@ class ArmSettings(Settings):
     """
 
     gripper: Annotated[str, AfterValidator(_installed_gripper)] | None = Setting(
-        None, description="what is mounted at the flange: franka_hand, robotiq_2f85, ...; null: the arm's own"
+        None, description="what is mounted at the flange: franka_hand, robotiq_2f85, vacuum, ...; null: the arm's own"
     )
     control: ControlMode | None = Setting(
         None,

@@ -7,7 +7,7 @@ from math import hypot
 from ..core import FloatArray
 from ..core.seeding import Generator
 from ..simulation.geometry import Vector
-from ..simulation.interface import Gripper, RobotView
+from ..simulation.interface import Cup, Gripper, RobotView
 from .cube import BRAKING_SHARE, Cube, CubeTask, aligned, braking, drift
 
 HOVER_HEIGHT = 0.08
@@ -27,6 +27,10 @@ OVER = 0.01
 """m beside a goal on another cube, and m that the tool moves aside in a control step, at which it goes down there."""
 SLOW_SHARE = 0.5
 """Of the largest speed, with which it goes down near what stands there: arms swing aside when they stop."""
+CUP_GAP = 0.001
+"""m above the cube at which a cup begins to suck, and pulls the cube up: an arm that aims at the cube presses on it."""
+NEAR, NEAR_CUP = 0.006, 0.0007
+"""m above the height of the grip at which the gripper closes, or a cup sucks."""
 CLOSING_STEPS = 3
 """Control steps for which both pads must touch before the cube is lifted: until then they push it to the middle."""
 GRASP_PATIENCE = 30
@@ -37,7 +41,7 @@ class CarryTask(CubeTask):
     """The part that tasks share in which cubes are gripped; a task sets `gripper` in `fit`."""
 
     uses_gripper = True
-    gripper: Gripper
+    gripper: Gripper | Cup
 
     def _begin(self, cube: Cube, place: Vector, stage: str | None, generator: Generator) -> None:
         """Put a cube there in m: in the gripper (`grasped`), the open gripper around or above it (`near`), or alone."""
@@ -45,7 +49,7 @@ class CarryTask(CubeTask):
             cube.put_in_gripper(self._robot, self.gripper, place)
         elif stage == "near":
             x, y, z = place
-            above = x, y, z + generator.uniform(GRIP_HEIGHT, HOVER_HEIGHT)
+            above = x, y, z + cube.rise(self.gripper) + generator.uniform(GRIP_HEIGHT, HOVER_HEIGHT)
             cube.place_with_tool(self._robot, place, above, 1.0)
         else:
             cube.place(place, aligned(self._robot))
@@ -54,7 +58,7 @@ class CarryTask(CubeTask):
 class Carrier:
     """Goes over a cube, down, closes, lifts, moves it to its goal and holds it there. Restarts when it loses it."""
 
-    def __init__(self, robot: RobotView, gripper: Gripper) -> None:
+    def __init__(self, robot: RobotView, gripper: Gripper | Cup) -> None:
         self._robot = robot
         self._gripper = gripper
         self._closing = 0
@@ -65,14 +69,20 @@ class Carrier:
     def begin(self, cube: Cube) -> None:
         """Take up a cube, which may be in the hand already."""
         self._cube, self._size = cube, 2 * cube.half
-        self.open = min(1.0, (1.5 * self._size + 0.01) / self._gripper.width)
+        self._rise = cube.rise(self._gripper)
+        self._grip_height, self._near = (self._rise + CUP_GAP, NEAR_CUP) if self._rise else (GRIP_HEIGHT, NEAR)
+        self.open = 1.0
         """Opening of the gripper that is wide enough for the cube on its diagonal."""
+        if isinstance(self._gripper, Gripper):
+            self.open = min(1.0, (1.5 * self._size + 0.01) / self._gripper.width)
         self._held = CLOSING_STEPS if self._enclosed() else 0
         self._closing = self._held
 
     def _enclosed(self) -> bool:
-        """Whether the cube is between the pads; on its diagonal it is 1.42 times as wide as along its edges."""
+        """Whether the cube is between the pads (on its diagonal 1.42 times as wide as along its edges), or held."""
         robot, size = self._robot, self._size
+        if isinstance(self._gripper, Cup):
+            return robot.pads_touching(self._cube.body) > 0
         near = sum((a - b) ** 2 for a, b in zip(robot.tool_position, self._cube.position, strict=True)) < size**2
         return near and 0.8 * size < robot.opening * self._gripper.width < 1.45 * size
 
@@ -83,7 +93,7 @@ class Carrier:
     def act(self, goal: Vector, floor: float = 0.0) -> FloatArray:
         """The next action. `floor`: height in m of what stands on the floor, above which it stays on its ways."""
         robot, (x, y, z), (tx, ty, tz) = self._robot, self._cube.position, self._robot.tool_position
-        grip: Vector = (x, y, max(z + GRIP_HEIGHT, robot.workspace.low[2]))
+        grip: Vector = (x, y, max(z + self._grip_height, robot.workspace.low[2]))
         if self._closing:
             self._closing += 1
             lifted = self._held > CLOSING_STEPS
@@ -93,13 +103,13 @@ class Carrier:
             if not lifted and self._closing < GRASP_PATIENCE:
                 return robot.towards((tx, ty, tz) if self._held else grip, 0.0)
             self._closing = 0
-        over = max(floor - self._size, 0.0)  # over one cube it comes anyway
+        over = max(floor - self._size, 0.0) + self._rise  # over one cube it comes anyway
         error, above = hypot(tx - x, ty - y), z + over + HOVER_HEIGHT
         high = tz > z + over + HOVER_HEIGHT / 2
         if error > ALIGNED_DISTANCE or (high and drift(robot) > STILL_DRIFT):
             target: Vector = (x, y, above) if high else (tx, ty, above)
             return robot.towards(braking(robot, target), self.open)
-        if tz > grip[2] + 0.006 or drift(robot) > STILL_DRIFT:
+        if tz > grip[2] + self._near or drift(robot) > STILL_DRIFT:
             if floor:
                 grip = x, y, max(grip[2], tz - SLOW_SHARE / BRAKING_SHARE * robot.tool_step)
             return robot.towards(braking(robot, grip), self.open)
@@ -118,4 +128,7 @@ class Carrier:
         if floor:
             x, y, _ = braking(robot, (x, y, z))
             z = max(z, tool[2] - SLOW_SHARE * robot.tool_step)
-        return x, y, max(z, robot.workspace.low[2], tool[2] + SET_DOWN_GAP - lowest)
+        z = max(z, robot.workspace.low[2], tool[2] + SET_DOWN_GAP - lowest)
+        if self._rise and z < tool[2]:  # the cube is pressed between the arm and what it comes down on
+            _, _, z = braking(robot, (x, y, z))
+        return x, y, z

@@ -13,7 +13,7 @@ from ..core import Settings as BaseSettings
 from ..errors import PluginError, UsageError
 from ..randomization.randomization import Drawn
 from ..simulation.geometry import UPRIGHT, Colour, Quaternion, Vector, columns
-from ..simulation.interface import Box, Gripper, RobotView, Task, World
+from ..simulation.interface import Box, Cup, Gripper, RobotView, Task, World
 from ..simulation.interface.engine import Material
 from ..simulation.shapes import Cuboid, Shape
 from .force_penalty import ForcePenalty
@@ -93,9 +93,15 @@ class Cube:
         self.body.place((x, y, z), orientation)
         self.read()
 
-    def put_in_gripper(self, robot: RobotView, gripper: Gripper, position: Vector) -> None:
-        """As `place_with_tool`, the tool around the cube with the pads at its sides, closing."""
-        self.place_with_tool(robot, position, position, 2 * self.half / gripper.width, closing=True)
+    def put_in_gripper(self, robot: RobotView, gripper: Gripper | Cup, position: Vector) -> None:
+        """As `place_with_tool`, the tool around the cube with the pads at its sides, closing; or a cup on it."""
+        x, y, z = position
+        opening = 2 * self.half / gripper.width if isinstance(gripper, Gripper) else 0.0
+        self.place_with_tool(robot, position, (x, y, z + self.rise(gripper)), opening, closing=True)
+
+    def rise(self, gripper: Gripper | Cup) -> float:
+        """Height in m of the tool above the centre when the cube is held."""
+        return self.half if isinstance(gripper, Cup) else 0.0
 
     def place_with_tool(
         self, robot: RobotView, position: Sequence[float], tool: Vector, opening: float, *, closing: bool = False
@@ -203,16 +209,35 @@ class CubeTask(Task):
         return 0.0 if penalty is None else penalty.reward(self._robot.largest_force())
 
 
-def check_gripper(robot: RobotView, task: str, size: float) -> Gripper:
-    """The robot's gripper, wide enough for an object of `size` m.
+def check_pads(robot: RobotView, task: str, why: str) -> Gripper:
+    """The robot's gripper, which has pads. `why`: what the task does with it.
 
     Raises:
         PluginError: the robot has no gripper.
-        UsageError: the object is too large for it.
+        UsageError: it is a suction cup.
     """
     gripper = robot.gripper
     if gripper is None:
-        raise PluginError("this robot has no gripper", where=type(robot).__name__, hint=f"{task} grasps")
+        raise PluginError("this robot has no gripper", where=type(robot).__name__, hint=f"{task} {why}")
+    if isinstance(gripper, Cup):
+        what = f"{task} {why}, which needs pads"
+        raise UsageError(what, setting="robot.gripper", hint="choose one with fingers: franka_hand, robotiq_2f85")
+    return gripper
+
+
+def check_gripper(robot: RobotView, task: str, size: float) -> Gripper | Cup:
+    """The robot's gripper, wide enough for an object of `size` m, or narrow enough.
+
+    Raises:
+        PluginError: the robot has no gripper.
+        UsageError: the object is too large or too small for it.
+    """
+    if isinstance(robot.gripper, Cup):
+        if size < 2 * robot.gripper.radius:
+            what, least = f"the cup does not seal on a cube of {size:g} m", 2 * robot.gripper.radius
+            raise UsageError(what, setting="task.object_size", hint=f"its lip is {least:g} m wide")
+        return robot.gripper
+    gripper = check_pads(robot, task, "grasps")
     if size > 0.9 * gripper.width:
         raise UsageError(
             f"a cube of {size:g} m does not go into the gripper",

@@ -15,7 +15,7 @@ from ..randomization.randomization import Drawn, Probability
 from ..simulation.geometry import Quaternion, Vector, inverse, multiply, rotated, rotation_about, rotation_vector
 from ..simulation.interface import Camera, RobotView, Task, World
 from ..simulation.shapes import Cuboid, Cylinder, Shape
-from .cube import LOST_DISTANCE, aligned
+from .cube import LOST_DISTANCE, aligned, check_pads
 from .force_penalty import ForcePenalty
 from .starts import drawn_stage, start
 
@@ -163,9 +163,7 @@ class Insert(Task):
 
     def fit(self, robot: RobotView) -> None:
         self._robot = robot
-        if robot.gripper is None:
-            raise PluginError("this robot has no gripper", where=type(robot).__name__, hint="Insert holds a peg")
-        self._opening = self.width / robot.gripper.width
+        self._opening = self.width / check_pads(robot, type(self).__name__, "holds a peg").width
         if self._opening > 0.9:
             raise PluginError(f"a peg of {self.width:g} m does not go into the gripper", where=type(robot).__name__)
         x, y, _ = robot.workspace.centre

@@ -23,11 +23,11 @@ from ..simulation.geometry import (
     rotation_about,
     rotation_vector,
 )
-from ..simulation.interface import Gripper, RobotView, Stroke, World
+from ..simulation.interface import RobotView, Stroke, World
 from ..simulation.interface.engine import Material
 from ..simulation.shapes import Cuboid, Cylinder, Shape, inertia_of
 from .carrying import CARRYING_CLEARANCE, GRIP_HEIGHT, HOVER_HEIGHT
-from .cube import CUBE_COLOUR, Cube, CubeSettings, CubeTask, braking, drift
+from .cube import CUBE_COLOUR, Cube, CubeSettings, CubeTask, braking, check_pads, drift
 from .point_goal import GOAL_COLOUR, sample_position
 from .pose_goal import PoseGoal, check_turning, pose_array, pose_fields, sample_orientation
 from .reach_pose import AXIS_COLOURS, GOAL_BOX
@@ -149,13 +149,12 @@ class Reorient(CubeTask):
     def fit(self, robot: RobotView) -> None:
         self._robot, settings = robot, self.settings
         dexterous = check_turning(robot)
-        assert robot.gripper is not None
-        self.gripper: Gripper = robot.gripper
-        if EDGES[1] * settings.object_size > 0.7 * robot.gripper.width:
+        self.gripper = check_pads(robot, type(self).__name__, "turns what it holds")
+        if EDGES[1] * settings.object_size > 0.7 * self.gripper.width:
             raise UsageError(
                 f"an object of {settings.object_size:g} m does not go into the gripper",
                 setting="task.object_size",
-                hint=f"it opens {robot.gripper.width:g} m, and the object is 4/3 of its size wide",
+                hint=f"it opens {self.gripper.width:g} m, and the object is 4/3 of its size wide",
             )
         self.box, self.highest = dexterous.middle(GOAL_BOX), dexterous.high[2]
         flips = HALF_TURNS[:1] if settings.shape == "cylinder" else HALF_TURNS

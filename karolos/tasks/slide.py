@@ -13,10 +13,10 @@ from ..core.seeding import Generator
 from ..errors import UsageError
 from ..randomization.randomization import Drawn, Probability
 from ..simulation.geometry import Vector
-from ..simulation.interface import Box, Camera, RobotView, World
+from ..simulation.interface import Box, Camera, Cup, RobotView, World
 from ..simulation.interface.engine import FLOOR_FRICTION, GRAVITY
 from ..simulation.shapes import Cylinder, Shape
-from .cube import FIELDS, Cube, CubeSettings, CubeTask, aligned, ground
+from .cube import FIELDS, Cube, CubeSettings, CubeTask, aligned, check_pads, ground
 from .point_goal import GOAL_COLOUR, sample_position
 from .push import PUSHING_CLEARANCE, PushExpert, near_start
 from .starts import drawn_stage, start
@@ -111,6 +111,8 @@ class Slide(CubeTask):
     def fit(self, robot: RobotView) -> None:
         settings, box, self._robot = self.settings, robot.workspace, robot
         rest = settings.object_size / 4
+        if isinstance(robot.gripper, Cup):
+            check_pads(robot, type(self).__name__, "takes the puck between fingers")
         ground(box, "box", max(rest, box.low[2]))
         self.axis, centre = robot.base[:2], box.centre[:2]
         ways = [middle - base for middle, base in zip(centre, self.axis, strict=True)]

@@ -15,7 +15,7 @@ from ..randomization.randomization import Drawn, Probability
 from ..simulation.geometry import Vector, axes
 from ..simulation.interface import Box, Camera, RobotView, Stroke, World
 from ..simulation.interface.engine import GRAVITY
-from .cube import FIELDS, CubeSettings, CubeTask, check_gripper
+from .cube import FIELDS, CubeSettings, CubeTask, check_gripper, check_pads
 from .flight import FLIGHT_STEPS, Flight, flight_time
 from .point_goal import GOAL_COLOUR, sample_position
 from .throw_planner import RUN_UP, ThrowPlanner
@@ -125,6 +125,7 @@ class Throw(CubeTask):
 
     def fit(self, robot: RobotView) -> None:
         settings, self._robot = self.settings, robot
+        check_pads(robot, type(self).__name__, "throws")
         self.gripper = check_gripper(robot, type(self).__name__, settings.object_size)
         self.planner = planner = ThrowPlanner(robot, settings.object_size / 2)
         self.nearest = planner.reach + settings.threshold

@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 from dataclasses import replace
+from itertools import product
 from pathlib import Path
 from xml.etree.ElementTree import Element
 
@@ -14,6 +15,11 @@ from support.spec_files import problems_of, write
 from support.toy_runs import run_of
 
 from karolos.errors import PluginError, UsageError
+from karolos.evaluation.playing import score
+from karolos.evaluation.policies import expert_policy
+from karolos.plugins.contracts import candidate
+from karolos.plugins.contracts.joined import join, joined, refusal
+from karolos.plugins.contracts.robots import grasping
 from karolos.registry import load, names
 from karolos.robots.mounting import mounted
 from karolos.simulation import urdf
@@ -47,6 +53,33 @@ def test_what_cannot_be_mounted_is_refused_in_one_line(tmp_path: Path) -> None:
         mounted(replace(model, payload=0.5), "franka_hand")
     with pytest.raises(PluginError, match="no link 'nowhere' to mount a gripper on"):
         _ = mounted(replace(model, flange=replace(model.flange, link="nowhere")), "robotiq_2f85").description
+    cup = candidate("robots", "ur5", gripper="vacuum")
+    refused = [task for task in names("tasks") if refusal(cup, candidate("tasks", task))]
+    assert refused == ["insert", "reach_pose", "reorient", "slide", "throw"]
+    with pytest.raises(UsageError, match=r"robot.gripper: .*PyBullet|bullet"):
+        join(candidate("robots", "ur5", "bullet", gripper="vacuum"), candidate("tasks", "pick_place"))
+
+
+@pytest.mark.parametrize(("robot", "task"), [*product(ROBOTS, ["pick_place"]), ("ur5", "stack")])
+def test_experts_pick_and_stack_with_a_suction_cup(robot: str, task: str) -> None:
+    with joined(candidate("robots", robot, gripper="vacuum"), candidate("tasks", task)) as environment:
+        found = score(environment, expert_policy(environment), episodes=20 if task == "pick_place" else 2, seed=0)
+    assert found.success_end >= 0.95
+
+
+@pytest.mark.parametrize(("share", "held"), [(0.9, True), (1.1, False)])
+def test_friction_at_the_lip_of_a_cup_holds_what_hangs_beside_it(share: float, held: bool) -> None:
+    with grasping(candidate("robots", "ur5", gripper="vacuum", control="joint")) as environment:
+        environment.reset(0)
+        robot, cube = environment.robot, environment.task.cube
+        mass = share * 0.5 * robot.gripper.max_force / 9.81  # the cube's coefficient is .5, that of the lip 1
+        cube.set_inertia(mass, (mass * 0.04**2 / 6,) * 3)
+        x, y, z = robot.workspace.centre
+        robot.place_tool((x, y, z + 0.1), 0.0, orientation=(0.0, 0.5**0.5, 0.0, 0.5**0.5), closing=True)
+        cube.place((x + 0.02, y, z + 0.1))
+        for _ in range(24):
+            environment.step(np.array([0.0] * 6 + [-1.0]))
+        assert (robot.pads_touching(cube) == 2) == held
 
 
 def test_an_unknown_gripper_is_told_at_its_place_with_the_closest_name(tmp_path: Path) -> None:
@@ -57,7 +90,7 @@ def test_an_unknown_gripper_is_told_at_its_place_with_the_closest_name(tmp_path:
 
 
 def test_a_run_with_another_gripper_trains_and_tests(tmp_path: Path) -> None:
-    spec = load_spec(SMOKE, ["robot.gripper=franka_hand", "training.steps=60", "testing.interval=60"])
+    spec = load_spec(SMOKE, ["robot.gripper=vacuum", "training.steps=60", "testing.interval=60", "testing.episodes=2"])
     run = run_of(spec.dump(), tmp_path)
-    assert run.spec()["robot"]["gripper"] == "franka_hand"
+    assert run.spec()["robot"]["gripper"] == "vacuum"
     assert len(run.tests()) == 1

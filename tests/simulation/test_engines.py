@@ -278,7 +278,7 @@ def test_pictures_between_control_steps_show_what_moved_and_change_nothing(engin
         environment.step(np.ones(4))
     middle, after = (picture.astype(int) for picture in filmed.film(2, 64, 48))
     far, near = np.abs(after - before).sum(), np.abs(after - middle).sum()
-    assert near == 0 if engine == "bullet" else 0.2 * far < near < 0.9 * far
+    assert 0.2 * far < near < 0.9 * far
     one, two = (environment.step(-np.ones(4)).observation for environment in (filmed, other))
     np.testing.assert_array_equal(one, two)
 

@@ -10,6 +10,7 @@ from typing import Any
 from ...errors import KarolosError, UsageError
 from ...registry import alternatives, names, singular
 from ...robots.arm import Arm
+from ...simulation.interface import Cup
 from . import agents, buffers, distributions, environments, pairs, robots, tasks
 from .case import Candidate, Case, candidate
 from .joined import TURNING, controls, goes_with, refusal, under
@@ -127,7 +128,7 @@ def _of_robot(one: Candidate) -> list[Case]:
         found += robots.JOINT_CONTROL.cases(joint) + robots.LIMITS.cases(joint)
         found += robots.SHEET.cases(joint) if one.plugin.model.accelerations is not None else []
         found += robots.CARTESIAN_CONTROL.cases(cartesian)
-        found += robots.GRIPPER.cases(cartesian) if _has_gripper(one) else []
+        found += _of_grip(cartesian)
         for mode in turned:
             found += robots.TURNED.cases(mode) if one.plugin.model.dexterous is not None else []
             found += robots.IMPEDANCE_CONTROL.cases(mode) if mode.settings["control"] == "impedance" else []
@@ -142,11 +143,20 @@ def _of_gripper(one: Candidate, *, alone: bool) -> list[Case]:
         if model is None or model.flange is None or (alone and model.gripper == one.name):
             continue
         robot = under(replace(arm, settings={"gripper": one.name}, engine=one.engine), "cartesian")
-        for group in (robots.BEGINS, robots.ANY_ROBOT, robots.GRIPPER):
+        for group in (robots.BEGINS, robots.ANY_ROBOT):
             found += group.cases(robot)
+        found += _of_grip(robot)
         if robot.plugin(robot.settled()).dexterous is not None:
             found += robots.TURNED.cases(under(robot, "pose"))
     return found
+
+
+def _of_grip(robot: Candidate) -> list[Case]:
+    """Promises of what the robot holds things with."""
+    gripper = robot.plugin(robot.settled()).gripper
+    if gripper is None:
+        return []
+    return robots.GRIPPER.cases(robot) + (robots.CUP if isinstance(gripper, Cup) else robots.FINGERS).cases(robot)
 
 
 def _has_gripper(robot: Candidate) -> bool:

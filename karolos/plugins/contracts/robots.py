@@ -6,7 +6,7 @@ from collections.abc import Iterator
 from contextlib import AbstractContextManager
 from dataclasses import replace
 from itertools import product
-from math import cos, sin
+from math import cos, inf, sin
 from typing import Any
 
 import numpy as np
@@ -16,7 +16,7 @@ from ...core.seeding import Generator
 from ...environments.robot_task import RobotTask
 from ...randomization.randomization import RandomizedParameter
 from ...simulation.geometry import inverse, multiply, rotated, rotation_vector
-from ...simulation.interface import Body, World
+from ...simulation.interface import Body, Cup, Gripper, World
 from ...simulation.shapes import Cuboid
 from ...tasks.reach import Reach
 from .case import Candidate, Promises, candidate, demand, demand_same
@@ -33,7 +33,7 @@ SIZE = 0.04
 
 
 class Grasping(Reach):
-    """Reach with a gripper that opens and closes, and a cube that the gripper holds at the start."""
+    """Reach with a gripper that opens and closes, and a cube that the gripper holds at the start, below a cup."""
 
     uses_gripper = True
 
@@ -43,9 +43,10 @@ class Grasping(Reach):
 
     def reset(self, generator: Generator) -> None:
         super().reset(generator)
-        robot, centre = self._robot, self._robot.workspace.centre
-        robot.place_tool(centre, SIZE / robot.gripper.width if robot.gripper else 0.0, closing=True)
-        self.cube.place(centre, (0.0, 0.0, sin(robot.home_yaw / 2), cos(robot.home_yaw / 2)))
+        robot, (x, y, z) = self._robot, self._robot.workspace.centre
+        width = robot.gripper.width if isinstance(robot.gripper, Gripper) else inf
+        robot.place_tool((x, y, z), SIZE / width, closing=True)
+        self.cube.place((x, y, z - _rise(robot)), (0.0, 0.0, sin(robot.home_yaw / 2), cos(robot.home_yaw / 2)))
 
 
 def grasping(one: Candidate) -> AbstractContextManager[RobotTask]:
@@ -74,7 +75,7 @@ LIMITS = Promises(in_physics_steps)
 """Promises of an arm's joint control that hold in each physics step."""
 SHEET = Promises(as_its_sheet_says)
 """Promises of an arm whose maker publishes accelerations."""
-GRIPPER = Promises(grasping)
+GRIPPER, FINGERS, CUP = Promises(grasping), Promises(grasping), Promises(grasping)
 
 
 @ARM
@@ -405,7 +406,7 @@ def a_heavy_cube_is_held_through_a_shake(environment: RobotTask) -> None:
     _held_through_a_shake(environment, 0.3)
 
 
-@GRIPPER
+@FINGERS
 def each_pad_presses_with_the_force_of_the_gripper(environment: RobotTask) -> None:
     """Each pad presses a gripped cube with the declared force within 5 %."""
     cube = _lifted_cube(environment, 0.1)
@@ -420,7 +421,7 @@ def each_pad_presses_with_the_force_of_the_gripper(environment: RobotTask) -> No
     demand(near.all(), f"the pads press with {measured.round(1)} N, the gripper declares {declared:g} N")
 
 
-@GRIPPER
+@FINGERS
 def the_pads_are_as_far_apart_as_the_gripper_says(environment: RobotTask) -> None:
     """Around a cube of 4 cm the fingers are 4 cm apart within 1 mm, by the declared width and travel."""
     cube = _lifted_cube(environment, 0.1)
@@ -428,6 +429,24 @@ def the_pads_are_as_far_apart_as_the_gripper_says(environment: RobotTask) -> Non
     apart = robot.gripper.width - 2 * robot.model.fingers.travel * (1 - robot.opening)
     demand(robot.pads_gripping(cube) == 2, "the pads do not hold the cube with their inner faces")
     demand(abs(apart - SIZE) < 0.001, f"around a cube of 40 mm the pads are {1000 * apart:.1f} mm apart")
+
+
+@CUP
+def a_body_hangs_from_a_cup_up_to_its_force_and_no_further(environment: RobotTask) -> None:
+    """A body of .97 of the cup's force hangs from it for 1 s, one of 1.03 falls; so does one when suction ends."""
+    robot: Any = environment.robot
+    for share, opening, hangs in ((0.97, 0.0, True), (1.03, 0.0, False), (0.97, 1.0, False)):
+        mass = share * robot.gripper.max_force / 9.81
+        environment.reset(0)
+        cube: Body = environment.task.cube  # type: ignore[attr-defined]
+        cube.set_inertia(mass, (mass * SIZE**2 / 6,) * 3)
+        place = robot.tool_position
+        for step in range(24):
+            environment.step(robot.towards(place, opening if step > 11 else 0.0))
+        below = robot.tool_position[2] - cube.pose()[0][2]
+        held = robot.pads_touching(cube) == 2 and abs(below - SIZE / 2) < 0.001
+        found = f"{mass:.2f} kg at {robot.gripper.max_force:.1f} N is {1000 * below:.1f} mm below the cup"
+        demand(held == hangs and (hangs or below > SIZE), found)
 
 
 @GRIPPER
@@ -499,6 +518,11 @@ def _ends_of_the_arm(environment: RobotTask) -> Iterator[tuple[str, RandomizedPa
                 yield name, declared, value
 
 
+def _rise(robot: Any) -> float:
+    """Height in m of the tool above the centre of a cube that it holds."""
+    return SIZE / 2 if isinstance(robot.gripper, Cup) else 0.0
+
+
 def _lifted_cube(environment: RobotTask, mass: float, poses: list[Array] | None = None) -> Body:
     """Grip a cube of 4 cm and this mass in kg and lift it. Its poses (7,) after each step are added to `poses`."""
     environment.reset(0)
@@ -508,7 +532,8 @@ def _lifted_cube(environment: RobotTask, mass: float, poses: list[Array] | None 
     x, y, _ = robot.workspace.centre
     cube.place((x, y, 0.02))
     top = min(0.3, robot.workspace.high[2])
-    for height, opening, count in ((0.02, 1.0, 40), (0.02, 0.0, 20), (top, 0.0, 30)):
+    low = SIZE / 2 + _rise(robot)
+    for height, opening, count in ((low, 1.0, 40), (low, 0.0, 20), (top, 0.0, 30)):
         for _ in range(count):
             environment.step(robot.towards((x, y, height), opening))
             if poses is not None:
@@ -532,8 +557,9 @@ def _held_through_a_shake(environment: RobotTask, mass: float) -> Array:
     for shake in range(24):
         environment.step(np.array([0.0, 1.0 if shake % 2 else -1.0, 1.0 if shake % 4 < 2 else -1.0, -1.0]))
         poses.append(np.concatenate(cube.pose()))
-        first, second = robot.body.joints(_pads(robot))
-        apart = max(apart, abs(first[0] - second[0]))
+        if isinstance(robot.gripper, Gripper):
+            first, second = robot.body.joints(_pads(robot))
+            apart = max(apart, abs(first[0] - second[0]))
     creep = float(np.linalg.norm(position_in_gripper() - start))
     demand(creep < 0.002, f"a cube of {mass:g} kg creeps {1000 * creep:.1f} mm in the gripper")
     demand(apart < 0.001, f"the positions of the fingers differ by {1000 * apart:.1f} mm")

@@ -1,4 +1,4 @@
-"""A gripper of two fingers that slide towards each other: a part that a spec mounts on an arm."""
+"""Grippers: parts that a spec mounts on an arm, with two fingers that slide towards each other, or with a cup."""
 
 from __future__ import annotations
 
@@ -11,7 +11,7 @@ from typing import ClassVar
 from ... import core
 from ...simulation import urdf
 from ...simulation.geometry import Vector
-from ...simulation.interface import Fingers
+from ...simulation.interface import Cup, Fingers
 
 
 @dataclass(frozen=True)
@@ -24,7 +24,9 @@ class GripperModel:
     urdf: Path
     tool: Vector
     """Tool centre point in the frame of the base, in m. The tool approaches along z."""
-    fingers: Fingers
+    fingers: Fingers | None = None
+    cup: Cup | None = None
+    """Instead of fingers."""
     least_height: float = 0.02
     """Least height of the tool centre point above the floor while the tool points down, in m. An arm that comes with
     the gripper may know better."""
@@ -34,7 +36,7 @@ class GripperModel:
     @cached_property
     def mass(self) -> float:
         """In kg."""
-        robot = urdf.load(self.urdf, slides=self.fingers.joints).robot
+        robot = urdf.load(self.urdf, slides=self.fingers.joints if self.fingers else ()).robot
         return sum(float(one.get("value", "0")) for one in robot.iterfind("link/inertial/mass"))
 
 

@@ -11,6 +11,7 @@ import numpy as np
 from ...errors import UsageError
 from ..geometry import Quaternion, Vector, matrix_of
 from ..interface.engine import FINGER_RATE, OPENS, PHYSICS_RATE, Fingers, Frame, JointLimits, Loads, Spring
+from ..interface.engine import Body as AnyBody
 from .body import Body
 
 STABLE_DAMPING = 0.5
@@ -116,6 +117,9 @@ class Motors:
     def set_mass(self, factor: float) -> None:
         for link, (mass, (x, y, z)) in self._masses.items():
             self._body.set_inertia(mass * factor, (x * factor, y * factor, z * factor), link)
+
+    def holds(self, body: AnyBody | None = None) -> bool:  # noqa: ARG002
+        return False  # there is no suction
 
     def set_pad_friction(self, friction: float) -> None:
         for link in self.pads:

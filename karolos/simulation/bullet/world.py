@@ -4,7 +4,7 @@ from __future__ import annotations
 
 import copy
 import tempfile
-from collections.abc import Sequence
+from collections.abc import Callable, Sequence
 from pathlib import Path
 from typing import Any
 from xml.etree import ElementTree
@@ -14,16 +14,17 @@ import numpy as np
 from numpy.typing import NDArray
 
 from ...core import Array, FloatArray
-from ...errors import PluginError
+from ...errors import PluginError, UsageError
 from .. import parts
 from ..fixtures import read
-from ..geometry import Colour, Vector
+from ..geometry import Colour, Quaternion, Vector
 from ..interface.engine import (
     FLOOR_FRICTION,
     GRAVITY,
     PHYSICS_RATE,
     Camera,
     Contact,
+    Cup,
     Fingers,
     Frame,
     JointLimits,
@@ -56,6 +57,10 @@ RELEASE_ERP = 0.03
 """The same where objects leave a moving hand. At .5, and with friction that stays anchored while the gripper opens,
 what is left of the pads' pressure decides where the cube goes: the same throw of a trained policy, its actions changed
 by .0005, lands 2 cm apart (standard deviation), with this .7 cm, with MuJoCo .1 cm."""
+
+
+_Place = tuple[Vector, Quaternion, list[float]]
+"""Position, orientation and joint positions of a body."""
 
 
 class World:
@@ -102,6 +107,11 @@ class World:
             api.resetDebugVisualizerCamera(camera.distance, camera.yaw, camera.pitch, camera.target)
         self.set_gravity(GRAVITY)
         self._markers: list[tuple[Body, float, Colour]] = []
+        self._pictured: list[_Place] = []
+        """Where bodies and joints were in the last picture of a present state."""
+        self._double: World | None = None
+        """The same world for pictures between: to write states and to restore them would change what follows."""
+        self._made: list[Callable[[World], object]] = []
         self._motors: list[Motors] = []
         self._free: list[Body] = []
         self._stepped = False
@@ -141,6 +151,7 @@ class World:
         self.floor.set_friction(friction)
 
     def load(self, source: Path | Mechanism, *, position: Vector = (0.0, 0.0, 0.0)) -> Body:
+        self._made.append(lambda world: world.load(source, position=position))
         mechanism = read(source) if isinstance(source, Path) else source
         body = Body(self.api, self._load(mechanism.robot, fixed=True, position=position))
         if mechanism.frictions or mechanism is not source:  # no arm
@@ -182,7 +193,10 @@ class World:
         limits: JointLimits,
         fingers: Fingers | None,
         tool: Frame | None = None,
+        cup: Cup | None = None,
     ) -> Motors:
+        if cup is not None:
+            raise UsageError("PyBullet has no suction", hint="set environment.engine=mujoco")
         links = body.links()
         pads = [links[name] for name in fingers.links] if fingers else []
         arm = [links[name] for name in joints]
@@ -198,10 +212,11 @@ class World:
         self.api.setPhysicsEngineParameter(contactERP=RELEASE_ERP)
 
     def body(self, shapes: Sequence[Shape], mass: float, colour: Colour, inertia: Inertia | None = None) -> Body:
-        inertia = (inertia or inertia_of(shapes, mass)) if mass > 0 else None
-        index = self._load(parts.body(shapes, mass, inertia), fixed=mass == 0, maximal=mass == 0)
+        self._made.append(lambda world: world.body(shapes, mass, colour, inertia))
+        own = (inertia or inertia_of(shapes, mass)) if mass > 0 else None
+        index = self._load(parts.body(shapes, mass, own), fixed=mass == 0, maximal=mass == 0)
         self.api.changeVisualShape(index, -1, rgbaColor=colour)
-        body = Body(self.api, index, inertia)
+        body = Body(self.api, index, own)
         body.let_drift()
         if any(isinstance(shape, Mesh) for shape in shapes):
             body.change(-1, collisionMargin=0.0)  # PyBullet would keep 1 mm around a mesh
@@ -210,6 +225,7 @@ class World:
         return body
 
     def marker(self, radius: float, colour: Colour) -> Body:
+        self._made.append(lambda world: world.marker(radius, colour))
         # pictures draw markers themselves
         look = self.api.createVisualShape(self.api.GEOM_SPHERE, rgbaColor=colour, radius=radius) if self._window else -1
         marker = self._create(-1, look, 0.0)
@@ -250,13 +266,43 @@ class World:
         return found
 
     def render(
-        self,
-        width: int,
-        height: int,
-        camera: Camera,
-        strokes: Sequence[Stroke] = (),
-        back: float = 0.0,  # noqa: ARG002 (a state between would have to be written into the simulation)
+        self, width: int, height: int, camera: Camera, strokes: Sequence[Stroke] = (), back: float = 0.0
     ) -> Array:
+        if not back:
+            self._pictured = self._places()
+            return self._picture(width, height, camera, strokes)
+        if self._double is None:
+            self._double = World()
+            for make in self._made:
+                make(self._double)
+        now = self._places()
+        before = self._pictured if len(self._pictured) == len(now) else now
+        self._double._stand(before, now, back)
+        return self._double._picture(width, height, camera, strokes)
+
+    def _places(self) -> list[_Place]:
+        """Those of each body."""
+        api = self.api
+        indices = map(api.getBodyUniqueId, range(api.getNumBodies()))
+        return [
+            (
+                *api.getBasePositionAndOrientation(body),
+                [api.getJointState(body, joint)[0] for joint in range(api.getNumJoints(body))],
+            )
+            for body in indices
+        ]
+
+    def _stand(self, before: list[_Place], now: list[_Place], back: float) -> None:
+        """Put every body on the way between two states, this share of it before the second."""
+        api = self.api
+        for place, (old, new) in enumerate(zip(before, now, strict=True)):
+            body = api.getBodyUniqueId(place)
+            position = [own + back * (was - own) for was, own in zip(old[0], new[0], strict=True)]
+            api.resetBasePositionAndOrientation(body, position, api.getQuaternionSlerp(new[1], old[1], back))
+            for joint, (was, own) in enumerate(zip(old[2], new[2], strict=True)):
+                api.resetJointState(body, joint, own + back * (was - own))
+
+    def _picture(self, width: int, height: int, camera: Camera, strokes: Sequence[Stroke]) -> Array:
         markers = [Marker(body.pose()[0], radius, colour) for body, radius, colour in self._markers]
         return draw(self._render_bodies, width, height, camera, markers, strokes)
 
@@ -295,6 +341,8 @@ class World:
         return api.createVisualShape(api.GEOM_BOX, rgbaColor=rgba, halfExtents=half, visualFramePosition=place)
 
     def close(self) -> None:
+        if self._double is not None:
+            self._double.close()
         self.api.close()
 
     def _create(self, shape: int, look: int, mass: float) -> Body:

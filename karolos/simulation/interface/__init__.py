@@ -6,7 +6,7 @@ Units: m, s, kg, N, rad; float32 arrays; the world's frame has its origin at the
 """
 
 from ..geometry import Box
-from .engine import Body, Camera, Fingers, Gripper, JointLimits, Motors, Stroke, World
+from .engine import Body, Camera, Cup, Fingers, Gripper, JointLimits, Motors, Stroke, World
 from .robot import Robot, RobotView
 from .task import Task
 
@@ -14,6 +14,7 @@ __all__ = [
     "Body",
     "Box",
     "Camera",
+    "Cup",
     "Fingers",
     "Gripper",
     "JointLimits",

@@ -89,6 +89,22 @@ class Gripper:
 
 
 @dataclass(frozen=True)
+class Cup:
+    """A suction cup. Its lip is a ring of spheres of the URDF, in the last link, around the tool centre point.
+
+    Suction seals where all of them are near the same body. It presses the two together with its force, whatever pulls:
+    beyond it the lip opens, and lets go. Across the lip friction holds, as far as that leaves it pressed.
+    """
+
+    radius: float
+    """Of the lip, in m."""
+    max_force: float
+    """Of the suction, in N."""
+    pad_friction: float
+    """Lateral friction coefficient of the lip."""
+
+
+@dataclass(frozen=True)
 class Material:
     """How the surface of a body gives way. Two bodies that touch are two springs in a row, and two dampers.
 
@@ -247,7 +263,10 @@ class Motors(Protocol):
     """
 
     pads: Sequence[int]
-    """Links of the gripper's pads; empty without a gripper."""
+    """Links of the gripper's pads; empty without a gripper of fingers."""
+
+    def holds(self, body: Body | None = None) -> bool:
+        """Whether the suction of a cup holds this body, or anything; False without a cup."""
 
     def set_joint_friction(self, fraction: float) -> None:
         """Set the dry friction of the arm's joints: the fraction of its largest torque that each motor loses to it."""
@@ -262,7 +281,7 @@ class Motors(Protocol):
         """Scale the masses and inertias of all moving links."""
 
     def set_pad_friction(self, friction: float) -> None:
-        """Set the lateral friction coefficient of the pads."""
+        """Set the lateral friction coefficient of the pads, or of the lip."""
 
     def attach(self, spring: Spring) -> None:
         """Let a spring move the tool from now on, instead of target speeds. Raises UsageError where an engine cannot.
@@ -291,11 +310,14 @@ class Motors(Protocol):
 
         After k of n physics steps a joint's target speed is begin + k / n (end - begin).
         `openings` of the gripper, in [0, 1], by the physics step of the control step, from 0 on, in which each takes
-        effect; until then the gripper does as before.
+        effect; until then the gripper does as before. A cup sucks while its opening is less than half.
         """
 
     def read(self) -> tuple[Sequence[float], Sequence[float], float]:
-        """Positions (n,) in rad and velocities (n,) in rad/s of the joints, opening of the gripper (0 without)."""
+        """Positions (n,) in rad and velocities (n,) in rad/s of the joints, opening of the gripper (0 without).
+
+        Of a cup: 1 without suction, .5 while it holds something, as of fingers around a thing, else 0.
+        """
 
     def loads(self) -> Loads:
         """The largest speed, acceleration and torque of each joint since `write`.
@@ -337,6 +359,7 @@ class World(Protocol):
         limits: JointLimits,
         fingers: Fingers | None,
         tool: Frame | None = None,
+        cup: Cup | None = None,
     ) -> Motors:
         """The motors of a loaded arm.
 
@@ -345,7 +368,8 @@ class World(Protocol):
             joints: the links that its joints move, from base to wrist.
             limits: of the joints.
             fingers: of the gripper.
-            tool: its frame in the last of these links; springs and the wrench need it.
+            tool: its frame in the last of these links; springs, the wrench and a cup need it.
+            cup: instead of fingers. Not in PyBullet.
         """
 
     def release_in_motion(self) -> None:
@@ -394,7 +418,6 @@ class World(Protocol):
         Args:
             strokes: what is drawn besides bodies and markers.
             back: the fraction of the way from now to the state of the last picture with 0, of which a picture is taken.
-                PyBullet shows the present state always.
         """
 
     def close(self) -> None:

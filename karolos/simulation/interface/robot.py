@@ -12,7 +12,7 @@ from ...core.seeding import Generator
 from ...randomization.randomization import RandomizedParameter
 from ..geometry import Box, Orientations, Quaternion, Vector
 from ..kinematics import Configuration, Pose
-from .engine import Body, Gripper, JointLimits, World
+from .engine import Body, Cup, Gripper, JointLimits, World
 
 ControlMode = Literal["joint", "cartesian", "pose", "impedance"]
 
@@ -29,7 +29,7 @@ class RobotView(Protocol):
     dexterous: Box | None
     """Part of the workspace in which the tool takes all of them; None where it is not known."""
     limits: JointLimits
-    gripper: Gripper | None
+    gripper: Gripper | Cup | None
     """None for a robot without a gripper."""
     gripper_delay: float
     """Seconds after which the gripper follows its command, where randomization draws no other delay."""
@@ -96,10 +96,10 @@ class RobotView(Protocol):
         """The values with the observation noise of the episode, for what a task observes of its objects."""
 
     def pads_touching(self, body: Body) -> int:
-        """Number of pads (0, 1, 2) in contact with the body."""
+        """Number of pads (0, 1, 2) in contact with the body; 2 for one that a cup holds."""
 
     def pads_gripping(self, body: Body) -> int:
-        """Number of pads (0, 1, 2) whose inner faces, which face each other, touch the body."""
+        """Number of pads (0, 1, 2) whose inner faces, facing each other, touch the body; 2 for one that a cup holds."""
 
     def place_tool(
         self, position: Vector, opening: float, *, orientation: Quaternion | None = None, closing: bool = False

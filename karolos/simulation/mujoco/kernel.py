@@ -28,12 +28,14 @@ FIELDS = (
     *("ncon", "ne", "nisland", "contact", "efc_vel", "efc_aref", "efc_R", "efc_D", "efc_force"),
     *("map_efc2iefc", "iefc_R", "iefc_D"),
     *("xpos", "xquat", "xmat", "xanchor", "xaxis", "qfrc_bias", "qfrc_applied", "qacc", "M"),
+    *("xipos", "xfrc_applied"),
 )
 CONTACT_FIELDS = ("dist", "friction", "geom1", "geom2", "efc_address", "pos", "frame")
 CONTACTS, EQUALITIES, ISLANDS, CONTACT, SPEED, AREF, COMPLIANCE, STIFFNESS, FORCE = range(9)
 ISLAND, ISLAND_COMPLIANCE, ISLAND_STIFFNESS = range(9, 12)
 PLACE, QUATERNION, MATRIX, ANCHOR, AXIS, BIAS, APPLIED, ACCELERATION, INERTIA = range(12, 21)
-DISTANCE, FRICTION, ONE, OTHER, ROW, POINT, AXES, STRIDE = range(21, 29)
+CENTRE, PULL = range(21, 23)
+DISTANCE, FRICTION, ONE, OTHER, ROW, POINT, AXES, STRIDE = range(23, 31)
 """Places in `layout`: those of MuJoCo's data, its islands and its arrays, of a contact, and the size of a contact."""
 STICKING = 5.0
 """m/s2; friction stops what slides slower than this times a physics step, so that nothing is to be corrected."""
@@ -48,7 +50,8 @@ BRAKING = 0.05
 """Share of its largest speed by which a joint is faster when it is braked with its largest torque."""
 SINGULAR = 1e-6
 """Added to J J^T, whose inverse is needed, in m2."""
-
+SEALED = 0.002
+"""m from a surface within which a point of a cup's lip seals: soft lips reach over small gaps."""
 
 MOST_JOINTS = 12
 """Of an arm."""
@@ -72,6 +75,9 @@ TOOL = np.dtype(
         ("added", np.float64, (MOST_JOINTS, MOST_JOINTS)),  # written: what was added to the inertia
         ("wrench", np.float64, 6),  # written: what is felt, N and N m
         ("peak", np.float64),  # raised to the size of its force
+        ("cup", np.float64),  # force of the suction in N; 0: there is no cup
+        ("lip", np.int64),  # a bit for each point of its lip
+        ("held", np.int64),  # written: the body that it holds; -1: none
     ]
 )
 """What the kernel knows of an arm's tool. Quaternions are w x y z as MuJoCo's."""
@@ -403,9 +409,44 @@ def _feel(data, at, tools, hands):
                 own[3 + axis] = turn[0, axis] * world[3] + turn[1, axis] * world[4] + turn[2, axis] * world[5]
         else:
             own[:] = 0.0
+        if tools[hand].held >= 0:
+            own[2] += tools[hand].cup
         for axis in range(6):
             wrench[axis] += tools[hand].share * (own[axis] - wrench[axis])
         tools[hand].peak = max(tools[hand].peak, np.sqrt(wrench[0] ** 2 + wrench[1] ** 2 + wrench[2] ** 2))
+
+
+@_compiled
+def _suck(data, at, on, row, tool, hands, lips, bodies, count):
+    """Let the suction of a cup press the body that its whole lip seals on, and the lip, together."""
+    pull, centres = _address(data + at[PULL]), _address(data + at[CENTRE])
+    if tool.held >= 0:
+        for place in range(0, 48, 8):
+            _store(pull + 48 * tool.held + place, 0.0)
+            _store(pull + 48 * tool.body + place, 0.0)
+    tool.held = -1
+    if not on:
+        return
+    sealed = np.zeros(count, np.int64)
+    first = _address(data + at[CONTACT])
+    for contact in range(first, first + at[STRIDE] * _integer(data + at[CONTACTS]), at[STRIDE]):
+        one, other = _integer(contact + at[ONE]), _integer(contact + at[OTHER])
+        if hands[one] != row:
+            one, other = other, one
+        if hands[one] == row != hands[other] and lips[one] >= 0 and _number(contact + at[DISTANCE]) < SEALED:
+            sealed[bodies[other]] |= 1 << lips[one]
+            if sealed[bodies[other]] == tool.lip:
+                tool.held = bodies[other]
+    if tool.held < 0:
+        return
+    pose, turn = np.empty(7), np.empty((3, 3))
+    _locate(data, at, tool, pose, turn)
+    for body, force in ((tool.held, -tool.cup), (tool.body, tool.cup)):
+        a, b, c = force * turn[0, 2], force * turn[1, 2], force * turn[2, 2]
+        centre, wrench = centres + 24 * body, pull + 48 * body
+        x, y, z = pose[0] - _number(centre), pose[1] - _number(centre + 8), pose[2] - _number(centre + 16)
+        for place, value in enumerate((a, b, c, y * c - z * b, z * a - x * c, x * b - y * a)):
+            _store(wrench + 8 * place, value)
 
 
 @_compiled
@@ -440,6 +481,8 @@ def advance(
     loads,
     tools,
     hands,
+    lips,
+    suction,
 ):
     """Take a physics step of h seconds for each row of `targets`.
 
@@ -468,6 +511,8 @@ def advance(
         loads: raised to the largest speed, acceleration and torque of each motor's joint (3, nv).
         tools: of the arms, `TOOL` (r,).
         hands: number of the tool that each geom moves with, -1 for others (ngeom,).
+        lips: number of each geom among the points of a cup's lip, -1 for others (ngeom,).
+        suction: whether the cup of each tool sucks in each physics step (r, n).
     """
     steps, count = targets.shape
     peaks[:] = 0.0
@@ -492,6 +537,8 @@ def advance(
         for tool in range(len(tools)):
             if tools[tool].spring[0] > 0:
                 _pull(model, data, at, h, positions, velocities, tools[tool], (step + 0.5) * h)
+            if tools[tool].cup > 0:
+                _suck(data, at, suction[tool, step], tool, tools[tool], hands, lips, bodies, len(peaks))
         _step2(model, data)
         _weigh(data, at, bodies, forces, peaks, largest)
         _load(data, at, motors, velocities, places, loads)

@@ -9,7 +9,8 @@ from typing import Any
 import numpy as np
 
 from ..geometry import Quaternion, Vector
-from ..interface.engine import FINGER_RATE, PHYSICS_RATE, Fingers, Frame, JointLimits, Loads, Spring
+from ..interface.engine import FINGER_RATE, PHYSICS_RATE, Cup, Fingers, Frame, JointLimits, Loads, Spring
+from ..interface.engine import Body as AnyBody
 from .body import Body
 from .simulation import Simulation
 
@@ -37,6 +38,7 @@ class Motors:
         joints: of the arm, from base to wrist, as the body counts them.
         pads: joints of the two fingers; empty without a gripper.
         tool: frame of the tool in the last link; None for an arm without.
+        cup: at the tool, instead of fingers.
     """
 
     def __init__(
@@ -49,12 +51,13 @@ class Motors:
         pads: Sequence[int],
         *,
         tool: Frame | None,
+        cup: Cup | None = None,
     ) -> None:
         self.pads = pads
         self._simulation = simulation
         self._body = body
         self.limits = limits
-        self._tool = tool
+        self._tool, self._cup = tool, cup
         self._spring: Spring | None = None
         self._aim = np.zeros(13)
         self._share = 1.0
@@ -73,6 +76,8 @@ class Motors:
         if fingers is not None:
             self.gains[-2:], self.most[-2:] = FINGER_RATE, fingers.gripper.speed
             self.set_pad_friction(fingers.gripper.pad_friction)
+        if cup is not None:
+            self.set_pad_friction(cup.pad_friction)
 
     def find(self, model: Any) -> None:
         """Look up the joints' places in a model that was just compiled."""
@@ -87,7 +92,7 @@ class Motors:
     def _find_tool(self, model: Any, tool: Frame) -> None:
         """Fill in this arm's row of what the kernel knows of tools."""
         size, dofs = self._size, self._dofs
-        row = self._simulation.arms.index(self)
+        self._place = row = self._simulation.arms.index(self)
         self._row = own = self._simulation.tools[row]
         own["body"] = carrier = self._moving[size - 1]
         own["size"] = size
@@ -105,6 +110,15 @@ class Motors:
         self._simulation.hands[np.isin(model.geom_bodyid, [*hand])] = row
         own["speeds"][:size] = self.limits.velocity
         own["efforts"][:size], own["aim"], own["share"] = self.limits.effort, self._aim, self._share
+        own["held"] = -1
+        if self._cup is not None:
+            lip = [
+                geom
+                for geom in self._body.geoms[self._joints[size - 1] + 1]
+                if np.linalg.norm(model.geom_pos[geom] - tool[0]) < self._cup.radius
+            ]
+            self._simulation.lips[lip] = range(len(lip))
+            own["cup"], own["lip"] = self._cup.max_force, (1 << len(lip)) - 1
         if self._spring is not None:
             own["home"][:size] = self._spring.home
             self._root = self._simulation.root_of_mass(row, self._spring.home)
@@ -143,7 +157,7 @@ class Motors:
         self._simulation.reparametrise()
 
     def set_pad_friction(self, friction: float) -> None:
-        for link in self.pads:
+        for link in self.pads if self._cup is None else [self._joints[-1]]:
             self._body.set_friction(friction, link)
 
     def attach(self, spring: Spring) -> None:
@@ -185,6 +199,8 @@ class Motors:
         data = self._simulation.writable()
         if self._tool is not None:
             self._row["wrench"] = self._row["peak"] = 0.0
+            self._row["held"], data.xfrc_applied[:] = -1, 0.0
+            self._simulation.suction[self._place] = self._cup is not None and opening < 0.5
         self.targets[:] = 0.0
         if self._fingers is not None:
             self.targets[:, -2:] = goal = self._fingers.position(opening)
@@ -200,6 +216,12 @@ class Motors:
             targets[:, -2:] = targets[-1, -1]
             for step, opening in openings.items():
                 targets[step:, -2:] = self._fingers.position(opening)
+        elif self._cup is not None:
+            self._simulation.ready()
+            suction = self._simulation.suction[self._place]
+            suction[:] = suction[-1]
+            for step, opening in openings.items():
+                suction[step:] = opening < 0.5
 
     def read(self) -> tuple[Sequence[float], Sequence[float], float]:
         data, size = self._simulation.ready(), self._size
@@ -209,7 +231,17 @@ class Motors:
         if self._fingers is not None:
             opening = self._fingers.opening((positions[-2] + positions[-1]) / 2)
             positions, velocities = positions[:size], velocities[:size]
+        elif self._cup is not None:
+            sucks = self._simulation.suction[self._place, -1]
+            opening = 1.0 if not sucks else 0.5 if self.holds() else 0.0
         return positions, velocities, opening
+
+    def holds(self, body: AnyBody | None = None) -> bool:
+        self._simulation.ready()
+        if self._cup is None or self._row["held"] < 0:
+            return False
+        bodies = (one for one in self._simulation.parts if isinstance(one, Body))
+        return body is None or any(one.index == body.index and self._row["held"] in one.ids for one in bodies)
 
     def loads(self) -> Loads:
         wrench = 0.0 if self._tool is None else float(self._row["peak"])

@@ -159,6 +159,8 @@ class Simulation:
             self.loads,
             self.tools,
             self.hands,
+            self.lips,
+            self.suction,
         )
         self.stepped = True
 
@@ -196,7 +198,8 @@ class Simulation:
         self._scratch = self.api.MjData(self.model)
         self._layout = self._kernel.layout(self._data)
         self.tools = np.zeros(len(self.arms), self._kernel.TOOL)
-        self.hands = np.full(self.model.ngeom, -1)
+        self.hands, self.lips = np.full((2, self.model.ngeom), -1)
+        self.suction = np.zeros((len(self.arms), self.substeps), np.bool_)
         self.material = np.zeros((self.model.ngeom, 3))
         self.peaks, self.largest = np.zeros((2, self.model.nbody, self.model.nbody))
         self.loads = np.zeros((3, self.model.nv))

@@ -24,6 +24,7 @@ from ..interface.engine import (
     PHYSICS_RATE,
     Camera,
     Contact,
+    Cup,
     Fingers,
     Frame,
     JointLimits,
@@ -166,11 +167,13 @@ class World:
         limits: JointLimits,
         fingers: Fingers | None,
         tool: Frame | None = None,
+        cup: Cup | None = None,
     ) -> Motors:
         links = body.links()
         pads = [links[name] for name in fingers.links] if fingers else []
         arm = [links[name] for name in joints]
-        motors = Motors(self._simulation, self._bodies[body.index], limits, arm, fingers, pads, tool=tool)
+        own = self._bodies[body.index]
+        motors = Motors(self._simulation, own, limits, arm, fingers, pads, tool=tool, cup=cup)
         self._motors.append(motors)
         self._simulation.parts.append(motors)
         if fingers is not None:
