@@ -70,6 +70,10 @@ class ReorientSettings(CubeSettings):
     max_steps: int = Setting(70, ge=1, le=100_000, description="control steps per episode")
 
 
+UPWARDS = 0.7
+"""Height of a unit vector that counts as upwards: 45 degrees."""
+
+
 class Piece(Cube):
     """A box or a cylinder. Its third axis is along its length, its first across what a gripper holds."""
 
@@ -106,10 +110,6 @@ class Piece(Cube):
             return atan2(x, -y) if abs(z) < UPWARDS else 0.0
         x, y, _ = first if abs(first[2]) < UPWARDS else second
         return atan2(y, x)
-
-
-UPWARDS = 0.7
-"""Height of a unit vector that counts as upwards: 45 degrees."""
 
 
 class Reorient(CubeTask):
