@@ -39,8 +39,8 @@ HAND_OFFSET, HAND_TILT = 0.003, 0.05
 START_HEIGHT, START_ASIDE = (0.02, 0.05), 0.02
 """Of the tip over the hole at the start, and largest distance beside it along each axis, in m."""
 SLACK, TURN_SLACK = 0.001, 0.03
-"""Of a tip beside the axis in m and of a turn in rad that count as in the hole, beyond what the play leaves them and what
-is not known of the hole. At depth they decide nothing; goals that hindsight gives are as narrow as the hole by them."""
+"""Of a tip beside the axis in m and of a turn in rad that count as in the hole, beyond what the play leaves them and
+what is not known of the hole. At depth they decide nothing; they make goals of hindsight as narrow as the hole."""
 SCALES = (0.004, 0.001)
 """Errors are also observed as tanh(error / scale), in m: networks see no tenths of a millimetre otherwise."""
 TURN_SCALE = 0.05
@@ -88,7 +88,7 @@ class Insert(Task):
     degrees; the peg in the hand, by up to 3 mm along the pads and upwards and tilted by up to 3 degrees; the start, 2
     to 5 cm above the hole and up to 2 cm beside it. With `hole_error` and `hole_turn_error` the hole is known only so
     far, drawn once per episode. With probability `start_inserted` an episode begins with the peg partly in the hole, of
-    the others with probability `start_near` a part of the way from it to such a start: parameters that training may draw.
+    the others with `start_near` a part of the way from it to such a start: parameters that training may draw.
 
     Observation, along the world's axes: tip_from_hole (3, m, from the middle of the mouth of the hole as it is known),
     peg_turn (3, rad, the rotation vector to the nearest position that fits), tip_velocity (3, m/s),

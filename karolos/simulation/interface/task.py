@@ -33,8 +33,8 @@ class Task(ABC):
     drawn: Any
     """The same in the running episode: a setting that is marked with `Drawn` has the value that training drew."""
     uses_gripper: ClassVar[GripperUse]
-    """Whether the action moves the gripper. If not, its fingers stand still and are not simulated. "closed": the gripper
-    stays closed around what the task puts between its fingers, and no action opens it."""
+    """Whether the action moves the gripper. If not, its fingers stand still and are not simulated. "closed": it stays
+    closed around what the task puts between its fingers, and no action opens it."""
     fingers: ClassVar[float] = 0.0
     """How far they stand open then if the robot's settings do not say: 0 closed, 1 open."""
     control: ClassVar[ControlMode] = "cartesian"
