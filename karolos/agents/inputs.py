@@ -22,6 +22,7 @@ INPUT_CLIP = 5.0
 SMALLEST_SPREAD = 0.01
 """Lower bound of a column's standard deviation. Source: OpenAI baselines, HER (norm_eps)."""
 NONE_MISSING = slice(0, 0)
+"""No columns: goals enter as they are alone."""
 
 
 class Normaliser:
@@ -79,7 +80,7 @@ class Normaliser:
         self.scale[self.missing] *= self.fine
 
     def __call__(self, rows: Tensor) -> Tensor:
-        """(n, columns) normalised and clipped; a new tensor. With fewer columns: the first ones."""
+        """(n, columns) normalised and bounded; a new tensor. With fewer columns: the first ones."""
         columns = rows.shape[1]
         scaled = (rows - self.shift[:columns]).mul_(self.scale[:columns])
         if self.missing == NONE_MISSING:
