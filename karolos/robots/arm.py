@@ -86,9 +86,8 @@ class Arm:
     Observation: tool_position (3, m), tool_velocity (3, m/s); with `yaw` tool_heading (2, cosine and sine of the yaw);
     with pose and impedance control also tool_rotation (6, the first two columns of its matrix) and
     tool_angular_velocity (3, rad/s), with impedance control set_point (6, the way from the tool to it, m and rad);
-    with a gripper that actions move gripper_opening (1, 0 closed to 1 open; of a cup 1 without suction, .5 while it holds something, else
-    0); with joint control joint_positions (n, rad) and
-    joint_velocities (n, rad/s).
+    with a gripper that actions move gripper_opening (1, 0 closed to 1 open; of a cup 1 without suction, .5 while it
+    holds something, else 0); with joint control joint_positions (n, rad) and joint_velocities (n, rad/s).
     Action, each number in [-1, 1]: tool_position_change (3, in units of `tool_step`), with `yaw` yaw_change (1, in
     units of `yaw_step`), with pose and impedance control tool_turn (3, rotation vector in units of `turn_step`); with
     joint control instead joint_changes (n, in units of the joint step); with a gripper gripper_opening (1, -1 closed
