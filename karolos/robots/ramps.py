@@ -121,17 +121,22 @@ class Ramps:
     ) -> tuple[list[float], list[float], list[float]]:
         """References in rad after the step, speeds w and ends of the ramp in rad/s, each (n,)."""
         period = self._period
+        wanted, share = [], 1.0
+        for change, velocity, (_, _, limit, acceleration, _) in zip(changes, velocities, self._bounds, strict=True):
+            most = SPEED_SHARE * limit
+            speed = min(max(change / period, -most), most)
+            wanted.append(speed)
+            if abs(speed - velocity) * share > acceleration * period:
+                share = acceleration * period / abs(speed - velocity)
         references, speeds, ends = [], [], []
-        for position, velocity, change, before, last, (low, high, limit, acceleration, braking) in zip(
-            positions, velocities, changes, self._references, self._speeds, self._bounds, strict=True
+        for position, velocity, speed, before, last, (low, high, limit, acceleration, braking) in zip(
+            positions, velocities, wanted, self._references, self._speeds, self._bounds, strict=True
         ):
-            speed, most, rise = change / period, SPEED_SHARE * limit, acceleration * period
-            fastest, slowest = min(velocity + rise, most), max(velocity - rise, -most)
-            if position + braking * fastest > high:
-                fastest = min(fastest, _approach(high - position, acceleration))
-            if position + braking * slowest < low:
-                slowest = max(slowest, -_approach(position - low, acceleration))
-            speed = fastest if speed > fastest else slowest if speed < slowest else speed
+            speed, rise = velocity + share * (speed - velocity), acceleration * period
+            if position + braking * speed > high:
+                speed = max(min(speed, _approach(high - position, acceleration)), velocity - rise)
+            elif position + braking * speed < low:
+                speed = min(max(speed, -_approach(position - low, acceleration)), velocity + rise)
             held = min(max(before, position - REFERENCE_LAG), position + REFERENCE_LAG)
             reference = held + (last + speed) / 2 * period
             references.append(reference)
