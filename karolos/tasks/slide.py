@@ -59,7 +59,7 @@ class Slide(CubeTask):
     the gripper behind the puck, a parameter that training may draw.
 
     Observation: object_position (3, m), object_rotation (6, two columns of its matrix), object_velocity (3, m/s),
-    object_angular_velocity (3, rad/s), object_from_tool (3, m), rest_if_left (2, m): where the puck would come to rest
+    object_angular_velocity (3, rad/s), object_from_tool (3, m), rest (2, m): where the puck would come to rest
     if nothing touched it from now on.
     Action: the robot's, without the gripper.
     Goals: achieved, where the puck comes to rest if nothing touches it any more (2, m), and a status (0 until it has
@@ -93,7 +93,7 @@ class Slide(CubeTask):
 
     settings: Settings
     drawn: Settings
-    observation = Layout((*FIELDS, Field("rest_if_left", 2, "m")))
+    observation = Layout((*FIELDS, Field("rest", 2, "m")))
     object_class = Puck
     uses_gripper = False
     protective_stop = False  # a policy that learns presses on the floor; `force_penalty` teaches it not to
