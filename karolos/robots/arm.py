@@ -489,7 +489,8 @@ class Arm:
         way = self.chain.step(self.configuration, target, self.posture(self.joint_positions))
         # so fast that .8 of a joint's acceleration stops it at the end of its way
         needed = (sqrt(abs(ahead) / (1.6 * most)) for ahead, most in zip(way, self._accelerations, strict=True))
-        slower = max(1.0, max(needed) / self.period)
+        # and by less where actions act late: a step of the whole way would be told again until it shows
+        slower = max(1.0 + len(self._delayed), max(needed) / self.period)
         return self._action(self._control.towards(Way(target, way, slower)), opening)
 
     def turning(self, changes: Sequence[float], opening: float) -> FloatArray:

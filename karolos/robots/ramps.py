@@ -30,12 +30,15 @@ class Ramps:
 
     A change d per control step is a speed, d / T, that the joint reaches at the end of the step:
 
-        w = d / T, limited by the largest speed, the acceleration and the range of the joint
+        w = v + k (d / T - v), with d / T limited by the largest speed of the joint, w by its range
+        k <= 1, the largest share with which no joint exceeds its acceleration
         r = r + (w_before + w) / 2 T, the reference, at most `REFERENCE_LAG` away from the joint before it moves
         ramp from v to w + c, c = (r - x) / T - (v + w) / 2, within the acceleration and the largest speed
 
     x and v are the joint's position and speed, T is the period. The mean of a ramp times T is the distance that it
     moves the joint. The correction c removes half of the distance between joint and reference.
+    All joints take the same share k of their changes of speed: limited one by one, their motion would leave its
+    direction, and actions that alternate could move a tool to where nobody sends it.
     A joint that follows its ramps moves by exactly d per step in steady motion, without loss at low speeds. A joint
     with d = 0 stays at its reference under any load that its torque can hold.
 

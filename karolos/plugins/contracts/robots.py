@@ -5,7 +5,7 @@ from __future__ import annotations
 from collections.abc import Iterator
 from contextlib import AbstractContextManager
 from dataclasses import replace
-from itertools import product
+from itertools import permutations, product
 from math import cos, inf, sin
 from typing import Any
 
@@ -254,6 +254,21 @@ def a_full_action_moves_the_tool_by_one_tool_step(environment: RobotTask) -> Non
         found = f"{1000 * step:.1f} mm, tool_step is {1000 * robot.tool_step:.1f} mm"
         where = f"{'-+'[direction > 0]}{'xyz'[axis]}"
         demand(abs(step / robot.tool_step - 1) < 0.1, f"a full action along {where} moves the tool by {found}")
+
+
+@CARTESIAN_CONTROL
+def a_motion_keeps_its_direction_beside_one_to_and_fro(environment: RobotTask) -> None:
+    """.3 of an action along one axis moves the tool by .6 to 1.1 of that, while full ones alternate along another."""
+    robot: Any = environment.robot
+    for axis, other in permutations(range(3), 2):
+        environment.reset(0)
+        robot.place_tool(robot.workspace.centre, 0.0)
+        start, full = robot.tool_position[axis], _along(environment, other, 1.0)
+        for step in range(10):
+            environment.step(0.3 * _along(environment, axis, 1.0) + (-1) ** step * full)
+        share = (robot.tool_position[axis] - start) / (10 * 0.3 * robot.tool_step)
+        where = f"{'xyz'[axis]} with {'xyz'[other]} to and fro"
+        demand(0.6 < share < 1.1, f"along {where} the tool moves {share:.2f} of what the actions say")
 
 
 @TURNED
