@@ -60,7 +60,7 @@ class Slide(CubeTask):
 
     Observation: object_position (3, m), object_rotation (6, two columns of its matrix), object_velocity (3, m/s),
     object_angular_velocity (3, rad/s), object_from_tool (3, m), rest (2, m): where the puck would come to rest
-    if nothing touched it from now on.
+    if nothing touched it from now on, or on its way there, as far from it as the furthest target is from the base.
     Action: the robot's, without the gripper.
     Goals: achieved, where the puck comes to rest if nothing touches it any more (2, m), and a status (0 until it has
     been moved, and while it moves or is touched, 1 at rest); desired, the target (2, m).
@@ -182,8 +182,12 @@ class Slide(CubeTask):
             self.arrived = hypot(x - self._from[0], y - self._from[1]) > MOVED and self.let_go()
 
     def rest(self, position: list[float] | Vector, velocity: list[float] | Vector) -> tuple[float, float]:
-        """Where a puck that is left alone comes to rest, in m."""
-        seconds = hypot(velocity[0], velocity[1]) / (2 * self.deceleration)
+        """Where a puck that is left alone comes to rest, in m, or on its way there, as far as the furthest target is.
+
+        Networks scale what they see by its spread, and a puck that is hit slides 20 m.
+        """
+        speed = hypot(velocity[0], velocity[1])
+        seconds = min(speed / (2 * self.deceleration), self.furthest / max(speed, 1e-9))
         return position[0] + velocity[0] * seconds, position[1] + velocity[1] * seconds
 
     def observe(self) -> list[float]:
