@@ -132,10 +132,10 @@ class Ramps:
             if abs(speed - velocity) * share > acceleration * period:
                 share = acceleration * period / abs(speed - velocity)
         references, speeds, ends = [], [], []
-        for position, velocity, speed, before, last, (low, high, limit, acceleration, braking) in zip(
+        for position, velocity, target, before, last, (low, high, limit, acceleration, braking) in zip(
             positions, velocities, wanted, self._references, self._speeds, self._bounds, strict=True
         ):
-            speed, rise = velocity + share * (speed - velocity), acceleration * period
+            speed, rise = velocity + share * (target - velocity), acceleration * period
             if position + braking * speed > high:
                 speed = max(min(speed, _approach(high - position, acceleration)), velocity - rise)
             elif position + braking * speed < low:

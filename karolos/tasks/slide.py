@@ -8,7 +8,7 @@ from typing import Annotated, Literal
 import numpy as np
 from pydantic import Field as Setting
 
-from ..core import Expert, Field, FloatArray, Layout, Measure
+from ..core import Array, BoolArray, Expert, Field, FloatArray, Layout, Measure
 from ..core.seeding import Generator
 from ..errors import UsageError
 from ..randomization.randomization import Drawn, Probability
@@ -17,10 +17,9 @@ from ..simulation.interface import Box, Camera, Cup, RobotView, World
 from ..simulation.interface.engine import FLOOR_FRICTION, GRAVITY
 from ..simulation.shapes import Cylinder, Shape
 from .cube import FIELDS, Cube, CubeSettings, CubeTask, aligned, check_pads, ground
-from .point_goal import GOAL_COLOUR, sample_position
+from .point_goal import GOAL_COLOUR, PointGoal, sample_position
 from .push import PUSHING_CLEARANCE, PushExpert, near_start
 from .starts import drawn_stage, start
-from .throw import Landing
 
 ROOM_BEHIND = 0.12
 """m of the workspace behind a puck at the start, for the gripper."""
@@ -32,10 +31,26 @@ USABLE_SPEED = 0.8
 """Share of the tool's largest speed that every arm has everywhere in its workspace, to either side, too."""
 BEHIND = pi / 4
 """Largest angle in rad between straight behind the puck and a start near it."""
-MOVED = 0.01
-"""m that a puck has slid at the least where its rest ends an episode."""
-CLEAR = 0.03
-"""m between the puck and the workspace at which nothing of the arm touches it."""
+
+
+class Rest(PointGoal):
+    """Success where the puck lies at rest, untouched, under `threshold` m from the target.
+
+    `achieved` (..., 3): where the puck comes to rest if nothing touches it any more (2, m), and 1 if it lies there.
+    `desired` (..., 2): the target in m. Sparse reward: 0 as soon as it comes to rest near the target if it is left
+    alone, else -1; dense: minus the distance. A reward for lying there would come long after the last touch.
+    """
+
+    def reward(self, achieved: Array, desired: Array) -> FloatArray:
+        metres = self.distance(achieved, desired)
+        return -metres if self.dense else -np.asarray(metres >= self.threshold, np.float32)
+
+    def success(self, achieved: Array, desired: Array) -> BoolArray:
+        there: BoolArray = (achieved[..., 2] > 0) & (self.distance(achieved, desired) < self.threshold)
+        return there
+
+    def distance(self, achieved: Array, desired: Array) -> FloatArray:
+        return super().distance(achieved[..., :2], desired)
 
 
 class Puck(Cube):
@@ -62,13 +77,11 @@ class Slide(CubeTask):
     object_angular_velocity (3, rad/s), object_from_tool (3, m), rest (2, m): where the puck would come to rest
     if nothing touched it from now on, or on its way there, as far from it as the furthest target is from the base.
     Action: the robot's, without the gripper.
-    Goals: achieved, where the puck comes to rest if nothing touches it any more (2, m), and a status (0 until it has
-    been moved, and while it moves or is touched, 1 at rest); desired, the target (2, m).
-    Reward: at rest; sparse 1 within the threshold, else 0; dense in [0, 1], see `Landing`.
+    Goals: achieved, where the puck comes to rest if nothing touches it any more (2, m), and whether it lies there (1);
+    desired, the target (2, m).
+    Reward: sparse -1, and 0 while the place of rest is within the threshold; dense minus its distance; see `Rest`.
     What counts as success: the puck lies at rest within `threshold` of the target.
-    Termination: when the puck has been moved and lies at rest, untouched; truncated after `max_steps`. With probability
-    `end_at_release` already when it has left the workspace, at the place of rest that is computed from its speed and
-    the friction; as a parameter of domain randomization in training alone.
+    Termination: never; the episode is truncated after `max_steps`.
 
     The furthest slide follows from the speed of the tool and the friction, which is the product of the floor's and the
     puck's.
@@ -79,16 +92,15 @@ class Slide(CubeTask):
         object_friction: Annotated[float, Drawn("1", 0.01, 0.02)] = Setting(
             0.015, ge=0.001, le=1, description="lateral friction coefficient of the puck, times .5 on the floor"
         )
-        reward: Literal["sparse", "dense"] = Setting("sparse", description="at rest: 1 or 0, or by the distance")
+        reward: Literal["sparse", "dense"] = Setting(
+            "sparse", description="-1 until it slides there, or minus the distance"
+        )
         threshold: float = Setting(0.05, gt=0, le=0.5, description="distance at which the target is hit, m")
         share: float = Setting(
             0.5, gt=0, le=1, description="how far targets lie from the nearest one towards the furthest slide"
         )
         sector: float = Setting(15.0, gt=0, le=60, description="of targets, to either side of straight ahead, degrees")
         start_near: Probability = start("the gripper behind the puck")
-        end_at_release: Probability = Setting(
-            0.0, description="probability that an episode ends when the puck leaves the workspace, its rest computed"
-        )
         max_steps: int = Setting(200, ge=1, le=100_000, description="control steps per episode")
 
     settings: Settings
@@ -99,13 +111,12 @@ class Slide(CubeTask):
     protective_stop = False  # a policy that learns presses on the floor; `force_penalty` teaches it not to
     fingers = 0.5  # the puck lies between them and goes where they go
     camera = Camera(target=(0.8, 0.0, 0.2), distance=3.4, yaw=22.0, pitch=-25.0)
-    achieved_goal = Layout((Field("rest", 2, "m"), Field("arrived", 1)))
+    achieved_goal = Layout((Field("rest", 2, "m"), Field("lies", 1)))
     desired_goal = Layout((Field("target", 2, "m"),))
     distance_measure = Measure("miss", "m", "smaller", "distance of the puck from the target; undefined if it moves")
 
     def __init__(self, settings: Slide.Settings) -> None:
         super().__init__(settings)
-        self.goal_rule = Landing(settings.threshold, dense=settings.reward == "dense")
         self._gravity, self._floor = GRAVITY, FLOOR_FRICTION
 
     def fit(self, robot: RobotView) -> None:
@@ -137,6 +148,9 @@ class Slide(CubeTask):
                 hint="a smaller friction or a larger robot.tool_step lets it slide further",
             )
 
+        span = 2 * self.furthest + box.diagonal
+        self.goal_rule = Rest(settings.threshold, dense=settings.reward == "dense", span=span)
+
     @property
     def deceleration(self) -> float:
         """Of the sliding puck, in m/s2: Coulomb's friction."""
@@ -167,19 +181,11 @@ class Slide(CubeTask):
         turned = ax * cos(angle) - ay * sin(angle), ay * cos(angle) + ax * sin(angle)
         self.goal = np.array([base + far * way for base, way in zip(self.axis, turned, strict=True)], np.float32)
         self._marker.place((*self.goal.tolist(), 0.0))
-        self._from = x, y
-        self._ends_at_release = generator.uniform() < self.drawn.end_at_release
-        self.arrived = False
+        self.lies = True
 
     def read(self) -> None:
         super().read()
-        robot, cube, box, (x, y, _) = self._robot, self.cube, self._robot.workspace, self.cube.position
-        room = CLEAR + self.settings.object_size / 2
-        beyond = max(box.low[0] - x, x - box.high[0], box.low[1] - y, y - box.high[1]) > room
-        if self._ends_at_release and beyond:
-            self.arrived = not robot.contact_force(cube.body)
-        else:
-            self.arrived = hypot(x - self._from[0], y - self._from[1]) > MOVED and self.let_go()
+        self.lies = self.let_go()
 
     def rest(self, position: list[float] | Vector, velocity: list[float] | Vector) -> tuple[float, float]:
         """Where a puck that is left alone comes to rest, in m, or on its way there, as far as the furthest target is.
@@ -195,7 +201,7 @@ class Slide(CubeTask):
         return [*values, *self.rest(values[:3], values[9:12])]
 
     def achieved(self) -> FloatArray:
-        return np.array((*self.rest(self.cube.position, self.cube.velocity), self.arrived), np.float32)
+        return np.array((*self.rest(self.cube.position, self.cube.velocity), self.lies), np.float32)
 
     def expert(self) -> Expert:
         return SlideExpert(self._robot, self, self.settings.threshold)

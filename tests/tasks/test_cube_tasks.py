@@ -141,16 +141,13 @@ def test_three_cubes_are_stacked_from_the_floor_or_from_two(stacked: float, heig
 
 @pytest.mark.parametrize("engine", ENGINES)
 def test_a_puck_comes_to_rest_where_it_is_computed_to_and_counts_only_then(engine: str) -> None:
-    ends, lengths = [], []
-    for early in (1.0, 0.0):
-        environment = made("slide", environment={"engine": engine}, end_at_release=early)
-        steps = expert_episode(environment, 1)
-        assert [step.success for step in steps] == [False] * (len(steps) - 1) + [True]
-        assert steps[-1].terminated
-        ends.append(steps[-1].achieved_goal[:2])
-        lengths.append(len(steps))
+    environment = made("slide", environment={"engine": engine}, max_steps=240)
+    steps = expert_episode(environment, 1)
+    first = next(k for k, step in enumerate(steps) if step.reward == 0)
+    assert not steps[first].success
+    assert steps[-1].success
+    ends = [steps[k].achieved_goal[:2] for k in (first + 12, -1)]
     np.testing.assert_allclose(*ends, atol=2e-3 if engine == "mujoco" else 0.02)
-    assert lengths[0] < lengths[1] - 30
     place = environment.task.cube.position
     np.testing.assert_allclose(place[:2], ends[1], atol=1e-3)
     assert np.hypot(*place[:2]) > environment.robot.workspace.high[0]
