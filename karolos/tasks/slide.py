@@ -33,6 +33,10 @@ BEHIND = pi / 4
 """Largest angle in rad between straight behind the puck and a start near it."""
 
 
+LOST_PUCK = 1000.0
+"""m from the origin beyond which a puck is lost. One that is hit hard slides over 10 m, and that is no error."""
+
+
 class Rest(PointGoal):
     """Success where the puck lies at rest, untouched, under `threshold` m from the target.
 
@@ -60,6 +64,11 @@ class Puck(Cube):
         self.half, self.radius = size / 4, size / 2
         return Cylinder(self.radius, 2 * self.half)
 
+    @property
+    def lost(self) -> bool:
+        x, y, z = self.position
+        return not (z > -self.half and hypot(x, y) < LOST_PUCK)
+
     def moments(self, mass: float) -> Vector:
         across = mass * (self.radius**2 / 4 + self.half**2 / 3)
         return across, across, mass * self.radius**2 / 2
@@ -75,7 +84,7 @@ class Slide(CubeTask):
 
     Observation: object_position (3, m), object_rotation (6, two columns of its matrix), object_velocity (3, m/s),
     object_angular_velocity (3, rad/s), object_from_tool (3, m), rest (2, m): where the puck would come to rest
-    if nothing touched it from now on, or on its way there, as far from it as the furthest target is from the base.
+    if nothing touched it from now on. Coordinates end at 1.5 times the distance of the furthest target from the base.
     Action: the robot's, without the gripper.
     Goals: achieved, where the puck comes to rest if nothing touches it any more (2, m), and whether it lies there (1);
     desired, the target (2, m).
@@ -148,7 +157,9 @@ class Slide(CubeTask):
                 hint="a smaller friction or a larger robot.tool_step lets it slide further",
             )
 
-        span = 2 * self.furthest + box.diagonal
+        self.sight = 1.5 * self.furthest
+        """Largest coordinate in m that is observed. Networks scale what they see by its spread; a puck slides 20 m."""
+        span = 3 * self.sight
         self.goal_rule = Rest(settings.threshold, dense=settings.reward == "dense", span=span)
 
     @property
@@ -188,17 +199,19 @@ class Slide(CubeTask):
         self.lies = self.let_go()
 
     def rest(self, position: list[float] | Vector, velocity: list[float] | Vector) -> tuple[float, float]:
-        """Where a puck that is left alone comes to rest, in m, or on its way there, as far as the furthest target is.
+        """Where a puck that is left alone comes to rest, in m, as far as it is seen."""
+        seconds = hypot(velocity[0], velocity[1]) / (2 * self.deceleration)
+        return self._seen(position[0] + velocity[0] * seconds), self._seen(position[1] + velocity[1] * seconds)
 
-        Networks scale what they see by its spread, and a puck that is hit slides 20 m.
-        """
-        speed = hypot(velocity[0], velocity[1])
-        seconds = min(speed / (2 * self.deceleration), self.furthest / max(speed, 1e-9))
-        return position[0] + velocity[0] * seconds, position[1] + velocity[1] * seconds
+    def _seen(self, coordinate: float) -> float:
+        return min(max(coordinate, -self.sight), self.sight)
 
     def observe(self) -> list[float]:
         values = super().observe()
-        return [*values, *self.rest(values[:3], values[9:12])]
+        rest = self.rest(values[:3], values[9:12])
+        for place in (0, 1, 15, 16):  # position, and position from the tool
+            values[place] = self._seen(values[place])
+        return [*values, *rest]
 
     def achieved(self) -> FloatArray:
         return np.array((*self.rest(self.cube.position, self.cube.velocity), self.lies), np.float32)
