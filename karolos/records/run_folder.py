@@ -361,7 +361,7 @@ def _count_test(line: bytes) -> TestCounts | None:
     if b'"successes_end"' in line:
         return from_json(TestCounts, line)
     result = decode_test(line)
-    return result and TestCounts.of(result)
+    return None if result is None else TestCounts.of(result)
 
 
 def _by_steps(tests: Iterable[_Test]) -> tuple[_Test, ...]:
