@@ -40,8 +40,10 @@ def rows_of(capfd: pytest.CaptureFixture[str], *arguments: str) -> list[dict]:
     return rows
 
 
-def test_each_precision_has_a_row_with_sampling_and_one_without(capfd: pytest.CaptureFixture[str]) -> None:
-    rows = rows_of(capfd, "updates", "--only", "sac", "--seconds", "0.1")
+def test_each_precision_has_a_row_with_sampling_and_one_without_and_output_begins_with_json() -> None:
+    command = [sys.executable, "-m", "bench", "updates", "--only", "sac", "--seconds", "0.1", "--json"]
+    done = subprocess.run(command, cwd=ROOT, check=True, capture_output=True, text=True)
+    rows = [json.loads(line) for line in done.stdout.splitlines()]
     assert [row["case"] for row in rows] == [
         "sac float32, 1 thread",
         "sac float32, learning alone, 1 thread",
