@@ -39,12 +39,26 @@ SPEC = {"name": "store", "robot": "panda", "task": "pick_place", "agent": "sac"}
 
 
 def measure(
-    *, runs: int = 10_000, tests: int = 50, episodes: int = 100, writers: int = 16, database: str | None = None
+    *,
+    runs: int = 10_000,
+    tests: int = 50,
+    episodes: int = 100,
+    writers: int = 16,
+    repeats: int = 5,
+    database: str | None = None,
 ) -> Iterator[Row]:
     """Seconds to rebuild, check and query a database of so many runs, and transactions per second of many writers.
 
-    `tests` are of each run, `episodes` of each test. `database` is the URL of an empty one; by default a SQLite file.
+    Args:
+        tests: of each run.
+        episodes: of each test.
+        repeats: of each query, of which the median counts.
+        database: URL of an empty one; by default a SQLite file.
     """
+
+    def typical(work: Callable[[], object]) -> float:
+        return median(seconds_of(work) for _ in range(repeats))
+
     with tempfile.TemporaryDirectory(prefix="karolos-bench-") as place:
         folder = Path(place) / "runs"
         make_runs(folder, runs, tests, episodes)
@@ -57,18 +71,14 @@ def measure(
             checking = seconds_of(lambda: list(check(store, folder)))
             yield Row(f"check, {size}", checking, "s")
             found = len(store.runs(where=FILTER))
-            asking, everything = _typical(lambda: store.runs(where=FILTER)), _typical(store.runs)
+            asking, everything = typical(lambda: store.runs(where=FILTER)), typical(store.runs)
             yield Row(f"filter that {found:,} of {runs:,} runs fit", asking, "s", "all runs", everything)
         listing = [sys.executable, "-m", "karolos_cli", "runs", "list"]
         call = partial(subprocess.run, check=True, stdout=subprocess.DEVNULL)
-        asking = _typical(lambda: call([*listing, FILTER, "--runs", str(folder), "--database", url, "--json"]))
-        starting = _typical(lambda: call([*listing, "--help"]))
+        asking = typical(lambda: call([*listing, FILTER, "--runs", str(folder), "--database", url, "--json"]))
+        starting = typical(lambda: call([*listing, "--help"]))
         yield Row(f"command `runs list` with a filter, {found:,} rows", asking, "s", "its --help", starting)
         yield _writing(Path(place), writers, database)
-
-
-def _typical(work: Callable[[], object]) -> float:
-    return median(seconds_of(work) for _ in range(5))
 
 
 def _writing(place: Path, writers: int, database: str | None) -> Row:

@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 from pathlib import Path
+from typing import TYPE_CHECKING
 
 import typer
 
@@ -11,6 +12,9 @@ from karolos.errors import StoreError
 from .arguments import Database, Json, Runs
 from .output import print_rows, say, warn
 
+if TYPE_CHECKING:
+    from karolos.store import Store
+
 app = typer.Typer(name="db", help="Rebuild, check and upgrade the results database.", no_args_is_help=True)
 
 
@@ -18,10 +22,15 @@ app = typer.Typer(name="db", help="Rebuild, check and upgrade the results databa
 def reindex(runs: Runs = Path("runs"), database: Database = None) -> None:
     """Rebuild the database from the run folders. Exit code 1 if files are damaged; the other runs are entered."""
     from karolos.store import Store
-    from karolos.store import reindex as rebuild
 
     with Store(database or Store.default_url(runs)) as store:
-        done = rebuild(store, runs)
+        _rebuild(store, runs)
+
+
+def _rebuild(store: Store, runs: Path) -> None:
+    from karolos.store import reindex as rebuild
+
+    done = rebuild(store, runs)
     for problem in done.problems:
         warn(problem)
     say(f"{done.runs} runs entered, {done.forgotten} forgotten")
@@ -48,11 +57,19 @@ def check(runs: Runs = Path("runs"), database: Database = None, json: Json = Fal
 
 @app.command()
 def upgrade(runs: Runs = Path("runs"), database: Database = None) -> None:
-    """Say whether this karolos can read the database. Move another one away: `db reindex` makes a new one."""
+    """Renew the database of an older karolos: its tables are replaced, and the runs are entered from their folders."""
     from karolos.store import Store
 
-    Store(_existing(runs, database)).close()
-    say("nothing to do: this karolos reads the database as it is")
+    with Store(_existing(runs, database), upgrade=True) as store:
+        if store.database.forgotten is None:
+            say("nothing to do: this karolos reads the database as it is")
+            return
+        try:
+            _rebuild(store, runs)
+        finally:
+            entered = {run.run for run in store.runs()}
+            for run in sorted(store.database.forgotten - entered):
+                warn(f"{run}: its folder is not in {runs}; `karolos db reindex --runs FOLDER` enters runs of another")
 
 
 def _existing(runs: Path, database: str | None) -> str:

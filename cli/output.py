@@ -10,6 +10,8 @@ from collections.abc import Iterable, Mapping, Sequence
 from dataclasses import replace
 from typing import TYPE_CHECKING, Any
 
+import typer
+
 from karolos.report.tables import Table, clean
 
 if TYPE_CHECKING:
@@ -61,6 +63,26 @@ def print_rows(rows: Iterable[Mapping[str, Any]], *, json: bool, line: str = "")
     if listed:
         names = [name for name in listed[0] if any(row.get(name) not in (None, "", []) for row in listed)]
         print_table(Table(names, [[short_text(row.get(name), 6) for name in names] for row in listed]))
+
+
+def print_report(
+    rows: Iterable[Mapping[str, Any]], tables: Iterable[Table], notes: Iterable[str], *, quiet: bool, json: bool
+) -> None:
+    """Print a report as JSON rows, or as tables with what their numbers mean."""
+    if json:
+        print_rows(rows, json=True)
+    elif not quiet:
+        for table in tables:
+            print_table(table)
+        for line in notes:
+            print(f"  {line}")
+
+
+def end_if_stopped(name: str, stop_code: int) -> None:
+    """Say how to continue what was stopped, and end."""
+    if stop_code:
+        say(f"{name} is stopped: the same command with --resume continues it")
+        raise typer.Exit(stop_code)
 
 
 def print_csv(rows: Sequence[Mapping[str, Any]]) -> None:

@@ -4,7 +4,7 @@ from __future__ import annotations
 
 import re
 from pathlib import Path
-from typing import TYPE_CHECKING, Annotated
+from typing import Annotated
 
 import typer
 
@@ -24,10 +24,7 @@ from .arguments import (
     seconds,
     with_launcher,
 )
-from .output import print_rows, print_table, say, warn
-
-if TYPE_CHECKING:
-    from karolos.comparison.suite import SuiteReport
+from .output import end_if_stopped, print_report, say, warn
 
 FOLDER = "suites"
 
@@ -84,23 +81,21 @@ def suite(
             budget=seconds(budget, "--budget"),
             listener=listener,
         )
-    if trained.stop_code:
-        say(f"{found.name} is stopped: the same command with --resume continues it")
-        raise typer.Exit(trained.exit_code)
+    end_if_stopped(found.name, trained.stop_code)
     from karolos.comparison.suite import suite_report
-    from karolos.report.suite import write_report
+    from karolos.report.suite import entries_table, grid_table, measures_table, notes, verdict, write_report
 
     label = " ".join(overrides or ()) or found.name
     written = {spec.name: spec.hash() for spec in load_suite(file).specs} if others and overrides else {}
     report = suite_report(trained, label, others, written)
     for warning in report.warnings:
         warn(warning)
-    if json:
-        print_rows(report.rows(), json=True)
-    elif not quiet:
-        _print(report)
     name = "-".join([found.name, *re.findall(r"[\w.]+", label)] if overrides else [found.name])
     page = runs / FOLDER / name[:100] / "report.html"
+    tables = [one for one in (grid_table(report), entries_table(report), measures_table(report)) if one.rows]
+    if not (quiet or json):
+        print(verdict(report))
+    print_report(report.rows(), tables, notes(report), quiet=quiet, json=json)
     write_report(report, page)
     if not quiet:
         say(f"wrote {page}")
@@ -117,14 +112,3 @@ def _folder(beside: str | None) -> Path | None:
     if not path.is_dir():
         raise UsageError(f"there is no folder {beside}", where="--beside", hint="name a folder of runs, or `shipped`")
     return path
-
-
-def _print(report: SuiteReport) -> None:
-    from karolos.report.suite import entries_table, grid_table, measures_table, notes, verdict
-
-    print(verdict(report))
-    for table in (grid_table(report), entries_table(report), measures_table(report)):
-        if table.rows:
-            print_table(table)
-    for line in notes(report):
-        print(f"  {line}")

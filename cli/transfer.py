@@ -3,15 +3,12 @@
 from __future__ import annotations
 
 from pathlib import Path
-from typing import TYPE_CHECKING, Annotated
+from typing import Annotated
 
 import typer
 
 from .arguments import Database, Jobs, Json, On, Overrides, Quiet, Runs, SpecFile, TimeLimit, seconds, with_launcher
-from .output import print_rows, print_table, say, warn
-
-if TYPE_CHECKING:
-    from karolos.transfer.results import TransferReport
+from .output import end_if_stopped, print_report, say, warn
 
 
 def transfer(
@@ -54,31 +51,17 @@ def transfer(
             listener=listener,
             say=(lambda _: None) if quiet else say,
         )
-    if outcome.stop_code:
-        say(f"{found.name} is stopped: the same command with --resume continues it")
-        raise typer.Exit(outcome.exit_code)
-    from karolos.transfer.page import write_report
+    end_if_stopped(found.name, outcome.stop_code)
+    from karolos.transfer.page import matrix_table, notes, variants_table, write_report
     from karolos.transfer.results import transfer_report
 
     report = transfer_report(outcome)
     for warning in report.warnings:
         warn(warning)
-    if json:
-        print_rows(report.rows(), json=True)
-    elif not quiet:
-        _print_report(report)
+    tables = [*(matrix_table(report, name) for name in report.metrics), variants_table(report)]
+    print_report(report.rows(), tables, notes(report), quiet=quiet, json=json)
     page = outcome.folder / "report.html"
     write_report(report, page, out)
     if not quiet:
         say(f"wrote {page}")
     raise typer.Exit(outcome.exit_code)
-
-
-def _print_report(report: TransferReport) -> None:
-    from karolos.transfer.page import matrix_table, notes, variants_table
-
-    for name in report.metrics:
-        print_table(matrix_table(report, name))
-    print_table(variants_table(report))
-    for line in notes(report):
-        print(f"  {line}")

@@ -234,7 +234,7 @@ def _scores(
             name: mean([run.measured(name) for run in runs], "return", f"measure {name}")
             for name in runs[0].summary.measures
         },
-        reaching=() if metric == "return" else tuple(_reaching(runs, metric, ratio) for ratio in RATIOS),
+        reaching=() if metric == "return" else tuple(reaching(runs, metric, ratio) for ratio in RATIOS),
         improvement=None if first is None else _improvement(runs, first.runs, metric, tree.child("improvement")),
         density=density,
         over_steps=over_steps,
@@ -278,7 +278,8 @@ def estimate(
     return Estimate(middle, *found, "bootstrap" if usual else "approximate")
 
 
-def _reaching(runs: Sequence[ComparedRun], success: Success, ratio: float) -> Reaching:
+def reaching(runs: Sequence[ComparedRun], success: Success, ratio: float) -> Reaching:
+    """When the tests of some runs first reached a success ratio."""
     at = {
         axis: [aggregates.first_reaching(run.values(success), list(places(run, axis)), ratio) for run in runs]
         for axis in ("steps", "seconds")

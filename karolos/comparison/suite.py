@@ -2,19 +2,19 @@
 
 from __future__ import annotations
 
-from collections.abc import Mapping
+from collections import defaultdict
+from collections.abc import Iterable, Mapping
 from dataclasses import asdict, dataclass
 from pathlib import Path
+from types import MappingProxyType
 from typing import Any
 
-from ..errors import RunError
 from ..launchers.suite import SuiteRuns
 from ..records import RunFolder, scan
-from ..records.run_records import THRESHOLD
+from ..records.run_records import THRESHOLD, RunRecord
 from ..specification import Spec
-from ..statistics.aggregates import median_reaching
 from .contenders import ComparedRun, Contender, load_compared, one_per_seed
-from .scores import Comparison, Reaching, Scores, compare
+from .scores import Comparison, Reaching, Scores, compare, reaching
 
 
 @dataclass(frozen=True)
@@ -54,6 +54,20 @@ class Entry:
         """Of the other runs."""
         return self.comparison.scores[0] if len(self.comparison.scores) > 1 else None
 
+    def row(self) -> dict[str, Any]:
+        """The entry as JSON values."""
+        *other, own = self.comparison.rows()
+        return {
+            "spec": self.spec.name,
+            "task": self.task,
+            "robot": self.robot,
+            "agent": self.spec.agent.name,
+            "to_95": self.reaching and asdict(self.reaching),
+            "cut": self.cut,
+            **own,
+            "beside": other[0] if other else None,
+        }
+
 
 @dataclass(frozen=True)
 class SuiteReport:
@@ -71,25 +85,11 @@ class SuiteReport:
 
     def rows(self) -> list[dict[str, Any]]:
         """One JSON object per spec, as `karolos compare` gives it, with the row of the other runs in `beside`."""
-        return [self._row(entry) for entry in self.entries]
-
-    def _row(self, entry: Entry) -> dict[str, Any]:
-        *other, own = entry.comparison.rows()
-        return {
-            "suite": self.name,
-            "spec": entry.spec.name,
-            "task": entry.task,
-            "robot": entry.robot,
-            "agent": entry.spec.agent.name,
-            "to_95": entry.reaching and asdict(entry.reaching),
-            "cut": entry.cut,
-            **own,
-            "beside": other[0] if other else None,
-        }
+        return [{"suite": self.name} | entry.row() for entry in self.entries]
 
 
 def suite_report(
-    found: SuiteRuns, label: str, beside: Path | None = None, experiments: Mapping[str, str] | None = None
+    found: SuiteRuns, label: str, beside: Path | None = None, experiments: Mapping[str, str] = MappingProxyType({})
 ) -> SuiteReport:
     """The numbers of a suite's runs.
 
@@ -100,53 +100,49 @@ def suite_report(
         experiments: name of a spec -> hash of the experiment that is meant, if the folder has several of that name;
             by default the suite's own.
     """
-    entries, warnings = [], dict[str, list[str]]()
-    other = None if beside is None else beside.name if beside.name != label else f"{beside.name}/"
+    entries, warnings = [], defaultdict[str, list[str]](list)
+    other = None if beside is None else f"{beside.name}{'/' * (beside.name == label)}"
     for job in found.jobs:
-        spec, problems = job.spec, list[str]()
-        folders = [RunFolder.open(job.summaries[seed].folder) for seed in spec.seeds if seed in job.summaries]
-        runs = tuple(run for run in (load_compared(folder.record()) for folder in folders) if run.tests)
+        spec = job.spec
+        records = [RunFolder.open(job.summaries[seed].folder).record() for seed in spec.seeds if seed in job.summaries]
+        runs = _tested(records)
         if not runs:
-            warnings.setdefault("no test yet", []).append(spec.name)
+            warnings["no test yet"].append(spec.name)
             continue
         contenders = [Contender(label, runs)]
         if beside is not None and other is not None:
-            mine = {folder.path.resolve() for folder in folders}
-            theirs = _runs_beside(spec.name, beside, mine, (experiments or {}).get(spec.name, spec.hash()), problems)
-            contenders[:0] = [Contender(other, theirs)] if theirs else []
+            others = _beside(beside, spec.name, experiments.get(spec.name, spec.hash()), contenders[0])
+            if isinstance(others, str):
+                warnings[others].append(spec.name)
+            else:
+                contenders.insert(0, Contender(other, others))
         comparison = compare(contenders)
-        for warning in (*problems, *comparison.warnings):
-            warnings.setdefault(warning, []).append(spec.name)
-        reaching = Reaching(
-            THRESHOLD,
-            sum(run.summary.steps_to_95 is not None for run in runs),
-            len(runs),
-            median_reaching([run.summary.steps_to_95 for run in runs]),
-            median_reaching([run.summary.seconds_to_95 for run in runs]),
-        )
-        reached = reaching if contenders[-1].has_success else None
+        for warning in comparison.warnings:
+            warnings[warning].append(spec.name)
+        reached = reaching(runs, "end", THRESHOLD) if contenders[-1].has_success else None
         entries.append(Entry(spec, comparison, reached, found.cut.get(spec.name)))
-    known = {name for entry in entries for name in entry.comparison.measures}
-    warnings |= {"no spec has these measures": missing} if (missing := sorted({*found.suite.measures} - known)) else {}
+    unknown = {*found.suite.measures}.difference(*(entry.comparison.measures for entry in entries))
+    warnings |= {"no spec has these measures": sorted(unknown)} if unknown else {}
     said = [f"{warning} ({', '.join(names)})" for warning, names in warnings.items()]
     return SuiteReport(found.suite.name, label, other, tuple(entries), found.suite.measures, (*found.problems, *said))
 
 
-def _runs_beside(
-    name: str, folder: Path, mine: set[Path], experiment: str, problems: list[str]
-) -> tuple[ComparedRun, ...]:
-    """The tested runs of this name, one for each seed: those of the experiment, or of the only one there is."""
-    opened = (one for one in scan(folder, f"{name}*") if not isinstance(one, RunError))
-    named = [one for one in opened if one.description()["name"] == name and one.path.resolve() not in mine]
-    found = {experiment} & {one.description()["experiment"] for one in named}
-    found = found or {one.description()["experiment"] for one in named}
+def _tested(records: Iterable[RunRecord]) -> tuple[ComparedRun, ...]:
+    return tuple(load_compared(record) for record in records if record.tests)
+
+
+def _beside(folder: Path, name: str, experiment: str, own: Contender) -> tuple[ComparedRun, ...] | str:
+    """The runs of a name in a folder but the suite's own: of the experiment, or of the only one; or why there are none.
+
+    Of each seed there is one.
+    """
+    mine = {run.summary.folder for run in own.runs}
+    records = [one.record() for one in scan(folder, f"{name}*") if isinstance(one, RunFolder)]
+    records = [one for one in records if one.summary.name == name and one.summary.folder not in mine]
+    found = {record.summary.experiment for record in records}
+    found = found & {experiment} or found
     if len(found) != 1:
-        problems.append(f"{folder} has {len(found) or 'no'} experiments of this name, so nothing stands beside it")
-        return ()
-    runs = {
-        run.summary.run: run
-        for run in (load_compared(one.record()) for one in named if one.description()["experiment"] in found)
-        if run.tests
-    }
+        return f"{folder} has {len(found) or 'no'} experiments of this name, so nothing stands beside it"
+    runs = {run.summary.run: run for run in _tested(records) if run.summary.experiment in found}
     chosen = one_per_seed([run.summary for run in runs.values()])
-    return tuple(runs[chosen[seed].run] for seed in sorted(chosen))
+    return tuple(runs[chosen[seed].run] for seed in sorted(chosen)) or f"{folder} has no test of this name"

@@ -19,7 +19,7 @@ from ..randomization.distributions import Distribution
 from ..randomization.randomization import Randomization
 from ..simulation.engines import Engine, check_engine, make_world
 from ..simulation.geometry import rotated
-from ..simulation.interface import Camera, Robot, Stroke, Task, World
+from ..simulation.interface import Camera, Robot, Stroke, Task, TaskNeeds, World
 from ..simulation.interface.engine import PHYSICS_RATE
 from .action_set import ActionSet, action_index
 
@@ -80,13 +80,8 @@ class RobotTask(Environment):
         self.rate = PHYSICS_RATE / settings.substeps
         self.divergences = 0
         """Number of episodes truncated because the physics diverged."""
-        robot.prepare(
-            gripper=task.uses_gripper,
-            period=settings.substeps / PHYSICS_RATE,
-            control=task.control,
-            protective_stop=task.protective_stop,
-            fingers=task.fingers,
-        )
+        period = settings.substeps / PHYSICS_RATE
+        robot.prepare(TaskNeeds(task.uses_gripper, period, task.control, task.protective_stop, task.fingers))
         for setting in (*robot.mujoco_only, *task.mujoco_only) if settings.engine == "bullet" else ():
             raise UsageError("PyBullet cannot do this", setting=setting, hint="set environment.engine=mujoco")
         task.fit(robot)

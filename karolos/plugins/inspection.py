@@ -16,7 +16,7 @@ from ..evaluation.testing import test_seeds
 from ..randomization.randomization import RandomizedParameter
 from ..registry import load, names
 from ..simulation.engines import Engine, make_world
-from ..simulation.interface import Camera, Cup, Gripper
+from ..simulation.interface import Camera, Cup, Gripper, TaskNeeds
 from .contracts.case import candidate
 from .contracts.joined import CONTROLS, join
 
@@ -108,7 +108,7 @@ def _named(columns: str, values: Iterable[Any]) -> Facts:
 
 def _prepared(plugin: Any, mode: str | None, **settings: Any) -> Any:
     robot = plugin(plugin.Settings(**({"control": mode} if mode else {}), **settings))
-    robot.prepare(gripper=robot.gripper is not None, period=1 / 24)
+    robot.prepare(TaskNeeds(gripper=robot.gripper is not None, period=1 / 24))
     return robot
 
 

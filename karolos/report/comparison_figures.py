@@ -48,6 +48,14 @@ def comparison_figures(comparison: Comparison) -> list[Drawing]:
 
 
 @look()
+def titled_curve(comparison: Comparison, place: int, title: str) -> Drawing:
+    """Learning over steps, on a page with several such figures, of which this is number `place`."""
+    drawing = learning(comparison, "steps")
+    drawing.name = f"learning_{place}"
+    drawing.axes.set_title(title, loc="left")
+    return drawing
+
+
 def learning(comparison: Comparison, axis: Axis) -> Drawing:
     """Success or return over training: every seed thin, mean or inter-quartile mean bold, its interval as a band."""
     contenders, metric = comparison.contenders, comparison.metric

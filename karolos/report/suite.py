@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-from collections.abc import Sequence
 from functools import partial
 from os.path import relpath
 from pathlib import Path
@@ -11,7 +10,7 @@ from statistics import fmean
 from ..comparison import Estimate
 from ..comparison.suite import Entry, SuiteReport
 from ..files import write_whole, writing
-from .comparison_figures import heat_map, learning
+from .comparison_figures import heat_map, titled_curve
 from .comparison_tables import estimate, interval_notes, reached
 from .figures import Drawing, look
 from .page import Section, document
@@ -90,37 +89,22 @@ def notes(report: SuiteReport) -> list[str]:
 def write_report(report: SuiteReport, path: Path) -> None:
     """Write the page. Raises MachineError if that fails."""
     with look():
-        drawings = [_heat_map(report)] if any(one.scores.end for one in report.entries) else []
-        curves = [_curve(place, entry) for place, entry in enumerate(report.entries)]
-    with writing(path):
-        path.parent.mkdir(parents=True, exist_ok=True)
-    write_whole(path, _page(report, drawings, curves, path.parent))
-
-
-def _heat_map(report: SuiteReport) -> Drawing:
-    robots, rows = _grid(report)
-    drawing = Drawing("suite", "Success at the end of the episode", "Mean over the seeds.")
-    drawing.figure.set_figheight(1.2 + 0.3 * len(rows))
-    heat_map(drawing, rows, robots)
-    return drawing
-
-
-def _curve(place: int, entry: Entry) -> Drawing:
-    drawing = learning(entry.comparison, "steps")
-    drawing.name = f"learning_{place}"
-    drawing.axes.set_title(entry.spec.name, loc="left")
-    return drawing
-
-
-def _page(report: SuiteReport, drawings: Sequence[Drawing], curves: Sequence[Drawing], folder: Path) -> str:
+        robots, rows = _grid(report)
+        grid = Drawing("suite", "Success at the end of the episode", "Mean over the seeds.")
+        grid.figure.set_figheight(1.2 + 0.3 * len(rows))
+        if succeeds := any(one.scores.end for one in report.entries):
+            heat_map(grid, rows, robots)
+        curves = [titled_curve(one.comparison, place, one.spec.name) for place, one in enumerate(report.entries)]
     runs = [run.summary for entry in report.entries for run in entry.runs]
     sections = [
-        Section(text=verdict(report), figures=drawings),
+        Section(text=verdict(report), figures=[grid] if succeeds else []),
         Section("Tasks and robots", table=grid_table(report)),
         Section("In numbers", table=entries_table(report), notes=notes(report)),
         *([Section("Measures", table=measures)] if (measures := measures_table(report)).rows else []),
         Section("Learning", figures=curves),
-        Section("Runs", table=runs_table(runs), links=[relpath(run.folder, folder) for run in runs]),
+        Section("Runs", table=runs_table(runs), links=[relpath(run.folder, path.parent) for run in runs]),
     ]
     beside = f", beside {report.beside}" if report.beside else ""
-    return document(f"Suite: {report.name}", f"{report.label}{beside}", sections, report.warnings)
+    with writing(path):
+        path.parent.mkdir(parents=True, exist_ok=True)
+    write_whole(path, document(f"Suite: {report.name}", f"{report.label}{beside}", sections, report.warnings))

@@ -20,9 +20,8 @@ from ..errors import PluginError, UsageError
 from ..randomization.randomization import RandomizedParameter, drawn_settings
 from ..simulation import urdf
 from ..simulation.geometry import Orientations, Quaternion, Vector, quaternion_of
-from ..simulation.interface import Body, Cup, Gripper, JointLimits, World
+from ..simulation.interface import Body, Cup, Gripper, JointLimits, TaskNeeds, World
 from ..simulation.interface.engine import OPENS
-from ..simulation.interface.robot import ControlMode, GripperUse
 from ..simulation.kinematics import Chain, Configuration, Pose, downward
 from ..simulation.parts import Mechanism
 from .control import CONTROLS, ROTATION, Control, Way
@@ -132,38 +131,30 @@ class Arm:
         self._values = {name: parameter.nominal for name, parameter in nominal.items()}
         self.gripper: Gripper | Cup | None = model.fingers.gripper if model.fingers else model.cup
         self.home_joints = model.home
-        self.prepare(gripper=False, period=1 / 24)
+        self.prepare(TaskNeeds(gripper=False, period=1 / 24))
 
     def forward(self, joints: Sequence[float]) -> Configuration:
         return self.chain.forward(joints)
 
-    def prepare(
-        self,
-        *,
-        gripper: GripperUse,
-        period: float,
-        control: ControlMode = "cartesian",
-        protective_stop: bool = False,
-        fingers: float = 0.0,
-    ) -> None:
-        if gripper and self.gripper is None:
+    def prepare(self, needs: TaskNeeds) -> None:
+        if needs.gripper and self.gripper is None:
             hint = "choose a task that needs no gripper"
             raise PluginError("this robot has no gripper", where=type(self).__name__, hint=hint)
-        if self.settings.finger_opening and gripper:
+        if self.settings.finger_opening and needs.gripper:
             what = "the task moves the gripper, so it cannot be held open"
             raise UsageError(what, setting="robot.finger_opening", hint="set it to 0")
-        self._grip = self.gripper if gripper else None
-        self._commanded = gripper is True
+        self._grip = self.gripper if needs.gripper else None
+        self._commanded = needs.gripper is True
         """Whether actions move the gripper."""
-        self._held_open = self.settings.finger_opening or fingers
-        self.period = period
+        self._held_open = self.settings.finger_opening or needs.fingers
+        self.period = period = needs.period
         limits = self.settings.protective_stop
         if limits == "task":
-            limits = ProtectiveStop.model_validate({}) if protective_stop else None
+            limits = ProtectiveStop.model_validate({}) if needs.protective_stop else None
         self._guard = Guard(limits, self.limits.effort, period) if limits is not None else None
         self.joint_step = tuple(min(self.settings.joint_step, speed * period) for speed in self.limits.velocity)
         self.tool_step = self.settings.tool_step
-        mode = self.settings.control or control
+        mode = self.settings.control or needs.control
         self.mujoco_only = ("robot.control",) * (mode == "impedance")
         self.mujoco_only += ("robot.gripper",) * isinstance(self._grip, Cup)
         self._control: Control = CONTROLS[mode](self)

@@ -15,7 +15,19 @@ from collections.abc import Iterator, Sequence
 from pathlib import Path
 from typing import Any
 
-from sqlalchemy import URL, Connection, Engine, Executable, create_engine, event, insert, inspect, make_url, select
+from sqlalchemy import (
+    URL,
+    Connection,
+    Engine,
+    Executable,
+    MetaData,
+    create_engine,
+    event,
+    insert,
+    inspect,
+    make_url,
+    select,
+)
 from sqlalchemy.exc import ArgumentError, DataError, DBAPIError, IntegrityError, NoSuchModuleError
 from sqlalchemy.pool import NullPool
 
@@ -23,7 +35,7 @@ from ..errors import StoreError
 from ..files import network_share
 from ..files import writing as writing_file
 from ..records.provenance import redact
-from .tables import SCHEMA, SCHEMA_VERSION, TABLES
+from .tables import OLDER_TABLES, SCHEMA, SCHEMA_VERSION, TABLES
 
 BUSY_SECONDS = 20.0
 """How long a transaction waits for those of other processes, which hold the lock for milliseconds."""
@@ -59,8 +71,10 @@ class Database:
     Args:
         url: SQLAlchemy URL, e.g. sqlite:///runs/karolos.sqlite.
         timeout: seconds a transaction that writes waits for other processes.
+        upgrade: replace the tables of an older karolos by empty ones of this one.
 
     Attributes:
+        forgotten: runs that were in the tables that `upgrade` replaced; None if it replaced nothing.
         url: parsed.
         name: the URL without its password, for messages.
         home: folder of a SQLite database, None for any other.
@@ -71,7 +85,8 @@ class Database:
             another schema.
     """
 
-    def __init__(self, url: str, *, timeout: float = BUSY_SECONDS) -> None:
+    def __init__(self, url: str, *, timeout: float = BUSY_SECONDS, upgrade: bool = False) -> None:
+        self.forgotten: frozenset[str] | None = None
         self.url = _parse_url(url)
         self.name = _without_secrets(self.url)
         self._path = _sqlite_file(self.url)
@@ -85,7 +100,7 @@ class Database:
         self._timeout = timeout
         self.engine = _make_engine(self.url, self._path, timeout)
         self._readers = self.engine.execution_options(**{_READ: True})
-        self._ensure_tables()
+        self._ensure_tables(upgrade)
 
     @staticmethod
     def exists(url: str) -> bool:
@@ -130,22 +145,27 @@ class Database:
         with self.reading() as connection:
             return connection.execute(query).all()
 
-    def _ensure_tables(self) -> None:
-        """Create the tables in a database that is new or empty; refuse one that is not ours."""
+    def _ensure_tables(self, upgrade: bool) -> None:
+        """Create the tables in a database that is new, empty or to be upgraded; refuse one that is not ours."""
         if self._path is not None and not os.path.exists(self._path):  # Path.exists raises where it may not search
             with writing_file(self._path):
                 self._path.parent.mkdir(parents=True, exist_ok=True)
                 self._path.touch()
         with self.reading() as connection:
-            if self._check_schema(connection):
+            if self._check_schema(connection, upgrade):
                 return
         with self.writing() as connection:
-            if not self._check_schema(connection):  # whoever comes first creates them
+            if not self._check_schema(connection, upgrade):  # whoever comes first creates them
+                older = MetaData()
+                older.reflect(connection, only=lambda name, _: name in {*TABLES.tables, *OLDER_TABLES})
+                if "runs" in older.tables:
+                    self.forgotten = frozenset(connection.scalars(select(older.tables["runs"].c.run)))
+                older.drop_all(connection)
                 TABLES.create_all(connection)
                 connection.execute(insert(SCHEMA_VERSION).values(version=SCHEMA))
 
-    def _check_schema(self, connection: Connection) -> bool:
-        """Whether the tables exist; False for an empty database.
+    def _check_schema(self, connection: Connection, upgrade: bool) -> bool:
+        """Whether the tables exist; False for an empty database, and for an older one with `upgrade`.
 
         Raises:
             StoreError: the database belongs to another program or has another schema.
@@ -162,14 +182,11 @@ class Database:
         version: int | None = connection.scalar(select(SCHEMA_VERSION.c.version))
         if version is None:
             raise StoreError("the database is damaged: its schema version is missing", where=self.name, hint=_REBUILD)
-        if version != SCHEMA:
-            age = "a newer" if version > SCHEMA else "an older"
-            raise StoreError(
-                f"{age} karolos made this database (schema {version}, this karolos reads {SCHEMA})",
-                where=self.name,
-                hint=_REBUILD,
-            )
-        return True
+        if version == SCHEMA or (version < SCHEMA and upgrade):
+            return version == SCHEMA
+        age, hint = ("a newer", _REBUILD) if version > SCHEMA else ("an older", "`karolos db upgrade` renews it")
+        what = f"{age} karolos made this database (schema {version}, this karolos reads {SCHEMA})"
+        raise StoreError(what, where=self.name, hint=hint)
 
 
 @contextlib.contextmanager

@@ -32,6 +32,7 @@ class Store:
         url: SQLAlchemy URL, e.g. sqlite:///runs/karolos.sqlite, or postgresql://host/name with the extra `postgres`.
             A SQLite file that does not exist is created.
         timeout: seconds a transaction that writes waits for other processes.
+        upgrade: replace the tables of an older karolos; `reindex` then enters the runs.
 
     Attributes:
         database: the connection and its transactions.
@@ -41,8 +42,8 @@ class Store:
         StoreError: from every method, as those of Database.
     """
 
-    def __init__(self, url: str, *, timeout: float = BUSY_SECONDS) -> None:
-        self.database = Database(url, timeout=timeout)
+    def __init__(self, url: str, *, timeout: float = BUSY_SECONDS, upgrade: bool = False) -> None:
+        self.database = Database(url, timeout=timeout, upgrade=upgrade)
         self.sweeps = Sweeps(self.database)
 
     exists = staticmethod(Database.exists)

@@ -19,8 +19,11 @@ from ..records.sweep_records import SweepRecord, SweepTrialState, Trial
 SCHEMA = 9
 """Version of these tables, stored in `karolos_schema`. Raise it with every change of the tables.
 
-A database of another version is refused: the run folders are the truth, and `karolos db reindex` builds a new one.
+A database of another version is refused. The run folders are the truth: `karolos db upgrade` replaces older tables and
+enters what the folders hold.
 """
+OLDER_TABLES = ("experiments", "parameters", "versions", "tags")
+"""Tables of schema 7, which version 0.1 made, that this schema lacks."""
 TABLES = MetaData()
 _TYPES: dict[Any, TypeEngine[Any]] = {
     bool: Boolean(),

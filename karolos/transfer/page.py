@@ -9,7 +9,7 @@ from statistics import fmean
 
 from ..comparison import ComparedRun
 from ..files import write_whole
-from ..report.comparison_figures import heat_map, learning
+from ..report.comparison_figures import heat_map, titled_curve
 from ..report.comparison_tables import estimate, interval_notes, reached
 from ..report.figures import Drawing, look, short, write_figures
 from ..report.page import Section, document
@@ -89,12 +89,10 @@ def metric_map(report: TransferReport, name: str) -> Drawing:
 @look()
 def transfer_figures(report: TransferReport) -> tuple[list[Drawing], list[Drawing]]:
     """A heat map for each metric, and the learning curves on each target."""
-    curves: list[Drawing] = []
-    for label, comparison in report.learning.items():
-        drawing = learning(comparison, "steps")
-        drawing.name = f"learning_{len(curves)}"
-        drawing.axes.set_title(f"Learning on {short(label)}", loc="left")
-        curves.append(drawing)
+    curves = [
+        titled_curve(comparison, place, f"Learning on {short(label)}")
+        for place, (label, comparison) in enumerate(report.learning.items())
+    ]
     return [metric_map(report, name) for name in report.metrics], curves
 
 

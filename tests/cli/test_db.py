@@ -1,16 +1,25 @@
 from __future__ import annotations
 
+import re
 import shutil
 import sqlite3
+import tarfile
 from pathlib import Path
 
 import pytest
+import typer
+from karolos_cli.compare import compare
 from karolos_cli.db import app
 from karolos_cli.runs import app as runs_app
 from support.run_commands import add_run, call, rows
 
 from karolos.errors import StoreError
+from karolos.launchers.experiment import resume_run
+from karolos.records import RunFolder
 from karolos.store import Store
+
+compare_app = typer.Typer()
+compare_app.command()(compare)
 
 
 def test_reindex_rebuilds_what_was_removed_and_names_what_is_damaged(runs: Path) -> None:
@@ -51,17 +60,43 @@ def test_check_of_nothing_is_told_and_makes_nothing(runs: Path) -> None:
     assert not runs.exists()
 
 
-def test_upgrade_has_nothing_to_do_for_this_schema_and_refuses_others(runs: Path) -> None:
+def test_upgrade_has_nothing_to_do_for_this_schema_and_refuses_a_newer_one(runs: Path) -> None:
     with pytest.raises(StoreError, match="there is no database; `karolos db reindex` makes one"):
         call(app, "upgrade")
-    run = add_run(runs, 0)
+    add_run(runs, 0)
     assert "nothing to do" in call(app, "upgrade").stderr
     with sqlite3.connect(runs / "karolos.sqlite") as other:
-        other.execute("UPDATE karolos_schema SET version = version - 1")
+        other.execute("UPDATE karolos_schema SET version = version + 1")
     other.close()
-    for command, arguments in ((app, ["upgrade"]), (app, ["reindex"]), (runs_app, ["list"])):
-        with pytest.raises(StoreError, match=r"an older karolos made .*; move it away and run `karolos db reindex`"):
-            call(command, *arguments)
-    (runs / "karolos.sqlite").rename(runs / "old.sqlite")
-    call(app, "reindex")
-    assert [found["run"] for found in rows(runs_app, "list")] == [run]
+    with pytest.raises(StoreError, match=r"a newer karolos made .*; move it away and run `karolos db reindex`"):
+        call(app, "upgrade")
+
+
+def test_runs_and_database_of_version_0_1_are_listed_shown_compared_and_continued(runs: Path) -> None:
+    """Written by karolos 0.1: two finished runs, one that was stopped, and the database with schema 7."""
+    with tarfile.open(Path(__file__).with_name("runs_of_0.1.tar.xz")) as archive:
+        archive.extractall(runs.parent, filter="data")
+    with sqlite3.connect(runs / "karolos.sqlite") as old:
+        before = old.execute("SELECT run, state, steps, success_end, mean_return FROM runs ORDER BY run").fetchall()
+        old.execute("UPDATE runs SET run = 'gone' WHERE run LIKE 'toy%'")
+    old.close()
+    with pytest.raises(StoreError, match=r"an older karolos made .*; `karolos db upgrade` renews it"):
+        call(runs_app, "list")
+    told = call(app, "upgrade").stderr
+    assert "3 runs entered, 0 forgotten" in told
+    assert f"warning: gone: its folder is not in {runs}" in told
+    assert "the database agrees" in call(app, "check").stderr
+    listed = sorted(rows(runs_app, "list"), key=lambda row: row["run"])
+    assert [
+        tuple(row[key] for key in ("run", "state", "steps", "success_end", "mean_return")) for row in listed
+    ] == before
+    (shown,) = rows(runs_app, "show", listed[0]["run"])
+    assert [(test["steps"], test["episodes"]) for test in shown["tests"]] == [(100, 20), (200, 20)]
+    reach, toy = rows(compare_app, "reach_by_01", "toy_by_01")
+    assert (reach["n"], reach["seeds"], reach["final"], toy["success_end"]["value"]) == (2, [0, 1], True, 1.0)
+    stopped = RunFolder.open(runs / listed[2]["run"])
+    outcome = resume_run(stopped, Store.default_url(runs))
+    assert [(run.state, run.steps, run.attempt) for run in outcome.runs] == [("finished", 2000, 2)]
+    told, resumed = (event for event in stopped.events() if event["event"] in ("warning", "resumed"))
+    assert re.search(r"began with other software: karolos is .* here and 0\.1\.0 there", str(told))
+    assert not resumed["bit_exact"]

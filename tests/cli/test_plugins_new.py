@@ -10,6 +10,8 @@ from karolos_cli.plugins import app
 from support.commands import call
 from support.plugin_packages import STARTERS, install, python
 
+pytestmark = pytest.mark.xdist_group(__name__)
+
 ROOT = Path(__file__).parents[2]
 
 

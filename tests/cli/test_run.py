@@ -53,17 +53,17 @@ def test_json_rows_hold_the_fixed_fields_first_and_progress_goes_to_stderr(home)
         assert f"{row['run']} at 100 steps" in result.stderr
 
 
-def test_quiet_says_nothing_where_all_is_well(home):
-    result = karolos("run", "toy.yaml", "--quiet")
-    assert (result.returncode, result.stdout, result.stderr) == (0, "", "")
+def test_quiet_says_nothing_where_all_is_well(home, capfd):
+    assert call(app, "run", "toy.yaml", "--quiet") == (0, "", "")
+    assert capfd.readouterr() == ("", "")
 
 
 def test_a_table_and_the_place_of_the_results_end_a_run(home):
-    result = karolos("run", "toy.yaml", "--runs", "elsewhere")
-    assert result.returncode == 0
-    assert "success end" in result.stdout
-    assert "results in elsewhere" in result.stderr
-    assert "finished" in karolos("runs", "list", "--runs", "elsewhere").stdout
+    code, out, err = call(app, "run", "toy.yaml", "--runs", "elsewhere")
+    assert code == 0
+    assert "success end" in out
+    assert "results in elsewhere" in err
+    assert "finished" in call(app, "runs", "list", "--runs", "elsewhere")[1]
 
 
 @pytest.mark.parametrize(
@@ -117,24 +117,26 @@ def test_ctrl_c_leaves_a_stopped_run_with_a_checkpoint_and_130(home):
 def test_a_run_killed_outright_is_listed_as_lost(home):
     with long_run(home, "-q") as process:
         process.kill()
-    (row,) = map(json.loads, karolos("runs", "list", "--json").stdout.splitlines())
+    (row,) = map(json.loads, call(app, "runs", "list", "--json")[1].splitlines())
     assert row["state"] == "lost"
 
 
-def test_a_detached_command_goes_on_and_no_second_copy_is_started_meanwhile(home):
+def test_a_detached_command_goes_on_and_no_second_copy_is_started_meanwhile(home, monkeypatch):
     for wrong in ("unknown=1", "buffer.capacity=10"):
-        refused = karolos("run", "toy.yaml", wrong, "--detach")
-        assert (refused.returncode, wrong in refused.stderr) == (2, True)
-    detached = karolos("run", "toy.yaml", "training.steps=1000000", "--detach")
-    assert detached.returncode == 0
-    assert "goes on, with its output in runs/toy.log" in detached.stderr
-    process = int(detached.stderr.split()[1])
+        code, _, err = call(app, "run", "toy.yaml", wrong, "--detach")
+        assert (code, wrong in err) == (2, True)
+    command = ("run", "toy.yaml", "training.steps=1000000")
+    monkeypatch.setattr(sys, "argv", ["karolos", *command, "--detach"])
+    code, _, err = call(app, *command, "--detach")
+    assert code == 0
+    assert "goes on, with its output in runs/toy.log" in err
+    process = int(err.split()[1])
     until, log = time.monotonic() + 60, home / "runs" / "toy.log"
     while not list(home.glob("runs/*/tests.jsonl")) and time.monotonic() < until:
         time.sleep(0.05)
     try:
-        again = karolos("run", "toy.yaml", "training.steps=1000000", "--resume")
-        assert (again.returncode, "another process runs seed 0" in again.stderr) == (1, True)
+        code, _, err = call(app, *command, "--resume")
+        assert (code, "another process runs seed 0" in err) == (1, True)
     finally:
         os.kill(process, signal.SIGTERM)
     while "s0 stopped" not in (text := re.sub(r"-\d{8}-\d{6}", "", log.read_text())) and time.monotonic() < until:

@@ -16,6 +16,8 @@ from typer import Typer
 from karolos.report.tables import success
 from karolos.statistics.intervals import wilson
 
+pytestmark = pytest.mark.xdist_group(__name__)
+
 policy_app, export_app, show_app = Typer(), Typer(), Typer()
 policy_app.command("test")(zero_shot)
 export_app.command()(export)

@@ -22,6 +22,8 @@ from karolos.records import RunFolder
 from karolos.registry import load
 from karolos.specification import Spec, spec_from_dict
 
+pytestmark = pytest.mark.xdist_group(__name__)
+
 TOY = toy(
     environment={"name": "toy", "max_steps": 7, "reward": "dense"},
     training={"steps": 60, "replay_ratio": 2},

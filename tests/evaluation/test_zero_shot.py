@@ -18,6 +18,8 @@ from karolos.records import RunFolder, transfer_results
 from karolos.records.results import TestCounts
 from karolos.records.transfer_results import TransferResult
 
+pytestmark = pytest.mark.xdist_group(__name__)
+
 TOY = toys.toy(testing={"episodes": 4, "seed": 5})
 REACH = toys.toy(
     name="reach",

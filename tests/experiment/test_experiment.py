@@ -19,6 +19,8 @@ from karolos.specification import load_spec, spec_from_dict
 from karolos.store import Store
 from karolos.training.assembly import check_parts
 
+pytestmark = pytest.mark.xdist_group(__name__)
+
 TOY = {
     "name": "toy",
     "environment": "toy",

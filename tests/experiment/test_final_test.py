@@ -23,6 +23,8 @@ from karolos.specification import spec_from_dict
 from karolos.store import Store, reindex
 from karolos.training.assembly import make_orchestrator
 
+pytestmark = pytest.mark.xdist_group(__name__)
+
 TOY = toy_runs.TOY | {
     "training": toy_runs.TOY["training"] | {"steps": 120},
     "testing": {"interval": 20, "episodes": 4, "final_episodes": 9, "seed": 3},

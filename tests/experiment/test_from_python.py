@@ -16,6 +16,8 @@ from support.toy_runs import toy
 import karolos
 from karolos.errors import UsageError
 
+pytestmark = pytest.mark.xdist_group(__name__)
+
 TOY = toy(training={"steps": 40, "replay_ratio": 2}, testing={"interval": 20, "episodes": 4})
 
 

@@ -23,6 +23,8 @@ from karolos.records import RunFolder, scan
 from karolos.records.run_folder import remove_lost_leftovers
 from karolos.store import Store
 
+pytestmark = pytest.mark.xdist_group(__name__)
+
 
 @pytest.fixture
 def dead() -> int:

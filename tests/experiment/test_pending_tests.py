@@ -22,6 +22,8 @@ from karolos.experiment.pending_tests import PendingTests
 from karolos.launchers import experiment
 from karolos.records import RunFolder
 
+pytestmark = pytest.mark.xdist_group(__name__)
+
 SPEC = toy(
     buffer={"capacity": 400, "hindsight": {"strategy": "future"}},
     orchestrator={"environments": 4},

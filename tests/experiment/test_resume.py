@@ -23,6 +23,8 @@ from karolos.launchers.experiment import Experiment, resume_run
 from karolos.records import RunFolder, provenance
 from karolos.store import Store
 
+pytestmark = pytest.mark.xdist_group(__name__)
+
 HINDSIGHT = {"strategy": "future"}
 BASE: dict[str, Any] = {
     "name": "toy",

@@ -25,6 +25,8 @@ from karolos.records.run_records import RunSummary
 from karolos.report.tables import transfers_table
 from karolos.store import Store, reindex
 
+pytestmark = pytest.mark.xdist_group(__name__)
+
 PENDULUM: dict[str, Any] = {
     "name": "pendulum",
     "environment": {"name": "gymnasium", "id": "Pendulum-v1", "max_steps": 5},

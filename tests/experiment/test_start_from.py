@@ -21,6 +21,8 @@ from karolos.records import RunFolder
 from karolos.specification import Spec, spec_from_dict
 from karolos.training.assembly import make_agent
 
+pytestmark = pytest.mark.xdist_group(__name__)
+
 TOY = toy(agent={"precision": "float32"})
 
 

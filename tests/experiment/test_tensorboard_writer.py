@@ -14,6 +14,8 @@ from karolos.experiment.events import RunTested
 from karolos.launchers.experiment import Experiment
 from karolos.records import RunFolder
 
+pytestmark = pytest.mark.xdist_group(__name__)
+
 TOY = toy(buffer={"name": "priority"}, training={"steps": 240}, testing={"interval": 100, "episodes": 6})
 
 

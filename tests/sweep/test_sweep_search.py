@@ -9,6 +9,7 @@ import subprocess
 import sys
 import time
 from collections import Counter
+from collections.abc import Iterator
 from pathlib import Path
 
 import pytest
@@ -29,6 +30,9 @@ from karolos.store.sweeps import Sweeps
 from karolos.sweep.events import SweepOutcome, TrialBegan
 from karolos.sweep.objectives import measure_all
 from karolos.sweep.search import Search, samples
+from karolos.sweep.study import Study
+
+pytestmark = pytest.mark.xdist_group(__name__)
 
 TRIALS = 5
 SPEC = sweep_spec(
@@ -185,6 +189,7 @@ def test_the_store_hears_of_trials_as_they_begin_and_end_and_one_that_fails_ends
         if len(heard) == 3:
             monkeypatch.setattr(Sweeps, "add", refuse)
 
+    monkeypatch.setattr(Study, "figures", lambda _: {})
     space = {"agent.learning_rate": {"choice": [1e-3, 1e-2]}}
     spec = sweep_spec(space, sampler="grid") | {"training": {"steps": 8, "batch_size": 4}}
     outcome = Search(spec).run(tmp_path, listener=listen)
@@ -207,7 +212,7 @@ def test_another_search_of_the_same_name_is_refused(killed):
 
 
 @pytest.fixture(scope="module")
-def grid(tmp_path_factory) -> SweepOutcome:
+def grid(tmp_path_factory) -> Iterator[SweepOutcome]:
     """A sweep on two seeds, of whose trials most are no good; it was asked to stop at the first, and begun again."""
     space = {
         "agent.learning_rate": {"choice": [1e-1, 1e-6, 1e30]},  # the last leads to losses that are no numbers
@@ -215,7 +220,7 @@ def grid(tmp_path_factory) -> SweepOutcome:
     }
     spec = sweep_spec(space, seeds=[0, 1], sampler="grid", objective="mean_success_any", pruner={"startup": 1})
     agent = {**spec["agent"], "precision": "float32"}
-    search = Search({**spec, "agent": agent, "training": {**spec["training"], "steps": 400}})
+    search = Search({**spec, "agent": agent, "training": {**spec["training"], "steps": 400, "replay_ratio": 16}})
     runs = tmp_path_factory.mktemp("grid")
 
     def stop(event: object) -> None:
@@ -225,7 +230,9 @@ def grid(tmp_path_factory) -> SweepOutcome:
     stopped = search.run(runs, listener=stop)
     assert ([trial.state for trial in stopped.trials], stopped.exit_code) == (["running"], 143)
     assert not (Path(stopped.folder) / "figures").exists()
-    return search.run(runs)
+    with pytest.MonkeyPatch.context() as patched:
+        patched.setattr(Study, "figures", lambda _: {})  # they take longer than the trials; `killed` draws them
+        yield search.run(runs)
 
 
 def test_a_stopped_sweep_goes_on_and_trials_that_cannot_work_fail(grid):

@@ -34,7 +34,7 @@ from karolos.plugins.starter import write_starter
 from karolos.registry import load
 from karolos.robots.arm import Arm, ArmSettings
 from karolos.simulation.engines import installed, make_world
-from karolos.simulation.interface import Camera
+from karolos.simulation.interface import Camera, TaskNeeds
 
 LIMIT_SECONDS = 10.0
 """Processor time that a mutant may take; on a busy machine sixty times as much by the clock."""
@@ -209,7 +209,7 @@ def load_into(engine: Any, robot: str, path: Path) -> None:
     """Take steps with an arm whose own URDF is this one."""
     members = {"model": replace(ROBOTS[robot].model, urdf=path), "Settings": ArmSettings}
     arm: Any = type("Mutant", (Arm,), members)(ArmSettings())
-    arm.prepare(gripper=True, period=1 / 24)
+    arm.prepare(TaskNeeds(gripper=True, period=1 / 24))
     world = make_world(engine)
     try:
         arm.build(world)

@@ -22,6 +22,8 @@ from karolos.store import Store, check
 from karolos.transfer.matrix import Matrix, MatrixRuns
 from karolos.transfer.results import transfer_report
 
+pytestmark = pytest.mark.xdist_group(__name__)
+
 TIMES = ("seconds", "source_runs", "fine_tuned_runs", "runs")
 
 

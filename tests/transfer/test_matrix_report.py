@@ -15,6 +15,8 @@ from karolos.transfer.matrix import MatrixRuns
 from karolos.transfer.page import cells_table, matrix_table, metric_map, notes, page, transfer_figures, variants_table
 from karolos.transfer.results import TransferReport, transfer_report
 
+pytestmark = pytest.mark.xdist_group(__name__)
+
 
 @pytest.fixture(scope="module")
 def found(tmp_path_factory: pytest.TempPathFactory) -> MatrixRuns:

@@ -7,7 +7,7 @@ Units: m, s, kg, N, rad; float32 arrays; the world's frame has its origin at the
 
 from ..geometry import Box
 from .engine import Body, Camera, Cup, Fingers, Gripper, JointLimits, Motors, Stroke, World
-from .robot import Robot, RobotView
+from .robot import Robot, RobotView, TaskNeeds
 from .task import Task
 
 __all__ = [
@@ -23,5 +23,6 @@ __all__ = [
     "RobotView",
     "Stroke",
     "Task",
+    "TaskNeeds",
     "World",
 ]

@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 from collections.abc import Mapping, Sequence
+from dataclasses import dataclass
 from typing import ClassVar, Literal, Protocol
 
 from pydantic import BaseModel
@@ -16,6 +17,22 @@ from .engine import Body, Cup, Gripper, JointLimits, World
 
 GripperUse = bool | Literal["closed"]
 ControlMode = Literal["joint", "cartesian", "pose", "impedance"]
+
+
+@dataclass(frozen=True)
+class TaskNeeds:
+    """What a task asks of a robot."""
+
+    gripper: GripperUse
+    """Whether it uses the gripper, see `Task.uses_gripper`."""
+    period: float
+    """Duration of a control step in s."""
+    control: ControlMode = "cartesian"
+    """What actions change unless the robot's settings say otherwise, see `Task.control`."""
+    protective_stop: bool = False
+    """Whether the robot stops protectively unless its settings say otherwise."""
+    fingers: float = 0.0
+    """How far a gripper that the task does not use stands open unless the robot's settings say otherwise."""
 
 
 class RobotView(Protocol):
@@ -150,23 +167,8 @@ class Robot(RobotView, Protocol):
     mujoco_only: Sequence[str]
     """Settings with values that PyBullet does not offer, as a spec calls them."""
 
-    def prepare(
-        self,
-        *,
-        gripper: GripperUse,
-        period: float,
-        control: ControlMode = "cartesian",
-        protective_stop: bool = False,
-        fingers: float = 0.0,
-    ) -> None:
+    def prepare(self, needs: TaskNeeds) -> None:
         """Adapt layouts and step sizes to a task.
-
-        Args:
-            gripper: whether the task uses the gripper, see `Task.uses_gripper`.
-            period: duration of a control step in s.
-            control: what actions change unless the settings say otherwise, see `Task.control`.
-            protective_stop: whether the robot stops protectively unless the settings say otherwise.
-            fingers: how far a gripper that the task does not use stands open unless the settings say otherwise.
 
         Raises PluginError when the task needs a gripper and the robot has none, UsageError when its settings contradict
         the task.
