@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from math import cos, hypot, pi, sin
+from math import cos, hypot, pi, sin, tanh
 from pathlib import Path
 
 import numpy as np
@@ -32,7 +32,7 @@ class SeatPlug(Task):
     What counts as success: the tip is within `threshold` of the bottom of the hole, the plug turned as the hole is.
 
     Observation, along the world's axes: the plug's tip from the bottom of the hole (3, m), its rotation from that in
-    which it fits (6), its velocities (3, m/s and 3, rad/s).
+    which it fits (6), its velocities (3, m/s and 3, rad/s), and its errors at fine scales (11, tanh).
     Goals: the first two of these. Reward: sparse, -1 until the goal is reached, then 0. Termination: never.
     """
 
@@ -46,7 +46,9 @@ class SeatPlug(Task):
     camera = Camera(target=(0.45, 0.0, 0.06), distance=0.55)
     achieved_goal = Layout(pose_fields("plug"))
     desired_goal = Layout(pose_fields("seat"))
-    observation = achieved_goal + Layout((Field("plug_velocity", 3, "m/s"), Field("plug_spin", 3, "rad/s")))
+    observation = achieved_goal + Layout(
+        (Field("plug_velocity", 3, "m/s"), Field("plug_spin", 3, "rad/s"), Field("near_errors", 11))
+    )
 
     def fit(self, robot: RobotView) -> None:
         self.robot, self.opening = robot, WIDTH / check_pads(robot, "SeatPlug", "holds a plug").width
@@ -57,6 +59,7 @@ class SeatPlug(Task):
         plug = [Mesh(PARTS / "plug.stl", scale=0.001)]  # the file is in millimetres
         self.plug = world.body(plug, PLASTIC * volume_of(plug), (0.93, 0.45, 0.13, 1.0))
         self.jig = world.load(PARTS / "jig.urdf")
+        self.jig.set_friction(0.3)  # greased: the plug slides off the rim
 
     def reset(self, generator: Generator) -> None:
         x, y, _ = self.robot.workspace.centre
@@ -75,7 +78,12 @@ class SeatPlug(Task):
 
     def observe(self) -> list[float]:
         velocity, spin = self.plug.velocity()
-        return self.robot.with_noise([*self.achieved().tolist(), *velocity, *spin])
+        seen = self.robot.with_noise([*self.achieved().tolist(), *velocity, *spin])
+        x, y, z = seen[:3]
+        near = [tanh(error / scale) for scale in (0.004, 0.001) for error in (x, y, z, z + FLOOR - TOP)]
+        turn = seen[8], -seen[5], seen[4]  # rad: what small turns are in the columns of a rotation matrix
+        near += [tanh(axis / 0.05) for axis in turn]
+        return [*seen, *near]
 
     def expert(self) -> Expert:
         return SeatPlugExpert(self)
@@ -92,11 +100,11 @@ class SeatPlugExpert(Expert):
         (tip, rotation), tool = task.plug.pose(), robot.tool
         x, y, z = np.subtract(tip, task.seat).tolist()
         turn = multiply(task.fitting, inverse(rotation))
-        over = hypot(x, y) < 0.001 and hypot(*rotation_vector(turn)) < 0.02
-        if z > TOP - FLOOR and not over:
+        over = hypot(x, y) < 0.0012 and hypot(*rotation_vector(turn)) < 0.02
+        if z > TOP - FLOOR + 0.002 and not over:
             self.height = max(z, TOP - FLOOR + 0.005)
         else:
-            self.height = max(min(self.height, z) - 0.003, -0.004)
+            self.height = max(min(self.height, z) - 0.003, z - 0.0125, -0.004)  # presses with 10 N at the most
         (sx, sy, sz), arm = task.seat, rotated(turn, np.subtract(tool.position, tip).tolist())
         place = sx + arm[0], sy + arm[1], sz + self.height + arm[2]
         return robot.towards(place, 0.0, multiply(turn, tool.orientation))
