@@ -4,7 +4,6 @@ from __future__ import annotations
 
 import os
 import re
-import sys
 import tempfile
 from contextlib import chdir
 from pathlib import Path
@@ -68,14 +67,8 @@ def mesh(folder: Path) -> None:
 def main() -> None:
     names: dict[str, Any] = {}
     with tempfile.TemporaryDirectory() as folder, chdir(folder):
-        package = Path("karolos-insert-pin/src/karolos_insert_pin")
-        package.mkdir(parents=True)
         for text in re.findall(r"```python\n(.*?)```", PAGE.read_text("utf-8"), re.DOTALL):
-            file = re.match(r"# (\S+\.py)\n", text)
-            if file:
-                Path(file[1]).write_text(text, "utf-8")
-            else:
-                exec(text, names)
+            exec(text, names)
             if "peg.place" in text:
                 shapes(names)
             if "drawer.joint" in text:
@@ -83,16 +76,12 @@ def main() -> None:
             if "door.place" in text:
                 save("mechanism", names["world"], target=(0.58, 0.4, 0.18), distance=1.0, yaw=20.0, pitch=-20.0)
         mesh(Path.cwd())
-        sys.path.insert(0, str(package.parent))
-        os.environ.setdefault("MUJOCO_GL", "egl")
-        from karolos_insert_pin.insert_pin import InsertPin  # noqa: PLC0415 (just written)
-
-        arm = load("robots", "panda")
-        settings = RobotTask.Settings.model_validate({})
-        environment = RobotTask(settings, robot=arm(arm.Settings()), task=InsertPin(InsertPin.Settings()))
-        environment.reset(3)
-        save("insert_pin", environment.world, target=(0.5, 0.0, 0.12), distance=0.75, yaw=-50.0, pitch=-15.0)
-        environment.close()
+    os.environ.setdefault("MUJOCO_GL", "egl")
+    arm, task = load("robots", "desk_arm"), load("tasks", "seat_plug")  # pip install -e the two packages in examples/
+    environment = RobotTask(RobotTask.Settings(), robot=arm(arm.Settings()), task=task(task.Settings()))
+    environment.reset(3)
+    save("seat_plug", environment.world, target=(0.35, 0.0, 0.1), distance=0.7, yaw=-50.0, pitch=-20.0)
+    environment.close()
 
 
 if __name__ == "__main__":

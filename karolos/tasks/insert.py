@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 from math import atan2, cos, hypot, pi, sin, sqrt, tan, tanh
-from typing import Annotated, Literal
+from typing import Annotated, Literal, NamedTuple
 
 import numpy as np
 from pydantic import Field as Setting
@@ -21,8 +21,10 @@ from .starts import drawn_stage, start
 
 PEG_COLOUR, BLOCK_COLOUR = (0.93, 0.45, 0.13, 1.0), (0.35, 0.42, 0.5, 1.0)
 PEG_LENGTH = 0.06
-PEG_WIDTH = {"square": 0.02, "round": 0.016}
-"""Edge or diameter of the peg in m."""
+PEG_WIDTH = {"square": 0.02, "round": 0.016, "connector": 0.016}
+"""Edge or diameter of the peg in m: its width between the pads."""
+PLUG_LENGTH, RIDGE, RIDGE_WIDTH = 0.024, 0.003, 0.006
+"""Of a connector, in m: its other edge, along x, and the ridge on the side at +x: how far it stands out, its width."""
 DEPTH, FLOOR = 0.025, 0.005
 """Depth of the hole and thickness of the floor below it, in m."""
 TOP = DEPTH + FLOOR
@@ -104,8 +106,10 @@ class Insert(Task):
     """
 
     class Settings(Settings):
-        shape: Literal["square", "round"] = Setting(
-            "square", description="of peg and hole: square 20 x 20 mm, or round with a diameter of 16 mm"
+        shape: Literal["square", "round", "connector"] = Setting(
+            "square",
+            description="of peg and hole: square 20 x 20 mm, round with a diameter of 16 mm, or connector, a plug of "
+            "24 x 16 mm with a ridge, which fits one way round",
         )
         play: float = Setting(0.0005, gt=0, le=0.01, description="width of the hole less that of the peg, m")
         chamfer: float = Setting(0.001, ge=0, le=0.005, description="height and width of the chamfer of the hole, m")
@@ -173,7 +177,7 @@ class Insert(Task):
     def build(self, world: World) -> None:
         self.world = world
         self.block = world.body(block(self.settings), 0.0, BLOCK_COLOUR)
-        self.peg = world.body([_peg(self.settings.shape)], self.settings.peg_mass, PEG_COLOUR)
+        self.peg = world.body(peg(self.settings.shape), self.settings.peg_mass, PEG_COLOUR)
         self.block.set_friction(self.settings.friction)
         self.peg.set_friction(1.0)
         world.forces(self.peg)  # recorded from the first question on
@@ -187,6 +191,7 @@ class Insert(Task):
     def reset(self, generator: Generator) -> None:
         settings = self.settings
         self._closing = self._robot.closing
+        self._upright = self._gripped()
         x, y, turn = generator.uniform(-1, 1, 3).tolist()
         hole: Vector = (self.middle[0] + HOLE_RANGE * x, self.middle[1] + HOLE_RANGE * y, TOP)
         turn *= HOLE_TURN
@@ -204,7 +209,7 @@ class Insert(Task):
             low, high = START_HEIGHT
             turned, tip = 0.0, (START_ASIDE * aside[0], START_ASIDE * aside[1], low + (high - low) * height)
         self._hold(_sum(hole, tip), turned, along, up, tilt)
-        yaw = _yaw(aligned(self._robot))
+        yaw = _yaw(self._upright)
         self.block.place((hole[0], hole[1], 0.0), _about_z(yaw + turn))
         errors = generator.uniform(-1, 1, 3) * (settings.hole_error, settings.hole_error, settings.hole_turn_error)
         self.hole_error: list[float] = errors.tolist()
@@ -213,6 +218,14 @@ class Insert(Task):
         self.overloaded, self.largest = False, 0.0
         self.forces = [0.0, 0.0]
         self._read()
+
+    def _gripped(self) -> Quaternion:
+        """The upright rotation of the peg between the pads at home: their sides of a connector are those along x."""
+        upright = aligned(self._robot)
+        if self.settings.shape != "connector":
+            return upright
+        x, y, _ = rotated(inverse(upright), self._closing)
+        return upright if abs(y) > abs(x) else multiply(_about_z(pi / 2), upright)
 
     def _hold(self, tip: Vector, turn: float, along: float, up: float, tilt: float) -> None:
         """Put the tool and the peg in its hand so that the tip is there, at rest.
@@ -232,7 +245,7 @@ class Insert(Task):
         bottom = _sum(middle, rotated(tilted, (0.0, 0.0, -PEG_LENGTH / 2)))
         tool = _sum(tip, bottom, sign=-1)
         robot.place_tool(tool, self._opening, orientation=multiply(turned, robot.orientations.middle), closing=True)
-        self.peg.place(_sum(tool, middle), multiply(tilted, multiply(turned, aligned(robot))))
+        self.peg.place(_sum(tool, middle), multiply(tilted, multiply(turned, self._upright)))
 
     def read(self) -> None:
         self._read()
@@ -258,10 +271,10 @@ class Insert(Task):
     @property
     def target(self) -> Quaternion:
         """The nearest rotation of the peg that fits into the hole as it is known."""
-        yaw = _yaw(self.rotation)
-        if self.settings.shape == "square":
+        yaw, shape = _yaw(self.rotation), self.settings.shape
+        if shape == "square":
             yaw += (self.known_yaw - yaw + pi / 4) % (pi / 2) - pi / 4
-        return _about_z(yaw)
+        return _about_z(self.known_yaw if shape == "connector" else yaw)
 
     @property
     def turn(self) -> Vector:
@@ -349,34 +362,83 @@ class InsertExpert(Expert):
 
 def block(settings: Insert.Settings) -> list[Shape]:
     """A block with a hole, of boxes: its bottom is at z = 0, the middle of the hole at x = y = 0."""
-    sides = 4 if settings.shape == "square" else SIDES
-    half, chamfer = (PEG_WIDTH[settings.shape] + settings.play) / 2, settings.chamfer
-    slope = tan(pi / sides)
-    outside = 2 * (half + WALL)
+    chamfer = settings.chamfer
+    deep, above, rim = _sides(settings, 0.0, WALL), _sides(settings, chamfer, WALL), _sides(settings, chamfer, 0.0)
+    outside = 2 * (max(side.inner for side in deep) + WALL)
     shapes: list[Shape] = [Cuboid((outside, outside, FLOOR), position=(0.0, 0.0, FLOOR / 2))]
-    for side in range(sides):
-        turn = _about_z(2 * pi * side / sides)
-
-        def wall(inner: float, low: float, high: float, turn: Quaternion = turn) -> Shape:
-            size = WALL, 2 * (inner + WALL) * slope, high - low
-            return Cuboid(size, position=rotated(turn, (inner + WALL / 2, 0.0, (low + high) / 2)), orientation=turn)
-
-        shapes.append(wall(half, FLOOR, TOP - chamfer))
+    for low, high, edge in zip(deep, above, rim, strict=True):
+        if low.length:
+            shapes.append(_wall(low, FLOOR, TOP - chamfer))
+            if chamfer:
+                shapes.append(_wall(high, TOP - chamfer, TOP))
         if chamfer:
             depth = WALL / 4
-            middle = half + chamfer / 2 + depth / 2 * sqrt(0.5), 0.0, TOP - chamfer / 2 - depth / 2 * sqrt(0.5)
-            size = depth, 2 * (half + chamfer) * slope, chamfer * sqrt(2)
-            leaning = multiply(turn, rotation_about((0.0, pi / 4, 0.0)))
-            shapes += [
-                wall(half + chamfer, TOP - chamfer, TOP),
-                Cuboid(size, position=rotated(turn, middle), orientation=leaning),
-            ]
+            out = low.inner + chamfer / 2 + depth / 2 * sqrt(0.5)
+            place = out, edge.along, TOP - chamfer / 2 - depth / 2 * sqrt(0.5)
+            leaning = multiply(edge.turn, rotation_about((0.0, pi / 4, 0.0)))
+            size = depth, edge.length, chamfer * sqrt(2)
+            shapes.append(Cuboid(size, position=rotated(edge.turn, place), orientation=leaning))
     return shapes
 
 
-def _peg(shape: str) -> Shape:
+def peg(shape: str) -> list[Shape]:
+    """The peg upright, its middle at the origin; a connector has its ridge at +x."""
     width = PEG_WIDTH[shape]
-    return Cuboid((width, width, PEG_LENGTH)) if shape == "square" else Cylinder(width / 2, PEG_LENGTH)
+    if shape == "round":
+        return [Cylinder(width / 2, PEG_LENGTH)]
+    if shape == "square":
+        return [Cuboid((width, width, PEG_LENGTH))]
+    ridge = Cuboid((RIDGE, RIDGE_WIDTH, PEG_LENGTH), position=((PLUG_LENGTH + RIDGE) / 2, 0.0, 0.0))
+    return [Cuboid((PLUG_LENGTH, width, PEG_LENGTH)), ridge]
+
+
+class _Side(NamedTuple):
+    """A side of a hole: a line as seen from above."""
+
+    turn: Quaternion
+    """From the x axis to the direction out of the hole."""
+    inner: float
+    """Distance of the line from the middle of the hole, m."""
+    along: float
+    """Of its middle along the line, m."""
+    length: float
+    """In m."""
+
+
+def _sides(settings: Insert.Settings, wider: float, wall: float) -> list[_Side]:
+    """The sides of a hole.
+
+    Args:
+        settings: shape and play.
+        wider: distance in m that each side is further out: the width of the chamfer.
+        wall: thickness in m of walls behind the sides, which are longer, so that they meet at the corners outside. A
+            side without a wall of its own then has no length.
+    """
+    half = (PEG_WIDTH[settings.shape] + settings.play) / 2 + wider
+    if settings.shape != "connector":
+        count = 4 if settings.shape == "square" else SIDES
+        length = 2 * (half + wall) * tan(pi / count)
+        return [_Side(_about_z(2 * pi * side / count), half, 0.0, length) for side in range(count)]
+    end, key = (PLUG_LENGTH + settings.play) / 2 + wider, (RIDGE_WIDTH + settings.play) / 2 + wider
+    found = [
+        _Side(_about_z(pi), end, 0.0, 2 * (half + wall)),
+        _Side(_about_z(0.0), end + RIDGE, 0.0, 2 * (key + wall)),
+    ]
+    for sign in (1, -1):
+        aside = _about_z(sign * pi / 2)
+        found += [
+            _Side(aside, half, 0.0, 2 * (end + wall)),
+            _Side(_about_z(0.0), end, sign * (key + half + wall) / 2, half + wall - key),  # beside the keyway
+            _Side(aside, key, -sign * (end + RIDGE / 2), 0.0 if wall else RIDGE),  # in it; its wall is that beside it
+        ]
+    return found
+
+
+def _wall(side: _Side, low: float, high: float) -> Shape:
+    """The wall behind a side, between two heights in m."""
+    size = WALL, side.length, high - low
+    place = side.inner + WALL / 2, side.along, (low + high) / 2
+    return Cuboid(size, position=rotated(side.turn, place), orientation=side.turn)
 
 
 def _sum(first: Vector, second: Vector, *, sign: float = 1.0) -> Vector:

@@ -83,7 +83,8 @@ PAGES = [ROOT / "README.md", *sorted(DOCS.glob("*.md"))]
 @pytest.fixture
 def folder(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> Iterator[Path]:
     """A folder as a reader of the pages has it; plugins that a page installs are forgotten at the end."""
-    shutil.copytree(ROOT / "specs", tmp_path / "specs")
+    for name in ("specs", "examples"):
+        shutil.copytree(ROOT / name, tmp_path / name)
     monkeypatch.chdir(tmp_path)
     yield tmp_path
     look_again()
@@ -129,7 +130,7 @@ def run(command: str, folder: Path, monkeypatch: pytest.MonkeyPatch) -> None:
         assert spec is not None
         assert spec.submodule_search_locations is not None
         words[words.index("$URDF")] = f"{spec.submodule_search_locations[0]}/kuka_iiwa/model.urdf"
-    if command == "export PYTHONPATH=." or command.startswith("pip install -e karolos-"):
+    if command == "export PYTHONPATH=." or command.startswith(("pip install -e karolos-", "pip install -e examples/")):
         place = folder if words[0] == "export" else install(folder / words[-1])
         monkeypatch.syspath_prepend(place)
         monkeypatch.setenv("PYTHONPATH", str(place))

@@ -2,47 +2,79 @@
 
 from __future__ import annotations
 
+from dataclasses import replace
+
 import numpy as np
 import pytest
-from support.rig import expert_episode, made, values
+from support.fourth_robot import ASKEW, HOME, small_arm
+from support.rig import ROBOTS, expert_episode, made, values
 
+from karolos.environments.robot_task import RobotTask
 from karolos.simulation.engines import make_world
-from karolos.simulation.shapes import Cuboid
-from karolos.tasks.insert import TOP, Insert, block
+from karolos.simulation.geometry import rotated
+from karolos.tasks.insert import TOP, Insert, block, peg
 
 COLOUR = (1.0, 1.0, 1.0, 1.0)
 
 
 def test_tests_start_above_the_hole_and_training_may_start_in_it():
     environment = made("insert")
-    starts = np.stack([environment.reset(seed).achieved_goal for seed in range(40)])
+    starts = np.stack([environment.reset(seed).achieved_goal for seed in range(20)])
     environment.close()
     assert (np.abs(starts[:, :2]) <= 0.02 + 1e-6).all()
     assert starts[:, 2].min() > 0.02 - 1e-6
     assert starts[:, 2].max() < 0.05 + 1e-6
-    inside = made("insert", draws={"task.start_inserted": values(1.0)})
-    for seed in range(10):
-        start = inside.reset(seed)
-        assert -0.025 <= start.achieved_goal[2] <= 0
-        after = inside.step(np.zeros(inside.signature.action.size, np.float32))
-        assert after.achieved_goal[-1] == 0  # not squeezed by the walls
-        assert abs(after.achieved_goal[0]) < 0.001
-    inside.close()
+    for shape in ("square", "connector"):
+        inside = made("insert", draws={"task.start_inserted": values(1.0)}, shape=shape)
+        for seed in range(5):
+            start = inside.reset(seed)
+            assert -0.025 <= start.achieved_goal[2] <= 0
+            after = inside.step(np.zeros(inside.signature.action.size, np.float32))
+            assert after.achieved_goal[-1] == 0  # not squeezed by the walls
+            assert abs(after.achieved_goal[0]) < 0.001
+        inside.close()
 
 
-@pytest.mark.parametrize(("play", "fits"), [(0.0002, True), (-0.0002, False)])
-def test_a_peg_falls_into_a_hole_that_is_wider_and_into_no_other(play, fits):
-    settings = Insert.Settings.model_validate({"chamfer": 0.0}).model_copy(update={"play": play})
+WAYS = [
+    ("square", 0.0002, 0, True),
+    ("square", -0.0002, 0, False),
+    ("connector", 0.0002, 0, True),
+    ("connector", -0.0002, 0, False),
+    ("connector", 0.0002, np.pi, False),
+]
+
+
+@pytest.mark.parametrize(("shape", "play", "turn", "fits"), WAYS)
+def test_a_peg_falls_into_a_hole_that_is_wider_and_into_no_other(shape, play, turn, fits):
+    settings = Insert.Settings.model_validate({"chamfer": 0.0, "shape": shape}).model_copy(update={"play": play})
     world = make_world("mujoco", substeps=10)
     hole = world.body(block(settings), 0.0, COLOUR)
-    peg = world.body([Cuboid((0.02, 0.02, 0.06))], 0.1, COLOUR)
+    falling = world.body(peg(shape), 0.1, COLOUR)
+    falling.set_inertia(0.1, (1.0, 1.0, 1.0))  # it does not tip where its ridge alone rests
     hole.place((0.0, 0.0, 0.0))
-    peg.place((0.0, 0.0, TOP + 0.031))
+    falling.place((0.0, 0.0, TOP + 0.031), (0.0, 0.0, np.sin(turn / 2), np.cos(turn / 2)))
     for _ in range(20):
         world.step()
-    bottom = peg.pose()[0][2] - 0.03
+    bottom = falling.pose()[0][2] - 0.03
     world.close()
     assert bottom == pytest.approx(0.005 if fits else TOP, abs=2e-4)
+
+
+def test_every_arm_inserts_the_connector_which_it_holds_by_its_sides(tmp_path):
+    arm = small_arm(tmp_path)
+    arm.model = replace(arm.model, home=(*HOME[:5], ASKEW))  # its pads close along x, the others' along y
+    task = Insert(Insert.Settings(shape="connector"))
+    other = RobotTask(RobotTask.Settings(), robot=arm(arm.Settings()), task=task)
+    for environment in (other, *(made("insert", robot, shape="connector") for robot in ROBOTS)):
+        environment.reset(0)
+        held = rotated(environment.task.peg.pose()[1], (0.0, 1.0, 0.0))
+        assert abs(np.dot(held, environment.robot.closing)) > 0.99
+        if environment is not other:  # its grip of 15 N is weak
+            episodes = [expert_episode(environment, seed) for seed in range(3)]
+            assert all(steps[-1].success for steps in episodes)
+            turned = [abs(steps[0].achieved_goal[5]) for steps in episodes]
+            assert max(turned) < np.pi / 4 + 0.01
+        environment.close()
 
 
 def test_policies_see_the_hole_as_it_is_known_and_critics_may_see_the_error():
