@@ -58,6 +58,8 @@ THROWN_BEFORE = (
     "training.steps=300000",
 )
 """The same for throws whose gripper had no delay."""
+PUSHED_BEFORE = ("agent.learning_rate_updates=35000", "training.steps=200000")
+"""The same for pushes before MuJoCo taught them in fewer steps."""
 ROBOTS = ("panda", "ur5", "iiwa")
 TARGETS = {
     "reach": (0.99, 15),
@@ -102,7 +104,9 @@ def as_before(resolved: dict[str, Any]) -> tuple[str, ...]:
         if setting in settings and settings[setting] == value:
             found.append(f"{path}={json.dumps(value)}")
     task = resolved.get("task") or {}
-    if task.get("name") in ("push", "pick_place") and "force_penalty" not in task:
+    if task.get("name") == "push" and "force_penalty" not in task:
+        found += PUSHED_BEFORE
+    if task.get("name") == "pick_place" and "force_penalty" not in task:
         found.append("task.force_penalty=null")
     if task.get("name") == "throw" and "gripper_delay" not in resolved["robot"]:
         found += THROWN_BEFORE
