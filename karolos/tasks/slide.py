@@ -31,8 +31,6 @@ USABLE_SPEED = 0.8
 """Share of the tool's largest speed that every arm has everywhere in its workspace, to either side, too."""
 BEHIND = pi / 4
 """Largest angle in rad between straight behind the puck and a start near it."""
-
-
 LOST_PUCK = 1000.0
 """m from the origin beyond which a puck is lost. One that is hit hard slides over 10 m, and that is no error."""
 
@@ -122,7 +120,7 @@ class Slide(CubeTask):
     camera = Camera(target=(0.8, 0.0, 0.2), distance=3.4, yaw=22.0, pitch=-25.0)
     achieved_goal = Layout((Field("rest", 2, "m"), Field("lies", 1)))
     desired_goal = Layout((Field("target", 2, "m"),))
-    distance_measure = Measure("miss", "m", "smaller", "distance of the puck from the target; undefined if it moves")
+    distance_measure = Measure("miss", "m", "smaller", "distance of the target from where the puck comes to rest")
 
     def __init__(self, settings: Slide.Settings) -> None:
         super().__init__(settings)
@@ -156,7 +154,6 @@ class Slide(CubeTask):
                 setting="task.object_friction",
                 hint="a smaller friction or a larger robot.tool_step lets it slide further",
             )
-
         self.sight = 1.5 * self.furthest
         """Largest coordinate in m that is observed. Networks scale what they see by its spread; a puck slides 20 m."""
         span = 3 * self.sight
@@ -199,7 +196,7 @@ class Slide(CubeTask):
         self.lies = self.let_go()
 
     def rest(self, position: list[float] | Vector, velocity: list[float] | Vector) -> tuple[float, float]:
-        """Where a puck that is left alone comes to rest, in m, as far as it is seen."""
+        """Where a puck that is left alone comes to rest, in m. Coordinates end at `sight`."""
         seconds = hypot(velocity[0], velocity[1]) / (2 * self.deceleration)
         return self._seen(position[0] + velocity[0] * seconds), self._seen(position[1] + velocity[1] * seconds)
 
