@@ -47,7 +47,6 @@ def comparison_figures(comparison: Comparison) -> list[Drawing]:
     ]
 
 
-@look()
 def titled_curve(comparison: Comparison, place: int, title: str) -> Drawing:
     """Learning over steps, on a page with several such figures, of which this is number `place`."""
     drawing = learning(comparison, "steps")
@@ -56,6 +55,7 @@ def titled_curve(comparison: Comparison, place: int, title: str) -> Drawing:
     return drawing
 
 
+@look()
 def learning(comparison: Comparison, axis: Axis) -> Drawing:
     """Success or return over training: every seed thin, mean or inter-quartile mean bold, its interval as a band."""
     contenders, metric = comparison.contenders, comparison.metric
