@@ -229,7 +229,7 @@ class PoseControl(Control):
 
     def observe(self) -> list[float]:
         arm = self.arm
-        tool, spin = arm.configuration.tool, Chain.spin(arm.configuration, arm.joint_velocities)
+        tool, spin = arm.configuration.tool, arm.chain.spin(arm.configuration, arm.joint_velocities)
         return [*tool.position, *tool.x, *tool.y, *arm.tool_velocity, *spin]
 
     def towards(self, way: Way) -> list[float]:

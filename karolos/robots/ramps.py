@@ -3,26 +3,20 @@
 from __future__ import annotations
 
 from collections.abc import Sequence
-from math import hypot, inf, sqrt
+from importlib import import_module
+from math import inf
+
+import numpy as np
 
 from ..simulation.interface import JointLimits
 from ..simulation.kinematics import Chain, Configuration
 
 ACCELERATION_TIME = 1 / 24
 """Seconds in which a joint changes its speed by its largest speed, where no maker's acceleration counts."""
-BRAKING_TIME = 1 / 12
-"""Time constant, in s, with which a joint approaches the end of its range. A hard stop would push the other joints.
-Further away its speed is one from which half of its acceleration stops it."""
-REFERENCE_LAG = 0.01
-"""Largest distance, in rad, of the reference from its joint. It bounds what an arm that is held back accumulates."""
-SPEED_SHARE = 0.97
-"""Fraction of a joint's largest speed at which it moves steadily. The rest is for the correction of its reference."""
 TOOL_SPEED_SHARE = 0.98
 """Fraction of the tool's largest speed at the end of a control step. The rest is for what happens inside."""
-SLOW_TOOL = 0.8
-"""Fraction of that speed below which the tool's speed, with the present pose, needs no closer look."""
-SCALINGS = 4
-"""Largest number of times that a ramp is scaled down. Once does not suffice where accelerations limit the braking."""
+NONE = np.zeros(0)
+"""Where there is no tool."""
 
 
 class Ramps:
@@ -59,22 +53,23 @@ class Ramps:
         accelerations: Sequence[float],
         tool: tuple[Chain, float] | None = None,
     ) -> None:
+        self._kernel = import_module(".ramp_kernel", __package__)  # heavy, so not before an arm is built
         self._period = period
-        self._tool = tool if tool is not None and tool[1] < inf else None
-        self._references: Sequence[float] = ()
-        self._speeds: Sequence[float] = ()
-        # lower, upper, largest speed, largest acceleration, time at that speed in which it brakes
-        self._bounds = tuple(
-            (low, high, speed, acceleration, max(BRAKING_TIME, speed / acceleration))
-            for low, high, speed, acceleration in zip(
-                limits.lower, limits.upper, limits.velocity, accelerations, strict=True
-            )
+        self._tool = tool
+        self._state = np.zeros((2, len(accelerations)))
+        """References in rad and speeds in rad/s."""
+        self._bounds = np.array(
+            [
+                (low, high, speed, acceleration, max(self._kernel.BRAKING_TIME, speed / acceleration))
+                for low, high, speed, acceleration in zip(
+                    limits.lower, limits.upper, limits.velocity, accelerations, strict=True
+                )
+            ]
         )
 
     def reset(self, positions: Sequence[float]) -> None:
         """Start from these positions in rad, at rest."""
-        self._references = positions
-        self._speeds = (0.0,) * len(positions)
+        self._state[:] = positions, [0.0] * len(positions)
 
     def ramp(
         self,
@@ -87,69 +82,14 @@ class Ramps:
 
         `pose` is the chain at `positions`; without it the speed of the tool is not limited.
         """
-        references, speeds, ends = self._ramp(positions, velocities, changes)
+        motion = np.array((positions, velocities, changes), float)
+        ends = np.empty(len(self._bounds))
+        if motion.shape[1:] != ends.shape:
+            raise ValueError(f"{motion.shape[1]} numbers for {len(ends)} joints")
+        most, chain = inf, (NONE, NONE[None], NONE)
         if self._tool is not None and pose is not None:
-            chain, largest = self._tool
-            most = TOOL_SPEED_SHARE * largest
-            if hypot(*chain.velocity(pose, ends)) > SLOW_TOOL * most:
-                slowed = self._slowed(chain, most, positions, velocities, ends)
-                if slowed is not ends:  # nothing is made up for later
-                    references, speeds, ends = self._after(positions, velocities, slowed), slowed, slowed
-        self._references, self._speeds = references, speeds
-        return ends
-
-    def _slowed(
-        self, chain: Chain, most: float, positions: Sequence[float], velocities: Sequence[float], ends: list[float]
-    ) -> list[float]:
-        """Ends of the ramp, scaled down until the tool moves at `most` m/s after the step or all joints brake."""
-        share, slowed = 1.0, ends
-        for _ in range(SCALINGS):
-            speed = hypot(*chain.velocity(chain.forward(self._after(positions, velocities, slowed)), slowed))
-            if speed <= most:
-                break
-            share *= most / speed
-            slowed = [
-                min(max(share * end, velocity - bounds[3] * self._period), velocity + bounds[3] * self._period)
-                for end, velocity, bounds in zip(ends, velocities, self._bounds, strict=True)
-            ]
-        return slowed
-
-    def _after(self, positions: Sequence[float], velocities: Sequence[float], ends: Sequence[float]) -> list[float]:
-        """Positions (n,) in rad after a ramp from `velocities` to `ends`."""
-        half = self._period / 2
-        return [at + half * (v + w) for at, v, w in zip(positions, velocities, ends, strict=True)]
-
-    def _ramp(
-        self, positions: Sequence[float], velocities: Sequence[float], changes: Sequence[float]
-    ) -> tuple[list[float], list[float], list[float]]:
-        """References in rad after the step, speeds w and ends of the ramp in rad/s, each (n,)."""
-        period = self._period
-        wanted, share = [], 1.0
-        for change, velocity, (_, _, limit, acceleration, _) in zip(changes, velocities, self._bounds, strict=True):
-            most = SPEED_SHARE * limit
-            speed = min(max(change / period, -most), most)
-            wanted.append(speed)
-            if abs(speed - velocity) * share > acceleration * period:
-                share = acceleration * period / abs(speed - velocity)
-        references, speeds, ends = [], [], []
-        for position, velocity, target, before, last, (low, high, limit, acceleration, braking) in zip(
-            positions, velocities, wanted, self._references, self._speeds, self._bounds, strict=True
-        ):
-            speed, rise = velocity + share * (target - velocity), acceleration * period
-            if position + braking * speed > high:
-                speed = max(min(speed, _approach(high - position, acceleration)), velocity - rise)
-            elif position + braking * speed < low:
-                speed = min(max(speed, -_approach(position - low, acceleration)), velocity + rise)
-            held = min(max(before, position - REFERENCE_LAG), position + REFERENCE_LAG)
-            reference = held + (last + speed) / 2 * period
-            references.append(reference)
-            speeds.append(speed)
-            end = speed + (reference - position) / period - (velocity + speed) / 2
-            ends.append(min(max(end, velocity - rise, -limit), velocity + rise, limit))
-        return references, speeds, ends
-
-
-def _approach(room: float, acceleration: float) -> float:
-    """Largest speed in rad/s of a joint towards the end of its range, which is `room` rad away."""
-    speed = room / BRAKING_TIME
-    return min(speed, sqrt(acceleration * room)) if room > 0 else speed
+            most = TOOL_SPEED_SHARE * self._tool[1]
+            chain = self._tool[0].base, self._tool[0].links, pose.numbers
+        self._kernel.ramp(self._period, self._bounds, self._state, motion, ends, most, *chain)
+        speeds: list[float] = ends.tolist()
+        return speeds

@@ -101,7 +101,7 @@ class Gantry:
 
     def forward(self, joints: Sequence[float]) -> Configuration:
         x, y, z = joints
-        return Configuration(Pose((x, y, z), (1.0, 0.0, 0.0), (0.0, -1.0, 0.0), (0.0, 0.0, -1.0)), [])
+        return Configuration(Pose((x, y, z), (1.0, 0.0, 0.0), (0.0, -1.0, 0.0), (0.0, 0.0, -1.0)), np.zeros(0))
 
     def touches_others(self, *allowed: Body) -> bool:
         return False

@@ -8,7 +8,6 @@ numba compiles it, without a compiler on the machine, and keeps it on disk.
 from __future__ import annotations
 
 import re
-from collections.abc import Callable
 from pathlib import Path
 from typing import Any
 
@@ -16,11 +15,12 @@ import mujoco
 import numpy as np
 from llvmlite import binding, ir
 from mujoco.introspect.structs import STRUCTS
-from numba import njit, types
+from numba import types
 from numba.extending import intrinsic
 from numpy.typing import NDArray
 
 from ...errors import MachineError
+from ..compiled import compiled
 
 SIZES = {"int": 4, "mjtBool": 1, "mjtByte": 1, "float": 4}
 """Bytes of the types in MuJoCo's structures; all others that are no structures have 8."""
@@ -140,15 +140,7 @@ _store: Any = intrinsic(_storer)
 _number, _integer, _address = _loader(types.float64), _loader(types.int32), _loader(types.int64)
 
 
-def _compiled(function: Callable[..., Any]) -> Any:
-    """The function, compiled at its first call, and kept on disk where a place for it can be written."""
-    try:
-        return njit(nogil=True, cache=True)(function)
-    except RuntimeError:  # numba's word for a disk where neither this folder nor the user's can be written
-        return njit(nogil=True)(function)
-
-
-@_compiled
+@compiled
 def _read(place):
     return _address(place)
 
@@ -163,7 +155,7 @@ _integrate = types.ExternalFunction("mj_integratePos", types.void(types.int64, t
 _factor = types.ExternalFunction("mj_factorM", types.void(types.int64, types.int64))
 
 
-@_compiled
+@compiled
 def _touch(data, at, contact, row, h, material):
     """Write the law of one contact: its target accelerations and compliances."""
     speed, aref = _address(data + at[SPEED]) + 8 * row, _address(data + at[AREF]) + 8 * row
@@ -192,7 +184,7 @@ def _touch(data, at, contact, row, h, material):
             _store(_address(data + at[ISLAND_STIFFNESS]) + inner, _number(stiffness + place))
 
 
-@_compiled
+@compiled
 def _weigh(data, at, bodies, forces, peaks, largest):
     """Raise both maxima to the normal forces between each two bodies. `forces` (nbody, nbody): zeros, as afterwards."""
     force, first = _address(data + at[FORCE]), _address(data + at[CONTACT])
@@ -208,7 +200,7 @@ def _weigh(data, at, bodies, forces, peaks, largest):
         forces[bodies[_integer(contact + at[ONE])], bodies[_integer(contact + at[OTHER])]] = 0.0
 
 
-@_compiled
+@compiled
 def _product(a, b, out):
     """The quaternion a b (w x y z): first the rotation b, then a."""
     w = a[0] * b[0] - a[1] * b[1] - a[2] * b[2] - a[3] * b[3]
@@ -218,7 +210,7 @@ def _product(a, b, out):
     out[0], out[1], out[2], out[3] = w, x, y, z
 
 
-@_compiled
+@compiled
 def _locate(data, at, tool, pose, turn):
     """Where a tool is: its position and quaternion into `pose` (7,), its rotation matrix into `turn` (3, 3)."""
     place, matrix = _address(data + at[PLACE]) + 24 * tool.body, _address(data + at[MATRIX]) + 72 * tool.body
@@ -236,7 +228,7 @@ def _locate(data, at, tool, pose, turn):
     turn[2, 0], turn[2, 1], turn[2, 2] = 2 * (x * z - w * y), 2 * (y * z + w * x), 1 - 2 * (x * x + y * y)
 
 
-@_compiled
+@compiled
 def _miss(aim, time, pose, error):
     """The way from a tool's pose to its set point after so many s: m, then a rotation vector in rad, into (6,)."""
     spin = np.sqrt(aim[10] ** 2 + aim[11] ** 2 + aim[12] ** 2)
@@ -255,7 +247,7 @@ def _miss(aim, time, pose, error):
         error[3 + axis] = angle * moved[1 + axis]
 
 
-@_compiled
+@compiled
 def _pull(model, data, at, h, positions, velocities, tool, time):
     """Put the torques of a tool's spring and damper into MuJoCo's data, and what makes them implicit into its inertia.
 
@@ -330,7 +322,7 @@ def _pull(model, data, at, h, positions, velocities, tool, time):
     _factor(model, data)
 
 
-@_compiled
+@compiled
 def _resist(data, at, tool, loads):
     """Complete the torques of a spring by what was added to the inertia, and raise the largest ones."""
     acceleration = _address(data + at[ACCELERATION])
@@ -340,7 +332,7 @@ def _resist(data, at, tool, loads):
         loads[2, tool.dofs[j]] = max(loads[2, tool.dofs[j]], abs(tool.torques[j]))
 
 
-@_compiled
+@compiled
 def _keep_posture(h, positions, tool, jacobian, speeds):
     """Add springs and dampers towards the home pose in the joints, less what the tool would feel of them."""
     n = tool.size
@@ -373,10 +365,13 @@ def _keep_posture(h, positions, tool, jacobian, speeds):
             tool.added[j, k] += h * damping * share
 
 
-@_compiled
-def _feel(data, at, tools, hands):
-    """Low-pass what contacts do to the hands: force in N and torque in N m at the tool, in its frame."""
-    felt, turn, pose, own = np.zeros((len(tools), 6)), np.empty((3, 3)), np.empty(7), np.zeros(6)
+@compiled
+def _feel(data, at, tools, hands, felt, turn, pose, own):
+    """Low-pass what contacts do to the hands: force in N and torque in N m at the tool, in its frame.
+
+    `felt` (r, 6), `turn` (3, 3), `pose` (7,) and `own` (6,) are overwritten.
+    """
+    felt[:] = 0.0
     force, first = _address(data + at[FORCE]), _address(data + at[CONTACT])
     for contact in range(first, first + at[STRIDE] * _integer(data + at[CONTACTS]), at[STRIDE]):
         one, other = hands[_integer(contact + at[ONE])], hands[_integer(contact + at[OTHER])]
@@ -416,7 +411,7 @@ def _feel(data, at, tools, hands):
         tools[hand].peak = max(tools[hand].peak, np.sqrt(wrench[0] ** 2 + wrench[1] ** 2 + wrench[2] ** 2))
 
 
-@_compiled
+@compiled
 def _suck(data, at, on, row, tool, hands, lips, bodies, count):
     """Let the suction of a cup press the body that its whole lip seals on, and the lip, together."""
     pull, centres = _address(data + at[PULL]), _address(data + at[CENTRE])
@@ -449,7 +444,7 @@ def _suck(data, at, on, row, tool, hands, lips, bodies, count):
             _store(wrench + 8 * place, value)
 
 
-@_compiled
+@compiled
 def _load(data, at, motors, velocities, places, loads):
     """Raise the largest speeds and torques of the motors' joints."""
     force = _address(data + at[FORCE]) + 8 * _integer(data + at[EQUALITIES])
@@ -460,7 +455,7 @@ def _load(data, at, motors, velocities, places, loads):
             loads[2, joint] = max(loads[2, joint], abs(_number(force + 8 * motors[motor])))
 
 
-@_compiled
+@compiled
 def advance(
     model,
     data,
@@ -517,6 +512,7 @@ def advance(
     steps, count = targets.shape
     peaks[:] = 0.0
     forces, before = np.zeros_like(peaks), velocities.copy()
+    felt, turn, pose, own = np.empty((len(tools), 6)), np.empty((3, 3)), np.empty(7), np.empty(6)
     _integrate(model, positions.ctypes.data, velocities.ctypes.data, h / 2)
     for step in range(steps):
         _step1(model, data)
@@ -542,7 +538,7 @@ def advance(
         _step2(model, data)
         _weigh(data, at, bodies, forces, peaks, largest)
         _load(data, at, motors, velocities, places, loads)
-        _feel(data, at, tools, hands)
+        _feel(data, at, tools, hands, felt, turn, pose, own)
         for tool in range(len(tools)):
             if tools[tool].spring[0] > 0:
                 _resist(data, at, tools[tool], loads)

@@ -1,0 +1,88 @@
+"""Ramps of joint speeds in compiled code. `ramps` says what they are."""
+
+from __future__ import annotations
+
+from math import inf, sqrt
+
+import numpy as np
+
+from ..simulation.arm_kernel import forward, velocity
+from ..simulation.compiled import compiled
+
+BRAKING_TIME = 1 / 12
+"""Time constant, in s, with which a joint approaches the end of its range. A hard stop would push the other joints.
+Further away its speed is one from which half of its acceleration stops it."""
+REFERENCE_LAG = 0.01
+"""Largest distance, in rad, of the reference from its joint. It bounds what an arm that is held back accumulates."""
+SPEED_SHARE = 0.97
+"""Fraction of a joint's largest speed at which it moves steadily. The rest is for the correction of its reference."""
+SLOW_TOOL = 0.8
+"""Fraction of that speed below which the tool's speed, with the present pose, needs no closer look."""
+SCALINGS = 4
+"""Largest number of times that a ramp is scaled down. Once does not suffice where accelerations limit the braking."""
+
+
+@compiled
+def _approach(room, acceleration):
+    """Largest speed in rad/s of a joint towards the end of its range, which is `room` rad away."""
+    speed = room / BRAKING_TIME
+    return min(speed, sqrt(acceleration * room)) if room > 0 else speed
+
+
+@compiled
+def ramp(period, bounds, state, motion, ends, most, base, links, numbers):
+    """Write the ends of the ramps of all joints in rad/s into `ends` (n,); see `ramps.Ramps`.
+
+    Args:
+        period: of a control step in s.
+        bounds: (n, 5): lowest and highest position, largest speed and acceleration, time in which it brakes.
+        state: references in rad and speeds in rad/s (2, n); written.
+        motion: positions, velocities and wanted changes of the joints (3, n).
+        most: largest speed of the tool in m/s; inf: none.
+        base, links: of the chain, as in `forward`.
+        numbers: of the chain at the positions.
+    """
+    n = len(ends)
+    share = 1.0
+    for j in range(n):
+        limit = SPEED_SHARE * bounds[j, 2]
+        ends[j] = min(max(motion[2, j] / period, -limit), limit)
+        far = abs(ends[j] - motion[1, j])
+        if far * share > bounds[j, 3] * period:
+            share = bounds[j, 3] * period / far
+    for j in range(n):
+        at, v, rise = motion[0, j], motion[1, j], bounds[j, 3] * period
+        low, high, limit = bounds[j, 0], bounds[j, 1], bounds[j, 2]
+        acceleration, braking = bounds[j, 3], bounds[j, 4]
+        speed = v + share * (ends[j] - v)
+        if at + braking * speed > high:
+            speed = max(min(speed, _approach(high - at, acceleration)), v - rise)
+        elif at + braking * speed < low:
+            speed = min(max(speed, -_approach(at - low, acceleration)), v + rise)
+        held = min(max(state[0, j], at - REFERENCE_LAG), at + REFERENCE_LAG)
+        reference = held + (state[1, j] + speed) / 2 * period
+        end = speed + (reference - at) / period - (v + speed) / 2
+        state[0, j], state[1, j] = reference, speed
+        ends[j] = min(max(end, v - rise, -limit), v + rise, limit)
+    if most == inf:
+        return
+    x, y, z = velocity(numbers, ends)
+    if sqrt(x * x + y * y + z * z) <= SLOW_TOOL * most:
+        return
+    after, there, share, slowed = np.empty(n), np.empty_like(numbers), 1.0, ends.copy()
+    for _ in range(SCALINGS):  # until the tool moves at `most` after the step, or all joints brake
+        for j in range(n):
+            after[j] = motion[0, j] + period / 2 * (motion[1, j] + slowed[j])
+        forward(base, links, after, there)
+        x, y, z = velocity(there, slowed)
+        speed = sqrt(x * x + y * y + z * z)
+        if speed <= most:
+            break
+        share *= most / speed
+        for j in range(n):
+            rise = bounds[j, 3] * period
+            slowed[j] = min(max(share * ends[j], motion[1, j] - rise), motion[1, j] + rise)
+    if share < 1:  # nothing is made up for later
+        for j in range(n):
+            state[0, j] = motion[0, j] + period / 2 * (motion[1, j] + slowed[j])
+            state[1, j] = ends[j] = slowed[j]
