@@ -1,5 +1,6 @@
 """From runs to the numbers that compare experiments. `karolos.report` draws them."""
 
+from .conditions import conditions
 from .contenders import ComparedRun, Contender, Metric, Success, gather, labels_of, one_per_seed
 from .curves import Curve, densities, learning_curve
 from .differences import MISSING, differences
@@ -17,6 +18,7 @@ __all__ = [
     "Scores",
     "Success",
     "compare",
+    "conditions",
     "densities",
     "differences",
     "gather",

@@ -57,6 +57,14 @@ class ComparedRun:
         measure = self.summary.measures.get(name)
         return None if measure is None else measure["mean"]
 
+    def final_values(self, name: str) -> tuple[float, ...]:
+        """A measure in each episode of the final test in which it is defined; empty if no folder holds it."""
+        with suppress(RunError):
+            final = RunFolder.open(self.summary.folder).final()
+            measure = final.last.measures.get(name) if final is not None and self.summary.final else None
+            return tuple(one for one in measure["values"] if one is not None) if measure is not None else ()
+        return ()
+
     @property
     def episodes(self) -> int:
         """Episodes of the test that `reported` is of."""

@@ -8,7 +8,7 @@ from typing import Literal
 import numpy as np
 from numpy.typing import NDArray
 
-from ..comparison import Comparison, Contender, Estimate, Metric, learning_curve
+from ..comparison import Comparison, Contender, Estimate, Metric, conditions, learning_curve
 from ..comparison.curves import Axis, places
 from ..core.seeding import SeedTree
 from ..statistics import aggregates
@@ -19,6 +19,10 @@ from .tables import heading
 _Floats = NDArray[np.float64]
 HOVERED = 25
 """Points of a curve, at the most about twice as many, that tell their values on hover."""
+SPREAD_POINTS, SEEN = 201, 0.995
+"""Points of a distribution, and the share of the episodes up to which it is shown."""
+WIDE = 8
+"""Ratio of the largest to the smallest value of a setting from which on its axis is logarithmic."""
 WHOLE = 0.6
 """Part of 0 to 1 from which an axis of ratios shows all of it."""
 _SECONDS = ((7200, 3600, "h"), (120, 60, "min"), (0, 1, "s"))
@@ -33,9 +37,9 @@ _LABELS: dict[Metric, str] = {
 
 
 def comparison_figures(comparison: Comparison) -> list[Drawing]:
-    """Every figure: learning twice, seeds twice, a density for each contender, and one figure for each measure.
+    """Every figure: learning twice, seeds twice, a density for each contender, one figure for each measure and setting.
 
-    There are no densities of returns.
+    There are no densities of returns. Settings are those that `karolos test` gave other numbers.
     """
     return [
         learning(comparison, "steps"),
@@ -44,6 +48,7 @@ def comparison_figures(comparison: Comparison) -> list[Drawing]:
         profiles(comparison),
         *density_figures(comparison),
         *measure_figures(comparison),
+        *condition_figures(comparison),
     ]
 
 
@@ -125,6 +130,61 @@ def measure_figures(comparison: Comparison) -> list[Drawing]:
         values = [[run.measured(name) for run in contender.runs] for contender in comparison.contenders]
         _dots(drawing, comparison, values, estimates, span)
         _value_axis(drawing, "x", heading(name, one), ratio=False)
+        drawings.append(drawing)
+    return drawings + [one for name in comparison.measures for one in _spread(comparison, name)]
+
+
+def _spread(comparison: Comparison, name: str) -> list[Drawing]:
+    """How a measure is distributed over the episodes of the final tests; nothing where no folder holds them."""
+    finals = [[run.final_values(name) for run in contender.runs] for contender in comparison.contenders]
+    known = [np.sort(values) for runs in finals for values in runs if len(values)]
+    if not known:
+        return []
+    caption = "Share of the final test's episodes with at most this value. Bold: mean over seeds; thin: each seed."
+    drawing = Drawing(f"measure_{name}_spread", f"{name}, episode by episode", caption)
+    low, high = min(float(one[0]) for one in known), max(float(np.quantile(one, SEEN)) for one in known)
+    at = np.linspace(low, high, SPREAD_POINTS) if high > low else np.array([low, low + 1.0])
+    for series, runs in enumerate(finals):
+        shares = [np.searchsorted(np.sort(values), at, side="right") / len(values) for values in runs if len(values)]
+        for share in shares if len(shares) > 1 else ():
+            [line] = drawing.axes.plot(at, share, **style(series), linewidth=0.6, alpha=0.45)
+            drawing.part(line, f"seed series-{series}")
+        if shares:
+            [line] = drawing.axes.plot(at, np.mean(shares, 0), **style(series), linewidth=2)
+            drawing.part(line, f"main series-{series}", comparison.labels[series])
+    _value_axis(drawing, "y", "share of episodes")
+    _value_axis(drawing, "x", heading(name, comparison.measures[name]), ratio=False)
+    drawing.legend(comparison.labels)
+    return [drawing]
+
+
+@look()
+def condition_figures(comparison: Comparison) -> list[Drawing]:
+    """Success over each setting under other values of which policies were tested: mean over seeds and its interval."""
+    tree = SeedTree(0).child("conditions")
+    found = [conditions(one, tree.child(place)) for place, one in enumerate(comparison.contenders)]
+    drawings = []
+    for setting in sorted({setting for one in found for setting in one}):
+        caption = "Tests of policies with other values of this setting. Mean over seeds with its interval (95 %)."
+        drawing = Drawing(f"over_{setting}", f"Success over {setting}", caption)
+        every = [value for one in found for value in one.get(setting, ())]
+        for series, one in enumerate(found):
+            points = one.get(setting, {})
+            at, ends = list(points), list(points.values())
+            band = drawing.axes.fill_between(
+                at, [end.low for end in ends], [end.high for end in ends], color=style(series)["color"], alpha=0.16
+            )
+            drawing.part(band, f"band series-{series}")
+            [line] = drawing.axes.plot(at, [end.value for end in ends], **style(series), linewidth=2)
+            drawing.part(line, f"main series-{series}", comparison.labels[series])
+            for value, end in points.items():
+                [dot] = drawing.axes.plot(value, end.value, "o", color=style(series)["color"], markersize=4.5)
+                drawing.part(dot, f"dot series-{series}", f"{comparison.labels[series]} at {value:g}: {estimate(end)}")
+        if min(every) > 0 and max(every) >= WIDE * min(every):
+            drawing.axes.set_xscale("log")
+        _value_axis(drawing, "x", setting, ratio=False)
+        _value_axis(drawing, "y", _LABELS["end"])
+        drawing.legend(comparison.labels)
         drawings.append(drawing)
     return drawings
 

@@ -99,13 +99,16 @@ def comparison_sections(comparison: Comparison, drawings: Sequence[Drawing]) -> 
         "The specs are the same." if same else "",
         table=None if same else parameters_table(comparison),
     )
-    densities, measures = ([one for one in drawings if one.name.startswith(kind)] for kind in ("density_", "measure_"))
+    densities, measures, changed = (
+        [one for one in drawings if one.name.startswith(kind)] for kind in ("density_", "measure_", "over_")
+    )
     measured = [Section("Measures", table=measures_table(comparison)), Section(figures=measures)]
     return [
         Section(text=verdict(comparison)),
         Section("Learning", figures=drawings[:2]),
         Section("In numbers", table=scores_table(comparison), notes=explanations(comparison)),
         *(measured if measures else []),
+        *([Section("Under other settings", figures=changed)] if changed else []),
         *([settings] if len(labels) > 1 else []),
         Section("Seeds", figures=drawings[2:4]),
         Section("Density of the success ratio over training", _DENSITIES if densities else no_density, densities),
