@@ -1,4 +1,4 @@
-"""What the zoo's settings reach on panda-gym's stacking, sliding and flipping in a given time, by its measure and ours."""
+"""What the zoo's settings reach on panda-gym's stacking, sliding and flipping in a given time, by two measures."""
 
 from __future__ import annotations
 
