@@ -43,6 +43,8 @@ START_HEIGHT, START_ASIDE = (0.02, 0.05), 0.02
 SLACK, TURN_SLACK = 0.001, 0.03
 """Of a tip beside the axis in m and of a turn in rad that count as in the hole, beyond what the play leaves them and
 what is not known of the hole. At depth they decide nothing; they make goals of hindsight as narrow as the hole."""
+ALIKE = 0.0005
+"""m of play up to which goals are the same, so that training may draw it: within a tight hole alone little is learned."""
 SCALES = (0.004, 0.001)
 """Errors are also observed as tanh(error / scale), in m: networks see no tenths of a millimetre otherwise."""
 TURN_SCALE = 0.05
@@ -159,8 +161,9 @@ class Insert(Task):
     def __init__(self, settings: Insert.Settings) -> None:
         super().__init__(settings)
         self.width = PEG_WIDTH[settings.shape]
-        aside = SLACK + settings.play + sqrt(2) * settings.hole_error
-        turn = TURN_SLACK + settings.play / DEPTH + 2 * settings.play / self.width + settings.hole_turn_error
+        play = max(settings.play, ALIKE)
+        aside = SLACK + play + sqrt(2) * settings.hole_error
+        turn = TURN_SLACK + play / DEPTH + 2 * play / self.width + settings.hole_turn_error
         self.goal_rule = Insertion(0.001, aside, turn)
         self.goal = np.array((0.0, 0.0, -DEPTH, 0.0, 0.0, 0.0), np.float32)
         if settings.force_penalty is not None:
