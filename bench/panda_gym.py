@@ -67,8 +67,12 @@ def measure(*, task: Task = "stack", minutes: float = 10.0, episodes: int = 100,
 
 
 def _untextured(create_box: Callable[..., None]) -> Callable[..., None]:
-    """Its wheel lacks the picture on the cube that is flipped."""
-    return lambda *arguments, texture=None, **options: create_box(*arguments, **options)  # noqa: ARG005
+    """Boxes without pictures: the wheel of panda-gym lacks that of the cube which is flipped."""
+
+    def create(*arguments: Any, texture: object = None, **options: Any) -> None:  # noqa: ARG001
+        create_box(*arguments, **options)
+
+    return create
 
 
 def _stacked(environment: Any, _: Mapping[str, Any]) -> bool:
