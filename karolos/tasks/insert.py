@@ -205,8 +205,8 @@ class Insert(Task):
             tilt, turned, room = 0.0, turn, 0.4 * settings.play
             tip = room * aside[0], room * aside[1], -DEPTH * height
         elif stage == "near":
-            share, (low, high) = generator.uniform(), START_HEIGHT
-            tilt, turned, beside = share * tilt, (1 - share) * turn, share * START_ASIDE
+            (share, missing), (low, high) = generator.uniform(size=2).tolist(), START_HEIGHT
+            tilt, turned, beside = share * tilt, (1 - missing) * turn, share * START_ASIDE
             tip = beside * aside[0], beside * aside[1], share * (low + (high - low) * height)
         else:
             low, high = START_HEIGHT
