@@ -44,7 +44,7 @@ SLACK, TURN_SLACK = 0.001, 0.03
 """Of a tip beside the axis in m and of a turn in rad that count as in the hole, beyond what the play leaves them and
 what is not known of the hole. At depth they decide nothing; they make goals of hindsight as narrow as the hole."""
 ALIKE = 0.0005
-"""m of play up to which goals are the same, so that training may draw it: within a tight hole alone little is learned."""
+"""m of play up to which goals are the same, so that training may draw it: in a tight hole alone little is learned."""
 SCALES = (0.004, 0.001)
 """Errors are also observed as tanh(error / scale), in m: networks see no tenths of a millimetre otherwise."""
 TURN_SCALE = 0.05
