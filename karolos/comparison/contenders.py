@@ -8,6 +8,7 @@ from collections import Counter
 from collections.abc import Mapping, Sequence
 from contextlib import suppress
 from dataclasses import dataclass, replace
+from functools import cached_property
 from typing import Any, Literal
 
 from ..errors import RunError, UsageError
@@ -57,13 +58,15 @@ class ComparedRun:
         measure = self.summary.measures.get(name)
         return None if measure is None else measure["mean"]
 
-    def final_values(self, name: str) -> tuple[float, ...]:
-        """A measure in each episode of the final test in which it is defined; empty if no folder holds it."""
+    @cached_property
+    def final_values(self) -> Mapping[str, tuple[float, ...]]:
+        """Each measure in the episodes of the final test in which it is defined; empty if no folder holds it."""
         with suppress(RunError):
             final = RunFolder.open(self.summary.folder).final()
-            measure = final.last.measures.get(name) if final is not None and self.summary.final else None
-            return tuple(one for one in measure["values"] if one is not None) if measure is not None else ()
-        return ()
+            if final is not None and self.summary.final:
+                measures = final.last.measures.items()
+                return {name: tuple(x for x in one["values"] if x is not None) for name, one in measures}
+        return {}
 
     @property
     def episodes(self) -> int:

@@ -117,7 +117,10 @@ def final(comparison: Comparison) -> Drawing:
 
 @look()
 def measure_figures(comparison: Comparison) -> list[Drawing]:
-    """For each measure that a contender knows: every seed as a dot, below them mean and interval, as in `final`."""
+    """For each measure that a contender knows: every seed as a dot, below them mean and interval, as in `final`.
+
+    Behind them how each measure is distributed over the episodes.
+    """
     drawings = []
     for name, one in comparison.measures.items():
         estimates = [scores.measures.get(name) for scores in comparison.scores]
@@ -136,7 +139,7 @@ def measure_figures(comparison: Comparison) -> list[Drawing]:
 
 def _spread(comparison: Comparison, name: str) -> list[Drawing]:
     """How a measure is distributed over the episodes of the final tests; nothing where no folder holds them."""
-    finals = [[run.final_values(name) for run in contender.runs] for contender in comparison.contenders]
+    finals = [[run.final_values.get(name, ()) for run in contender.runs] for contender in comparison.contenders]
     known = [np.sort(values) for runs in finals for values in runs if len(values)]
     if not known:
         return []

@@ -14,18 +14,9 @@ from karolos.evaluation.zero_shot import zero_shot_test
 from karolos.records import transfer_results
 from karolos.report.comparison_figures import condition_figures, measure_figures
 
-REACH = toys.toy(
-    name="reach",
-    robot={"name": "panda", "control": "cartesian"},
-    task={"name": "reach", "max_steps": 5},
-    environment="robot_task",
-    training={"steps": 20, "warmup_episodes": 1},
-    testing={"interval": 20},
-)
-
 
 def test_success_over_a_setting_and_the_spread_of_measures_are_drawn(tmp_path: Path) -> None:
-    folder = toys.run_of(REACH, tmp_path)
+    folder = toys.run_of(toys.REACH, tmp_path)
     done = zero_shot_test(folder, ["task.threshold=0.2"], checkpoint="last", episodes=4)
     succeeded = replace(done.result, end=(True, True, True, False))
     transfer_results.add(folder, replace(done, result=succeeded))

@@ -21,14 +21,7 @@ from karolos.records.transfer_results import TransferResult
 pytestmark = pytest.mark.xdist_group(__name__)
 
 TOY = toys.toy(testing={"episodes": 4, "seed": 5})
-REACH = toys.toy(
-    name="reach",
-    robot={"name": "panda", "control": "cartesian"},
-    task={"name": "reach", "max_steps": 5},
-    environment="robot_task",
-    training={"steps": 20, "warmup_episodes": 1},
-    testing={"interval": 20},
-)
+REACH = toys.REACH
 
 
 @pytest.fixture

@@ -25,6 +25,16 @@ def toy(**changes: Any) -> dict[str, Any]:
     return TOY | changes | own
 
 
+REACH = toy(
+    name="reach",
+    robot={"name": "panda", "control": "cartesian"},
+    task={"name": "reach", "max_steps": 5},
+    environment="robot_task",
+    training={"steps": 20, "warmup_episodes": 1},
+    testing={"interval": 20},
+)
+
+
 def run_of(spec: dict[str, Any], runs: Path, **options: Any) -> RunFolder:
     """Run a spec of one seed."""
     (summary,) = Experiment(spec).run(runs, **options).runs
