@@ -11,7 +11,7 @@ import os
 from collections.abc import Callable
 from concurrent.futures import Future, ProcessPoolExecutor
 from dataclasses import dataclass, replace
-from functools import cache
+from functools import cache, cached_property
 from multiprocessing.util import Finalize
 
 from .. import checkpoint
@@ -26,6 +26,8 @@ from .testing import play_episodes
 
 NICENESS = 10
 """Is added to the second process's priority value: it gets about a tenth of a core that another process wants, too."""
+PART = 125
+"""Episodes that a process plays at a time: of longer tests two processes play parts."""
 CLOSE_SECONDS = 3.0
 """Seconds for an idle process to end before it is killed."""
 
@@ -41,6 +43,13 @@ class DueTest:
     agent: State
     seeds: tuple[int, ...]
     """One per episode."""
+
+    @cached_property
+    def parts(self) -> tuple[DueTest, ...]:
+        """The test in parts of PART episodes; itself if it has no more."""
+        if len(self.seeds) <= PART:
+            return (self,)
+        return tuple(replace(self, seeds=self.seeds[first : first + PART]) for first in range(0, len(self.seeds), PART))
 
 
 class Evaluator:

@@ -37,7 +37,7 @@ class PendingTests:
 
     Where an episode is played does not change its result. The run's own process plays tests until they are long enough
     for a second process, which then plays them while the first one trains. When training is over, both play what is
-    left. The last test is played by both, so that a process that hangs costs nothing.
+    left, long tests in parts. The last part is played by both, so that a process that hangs costs nothing.
 
     Args:
         spec: of the run.
@@ -65,6 +65,7 @@ class PendingTests:
         self.activity = "testing"
         """For announcements."""
         self._results: dict[DueTest, TestResult] = {}
+        """Of parts of pending tests."""
         self._evaluator = Evaluator(spec)
         self._process: EvaluationProcess | None = None
         self._here: DueTest | None = None
@@ -107,9 +108,9 @@ class PendingTests:
 
     def finished(self) -> Iterator[tuple[DueTest, TestResult]]:
         """Remove the tests that are over from `pending`; a test waits for those before it."""
-        while self.pending and self.pending[0] in self._results:
+        while self.pending and all(part in self._results for part in self.pending[0].parts):
             test = self.pending.pop(0)
-            yield test, self._results.pop(test)
+            yield test, TestResult.joined([self._results.pop(part) for part in test.parts])
 
     def play_remaining(self) -> Iterator[tuple[DueTest, TestResult]]:
         """Play all pending tests, or as many as possible until a stop is requested."""
@@ -127,22 +128,26 @@ class PendingTests:
             self._process = None
         self._beside = None
 
+    def _parts(self) -> list[DueTest]:
+        """Of all pending tests."""
+        return [part for test in self.pending for part in test.parts]
+
     def _next(self, *, shared: bool = False) -> DueTest | None:
-        """The first test that no process plays or has played; with `shared`, otherwise that of the second process."""
-        unfinished = [test for test in self.pending if test not in self._results]
+        """The first part that no process plays or has played; with `shared`, otherwise that of the second process."""
+        unfinished = [part for part in self._parts() if part not in self._results]
         taken = (self._here, self._beside and self._beside[0])
         free = [test for test in unfinished if test not in taken]
         return next(iter(free or (unfinished if shared else ())), None)
 
     def _episodes_left(self, steps: int) -> int:
         """Episodes of the pending tests, of those that the environment steps left make due, and of the final test."""
-        waiting = sum(len(test.seeds) for test in self.pending if test not in self._results)
+        waiting = sum(len(part.seeds) for part in self._parts() if part not in self._results)
         testing = self._spec.testing
         final = testing.final_count if self.activity == "testing" else 0
         return waiting + math.ceil(steps / testing.interval) * testing.episodes + final
 
     def _play(self, test: DueTest) -> None:
-        """Play a test in this process.
+        """Play a test, or a part of it, in this process.
 
         Breaks off at a stop, when the second process shall play it, and when the second process has played it.
         """
@@ -150,7 +155,7 @@ class PendingTests:
         self._here = test
 
         def on_round(completed: int) -> None:
-            self._announce(self.activity, completed, len(test.seeds))
+            self._tell(completed)
             self._spent, self._played = spent + perf_counter() - started, played + completed
             self.advance()
             left_to_process = self._starts_process() and self._training.steps < self._spec.training.steps
@@ -163,10 +168,15 @@ class PendingTests:
         self._here = None
 
     def _record(self, test: DueTest, result: TestResult) -> None:
-        """Keep the first result of a test, and announce that it is over."""
-        if test in self.pending:
+        """Keep the first result of a test or a part."""
+        if test in self._parts():
             self._results.setdefault(test, result)
-        self._announce(self.activity, result.episodes, result.episodes)
+        self._tell()
+
+    def _tell(self, playing: int = 0) -> None:
+        """Announce the episodes of pending tests that are over; `playing`: of these, those of the part played here."""
+        done = playing + sum(result.episodes for result in self._results.values())
+        self._announce(self.activity, done, sum(len(test.seeds) for test in self.pending))
 
     def _starts_process(self) -> bool:
         """Start the second process if the tests played here say that it is worthwhile. Returns whether it starts."""

@@ -5,6 +5,7 @@ from __future__ import annotations
 import math
 from collections.abc import Mapping, Sequence
 from dataclasses import asdict, dataclass, field, replace
+from itertools import chain
 from typing import Annotated, Any, Literal
 
 from pydantic import Field, FiniteFloat
@@ -98,6 +99,24 @@ class TestResult:
             name: {**one, "values": one["values"][:count]} for name, one in self.measures.items()
         }
         return replace(self, measures=measures, **lists)
+
+    @classmethod
+    def joined(cls, parts: Sequence[TestResult]) -> TestResult:
+        """The result of a test that was played in parts, in the order of their episodes."""
+        first = parts[0]
+        columns: dict[str, list[Any]] = {
+            name: [getattr(part, name) for part in parts]
+            for name, values in vars(first).items()
+            if isinstance(values, tuple)
+        }
+        lists: dict[str, Any] = {
+            name: None if None in values else tuple(chain.from_iterable(values)) for name, values in columns.items()
+        }
+        measures: dict[str, MeasureValues] = {
+            name: {**one, "values": tuple(chain.from_iterable(part.measures[name]["values"] for part in parts))}
+            for name, one in first.measures.items()
+        }
+        return replace(first, has_success=any(part.has_success for part in parts), measures=measures, **lists)
 
     def within(self, metres: float) -> float | None:
         """Fraction of episodes that ended nearer than this to their goal; None if the distances are unknown."""

@@ -50,7 +50,7 @@ def alone(tmp_path_factory: pytest.TempPathFactory) -> RunFolder:
 
 @pytest.fixture
 def beside(monkeypatch: pytest.MonkeyPatch) -> list[object]:
-    """Runs start a second process in their first test. The results that it sends."""
+    """Runs start a second process in their first test, and play tests in parts. The results that it sends."""
     received: list[object] = []
 
     class Recorded(pending_tests.EvaluationProcess):
@@ -59,6 +59,7 @@ def beside(monkeypatch: pytest.MonkeyPatch) -> list[object]:
             future.add_done_callback(lambda done: done.exception() or received.append(done.result()))
             return future
 
+    monkeypatch.setattr(due_tests, "PART", 4)
     monkeypatch.setattr(pending_tests, "MEASURED_SECONDS", 0.0)
     monkeypatch.setattr(pending_tests, "WORTHWHILE_SECONDS", 0.0)
     monkeypatch.setattr(pending_tests, "EvaluationProcess", Recorded)
