@@ -123,7 +123,9 @@ class Insert(Task):
         friction: Annotated[float, Drawn("1", 0.0, 2.0)] = Setting(
             0.3, ge=0, le=2, description="lateral friction coefficient between peg and block"
         )
-        force_limit: float = Setting(50.0, gt=0, description="force on peg or arm beyond which an episode fails, N")
+        force_limit: Annotated[float, Drawn("N", 1.0, 10_000.0)] = Setting(
+            50.0, gt=0, description="force on peg or arm beyond which an episode fails, N"
+        )
         force_penalty: ForcePenalty | None = Setting(
             ForcePenalty.model_validate({"limit": 15.0, "weight": 2.0, "most": 5.0}),
             description="what pressing costs: of the largest force on peg or arm, the grip left out; null: nothing",
@@ -257,7 +259,7 @@ class Insert(Task):
             self._robot.largest_force(self.peg),
         ]
         self.largest = max(self.largest, *self.forces)
-        self.overloaded = self.largest > self.settings.force_limit
+        self.overloaded = self.largest > self.drawn.force_limit
 
     def _read(self) -> None:
         position, self.rotation = self.peg.pose()
