@@ -46,17 +46,8 @@ class Adam:
         step, mean, square = self._state.values()
         step.add_(1)
         # The kernel of torch.optim.Adam(fused=True), whose Python takes longer than the kernel itself.
-        torch._fused_adam_(
-            [self._vector],
-            [gradient],
-            [mean],
-            [square],
-            [],
-            [step],
-            lr=self.learning_rate,
-            eps=self._epsilon,
-            **ADAM_REST,
-        )
+        rest = {**ADAM_REST, "lr": self.learning_rate, "eps": self._epsilon}
+        torch._fused_adam_([self._vector], [gradient], [mean], [square], [], [step], **rest)
         # The fused step does not count as a change of the vector, and networks look at its version.
         torch.autograd.graph.increment_version(self._vector)
 

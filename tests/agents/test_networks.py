@@ -41,13 +41,13 @@ def flat_gradient(layers: nn.Sequential) -> Tensor:
 
 
 @pytest.mark.parametrize("layer_norm", [False, True])
-@pytest.mark.parametrize("sizes", [SIZES, (7, 32, 32, 32, 1), (5, 17, 2)])
+@pytest.mark.parametrize("sizes", [SIZES, (7, 32, 32, 32, 1), (5, 17, 2), (70, 66, 72, 1)])
 def test_stacked_members_equal_separate_networks_in_outputs_and_gradients(
     sizes: tuple[int, ...], layer_norm: bool
 ) -> None:
     network = MLP(Shape(sizes, members=2, layer_norm=layer_norm), generator(), "cpu")
-    x = torch.randn((33, sizes[0]), generator=generator(1))
-    pull = torch.randn((2, 33, sizes[-1]), generator=generator(2))
+    x = torch.randn((65, sizes[0]), generator=generator(1))
+    pull = torch.randn((2, 65, sizes[-1]), generator=generator(2))
     outputs, tapes = network.forward(x)
     for_x = network.backward(pull, tapes, columns=slice(None))
 
