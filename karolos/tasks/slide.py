@@ -39,18 +39,13 @@ class Rest(PointGoal):
     """Success where the puck lies at rest, untouched, under `threshold` m from the target.
 
     `achieved` (..., 3): where the puck comes to rest if nothing touches it any more (2, m), and 1 if it lies there.
-    `desired` (..., 2): the target in m. Sparse reward: 0 as soon as it comes to rest under `rewarded` m from the target
-    if it is left alone, else -1; dense: minus the distance. A reward for lying there would come long after the last
-    touch, and one up to the threshold teaches to stop at it, from where the last touch takes the puck out again.
+    `desired` (..., 2): the target in m. Sparse reward: 0 as soon as it comes to rest near the target if it is left
+    alone, else -1; dense: minus the distance. A reward for lying there would come long after the last touch.
     """
-
-    def __init__(self, threshold: float, rewarded: float, *, dense: bool, span: float) -> None:
-        super().__init__(threshold, dense=dense, span=span)
-        self.rewarded = rewarded
 
     def reward(self, achieved: Array, desired: Array) -> FloatArray:
         metres = self.distance(achieved, desired)
-        return -metres if self.dense else -np.asarray(metres >= self.rewarded, np.float32)
+        return -metres if self.dense else -np.asarray(metres >= self.threshold, np.float32)
 
     def success(self, achieved: Array, desired: Array) -> BoolArray:
         there: BoolArray = (achieved[..., 2] > 0) & (self.distance(achieved, desired) < self.threshold)
@@ -91,7 +86,7 @@ class Slide(CubeTask):
     Action: the robot's, without the gripper.
     Goals: achieved, where the puck comes to rest if nothing touches it any more (2, m), and whether it lies there (1);
     desired, the target (2, m).
-    Reward: sparse -1, and 0 while the place of rest is within `rewarded`; dense minus its distance; see `Rest`.
+    Reward: sparse -1, and 0 while the place of rest is within the threshold; dense minus its distance; see `Rest`.
     What counts as success: the puck lies at rest within `threshold` of the target.
     Termination: never; the episode is truncated after `max_steps`.
 
@@ -108,9 +103,6 @@ class Slide(CubeTask):
             "sparse", description="-1 until it slides there, or minus the distance"
         )
         threshold: float = Setting(0.05, gt=0, le=0.5, description="distance at which the target is hit, m")
-        rewarded: float = Setting(
-            0.02, gt=0, le=0.5, description="distance of the place of rest up to which the sparse reward is 0, m"
-        )
         share: float = Setting(
             0.5, gt=0, le=1, description="how far targets lie from the nearest one towards the furthest slide"
         )
@@ -165,7 +157,7 @@ class Slide(CubeTask):
         self.sight = 1.5 * self.furthest
         """Largest coordinate in m that is observed. Networks scale what they see by its spread; a puck slides 20 m."""
         span = 3 * self.sight
-        self.goal_rule = Rest(settings.threshold, settings.rewarded, dense=settings.reward == "dense", span=span)
+        self.goal_rule = Rest(settings.threshold, dense=settings.reward == "dense", span=span)
 
     @property
     def deceleration(self) -> float:
