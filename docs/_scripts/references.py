@@ -108,7 +108,7 @@ def as_before(resolved: dict[str, Any]) -> tuple[str, ...]:
     if task.get("name") == "push" and "force_penalty" not in task:
         found += PUSHED_BEFORE
     if task.get("name") == "pick_place" and "force_penalty" not in task:
-        found.append("task.force_penalty=null")
+        found += ["task.force_penalty=null", "buffer.hindsight.next_share=0"]
     if task.get("name") == "throw" and "gripper_delay" not in resolved["robot"]:
         found += THROWN_BEFORE
     return tuple(found)

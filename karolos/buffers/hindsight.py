@@ -39,6 +39,13 @@ class Hindsight:
             description="new goal: achieved at this or a later step, at the last step, or at any step of the episode",
         )
         ratio: float = Setting(0.8, ge=0, le=1, description="probability that a sampled transition gets a new goal")
+        next_share: float = Setting(
+            0.0,
+            ge=0,
+            le=1,
+            description="share of the new goals that the transition itself achieves, whatever the strategy: such a "
+            "transition shows at once what its action brings about",
+        )
         min_displacement: float = Setting(
             0.01,
             ge=0,
@@ -107,6 +114,10 @@ class Hindsight:
             The indices of these rows.
         """
         goal_slots = self._goal_slots(rows, slots, storage, generator)
+        if self.settings.next_share:
+            # Source: Özgür et al. 2025, "Next-Future", arXiv 2504.11247, where it is one new goal in four.
+            achieves_it = generator.random(slots.size, np.float32) < self.settings.next_share
+            goal_slots = np.where(achieves_it, slots, goal_slots)
         chosen = np.flatnonzero(generator.random(slots.size, np.float32) < self.settings.ratio)
         goals = storage.column("next_achieved_goal", goal_slots[chosen])[:, : self._size]
         if self.settings.min_displacement > 0:

@@ -57,6 +57,12 @@ def test_the_original_goal_is_kept_where_nothing_moved() -> None:
     assert min(moved) == 3
 
 
+def test_a_share_of_the_new_goals_is_achieved_by_the_transition_itself() -> None:
+    batch = filled(counting_signature(50), 50, {**ALWAYS, "strategy": "final", "next_share": 0.25}).sample(20_000)
+    before_the_end = np.array([step < 49 for _, step in places(batch)])
+    assert batch.reward[before_the_end].mean() == pytest.approx(0.25, abs=5 * (0.1875 / 20_000) ** 0.5)
+
+
 @pytest.mark.parametrize("n_step", [1, 3])
 def test_what_a_reward_adds_to_the_rules_stays_under_any_goal(n_step: int) -> None:
     signature = replace(counting_signature(6), extra_reward=(-0.5, 0.0))
