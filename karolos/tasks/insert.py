@@ -49,6 +49,8 @@ SCALES = (0.004, 0.001)
 """Errors are also observed as tanh(error / scale), in m: networks see no tenths of a millimetre otherwise."""
 TURN_SCALE = 0.05
 """The same in rad."""
+TOUCH, TOUCH_SCALES = Layout((Field("touch", 4),)), (5.0, 0.01, 0.01, 0.05)
+"""What a hole that is not known exactly adds to the observation, and its scales in N, m, m and N m."""
 
 
 class Insertion(GoalRule):
@@ -97,8 +99,10 @@ class Insert(Task):
     Observation, along the world's axes: tip_from_hole (3, m, from the middle of the mouth of the hole as it is known),
     peg_turn (3, rad, the rotation vector to the nearest position that fits), tip_velocity (3, m/s),
     peg_angular_velocity (3, rad/s), near_errors (11, tanh of the errors at fine scales), peg_wrench (6, N and N m: the
-    wrist's), overloaded (1, whether a force was too large). For critics alone: hole_error (3, m and rad: what is not
-    known), peg_forces (2, N: largest on the peg and on the arm).
+    wrist's), overloaded (1, whether a force was too large); where the hole is not known exactly also touch (4, tanh of
+    the force on the tip from below, of the place of its middle from the tip along x and y, and of the torque about the
+    vertical, at fine scales). For critics alone: hole_error (3, m and rad: what is not known), peg_forces (2, N:
+    largest on the peg and on the arm).
     Action: the robot's, without the gripper: it stays closed around the peg.
     Goals: achieved, the tip from the hole as it is known (3, m), the peg's turn (3, rad) and whether a force was too
     large (1); desired, the bottom of the hole and no turn (6).
@@ -115,10 +119,12 @@ class Insert(Task):
         )
         play: float = Setting(0.0005, gt=0, le=0.01, description="width of the hole less that of the peg, m")
         chamfer: float = Setting(0.001, ge=0, le=0.005, description="height and width of the chamfer of the hole, m")
-        hole_error: float = Setting(
+        hole_error: Annotated[float, Drawn("m", 0.0, 0.005)] = Setting(
             0.0, ge=0, le=0.005, description="largest error along x and y of the hole as it is known, m"
         )
-        hole_turn_error: float = Setting(0.0, ge=0, le=0.1, description="largest error of its turn, rad")
+        hole_turn_error: Annotated[float, Drawn("rad", 0.0, 0.1)] = Setting(
+            0.0, ge=0, le=0.1, description="largest error of its turn, rad"
+        )
         peg_mass: Annotated[float, Drawn("kg", 0.02, 1.0)] = Setting(0.1, gt=0, le=1, description="of the peg, kg")
         friction: Annotated[float, Drawn("1", 0.0, 2.0)] = Setting(
             0.3, ge=0, le=2, description="lateral friction coefficient between peg and block"
@@ -163,6 +169,9 @@ class Insert(Task):
     def __init__(self, settings: Insert.Settings) -> None:
         super().__init__(settings)
         self.width = PEG_WIDTH[settings.shape]
+        self.blind = max(settings.hole_error, settings.hole_turn_error) > 0
+        if self.blind:
+            self.observation = type(self).observation + TOUCH
         play = max(settings.play, ALIKE)
         aside = SLACK + play + sqrt(2) * settings.hole_error
         turn = TURN_SLACK + play / DEPTH + 2 * play / self.width + settings.hole_turn_error
@@ -216,7 +225,8 @@ class Insert(Task):
         self._hold(_sum(hole, tip), turned, along, up, tilt)
         yaw = _yaw(self._upright)
         self.block.place((hole[0], hole[1], 0.0), _about_z(yaw + turn))
-        errors = generator.uniform(-1, 1, 3) * (settings.hole_error, settings.hole_error, settings.hole_turn_error)
+        known, turned = self.drawn.hole_error, self.drawn.hole_turn_error
+        errors = generator.uniform(-1, 1, 3) * (known, known, turned)
         self.hole_error: list[float] = errors.tolist()
         self.known: Vector = (hole[0] + errors[0], hole[1] + errors[1], TOP)
         self.known_yaw = yaw + turn + errors[2]
@@ -293,7 +303,15 @@ class Insert(Task):
         near += [tanh(error / TURN_SCALE) for error in values[3:6]]
         rotation, wrench = self._robot.tool.orientation, self._robot.wrench
         felt = [*rotated(rotation, wrench[:3]), *rotated(rotation, wrench[3:])]
-        return [*values, *near, *felt, float(self.overloaded)]
+        touch = zip(self.touch(), TOUCH_SCALES, strict=True) if self.blind else ()
+        return [*values, *near, *felt, float(self.overloaded), *(tanh(value / scale) for value, scale in touch)]
+
+    def touch(self) -> tuple[float, float, float, float]:
+        """What the wrist feels at the tip: force from below (N), its place (x and y in m), torque about z (N m)."""
+        tool, wrench = self._robot.tool, self._robot.wrench
+        force, arm = rotated(tool.orientation, wrench[:3]), _sum(self.tip, tool.position, sign=-1)
+        up, (x, y, z) = force[2], _sum(rotated(tool.orientation, wrench[3:]), _cross(arm, force), sign=-1)
+        return (up, -y / up, x / up, z) if up > 0 else (up, 0.0, 0.0, z)
 
     def observe_for_critics(self) -> list[float]:
         return [*self.hole_error, *self.forces]
@@ -319,50 +337,51 @@ CLEARANCE = 0.004
 """m of the tip above the mouth while it is not yet over it."""
 OVER, STRAIGHT = 0.0015, 0.02
 """m beside the axis of the hole as it is known, and rad of the peg's turn, within which the tip goes down."""
-SINKING, GENTLY, NEAR = 0.072, 0.02, 0.009
-"""m/s at which the set point goes down, the same near mouth and bottom, and what is near, in m: 5 kg that stop at
-2 cm/s are 24 N for 1/240 s."""
-PRESSING = 0.0125
-"""m of the set point below the tip at the most: 10 N for 800 N/m."""
-STUCK = 0.006
-"""m/s: a tip that sinks slower rests on something."""
-SPIRAL_TURN, SPIRAL_WIDTH = 8.0, 0.0015
-"""Speed of the spiral in rad/s, and distance in m between its turns."""
-WIDEST = 0.006
-"""Radius in m at which the spiral begins again. A spring of 800 N/m pulls the peg out of friction with 5 N there."""
+FAST, RATE, LEAD = 0.06, 2.0, 0.1
+"""Largest speed downwards in m/s, speed for each m that mouth or bottom is away, s by which a wrong speed counts."""
+PRESSING, STUCK = 0.003, 0.006
+"""m of the set point below a tip that rests on something, and m/s: a tip that sinks slower rests."""
+RIM = 0.0002
+"""m below the chamfer down to which the tip may still rest on it."""
+ASIDE, FURTHEST = 0.2, 0.003
+"""m of the set point aside for each m that the pressure lies to the other side, and the most of it."""
+TURNING, TURNING_INSIDE, MOST_TURN = 0.2, 0.05, 0.015
+"""rad of the set point for each N m about the vertical, the same in the hole, and the most of it."""
 
 
 class InsertExpert(Expert):
-    """Goes over the hole, straightens the peg, goes down, and searches in a spiral where it stands on the mouth."""
+    """Goes over the hole, straightens the peg, goes down, and from the mouth on gives way to what it feels.
+
+    A peg that rests on the rim is pressed from below on the side away from the hole, so it goes to the other. One that
+    rests on the chamfer is turned by it towards the position that fits. What it does depends on the current step alone.
+    """
 
     def __init__(self, robot: RobotView, task: Insert) -> None:
         self._robot, self._task = robot, task
-        self.reset()
-
-    def reset(self) -> None:
-        self._angle = 0.0
-        self._before, self._height = 1.0, 1.0
-        """Height of the tip a step before and of its set point, from the mouth of the hole in m."""
 
     def act(self) -> FloatArray:
         task, tool, period = self._task, self._robot.tool, self._robot.period
         x, y, z = task.tip_from_hole
-        turn = rotation_about(task.turn)
-        straight = hypot(*rotation_vector(turn)) < STRAIGHT
-        sinks, self._before = self._before - z, z
+        turn = task.turn
+        straight = hypot(*turn) < STRAIGHT
         if z > CLEARANCE / 2 and not (straight and hypot(x, y) < OVER):
-            self._height = max(z, CLEARANCE)
-            side = 0.0, 0.0
+            tip = _sum(task.known, (0.0, 0.0, max(z, CLEARANCE)))
         else:
-            sink = GENTLY if abs(self._height) < NEAR or self._height < NEAR - DEPTH else SINKING
-            self._height = max(self._height - sink * period, z - PRESSING, -DEPTH - PRESSING / 2)
-            if sinks < STUCK * period and -DEPTH / 2 < z < CLEARANCE / 2:
-                self._angle += SPIRAL_TURN * period
-            radius = SPIRAL_WIDTH * self._angle / (2 * pi) % WIDEST
-            side = radius * cos(self._angle), radius * sin(self._angle)
-        tip = _sum(task.known, (*side, self._height))
-        place = _sum(tip, rotated(turn, _sum(task.tip, tool.position, sign=-1)), sign=-1)
-        return self._robot.towards(place, 0.0, multiply(turn, tool.orientation))
+            side, sinks = (-x, -y), -task.tip_velocity[2]
+            wanted = min(FAST, RATE * (z if z > 0 else max(z + DEPTH, 0.0)))
+            ahead = max(wanted * period + LEAD * (wanted - sinks), 0.0)
+            if z < CLEARANCE / 2:
+                _, east, north, about = task.touch()
+                rim = z > -task.settings.chamfer - RIM
+                share = min(ASIDE, FURTHEST / max(hypot(east, north), 1e-9)) if rim else 0.0
+                side = -share * east, -share * north
+                turned = (TURNING if rim else TURNING_INSIDE) * about
+                turn = turn[0], turn[1], min(max(turned, -MOST_TURN), MOST_TURN)
+                ahead = PRESSING if sinks < STUCK else ahead
+            tip = _sum(task.tip, (*side, max(-ahead, -DEPTH - PRESSING - z)))
+        rotation = rotation_about(turn)
+        place = _sum(tip, rotated(rotation, _sum(task.tip, tool.position, sign=-1)), sign=-1)
+        return self._robot.towards(place, 0.0, multiply(rotation, tool.orientation))
 
 
 def block(settings: Insert.Settings) -> list[Shape]:

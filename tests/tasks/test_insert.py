@@ -77,6 +77,16 @@ def test_every_arm_inserts_the_connector_which_it_holds_by_its_sides(tmp_path):
         environment.close()
 
 
+def test_every_arm_feels_its_way_into_a_tight_hole_that_it_does_not_know_exactly():
+    how = {"play": 0.0002, "hole_error": 0.002, "hole_turn_error": 0.035}
+    slow = {"tool_step": 0.005, "turn_step": 0.03}
+    for robot in ROBOTS:
+        environment = made("insert", robot, environment={"substeps": 20}, arm=slow, **how)
+        assert environment.signature.observation.names[-1] == "touch"
+        assert all(expert_episode(environment, seed)[-1].success for seed in range(3))
+        environment.close()
+
+
 def test_policies_see_the_hole_as_it_is_known_and_critics_may_see_the_error():
     how = {"hole_error": 0.002, "hole_turn_error": 0.03}
     blind, seen = made("insert", **how), made("insert", environment={"critic_observes": ["hole_error"]}, **how)
