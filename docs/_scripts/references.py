@@ -55,7 +55,6 @@ THROWN_BEFORE = (
     "randomization.robot.gripper_delay=null",
     "randomization.task.end_at_release=1",
     "agent.learning_rate_updates=71000",
-    "agent.action_penalty=0",
     "training.steps=300000",
 )
 """The same for throws whose gripper had no delay."""
