@@ -249,7 +249,7 @@ def test_a_pruned_trials_runs_are_stopped_and_say_why(grid):
     for run in runs:
         if run.state().state == "stopped":  # the other may have been at its end already
             assert run.events()[-1]["reason"] == "pruned"
-            assert 0.3 * 400 <= run.state().steps < 400
+            assert 0.3 * 400 <= run.state().steps <= 400  # all of them if it was stopped in its last test
 
 
 def test_a_trials_value_is_the_mean_over_its_seeds(grid):
