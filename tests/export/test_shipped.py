@@ -30,7 +30,7 @@ REFERENCES = runpy.run_path(str(Path(__file__).parents[2] / "docs" / "_scripts" 
 
 
 def test_a_policy_ships_for_every_pair_of_robot_and_task() -> None:
-    pairs = product(("panda", "ur5", "iiwa"), ("reach", "push", "pick", "throw"))
+    pairs = product(("panda", "ur5", "iiwa"), ("reach", "push", "pick", "throw", "insert"))
     assert {f"{robot}_{task}" for robot, task in pairs} == set(shipped_names())
 
 
