@@ -58,6 +58,8 @@ THROWN_BEFORE = (
     "training.steps=300000",
 )
 """The same for throws whose gripper had no delay."""
+THROWN_FREELY = ("task.failure_cost=0", "agent.imitation=5")
+"""The same for throws before an arm that hits something cost more than a miss."""
 PUSHED_BEFORE = ("agent.learning_rate_updates=35000", "training.steps=200000")
 """The same for pushes before MuJoCo taught them in fewer steps."""
 ROBOTS = ("panda", "ur5", "iiwa")
@@ -111,6 +113,8 @@ def as_before(resolved: dict[str, Any]) -> tuple[str, ...]:
         found += ["task.force_penalty=null", "buffer.hindsight.next_share=0"]
     if task.get("name") == "throw" and "gripper_delay" not in resolved["robot"]:
         found += THROWN_BEFORE
+    if task.get("name") == "throw" and "failure_cost" not in task:
+        found += THROWN_FREELY
     return tuple(found)
 
 

@@ -35,14 +35,15 @@ class Landing(GoalRule):
     the target in m.
 
     Sparse reward: 1 for a success, else 0; a cost per step would make dropping the object at once profitable. Dense
-    reward: 1 - tanh(2 d) for landing after a release, d in m from the target; else 0.
+    reward: 1 - tanh(2 d) for landing after a release, d in m from the target; else 0. A failure whatever the target
+    costs `failure_cost`: beside a miss, which is worth 0 too, nothing else would tell a policy to keep off the floor.
     """
 
-    reward_range = (0.0, 1.0)
-
-    def __init__(self, threshold: float, *, dense: bool) -> None:
+    def __init__(self, threshold: float, *, dense: bool, failure_cost: float) -> None:
         self.threshold = threshold
         self.dense = dense
+        self.failure_cost = failure_cost
+        self.reward_range = (-failure_cost, 1.0)
 
     def distance(self, achieved: Array, desired: Array) -> FloatArray:
         difference = achieved[..., :2] - desired
@@ -51,10 +52,9 @@ class Landing(GoalRule):
         return landed
 
     def reward(self, achieved: Array, desired: Array) -> FloatArray:
-        if self.dense:
-            reward: FloatArray = (1 - np.tanh(2 * self.distance(achieved, desired))).astype(np.float32)
-            return reward
-        return self.success(achieved, desired).astype(np.float32)
+        near = 1 - np.tanh(2 * self.distance(achieved, desired)) if self.dense else self.success(achieved, desired)
+        reward: FloatArray = (near - self.failure_cost * (achieved[..., 2] < -0.5)).astype(np.float32)
+        return reward
 
     def success(self, achieved: Array, desired: Array) -> BoolArray:
         near: BoolArray = self.distance(achieved, desired) < self.threshold
@@ -79,7 +79,8 @@ class Throw(CubeTask):
     Goals: achieved, the cube's position on the floor (2, m), after the landing that of its first contact, and a status
     (0 in hand or air, 1 landed after a release, -1 on the floor without one, or the arm touched something else, or its
     protective stop acted); desired, the target (2, m).
-    Reward: at landing; sparse 1 within the threshold, else 0; dense in [0, 1], see `Landing`.
+    Reward: at landing; sparse 1 within the threshold, else 0; dense in [0, 1]; `failure_cost` is taken off where the
+    status is -1, see `Landing`.
     What counts as success: the cube's first contact with the floor after its release lies within `threshold` of the
     target. Flying over the target or carrying the cube there does not count. Until then the arm touches neither the
     floor nor itself, and its protective stop does not act.
@@ -96,6 +97,9 @@ class Throw(CubeTask):
 
     class Settings(CubeSettings):
         reward: Literal["sparse", "dense"] = Setting("sparse", description="at landing: 1 or 0, or by the distance")
+        failure_cost: float = Setting(
+            0.0, ge=0, le=1, description="of a cube put down, and of an arm that touches something or stops"
+        )
         threshold: float = Setting(0.1, gt=0, le=0.5, description="distance at which the target is hit, m")
         share: float = Setting(
             0.9, gt=0, le=1, description="how far targets lie from the nearest one towards the furthest throw"
@@ -120,7 +124,9 @@ class Throw(CubeTask):
 
     def __init__(self, settings: Throw.Settings) -> None:
         super().__init__(settings)
-        self.goal_rule = Landing(settings.threshold, dense=settings.reward == "dense")
+        self.goal_rule = Landing(
+            settings.threshold, dense=settings.reward == "dense", failure_cost=settings.failure_cost
+        )
         self._gravity = GRAVITY
 
     def fit(self, robot: RobotView) -> None:
