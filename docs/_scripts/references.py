@@ -62,6 +62,8 @@ THROWN_FREELY = ("task.failure_cost=0", "agent.imitation=5")
 """The same for throws before an arm that hits something cost more than a miss."""
 PUSHED_BEFORE = ("agent.learning_rate_updates=35000", "training.steps=200000")
 """The same for pushes before MuJoCo taught them in fewer steps."""
+PICKED_BEFORE = ("agent.learning_rate_updates=28000", "training.steps=160000")
+"""The same for picks from nothing, twice as long."""
 ROBOTS = ("panda", "ur5", "iiwa")
 TARGETS = {
     "reach": (0.99, 15),
@@ -111,6 +113,8 @@ def as_before(resolved: dict[str, Any]) -> tuple[str, ...]:
         found += PUSHED_BEFORE
     if task.get("name") == "pick_place" and "force_penalty" not in task:
         found += ["task.force_penalty=null", "buffer.hindsight.next_share=0"]
+        if resolved["agent"].get("learning_rate_updates") == 28000:
+            found += PICKED_BEFORE
     if task.get("name") == "throw" and "gripper_delay" not in resolved["robot"]:
         found += THROWN_BEFORE
     if task.get("name") == "throw" and "failure_cost" not in task:

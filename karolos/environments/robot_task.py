@@ -230,7 +230,8 @@ class RobotTask(Environment):
         rule, achieved, goal = self.task.goal_rule, self.task.achieved(), self.task.goal
         terminated = self._terminates and bool(rule.terminated(achieved, goal))
         stopped = self.robot.stopped
-        truncated = (stopped or self._steps >= self.signature.max_steps) and not terminated
+        over = stopped or self._steps >= self.signature.max_steps or self.task.over()
+        truncated = over and not terminated
         reward, success = float(rule.reward(achieved, goal)), bool(rule.success(achieved, goal)) and not stopped
         if not success:
             self._reached = None

@@ -29,6 +29,8 @@ ROOM_AHEAD = 0.05
 """m before the end of the workspace where the arm lets the puck go at the latest."""
 USABLE_SPEED = 0.8
 """Share of the tool's largest speed that every arm has everywhere in its workspace, to either side, too."""
+BEYOND = 0.08
+"""m outside the workspace from which on no gripper touches the puck."""
 BEHIND = pi / 4
 """Largest angle in rad between straight behind the puck and a start near it."""
 LOST_PUCK = 1000.0
@@ -108,6 +110,9 @@ class Slide(CubeTask):
         )
         sector: float = Setting(15.0, gt=0, le=60, description="of targets, to either side of straight ahead, degrees")
         start_near: Probability = start("the gripper behind the puck")
+        end_out_of_reach: Probability = Setting(
+            0.0, description="probability that an episode ends where no gripper reaches the puck any more"
+        )
         max_steps: int = Setting(200, ge=1, le=100_000, description="control steps per episode")
 
     settings: Settings
@@ -190,10 +195,15 @@ class Slide(CubeTask):
         self.goal = np.array([base + far * way for base, way in zip(self.axis, turned, strict=True)], np.float32)
         self._marker.place((*self.goal.tolist(), 0.0))
         self.lies = True
+        self._ends = generator.uniform() < self.drawn.end_out_of_reach
 
     def read(self) -> None:
         super().read()
         self.lies = self.let_go()
+
+    def over(self) -> bool:
+        x, y, z = self.cube.position
+        return self._ends and not self._robot.workspace.contains((x, y, max(z, self._robot.workspace.low[2])), BEYOND)
 
     def rest(self, position: list[float] | Vector, velocity: list[float] | Vector) -> tuple[float, float]:
         """Where a puck that is left alone comes to rest, in m. Coordinates end at `sight`."""

@@ -124,6 +124,10 @@ class Task(ABC):
         """Whether the physics diverged, e.g. an object is far away: the episode is truncated."""
         return False
 
+    def over(self) -> bool:
+        """Whether the arm can change nothing any more: the episode is truncated. For training; tests show what follows."""
+        return False
+
     @property
     def parameters(self) -> Mapping[str, RandomizedParameter]:
         """What domain randomization may change, by name: the world, and settings that are marked with `Drawn`."""
