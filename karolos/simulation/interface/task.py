@@ -125,7 +125,7 @@ class Task(ABC):
         return False
 
     def over(self) -> bool:
-        """Whether the arm can change nothing any more: the episode is truncated. For training; tests show what follows."""
+        """Whether the arm can change nothing any more: the episode is truncated. Training alone asks for it."""
         return False
 
     @property
