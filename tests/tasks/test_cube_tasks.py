@@ -155,6 +155,17 @@ def test_a_puck_comes_to_rest_where_it_is_computed_to_and_counts_only_then(engin
     environment.close()
 
 
+def test_an_episode_that_ends_out_of_reach_is_truncated_with_the_puck_on_its_way() -> None:
+    environment = made("slide", end_out_of_reach=1.0, max_steps=240)
+    steps = expert_episode(environment, 1)
+    assert steps[-1].truncated
+    assert not steps[-1].success
+    assert steps[-1].reward == 0
+    assert not environment.task.lies
+    assert not environment.robot.workspace.contains(environment.task.cube.position)
+    environment.close()
+
+
 def test_a_cube_wider_than_the_gripper_is_refused():
     with pytest.raises(KarolosError, match="does not go into the gripper"):
         made("pick_place", object_size=0.15)
