@@ -41,13 +41,18 @@ class Rest(PointGoal):
     """Success where the puck lies at rest, untouched, under `threshold` m from the target.
 
     `achieved` (..., 3): where the puck comes to rest if nothing touches it any more (2, m), and 1 if it lies there.
-    `desired` (..., 2): the target in m. Sparse reward: 0 as soon as it comes to rest near the target if it is left
-    alone, else -1; dense: minus the distance. A reward for lying there would come long after the last touch.
+    `desired` (..., 2): the target in m. Sparse reward: 0 as soon as it comes to rest within `reward_share` of the
+    threshold if it is left alone, else -1; dense: minus the distance. A reward for lying there would come long after
+    the last touch, and one up to the threshold teaches to stop at the edge of what counts.
     """
+
+    def __init__(self, threshold: float, *, dense: bool, span: float, reward_share: float) -> None:
+        super().__init__(threshold, dense=dense, span=span)
+        self._near = reward_share * threshold
 
     def reward(self, achieved: Array, desired: Array) -> FloatArray:
         metres = self.distance(achieved, desired)
-        return -metres if self.dense else -np.asarray(metres >= self.threshold, np.float32)
+        return -metres if self.dense else -np.asarray(metres >= self._near, np.float32)
 
     def success(self, achieved: Array, desired: Array) -> BoolArray:
         there: BoolArray = (achieved[..., 2] > 0) & (self.distance(achieved, desired) < self.threshold)
@@ -88,9 +93,10 @@ class Slide(CubeTask):
     Action: the robot's, without the gripper.
     Goals: achieved, where the puck comes to rest if nothing touches it any more (2, m), and whether it lies there (1);
     desired, the target (2, m).
-    Reward: sparse -1, and 0 while the place of rest is within the threshold; dense minus its distance; see `Rest`.
+    Reward: sparse -1, and 0 while the place of rest is well within the threshold; dense minus its distance; see `Rest`.
     What counts as success: the puck lies at rest within `threshold` of the target.
-    Termination: never; the episode is truncated after `max_steps`.
+    Termination: never; the episode is truncated after `max_steps`. With probability `end_out_of_reach` already when the
+    puck has left the workspace; as a parameter of domain randomization in training alone.
 
     The furthest slide follows from the speed of the tool and the friction, which is the product of the floor's and the
     puck's.
@@ -105,6 +111,9 @@ class Slide(CubeTask):
             "sparse", description="-1 until it slides there, or minus the distance"
         )
         threshold: float = Setting(0.05, gt=0, le=0.5, description="distance at which the target is hit, m")
+        reward_share: float = Setting(
+            1.0, gt=0, le=1, description="share of the threshold within which the sparse reward counts"
+        )
         share: float = Setting(
             0.5, gt=0, le=1, description="how far targets lie from the nearest one towards the furthest slide"
         )
@@ -162,7 +171,8 @@ class Slide(CubeTask):
         self.sight = 1.5 * self.furthest
         """Largest coordinate in m that is observed. Networks scale what they see by its spread; a puck slides 20 m."""
         span = 3 * self.sight
-        self.goal_rule = Rest(settings.threshold, dense=settings.reward == "dense", span=span)
+        dense = settings.reward == "dense"
+        self.goal_rule = Rest(settings.threshold, dense=dense, span=span, reward_share=settings.reward_share)
 
     @property
     def deceleration(self) -> float:
