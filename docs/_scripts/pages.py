@@ -38,7 +38,13 @@ from karolos.specification.problems import models_in
 from karolos.store import tables
 
 ROOT = Path(__file__).parents[2]
-TASKS = {"reach": ("reach",), "push": ("push",), "pick_place": ("pick", "pick_demos"), "throw": ("throw",)}
+TASKS = {
+    "reach": ("reach",),
+    "push": ("push",),
+    "pick_place": ("pick", "pick_demos"),
+    "throw": ("throw",),
+    "insert": ("insert",),
+}
 """Task -> its specs, without the robot."""
 COPIED = {"ARCHITECTURE.md": "architecture.md", "CONTRIBUTING.md": "contributing.md", "CHANGELOG.md": "changelog.md"}
 KIND_TEXTS = {

@@ -21,7 +21,7 @@ def test_success_in_a_page_is_that_of_the_final_episodes_of_its_runs(
     monkeypatch.syspath_prepend(SCRIPTS)
     pages = runpy.run_path(str(SCRIPTS / "pages.py"))
     written = pages["gallery"](tmp_path)
-    assert len(written) == 13, "an overview and twelve pairs"
+    assert len(written) == 1 + 3 * len(pages["TASKS"]), "an overview, and a page per task and robot"
     ends: dict[str, list[float]] = {}
     for run in paths(sys.modules["references"].REFERENCE):
         if not (run / "final.jsonl").exists():  # a variant that trains less, which is on no page
