@@ -7,6 +7,7 @@ import pytest
 from support.rig import ENGINES, ROBOTS, expert_episode, made, values
 
 from karolos.errors import KarolosError
+from karolos.tasks.slide import Rest
 
 CUBE_TASKS = ["pick_place", "push"]
 
@@ -153,6 +154,14 @@ def test_a_puck_comes_to_rest_where_it_is_computed_to_and_counts_only_then(engin
     assert np.hypot(*place[:2]) > environment.robot.workspace.high[0]
     assert environment.task.nearest - 0.05 == pytest.approx(made("throw").task.planner.reach, abs=5e-3)
     environment.close()
+
+
+def test_a_slide_may_succeed_where_it_is_not_rewarded() -> None:
+    rule = Rest(0.05, dense=False, span=1.0, reward_share=0.7)
+    achieved = np.array([[0.03, 0, 1], [0.04, 0, 1], [0.06, 0, 1], [0.03, 0, 0]], np.float32)
+    target = np.zeros((4, 2), np.float32)
+    assert rule.reward(achieved, target).tolist() == [0, -1, -1, 0]
+    assert rule.success(achieved, target).tolist() == [True, True, False, False]
 
 
 def test_an_episode_that_ends_out_of_reach_is_truncated_with_the_puck_on_its_way() -> None:
