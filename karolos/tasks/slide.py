@@ -93,7 +93,8 @@ class Slide(CubeTask):
     Action: the robot's, without the gripper.
     Goals: achieved, where the puck comes to rest if nothing touches it any more (2, m), and whether it lies there (1);
     desired, the target (2, m).
-    Reward: sparse -1, and 0 while the place of rest is well within the threshold; dense minus its distance; see `Rest`.
+    Reward: sparse -1, and 0 while the place of rest is within `reward_share` of the threshold; dense minus its
+    distance; see `Rest`.
     What counts as success: the puck lies at rest within `threshold` of the target.
     Termination: never; the episode is truncated after `max_steps`. With probability `end_out_of_reach` already when the
     puck has left the workspace; as a parameter of domain randomization in training alone.

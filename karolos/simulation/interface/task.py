@@ -125,7 +125,7 @@ class Task(ABC):
         return False
 
     def over(self) -> bool:
-        """Whether the arm can change nothing any more: the episode is truncated. Training alone asks for it."""
+        """Whether the arm can change nothing any more: the episode is truncated. In training alone; tests play on."""
         return False
 
     @property
