@@ -113,6 +113,7 @@ def as_before(resolved: dict[str, Any]) -> tuple[str, ...]:
         found += PUSHED_BEFORE
     if task.get("name") == "pick_place" and "force_penalty" not in task:
         found += ["task.force_penalty=null", "buffer.hindsight.next_share=0"]
+        found += [f"agent.random_actions={resolved['agent']['random_actions']}"]
         if resolved["agent"].get("learning_rate_updates") == 28000:
             found += PICKED_BEFORE
     if task.get("name") == "throw" and "gripper_delay" not in resolved["robot"]:
