@@ -73,7 +73,7 @@ def commands() -> list[str]:
 
 
 def table(found: Mapping[str, Contender]) -> str:
-    """The trials in Markdown: success in the test at STEPS, and how likely one is better than a run of the shipped spec."""
+    """The trials in Markdown: success in the test at STEPS, and how likely one is better than the shipped spec."""
     columns = ["changed", *(f"`{task}`" for task in STEPS)]
     rows = [["steps", *(count(steps) for steps in STEPS.values())], ["nothing"]]
     for task, steps in STEPS.items():
