@@ -126,12 +126,14 @@ def write_gif(
 ) -> None:
     """Write pictures (height, width, 3), each shown for some milliseconds, in the same colours.
 
-    Each shade counts once for the choice of the colours, so that small objects keep theirs.
+    Each shade counts once for the choice of the colours, so that small objects keep theirs. Those of the frame are kept.
     """
-    from PIL import Image  # noqa: PLC0415
+    from PIL import Image, ImageColor  # noqa: PLC0415
 
     shades = np.unique(np.concatenate([one.reshape(-1, 3) >> 2 for one in pictures[::8]]), axis=0) << 2
-    palette = Image.fromarray(shades[None].astype(np.uint8)).quantize(colours)
+    kept = [ImageColor.getrgb(one) for one in (SUCCESS, FAILURE)]
+    palette = Image.fromarray(shades[None].astype(np.uint8)).quantize(colours - len(kept))
+    palette.putpalette([*(palette.getpalette() or ()), *(value for colour in kept for value in colour)])
     first, *others = (Image.fromarray(one).quantize(palette=palette, dither=Image.Dither.NONE) for one in pictures)
     options: dict[str, Any] = {"duration": round(milliseconds), "loop": 0, "comment": comment}
     first.save(target, "GIF", save_all=True, append_images=others, **options)
