@@ -126,7 +126,7 @@ def write_gif(
 ) -> None:
     """Write pictures (height, width, 3), each shown for some milliseconds, in the same colours.
 
-    Each shade counts once for the choice of the colours, so that small objects keep theirs. Those of the frame are kept.
+    Each shade counts once for the choice of the colours, so that small objects keep theirs. Those of frames stay.
     """
     from PIL import Image, ImageColor  # noqa: PLC0415
 
