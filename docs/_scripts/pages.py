@@ -44,6 +44,9 @@ TASKS = {
     "pick_place": ("pick", "pick_demos"),
     "throw": ("throw",),
     "insert": ("insert",),
+    "stack": ("stack_demos",),
+    "slide": ("slide_demos",),
+    "open": ("open",),
 }
 """Task -> its specs, without the robot."""
 COPIED = {"ARCHITECTURE.md": "architecture.md", "CONTRIBUTING.md": "contributing.md", "CHANGELOG.md": "changelog.md"}
