@@ -55,7 +55,8 @@ class Places(PointGoal):
     """Several positions at once, and whether they are left alone, such as the places of things on one another.
 
     `achieved` and `desired` (..., 3 n + 1): n positions in m, and 1 if all things are let go and at rest, else 0. With
-    0 in `desired` it does not matter. Sparse reward. The distance is that of the furthest.
+    0 in `desired` it does not matter. Sparse reward: minus the share of things that are not in their place, the last
+    of which also counts as long as they are not left alone. The distance is that of the furthest.
     """
 
     def __init__(self, threshold: float) -> None:
@@ -65,10 +66,20 @@ class Places(PointGoal):
         left: BoolArray = achieved[..., -1] >= desired[..., -1]
         return left & (self.distance(achieved, desired) < self.threshold)
 
+    def reward(self, achieved: Array, desired: Array) -> FloatArray:
+        near = self._distances(achieved, desired) < self.threshold
+        number, left = near.shape[-1], achieved[..., -1] >= desired[..., -1]
+        placed = np.minimum(near.sum(-1), np.where(left, number, number - 1))
+        return np.asarray(placed / number - 1, np.float32)
+
     def distance(self, achieved: Array, desired: Array) -> FloatArray:
+        metres: FloatArray = self._distances(achieved, desired).max(-1)
+        return metres
+
+    def _distances(self, achieved: Array, desired: Array) -> FloatArray:
         off = (achieved - desired)[..., :-1]
         off = off.reshape(*off.shape[:-1], -1, 3)
-        metres: FloatArray = np.sqrt(np.vecdot(off, off).max(-1), dtype=np.float32)
+        metres: FloatArray = np.sqrt(np.vecdot(off, off), dtype=np.float32)
         return metres
 
 

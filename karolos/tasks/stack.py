@@ -44,7 +44,8 @@ class Stack(CarryTask):
     Action: the robot's, with the gripper.
     Goals: achieved, cube_2_from_cube_1 (3, m), with `height: 3` also cube_3_from_cube_2, and whether the robot touches
     no cube and all are at rest (1); desired, an edge above one another and 1.
-    Reward: sparse -1 until the cubes are stacked, then 0; less where a force exceeds that of `force_penalty`.
+    Reward: sparse -1 until the cubes are stacked, then 0; of three -.5 from when two are; less where a force exceeds
+    that of `force_penalty`.
     What counts as success: each cube within `threshold` of its place on the one below, all let go and at rest. A cube
     that lies beside the other or is held on it does not count.
     Termination: never; the episode is truncated after `max_steps`.

@@ -9,7 +9,7 @@ from hypothesis.extra.numpy import arrays
 from karolos.core import Array
 from karolos.errors import RunError
 from karolos.simulation.interface import Box
-from karolos.tasks.point_goal import PointGoal, sample_position
+from karolos.tasks.point_goal import Places, PointGoal, sample_position
 
 points = arrays(np.float32, (5, 3), elements=st.floats(-2, 2, width=32))
 SPARSE = PointGoal(0.05, dense=False, span=10.0)
@@ -53,3 +53,14 @@ def test_no_place_is_a_named_error_after_bounded_attempts() -> None:
     generator = np.random.Generator(np.random.PCG64(0))
     with pytest.raises(RunError, match="no place for the cube"):
         sample_position(generator, Box((0, 0, 0), (1, 1, 1)), "the cube", lambda point: False)
+
+
+def test_each_thing_in_its_place_counts_and_the_last_when_all_are_left_alone() -> None:
+    rule, goal = Places(0.015), np.array((0, 0, 0.04, 0, 0, 0.04, 1), np.float32)
+    placed, off = (0, 0, 0.04), (0.1, 0, -0.04)
+    achieved = np.array([(*off, *off, 1), (*placed, *off, 0), (*placed, *placed, 0), (*placed, *placed, 1)], np.float32)
+    assert rule.reward(achieved, goal).tolist() == [-1, -0.5, -0.5, 0]
+    assert rule.success(achieved, goal).tolist() == [False, False, False, True]
+    one = np.array([(*off, 1), (*placed, 0), (*placed, 1)], np.float32)
+    assert rule.reward(one, goal[3:]).tolist() == [-1, -1, 0]
+    assert rule.reward(one, np.array((*placed, 0), np.float32)).tolist() == [-1, 0, 0]
