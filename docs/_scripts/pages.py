@@ -46,6 +46,7 @@ TASKS = {
     "insert": ("insert",),
     "stack": ("stack_demos",),
     "slide": ("slide_demos",),
+    "reorient": ("reorient_demos",),
     "open": ("open",),
 }
 """Task -> its specs, without the robot."""

@@ -242,7 +242,8 @@ def decode_test(test: bytes | Mapping[str, Any]) -> TestResult | None:
 class FinalTest:
     """The final test of a run, episode by episode: `last` and `best` on episodes that nothing was chosen on.
 
-    In final.jsonl, one line describes the test, and one line per policy is in the format of tests.jsonl.
+    In final.jsonl, one line describes the test, and one line per policy is in the format of tests.jsonl: one in all if
+    `last` is the best.
     """
 
     seed: int
@@ -266,13 +267,17 @@ class _Head(TypedDict):
 def encode_final(final: FinalTest) -> list[dict[str, Any]]:
     """A final test as JSON objects."""
     head = {"seed": final.seed, "last": final.last_sha256, "best": final.best_sha256}
-    return [head, *(encode_test(result) for result in (final.last, final.best) if result is not None)]
+    others = () if final.best is None or final.best_sha256 == final.last_sha256 else (final.best,)
+    return [head, *(encode_test(result) for result in (final.last, *others))]
 
 
 def decode_final(text: bytes) -> FinalTest | None:
     """The final test in the lines of a file; None if they are damaged."""
     first, *lines = text.splitlines()
     head, tests = from_json(_Head, first), [test for line in lines if (test := decode_test(line)) is not None]
-    if head is None or not text.endswith(b"\n") or not len(lines) == len(tests) == (1 if head["best"] is None else 2):
+    if head is None or not text.endswith(b"\n") or len(lines) != len(tests):
         return None
-    return FinalTest(head["seed"], tests[0], None if head["best"] is None else tests[1], head["last"], head["best"])
+    most = 1 if head["best"] is None else 2  # runs of 0.1 have two lines also where `last` is the best
+    if not (1 if head["best"] == head["last"] else most) <= len(tests) <= most:
+        return None
+    return FinalTest(head["seed"], tests[0], None if head["best"] is None else tests[-1], head["last"], head["best"])

@@ -30,7 +30,8 @@ REFERENCES = runpy.run_path(str(Path(__file__).parents[2] / "docs" / "_scripts" 
 
 
 def test_a_policy_ships_for_every_pair_of_robot_and_task() -> None:
-    pairs = product(("panda", "ur5", "iiwa"), ("reach", "push", "pick", "throw", "insert"))
+    learned = ("reach", "push", "pick", "throw", "insert", "stack_demos", "slide_demos", "reorient_demos", "open")
+    pairs = product(("panda", "ur5", "iiwa"), learned)
     assert {f"{robot}_{task}" for robot, task in pairs} == set(shipped_names())
 
 

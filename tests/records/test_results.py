@@ -12,7 +12,15 @@ from hypothesis import strategies as st
 from support.run_samples import result
 
 from karolos.records.decode import from_json
-from karolos.records.results import TestCounts, TestResult, decode_test, encode_test
+from karolos.records.results import (
+    FinalTest,
+    TestCounts,
+    TestResult,
+    decode_final,
+    decode_test,
+    encode_final,
+    encode_test,
+)
 
 results = st.integers(1, 9).flatmap(
     lambda n: st.builds(
@@ -92,3 +100,15 @@ def test_line_that_holds_no_whole_test_is_none(change: dict[str, Any]) -> None:
     row = encode_test(result(10, 1, episodes=2))
     assert decode_test(row) == result(10, 1, episodes=2)
     assert decode_test(row | change) is None
+
+
+@pytest.mark.parametrize(("best", "lines"), [("a", 2), ("b", 3), (None, 2)])
+def test_a_final_test_is_written_once_where_the_last_policy_is_the_best(best: str | None, lines: int) -> None:
+    played = TestResult(steps=10, seconds=1.0, any=(True,), end=(True,), reset=(False,), returns=(0.0,), lengths=(3,))
+    final = FinalTest(7, played, None if best is None else played, "a", best)
+    rows = [json.dumps(row) for row in encode_final(final)]
+    assert len(rows) == lines
+    written = "".join(f"{row}\n" for row in rows)
+    assert decode_final(written.encode()) == final
+    older = written + f"{rows[1]}\n"  # of 0.1: one more where the best is the last, damaged elsewhere
+    assert decode_final(older.encode()) == (final if best == "a" else None)
