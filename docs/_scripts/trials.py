@@ -1,4 +1,4 @@
-"""Trials of single settings on each task: docs/settings.md shows which of them matter.
+"""Trials of single settings on each task, which tell which of them matter.
 
 python docs/_scripts/trials.py   print the commands of the trials that runs/reference does not hold
 """
@@ -6,12 +6,8 @@ python docs/_scripts/trials.py   print the commands of the trials that runs/refe
 from __future__ import annotations
 
 import shlex
-from collections.abc import Mapping
 from pathlib import Path
 
-from karolos.comparison import Contender, compare
-from karolos.report.comparison_tables import estimate
-from karolos.report.tables import count
 from karolos.specification import load_spec
 
 ROOT = Path(__file__).parents[2]
@@ -70,28 +66,6 @@ def commands() -> list[str]:
                     words += ["testing.final_episodes=0", f"seeds=[{seed}]"]
                     lines.append(f"karolos run {shlex.join(words)}")
     return lines
-
-
-def table(found: Mapping[str, Contender]) -> str:
-    """The trials in Markdown: success in the test at STEPS, and how likely one is better than the shipped spec."""
-    columns = ["changed", *(f"`{task}`" for task in STEPS)]
-    rows = [["steps", *(count(steps) for steps in STEPS.values())], ["nothing"]]
-    for task, steps in STEPS.items():
-        base = found.get(f"panda_{task}")
-        rows[1].append("-" if base is None else estimate(compare([base], at=steps).scores[0].end, 2))
-    for key, changes in TRIALS.items():
-        row = [f"`{' '.join(changes)}`"]
-        for task, steps in STEPS.items():
-            base, trial = found.get(f"panda_{task}"), found.get(f"panda_{task}_{key}")
-            if base is None or trial is None:
-                row.append("")
-                continue
-            score = compare([base, trial], at=steps).scores[1]
-            row.append(f"{estimate(score.end, 2)}, {estimate(score.improvement, 2)}")
-        if any(row[1:]):
-            rows.append(row)
-    lines = [columns, ["---"] * len(columns), *rows]
-    return "\n".join(f"| {' | '.join(line)} |" for line in lines)
 
 
 if __name__ == "__main__":
