@@ -87,7 +87,7 @@ class PickPlace(PointGoalTask, CarryTask):
 
     settings: Settings
     drawn: Settings
-    protective_stop = False  # reference runs were made without
+    protective_stop = False  # a policy that learns presses on cube and floor; `force_penalty` teaches it not to
     achieved_goal = Layout((Field("object_position", 3, "m"),))
 
     def __init__(self, settings: PickPlace.Settings) -> None:

@@ -46,7 +46,7 @@ class Push(PointGoalTask, CubeTask):
     settings: Settings
     drawn: Settings
     uses_gripper = False
-    protective_stop = False  # reference runs were made without
+    protective_stop = False  # a policy that learns presses on cube and floor
     achieved_goal = Layout((Field("object_position", 3, "m"),))
 
     def fit(self, robot: RobotView) -> None:

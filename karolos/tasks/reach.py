@@ -29,7 +29,7 @@ class Reach(PointGoalTask):
 
     Settings = PointGoalSettings
     uses_gripper = False
-    protective_stop = False  # reference runs were made without
+    protective_stop = False  # nothing stands in the way
     achieved_goal = Layout((Field("tool_position", 3, "m"),))
 
     def fit(self, robot: RobotView) -> None:
