@@ -263,7 +263,7 @@ def _transfer(path: Path) -> str:
     head += f"random actions and the expert: {levels}."
     engines = {engine_in(_variant(path, row["target"])) for row in rows}
     head += f" Engine: {engines.pop()}." if len(engines) == 1 else ""
-    return f"{head}\n\n{_markdown(columns, pairs)}"
+    return f"{head}\n\n{markdown(columns, pairs)}"
 
 
 def _estimate(row: dict[str, Any] | None) -> str:
@@ -301,12 +301,12 @@ def _overview(found: dict[str, Contender]) -> str:
     rows = [
         [f"`{task}`", *(_success(found.get(f"{robot}_{task}"), short=True) for robot in ROBOTS)] for task in TARGETS
     ]
-    return _markdown(["task", *ROBOTS], rows)
+    return markdown(["task", *ROBOTS], rows)
 
 
 def _results(found: dict[str, Contender], names: list[str]) -> str:
     columns = ["spec", "`end`, mean", "each seed", "best policy", "steps to .95", "time to .95", "in all", "targets"]
-    table = _markdown(columns, [_result(name, found[name]) for name in names if name in found])
+    table = markdown(columns, [_result(name, found[name]) for name in names if name in found])
     missing = ", ".join(f"`{name}`" for name in names if name not in found)
     return f"{table}\n\nWithout a reference run: {missing}." if missing else table
 
@@ -366,10 +366,10 @@ def _variants(found: dict[str, Contender], names: list[str]) -> str:
                 estimate(variant.improvement, 2),
             ]
         )
-    return _markdown(columns, rows) if rows else "None yet."
+    return markdown(columns, rows) if rows else "None yet."
 
 
-def _markdown(columns: list[str], rows: list[list[str]]) -> str:
+def markdown(columns: list[str], rows: list[list[str]]) -> str:
     lines = [columns, ["---"] * len(columns), *rows]
     return "\n".join(f"| {' | '.join(line)} |" for line in lines)
 
