@@ -18,7 +18,7 @@ from pathlib import Path
 from tempfile import TemporaryDirectory
 from typing import Any
 
-from karolos.comparison import Comparison, Contender, Estimate, compare, gather
+from karolos.comparison import Contender, Estimate, compare, gather
 from karolos.errors import KarolosError
 from karolos.export.export import export_policy
 from karolos.files import write_json
@@ -211,13 +211,10 @@ def tables() -> dict[str, str]:
     """The generated tables in Markdown, by the names of their markers."""
     found = contenders()
     pairs = [f"{robot}_{task}" for task, robot in product(TARGETS, ROBOTS)]
-    others = sorted(set(found) - set(pairs))
-    results = [*pairs, *(name for name in others if _is_shipped(name))]
-    variants = [name for name in others if not _is_shipped(name)]
+    results = [*pairs, *(name for name in sorted(set(found) - set(pairs)) if _is_shipped(name))]
     return {
         "pairs": _overview(found) + _engines(found, pairs),
         "reference runs": _results(found, results) + _engines(found, results),
-        "variants": _variants(found, variants) + _engines(found, variants),
         "transfers": "\n\n".join(_transfer(path) for path in sorted(TRANSFERS.glob("*"))) or "None yet.",
     }
 
@@ -341,32 +338,6 @@ def _success(one: Contender | None, *, short: bool = False) -> str:
         return "-"
     found = compare([one]).scores[0].end
     return f"{found.value:.3f} ({len(one.runs)})" if short else estimate(found)
-
-
-def _variants(found: dict[str, Contender], names: list[str]) -> str:
-    """Each variant beside the shipped spec: final tests, or of a variant with fewer steps tests at its last step."""
-    columns = ["variant", "of", "changed", "seeds", "at steps", "`end`, mean", "of the shipped spec", "better than it"]
-    rows = []
-    for name in names:
-        path, changed = command(RunFolder.open(found[name].runs[0].summary.folder))
-        base = Path(path).stem
-        if base not in found:
-            continue
-        both: Comparison = compare([found[base], found[name]], at=_steps(path, changed))
-        shipped, variant = both.scores
-        rows.append(
-            [
-                f"`{name}`",
-                f"`{base}`",
-                f"`{' '.join(word for word in changed if not word.startswith(SHORTER))}`",
-                str(len(found[name].runs)),
-                count(variant.steps),
-                estimate(variant.end),
-                estimate(shipped.end),
-                estimate(variant.improvement, 2),
-            ]
-        )
-    return markdown(columns, rows) if rows else "None yet."
 
 
 def markdown(columns: list[str], rows: list[list[str]]) -> str:
