@@ -36,7 +36,8 @@ def measure(*, task: Task = "stack", minutes: float = 10.0, episodes: int = 100,
     import_module("panda_gym")  # registers its environments
     engine = import_module("panda_gym.pybullet").PyBullet
     engine.create_box = _untextured(engine.create_box)
-    import_module("panda_gym.envs.tasks.flip").angle_distance = _angle_distance
+    flip: Any = import_module("panda_gym.envs.tasks.flip")
+    flip.angle_distance = _angle_distance
     contributed, wrappers = import_module("sb3_contrib"), import_module("sb3_contrib.common.wrappers")
     her = import_module("stable_baselines3").HerReplayBuffer
     environment = wrappers.TimeFeatureWrapper(gymnasium.make(f"Panda{task.title()}-v3"))
