@@ -11,6 +11,8 @@ from typing import Any, Literal
 import gymnasium
 import numpy as np
 
+from karolos.core import FloatArray
+
 from .side_by_side import Row, require
 
 SETTINGS = {"batch_size": 2048, "buffer_size": 1_000_000, "gamma": 0.95, "learning_rate": 1e-3, "tau": 0.05}
@@ -34,6 +36,8 @@ def measure(*, task: Task = "stack", minutes: float = 10.0, episodes: int = 100,
     import_module("panda_gym")  # registers its environments
     engine = import_module("panda_gym.pybullet").PyBullet
     engine.create_box = _untextured(engine.create_box)
+    flip: Any = import_module("panda_gym.envs.tasks.flip")
+    flip.angle_distance = _angle_distance
     contributed, wrappers = import_module("sb3_contrib"), import_module("sb3_contrib.common.wrappers")
     her = import_module("stable_baselines3").HerReplayBuffer
     environment = wrappers.TimeFeatureWrapper(gymnasium.make(f"Panda{task.title()}-v3"))
@@ -73,6 +77,11 @@ def _untextured(create_box: Callable[..., None]) -> Callable[..., None]:
         create_box(*arguments, **options)
 
     return create
+
+
+def _angle_distance(one: FloatArray, other: FloatArray) -> Any:
+    """That of panda-gym by row: on batches its own is that of all pairs of rows, which no relabelling can use."""
+    return 1 - np.sum(one * other, axis=-1) ** 2
 
 
 def _stacked(environment: Any, _: Mapping[str, Any]) -> bool:

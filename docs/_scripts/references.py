@@ -18,7 +18,7 @@ from pathlib import Path
 from tempfile import TemporaryDirectory
 from typing import Any
 
-from karolos.comparison import Comparison, Contender, Estimate, compare, gather
+from karolos.comparison import Contender, Estimate, compare, gather
 from karolos.errors import KarolosError
 from karolos.export.export import export_policy
 from karolos.files import write_json
@@ -211,13 +211,10 @@ def tables() -> dict[str, str]:
     """The generated tables in Markdown, by the names of their markers."""
     found = contenders()
     pairs = [f"{robot}_{task}" for task, robot in product(TARGETS, ROBOTS)]
-    others = sorted(set(found) - set(pairs))
-    results = [*pairs, *(name for name in others if _is_shipped(name))]
-    variants = [name for name in others if not _is_shipped(name)]
+    results = [*pairs, *(name for name in sorted(set(found) - set(pairs)) if _is_shipped(name))]
     return {
         "pairs": _overview(found) + _engines(found, pairs),
         "reference runs": _results(found, results) + _engines(found, results),
-        "variants": _variants(found, variants) + _engines(found, variants),
         "transfers": "\n\n".join(_transfer(path) for path in sorted(TRANSFERS.glob("*"))) or "None yet.",
     }
 
@@ -263,7 +260,7 @@ def _transfer(path: Path) -> str:
     head += f"random actions and the expert: {levels}."
     engines = {engine_in(_variant(path, row["target"])) for row in rows}
     head += f" Engine: {engines.pop()}." if len(engines) == 1 else ""
-    return f"{head}\n\n{_markdown(columns, pairs)}"
+    return f"{head}\n\n{markdown(columns, pairs)}"
 
 
 def _estimate(row: dict[str, Any] | None) -> str:
@@ -301,12 +298,12 @@ def _overview(found: dict[str, Contender]) -> str:
     rows = [
         [f"`{task}`", *(_success(found.get(f"{robot}_{task}"), short=True) for robot in ROBOTS)] for task in TARGETS
     ]
-    return _markdown(["task", *ROBOTS], rows)
+    return markdown(["task", *ROBOTS], rows)
 
 
 def _results(found: dict[str, Contender], names: list[str]) -> str:
     columns = ["spec", "`end`, mean", "each seed", "best policy", "steps to .95", "time to .95", "in all", "targets"]
-    table = _markdown(columns, [_result(name, found[name]) for name in names if name in found])
+    table = markdown(columns, [_result(name, found[name]) for name in names if name in found])
     missing = ", ".join(f"`{name}`" for name in names if name not in found)
     return f"{table}\n\nWithout a reference run: {missing}." if missing else table
 
@@ -343,33 +340,7 @@ def _success(one: Contender | None, *, short: bool = False) -> str:
     return f"{found.value:.3f} ({len(one.runs)})" if short else estimate(found)
 
 
-def _variants(found: dict[str, Contender], names: list[str]) -> str:
-    """Each variant beside the shipped spec: final tests, or of a variant with fewer steps tests at its last step."""
-    columns = ["variant", "of", "changed", "seeds", "at steps", "`end`, mean", "of the shipped spec", "better than it"]
-    rows = []
-    for name in names:
-        path, changed = command(RunFolder.open(found[name].runs[0].summary.folder))
-        base = Path(path).stem
-        if base not in found:
-            continue
-        both: Comparison = compare([found[base], found[name]], at=_steps(path, changed))
-        shipped, variant = both.scores
-        rows.append(
-            [
-                f"`{name}`",
-                f"`{base}`",
-                f"`{' '.join(word for word in changed if not word.startswith(SHORTER))}`",
-                str(len(found[name].runs)),
-                count(variant.steps),
-                estimate(variant.end),
-                estimate(shipped.end),
-                estimate(variant.improvement, 2),
-            ]
-        )
-    return _markdown(columns, rows) if rows else "None yet."
-
-
-def _markdown(columns: list[str], rows: list[list[str]]) -> str:
+def markdown(columns: list[str], rows: list[list[str]]) -> str:
     lines = [columns, ["---"] * len(columns), *rows]
     return "\n".join(f"| {' | '.join(line)} |" for line in lines)
 

@@ -1,14 +1,24 @@
 """Trials of single settings on each task, which tell which of them matter.
 
-python docs/_scripts/trials.py   print the commands of the trials that runs/reference does not hold
+python docs/_scripts/trials.py         print the commands of the trials that runs/reference does not hold
+python docs/_scripts/trials.py table   print what the trials that it holds say
 """
 
 from __future__ import annotations
 
+import runpy
 import shlex
+import sys
+from collections.abc import Mapping
 from pathlib import Path
+from statistics import fmean
 
+import numpy as np
+
+from karolos.comparison import ComparedRun, Contender
+from karolos.core.seeding import SeedTree
 from karolos.specification import load_spec
+from karolos.statistics.aggregates import LEVELS, RESAMPLES, improvement
 
 ROOT = Path(__file__).parents[2]
 SEEDS = (0, 1)
@@ -68,5 +78,50 @@ def commands() -> list[str]:
     return lines
 
 
+def area(run: ComparedRun, task: str) -> float:
+    """The mean success at the last step of the episode over the tests of a run until the trial's last step."""
+    tests = [test.success_end or 0.0 for test in run.tests if test.steps <= 1.1 * STEPS[task]]
+    return fmean(tests)
+
+
+def rows(found: Mapping[str, Contender]) -> list[list[str]]:
+    """A row per setting: what it changes, its areas less those of the shipped spec by task, and how often it is better.
+
+    The last cell is the probability that a run with the setting has a larger area than one of the shipped spec, the
+    mean over tasks, with its 95 % bootstrap interval stratified by task (Agarwal et al. 2021).
+    """
+    table = []
+    for key, changes in TRIALS.items():
+        pairs = {
+            task: tuple([area(run, task) for run in found[name].runs] for name in names)
+            for task in STEPS
+            if set(names := (f"panda_{task}_{key}", f"panda_{task}")) <= set(found)
+        }
+        if pairs:
+            cells = [f"{fmean(pairs[task][0]) - fmean(pairs[task][1]):+.2f}" if task in pairs else "" for task in STEPS]
+            table.append([f"`{' '.join(changes)}`", *cells, _better(list(pairs.values()), SeedTree(0).child(key))])
+    return table
+
+
+def _better(pairs: list[tuple[list[float], ...]], tree: SeedTree) -> str:
+    generator = tree.generator()
+
+    def drawn(values: list[float]) -> list[float]:
+        return generator.choice(values, len(values)).tolist()
+
+    found = fmean(improvement(one, other) for one, other in pairs)
+    again = [fmean(improvement(drawn(one), drawn(other)) for one, other in pairs) for _ in range(RESAMPLES)]
+    low, high = np.quantile(again, LEVELS)
+    return f"{found:.2f} [{low:.2f}, {high:.2f}]"
+
+
+def main() -> None:
+    if sys.argv[1:] != ["table"]:
+        print("\n".join(commands()))
+        return
+    references = runpy.run_path(str(Path(__file__).with_name("references.py")))
+    print(references["markdown"](["setting", *STEPS, "better than as it ships"], rows(references["contenders"]())))
+
+
 if __name__ == "__main__":
-    print("\n".join(commands()))
+    main()
