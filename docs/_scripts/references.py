@@ -36,7 +36,7 @@ REFERENCE = ROOT / "runs" / "reference"
 TRANSFERS = REFERENCE / "transfers"
 """A folder per matrix, called as its spec: rows.jsonl, which --json printed, and the resolved spec of each variant."""
 FILES = ("spec.yaml", "resolved.json", "run.json", "state.json", "tests.jsonl", "final.jsonl", "labels.json")
-"""What is kept of a run: no weights and no training episodes."""
+"""What is kept of a run: no weights, no training episodes, and of tests before the final one no measures."""
 SHARED = "shared-machine"
 """Tag of runs that shared their machine with other work: their times are upper limits."""
 SHORTER = ("training.steps=", "testing.final_episodes=")
@@ -161,8 +161,16 @@ def add(path: Path) -> Path:
     for name in FILES:
         if (path / name).exists():
             shutil.copy(path / name, target)
+    _leave_out_measures(target / "tests.jsonl")
     write_json(target / "run.json", {**about, "command": portable(about["command"])})
     return target
+
+
+def _leave_out_measures(tests: Path) -> None:
+    """They are most of the bytes of a record, and comparisons take those of the final test."""
+    rows = [json.loads(line) for line in tests.read_text(encoding="utf-8").splitlines()]
+    kept = [{key: value for key, value in row.items() if key != "measures"} for row in rows]
+    tests.write_text("".join(json.dumps(row, separators=(",", ":")) + "\n" for row in kept), encoding="utf-8")
 
 
 def ship(path: Path) -> Path:
