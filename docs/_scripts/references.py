@@ -9,6 +9,7 @@ python docs/_scripts/references.py check        exit 1 if tables, reference runs
 from __future__ import annotations
 
 import json
+import runpy
 import shutil
 import sys
 from collections.abc import Iterator
@@ -36,7 +37,7 @@ REFERENCE = ROOT / "runs" / "reference"
 TRANSFERS = REFERENCE / "transfers"
 """A folder per matrix, called as its spec: rows.jsonl, which --json printed, and the resolved spec of each variant."""
 FILES = ("spec.yaml", "resolved.json", "run.json", "state.json", "tests.jsonl", "final.jsonl", "labels.json")
-"""What is kept of a run: no weights, no training episodes, and of tests before the final one no measures."""
+"""What is kept of a run: no weights, no training episodes."""
 SHARED = "shared-machine"
 """Tag of runs that shared their machine with other work: their times are upper limits."""
 SHORTER = ("training.steps=", "testing.final_episodes=")
@@ -161,15 +162,17 @@ def add(path: Path) -> Path:
     for name in FILES:
         if (path / name).exists():
             shutil.copy(path / name, target)
-    _leave_out_measures(target / "tests.jsonl")
+    _leave_out(target / "tests.jsonl", "measures", "distances")
+    if (target / "final.jsonl").exists():
+        _leave_out(target / "final.jsonl", "distances")  # the measure final_distance has them, too
     write_json(target / "run.json", {**about, "command": portable(about["command"])})
     return target
 
 
-def _leave_out_measures(tests: Path) -> None:
-    """They are most of the bytes of a record, and comparisons take those of the final test."""
+def _leave_out(tests: Path, *keys: str) -> None:
+    """Leave out what is most of the bytes of a record of tests and what comparisons do not take from it."""
     rows = [json.loads(line) for line in tests.read_text(encoding="utf-8").splitlines()]
-    kept = [{key: value for key, value in row.items() if key != "measures"} for row in rows]
+    kept = [{key: value for key, value in row.items() if key not in keys} for row in rows]
     tests.write_text("".join(json.dumps(row, separators=(",", ":")) + "\n" for row in kept), encoding="utf-8")
 
 
@@ -224,7 +227,14 @@ def tables() -> dict[str, str]:
         "pairs": _overview(found) + _engines(found, pairs),
         "reference runs": _results(found, results) + _engines(found, results),
         "transfers": "\n\n".join(_transfer(path) for path in sorted(TRANSFERS.glob("*"))) or "None yet.",
+        "trials": _trials(found),
     }
+
+
+def _trials(found: dict[str, Contender]) -> str:
+    """The table of settings changed one at a time."""
+    trials = runpy.run_path(str(Path(__file__).with_name("trials.py")))
+    return markdown(["setting", *trials["STEPS"], "better than as it ships"], trials["rows"](found))
 
 
 def _engines(found: dict[str, Contender], names: list[str]) -> str:
@@ -354,9 +364,9 @@ def markdown(columns: list[str], rows: list[list[str]]) -> str:
 
 
 def pages() -> dict[Path, str]:
-    """The texts of README.md, docs/index.md and docs/results.md with the generated tables between their markers."""
+    """The texts of pages with the generated tables between their markers."""
     generated, found = tables(), {}
-    for page in (ROOT / "README.md", ROOT / "docs" / "index.md", ROOT / "docs" / "results.md"):
+    for page in (ROOT / "README.md", *(ROOT / "docs" / f"{name}.md" for name in ("index", "results", "settings"))):
         text = page.read_text(encoding="utf-8")
         for name, table in generated.items():
             begin, end = f"<!-- {name}: written by docs/_scripts/references.py -->", f"<!-- end of {name} -->"

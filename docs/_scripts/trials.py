@@ -1,14 +1,11 @@
-"""Trials of single settings on each task, which tell which of them matter.
+"""Trials of single settings on each task, which tell which of them matter: docs/settings.md has their table.
 
-python docs/_scripts/trials.py         print the commands of the trials that runs/reference does not hold
-python docs/_scripts/trials.py table   print what the trials that it holds say
+python docs/_scripts/trials.py   print the commands of the trials that runs/reference does not hold
 """
 
 from __future__ import annotations
 
-import runpy
 import shlex
-import sys
 from collections.abc import Mapping
 from pathlib import Path
 from statistics import fmean
@@ -115,13 +112,5 @@ def _better(pairs: list[tuple[list[float], ...]], tree: SeedTree) -> str:
     return f"{found:.2f} [{low:.2f}, {high:.2f}]"
 
 
-def main() -> None:
-    if sys.argv[1:] != ["table"]:
-        print("\n".join(commands()))
-        return
-    references = runpy.run_path(str(Path(__file__).with_name("references.py")))
-    print(references["markdown"](["setting", *STEPS, "better than as it ships"], rows(references["contenders"]())))
-
-
 if __name__ == "__main__":
-    main()
+    print("\n".join(commands()))

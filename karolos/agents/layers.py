@@ -1,8 +1,9 @@
 """Affine layers with rectifiers between them: forward and backward pass by the fastest kernels of this machine.
 
 On x86 PyTorch computes float32 products with MKL, which reaches 117 GFLOP/s on one Zen 5 core where oneDNN reaches 240
-(measured, sides of 256). `_linear_pointwise` calls oneDNN; the result is exact up to float32 rounding. Products in
-bfloat16 always run on oneDNN, at 450 GFLOP/s. Autograd needs four times as many operations for the same gradient.
+(measured, sides of 256); on a Zen 3 core, which has no AVX-512, it is 80 to 65. `_linear_pointwise` calls oneDNN; the
+result is exact up to float32 rounding. Products in bfloat16 always run on oneDNN, at 450 GFLOP/s. Autograd needs four
+times as many operations for the same gradient.
 """
 
 from __future__ import annotations
@@ -23,15 +24,19 @@ _THRESHOLD_BACKWARD = torch.ops.aten.threshold_backward.grad_input
 _NO_SCALARS: list[Any] = []
 
 
-def _one_dnn() -> Any:
-    """oneDNN's affine map; None in a build of PyTorch without it."""
-    if not torch.backends.mkldnn.is_available():  # type: ignore[no-untyped-call]
-        return None
+def _one_dnn(dtype: torch.dtype) -> Any:
+    """oneDNN's affine map; None where PyTorch is built without it, or has a faster one."""
     operator = getattr(torch.ops.mkldnn, "_linear_pointwise", None)
-    return None if operator is None else operator.default
+    if operator is None or not torch.backends.mkldnn.is_available():  # type: ignore[no-untyped-call]
+        return None
+    if dtype == torch.bfloat16:
+        serves = torch.ops.mkldnn._is_mkldnn_bf16_supported()  # elsewhere it has no kernel, and raises an error
+    else:
+        serves = torch.backends.cpu.get_cpu_capability() != "AVX2"
+    return operator.default if serves else None
 
 
-_AFFINE = _one_dnn()
+_AFFINES = {dtype: _one_dnn(dtype) for dtype in (torch.float32, torch.bfloat16)}
 
 
 class Affine(NamedTuple):
@@ -129,9 +134,10 @@ def backward(
 
 def _affine(x: Tensor, layer: Affine, *, relu: bool) -> Tensor:
     """x weight^T + bias, then max(0, .) if `relu`: (n, i) -> (n, o)."""
+    affine = None if x.is_cuda else _AFFINES[x.dtype]
     wide = len(layer.weight) >= NARROW_COLUMNS and (x.dtype == torch.bfloat16 or x.shape[1] >= NARROW_FLOAT32)
-    if wide and _AFFINE is not None and not x.is_cuda:
-        y: Tensor = _AFFINE(x, layer.weight, layer.bias, "relu" if relu else "none", _NO_SCALARS, "")
+    if wide and affine is not None:
+        y: Tensor = affine(x, layer.weight, layer.bias, "relu" if relu else "none", _NO_SCALARS, "")
         return y
     y = torch.addmm(layer.bias, x, layer.weight.mT)
     return y.relu_() if relu else y
@@ -139,16 +145,17 @@ def _affine(x: Tensor, layer: Affine, *, relu: bool) -> Tensor:
 
 def _matmul(a: Tensor, b: Tensor) -> Tensor:
     """a b: (n, i) (i, o)."""
-    wide = min(*a.shape, *b.shape) >= NARROW_COLUMNS
-    if wide and a.dtype == torch.float32 and _AFFINE is not None and not a.is_cuda:
-        y: Tensor = _AFFINE(a, b.mT, None, "none", _NO_SCALARS, "")
+    affine = None if a.is_cuda or a.dtype == torch.bfloat16 else _AFFINES[torch.float32]
+    if affine is not None and min(*a.shape, *b.shape) >= NARROW_COLUMNS:
+        y: Tensor = affine(a, b.mT, None, "none", _NO_SCALARS, "")
         return y
     return a @ b
 
 
 def _parameter_gradients(gradient: Tensor, x: Tensor, out: Affine) -> None:
     """Write the gradients by weight and bias of an affine map of x into `out`."""
-    if gradient.dtype == torch.bfloat16 or min(*gradient.shape, *x.shape) < NARROW_FLOAT32:
+    narrow = min(*gradient.shape, *x.shape) < NARROW_FLOAT32
+    if narrow or gradient.dtype == torch.bfloat16 or _AFFINES[torch.float32] is None:
         torch.matmul(gradient.mT, x, out=out.weight)
     else:
         out.weight.copy_(_matmul(gradient.mT, x))
