@@ -89,6 +89,10 @@ class Critic:
         return (outputs == value.unsqueeze(1)) * gradient.unsqueeze(1)
 
 
+JUDGED_ROWS = 32
+"""Rows that the critics judge for imitation are a multiple of this many."""
+
+
 class ActorCritic(TorchAgent):
     """Networks, optimisers, exploration and state; an algorithm adds its losses in `learn`.
 
@@ -196,10 +200,17 @@ class ActorCritic(TorchAgent):
             "critic_gradient_norm": self.optimisers["critic"].gradient_norm,
         }
 
-    def values(self, batch: TensorBatch, action: Tensor) -> Tensor:
-        """Q(s, a), as the policy maximises it: (n,)."""
-        outputs, _ = self.critic.forward(torch.cat((batch.critic_input, action), 1), members=self.judges)
-        return self.critic_kind.policy_value(outputs)
+    def preferred(self, batch: TensorBatch, action: Tensor) -> Tensor:
+        """Whether the critics like a demonstrated action more than that of `action` (n, a): (n,)."""
+        assert batch.demonstrated is not None
+        # Of the other rows no value is needed. Numbers of rows that repeat have compiled kernels.
+        count = -(-max(int(batch.demonstrated.count_nonzero()), 1) // JUDGED_ROWS) * JUDGED_ROWS
+        rows = batch.demonstrated.argsort(descending=True, stable=True)[:count]
+        pairs = torch.cat((batch.action[rows], action[rows]))
+        inputs = torch.cat((batch.critic_input[rows].repeat(2, 1), pairs), 1)
+        outputs, _ = self.critic.forward(inputs, members=self.judges)
+        shown, own = self.critic_kind.policy_value(outputs).chunk(2)
+        return torch.zeros_like(batch.demonstrated, dtype=torch.bool).index_copy_(0, rows, shown > own)
 
     def values_and_gradient(self, batch: TensorBatch, action: Tensor) -> tuple[Tensor, Tensor]:
         """Q(s, a), (n,), and the gradient of - sum_i weight_i Q(s_i, a_i) + action_penalty mean(a^2) by a, (n, a)."""

@@ -76,7 +76,6 @@ class DDPG(ActorCritic):
             "action_saturation": lambda: saturation(action),
         }
         if self.settings.imitation and batch.demonstrated is not None:
-            preferred = self.values(batch, batch.action) > values
-            metrics["imitation_loss"], gradient = imitation_loss(action, preferred, batch)
+            metrics["imitation_loss"], gradient = imitation_loss(action, self.preferred(batch, action), batch)
             by_action.add_(gradient, alpha=self.settings.imitation)
         return metrics | self.step_policy(by_action * (1 - action.square()), tapes)

@@ -114,8 +114,7 @@ class SAC(ActorCritic):
         }
         if self.settings.imitation and batch.demonstrated is not None:
             mode = own.mode()
-            preferred = self.values(batch, batch.action) > self.values(batch, mode)
-            metrics["imitation_loss"], by_mode = imitation_loss(mode, preferred, batch)
+            metrics["imitation_loss"], by_mode = imitation_loss(mode, self.preferred(batch, mode), batch)
             by_output[:, : self.actions] += self.settings.imitation * by_mode * (1 - mode.square())
         return metrics | self.step_policy(by_output, own.tapes)
 
