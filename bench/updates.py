@@ -20,7 +20,7 @@ import gymnasium
 import numpy as np
 from typer import Option
 
-from karolos.agents.device import resolve_device, synchronise, use_threads
+from karolos.agents.device import resolve_device, synchronise, use_threads, uses_bfloat16
 from karolos.core import Agent, Batch, Discrete, Field, Layout, Signature
 from karolos.core.seeding import SeedTree
 from karolos.errors import MachineError
@@ -94,12 +94,12 @@ def measure(
 
 
 def _ours(name: str, device: str) -> Iterator[tuple[str, Update]]:
-    """An agent in each of its precisions, with sampling and without."""
+    """An agent in each precision that the device computes in, with sampling and without."""
     plugin: Any = load("agents", name)
     actions = Discrete(tuple(map(str, range(ACTIONS)))) if name == "dqn" else Layout((Field("action", ACTIONS),))
     signature = Signature(Layout((Field("observation", OBSERVED),)), actions, EPISODE, reward_range=(-1.0, 0.0))
     buffer = filled_buffer("uniform", signature, STORED // (20 * EPISODE), STORED)
-    for precision in ("float32", "bfloat16"):
+    for precision in ("float32", "bfloat16") if uses_bfloat16("auto", device) else ("float32",):
         settings = plugin.Settings(hidden=HIDDEN, discount=0.99, precision=precision)
         agent, batch = plugin(settings, signature, SeedTree(0), device), deepcopy(buffer.sample(BATCH))
         yield f"{name} {precision}", partial(_learn, agent, partial(buffer.sample, BATCH))

@@ -14,6 +14,7 @@ import yaml
 from bench import experts, updates
 from bench.__main__ import main
 from bench.peer import PEERS
+from karolos.agents.device import uses_bfloat16
 from karolos.core import random_actions
 from karolos.core.seeding import SeedTree
 from karolos.environments.robot_task import RobotTask
@@ -45,10 +46,9 @@ def test_each_precision_has_a_row_with_sampling_and_one_without_and_output_begin
     done = subprocess.run(command, cwd=ROOT, check=True, capture_output=True, text=True)
     rows = [json.loads(line) for line in done.stdout.splitlines()]
     assert [row["case"] for row in rows] == [
-        "sac float32, 1 thread",
-        "sac float32, learning alone, 1 thread",
-        "sac bfloat16, 1 thread",
-        "sac bfloat16, learning alone, 1 thread",
+        f"sac {precision}{what}, 1 thread"
+        for precision in ("float32", "bfloat16")[: 1 + uses_bfloat16("auto", "cpu")]
+        for what in ("", ", learning alone")
     ]
     assert all(list(row) == COLUMNS and row["unit"] == "updates/s" and row["value"] > 0 for row in rows)
 
