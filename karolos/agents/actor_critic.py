@@ -90,7 +90,7 @@ class Critic:
 
 
 JUDGED_ROWS = 32
-"""Rows that the critics judge for imitation are a multiple of this many."""
+"""The number of rows that critics judge for imitation is rounded up to a multiple of this."""
 
 
 class ActorCritic(TorchAgent):
@@ -201,9 +201,9 @@ class ActorCritic(TorchAgent):
         }
 
     def preferred(self, batch: TensorBatch, action: Tensor) -> Tensor:
-        """Whether the critics like a demonstrated action more than that of `action` (n, a): (n,)."""
+        """Whether the critics prefer the batch's action to `action` (n, a): (n,). Only demonstrated rows count."""
         assert batch.demonstrated is not None
-        # Of the other rows no value is needed. Numbers of rows that repeat have compiled kernels.
+        # oneDNN compiles a kernel for each number of rows, so few numbers may occur.
         count = -(-max(int(batch.demonstrated.count_nonzero()), 1) // JUDGED_ROWS) * JUDGED_ROWS
         rows = batch.demonstrated.argsort(descending=True, stable=True)[:count]
         pairs = torch.cat((batch.action[rows], action[rows]))

@@ -1,9 +1,9 @@
 """Affine layers with rectifiers between them: forward and backward pass by the fastest kernels of this machine.
 
 On x86 PyTorch computes float32 products with MKL, which reaches 117 GFLOP/s on one Zen 5 core where oneDNN reaches 240
-(measured, sides of 256); on a Zen 3 core, which has no AVX-512, it is 80 to 65. `_linear_pointwise` calls oneDNN; the
-result is exact up to float32 rounding. Products in bfloat16 always run on oneDNN, at 450 GFLOP/s. Autograd needs four
-times as many operations for the same gradient.
+(measured, sides of 256). On a Zen 3 core, without AVX-512, MKL reaches 80 and oneDNN 65. `_linear_pointwise` calls
+oneDNN; the result is exact up to float32 rounding. Products in bfloat16 run on oneDNN, at 450 GFLOP/s, if it has
+kernels for the CPU. Autograd needs four times as many operations for the same gradient.
 """
 
 from __future__ import annotations
@@ -25,18 +25,19 @@ _NO_SCALARS: list[Any] = []
 
 
 def _one_dnn(dtype: torch.dtype) -> Any:
-    """oneDNN's affine map; None where PyTorch is built without it, or has a faster one."""
+    """oneDNN's affine map; None where PyTorch is built without it, it has no kernel, or MKL is faster."""
     operator = getattr(torch.ops.mkldnn, "_linear_pointwise", None)
     if operator is None or not torch.backends.mkldnn.is_available():  # type: ignore[no-untyped-call]
         return None
     if dtype == torch.bfloat16:
-        serves = torch.ops.mkldnn._is_mkldnn_bf16_supported()  # elsewhere it has no kernel, and raises an error
+        serves = torch.ops.mkldnn._is_mkldnn_bf16_supported()
     else:
         serves = torch.backends.cpu.get_cpu_capability() != "AVX2"
     return operator.default if serves else None
 
 
 _AFFINES = {dtype: _one_dnn(dtype) for dtype in (torch.float32, torch.bfloat16)}
+"""oneDNN's affine map by type; None: PyTorch's products are taken."""
 
 
 class Affine(NamedTuple):
