@@ -366,8 +366,7 @@ def _of_spec(name: str, one: Contender | None, folder: Path) -> str:
         text += f"![{drawing.title} of {name}]({name}.svg)\n\n{drawing.caption}\n\n"
         text += f"{references._results({name: one}, [name])}\n\n"
         text += "[How to read the table](../../results.md). The same runs again:\n\n"
-    words = [f"specs/{name}.yaml", *(() if one is None else references.as_before(one.runs[0].spec)), f"seeds=[{seeds}]"]
-    text += f"```sh\nkarolos run {' '.join(words)}\n```\n\n"
+    text += f"```sh\nkarolos run specs/{name}.yaml seeds=[{seeds}]\n```\n\n"
     for path in _files(ROOT / "specs" / f"{name}.yaml"):
         lines = path.read_text(encoding="utf-8").strip()
         text += f"`{path.relative_to(ROOT).as_posix()}`:\n\n```yaml\n{lines}\n```\n\n"

@@ -42,29 +42,6 @@ SHARED = "shared-machine"
 """Tag of runs that shared their machine with other work: their times are upper limits."""
 SHORTER = ("training.steps=", "testing.final_episodes=")
 """Settings of variants that train for less than the shipped spec or are not tested at the end."""
-BEFORE: dict[str, Any] = {
-    "environment.engine": "bullet",
-    "robot.acceleration": None,
-    "robot.tool_speed": 10.0,  # no limit: the setting is younger than these runs, whose throws its default slows down
-    "task.share": 0.85,
-    "task.sector": 30.0,
-}
-"""Settings whose value in shipped specs changed after reference runs were made, with the value before. A run may have
-either; docs/results.md says which. Entries go when the runs are made again."""
-THROWN_BEFORE = (
-    "robot.gripper_delay=0",
-    "randomization.robot.gripper_delay=null",
-    "randomization.task.end_at_release=1",
-    "agent.learning_rate_updates=71000",
-    "training.steps=300000",
-)
-"""The same for throws whose gripper had no delay."""
-THROWN_FREELY = ("task.failure_cost=0", "agent.imitation=5")
-"""The same for throws before an arm that hits something cost more than a miss."""
-PUSHED_BEFORE = ("agent.learning_rate_updates=35000", "training.steps=200000")
-"""The same for pushes before MuJoCo taught them in fewer steps."""
-PICKED_BEFORE = ("agent.learning_rate_updates=28000", "training.steps=160000")
-"""The same for picks from nothing, twice as long."""
 ROBOTS = ("panda", "ur5", "iiwa")
 TARGETS = {
     "reach": (0.99, 8),
@@ -73,6 +50,7 @@ TARGETS = {
     "pick_demos": (0.97, 12),
     "throw": (0.95, 120),
     "insert": (0.99, 120),
+    "insert_demos": (0.99, 120),
     "stack_demos": (0.95, 180),
     "slide_demos": (0.95, 600),
     "reorient_demos": (0.95, 900),
@@ -100,34 +78,6 @@ def shipped_hash(path: str, changed: tuple[str, ...]) -> str:
     return load_spec(ROOT / path, changed).hash()
 
 
-def engine_in(resolved: dict[str, Any]) -> str | None:
-    """The physics engine that a resolved spec names; None of an environment without one."""
-    return resolved["environment"].get("engine")
-
-
-def as_before(resolved: dict[str, Any]) -> tuple[str, ...]:
-    """The overrides that give a shipped spec the values of BEFORE that a run has."""
-    found = []
-    for path, value in BEFORE.items():
-        part, _, setting = path.partition(".")
-        settings = resolved.get(part) or {}
-        if setting in settings and settings[setting] == value:
-            found.append(f"{path}={json.dumps(value)}")
-    task = resolved.get("task") or {}
-    if task.get("name") == "push" and "force_penalty" not in task:
-        found += PUSHED_BEFORE
-    if task.get("name") == "pick_place" and "force_penalty" not in task:
-        found += ["task.force_penalty=null", "buffer.hindsight.next_share=0"]
-        found += [f"agent.random_actions={resolved['agent']['random_actions']}"]
-        if resolved["agent"].get("learning_rate_updates") == 28000:
-            found += PICKED_BEFORE
-    if task.get("name") == "throw" and "gripper_delay" not in resolved["robot"]:
-        found += THROWN_BEFORE
-    if task.get("name") == "throw" and "failure_cost" not in task:
-        found += THROWN_FREELY
-    return tuple(found)
-
-
 def faults(folder: RunFolder) -> Iterator[str]:
     """Why a run cannot be a reference, one line each."""
     record, git = folder.record(), folder.description().get("git")
@@ -141,7 +91,7 @@ def faults(folder: RunFolder) -> Iterator[str]:
         final = folder.final()
         if _steps(path, changed) is None and (final is None or final.best is None or final.last.episodes < 1000):
             yield "it has no final test of last and best with 1,000 episodes"
-        if spec_from_dict(record.spec).hash() != shipped_hash(path, (*as_before(record.spec), *changed)):
+        if spec_from_dict(record.spec).hash() != shipped_hash(path, changed):
             yield "its spec is not the one that ships"
         if _is_shipped(record.summary.name) and shipped_hash(path, changed) != shipped_hash(path, ()):
             yield f"its settings are changed, but it is called {record.summary.name}"
@@ -224,8 +174,8 @@ def tables() -> dict[str, str]:
     pairs = [f"{robot}_{task}" for task, robot in product(TARGETS, ROBOTS)]
     results = [*pairs, *(name for name in sorted(set(found) - set(pairs)) if _is_shipped(name))]
     return {
-        "pairs": _overview(found) + _engines(found, pairs),
-        "reference runs": _results(found, results) + _engines(found, results),
+        "pairs": _overview(found),
+        "reference runs": _results(found, results),
         "transfers": "\n\n".join(_transfer(path) for path in sorted(TRANSFERS.glob("*"))) or "None yet.",
         "trials": _trials(found),
     }
@@ -236,13 +186,6 @@ def _trials(found: dict[str, Contender]) -> str:
     trials = runpy.run_path(str(Path(__file__).with_name("trials.py")))
     rows = trials["rows"](found)
     return markdown(["setting", *trials["STEPS"], "better than as it ships"], rows) if rows else "None yet."
-
-
-def _engines(found: dict[str, Contender], names: list[str]) -> str:
-    """A line under a table: the physics engines of its runs."""
-    runs = [run for name in names if name in found for run in found[name].runs]
-    engines = sorted({engine for run in runs if (engine := engine_in(run.spec))})
-    return f"\n\nPhysics engine: {' and '.join(engines)}." if engines else ""
 
 
 def _variant(path: Path, label: str) -> dict[str, Any]:
@@ -277,8 +220,6 @@ def _transfer(path: Path) -> str:
     steps = count(rows[0]["source_cost"]["steps"])
     head = f"`{path.name}`, {len(rows[0]['seeds'])} seeds, sources of {steps} steps; "
     head += f"random actions and the expert: {levels}."
-    engines = {engine_in(_variant(path, row["target"])) for row in rows}
-    head += f" Engine: {engines.pop()}." if len(engines) == 1 else ""
     return f"{head}\n\n{markdown(columns, pairs)}"
 
 
@@ -296,9 +237,7 @@ def transfer_faults(path: Path) -> Iterator[str]:
     try:
         variants = Matrix(load_spec(spec)).variants
         for label in variants:
-            made_from = _variant(path, label)
-            variant = Matrix(load_spec(spec, as_before(made_from))).variants[label]
-            if spec_from_dict(made_from).hash() != variant.hash():
+            if spec_from_dict(_variant(path, label)).hash() != variants[label].hash():
                 yield f"the spec of {label} is not the one that ships"
     except (KarolosError, OSError) as error:
         yield str(error)
@@ -314,10 +253,9 @@ def _is_shipped(name: str) -> bool:
 
 
 def _overview(found: dict[str, Contender]) -> str:
-    rows = [
-        [f"`{task}`", *(_success(found.get(f"{robot}_{task}"), short=True) for robot in ROBOTS)] for task in TARGETS
-    ]
-    return markdown(["task", *ROBOTS], rows)
+    names = {task: [*(f"{robot}_{task}" for robot in ROBOTS), f"panda_{task}_bullet"] for task in TARGETS}
+    rows = [[f"`{task}`", *(_success(found.get(name), short=True) for name in row)] for task, row in names.items()]
+    return markdown(["task", *ROBOTS, "panda by PyBullet"], rows)
 
 
 def _results(found: dict[str, Contender], names: list[str]) -> str:
