@@ -7,6 +7,7 @@ from abc import abstractmethod
 from collections.abc import Iterator
 from itertools import pairwise
 from typing import Annotated, Any, ClassVar
+from zlib import crc32
 
 import numpy as np
 import torch
@@ -195,7 +196,11 @@ class TorchAgent(Agent[Experience]):
         return {**values, "optimisers": optimisers, "generator": self.generator.get_state()}
 
     def load_state(self, state: State) -> None:
-        """Raises UsageError when the state is of networks of another shape."""
+        """The state may come from another device, whose random numbers this one cannot go on with: it draws others.
+
+        Raises:
+            UsageError: the state is of networks of another shape.
+        """
         for name in self.stored:
             value = getattr(self, name)
             if isinstance(value, int):
@@ -206,7 +211,11 @@ class TorchAgent(Agent[Experience]):
                 value.load_state(state[name])
         for name, optimiser in self.optimisers.items():
             optimiser.load_state(state["optimisers"][name])
-        self.generator.set_state(torch.as_tensor(state["generator"]))
+        drawn = torch.as_tensor(state["generator"])
+        if len(drawn) == len(self.generator.get_state()):
+            self.generator.set_state(drawn)
+        else:
+            self.generator.manual_seed(crc32(drawn.numpy().tobytes()))
 
 
 def value_bounds(signature: Signature, discount: float, *, clip: bool) -> tuple[float, float]:

@@ -113,6 +113,16 @@ def test_learning_goes_on_bit_for_bit_in_a_fresh_agent(settings: dict[str, Any])
     np.testing.assert_array_equal(whole.act(*_seen(0), explore=True), second.act(*_seen(0), explore=True))
 
 
+def test_a_state_of_a_gpu_goes_on_with_the_same_policy_and_other_random_numbers() -> None:
+    first, second, third = make(), make(seed=7), make(seed=8)
+    first.learn(batch(32, signature()))
+    state = first.state() | {"generator": torch.arange(16, dtype=torch.uint8)}  # the size of a CUDA generator's state
+    second.load_state(state)
+    third.load_state(state)
+    np.testing.assert_array_equal(first.act(*_seen(0), explore=False), second.act(*_seen(0), explore=False))
+    np.testing.assert_array_equal(second.act(*_seen(0), explore=True), third.act(*_seen(0), explore=True))
+
+
 def _seen(seed: int) -> tuple[np.ndarray, np.ndarray]:
     data = batch(5, signature(), seed)
     return data.observation, data.desired_goal
