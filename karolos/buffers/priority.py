@@ -5,22 +5,19 @@ Source: Schaul et al. 2016, "Prioritized Experience Replay", the proportional va
 
 from __future__ import annotations
 
-from collections.abc import Mapping, Sequence
+from collections.abc import Mapping
 from typing import Any
 
 import numpy as np
 from numpy.typing import NDArray
 from pydantic import Field as Setting
 
-from ..core import Batch, Signature, State, Transitions
+from ..core import Batch, Signature, State
 from ..core.seeding import SeedTree
 from ..errors import RunError
 from .replay import Replay
 from .storage import Slots
 from .sum_tree import Numbers, SumTree
-
-PENDING_CALLS = 256
-"""Calls of `add` after which new transitions enter the tree without a call of `sample`."""
 
 
 class Priority(Replay):
@@ -49,8 +46,6 @@ class Priority(Replay):
         super().__init__(settings, signature, seeds, environments=environments, discount=discount)
         self.settings = settings
         self._tree = SumTree(len(self.storage.table))
-        self._pending: list[tuple[Slots, float]] = []
-        """Slots of new transitions that are not in the tree yet, with their priority."""
         self._largest = 1.0
         self._batches = 0
 
@@ -62,29 +57,14 @@ class Priority(Replay):
 
     def _added(self, slots: Slots) -> None:
         """New transitions get the largest priority."""
-        self._pending.append((slots, self._largest))
-        if len(self._pending) >= PENDING_CALLS:
-            self._insert_pending()
-
-    def add_demonstrations(self, episodes: Sequence[Transitions], share: float | None = None) -> None:
-        """Store demonstrations permanently, with the largest priority. Raises as `Replay.add` does."""
-        self._insert_pending()
-        used = self.storage.used()
-        priorities = self._tree[used]
-        super().add_demonstrations(episodes, share)
-        self._tree = SumTree(len(self.storage.table))
-        self._tree[used] = priorities
-
-    def _insert_pending(self) -> None:
-        """Insert new transitions into the tree, together, because each update of the tree takes 40 us."""
-        if self._pending:
-            slots, priorities = zip(*self._pending, strict=True)
-            self._tree[np.concatenate(slots)] = np.repeat(priorities, [part.size for part in slots])
-            self._pending.clear()
+        size, before = len(self.storage.table), self._tree
+        if size > before.size:  # demonstrations come after all other slots
+            self._tree = SumTree(size)
+            self._tree[np.arange(before.size)] = before[np.arange(before.size)]
+        self._tree[slots] = self._largest
 
     def sample(self, size: int) -> Batch:
         """`size` transitions; the arrays are views that the next call overwrites. Raises RunError if it is empty."""
-        self._insert_pending()
         slots, relative = self._draw(size)
         weights = relative**-self.beta
         self._batches += 1
@@ -125,7 +105,6 @@ class Priority(Replay):
 
     def metrics(self) -> Mapping[str, float]:
         """Number of transitions, mean and largest priority p, and beta."""
-        self._insert_pending()
         priorities = self._tree[self.storage.used()]
         return {
             **super().metrics(),
@@ -136,7 +115,6 @@ class Priority(Replay):
 
     def state(self) -> State:
         """The stored transitions with their priorities, the generator and the position of beta; arrays are copies."""
-        self._insert_pending()
         return {
             **super().state(),
             "odds": self._tree[self.storage.used()],
@@ -147,7 +125,6 @@ class Priority(Replay):
     def load_state(self, state: State) -> None:
         """Raises UsageError for the state of a buffer of another shape."""
         super().load_state(state)
-        self._pending.clear()
         self._tree = SumTree(len(self.storage.table))
         self._tree[self.storage.used()] = np.asarray(state["odds"], np.float64)
         self._largest = float(state["largest"])

@@ -2,18 +2,19 @@
 
 from __future__ import annotations
 
+from typing import Any
+
 import numpy as np
 from numpy.typing import NDArray
+
+from ..core.compiled import compiled
 
 Numbers = NDArray[np.float64]
 Indices = NDArray[np.int64]
 
-UNIQUE_ABOVE = 256
-"""Number of nodes above which it is faster to remove duplicates: neighbours have the same parent."""
-
 
 class SumTree:
-    """`size` numbers, initially 0. Changing or finding n of them takes O(n log size), vectorised over n.
+    """`size` numbers, initially 0. Changing or finding n of them takes O(n log size), in compiled code.
 
     The tree is one array: node i has the children 2 i and 2 i + 1, node 1 is the root, and the last level holds the
     numbers. Each change recomputes a node from its two children, so rounding errors do not accumulate.
@@ -21,8 +22,7 @@ class SumTree:
 
     def __init__(self, size: int) -> None:
         self.size = size
-        self._levels = max(int(size - 1).bit_length(), 1)
-        self._first = 1 << self._levels
+        self._first = 1 << max(int(size - 1).bit_length(), 1)
         self._nodes = np.zeros(2 * self._first, np.float64)
 
     @property
@@ -36,15 +36,9 @@ class SumTree:
 
     def __setitem__(self, indices: Indices, numbers: Numbers | float) -> None:
         """Change the numbers at these indices (n,). The last value counts for a repeated index."""
-        nodes = indices + self._first
-        self._nodes[nodes] = numbers
-        take = self._nodes.take
-        for _ in range(self._levels):
-            nodes = nodes >> 1
-            if nodes.size > UNIQUE_ABOVE:
-                nodes = np.unique(nodes)
-            left = nodes << 1
-            self._nodes[nodes] = take(left, mode="clip") + take(left + 1, mode="clip")
+        leaves = indices + self._first
+        self._nodes[leaves] = numbers
+        _sum_up(self._nodes, leaves)
 
     def before(self, index: int) -> float:
         """The sum of the numbers before this index."""
@@ -60,28 +54,33 @@ class SumTree:
 
         The number at i is never 0, also after rounding. At least one number must be larger than 0.
         """
-        nodes = np.ones(masses.size, np.int64)
-        left_over = masses.astype(np.float64)
-        left = np.empty_like(left_over)
-        for _ in range(self._levels):
-            nodes <<= 1
-            np.take(self._nodes, nodes, out=left, mode="clip")  # "clip" skips the bounds check; every index is valid
-            goes_right = left_over >= left
-            left_over -= np.multiply(left, goes_right, out=left)
-            nodes += goes_right
-        empty = self._nodes[nodes] <= 0  # rounding led past the last number of a branch
-        if empty.any():
-            nodes[empty] = self._find_positive(masses[empty])
-        return nodes - self._first
+        leaves = np.empty(masses.size, np.int64)
+        _descend(self._nodes, masses.astype(np.float64), leaves)
+        leaves -= self._first
+        return leaves
 
-    def _find_positive(self, masses: Numbers) -> Indices:
-        """Like `find`, but never enters a branch whose sum is 0. Returns nodes."""
-        nodes = np.ones(masses.size, np.int64)
-        left_over = masses.astype(np.float64)
-        for _ in range(self._levels):
-            nodes = 2 * nodes
-            left, right = self._nodes[nodes], self._nodes[nodes + 1]
-            goes_right = ((left_over >= left) & (right > 0)) | (left <= 0)
-            left_over = np.where(goes_right, left_over - left, left_over)
-            nodes += goes_right
-        return nodes
+
+@compiled
+def _sum_up(nodes: Any, leaves: Any) -> None:
+    """Recompute the nodes above these leaves, (n,)."""
+    for leaf in leaves:
+        node = leaf >> 1
+        while node:
+            nodes[node] = nodes[2 * node] + nodes[2 * node + 1]
+            node >>= 1
+
+
+@compiled
+def _descend(nodes: Any, masses: Any, leaves: Any) -> None:
+    """Write the leaf under which each of the masses (n,) falls into `leaves` (n,). Overwrites `masses`."""
+    leaves[:] = 1
+    level = len(nodes) // 2
+    while level > 1:  # all rows level by level, because the processor then waits for several of them at a time
+        for row in range(len(masses)):
+            node = 2 * leaves[row]
+            left = nodes[node]
+            # Rounding must not lead into a branch whose sum is 0.
+            goes_right = ((masses[row] >= left) & (nodes[node + 1] > 0)) | (left <= 0)
+            masses[row] -= left * goes_right
+            leaves[row] = node + goes_right
+        level //= 2

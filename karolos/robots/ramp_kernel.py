@@ -6,8 +6,8 @@ from math import inf, sqrt
 
 import numpy as np
 
+from ..core.compiled import compiled
 from ..simulation.arm_kernel import forward, velocity
-from ..simulation.compiled import compiled
 
 BRAKING_TIME = 1 / 12
 """Time constant, in s, with which a joint approaches the end of its range. A hard stop would push the other joints.

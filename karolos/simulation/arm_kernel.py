@@ -6,7 +6,7 @@ from math import cos, sin, sqrt
 
 import numpy as np
 
-from .compiled import compiled
+from ..core.compiled import compiled
 
 POSE = 12
 """Numbers of a pose: the tool's position in m, and the unit vectors x, y, z of its frame."""

@@ -19,8 +19,8 @@ from numba import types
 from numba.extending import intrinsic
 from numpy.typing import NDArray
 
+from ...core.compiled import compiled
 from ...errors import MachineError
-from ..compiled import compiled
 
 SIZES = {"int": 4, "mjtBool": 1, "mjtByte": 1, "float": 4}
 """Bytes of the types in MuJoCo's structures; all others that are no structures have 8."""
