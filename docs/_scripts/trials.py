@@ -20,7 +20,7 @@ from karolos.statistics.aggregates import LEVELS, RESAMPLES, improvement
 ROOT = Path(__file__).parents[2]
 SEEDS = (0, 1)
 STEPS = {
-    "push": 60_000,
+    "push": 50_000,
     "pick": 40_000,
     "throw": 40_000,
     "insert": 40_000,
