@@ -14,8 +14,10 @@ import numpy as np
 
 from karolos.comparison import ComparedRun, Contender
 from karolos.core.seeding import SeedTree
+from karolos.errors import UsageError
 from karolos.specification import load_spec
 from karolos.statistics.aggregates import LEVELS, RESAMPLES, improvement
+from karolos.training.assembly import check_parts
 
 ROOT = Path(__file__).parents[2]
 SEEDS = (0, 1)
@@ -48,6 +50,8 @@ TRIALS: dict[str, tuple[str, ...]] = {
     "quantiles": ("agent.critic={quantiles: 25}",),
     "policy_delay": ("agent.policy_delay=1",),
     "coarse_goal": ("agent.fine_goal=null",),
+    "augmentation": ("buffer.augmentation={}",),
+    "no_augmentation": ("buffer.augmentation=null",),
     "td3": ("agent.name=td3",),
 }
 """End of a run's name -> what it changes. A task whose spec has the value already is left out."""
@@ -58,7 +62,14 @@ def applies(task: str, changes: tuple[str, ...]) -> bool:
     spec = load_spec(ROOT / "specs" / f"panda_{task}.yaml")
     if spec.demonstrations is not None and any("imitat" in change for change in changes):
         return False  # hindsight's goals are imitated where no demonstrations are
-    return load_spec(ROOT / "specs" / f"panda_{task}.yaml", changes).hash() != spec.hash()
+    changed = load_spec(ROOT / "specs" / f"panda_{task}.yaml", changes)
+    if changed.hash() == spec.hash():
+        return False
+    try:
+        check_parts(changed)
+    except UsageError:
+        return False
+    return True
 
 
 def commands() -> list[str]:

@@ -1,4 +1,4 @@
-"""The base of replay buffers: storage, goals relabelled when sampled, multi-step returns, demonstrations."""
+"""The base of replay buffers: storage, goals and places changed when sampled, multi-step returns, demonstrations."""
 
 from __future__ import annotations
 
@@ -13,6 +13,7 @@ from ..core import FLOAT_BYTES, Batch, Buffer, FloatArray, MemoryNeed, RunSize, 
 from ..core import Settings as BaseSettings
 from ..core.seeding import SeedTree, generator_state, load_generator_state
 from ..errors import RunError
+from .augmentation import Augmentation
 from .hindsight import Hindsight
 from .n_step import extend
 from .storage import Slots, Storage, row_layout
@@ -22,11 +23,11 @@ class Replay(Buffer):
     """Stores the latest transitions of each environment. A subclass samples: it chooses slots and calls `_batch`.
 
     Transitions of running episodes can be sampled. With `hindsight`, some transitions of a batch get goals that the
-    same episode achieved.
+    same episode achieved; with `augmentation` they are mirrored and moved.
 
     Raises:
         UsageError: the capacity is less than one episode per environment, or `hindsight` is set for an environment
-            without goals.
+            without goals, or `augmentation` for one with fields of unknown kind.
     """
 
     class Settings(BaseSettings):
@@ -34,6 +35,9 @@ class Replay(Buffer):
             1_000_000, ge=1, le=10**12, description="largest number of transitions, over all environments"
         )
         hindsight: Hindsight.Settings | None = Setting(None, description="goals relabelled when sampling; null: off")
+        augmentation: Augmentation.Settings | None = Setting(
+            None, description="sampled transitions mirrored, and moved along the floor; null: off"
+        )
         n_step: int = Setting(1, ge=1, le=100, description="environment steps that a sampled transition spans at most")
 
     on_policy: ClassVar[bool] = False
@@ -46,6 +50,8 @@ class Replay(Buffer):
         self.marks_relabelled = hindsight is not None and hindsight.imitate
         self.storage = Storage(signature, settings.capacity, environments)
         self._hindsight = Hindsight(hindsight, signature) if hindsight is not None else None
+        augmentation = settings.augmentation
+        self._augmentation = Augmentation(augmentation, signature) if augmentation is not None else None
         self._n_step, self._rule, self._discount = settings.n_step, signature.goal_rule, discount
         self._extra = signature.extra_reward
         self._discounts = np.zeros(0, np.float32)
@@ -126,6 +132,8 @@ class Replay(Buffer):
             )
         elif self._discounts.size != slots.size:
             self._discounts = np.full(slots.size, self._discount, np.float32)
+        if self._augmentation is not None:
+            self._augmentation.apply(rows, self._generator)
         demonstrated = self.storage.demonstrated(slots)
         if self.marks_relabelled:
             demonstrated = np.zeros(slots.size, np.float32) if demonstrated is None else demonstrated

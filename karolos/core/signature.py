@@ -46,9 +46,10 @@ class Signature:
         what policies observe has a field of the same name and size.
         """
         observed, places, columns = self.observation.acting, list[int](), list[int]()
+        sizes = {(field.name, field.size) for field in observed.fields}
         for field in self.achieved_goal.fields:
             part = self.achieved_goal.slice(field.name)
-            if field in observed.fields and part.stop <= self.desired_goal.size:
+            if (field.name, field.size) in sizes and part.stop <= self.desired_goal.size:
                 places += range(part.start, part.stop)
                 columns += range(observed.size)[observed.slice(field.name)]
         return places, columns

@@ -60,7 +60,7 @@ ARM_PARAMETERS: Mapping[str, RandomizedParameter] = {
     "action_delay": RandomizedParameter("control steps", 0.0, 0.0, 2.0, "delay of the actions; rounded"),
 }
 
-WRENCH = Field("wrench", 6, "N, N m")
+WRENCH = Field("wrench", 6, "N, N m", kind="wrench")
 WRENCH_NOISE = RandomizedParameter(
     "N", 0.0, 0.0, 2.0, "standard deviation of the noise on the observed wrench; on its torque a tenth of that, in N m"
 )
@@ -186,7 +186,7 @@ class Arm:
 
     @cached_property
     def observation(self) -> Layout:
-        gripper = (Field("gripper_opening", 1, "1"),) if self._commanded else ()
+        gripper = (Field("gripper_opening", 1, kind="scalar"),) if self._commanded else ()
         torques = Field("joint_torques", self.chain.size, "N m")
         offered = {"rotation": ROTATION, "wrench": WRENCH, "torques": torques}
         fields = (*self._control.observed, *gripper, *self._control.observed_joints)
@@ -194,7 +194,7 @@ class Arm:
 
     @cached_property
     def action(self) -> Layout:
-        gripper = (Field("gripper_opening", 1),) if self._commanded else ()  # -1 closed, 1 open
+        gripper = (Field("gripper_opening", 1, kind="scalar"),) if self._commanded else ()  # -1 closed, 1 open
         return Layout((*self._control.action, *gripper))
 
     @property

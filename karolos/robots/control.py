@@ -24,10 +24,12 @@ from ..simulation.kinematics import Chain, Configuration, Pose, downward
 from .ramps import Ramps
 from .settings import ArmSettings
 
-POSITION = Field("tool_position", 3, "m")
-ROTATION = Field("tool_rotation", 6, "1")
+POSITION = Field("tool_position", 3, "m", kind="point")
+ROTATION = Field("tool_rotation", 6, kind="rotation")
 """The first two columns of the tool's rotation matrix."""
-VELOCITY, SPIN = Field("tool_velocity", 3, "m/s"), Field("tool_angular_velocity", 3, "rad/s")
+VELOCITY = Field("tool_velocity", 3, "m/s", kind="vector")
+SPIN = Field("tool_angular_velocity", 3, "rad/s", kind="axial")
+CHANGE = Field("tool_position_change", 3, kind="vector")
 
 
 class Arm(Protocol):
@@ -163,10 +165,10 @@ class CartesianControl(Control):
     def __init__(self, arm: Arm) -> None:
         super().__init__(arm)
         self._yaws = arm.settings.yaw
-        self.action = (Field("tool_position_change", 3),)
+        self.action = (CHANGE,)
         if self._yaws:
-            self.action += (Field("yaw_change", 1),)
-            self.observed += (Field("tool_heading", 2, "1"),)  # cosine and sine: an angle would jump
+            self.action += (Field("yaw_change", 1, kind="axial"),)
+            self.observed += (Field("tool_heading", 2, kind="vector"),)  # cosine and sine: an angle would jump
 
     def changes(self, values: Sequence[float]) -> list[float]:
         arm = self.arm
@@ -205,7 +207,7 @@ class PoseControl(Control):
     """
 
     observed: tuple[Field, ...] = (POSITION, ROTATION, VELOCITY, SPIN)
-    action: tuple[Field, ...] = (Field("tool_position_change", 3), Field("tool_turn", 3))
+    action: tuple[Field, ...] = (CHANGE, Field("tool_turn", 3, kind="axial"))
 
     def changes(self, values: Sequence[float]) -> list[float]:
         tool = self.arm.configuration.tool
@@ -259,12 +261,12 @@ class ImpedanceControl(PoseControl):
     stiffness it is the force.
     """
 
-    observed = (*PoseControl.observed, Field("set_point", 6, "m, rad"))
+    observed = (*PoseControl.observed, Field("set_point", 6, "m, rad", kind="wrench"))
 
     def __init__(self, arm: Arm) -> None:
         super().__init__(arm)
         if arm.settings.stiffness_range is not None:
-            self.action = (*PoseControl.action, Field("stiffness", 1))
+            self.action = (*PoseControl.action, Field("stiffness", 1, kind="scalar"))
 
     def build(self) -> None:
         self._attach(self.arm.settings.stiffness)

@@ -32,11 +32,11 @@ BRAKING_SHARE = 0.5
 def fields(name: str) -> tuple[Field, ...]:
     """What is observed of an object. The rotation is the first two columns of its matrix, see `geometry.columns`."""
     return (
-        Field(f"{name}_position", 3, "m"),
-        Field(f"{name}_rotation", 6, "1"),
-        Field(f"{name}_velocity", 3, "m/s"),
-        Field(f"{name}_angular_velocity", 3, "rad/s"),
-        Field(f"{name}_from_tool", 3, "m"),
+        Field(f"{name}_position", 3, "m", kind="point"),
+        Field(f"{name}_rotation", 6, kind="rotation"),
+        Field(f"{name}_velocity", 3, "m/s", kind="vector"),
+        Field(f"{name}_angular_velocity", 3, "rad/s", kind="axial"),
+        Field(f"{name}_from_tool", 3, "m", kind="vector"),
     )
 
 

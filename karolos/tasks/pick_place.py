@@ -88,12 +88,14 @@ class PickPlace(PointGoalTask, CarryTask):
     settings: Settings
     drawn: Settings
     protective_stop = False  # a policy that learns presses on cube and floor; `force_penalty` teaches it not to
-    achieved_goal = Layout((Field("object_position", 3, "m"),))
+    achieved_goal = Layout((Field("object_position", 3, "m", kind="point"),))
 
     def __init__(self, settings: PickPlace.Settings) -> None:
         super().__init__(settings)
         if settings.reward == "dense":
-            self.achieved_goal += Layout((Field("tool_position", 3, "m"), Field("pads_gripping", 1)))
+            self.achieved_goal += Layout(
+                (Field("tool_position", 3, "m", kind="point"), Field("pads_gripping", 1, kind="scalar"))
+            )
 
     def fit(self, robot: RobotView) -> None:
         settings, self._robot = self.settings, robot

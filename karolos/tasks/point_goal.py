@@ -140,7 +140,7 @@ class PointGoalTask(Task):
     """A task with a point goal. `fit` of a subclass calls `_fit_goal`, its `reset` calls `_sample_goal`."""
 
     settings: PointGoalSettings
-    desired_goal = Layout((Field("goal_position", 3, "m"),))
+    desired_goal = Layout((Field("goal_position", 3, "m", kind="point"),))
 
     def _fit_goal(self, box: Box, span: float) -> None:
         """Set the goal rule for goals in `box`. `span`: the largest possible distance from a goal in m."""

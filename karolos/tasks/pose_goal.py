@@ -19,7 +19,7 @@ METRES_PER_RADIAN = 0.1
 
 def pose_fields(what: str) -> tuple[Field, Field]:
     """The layout of a pose in a goal: its position in m, then the first two columns of its rotation matrix."""
-    return Field(f"{what}_position", 3, "m"), Field(f"{what}_rotation", 6, "1")
+    return Field(f"{what}_position", 3, "m", kind="point"), Field(f"{what}_rotation", 6, kind="rotation")
 
 
 def pose_array(position: Sequence[float], orientation: Quaternion) -> FloatArray:

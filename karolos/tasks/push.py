@@ -47,7 +47,7 @@ class Push(PointGoalTask, CubeTask):
     drawn: Settings
     uses_gripper = False
     protective_stop = False  # a policy that learns presses on cube and floor
-    achieved_goal = Layout((Field("object_position", 3, "m"),))
+    achieved_goal = Layout((Field("object_position", 3, "m", kind="point"),))
 
     def fit(self, robot: RobotView) -> None:
         self._robot = robot

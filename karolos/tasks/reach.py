@@ -30,7 +30,7 @@ class Reach(PointGoalTask):
     Settings = PointGoalSettings
     uses_gripper = False
     protective_stop = False  # nothing stands in the way
-    achieved_goal = Layout((Field("tool_position", 3, "m"),))
+    achieved_goal = Layout((Field("tool_position", 3, "m", kind="point"),))
 
     def fit(self, robot: RobotView) -> None:
         self._robot = robot

@@ -127,14 +127,14 @@ class Slide(CubeTask):
 
     settings: Settings
     drawn: Settings
-    observation = Layout((*FIELDS, Field("rest", 2, "m")))
+    observation = Layout((*FIELDS, Field("rest", 2, "m", kind="point")))
     object_class = Puck
     uses_gripper = False
     protective_stop = False  # a policy that learns presses on the floor; `force_penalty` teaches it not to
     fingers = 0.5  # the puck lies between them and goes where they go
     camera = Camera(target=(0.8, 0.0, 0.2), distance=3.4, yaw=22.0, pitch=-25.0)
-    achieved_goal = Layout((Field("rest", 2, "m"), Field("lies", 1)))
-    desired_goal = Layout((Field("target", 2, "m"),))
+    achieved_goal = Layout((Field("rest", 2, "m", kind="point"), Field("lies", 1, kind="scalar")))
+    desired_goal = Layout((Field("target", 2, "m", kind="point"),))
     distance_measure = Measure("miss", "m", "smaller", "distance of the target from where the puck comes to rest")
 
     def __init__(self, settings: Slide.Settings) -> None:

@@ -71,10 +71,12 @@ class Stack(CarryTask):
     def __init__(self, settings: Stack.Settings) -> None:
         self.number = number = settings.height
         pairs = [f"cube_{k + 1}_from_cube_{k}" for k in range(1, number)]
-        self.achieved_goal = self.desired_goal = Layout((*(Field(name, 3, "m") for name in pairs), Field("let_go", 1)))
+        self.achieved_goal = self.desired_goal = Layout(
+            (*(Field(name, 3, "m", kind="vector") for name in pairs), Field("let_go", 1, kind="scalar"))
+        )
         observed = [field for k in range(1, number + 1) for field in fields(f"cube_{k}")]
         for k, name in enumerate(pairs, 2):
-            observed += [Field(name, 3, "m"), Field(f"cube_{k}_error", 3)]
+            observed += [Field(name, 3, "m", kind="vector"), Field(f"cube_{k}_error", 3, kind="vector")]
         self.observation = Layout(tuple(observed))
         super().__init__(settings)
         self.goal_rule = Places(settings.threshold)

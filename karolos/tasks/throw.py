@@ -115,11 +115,13 @@ class Throw(CubeTask):
 
     settings: Throw.Settings
     drawn: Throw.Settings
-    observation = Layout((*FIELDS, Field("landing_if_released", 2, "m"), Field("time_of_flight", 1, "s")))
+    observation = Layout(
+        (*FIELDS, Field("landing_if_released", 2, "m", kind="point"), Field("time_of_flight", 1, "s", kind="scalar"))
+    )
     uses_gripper = True
     control = "joint"
-    achieved_goal = Layout((Field("landing_point", 2, "m"), Field("landed", 1)))
-    desired_goal = Layout((Field("target", 2, "m"),))
+    achieved_goal = Layout((Field("landing_point", 2, "m", kind="point"), Field("landed", 1, kind="scalar")))
+    desired_goal = Layout((Field("target", 2, "m", kind="point"),))
     distance_measure = Measure("miss", "m", "smaller", "distance of the landing from the target; undefined without one")
 
     def __init__(self, settings: Throw.Settings) -> None:

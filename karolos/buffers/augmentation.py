@@ -1,0 +1,103 @@
+"""Transitions as they would be elsewhere on the floor and in a mirror: what is learned here holds there, too.
+
+Source: Lin et al. 2019, "Invariant Transform Experience Replay", arXiv 1909.10707, which mirrors whole episodes. Here
+each sampled transition is mirrored or not, and moved, after hindsight has given it its goal.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Callable, Mapping, Sequence
+
+import numpy as np
+from pydantic import Field as Setting
+
+from ..core import BoolArray, Discrete, Field, FloatArray, Layout, Signature
+from ..core import Settings as BaseSettings
+from ..errors import UsageError
+from .storage import Rows
+
+SIGNS = {
+    "point": (1, -1, 1),
+    "vector": (1, -1, 1),
+    "axial": (-1, 1, -1),
+    "rotation": (1, -1, 1, -1, 1, -1),
+    "wrench": (1, -1, 1, -1, 1, -1),
+}
+"""Kind of a field -> what its columns are multiplied by in a mirror at the plane y = 0.
+
+A rotation R becomes M R M with M = diag(1, -1, 1): that of a thing in a mirror whose own y axis is reversed, so that it
+is the same thing if it is symmetric.
+"""
+
+
+class Augmentation:
+    """Changes sampled transitions in place, by the kinds of their fields, see `Field.kind`.
+
+    Right as far as robot and task are the same all over the floor and in a mirror: where actions move the tool, but
+    for the edge of the workspace and an arm's own asymmetry; where they move joints, never.
+
+    Raises:
+        UsageError: the kind of a field is not known, or actions are discrete.
+    """
+
+    class Settings(BaseSettings):
+        mirror: bool = Setting(True, description="half of the transitions are mirrored at the plane y = 0 of the world")
+        shift: float = Setting(
+            0.1, ge=0, le=10, description="each is moved by up to so much along x and along y of the world, m"
+        )
+
+    def __init__(self, settings: Augmentation.Settings, signature: Signature) -> None:
+        if isinstance(signature.action, Discrete):
+            raise UsageError("discrete actions have no mirror image", setting="buffer.augmentation", hint="remove it")
+        self.settings = settings
+        layouts = {
+            "observation": signature.observation,
+            "next_observation": signature.observation,
+            "desired_goal": signature.desired_goal,
+            "action": signature.action,
+        }
+        self._signs = {name: _row(layout, _signs) for name, layout in layouts.items()}
+        points = {name: _row(layout, _points) for name, layout in layouts.items()}
+        self._along = {
+            name: np.stack((point == 1, point == 2)).astype(np.float32) for name, point in points.items() if point.any()
+        }
+        """Name of rows -> which of their columns are the x and which the y of a place: (2, columns)."""
+
+    def apply(self, rows: Rows, generator: np.random.Generator) -> None:
+        """Mirror half of the rows and move all, each on its own. What hindsight alone needs stays as it is."""
+        size, settings = len(rows["action"]), self.settings
+        if settings.mirror:
+            self.mirror(rows, generator.random((size, 1), np.float32) < 0.5)
+        if settings.shift:
+            self.move(rows, (2 * generator.random((size, 2), np.float32) - 1) * np.float32(settings.shift))
+
+    def mirror(self, rows: Mapping[str, FloatArray], which: BoolArray) -> None:
+        """Mirror some rows; `which`: (n, 1)."""
+        for name, signs in self._signs.items():
+            rows[name][...] *= np.where(which, signs, np.float32(1))
+
+    def move(self, rows: Mapping[str, FloatArray], way: FloatArray) -> None:
+        """Move each row along x and y; `way`: (n, 2), m."""
+        for name, along in self._along.items():
+            rows[name][...] += way @ along
+
+
+def _row(layout: Layout, of: Callable[[Field], Sequence[int]]) -> FloatArray:
+    return np.array([value for field in layout.fields for value in of(field)], np.float32)
+
+
+def _signs(field: Field) -> Sequence[int]:
+    if field.kind is None:
+        raise UsageError(
+            f"what becomes of {field.name} in a mirror or elsewhere is not known",
+            setting="buffer.augmentation",
+            hint="remove it, choose control: cartesian, pose or impedance, or give the field its `kind`",
+        )
+    if field.kind == "scalar":
+        return (1,) * field.size
+    return SIGNS[field.kind][: field.size]
+
+
+def _points(field: Field) -> Sequence[int]:
+    """1 where it is an x of a place, 2 where a y, else 0."""
+    return (1, 2, 0)[: field.size] if field.kind == "point" else (0,) * field.size
