@@ -1,1 +1,1 @@
-"""Replay and rollout buffers: storage, sampling, hindsight."""
+"""Replay and rollout buffers: storage, sampling, hindsight, augmentation."""
