@@ -6,17 +6,18 @@ each sampled transition is mirrored or not, and moved, after hindsight has given
 
 from __future__ import annotations
 
-from collections.abc import Callable, Mapping, Sequence
+from collections.abc import Mapping
 
 import numpy as np
 from pydantic import Field as Setting
 
-from ..core import BoolArray, Discrete, Field, FloatArray, Layout, Signature
+from ..core import BoolArray, Discrete, FloatArray, Kind, Layout, Signature
 from ..core import Settings as BaseSettings
-from ..errors import UsageError
+from ..errors import PluginError, UsageError
 from .storage import Rows
 
-SIGNS = {
+SIGNS: Mapping[Kind, tuple[int, ...]] = {
+    "scalar": (1,),
     "point": (1, -1, 1),
     "vector": (1, -1, 1),
     "axial": (-1, 1, -1),
@@ -28,6 +29,10 @@ SIGNS = {
 A rotation R becomes M R M with M = diag(1, -1, 1): that of a thing in a mirror whose own y axis is reversed, so that it
 is the same thing if it is symmetric.
 """
+POINTS: Mapping[Kind, tuple[int, ...]] = {kind: (0,) * len(signs) for kind, signs in SIGNS.items()} | {
+    "point": (1, 2, 0)
+}
+"""1 where a column is an x of a place, 2 where it is a y, else 0."""
 
 
 class Augmentation:
@@ -56,8 +61,8 @@ class Augmentation:
             "desired_goal": signature.desired_goal,
             "action": signature.action,
         }
-        self._signs = {name: _row(layout, _signs) for name, layout in layouts.items()}
-        points = {name: _row(layout, _points) for name, layout in layouts.items()}
+        self._signs = {name: np.array(_columns(layout, SIGNS), np.float32) for name, layout in layouts.items()}
+        points = {name: np.array(_columns(layout, POINTS)) for name, layout in layouts.items()}
         self._along = {
             name: np.stack((point == 1, point == 2)).astype(np.float32) for name, point in points.items() if point.any()
         }
@@ -82,22 +87,19 @@ class Augmentation:
             rows[name][...] += way @ along
 
 
-def _row(layout: Layout, of: Callable[[Field], Sequence[int]]) -> FloatArray:
-    return np.array([value for field in layout.fields for value in of(field)], np.float32)
-
-
-def _signs(field: Field) -> Sequence[int]:
-    if field.kind is None:
-        raise UsageError(
-            f"what becomes of {field.name} in a mirror or elsewhere is not known",
-            setting="buffer.augmentation",
-            hint="remove it, choose control: cartesian, pose or impedance, or give the field its `kind`",
-        )
-    if field.kind == "scalar":
-        return (1,) * field.size
-    return SIGNS[field.kind][: field.size]
-
-
-def _points(field: Field) -> Sequence[int]:
-    """1 where it is an x of a place, 2 where a y, else 0."""
-    return (1, 2, 0)[: field.size] if field.kind == "point" else (0,) * field.size
+def _columns(layout: Layout, numbers: Mapping[Kind, tuple[int, ...]]) -> list[int]:
+    """The numbers of the kinds of all columns of a layout."""
+    columns = list[int]()
+    for field in layout.fields:
+        if field.kind is None:
+            raise UsageError(
+                f"what becomes of {field.name} in a mirror or elsewhere is not known",
+                setting="buffer.augmentation",
+                hint="remove it; it needs actions that move the tool, and fields that have a `kind`",
+            )
+        kinds = field.kind if isinstance(field.kind, tuple) else (field.kind,) * field.size
+        found = [number for kind in kinds for number in numbers[kind]][: field.size]
+        if len(found) < field.size:
+            raise PluginError(f"{field.name} has {field.size} columns, its kinds have {len(found)}", setting="task")
+        columns += found
+    return columns

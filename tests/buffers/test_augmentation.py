@@ -16,6 +16,7 @@ from karolos.environments.robot_task import RobotTask
 from karolos.errors import UsageError
 from karolos.plugins.inspection import pair
 from karolos.simulation.geometry import rotation_about
+from karolos.tasks.insert import TOP
 
 STEPS = 10
 
@@ -99,3 +100,33 @@ def test_what_has_no_mirror_image_is_refused(how: dict, said: str) -> None:
     with pytest.raises(UsageError, match=said):
         Augmentation(Augmentation.Settings(), environment.signature)
     environment.close()
+
+
+def inserting(environment: RobotTask, actions: FloatArray, sign: int) -> dict[str, FloatArray]:
+    """Rows of an episode: a peg beside and above its hole, turned; in a mirror (-1) or not (1)."""
+    environment.reset(0)
+    task, (x, y), turn = environment.task, environment.task.middle, 0.1 * sign
+    task.known, task.known_yaw = (x + 0.01, y + 0.02 * sign, TOP), turn
+    task.block.place((*task.known[:2], 0.0), rotation_about((0.0, 0.0, turn)))
+    task._hold((x + 0.015, y + 0.03 * sign, TOP + 0.02), -turn, 0.002, 0.001, 0.0)
+    environment.robot.read()
+    task.read()
+    seen = np.stack([environment._observation(), *(environment.step(action).observation for action in actions)])
+    goals = np.repeat(task.goal[np.newaxis], STEPS, axis=0)
+    return {"observation": seen[:-1].copy(), "next_observation": seen[1:].copy(), "action": actions.copy()} | {
+        "desired_goal": goals
+    }
+
+
+def test_a_peg_does_in_a_mirror_what_its_fields_say() -> None:
+    environment = made("insert", arm={"base": "centred", "control": "impedance", "turn_step": 0.03, "reset_noise": 0.0})
+    actions = random_actions(environment.signature, STEPS, SeedTree(0).generator())
+    rows = inserting(environment, actions, 1)
+    Augmentation(Augmentation.Settings(), environment.signature).mirror(rows, np.ones((STEPS, 1), np.bool_))
+    found = inserting(environment, rows["action"], -1)
+    environment.close()
+    for field in environment.signature.observation.fields:
+        columns = environment.signature.observation.slice(field.name)
+        here, expected = found["next_observation"][:, columns], rows["next_observation"][:, columns]
+        near = 0.3 * np.ptp(expected, axis=0) + (0.02 if field.name == "near_errors" else 1e-3)
+        assert (np.abs(here - expected).max(axis=0) <= near).all(), field.name
