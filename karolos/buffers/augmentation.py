@@ -6,17 +6,20 @@ each sampled transition is mirrored or not, and moved, after hindsight has given
 
 from __future__ import annotations
 
-from collections.abc import Callable, Mapping, Sequence
+from collections.abc import Mapping
+from typing import Any
 
 import numpy as np
 from pydantic import Field as Setting
 
-from ..core import BoolArray, Discrete, Field, FloatArray, Layout, Signature
+from ..core import BoolArray, Discrete, FloatArray, Kind, Layout, Signature
 from ..core import Settings as BaseSettings
-from ..errors import UsageError
-from .storage import Rows
+from ..core.compiled import compiled
+from ..errors import PluginError, UsageError
+from .storage import Rows, row_layout
 
-SIGNS = {
+SIGNS: Mapping[Kind, tuple[int, ...]] = {
+    "scalar": (1,),
     "point": (1, -1, 1),
     "vector": (1, -1, 1),
     "axial": (-1, 1, -1),
@@ -28,6 +31,8 @@ SIGNS = {
 A rotation R becomes M R M with M = diag(1, -1, 1): that of a thing in a mirror whose own y axis is reversed, so that it
 is the same thing if it is symmetric.
 """
+AXES: Mapping[Kind, tuple[int, ...]] = {kind: (0,) * len(signs) for kind, signs in SIGNS.items()} | {"point": (1, 2, 0)}
+"""1 where a column is an x of a place, 2 where it is a y, else 0."""
 
 
 class Augmentation:
@@ -50,54 +55,53 @@ class Augmentation:
         if isinstance(signature.action, Discrete):
             raise UsageError("discrete actions have no mirror image", setting="buffer.augmentation", hint="remove it")
         self.settings = settings
-        layouts = {
+        changed = {
             "observation": signature.observation,
             "next_observation": signature.observation,
             "desired_goal": signature.desired_goal,
             "action": signature.action,
         }
-        self._signs = {name: _row(layout, _signs) for name, layout in layouts.items()}
-        points = {name: _row(layout, _points) for name, layout in layouts.items()}
-        self._along = {
-            name: np.stack((point == 1, point == 2)).astype(np.float32) for name, point in points.items() if point.any()
-        }
-        """Name of rows -> which of their columns are the x and which the y of a place: (2, columns)."""
+        rows = row_layout(signature)
+        self._signs, self._axes = np.ones(rows.size, np.float32), np.zeros(rows.size, np.int64)
+        for name, layout in changed.items():
+            self._signs[rows.slice(name)] = _columns(layout, SIGNS)
+            self._axes[rows.slice(name)] = _columns(layout, AXES)
 
     def apply(self, rows: Rows, generator: np.random.Generator) -> None:
         """Mirror half of the rows and move all, each on its own. What hindsight alone needs stays as it is."""
-        size, settings = len(rows["action"]), self.settings
-        if settings.mirror:
-            self.mirror(rows, generator.random((size, 1), np.float32) < 0.5)
-        if settings.shift:
-            self.move(rows, (2 * generator.random((size, 2), np.float32) - 1) * np.float32(settings.shift))
+        size, settings = len(rows.table), self.settings
+        mirrored = generator.random(size, np.float32) < (0.5 if settings.mirror else 0.0)
+        way = (2 * generator.random((size, 2), np.float32) - 1) * np.float32(settings.shift)
+        self.change(rows, mirrored, way)
 
-    def mirror(self, rows: Mapping[str, FloatArray], which: BoolArray) -> None:
-        """Mirror some rows; `which`: (n, 1)."""
-        for name, signs in self._signs.items():
-            rows[name][...] *= np.where(which, signs, np.float32(1))
-
-    def move(self, rows: Mapping[str, FloatArray], way: FloatArray) -> None:
-        """Move each row along x and y; `way`: (n, 2), m."""
-        for name, along in self._along.items():
-            rows[name][...] += way @ along
+    def change(self, rows: Rows, mirrored: BoolArray, way: FloatArray) -> None:
+        """Mirror those rows (n,), then move each along x and y by so much (n, 2), in m."""
+        _change(rows.table, mirrored, way, self._signs, self._axes)
 
 
-def _row(layout: Layout, of: Callable[[Field], Sequence[int]]) -> FloatArray:
-    return np.array([value for field in layout.fields for value in of(field)], np.float32)
+@compiled
+def _change(table: Any, mirrored: Any, way: Any, signs: Any, axes: Any) -> None:
+    for row in range(len(table)):
+        for column in range(table.shape[1]):
+            if mirrored[row]:
+                table[row, column] *= signs[column]
+            if axes[column]:
+                table[row, column] += way[row, axes[column] - 1]
 
 
-def _signs(field: Field) -> Sequence[int]:
-    if field.kind is None:
-        raise UsageError(
-            f"what becomes of {field.name} in a mirror or elsewhere is not known",
-            setting="buffer.augmentation",
-            hint="remove it, choose control: cartesian, pose or impedance, or give the field its `kind`",
-        )
-    if field.kind == "scalar":
-        return (1,) * field.size
-    return SIGNS[field.kind][: field.size]
-
-
-def _points(field: Field) -> Sequence[int]:
-    """1 where it is an x of a place, 2 where a y, else 0."""
-    return (1, 2, 0)[: field.size] if field.kind == "point" else (0,) * field.size
+def _columns(layout: Layout, numbers: Mapping[Kind, tuple[int, ...]]) -> list[int]:
+    """The numbers of the kinds of all columns of a layout."""
+    columns = list[int]()
+    for field in layout.fields:
+        if field.kind is None:
+            raise UsageError(
+                f"what becomes of {field.name} in a mirror or elsewhere is not known",
+                setting="buffer.augmentation",
+                hint="remove it; it needs actions that move the tool, and fields that have a `kind`",
+            )
+        kinds = field.kind if isinstance(field.kind, tuple) else (field.kind,) * field.size
+        found = [number for kind in kinds for number in numbers[kind]][: field.size]
+        if len(found) < field.size:
+            raise PluginError(f"{field.name} has {field.size} columns, its kinds have {len(found)}", setting="task")
+        columns += found
+    return columns

@@ -11,7 +11,7 @@ from .buffer import Buffer
 from .environment import Environment, Expert
 from .experience import Batch, Experience, Rollout, Step, Transitions
 from .goals import GoalRule
-from .layout import Discrete, Field, Layout
+from .layout import Discrete, Field, Kind, Layout
 from .measures import Measure
 from .memory import FLOAT_BYTES, MemoryNeed, RunSize
 from .orchestrator import BuildEnvironment, Failure, Orchestrator, Received
@@ -35,6 +35,7 @@ __all__ = [
     "Field",
     "FloatArray",
     "GoalRule",
+    "Kind",
     "Layout",
     "Measure",
     "MemoryNeed",

@@ -17,12 +17,13 @@ class Field:
     unit: str = "1"
     critic_only: bool = False
     """Whether a critic alone may observe it, so that a policy acts without. Such fields stand at the end."""
-    kind: Kind | None = None
+    kind: Kind | tuple[Kind, ...] | None = None
     """What becomes of it when everything is moved along the floor or seen in a mirror, see `augmentation`.
 
     scalar: nothing. point: a place in the world (x, y or x, y, z). vector: a difference of places, a velocity, a force,
     a direction. axial: a turn, an angular velocity, a torque (about x, y, z or about z alone). rotation: the first two
-    columns of a rotation matrix. wrench: a vector, then an axial one. None: it is not known.
+    columns of a rotation matrix. wrench: a vector, then an axial one. Several: one after the other, of 3 columns, 6
+    columns (rotation, wrench) or one (scalar). None: it is not known.
     """
 
 

@@ -147,13 +147,13 @@ class Insert(Task):
     camera = Camera(target=(0.5, 0.0, 0.07), distance=0.55)
     observation = Layout(
         (
-            Field("tip_from_hole", 3, "m"),
-            Field("peg_turn", 3, "rad"),
-            Field("tip_velocity", 3, "m/s"),
-            Field("peg_angular_velocity", 3, "rad/s"),
-            Field("near_errors", 11),
-            Field("peg_wrench", 6, "N, N m"),
-            Field("overloaded", 1),
+            Field("tip_from_hole", 3, "m", kind="vector"),
+            Field("peg_turn", 3, "rad", kind="axial"),
+            Field("tip_velocity", 3, "m/s", kind="vector"),
+            Field("peg_angular_velocity", 3, "rad/s", kind="axial"),
+            Field("near_errors", 11, kind=("vector", "scalar", "vector", "scalar", "axial")),
+            Field("peg_wrench", 6, "N, N m", kind="wrench"),
+            Field("overloaded", 1, kind="scalar"),
         )
     )
     critic_only = Layout((Field("hole_error", 3, "m, rad"), Field("peg_forces", 2, "N")))
@@ -163,8 +163,8 @@ class Insert(Task):
         ),
     )
     distance_measure = Measure("final_distance", "m", "smaller", "distance of the tip from the bottom of the hole")
-    desired_goal = Layout((Field("tip_from_hole", 3, "m"), Field("peg_turn", 3, "rad")))
-    achieved_goal = desired_goal + Layout((Field("overloaded", 1),))
+    desired_goal = Layout((Field("tip_from_hole", 3, "m", kind="vector"), Field("peg_turn", 3, "rad", kind="axial")))
+    achieved_goal = desired_goal + Layout((Field("overloaded", 1, kind="scalar"),))
 
     def __init__(self, settings: Insert.Settings) -> None:
         super().__init__(settings)

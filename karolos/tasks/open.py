@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+from dataclasses import replace
 from math import cos, hypot, pi, sin
 from typing import Annotated, Literal
 
@@ -116,14 +117,16 @@ class Open(Task):
     camera = Camera(target=(0.5, 0.0, 0.08), distance=1.2)
     observation = Layout(
         (
-            Field("handle_position", 3, "m"),
-            Field("handle_direction", 2),
-            Field("handle_speed", 1, "m/s"),
-            Field("joint_position", 1, "m, rad"),
-            Field("handle_from_tool", 3, "m"),
+            Field("handle_position", 3, "m", kind="point"),
+            Field("handle_direction", 2, kind="vector"),
+            Field("handle_speed", 1, "m/s", kind="scalar"),
+            Field("joint_position", 1, "m, rad", kind="scalar"),
+            Field("handle_from_tool", 3, "m", kind="vector"),
         )
     )
-    achieved_goal = desired_goal = Layout((Field("joint_position", 1, "m, rad"), Field("handle_position", 3, "m")))
+    achieved_goal = desired_goal = Layout(
+        (Field("joint_position", 1, "m, rad", kind="scalar"), Field("handle_position", 3, "m", kind="point"))
+    )
 
     def __init__(self, settings: Open.Settings) -> None:
         super().__init__(settings)
@@ -133,6 +136,8 @@ class Open(Task):
         """Its x and y in m from the middle of the front or from the hinge, closed: x is where it opens to."""
         self.lever = hypot(*self.handle) if self.turns else 1.0
         """m that the handle moves per m or rad of the joint."""
+        if self.turns:  # its hinge is on one side: in a mirror it is another door
+            self.observation = Layout(tuple(replace(field, kind=None) for field in self.observation.fields))
         dense = settings.reward == "dense"
         rule, threshold = (HingeGoal, settings.angle_threshold) if self.turns else (JointGoal, settings.threshold)
         self.goal_rule = rule(threshold, dense=dense, span=1.0)

@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from collections.abc import Sequence
+from collections.abc import Callable, Sequence
 
 import numpy as np
 import pytest
@@ -10,61 +10,79 @@ from support.rig import ROBOTS, made
 
 from bench.buffers import filled_buffer
 from karolos.buffers.augmentation import Augmentation
+from karolos.buffers.storage import Rows, row_layout
 from karolos.core import FloatArray, random_actions
 from karolos.core.seeding import SeedTree
 from karolos.environments.robot_task import RobotTask
 from karolos.errors import UsageError
 from karolos.plugins.inspection import pair
 from karolos.simulation.geometry import rotation_about
+from karolos.tasks.insert import TOP
 
 STEPS = 10
 
 
-def played(environment: RobotTask, actions: FloatArray, sign: int, way: Sequence[float]) -> dict[str, FloatArray]:
-    """Rows of an episode: the tool moves over a thing that falls, tilted, and tumbles; in a mirror (-1) or not (1)."""
+def falling(environment: RobotTask, sign: int, way: Sequence[float]) -> None:
+    """The tool is above a thing that falls, tilted, and tumbles; in a mirror (-1) or not (1), moved."""
 
     def there(x: float, y: float, z: float) -> tuple[float, float, float]:
         return x + way[0], sign * y + way[1], z
 
-    environment.reset(0)
     robot, task = environment.robot, environment.task
     robot.place_tool(there(-0.05, 0.06, 0.15), 1.0)
     task.cube.place(there(0.06, -0.05, 0.06), rotation_about((0.5 * sign, 0.4, 0.3 * sign)))
     task.cube.body.set_velocity((0.1, 0.2 * sign, 0.0))
     task.goal = np.array((*there(-0.04, 0.05, 0.02), 1, 0, 0, 0, 1, 0)[: task.goal.size], np.float32)
-    robot.read()
-    task.read()
-    steps = [environment._observation(), *(environment.step(action).observation for action in actions)]
-    seen = np.stack(steps)
-    goals = np.repeat(task.goal[np.newaxis], STEPS, axis=0)
-    return {
-        "observation": seen[:-1].copy(),
-        "next_observation": seen[1:].copy(),
-        "action": actions.copy(),
-        "desired_goal": goals,
-    }
 
 
-@pytest.mark.parametrize("robot", ROBOTS)
-@pytest.mark.parametrize(("task", "arm"), [("pick_place", {"yaw": True}), ("reorient", {"control": "pose"})])
-def test_what_is_mirrored_and_moved_is_what_happens_there(robot: str, task: str, arm: dict) -> None:
+def inserting(environment: RobotTask, sign: int, way: Sequence[float]) -> None:
+    """A peg is above and beside its hole, turned; in a mirror or not, moved."""
+    task, x, y, turn = environment.task, way[0], way[1], 0.1 * sign
+    task.known, task.known_yaw = (x + 0.01, y + 0.02 * sign, TOP), turn
+    task.block.place((*task.known[:2], 0.0), rotation_about((0.0, 0.0, turn)))
+    task._hold((x + 0.015, y + 0.03 * sign, TOP + 0.02), -turn, 0.002, 0.001, 0.0)
+
+
+def played(environment: RobotTask, begin: Callable[[], None], actions: FloatArray) -> Rows:
+    """Rows of an episode with these actions."""
+    environment.reset(0)
+    begin()
+    environment.robot.read()
+    environment.task.read()
+    seen = np.stack([environment._observation(), *(environment.step(action).observation for action in actions)])
+    rows = Rows(row_layout(environment.signature), STEPS)
+    rows["observation"][:], rows["next_observation"][:], rows["action"][:] = seen[:-1], seen[1:], actions
+    rows["desired_goal"][:] = environment.task.goal
+    return rows
+
+
+@pytest.mark.parametrize(
+    ("robot", "task", "begin", "arm"),
+    [
+        *((robot, "pick_place", falling, {"yaw": True}) for robot in ROBOTS),
+        *((robot, "reorient", falling, {"control": "pose"}) for robot in ROBOTS),
+        ("panda", "insert", inserting, {"control": "impedance", "turn_step": 0.03}),
+    ],
+)
+def test_what_is_mirrored_and_moved_is_what_happens_there(
+    robot: str, task: str, begin: Callable[..., None], arm: dict
+) -> None:
     environment = made(task, robot, arm={"base": "centred", "reset_noise": 0.0, **arm})
     signature, way = environment.signature, (0.03, -0.04)
     actions = random_actions(signature, STEPS, SeedTree(0).generator())
-    rows = played(environment, actions, 1, (0.0, 0.0))
-    augmentation = Augmentation(Augmentation.Settings(), signature)
-    augmentation.mirror(rows, np.ones((STEPS, 1), np.bool_))
-    augmentation.move(rows, np.array([way], np.float32))
-    found = played(environment, rows["action"], -1, way)
+    rows = played(environment, lambda: begin(environment, 1, (0.0, 0.0)), actions)
+    everywhere = np.tile(np.array(way, np.float32), (STEPS, 1))
+    Augmentation(Augmentation.Settings(), signature).change(rows, np.ones(STEPS, np.bool_), everywhere)
+    found = played(environment, lambda: begin(environment, -1, way), rows["action"])
     environment.close()
     for field in signature.observation.fields:
         columns = signature.observation.slice(field.name)
-        here, expected = found["next_observation"][:, columns], rows["next_observation"][:, columns]
-        apart = np.abs(here - expected).max()
+        expected = rows["next_observation"][:, columns]
+        apart = np.abs(found["next_observation"][:, columns] - expected).max(axis=0)
         # A thing that nobody touches does the same; arms are a little askew, and near the end of what they can.
-        assert apart < (
-            1e-3 if field.name.startswith("object") and field.name != "object_from_tool" else 0.2 * np.ptp(expected)
-        ), field.name
+        alone = field.name.startswith("object") and field.name != "object_from_tool"
+        near = 1e-3 if alone else 0.3 * np.ptp(expected, axis=0) + (0.02 if "errors" in field.name else 0.005)
+        assert (apart <= near).all(), (field.name, apart, near)
     np.testing.assert_allclose(found["desired_goal"], rows["desired_goal"], atol=1e-6)
 
 
