@@ -5,11 +5,10 @@ As in training, a batch follows each step of the environments, so that adding an
 
 from __future__ import annotations
 
-import os
+import tracemalloc
 from collections.abc import Iterator
 from functools import partial
 from itertools import cycle, islice
-from pathlib import Path
 from statistics import median
 from time import perf_counter
 from typing import Annotated, Any
@@ -40,11 +39,14 @@ def measure(*, transitions: Annotated[int, Option(min=1000)] = 1_000_000, second
     signature = pair("panda", "pick_place").signature
     size, contestants = f"{transitions:,} transitions", {}
     for name in ("uniform", "priority"):
-        before = _resident()
+        # Traced, not the resident pages of the process: those shrink and grow with what others free and the kernel takes.
+        tracemalloc.start()
         buffer = filled_buffer(
             name, signature, ENVIRONMENTS, transitions, hindsight={"strategy": "future", "ratio": 0.8}
         )
-        yield Row(f"{name}, memory of {size}", (_resident() - before) / 1e9, "GB")
+        memory, _ = tracemalloc.get_traced_memory()
+        tracemalloc.stop()
+        yield Row(f"{name}, memory of {size}", memory / 1e9, "GB")
         contestants[name] = partial(_milliseconds, buffer, noise_episode(signature, ENVIRONMENTS))
     layout = row_layout(signature).size * 4 * transitions / 1e9
     yield Row(f"rows of {size} as laid out", layout, "GB")
@@ -113,7 +115,3 @@ def filled_buffer(name: str, signature: Signature, environments: int, transition
     buffer.sample(BATCH)
     return buffer
 
-
-def _resident() -> int:
-    """Bytes of memory that this process has in use."""
-    return int(Path("/proc/self/statm").read_text().split()[1]) * os.sysconf("SC_PAGE_SIZE")

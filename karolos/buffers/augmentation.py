@@ -43,6 +43,7 @@ class Augmentation:
 
     Raises:
         UsageError: the kind of a field is not known, or actions are discrete.
+        PluginError: the kinds of a field have fewer columns than the field.
     """
 
     class Settings(BaseSettings):
