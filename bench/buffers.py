@@ -114,4 +114,3 @@ def filled_buffer(name: str, signature: Signature, environments: int, transition
         buffer.add(noise)
     buffer.sample(BATCH)
     return buffer
-
