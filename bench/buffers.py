@@ -39,7 +39,7 @@ def measure(*, transitions: Annotated[int, Option(min=1000)] = 1_000_000, second
     signature = pair("panda", "pick_place").signature
     size, contestants = f"{transitions:,} transitions", {}
     for name in ("uniform", "priority"):
-        # Traced, not the resident pages of the process: those shrink and grow with what others free and the kernel takes.
+        # Traced: the resident pages of the process also depend on what others have freed and what the kernel takes.
         tracemalloc.start()
         buffer = filled_buffer(
             name, signature, ENVIRONMENTS, transitions, hindsight={"strategy": "future", "ratio": 0.8}
@@ -114,4 +114,3 @@ def filled_buffer(name: str, signature: Signature, environments: int, transition
         buffer.add(noise)
     buffer.sample(BATCH)
     return buffer
-
