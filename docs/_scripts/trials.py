@@ -21,6 +21,7 @@ from karolos.training.assembly import check_parts
 
 ROOT = Path(__file__).parents[2]
 SEEDS = 2
+"""Of each trial; reaching, which takes seconds, has five."""
 STEPS = {
     "reach": 2_000,
     "push": 30_000,
@@ -79,7 +80,7 @@ def commands() -> list[str]:
     for seed in range(5):
         for key, changes in TRIALS.items():
             for task, steps in STEPS.items():
-                if seed >= SEEDS and task != "reach":  # which takes seconds
+                if seed >= SEEDS and task != "reach":
                     continue
                 name = f"panda_{task}_{key}"
                 if not (ROOT / "runs" / "reference" / f"{name}-s{seed}").is_dir() and applies(task, changes):

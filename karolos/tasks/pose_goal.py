@@ -48,8 +48,7 @@ def check_turning(robot: RobotView) -> Box:
 class PoseGoal(GoalRule):
     """Success where position and orientation of `achieved` (..., 9) are both near those of `desired` (..., 9).
 
-    Sparse reward: 0 within `reward_share` of both thresholds, else -1. Dense reward: minus the distance in m, minus
-    .1 m per rad of the angle.
+    Sparse reward: 0 on success, else -1. Dense reward: minus the distance in m, minus .1 m per rad of the angle.
 
     Args:
         threshold: distance under which the position is reached, m.
@@ -59,7 +58,6 @@ class PoseGoal(GoalRule):
             three, of 90, 180 and 270 degrees.
         axis: of a thing that is the same after any turn about it; only the directions of this axis are compared. If a
             symmetry reverses it, both directions are the same.
-        reward_share: where the sparse reward counts. One up to the thresholds teaches to stop at the edge of success.
     """
 
     def __init__(
@@ -71,10 +69,8 @@ class PoseGoal(GoalRule):
         span: float,
         symmetries: Sequence[Quaternion] = (),
         axis: Vector | None = None,
-        reward_share: float = 1.0,
     ) -> None:
         self.threshold, self.angle_threshold, self.dense = threshold, angle_threshold, dense
-        self._reward_share = reward_share
         self.reward_range = (-span - METRES_PER_RADIAN * pi, 0.0) if dense else (-1.0, 0.0)
         turns = [matrix_of(one).ravel() for one in ((0.0, 0.0, 0.0, 1.0), *symmetries)] if symmetries else []
         self._turns = np.array(turns, np.float32)
@@ -86,14 +82,11 @@ class PoseGoal(GoalRule):
         if self.dense:
             lost = self.distance(achieved, desired) + np.float32(METRES_PER_RADIAN) * self.angle(achieved, desired)
             return np.asarray(-lost, np.float32)
-        return -np.asarray(~self._within(self._reward_share, achieved, desired), np.float32)
+        return -np.asarray(~self.success(achieved, desired), np.float32)
 
     def success(self, achieved: Array, desired: Array) -> BoolArray:
-        return self._within(1.0, achieved, desired)
-
-    def _within(self, share: float, achieved: Array, desired: Array) -> BoolArray:
-        near = self.distance(achieved, desired) < share * self.threshold
-        return np.asarray(near & (self.angle(achieved, desired) < share * self.angle_threshold))
+        near = self.distance(achieved, desired) < self.threshold
+        return np.asarray(near & (self.angle(achieved, desired) < self.angle_threshold))
 
     def distance(self, achieved: Array, desired: Array) -> FloatArray:
         difference = achieved[..., :3] - desired[..., :3]

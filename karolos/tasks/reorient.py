@@ -63,9 +63,6 @@ class ReorientSettings(CubeSettings):
     angle_threshold: float = Setting(
         pi / 12, gt=0, le=1, description="angle at which the orientation is reached, rad; the default is 15 degrees"
     )
-    reward_share: float = Setting(
-        1.0, gt=0, le=1, description="share of both thresholds within which the sparse reward counts"
-    )
     lying: Probability = Setting(0.5, description="share of the episodes in which the object lies; else it stands")
     start_carried: Probability = start("the object in the gripper, somewhere in the air")
     start_grasped: Probability = start("the object in the gripper")
@@ -133,8 +130,7 @@ class Reorient(CubeTask):
     Action: the robot's, with the gripper.
     Goals: achieved, position (3, m) and rotation (6, the first two columns of its matrix) of the object; desired, the
     same of the goal.
-    Reward: sparse -1, and 0 within `reward_share` of both thresholds; dense minus the distance in m, minus .1 m per rad
-    of the angle.
+    Reward: sparse -1 until the goal is reached, then 0; dense minus the distance in m, minus .1 m per rad of the angle.
     What counts as success: the object lies within `threshold` of the goal and is turned by less than `angle_threshold`
     from it. A box is the same after half a turn about each axis, a cylinder after any about its length, and reversed.
     Termination: never; the episode is truncated after `max_steps`.
@@ -169,7 +165,6 @@ class Reorient(CubeTask):
             span=10.0 + robot.workspace.diagonal,
             symmetries=flips,
             axis=(0.0, 0.0, 1.0) if settings.shape == "cylinder" else None,
-            reward_share=settings.reward_share,
         )
 
     def build(self, world: World) -> None:
