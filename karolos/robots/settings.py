@@ -102,7 +102,7 @@ class ArmSettings(Settings):
     protective_stop: ProtectiveStop | Literal["task"] | None = Setting(
         "task",
         description="limits beyond which the arm stops, which ends the episode without success; task: as the task says "
-        "(reach, push, pick_place, open and reorient: off; other tasks: the default limits); null: off",
+        "(throw, insert, reach_pose and tasks that do not say: the default limits; the others: off); null: off",
     )
     timed_release: bool = Setting(
         False,
