@@ -22,6 +22,7 @@ from karolos.report.tables import (
     run_state,
     runs_table,
     settings_table,
+    table_of_final,
     table_of_tests,
     transfers_table,
 )
@@ -446,17 +447,13 @@ def _print_facts(run: RunSummary, about: Mapping[str, Any], checkpoints: Sequenc
 
 def _print_results(record: RunRecord, results: Sequence[TestResult], final: FinalTest | None, *, every: bool) -> None:
     """Print the final test, or the last test before it; or every test."""
-    from karolos.records.results import TestCounts
-
     if not record.tests:
         print("\nno tests yet")
     elif every or final is None:
         tests = record.tests if every else record.tests[-1:]
         print_table(table_of_tests(tests, results, title="tests" if every else "last test"))
     if final is not None:
-        policies = [result for result in (final.last, final.best) if result is not None]
-        title = f"final test of last{' and of best' if final.best else ''}, from seed {final.seed}"
-        print_table(table_of_tests(map(TestCounts.of, policies), policies, title=title))
+        print_table(table_of_final(final, title=f"final test, from seed {final.seed}"))
     shown = final.last if final is not None else results[-1] if results else None
     if shown is not None and shown.measures:
         title = "measures of the last policy in the final test" if final else "measures of the last test"

@@ -22,7 +22,7 @@ MEASURED_SECONDS = 1.0
 """Seconds of testing in the run's own process after which it considers a second process."""
 WORTHWHILE_SECONDS = 4.0
 """Seconds of testing left from which a second process is started: it needs about two seconds to start."""
-MAX_PENDING = 16
+MAX_PENDING = 4
 """Tests that may wait, each with a copy of the agent's state. The run's own process plays those beyond."""
 MAX_LOST_PROCESSES = 3
 """Second processes that may be lost until tests are played in the run's own process only."""

@@ -18,7 +18,8 @@ from ..errors import RunError, UsageError
 from ..evaluation.policies import Learned, playable, read_learned, signature_of, spec_of
 from ..records import RunFolder
 from ..records.shipped import FOLDER as SHIPPED
-from ..registry import load
+from ..records.shipped import shipped_names
+from ..registry import closest, load
 from ..specification import Spec
 from ..training.assembly import located
 
@@ -55,7 +56,9 @@ def find(spec: Spec, runs: Path) -> Learned | None:
     try:
         folder = RunFolder.open(path)
     except RunError as error:
-        raise _refused(f"{run!r}: {error.what}", error.hint) from error
+        like = closest(run, shipped_names())
+        hint = f"did you mean {like!r}, which ships? {error.hint}" if like else error.hint
+        raise _refused(f"{run!r}: {error.what}", hint) from error
     source = spec_of(folder)
     check_agents(spec, source)
     if differences := layout_differences(signature_of(spec), signature_of(playable(source)), learning=True):

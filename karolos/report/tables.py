@@ -12,7 +12,7 @@ from typing import TYPE_CHECKING, Any, TypeVar
 from ..statistics.intervals import wilson
 
 if TYPE_CHECKING:
-    from ..records.results import MeasureMean, MeasureValues, TestCounts, TestResult
+    from ..records.results import FinalTest, MeasureMean, MeasureValues, TestCounts, TestResult
     from ..records.run_records import RunSummary
     from ..records.transfer_results import TransferResult
 
@@ -173,6 +173,17 @@ def table_of_tests(tests: Iterable[TestCounts], results: Iterable[TestResult] = 
         f"end within {' / '.join(f'{metres:.2f}' for metres in WITHIN)} m": lambda test: near.get(test.steps, "-"),
     }
     return Table.of(list(tests), columns, title)
+
+
+def table_of_final(final: FinalTest, *, title: str = "") -> Table:
+    """One row per policy of a final test, with the columns of `table_of_tests`."""
+    from ..records.results import TestCounts  # noqa: PLC0415  (numpy)
+
+    policies = {"last": final.last, "best": final.best}
+    tested = {name: result for name, result in policies.items() if result is not None}
+    table = table_of_tests(map(TestCounts.of, tested.values()), tested.values())
+    rows = [(name, *row) for name, row in zip(tested, table.rows, strict=True)]
+    return Table(["policy", *table.columns], rows, title)
 
 
 def measures_table(measures: Mapping[str, MeasureValues], title: str) -> Table:

@@ -18,7 +18,7 @@ import ast
 import json
 import re
 from bisect import bisect_right
-from collections.abc import Callable, Iterator, Mapping
+from collections.abc import Callable, Container, Iterator, Mapping
 from contextlib import suppress
 from dataclasses import dataclass
 from itertools import accumulate
@@ -29,6 +29,7 @@ from ..errors import UsageError
 from ..records.run_records import STATES
 from ..registry import alternatives
 
+EXAMPLE = "e.g. task=reach and agent.learning_rate<1e-3"
 LONGEST = 10_000
 """Characters of a filter."""
 DEEPEST = 50
@@ -64,6 +65,15 @@ class Filter:
     @property
     def keys(self) -> frozenset[str]:
         return frozenset(comparison.key for comparison in self.comparisons)
+
+    def refuse_texts(self, numbers: Container[str]) -> None:
+        """Raise a UsageError where a key in `numbers`, which is a number in each run, is compared with a text."""
+        for comparison in self.comparisons:
+            if comparison.key in numbers and comparison.operator != "~":
+                for literal in comparison.literals:
+                    if isinstance(literal.value, str):
+                        what = f"{literal.text!r} is not a number, as {comparison.key} is"
+                        raise _error(what, literal.column, f"e.g. {comparison.key}{comparison.operator}1000")
 
     def refuse_unknown(self, known: Callable[[str], bool], closest: Callable[[str], str | None]) -> None:
         """Raise a UsageError at the first unknown key, or at a state that does not exist.
@@ -146,7 +156,9 @@ def parse(text: str) -> Filter:
     """
     if len(text) > LONGEST:
         raise UsageError(f"the filter has {len(text):,} characters", hint=f"up to {LONGEST:,} are read")
-    return _Parser([*_tokens(text), Token("the end", None, len(text.rstrip()) + 1, "")]).read()
+    if not (tokens := list(_tokens(text))):
+        raise _error("the filter is empty", 1, EXAMPLE)
+    return _Parser([*tokens, Token("", None, len(text.rstrip()) + 1, "")]).read()
 
 
 class _Parser:
@@ -196,9 +208,11 @@ class _Parser:
         self._comparisons.append(FilterComparison(name.text, operator, tuple(literals), name.column))
         return self._comparisons[-1].matches
 
-    def _error(self, offset: int, what: str, hint: str = "e.g. task=reach and agent.learning_rate<1e-3") -> UsageError:
+    def _error(self, offset: int, what: str, hint: str = EXAMPLE) -> UsageError:
         """The error at the token that stands at this place in the text that Python sees."""
         token = self._tokens[bisect_right(self._starts, offset) - 1]
+        if token is self._tokens[-1]:
+            return _error(f"something is missing after {self._tokens[-2].text!r}", token.column, hint)
         return _error(f"{token.text!r} {what}", token.column, hint)
 
 

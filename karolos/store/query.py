@@ -11,7 +11,7 @@ from ..errors import NoSuchRunError, UsageError
 from ..records import RunFolder
 from ..records.run_records import RunRecord, RunSummary, flatten
 from ..records.shipped import FOLDER, shipped_names
-from ..registry import alternatives, closest
+from ..registry import closest
 from .rows import SUMMARY_FIELDS, means
 from .store import Store
 
@@ -117,7 +117,8 @@ def find_meant(selector: str, store: Store | None, runs: str | Path) -> RunSumma
     try:
         return existing(store, selector, runs).find(selector)
     except NoSuchRunError as error:
-        ships = alternatives(selector, shipped_names(), what="policies that ship")
+        like = closest(selector, shipped_names())
+        ships = f"the policy {like} ships" if like else f"{len(shipped_names())} policies ship, e.g. panda_pick"
         raise NoSuchRunError(error.what, hint=f"{error.hint}; {ships}") from error
 
 

@@ -7,6 +7,7 @@ from collections import defaultdict
 from collections.abc import Sequence
 from dataclasses import replace
 from pathlib import Path
+from types import NoneType
 from typing import Any, TypedDict, Unpack
 
 from sqlalchemy import Connection, Select, func, select
@@ -22,6 +23,8 @@ from .filters import Filter
 from .rows import SUMMARY_FIELDS, folder_path, means, summary_of
 from .tables import RUNS, SOFTWARE, SPECS, TESTS, TRIALS
 
+NUMBERS = {int, float, NoneType}
+"""Types of the values of what is a number, or missing."""
 MOST_NAMED = 500
 """A query names at most this many runs; for more, all rows are read."""
 
@@ -103,6 +106,7 @@ def _matching(connection: Connection, condition: Filter, home: Path | None) -> s
     current = {run.run: run for run in summaries(connection, unfinished, home)}
     columns = [RUNS.c[name] for name in sorted({"run", "spec", "software", *named, *["measures"] * measured})]
     found: set[str] = set()
+    kinds: dict[str, set[type]] = defaultdict(set)
     for row in connection.execute(select(*columns)).mappings():
         own: Any = vars(current[row["run"]]) if row["run"] in current else row
         values = shared.get(row["spec"], {}) | shared.get(row["software"], {})
@@ -113,8 +117,11 @@ def _matching(connection: Connection, condition: Filter, home: Path | None) -> s
             values["seed"] = int(own["seed"])
         if "folder" in named:
             values["folder"] = folder_path(own["folder"], home)
+        for key, value in values.items():
+            kinds[key].add(type(value))
         if condition.matches(values):
             found.add(row["run"])
+    condition.refuse_texts({key for key, types in kinds.items() if types != {NoneType} and types <= NUMBERS})
     return found
 
 

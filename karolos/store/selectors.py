@@ -71,7 +71,9 @@ def select(database: Database, selector: str, *, all_prefixed: bool = False) -> 
             return found
         if found := find_runs(database, prefix=identity, limit=_LISTED + 1):
             return found if all_prefixed else (only(selector, found),)
-    like = closest(identity, [row.name for row in database.fetch(sqlalchemy.select(RUNS.c.name).distinct())])
+    like = closest(
+        identity, ["@last", *(row.name for row in database.fetch(sqlalchemy.select(RUNS.c.name).distinct()))]
+    )
     hint = "`karolos runs list` shows them; @last is the newest"
     raise NoSuchRunError(f"{selector!r} means no run", hint=f"did you mean {like!r}? {hint}" if like else hint)
 

@@ -38,6 +38,7 @@ from ..report.tables import (
     number,
     run_state,
     setting,
+    table_of_final,
     table_of_tests,
     transfers_table,
 )
@@ -163,11 +164,7 @@ class Application:
         failures = _episodes(last)[1] if last and last.has_success else None
         tables = [table_of_tests(record.tests, results)] if record.tests else []
         if final is not None:
-            policies = {"last": final.last, "best": final.best}
-            tested = {name: result for name, result in policies.items() if result is not None}
-            table = table_of_tests(map(TestCounts.of, tested.values()), tested.values())
-            rows = [(name, *row) for name, row in zip(tested, table.rows, strict=True)]
-            tables.insert(0, Table(["policy", *table.columns], rows))
+            tables.insert(0, table_of_final(final))
         return self._page(
             "run.html",
             run=run,

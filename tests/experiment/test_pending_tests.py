@@ -156,6 +156,7 @@ def test_a_stop_with_pending_tests_keeps_them_for_the_resumed_run(
         if tests.pending[-1].steps == 240:
             signal.raise_signal(signal.SIGTERM)
 
+    monkeypatch.setattr(pending_tests, "MAX_PENDING", 6)
     after_add(monkeypatch, stop_at_the_end)
     stopped = run(tmp_path)
     assert stopped.state().state == "stopped"

@@ -81,9 +81,9 @@ def test_filter_does_not_fit(text: str) -> None:
 @pytest.mark.parametrize(
     ("text", "column", "what"),
     [
-        ("", 1, "'the end'"),
+        ("", 1, "the filter is empty;"),
         ("task", 1, "'task'"),
-        ("task=", 6, "'the end'"),
+        ("task=", 6, "something is missing after '=';"),
         ("task===reach", 7, "'='"),
         ("task=reach seed=1", 12, "'seed'"),
         ("(task=reach", 1, "'('"),
@@ -91,7 +91,7 @@ def test_filter_does_not_fit(text: str) -> None:
         ("seed in (1,", 9, "'('"),
         ("seed in ()", 9, "'('"),
         ("task='reach", 6, '"\'"'),
-        ("task=a and", 11, "'the end'"),
+        ("task=a and", 11, "something is missing after 'and';"),
         ("and task=a", 1, "'and'"),
         ("task ! a", 6, "'!'"),
         ("task(1)", 1, "'task'"),
@@ -173,6 +173,13 @@ def test_any_text_is_read_or_refused(text: str) -> None:
 def test_text_in_quotes_is_taken_as_it_stands(text: str) -> None:
     quoted = text.replace("\\", "\\\\").replace('"', '\\"')
     assert parse(f'note="{quoted}"').matches({"note": text})
+
+
+def test_a_number_is_not_compared_with_a_text() -> None:
+    for text, column in (("task=reach and steps>1k", 22), ("steps in (1, many)", 14), ("steps != 1_k", 10)):
+        with pytest.raises(UsageError, match=rf"column {column}: '.*' is not a number, as steps is"):
+            parse(text).refuse_texts({"steps"})
+    parse("steps>1e3 and steps=null and steps~1k and task<b").refuse_texts({"steps"})
 
 
 @pytest.mark.parametrize("text", ["state=finisched", "task=reach and state in (failed, finisched)"])

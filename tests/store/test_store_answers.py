@@ -80,10 +80,11 @@ def test_filters_know_columns_settings_labels_and_versions(store: Store, tmp_pat
             "filter, column 12: no run has 'learning_rate'; did you mean agent.learning_rate",
         ),
         ("versions.karlos=1", "no run has 'versions.karlos'; did you mean versions.karolos"),
+        ("seed>one", "filter, column 6: 'one' is not a number, as seed is"),
         ("zzzzzzzz=1", "no run has 'zzzzzzzz'; `karolos runs show RUN` shows"),
     ],
 )
-def test_filter_with_an_unknown_key_names_the_closest(store: Store, tmp_path: Path, where: str, told: str) -> None:
+def test_a_filter_that_can_match_no_run_says_why(store: Store, tmp_path: Path, where: str, told: str) -> None:
     add(store, tmp_path, 1)
     with pytest.raises(UsageError) as caught:
         store.runs(where=where)
