@@ -7,6 +7,7 @@ from __future__ import annotations
 
 import shlex
 from collections.abc import Mapping
+from functools import cache
 from pathlib import Path
 from statistics import fmean
 
@@ -15,7 +16,7 @@ import numpy as np
 from karolos.comparison import ComparedRun, Contender
 from karolos.core.seeding import SeedTree
 from karolos.errors import UsageError
-from karolos.specification import load_spec
+from karolos.specification import Spec, load_spec
 from karolos.statistics.aggregates import LEVELS, RESAMPLES, improvement
 from karolos.training.assembly import check_parts
 
@@ -61,17 +62,29 @@ TRIALS: dict[str, tuple[str, ...]] = {
 
 def applies(task: str, changes: tuple[str, ...]) -> bool:
     """Whether these settings are not those of the spec that ships, and suit it."""
-    spec = load_spec(ROOT / "specs" / f"panda_{task}.yaml")
-    if spec.demonstrations is not None and any("imitat" in change for change in changes):
+    if _shipped(task).demonstrations is not None and any("imitat" in change for change in changes):
         return False  # hindsight's goals are imitated where no demonstrations are
-    changed = load_spec(ROOT / "specs" / f"panda_{task}.yaml", changes)
-    if changed.hash() == spec.hash():
+    if ships(task, changes):
         return False
     try:
-        check_parts(changed)
+        check_parts(load_spec(_path(task), changes))
     except UsageError:
         return False
     return True
+
+
+def ships(task: str, changes: tuple[str, ...]) -> bool:
+    """Whether the spec that ships has these settings already."""
+    return load_spec(_path(task), changes).hash() == _shipped(task).hash()
+
+
+@cache
+def _shipped(task: str) -> Spec:
+    return load_spec(_path(task))
+
+
+def _path(task: str) -> Path:
+    return ROOT / "specs" / f"panda_{task}.yaml"
 
 
 def commands() -> list[str]:
@@ -110,7 +123,10 @@ def rows(found: Mapping[str, Contender]) -> list[list[str]]:
             if set(names := (f"panda_{task}_{key}", f"panda_{task}")) <= set(found)
         }
         if pairs:
-            cells = [f"{fmean(pairs[task][0]) - fmean(pairs[task][1]):+.2f}" if task in pairs else "" for task in STEPS]
+            cells = [
+                f"{fmean(pairs[task][0]) - fmean(pairs[task][1]):+.2f}" if task in pairs else "=" * ships(task, changes)
+                for task in STEPS
+            ]
             table.append([f"`{' '.join(changes)}`", *cells, _better(list(pairs.values()), SeedTree(0).child(key))])
     return table
 
