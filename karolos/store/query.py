@@ -112,13 +112,16 @@ def find_meant(selector: str, store: Store | None, runs: str | Path) -> RunSumma
     """
     if os.path.isfile(Path(selector) / "run.json"):  # Path.is_file raises for a name that is too long
         return RunFolder.open(selector).summary()
-    if shipped := shipped_run(selector, store):
-        return shipped.summary()
+    if found := shipped_run(selector, store):
+        return found.summary()
     try:
         return existing(store, selector, runs).find(selector)
     except NoSuchRunError as error:
-        like = closest(selector, shipped_names())
-        ships = f"the policy {like} ships" if like else f"{len(shipped_names())} policies ship, e.g. panda_pick"
+        shipped = shipped_names()
+        like = closest(selector, shipped)
+        ships = (
+            f"did you mean {like!r}, a policy that ships?" if like else f"{len(shipped)} policies ship, e.g. panda_pick"
+        )
         raise NoSuchRunError(error.what, hint=f"{error.hint}; {ships}") from error
 
 

@@ -40,7 +40,7 @@ def test_list_takes_a_filter(runs: Path) -> None:
     assert (nothing.stdout, nothing.stderr) == ("", "no runs match the filter\n")
     with pytest.raises(UsageError, match=r"filter, column 1: no run has 'agent\.learning_rat'; did you mean"):
         call("list", "agent.learning_rat=1")
-    with pytest.raises(UsageError, match=r"filter, column 6: 'the end'"):
+    with pytest.raises(UsageError, match=r"filter, column 6: something is missing after '='"):
         call("list", "task=")
 
 
