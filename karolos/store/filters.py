@@ -73,7 +73,7 @@ class Filter:
                 for literal in comparison.literals:
                     if isinstance(literal.value, str):
                         what = f"{literal.text!r} is not a number, as {comparison.key} is"
-                        raise _error(what, literal.column, f"e.g. {comparison.key}{comparison.operator}1000")
+                        raise _error(what, literal.column, f"e.g. {comparison.key}>1000")
 
     def refuse_unknown(self, known: Callable[[str], bool], closest: Callable[[str], str | None]) -> None:
         """Raise a UsageError at the first unknown key, or at a state that does not exist.

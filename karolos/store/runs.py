@@ -58,7 +58,8 @@ def find_runs(database: Database, **conditions: Unpack[RunConditions]) -> tuple[
     end that was not indexed.
 
     Raises:
-        UsageError: the state is unknown, or the filter cannot be read or names what no run has.
+        UsageError: the state is unknown, or the filter cannot be read, names what no run has, or compares a number
+            with a text.
     """
     state, where, limit = conditions.get("state"), conditions.get("where"), conditions.get("limit")
     if state is not None and state not in STATES:
