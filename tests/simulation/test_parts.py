@@ -189,3 +189,23 @@ def test_a_link_that_cannot_move_is_refused() -> None:
         mechanism(
             [Link(name="box", shapes=[]), Link(name="lid", shapes=[HANDLE], parent="bx", mass=1.0, range=(0.0, 1.0))]
         )
+
+
+@pytest.mark.parametrize("engine", ENGINES)
+def test_moments_that_are_set_are_about_the_axes_of_the_link(engine: Engine) -> None:
+    """A wheel of (1, 2, 3) kg cm2, or twice that, which 3 N cm turn about one axis after the other."""
+    world = make_world(engine, substeps=1)
+    own = Inertia((0.0, 0.0, 0.0), (1e-4, 2e-4, 3e-4))
+    for place, axis in enumerate([(1.0, 0.0, 0.0), (0.0, 1.0, 0.0), (0.0, 0.0, 1.0)]):
+        how: dict[str, Any] = {"parent": "base", "joint": "hinge", "range": (-9, 9), "axis": axis}
+        wheel = Link(name="wheel", shapes=[], mass=0.1, inertia=own, **how)
+        body = world.load(mechanism([Link(name="base", shapes=[]), wheel]), position=(place, 0.0, 1.0))
+        for factor in (1, 2):
+            moments = factor * 1e-4, factor * 2e-4, factor * 3e-4
+            body.set_inertia(0.1, moments, body.links()["wheel"])
+            body.place_joint("wheel", 0.0)
+            body.drive_joint("wheel", 1000.0, 0.03)
+            world.step()
+            assert body.joint("wheel")[1] / world.period == pytest.approx(0.03 / moments[place], rel=0.02)
+            body.drive_joint("wheel", 0.0, 0.0)
+    world.close()

@@ -134,6 +134,10 @@ class World:
         for mesh in loaded.meshes:  # masses come from the URDF; an open mesh has no volume
             mesh.inertia = self.api.mjtMeshInertia.mjMESH_INERTIA_SHELL
         bodies = loaded.bodies[1:]
+        for body in bodies:  # MuJoCo would sort the moments of a tensor, and turn its axes
+            moments, products = np.split(body.fullinertia, 2)
+            if moments.all() and not products.any():
+                body.inertia, body.fullinertia = moments, [np.nan] * 6
         bodies[0].pos = position
         if free:
             bodies[0].add_freejoint()
