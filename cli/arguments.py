@@ -164,7 +164,7 @@ def select_runs(
         matching = {run.run: run for run in store.runs(where=where)}
         selected = {run: matching[run] for run in selected if run in matching} if selectors else matching
     if not selected:
-        raise UsageError("no runs match the filter", hint="`karolos runs list FILTER` shows which runs match")
+        raise UsageError("no runs match the filter", hint="`karolos runs list FILTER --trials` shows which runs match")
     return store, tuple(selected.values())
 
 

@@ -57,7 +57,7 @@ def run(
     """
     from karolos.specification import load_spec
 
-    found = load_spec(spec, with_launcher(overrides, on))
+    found, longest = load_spec(spec, with_launcher(overrides, on)), seconds(time_limit)
     if detach:
         from karolos.training.assembly import check_parts
 
@@ -73,7 +73,7 @@ def run(
             database=database,
             jobs=jobs,
             existing="resume" if resume else "skip" if if_needed else "ignore",
-            time_limit=seconds(time_limit),
+            time_limit=longest,
             listener=display,
             check=False,
         )

@@ -14,6 +14,7 @@ from typing import TYPE_CHECKING, Annotated, Any
 import typer
 
 from karolos.errors import UsageError
+from karolos.files import writing
 from karolos.report.tables import (
     Table,
     duration,
@@ -84,15 +85,22 @@ def list_runs(
     group: Annotated[bool, typer.Option("--group", help="One row per experiment, with means over its runs.")] = False,
 ) -> None:
     """List runs, the newest first, or experiments with the means of their runs."""
+    chosen = {"a filter": where, "--state": state, "--limit": limit, "--columns": columns, "--sort": sort}
+    chosen |= {"--csv": csv, "--json": json, "--group": group, "--trials": trials}
+    given = [name for name, value in chosen.items() if value]
     if watch:
+        if given or trash:
+            raise UsageError(f"--watch takes no {given[0] if given else '--trash'}")
         _watch(runs)
         return
     if trash:
-        if where or state or csv:
+        if given and given != ["--json"]:
             hint = "`karolos runs restore RUN` brings a run back"
-            raise UsageError("--trash takes no filter, state or --csv", hint=hint)
+            raise UsageError(f"--trash takes no {next(one for one in given if one != '--json')}", hint=hint)
         _list_trash(runs, json=json)
         return
+    if group and columns is not None:
+        raise UsageError("--group has columns of its own", hint="leave out --columns")
     store = open_store(runs, database)
     if store is None:
         say(f"no runs in {runs} yet; `karolos run SPEC` makes one")
@@ -219,7 +227,7 @@ def show(
             problems = (f"the run folder is missing: {summary.folder}",)
     if json:
         row = _show_row(record, results, final)
-        about = {key: about[key] for key in ("versions", "machine", "command", "git") if about}
+        about = {key: about[key] for key in ("versions", "machine", "command", "git") if key in about}
         row |= {"transfers": [one.row() for one in transfers], "checkpoints": checkpoints, "problems": problems}
         print_rows([row | {"spec": record.spec, **about}], json=True)
         return
@@ -371,7 +379,8 @@ def import_runs(
     """Read runs from an archive into the runs folder: all of them or none. A run that already exists is refused."""
     from karolos.records import archive
 
-    runs.mkdir(parents=True, exist_ok=True)
+    with writing(runs):
+        runs.mkdir(parents=True, exist_ok=True)
     imported: list[RunRecord] = []
     with open_or_make_store(runs, database) as store:
 

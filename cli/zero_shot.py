@@ -9,6 +9,8 @@ from typing import Annotated
 
 import typer
 
+from karolos.errors import UsageError
+
 from .arguments import Changes, Checkpoint, Database, Json, PolicyOrSpec, Runs, open_run
 from .output import print_rows, print_table, say, warn
 
@@ -34,6 +36,9 @@ def zero_shot(
     (transfers.jsonl), and `karolos runs show` shows it. With --expert the scripted policy of a spec's task is tested.
     """
     if expert:
+        if randomize or checkpoint != "best":
+            option = "--randomize" if randomize else "--checkpoint"
+            raise UsageError(f"--expert takes no {option}", hint="it plays test episodes, and has no checkpoints")
         _score_expert(Path(run), overrides or (), episodes, seed, json=json)
         return
     folder = open_run(run, runs, database)

@@ -101,6 +101,7 @@ class ActorCritic(TorchAgent):
     """
 
     on_policy: ClassVar[bool] = False
+    critics_see_more: ClassVar[bool] = True
     shaping: ClassVar[tuple[str, ...]] = ("hidden", "fine_goal", "layer_norm")
     arrays: ClassVar[int] = 16  # measured: 21 for SAC
     critics: ClassVar[int] = 2

@@ -10,6 +10,7 @@ from pydantic import Field as Setting
 from torch import Tensor
 
 from ..core import Batch, Signature
+from ..core.deployed import Deployed
 from ..core.seeding import SeedTree
 from .actor_critic import ActorCritic, ActorCriticSettings, imitation_loss
 from .inputs import TensorBatch
@@ -42,6 +43,10 @@ class DDPG(ActorCritic):
         super().__init__(settings, signature, seeds, device)
         self.target_policy = self.policy.copy()
         self.updates = 0
+
+    def adopt(self, policy: Deployed) -> None:
+        super().adopt(policy)
+        self.target_policy.vector.copy_(self.policy.vector)
 
     def noisy(self, output: Tensor, noise: Tensor) -> Tensor:
         return torch.add(torch.tanh(output), noise, alpha=self.settings.noise.std).clamp_(-1, 1)

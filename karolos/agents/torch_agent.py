@@ -32,7 +32,8 @@ from ..core import (
 from ..core.deployed import Deployed, Layer, Output
 from ..core.schedules import Linear
 from ..core.seeding import SeedTree
-from .inputs import INPUT_CLIP, Normaliser, TensorBatch, tensor_batch, to_array
+from ..errors import UsageError
+from .inputs import INPUT_CLIP, NONE_MISSING, Normaliser, TensorBatch, tensor_batch, to_array
 from .layers import LAYER_NORM_EPSILON
 from .networks import MLP
 from .optimisation import Adam
@@ -88,6 +89,8 @@ class TorchAgent(Agent[Experience]):
     stored: tuple[str, ...]
     """Attributes that learning or acting depends on: tensors, counters, and parts with `state` and `load_state`."""
     optimisers: dict[str, Adam]
+    critics_see_more: ClassVar[bool] = False
+    """Whether critics use what `environment.critic_observes` names."""
     arrays: ClassVar[int] = 8
     """Arrays of the size of a network that it holds: parameters, targets, gradients, moments of Adam. Measured."""
 
@@ -97,17 +100,23 @@ class TorchAgent(Agent[Experience]):
         self.settings, self.device, self.discount = settings, torch.device(device), settings.discount
         seen = signature.observation.acting.size
         goals = seen + signature.desired_goal.size
+        if settings.fine_goal and not signature.observed_goal[0]:
+            what = "what is achieved of the goal is not among the observations"
+            raise UsageError(what, setting="agent.fine_goal", hint="set agent.fine_goal: null")
         self.missing = signature.observed_goal if settings.fine_goal else ((), ())
         """Columns of goals and of observations whose difference networks see, see `Signature.observed_goal`."""
         self.inputs: int = goals + len(self.missing[0])
         """Columns of a policy's input."""
         self.critic_only = signature.observation.size - seen
         """Further columns of a critic's input."""
+        if self.critic_only and not self.critics_see_more:
+            what = f"{type(self).__name__} has no critic that observes more than its policy"
+            raise UsageError(what, setting="environment.critic_observes", hint="set it to [], or choose sac")
         self.normaliser = Normaliser(
             self.inputs + self.critic_only,
             device,
             clip=input_clip,
-            missing=slice(goals, self.inputs),
+            missing=slice(goals, self.inputs) if self.missing[0] else NONE_MISSING,
             fine=settings.fine_goal or 1.0,
         )
         self.weights_generator = torch.Generator().manual_seed(seeds.child("weights").integer())

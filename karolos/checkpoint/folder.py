@@ -6,6 +6,7 @@ import os
 import re
 import shutil
 from collections.abc import Collection, Mapping
+from contextlib import suppress
 from pathlib import Path
 from typing import Any
 
@@ -49,6 +50,8 @@ def save(folder: Path, name: str, parts: Mapping[str, State], meta: Mapping[str,
             write_manifest(fresh, {"meta": dict(meta), "files": files, "array_files": sorted(arrays.used)})
         except BaseException:  # also after an interrupt nothing is left behind
             shutil.rmtree(fresh, ignore_errors=True)
+            with suppress(OSError):
+                _remove_unused(folder)
             raise
         _put_in_place(fresh, target)
         _remove_unused(folder)

@@ -101,6 +101,7 @@ class ComparedRun:
             state="finished",
             steps=nearest.steps,
             seconds=nearest.seconds,
+            updates=None,  # tests do not say
             success_any=nearest.success_any,
             success_end=nearest.success_end,
             mean_return=nearest.mean_return,

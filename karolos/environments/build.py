@@ -8,6 +8,7 @@ from typing import Any
 
 from ..core import Environment
 from ..core.environment import close
+from ..core.signature import layout_differences
 from ..errors import PluginError, UsageError
 from ..registry import load
 from ..specification.parts import Part, Recipe
@@ -66,6 +67,10 @@ def _build(recipe: Recipe) -> Environment:
     variants = {values: _join(variant) for values, variant in recipes(recipe, fixed).items()}
     for variant in variants.values():
         variant.randomize(live)
+    drawn = next(iter(variants.values())).signature
+    if differences := layout_differences(joined.signature, drawn, learning=True):  # tests draw nothing
+        what = "tests, which draw nothing, would differ from training: " + "; ".join(differences)
+        raise UsageError(what, setting=f"randomization.{fixed[0]}", hint="change the setting itself, too")
     return VariedRobotTask(variants, {name: _instance(distributions[name]) for name in fixed})
 
 

@@ -102,12 +102,13 @@ class RobotTask(Environment):
                 setting="environment.critic_observes",
                 hint=f"it has {', '.join(offered) or 'nothing'}",
             )
+        hidden = dict.fromkeys(settings.critic_observes)
         self._critic_columns = [
             column
-            for name in settings.critic_observes
+            for name in hidden
             for column in range(task.critic_only.slice(name).start, task.critic_only.slice(name).stop)
         ]
-        only = tuple(replace(offered[name], critic_only=True) for name in settings.critic_observes)
+        only = tuple(replace(offered[name], critic_only=True) for name in hidden)
         if unknown := sorted(set(settings.omit) - set(full.names)):
             raise UsageError(
                 f"no observation is called {', '.join(unknown)}",

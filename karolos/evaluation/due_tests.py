@@ -95,7 +95,6 @@ class EvaluationProcess:
     def __init__(self, spec: Spec) -> None:
         self._spec = json.dumps(spec.dump())
         self._pool = ProcessPoolExecutor(1, multiprocessing.get_context("spawn"), initializer=_begin)
-        self._others = set(multiprocessing.active_children())
 
     def submit(self, test: DueTest) -> Future[tuple[TestResult, list[Failure]]]:
         """Begin a test; its result comes with the failures of environments.
@@ -108,8 +107,9 @@ class EvaluationProcess:
 
     def close(self, *, kill: bool) -> None:
         """End the process. `kill`: also while it plays."""
+        processes = list((self._pool._processes or {}).values())  # Python 3.14 has `kill_workers`
         self._pool.shutdown(wait=False, cancel_futures=True)
-        for process in set(multiprocessing.active_children()) - self._others:
+        for process in processes:
             if not kill:
                 process.join(CLOSE_SECONDS)
             process.kill()

@@ -87,7 +87,7 @@ def export_policy(folder: RunFolder, out: Path, *, checkpoint: str = "best", onn
     if onnx:
         acted.append(run_onnx(paths["policy.onnx"], golden))
     error = max(float(np.abs(found - golden["action"]).max()) for found in acted)
-    if error > LARGEST_ERROR:
+    if not error <= LARGEST_ERROR:
         for path in paths.values():
             path.unlink()  # they must not be used
         raise RunError(f"what was written does not act as the agent does: it differs by {error:.2g}", where=folder.id)

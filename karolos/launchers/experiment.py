@@ -4,12 +4,12 @@ from __future__ import annotations
 
 from collections.abc import Mapping
 from contextlib import ExitStack
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from pathlib import Path
 from typing import Any
 
 from ..errors import RunError
-from ..experiment.events import Listener, print_progress
+from ..experiment.events import Listener, RunEnded, print_progress
 from ..experiment.run import run_or_resume
 from ..experiment.signals import StopRequest, stop_on_signals
 from ..experiment.start_from import pinned
@@ -126,7 +126,7 @@ class Experiment:
                 claim(home, spec, seed, stack)
             if is_local and jobs == 1:
                 folders = (home.find(spec, one) or home.create(spec, one) for one in spec.seeds if not stop.requested)
-                summaries = [_execute(one, home.url, listener, stop) for one in folders]
+                summaries = [_execute_one_of(one, home.url, listener, stop) for one in folders]
             else:
                 job = RunJob(spec, home)
                 with make_launcher(self.spec, jobs) as launcher:
@@ -181,6 +181,15 @@ def claim(home: Home, spec: Spec, seed: int, stack: ExitStack) -> None:
             where=spec.name,
             hint="`karolos runs list --watch` shows its runs; wait for it, or stop it first",
         )
+
+
+def _execute_one_of(folder: RunFolder, url: str, listener: Listener, stop: StopRequest) -> RunSummary:
+    """As `_execute`. A run that cannot begin or resume fails alone: the other seeds are run."""
+    try:
+        return _execute(folder, url, listener, stop)
+    except RunError as error:
+        listener(RunEnded(folder.id, "failed", str(error)))
+        return replace(folder.summary(), state="failed", error=str(error))
 
 
 def _execute(folder: RunFolder, url: str, listener: Listener, stop: StopRequest) -> RunSummary:

@@ -97,6 +97,7 @@ class RayLauncher(Launcher):
     @override
     def wait(self, seconds: float) -> Ended | None:
         errors = self._ray.exceptions
+        folder: Path | None = None
         try:
             done, _ = self._ray.wait(list(self._active), timeout=seconds) if self._active else ([], [])
             if not done:
@@ -105,11 +106,12 @@ class RayLauncher(Launcher):
             folder = self._active.pop(done[0])
             return Ended(folder, self._ray.get(done[0]))
         except errors.RayTaskError as error:  # of the task, e.g. karolos is not installed there
+            assert folder is not None  # only getting its result raises this
             return Ended(folder, f"its task failed: {error.cause}")
-        except (errors.WorkerCrashedError, errors.ObjectLostError, errors.NodeDiedError) as error:
+        except (errors.RayError, ConnectionError) as error:
+            if folder is None or isinstance(error, ConnectionError):  # e.g. of this machine's own part of the cluster
+                raise self._gone() from error
             return Ended(folder, f"its machine or process was lost: {error}".splitlines()[0], died=True)
-        except (errors.RayError, ConnectionError) as error:  # e.g. of this machine's own part of the cluster
-            raise self._gone() from error
 
     def _check_cluster(self) -> None:
         """Raise a MachineError if the cluster is gone. Ray itself would end this process after a minute."""

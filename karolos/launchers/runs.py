@@ -163,6 +163,7 @@ class RunTask(Task):
         happened = self._new_lines("events.jsonl")
         tests = [decode_test(row) for row in self._new_lines("tests.jsonl")]  # written before these events
         if any(row["event"] in ("started", "resumed") for row in happened):
+            job.read_tests(self._seed, folder)  # a run that does not resume bit for bit has cut some
             yield from self._update_index()
             yield RunStarted(folder.id, self._seed, job.spec.training.steps, str(folder.path))
         for name, row in self._progress.items():

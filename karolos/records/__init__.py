@@ -9,7 +9,8 @@
     final.jsonl     the final test, of last and of best
     events.jsonl    one line per event
     episodes.jsonl  one line per training episode, with what domain randomization drew
-    tensorboard/    scalars
+    tensorboard/    scalars, and films
+    play.mp4        test episodes of its policy, after `karolos play`
     checkpoints/    best and last
     export/         its policy for use without karolos, after `karolos export`
     transfers.jsonl one line per test of its policy under changed settings
@@ -17,11 +18,13 @@
     progress.json   how far it is, while a launcher's process executes it
     launch.json     host of that process, the software that it must have, and why it refused (`problem`)
     stop            why that process has to stop, written by the process that follows the run
+    slurm.job       the number of its job on Slurm
     lock            held by the process that runs it, for as long as it lives
 
-Only the process that holds the lock writes, except stop and launch.json, and except transfers.jsonl and labels.json,
-which have their own locks. The state `lost` is never written: it means that the run has begun and not ended, and no
-process holds the lock. A run that is `created` waits for its start.
+Only the process that holds the lock writes, except stop, launch.json and slurm.job, and except what is made of a run
+later: films, export, and transfers.jsonl and labels.json, which have their own locks. The state `lost` is never
+written: it means that the run has begun and not ended, and no process holds the lock. A run that is `created` waits for
+its start.
 """
 
 from .run_folder import RunFolder, paths, scan

@@ -41,13 +41,13 @@ _AGAIN = "was it copied completely? Export it again"
 _FILE = re.compile(
     r"spec\.yaml|code\.diff|play(?:-failures)?\.mp4"
     r"|(?:run|resolved|state|labels)\.json|(?:tests|final|events|episodes|transfers)\.jsonl"
-    r"|tensorboard/events\.out\.tfevents\.[0-9A-Za-z._-]{1,100}"
+    r"|tensorboard/(?:film/)?events\.out\.tfevents\.[0-9A-Za-z._-]{1,100}"
     r"|export/(?:policy\.(?:npz|json|onnx)|golden\.npz)"
     rf"|checkpoints/(?:{PART.pattern}|\.{PART.pattern}\.previous)/(?:{PART.pattern}\.pt|manifest\.json)"
     r"|checkpoints/\.arrays/[0-9a-f]{64}"
 )
 """A file that a run has, by its path below the run's folder."""
-_OF_PROCESSES = re.compile(r"(?:.*\.)?lock|\..*\.tmp|launch\.json|progress\.json|stop")
+_OF_PROCESSES = re.compile(r"(?:.*\.)?lock|\..*\.tmp|launch\.json|progress\.json|stop|slurm\.job")
 """Names of files between a run's process and others. They are not told as left out."""
 _MEMBER = re.compile(rf"({ID.pattern})/(?:{_FILE.pattern})")
 

@@ -127,8 +127,9 @@ def code(folder: Path) -> Code | None:
         return None
     entries = [entry for entry in status.split("\0") if entry]
     untracked = [entry[3:] for entry in entries if entry.startswith("??")]
+    dirty = any(not entry.startswith("??") for entry in entries)
     diff = _git(folder, "diff", "--no-ext-diff", "--no-textconv", "--no-color", "HEAD", "--") or ""
-    return Code(commit.strip(), bool(diff), tuple(untracked[:UNTRACKED_FILES]), redact(diff))
+    return Code(commit.strip(), dirty, tuple(untracked[:UNTRACKED_FILES]), redact(diff))
 
 
 def _git(folder: Path, *arguments: str) -> str | None:

@@ -175,6 +175,8 @@ class Arm:
         delay = drawn.pop("gripper_delay")
         if "robot.control" in self.mujoco_only:
             del parameters["motor_gain"]  # nothing follows speeds
+            if self.settings.stiffness_range is not None:
+                del drawn["stiffness"]  # actions choose it
             parameters = {**parameters, "joint_friction": SPRING_FRICTION, **drawn}
         if "wrench" in self._observed:
             parameters["wrench_noise"] = WRENCH_NOISE
@@ -245,7 +247,7 @@ class Arm:
             world.forces(self.body)  # the world records them from the first question on
         self._apply: dict[str, Callable[[float], None]] = {
             "joint_damping": motors.set_joint_damping,
-            "joint_friction": motors.set_joint_friction,
+            "joint_friction": self._set_joint_friction,
             "link_mass": motors.set_mass,
             "motor_gain": motors.set_gain,
             "pad_friction": motors.set_pad_friction,
@@ -256,6 +258,11 @@ class Arm:
             self._apply[name](value)
         else:  # observation_noise, action_delay, gripper_delay, of the spring
             self._values[name] = value
+
+    def _set_joint_friction(self, fraction: float) -> None:
+        self.motors.set_joint_friction(fraction)
+        if self._guard is not None and "robot.control" not in self.mujoco_only:  # springs move what friction holds
+            self._guard.available = 1 - fraction
 
     def value(self, name: str) -> float:
         """The value of a parameter in the running episode."""

@@ -40,6 +40,7 @@ class Guard:
         period: duration of a control step in s.
 
     Attributes:
+        available: fraction of each largest torque that friction leaves to the motor.
         stops: how often a limit was exceeded since the reset; a lasting excess counts once.
         stopped: whether a stop has ended the episode.
     """
@@ -49,6 +50,7 @@ class Guard:
         self._torques = [TORQUE_TOLERANCE * limits.torque * most for most in effort] if limits.torque else []
         self._patience = limits.seconds / period
         self._ends = limits.ends
+        self.available = 1.0
         self.reset()
 
     def reset(self) -> None:
@@ -63,7 +65,7 @@ class Guard:
         exceeded = self._force is not None and max(forces.values(), default=0.0) > self._force
         if self._torques:
             self._steps = [
-                steps + 1 if abs(torque) >= most else 0
+                steps + 1 if abs(torque) >= self.available * most else 0
                 for steps, torque, most in zip(self._steps, torques, self._torques, strict=True)
             ]
             exceeded = exceeded or max(self._steps) >= self._patience

@@ -2,9 +2,9 @@
 
 from __future__ import annotations
 
-from typing import Annotated, Literal
+from typing import Annotated, Literal, Self
 
-from pydantic import AfterValidator
+from pydantic import AfterValidator, model_validator
 from pydantic import Field as Setting
 from pydantic_core import PydanticCustomError
 
@@ -21,6 +21,9 @@ def _installed_gripper(name: str) -> str:
         return find("grippers", name).name
     except UsageError as error:
         raise PydanticCustomError("unknown_name", "{message}", {"message": error.what, "hint": error.hint}) from None
+
+
+Stiffness = Annotated[float, Setting(gt=0, le=5000)]
 
 
 class ArmSettings(Settings):
@@ -80,7 +83,7 @@ class ArmSettings(Settings):
         0.02, gt=0, le=0.2, description="largest distance of the tool from its set point that the spring pulls for, m"
     )
     turn_error_limit: float = Setting(0.2, gt=0, le=1, description="the same of the rotation, rad")
-    stiffness_range: tuple[float, float] | None = Setting(
+    stiffness_range: tuple[Stiffness, Stiffness] | None = Setting(
         None, description="a further number of an impedance action chooses the stiffness in this range, N/m; null: none"
     )
     reset_noise: float = Setting(
@@ -115,3 +118,10 @@ class ArmSettings(Settings):
         le=1,
         description="how far a gripper that the task does not use stands open, up to 1; 0: closed, in slide half open",
     )
+
+    @model_validator(mode="after")
+    def _range_rises(self) -> Self:
+        if self.stiffness_range is not None and not self.stiffness_range[0] < self.stiffness_range[1]:
+            low, high = self.stiffness_range
+            raise ValueError(f"stiffness_range ends ({high:g}) not above where it begins ({low:g})")
+        return self

@@ -93,7 +93,8 @@ def spec_of_trial(base: Spec, drawn: Mapping[str, Any], name: str, seeds: tuple[
     mark = Mark(source)
     tree = _with_runs(base, name, seeds, mark)
     for key in application_order(drawn):
-        tree = merged(tree, nested(key, from_plain(base.sweep.space[key].value(drawn[key]), mark)))
+        value = nested(key, from_plain(base.sweep.space[key].value(drawn[key]), mark))
+        tree = merged(tree, with_shared_settings(tree, value))
     return _resolve(tree, [], [], None)
 
 
@@ -124,8 +125,11 @@ def spec_of_variant(base: Spec, variant: str, name: str, seeds: tuple[int, ...],
 
 
 def _with_runs(base: Spec, name: str, seeds: tuple[int, ...], mark: Mark) -> Node:
-    """The resolved spec as a tree, with the name and the seeds of other runs."""
-    return from_plain({**base.alone().dump(), "name": name, "seeds": list(seeds)}, mark)
+    """The resolved spec as a tree, with the name and the seeds of other runs.
+
+    Without defaults: where another plugin takes the place of one, those would become its settings.
+    """
+    return from_plain({**base.alone().changed(), "name": name, "seeds": list(seeds)}, mark)
 
 
 def _without_nulls(node: Node, path: tuple[str, ...] = ()) -> Node:

@@ -11,7 +11,7 @@ from typing import Any
 
 from ..errors import Problem
 from ..registry import alternatives
-from .merge import RANDOMIZATION, SWEEP, merged, nested, segments
+from .merge import RANDOMIZATION, SWEEP, merged, nested, segments, with_shared_settings
 from .nodes import Node
 from .problems import validate
 from .sweep import Sweep
@@ -120,7 +120,7 @@ def _probes(
         tree = base
         above = application_order(drawn)
         for name in above:
-            tree = merged(tree, nested(name, _values(space, sweep, name)[drawn[name]]))
+            tree = _with(tree, name, _values(space, sweep, name)[drawn[name]])
         home = tree.get(*segments(key)[:-1])
         if home is not None and home.mapping is None:
             off = next((name for name in reversed(above) if key.startswith(f"{name}.")), None)
@@ -129,7 +129,12 @@ def _probes(
                 yield None, Problem(space[key].place, f"sweep.space.{key}", what, f"add when: {{{off}: ...}}")
                 continue
         for value, node in _values(space, sweep, key).items():
-            yield value, merged(tree, nested(key, node))
+            yield value, _with(tree, key, node)
+
+
+def _with(tree: Node, key: str, value: Node) -> Node:
+    override = nested(key, value)
+    return merged(tree, with_shared_settings(tree, override))
 
 
 def _depends(sweep: Sweep, key: str) -> list[str]:

@@ -71,7 +71,9 @@ def reindex(store: Store, runs: str | Path) -> Reindexed:
     for group in _run_folders(root, locked=True):
         problems += (problem for found in group for problem in found.problems)
         known.update(found.run for found in group if found.run is not None)
-        refused += _enter(store.add_records, [found.record for found in group if found.record is not None])
+        records = [found.record for found in group if found.record is not None]
+        refused += _enter(store.add_records, records)
+        _catch_up(store, records)
     gone = _gone_runs(store, root, known)
     store.remove_runs(gone)
     sweeps, damaged = _read_sweeps(root)
@@ -188,6 +190,18 @@ def _enter(add: Callable[[Sequence[_Record]], None], records: Sequence[_Record])
         folder = records[0].summary.folder if isinstance(records[0], RunRecord) else records[0].folder
         return [f"{Path(folder).name}: {error.what}; left out"]
     return []
+
+
+def _catch_up(store: Store, records: Sequence[RunRecord]) -> None:
+    """Enter runs again that wrote into their folders, and the database, after these records of them were read."""
+    while records := [one for one in records if one.summary.state in ("created", "running")]:
+        renewed = [_read(Path(one.summary.folder), locked=True).record or one for one in records]
+        records = [
+            new
+            for new, old in zip(renewed, records, strict=True)
+            if (new.summary.state, new.tests) != (old.summary.state, old.tests)
+        ]
+        _enter(store.add_records, records)
 
 
 def _facts(record: RunRecord) -> dict[str, Any]:

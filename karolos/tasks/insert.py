@@ -10,11 +10,11 @@ from pydantic import Field as Setting
 
 from ..core import Array, BoolArray, Expert, Field, FloatArray, GoalRule, Layout, Measure, Settings
 from ..core.seeding import Generator
-from ..errors import PluginError
+from ..errors import PluginError, UsageError
 from ..randomization.randomization import Drawn, Probability
 from ..simulation.geometry import Quaternion, Vector, inverse, multiply, rotated, rotation_about, rotation_vector
 from ..simulation.interface import Camera, RobotView, Task, World
-from ..simulation.shapes import Cuboid, Cylinder, Shape
+from ..simulation.shapes import Cuboid, Cylinder, Shape, inertia_of
 from .cube import LOST_DISTANCE, aligned, check_pads
 from .force_penalty import ForcePenalty
 from .starts import drawn_stage, start
@@ -119,11 +119,14 @@ class Insert(Task):
         )
         play: float = Setting(0.0005, gt=0, le=0.01, description="width of the hole less that of the peg, m")
         chamfer: float = Setting(0.001, ge=0, le=0.005, description="height and width of the chamfer of the hole, m")
-        hole_error: Annotated[float, Drawn("m", 0.0, 0.005)] = Setting(
-            0.0, ge=0, le=0.005, description="largest error along x and y of the hole as it is known, m"
+        hole_error: Annotated[float, Drawn("m", 0.0, 0.0)] = Setting(
+            0.0,
+            ge=0,
+            le=0.005,
+            description="largest error along x and y of the hole as it is known, m; randomization draws up to it",
         )
-        hole_turn_error: Annotated[float, Drawn("rad", 0.0, 0.1)] = Setting(
-            0.0, ge=0, le=0.1, description="largest error of its turn, rad"
+        hole_turn_error: Annotated[float, Drawn("rad", 0.0, 0.0)] = Setting(
+            0.0, ge=0, le=0.1, description="largest error of its turn, rad; likewise"
         )
         peg_mass: Annotated[float, Drawn("kg", 0.02, 1.0)] = Setting(0.1, gt=0, le=1, description="of the peg, kg")
         friction: Annotated[float, Drawn("1", 0.0, 2.0)] = Setting(
@@ -185,6 +188,9 @@ class Insert(Task):
         self._opening = self.width / check_pads(robot, type(self).__name__, "holds a peg").width
         if self._opening > 0.9:
             raise PluginError(f"a peg of {self.width:g} m does not go into the gripper", where=type(robot).__name__)
+        if self.settings.shape != "round" and not (robot.orientations.tilt or robot.turns_joints):
+            what = "these actions do not turn the tool, and the hole is turned"
+            raise UsageError(what, setting="robot.control", hint="set robot.control: impedance, or task.shape: round")
         x, y, _ = robot.workspace.centre
         self.middle = x, y
 
@@ -201,6 +207,9 @@ class Insert(Task):
         super().apply(world, name, value)
         if name == "friction":
             self.block.set_friction(value)
+        elif name == "peg_mass":
+            a, b, c = inertia_of(peg(self.settings.shape), value).moments
+            self.peg.set_inertia(value, (a, b, c))
 
     def reset(self, generator: Generator) -> None:
         settings = self.settings

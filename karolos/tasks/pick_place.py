@@ -10,7 +10,7 @@ from pydantic import Field as Setting
 from ..core import Array, BoolArray, Expert, Field, FloatArray, Layout
 from ..core.seeding import Generator
 from ..randomization.randomization import Probability
-from ..simulation.interface import Box, RobotView
+from ..simulation.interface import Box, Cup, RobotView
 from .carrying import Carrier, CarryTask
 from .cube import CubeSettings, check_gripper, ground
 from .point_goal import PointGoal, PointGoalSettings, PointGoalTask, sample_position
@@ -101,6 +101,8 @@ class PickPlace(PointGoalTask, CarryTask):
         settings, self._robot = self.settings, robot
         self.gripper = check_gripper(robot, type(self).__name__, settings.object_size)
         rest, highest = settings.object_size / 2, robot.workspace.high[2]
+        if isinstance(self.gripper, Cup):  # it is above the cube
+            highest -= rest
         self.ground = ground(robot.workspace, settings.goals, rest)
         top = highest if settings.goals == "workspace" else min(rest + AIR_HEIGHT, highest)
         self.air = Box(self.ground.low, (*self.ground.high[:2], top))

@@ -112,6 +112,14 @@ def _check_amounts(spec: Spec, agent: Agent, buffer: Buffer) -> None:
                 setting="training.batch_size" if _is_set(spec, "batch_size") else "buffer.capacity",
                 hint="lower training.batch_size, or raise buffer.capacity",
             )
+        share = None if spec.demonstrations is None else spec.demonstrations.share
+        if share is not None and not 0 < round(share * amounts.batch_size) < amounts.batch_size:
+            count = round(share * amounts.batch_size)
+            raise UsageError(
+                f"{count} of {amounts.batch_size} transitions of a batch would be demonstrated",
+                setting="demonstrations.share",
+                hint="between 1 and all but 1; or null: as often as other transitions",
+            )
         return
     if amounts.mode == "async":
         raise UsageError(

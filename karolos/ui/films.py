@@ -68,11 +68,11 @@ class Films:
 
 
 def make(folder: RunFolder, path: Path, kind: str) -> None:
-    """Film test episodes of the best policy, in TensorBoard, too, or episodes that fail.
+    """Film test episodes of the best policy, in TensorBoard, too, or episodes in which the last one fails.
 
     Raises as `load_player`, `write_video` and `add_film`.
     """
-    name = "best" if "best" in names(folder.checkpoints) else "last"
+    name = "best" if kind == "episodes" and "best" in names(folder.checkpoints) else "last"
     player = load_player(folder, name)
     seed, chosen = player.spec.testing.seed, play_failures if kind == "failures" else play
     with used(player.environment) as environment:

@@ -6,6 +6,7 @@ import secrets
 import socket
 from collections.abc import Callable
 from pathlib import Path
+from urllib.parse import quote
 
 import uvicorn
 from starlette.types import ASGIApp
@@ -26,7 +27,7 @@ def serve(
         store: its index.
         host: name or address to listen on. Beyond loopback there is always a token.
         port: 0 takes a free one.
-        token: asked for; by default a random one beyond loopback, and none on it.
+        token: asked for; None or "" is a random one beyond loopback, and none on it.
         ready: gets the address for a browser once the page can be opened.
 
     Raises:
@@ -44,12 +45,12 @@ def serve(
         raise MachineError(f"cannot listen ({error.strerror or error})", where=f"{host}:{port}", hint=hint) from error
     port = listener.getsockname()[1]
     beyond = host not in LOOPBACK
-    if beyond and token is None:
-        token = secrets.token_urlsafe(24)
+    token = token or (secrets.token_urlsafe(24) if beyond else None)
     application = Application(runs, store)
     app = guarded(application, host, port, token)
     name = socket.gethostname() if host in ("0.0.0.0", "::") else host
-    ready(f"http://{f'[{name}]' if ':' in name else name}:{port}/{f'?token={token}' if token else ''}")
+    query = "?token=" + quote(token, safe="") if token else ""
+    ready(f"http://{f'[{name}]' if ':' in name else name}:{port}/{query}")
     config = uvicorn.Config(app, log_level="warning", access_log=False, ws="none", lifespan="off", server_header=False)
     try:
         uvicorn.Server(config).run(sockets=[listener])

@@ -122,12 +122,17 @@ class GoalEnv(gymnasium.Env[Observation, NDArray[np.float32]]):
         return {**info, "extra_reward": float(step.reward - self._rule.reward(step.achieved_goal, step.desired_goal))}
 
     def compute_reward(self, achieved_goal: Any, desired_goal: Any, info: Any) -> Any:
-        """Reward (...) of achieved goals (..., a) and desired goals (..., d), with what the step's info adds to it."""
+        """Reward (...) of achieved goals (..., a) and desired goals (..., d), with what the step's info adds to it.
+
+        A batch has a list of infos, or one info for all; with None or {} nothing is added.
+        """
         reward = self._rule.reward(np.asarray(achieved_goal, np.float32), np.asarray(desired_goal, np.float32))
         if self._environment.signature.extra_reward != (0.0, 0.0):
-            infos = [info] if isinstance(info, Mapping) else info
-            extra = np.array([one.get("extra_reward", 0.0) for one in infos], np.float32)
-            reward = reward + extra.reshape(np.shape(reward))
+            if info is None or isinstance(info, Mapping):
+                reward = reward + np.float32((info or {}).get("extra_reward", 0.0))
+            else:
+                extra = np.array([one.get("extra_reward", 0.0) for one in info], np.float32)
+                reward = reward + extra.reshape(np.shape(reward))
         return float(reward) if np.ndim(reward) == 0 else reward
 
     def compute_terminated(self, achieved_goal: Any, desired_goal: Any, info: Any) -> Any:  # noqa: ARG002

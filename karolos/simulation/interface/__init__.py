@@ -2,7 +2,8 @@
 
 A task uses `RobotView` and nothing else of a robot, so any robot works with any task. Robots and tasks use `World`,
 `Body` and `Motors` and nothing else of an engine.
-Units: m, s, kg, N, rad; float32 arrays; the world's frame has its origin at the robot's base, on the floor.
+Units: m, s, kg, N, rad. The world's frame has its origin on the floor, at the robot's base or, with `robot.base:
+centred`, below the middle of its workspace.
 """
 
 from ..geometry import Box

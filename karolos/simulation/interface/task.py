@@ -125,7 +125,10 @@ class Task(ABC):
         return False
 
     def over(self) -> bool:
-        """Whether the arm can change nothing any more: the episode is truncated. In training alone; tests play on."""
+        """Whether the arm can change nothing any more: the episode is truncated.
+
+        A parameter that training draws should decide it, so that tests play on.
+        """
         return False
 
     @property

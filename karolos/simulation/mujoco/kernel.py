@@ -193,11 +193,13 @@ def _weigh(data, at, bodies, forces, peaks, largest):
         row = _integer(contact + at[ROW])
         if row >= 0:
             one, other = bodies[_integer(contact + at[ONE])], bodies[_integer(contact + at[OTHER])]
+            one, other = min(one, other), max(one, other)  # shapes of other kinds come in another order
             forces[one, other] += _number(force + 8 * row)
             peaks[one, other] = max(peaks[one, other], forces[one, other])
             largest[one, other] = max(largest[one, other], forces[one, other])
     for contact in range(first, last, at[STRIDE]):
-        forces[bodies[_integer(contact + at[ONE])], bodies[_integer(contact + at[OTHER])]] = 0.0
+        one, other = bodies[_integer(contact + at[ONE])], bodies[_integer(contact + at[OTHER])]
+        forces[min(one, other), max(one, other)] = 0.0
 
 
 @compiled
