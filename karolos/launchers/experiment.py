@@ -188,6 +188,8 @@ def _execute_one_of(folder: RunFolder, url: str, listener: Listener, stop: StopR
     try:
         return _execute(folder, url, listener, stop)
     except RunError as error:
+        if folder.is_locked():  # another process runs it
+            raise
         listener(RunEnded(folder.id, "failed", str(error)))
         return replace(folder.summary(), state="failed", error=str(error))
 

@@ -129,7 +129,7 @@ def _with_runs(base: Spec, name: str, seeds: tuple[int, ...], mark: Mark) -> Nod
 
     Without defaults: where another plugin takes the place of one, those would become its settings.
     """
-    return from_plain({**base.alone().changed(), "name": name, "seeds": list(seeds)}, mark)
+    return from_plain({**base.alone().given(), "name": name, "seeds": list(seeds)}, mark)
 
 
 def _without_nulls(node: Node, path: tuple[str, ...] = ()) -> Node:

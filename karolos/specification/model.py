@@ -202,6 +202,11 @@ class Spec(Settings):
         """The plugins and the settings that differ from their defaults; JSON-able."""
         return self.model_dump(mode="json", exclude_defaults=True)
 
+    def given(self) -> dict[str, Any]:
+        """The plugins and the settings that were given, whether they differ from their defaults or not; JSON-able."""
+        given = self.model_dump(mode="json", exclude_unset=True)
+        return {key: value for key, value in given.items() if value is not None}
+
     def alone(self) -> Spec:
         """This spec without what is not a run's own: sweep, transfer and launcher."""
         return self.model_copy(update={"sweep": None, "transfer": None, "launcher": None})

@@ -27,10 +27,10 @@ class Part:
     settings: Any
     """An instance of the plugin's `Settings`."""
 
-    def dump(self, *, changed: bool = False) -> dict[str, Any]:
-        """Name and all settings as in a spec, or only those that differ from their defaults; JSON-able."""
+    def dump(self, *, changed: bool = False, given: bool = False) -> dict[str, Any]:
+        """Name and all settings as in a spec, or only those that are no defaults, or that were given; JSON-able."""
         settings: BaseModel = self.settings
-        return {"name": self.name, **settings.model_dump(mode="json", exclude_defaults=changed)}
+        return {"name": self.name, **settings.model_dump(mode="json", exclude_defaults=changed, exclude_unset=given)}
 
     def identity(self) -> dict[str, Any]:
         """Name and the settings that results depend on: `Settings.identity()` if defined, otherwise all."""
@@ -61,7 +61,7 @@ class OfKind:
 
     def __get_pydantic_core_schema__(self, source: Any, handler: GetCoreSchemaHandler) -> CoreSchema:
         dump = core_schema.plain_serializer_function_ser_schema(
-            lambda part, info: part.dump(changed=info.exclude_defaults), info_arg=True
+            lambda part, info: part.dump(changed=info.exclude_defaults, given=info.exclude_unset), info_arg=True
         )
         return core_schema.no_info_plain_validator_function(self.validate, serialization=dump)
 

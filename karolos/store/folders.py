@@ -201,7 +201,7 @@ def _catch_up(store: Store, records: Sequence[RunRecord]) -> None:
             for new, old in zip(renewed, records, strict=True)
             if (new.summary.state, new.tests) != (old.summary.state, old.tests)
         ]
-        _enter(store.add_records, records)
+        _enter(store.add_records, records)  # what it refuses now it has refused before
 
 
 def _facts(record: RunRecord) -> dict[str, Any]:

@@ -9,7 +9,7 @@ import pytest
 
 from karolos import checkpoint
 from karolos.checkpoint import CheckpointError
-from karolos.checkpoint.array_files import SIZE
+from karolos.checkpoint.array_files import _SOUND, SIZE
 
 
 def large(seed: int, files: float = 3.5) -> np.ndarray:
@@ -72,9 +72,21 @@ def test_damaged_array_file_is_refused_by_name(tmp_path: Path, damage: str) -> N
     assert checkpoint.load(tmp_path, "last", only=("agent",))[0] == {"agent": {"steps": 1}}
 
 
-def test_array_file_that_was_truncated_is_written_again(tmp_path: Path) -> None:
+def test_what_a_save_that_failed_wrote_is_removed(tmp_path: Path) -> None:
+    checkpoint.save(tmp_path, "best", {"buffer": {"table": large(2)}}, {})
+    kept = files(tmp_path)
+    with pytest.raises(TypeError):
+        checkpoint.save(tmp_path, "last", {"buffer": {"table": large(3)}, "agent": {"odd": object()}}, {})
+    assert files(tmp_path) == kept
+
+
+@pytest.mark.parametrize("damage", ["changed", "truncated"])
+def test_array_file_that_was_damaged_is_written_again(tmp_path: Path, damage: str) -> None:
     checkpoint.save(tmp_path, "last", {"buffer": {"table": large(5)}}, {})
     path = tmp_path / ".arrays" / sorted(files(tmp_path))[0]
-    path.write_bytes(b"")
+    data = bytearray(path.read_bytes())
+    data[100] ^= 1
+    path.write_bytes(data if damage == "changed" else b"")
+    _SOUND.clear()  # as in a process that has not written it
     checkpoint.save(tmp_path, "last", {"buffer": {"table": large(5)}}, {})
     assert np.array_equal(checkpoint.load(tmp_path, "last")[0]["buffer"]["table"], large(5))

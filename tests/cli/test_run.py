@@ -77,6 +77,7 @@ def test_a_table_and_the_place_of_the_results_end_a_run(home):
         (["toy.yaml", "randomization.task.gravity={name: normal, mean: -9, std: 1}"], 2, ["randomization"]),
         (["toy.yaml", "environment.dimensions=2", "robot=panda"], 2, ["robot"]),
         (["toy.yaml", "--database", "sqlite:///toy.yaml"], 4, ["toy.yaml"]),
+        (["toy.yaml", "--detach", "--time-limit", "2hours"], 2, ["--time-limit", "2hours"]),
     ],
 )
 def test_bad_input_is_a_karolos_error(home, arguments, code, words):

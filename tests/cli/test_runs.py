@@ -68,6 +68,22 @@ def test_list_sorts_and_groups(runs: Path) -> None:
         call("list", "--group", "--sort", "seed", "--runs", runs)
 
 
+@pytest.mark.parametrize(
+    ("options", "ignored"),
+    [
+        (("--watch", "--json"), "--watch takes no --json"),
+        (("--watch", "--trash"), "--watch takes no --trash"),
+        (("--trash", "--json", "--columns", "run"), "--trash takes no --columns"),
+        (("--group", "--columns", "run"), "--group has columns of its own"),
+    ],
+)
+def test_options_of_a_list_that_would_be_ignored_are_refused(
+    runs: Path, options: tuple[str, ...], ignored: str
+) -> None:
+    with pytest.raises(UsageError, match=ignored):
+        call("list", *options, "--runs", runs)
+
+
 def test_list_filters_and_limits(runs: Path) -> None:
     first = add_run(runs, 0)
     failed, lost = add_run(runs, 1, "failed"), add_run(runs, 2, "running")

@@ -14,7 +14,7 @@ from support.run_commands import add_run
 from support.store_samples import stored
 from typer.testing import Result
 
-from karolos.errors import RunError, UsageError
+from karolos.errors import MachineError, RunError, UsageError
 from karolos.records import RunFolder
 from karolos.store import Store
 
@@ -133,6 +133,8 @@ def test_exported_runs_come_in_elsewhere(runs: Path, tmp_path: Path) -> None:
     with pytest.raises(UsageError, match=r"exists already; `karolos runs rm`"):
         call("import", tmp_path / "x.tar.gz", "--runs", other)
     assert rows("list", "--runs", other) == came
+    with pytest.raises(MachineError, match=r"^[^\n]*x\.tar\.gz[^\n]*$"):
+        call("import", tmp_path / "x.tar.gz", "--runs", tmp_path / "x.tar.gz")
 
 
 def test_spec_file_means_the_runs_of_its_experiment(runs: Path, tmp_path: Path) -> None:

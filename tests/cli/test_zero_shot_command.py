@@ -74,3 +74,9 @@ def test_checkpoints_and_runs_that_are_not_there_are_refused(app: Typer, runs: P
     code, _, err = call(app, "nobody", "--runs", str(runs))
     assert code == 2
     assert "nobody" in err
+
+
+@pytest.mark.parametrize("option", [("--randomize",), ("--checkpoint", "last")])
+def test_what_an_expert_does_not_have_is_refused(option: tuple[str, ...]) -> None:
+    code, _, err = call(policy_app, "panda_reach", "--expert", "--episodes", "1", *option)
+    assert (code, f"--expert takes no {option[0]}" in err) == (2, True)

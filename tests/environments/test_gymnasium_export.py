@@ -66,6 +66,9 @@ def test_rewards_and_ends_are_those_of_the_goals_one_by_one_and_together(name: s
     rewards = np.array([step[1] for step in steps], np.float32)
     computed = environment.compute_reward(achieved, desired, [step[4] for step in steps])
     np.testing.assert_allclose(computed, rewards, atol=1e-6)
+    extra = [step[4].get("extra_reward", 0.0) for step in steps]
+    for unknown in ({}, None):
+        np.testing.assert_allclose(environment.compute_reward(achieved, desired, unknown) + extra, rewards, atol=1e-5)
     np.testing.assert_array_equal(environment.compute_terminated(achieved, desired, None), [s[2] for s in steps])
     assert steps[-1][2] or steps[-1][3]
     environment.close()

@@ -21,6 +21,7 @@ from karolos.experiment.events import RunWarned
 from karolos.experiment.pending_tests import PendingTests
 from karolos.launchers import experiment
 from karolos.records import RunFolder
+from karolos.specification import spec_from_dict
 
 pytestmark = pytest.mark.xdist_group(__name__)
 
@@ -187,6 +188,16 @@ def test_a_stop_during_a_test_abandons_it_and_the_resumed_run_plays_it_again(
     assert [test.steps for test in stopped.tests()] == [40]
     assert checkpoint.read_meta(stopped.checkpoints, "last")["steps"] == 80
     assert_same_runs(alone, run(tmp_path, existing="resume"))
+
+
+def test_the_end_of_the_second_process_ends_no_other() -> None:
+    process = due_tests.EvaluationProcess(spec_from_dict(SPEC))
+    other = multiprocessing.get_context("spawn").Process(target=time.sleep, args=(60,), daemon=True)
+    other.start()
+    process.close(kill=True)
+    assert other.is_alive()
+    other.kill()
+    other.join()
 
 
 def test_no_second_process_starts_for_short_tests(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:

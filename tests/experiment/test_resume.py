@@ -157,12 +157,16 @@ def test_run_without_a_checkpoint_begins_anew_in_its_folder(whole: RunFolder, br
     assert_same_runs(whole, broken)
 
 
-def test_no_sound_checkpoint_is_an_error_and_nothing_is_lost(broken: RunFolder) -> None:
+def test_no_sound_checkpoint_is_an_error_of_that_seed_alone_and_nothing_is_lost(broken: RunFolder) -> None:
     for name in ("last", "previous"):
         (broken.checkpoints / name / "manifest.json").write_text("{}")
     before = sorted(path for path in broken.path.rglob("*") if path.is_file())
     with pytest.raises(RunError, match="no checkpoint can be used"):
         resume_run(broken, Store.default_url(broken.path.parent))
+    both = Experiment(USUAL | {"seeds": [0, 1]}).run(broken.path.parent, existing="resume", check=False)
+    assert [(run.seed, run.state) for run in both.runs] == [(0, "failed"), (1, "finished")]
+    assert "no checkpoint can be used" in str(both.runs[0].error)
+    assert both.exit_code == 1
     assert sorted(path for path in broken.path.rglob("*") if path.is_file()) == before
 
 

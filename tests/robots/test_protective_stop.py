@@ -6,11 +6,12 @@ from typing import Any
 
 import numpy as np
 import pytest
-from support.rig import ENGINES, made
+from support.rig import ENGINES, made, values
 
 from karolos.core import Step
 from karolos.environments.robot_task import RobotTask
 from karolos.robots.protective_stop import Guard, ProtectiveStop
+from karolos.specification.parts import Part
 
 
 def guard(**limits: Any) -> Guard:
@@ -27,9 +28,10 @@ def pressed_on_the_floor(environment: RobotTask) -> Step:
     return step
 
 
-def low(engine: str, **stop: Any) -> RobotTask:
+def low(engine: str, draws: dict[str, Part] | None = None, **stop: Any) -> RobotTask:
     """A Panda, closed fingers down, in reach; the limits are in `stop`."""
-    environment = made("reach", environment={"engine": engine}, arm={"protective_stop": stop or None}, max_steps=100)
+    how = {"environment": {"engine": engine}, "arm": {"protective_stop": stop or None}}
+    environment = made("reach", draws=draws, max_steps=100, **how)
     box = environment.robot.workspace
     environment.robot.workspace = type(box)((*box.low[:2], -0.1), box.high)  # lower than the hand can go
     return environment
@@ -51,6 +53,14 @@ def test_a_torque_at_its_limit_stops_only_if_it_lasts() -> None:
     assert not watching.stopped
     watching.watch({}, (-9.5, 0.0))
     assert watching.stopped
+
+
+@pytest.mark.parametrize("engine", ENGINES)
+def test_a_motor_that_friction_leaves_less_torque_stops_at_that(engine: str) -> None:
+    environment = low(engine, {"robot.joint_friction": values(0.3)}, force=None, seconds=0.1)
+    assert pressed_on_the_floor(environment).truncated
+    assert environment.stops == 1
+    environment.close()
 
 
 @pytest.mark.parametrize("engine", ENGINES)

@@ -249,6 +249,24 @@ def test_check_names_every_difference_of_a_sweep(tmp_path: Path) -> None:
     }
 
 
+def test_reindex_keeps_what_a_run_writes_meanwhile(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
+    with Store(Store.default_url(tmp_path)) as store, RunFolder.create(tmp_path, "x", 0) as folder:
+        folder.describe({}, experiment="a", source=tmp_path)
+        folder.set_state("running")
+        enter, left = store.add_records, [20, 10]
+
+        def enter_after_the_run(records: Any) -> None:
+            if left:
+                folder.add_test(result(left.pop(), 3))
+                enter([folder.record()])
+            enter(records)
+
+        monkeypatch.setattr(store, "add_records", enter_after_the_run)
+        reindex(store, tmp_path)
+        assert [test.steps for test in store.records(store.runs())[0].tests] == [test.steps for test in folder.tests()]
+        assert not left, "also what it writes while that is entered"
+
+
 def test_reindex_forgets_what_is_gone_and_keeps_what_lies_elsewhere(tmp_path: Path) -> None:
     runs, elsewhere = tmp_path / "runs", tmp_path / "elsewhere"
     with Store(Store.default_url(tmp_path)) as store:

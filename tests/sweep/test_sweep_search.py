@@ -24,7 +24,7 @@ from karolos.launchers.experiment import Experiment
 from karolos.launchers.runs import Home, RunJob
 from karolos.records import RunFolder
 from karolos.records.sweep_records import read_sweep
-from karolos.specification import load_spec, spec_from_dict
+from karolos.specification import load_spec, spec_from_dict, spec_of_trial
 from karolos.store import Store, check, reindex
 from karolos.store.sweeps import Sweeps
 from karolos.sweep.events import SweepOutcome, TrialBegan
@@ -269,6 +269,22 @@ def test_a_spec_without_a_sweep_is_refused():
 def test_an_experiment_leaves_the_sweep_of_its_spec_alone(tmp_path):
     outcome = Experiment({**SPEC, "training": {"steps": 4, "batch_size": 4}}).run(tmp_path)
     assert "sweep" not in RunFolder.open(outcome.runs[0].folder).spec()
+
+
+def test_another_plugin_keeps_the_settings_that_both_have():
+    space = {
+        "agent.name": {"choice": ["sac", "td3"]},
+        "buffer.name": {"choice": ["uniform", "priority"]},
+        "buffer.hindsight.ratio": {"float": [0.5, 0.9]},
+    }
+    spec = sweep_spec(space)
+    spec["buffer"] |= {"hindsight": {"strategy": "final"}, "n_step": 3}
+    spec["agent"]["random_actions"] = 0.1  # the default of sac, and not of td3
+    drawn = {"agent.name": "td3", "buffer.name": "priority", "buffer.hindsight.ratio": 0.6}
+    trial = spec_of_trial(spec_from_dict(spec), drawn, "t", (0,), "trial 0").changed()
+    assert trial["agent"] == spec["agent"] | {"name": "td3"}
+    hindsight = {"strategy": "final", "ratio": 0.6}
+    assert trial["buffer"] == {"name": "priority", "capacity": 2000, "hindsight": hindsight, "n_step": 3}
 
 
 def test_samples_are_specs_of_trials_and_values_that_clash_are_told():

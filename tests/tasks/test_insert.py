@@ -7,9 +7,10 @@ from dataclasses import replace
 import numpy as np
 import pytest
 from support.fourth_robot import ASKEW, HOME, small_arm
-from support.rig import ROBOTS, expert_episode, made, values
+from support.rig import ENGINES, ROBOTS, expert_episode, made, part, values
 
 from karolos.environments.robot_task import RobotTask
+from karolos.errors import UsageError
 from karolos.simulation.engines import make_world
 from karolos.simulation.geometry import rotated
 from karolos.tasks.insert import TOP, Insert, block, peg
@@ -102,6 +103,36 @@ def test_policies_see_the_hole_as_it_is_known_and_critics_may_see_the_error():
     assert np.ptp(errors, axis=0) == pytest.approx([0.003, 0.003, 0.045], rel=0.7)
     blind.close()
     seen.close()
+    twice = made("insert", environment={"critic_observes": ["hole_error", "peg_forces", "hole_error"]}, **how)
+    assert twice.signature.observation.names == (*signature.observation.names, "peg_forces")
+
+
+def test_errors_of_the_hole_are_drawn_up_to_the_setting_which_policies_are_made_for():
+    how = {"hole_error": 0.002, "hole_turn_error": 0.03}
+    for name, most in how.items():
+        with pytest.raises(UsageError, match=rf"{name}: .* outside the allowed range; allowed is 0 to {most:g} "):
+            made("insert", draws={f"task.{name}": values(0.0, most + 0.001)}, **how)
+    drawn = made("insert", draws={"task.hole_error": part("distributions", "uniform", low=0, high=0.005)}, **how)
+    assert drawn.declared["task.hole_error"].high == 0.002
+
+
+def test_a_square_peg_needs_actions_that_turn_the_tool():
+    arm = {"control": "cartesian"}
+    with pytest.raises(UsageError, match=r"^robot.control: these actions do not turn the tool[^\n]*$"):
+        made("insert", arm=arm)
+    made("insert", arm=arm, shape="round")
+
+
+@pytest.mark.parametrize("engine", ENGINES)
+def test_a_peg_weighs_what_was_drawn(engine):
+    how = {"environment": {"engine": engine}, "arm": {"control": "joint"}}
+    environment = made("insert", draws={"task.peg_mass": values(0.5)}, **how)
+    environment.reset(0)
+    environment.task.peg.place((0.0, 0.5, 0.031))
+    for _ in range(12):
+        environment.world.step()
+    assert sum(environment.world.forces(environment.task.peg).values()) == pytest.approx(0.5 * 9.81, rel=0.01)
+    environment.close()
 
 
 def test_a_force_above_the_limit_fails_the_episode_whatever_comes_later():

@@ -8,7 +8,8 @@ import numpy as np
 import pytest
 from hypothesis import given
 from hypothesis import strategies as st
-from support.rig import made
+from pydantic import ValidationError
+from support.rig import made, part
 
 from karolos.errors import UsageError
 from karolos.simulation.geometry import (
@@ -102,12 +103,19 @@ def test_actions_in_the_frame_of_the_tool_move_it_along_its_own_axes(control: st
     environment.close()
 
 
+@pytest.mark.parametrize("wrong", [(0, 500), (500, 200), (300, 300), (1, 1e9)])
+def test_a_range_of_stiffness_rises_within_what_an_arm_can_have(wrong: tuple[float, float]) -> None:
+    with pytest.raises(ValidationError, match="stiffness_range"):
+        part("robots", "panda", stiffness_range=wrong)
+
+
 def test_a_seventh_number_chooses_the_stiffness_and_what_is_observed_has_noise() -> None:
     arm = {"control": "impedance", "stiffness_range": (100, 1600), "observe": ["wrench", "torques"]}
     environment = made("reach_pose", arm=arm)
     environment.reset(0)
     robot, layout = environment.robot, environment.signature.observation
     robot.apply("wrench_noise", 1.0)
+    assert "stiffness" not in robot.parameters, "actions choose it"
     left = []
     for number in (-1.0, 1.0):
         environment.reset(0)

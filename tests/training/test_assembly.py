@@ -28,6 +28,30 @@ def test_parts_that_do_not_fit_are_refused_with_the_place_and_the_reason(case: s
     assert str(refused.value).startswith(f"{path}:{expected['problem']}")
 
 
+SEEN_BY_CRITICS = {"robot": "panda", "task": "insert", "environment": {"critic_observes": ["hole_error"]}}
+UNUSED: dict[str, tuple[dict[str, Any], str]] = {
+    "ppo": (
+        SEEN_BY_CRITICS | {"agent": "ppo", "buffer": "on_policy"},
+        "environment.critic_observes: PPO has no critic",
+    ),
+    "dqn": (
+        SEEN_BY_CRITICS | {"agent": "dqn", "environment": SEEN_BY_CRITICS["environment"] | {"actions": "discrete"}},
+        "environment.critic_observes: DQN has no critic",
+    ),
+    "throw": (
+        {"robot": "panda", "task": "throw", "agent": {"name": "sac", "fine_goal": 3}},
+        "agent.fine_goal: what is achieved of the goal is not among the observations",
+    ),
+}
+
+
+@pytest.mark.parametrize("case", UNUSED)
+def test_a_setting_that_an_agent_cannot_use_is_refused(case: str) -> None:
+    spec, expected = UNUSED[case]
+    with pytest.raises(UsageError, match=rf"^dict: {expected}[^\n]*$"):
+        check_parts(spec_from_dict(spec))
+
+
 @pytest.mark.parametrize("agent", ["sac", "ppo"])
 def test_a_resolved_spec_with_its_defaults_spelt_out_is_not_refused(agent: str) -> None:
     buffer = "on_policy" if agent == "ppo" else "uniform"

@@ -2,10 +2,11 @@
 
 from __future__ import annotations
 
+import re
 import socket
 import time
 from pathlib import Path
-from urllib.parse import quote
+from urllib.parse import parse_qs, quote, urlsplit
 
 import pytest
 from starlette.testclient import TestClient
@@ -156,6 +157,20 @@ def test_token_is_asked_for_once(tmp_path: Path) -> None:
     assert answer.headers["location"] == f"{HOST}/?where=a%3D1"
     assert "HttpOnly" in answer.headers["set-cookie"]
     assert page.get("/").status_code == 200
+
+
+@pytest.mark.parametrize(
+    ("host", "token", "told"), [("127.0.0.1", "", ""), ("127.0.0.1", "a+b&c", r"a\+b&c"), ("0.0.0.0", "", ".{32}")]
+)
+def test_the_address_has_the_token_and_beyond_this_machine_there_is_always_one(
+    tmp_path: Path, monkeypatch: pytest.MonkeyPatch, host: str, token: str, told: str
+) -> None:
+    monkeypatch.setattr("uvicorn.Server.run", lambda *_, **__: None)  # as if Ctrl-C came at once
+    addresses: list[str] = []
+    with Store(Store.default_url(tmp_path)) as store:
+        serve(tmp_path, store, host=host, port=0, token=token, ready=addresses.append)
+    (found,) = parse_qs(urlsplit(addresses[0]).query).get("token", [""])
+    assert re.fullmatch(told, found)
 
 
 @pytest.mark.parametrize("origin", ["", "null", "http://evil.example", "http://127.0.0.1:1"])
