@@ -51,11 +51,16 @@ class Augmentation:
         shift: float = Setting(
             0.1, ge=0, le=10, description="each is moved by up to so much along x and along y of the world, m"
         )
+        batches: int | None = Setting(
+            None, ge=1, description="batches that are changed; later ones stay as they were experienced; null: all"
+        )
 
     def __init__(self, settings: Augmentation.Settings, signature: Signature) -> None:
         if isinstance(signature.action, Discrete):
             raise UsageError("discrete actions have no mirror image", setting="buffer.augmentation", hint="remove it")
         self.settings = settings
+        self.batches = 0
+        """Batches so far."""
         changed = {
             "observation": signature.observation,
             "next_observation": signature.observation,
@@ -71,6 +76,9 @@ class Augmentation:
     def apply(self, rows: Rows, generator: np.random.Generator) -> None:
         """Mirror half of the rows and move all, each on its own. What hindsight alone needs stays as it is."""
         size, settings = len(rows.table), self.settings
+        self.batches += 1
+        if settings.batches is not None and self.batches > settings.batches:
+            return
         mirrored = generator.random(size, np.float32) < (0.5 if settings.mirror else 0.0)
         way = (2 * generator.random((size, 2), np.float32) - 1) * np.float32(settings.shift)
         self.change(rows, mirrored, way)

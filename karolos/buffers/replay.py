@@ -160,11 +160,14 @@ class Replay(Buffer):
     def state(self) -> State:
         """The stored transitions and the generator; arrays are copies."""
         storage = {**self.storage.state(), "share": self._share}
-        return {"storage": storage, "generator": generator_state(self._generator)}
+        batches = 0 if self._augmentation is None else self._augmentation.batches
+        return {"storage": storage, "generator": generator_state(self._generator), "batches": batches}
 
     def load_state(self, state: State) -> None:
         """Raises UsageError for the state of a buffer of another shape."""
         self.storage.load_state(state["storage"])
         share = state["storage"]["share"]
         self._share = None if share is None else float(share)
+        if self._augmentation is not None:
+            self._augmentation.batches = state["batches"]
         load_generator_state(self._generator, state["generator"])

@@ -117,3 +117,19 @@ def test_what_has_no_mirror_image_is_refused(how: dict, said: str) -> None:
     with pytest.raises(UsageError, match=said):
         Augmentation(Augmentation.Settings(), environment.signature)
     environment.close()
+
+
+def test_only_the_first_batches_are_changed_also_when_a_state_is_loaded() -> None:
+    signature = pair("panda", "push").signature
+    buffer, other = (  # sampled once
+        filled_buffer("uniform", signature, 4, 800, augmentation={"batches": 3, "mirror": False}) for _ in range(2)
+    )
+    stored = set(map(bytes, buffer.storage.column("observation", np.arange(len(buffer)))))
+
+    def changed() -> bool:
+        return not stored >= set(map(bytes, buffer.sample(16).observation))
+
+    assert changed()
+    other.load_state(buffer.state())
+    buffer = other
+    assert [changed() for _ in range(3)] == [True, False, False]
