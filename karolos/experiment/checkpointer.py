@@ -41,6 +41,8 @@ class Checkpointer:
     announce: Announce
     demonstrated: bool = field(default=True, init=False)
     """Whether the buffer holds the demonstrations of the spec, if it has any."""
+    diverged: list[bool] = field(default_factory=list, init=False)
+    """Of each training episode since they were last judged, whether it diverged."""
     _best: tuple[float, ...] = field(default=(-1.0,), init=False)
     """`_rank` of the best test."""
     _saved_at: tuple[int, int] = field(default=(-1, 0), init=False)
@@ -75,6 +77,7 @@ class Checkpointer:
         with checkpoint.fitting(str(self._folder.checkpoints)):
             run = parts["run"]
             self.demonstrated = bool(run["demonstrated"])
+            self.diverged[:] = run.get("diverged", ())
             self._best = tuple(map(float, run["best"]))
             tests = [DueTest(**row | {"seeds": tuple(row["seeds"])}) for row in run["tests"]]
             for state in (*(test.agent for test in tests), parts["agent"]):  # a pending test's may not fit either
@@ -104,6 +107,7 @@ class Checkpointer:
             "run": {
                 "best": list(self._best),
                 "demonstrated": self.demonstrated,
+                "diverged": list(self.diverged),
                 "tests": [{one.name: getattr(test, one.name) for one in fields(test)} for test in self.pending],
             },
         }

@@ -188,7 +188,7 @@ class Run:
             due(training.steps)
         reported_at = -1
         episodes: list[Episode] = []
-        diverged: list[bool] = []
+        diverged = self._checkpointer.diverged
         for progress in training.rounds():
             episodes += progress.finished
             diverged += (episode.diverged for episode in progress.finished)
@@ -201,7 +201,7 @@ class Run:
                 episodes, reported_at = [], training.steps
             if testing and (len(diverged) >= JUDGED_EPISODES or progress.steps >= total):
                 self._judge(diverged, progress.steps)
-                diverged = []
+                diverged.clear()
             self._test(training, tests, due=testing)
             if self.stop.requested:
                 break

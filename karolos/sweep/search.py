@@ -102,9 +102,10 @@ class Search:
             folder.claimed(store, listener),
             driving(self.spec, jobs * len(self.sweep.seeds), warn, time_limit) as driver,
         ):
-            folder.write()
+            before = folder.write()
             driver.run(Trials(base, home, self.sweep, jobs, driver.stop, folder))
-            final, found = None, folder.write()
+            found = folder.write()
+            final = before.final if found.ended == before.ended else None
             if self.sweep.final is not None and not driver.stop.requested and found.ranked:
                 final = choosing.choose(base, home, found, driver, listener)
             return self._conclude(folder, final, driver.stop)
