@@ -43,7 +43,8 @@ class ActorCritic(Agent):
         if isinstance(signature.action, Discrete):
             raise UsageError("actor_critic gives continuous actions", setting="agent", hint="choose another agent")
         self.settings, self.device, self.discount = settings, torch.device(device), settings.discount
-        inputs, actions = signature.observation.size + signature.desired_goal.size, signature.action.size
+        self.seen = signature.observation.acting.size  # the columns behind them are for critics alone
+        inputs, actions = self.seen + signature.desired_goal.size, signature.action.size
         generator = torch.Generator().manual_seed(seeds.child("weights").integer())
         self.policy = nn.Sequential(network((inputs, settings.hidden, actions), generator), nn.Tanh()).to(device)
         self.critic = network((inputs + actions, settings.hidden, 1), generator).to(device)
@@ -63,15 +64,15 @@ class ActorCritic(Agent):
         explore: bool,
         environments: NDArray[np.int64] | None = None,  # noqa: ARG002 (each step explores independently)
     ) -> FloatArray:
-        action = self.policy(self._tensor(observation, desired_goal)).cpu()
+        action = self.policy(self._inputs(observation, desired_goal)).cpu()
         if explore:
             noise = torch.randn(action.shape, generator=self.generator)
             action = (action + self.settings.noise * noise).clamp(-1, 1)
         return action.numpy()
 
     def learn(self, batch: Batch) -> Mapping[str, Any]:
-        inputs = self._tensor(batch.observation, batch.desired_goal)
-        next_inputs = self._tensor(batch.next_observation, batch.desired_goal)
+        inputs = self._inputs(batch.observation, batch.desired_goal)
+        next_inputs = self._inputs(batch.next_observation, batch.desired_goal)
         action, reward, weight = (self._tensor(array) for array in (batch.action, batch.reward, batch.weight))
         discount = self._tensor(batch.discount * (1 - batch.terminated))
 
@@ -99,6 +100,9 @@ class ActorCritic(Agent):
         self.optimisers[name].zero_grad()
         loss.backward(inputs=list(getattr(self, name).parameters()))
         self.optimisers[name].step()
+
+    def _inputs(self, observation: FloatArray, desired_goal: FloatArray) -> Tensor:
+        return self._tensor(observation[..., : self.seen], desired_goal)
 
     def _tensor(self, *columns: FloatArray) -> Tensor:
         return torch.from_numpy(np.concatenate(columns, -1, dtype=np.float32)).to(self.device)
