@@ -39,11 +39,11 @@ def diff(
 
 
 def _side(selector: str, runs: Path, database: str | None) -> Side:
-    """What an argument means."""
+    """What an argument means. Raises SpecError for a spec file that is missing."""
     from karolos.comparison.differences import of_run, of_spec
     from karolos.store.selectors import is_spec
 
-    if is_spec(selector):
+    if is_spec(selector) or selector.endswith((".yaml", ".yml")):
         from karolos.specification import load_spec
 
         return of_spec(load_spec(Path(selector)), selector)

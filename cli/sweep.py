@@ -10,7 +10,7 @@ import typer
 from karolos.errors import SpecError
 
 from .arguments import Database, Json, On, Overrides, Quiet, Runs, SpecFile, TimeLimit, seconds, with_launcher
-from .output import drawn_text, print_rows, say, short_text
+from .output import drawn_text, print_rows, say, short_text, warn
 
 if TYPE_CHECKING:
     from karolos.records.sweep_records import SweepRecord, Trial
@@ -122,9 +122,15 @@ def report_best(sweep: SweepRecord) -> None:
 
 
 def _print_samples(search: Search, *, json: bool) -> None:
-    """Print what trials may look like: the changed settings, and whether the spec with them is valid."""
-    from karolos.sweep.search import samples
+    """Print what trials may look like: the changed settings, and whether the spec with them is valid.
 
+    Raises UsageError as the search itself if its parts are incompatible, or the environment lacks an objective.
+    """
+    from karolos.sweep.search import samples
+    from karolos.training.assembly import check_parts
+
+    if (note := check_parts(search.spec)) is not None:
+        warn(note)
     rows = []
     for place, (drawn, made) in enumerate(samples(search.spec, min(search.asked, SAMPLES))):
         row = {"trial": place, **{key: drawn.get(key) for key in search.sweep.space}}

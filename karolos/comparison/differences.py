@@ -100,9 +100,8 @@ def of_run(folder: RunFolder) -> Side:
 def of_spec(spec: Spec, name: str) -> Side:
     """What a run of this spec would be made from now, in the current folder."""
     code = provenance.code(Path.cwd())
-    return Side(
-        name, spec.dump(), provenance.versions(), None, code.commit if code else None, code.diff if code else ""
-    )
+    commit, patch = (code.commit, code.diff) if code else (None, "")
+    return Side(name, spec.alone().dump(), provenance.versions(), None, commit, patch)
 
 
 def compare_sides(a: Side, b: Side) -> Iterator[SideDifference]:

@@ -47,17 +47,25 @@ class NumpyPolicy:
             (a,) or (n, a), float32 in [-1, 1]; for a discrete set the index, () or (n,), int64.
 
         Raises:
-            ValueError: the number of inputs is not the one that the policy takes.
+            ValueError: the number of inputs is not the one that the policy takes, or observation or goal lacks a column
+                of `missing`. The file does not say how many of the inputs are the goal.
         """
         parts = [np.asarray(observation, np.float32), np.asarray(desired_goal, np.float32)]
         count = self.missing.shape[1]
-        if count and parts[0].shape[-1] + parts[1].shape[-1] + count == self.shift.size:
+        seen, wanted = (part.shape[-1] for part in parts)
+        if seen + wanted + count != self.shift.size:
+            raise ValueError(
+                f"observation and goal have {seen + wanted} numbers, the policy takes {self.shift.size - count}"
+            )
+        if count:
+            least_wanted, least_seen = self.missing.max(axis=1) + 1
+            if seen < least_seen or wanted < least_wanted:
+                raise ValueError(
+                    f"observation and goal have {seen} and {wanted} numbers, the policy takes at least {least_seen} "
+                    f"and {least_wanted}"
+                )
             parts.append(parts[1][..., self.missing[0]] - parts[0][..., self.missing[1]])
         x: NDArray[np.float32] = np.concatenate([part for part in parts if part.shape[-1]], axis=-1)
-        if x.shape[-1] != self.shift.size:
-            raise ValueError(
-                f"observation and goal have {x.shape[-1]} numbers, the policy takes {self.shift.size - count}"
-            )
         scaled = (x - self.shift) * self.scale
         x = scaled.clip(-self.clip, self.clip)
         x[..., x.shape[-1] - count :] = np.tanh(scaled[..., x.shape[-1] - count :])

@@ -213,3 +213,15 @@ def test_diff_of_spec_files(runs: Path, tmp_path: Path) -> None:
         (tmp_path / f"{name}.yaml").write_text(f"environment: toy\nagent: sac\ntraining: {{steps: {steps}}}\n")
     found = rows("diff", tmp_path / "a.yaml", tmp_path / "b.yaml", "--runs", runs)
     assert [(row["key"], row["a"], row["b"]) for row in found] == [("name", "a", "b"), ("training.steps", 100, 200)]
+    missing = str(tmp_path / "c.yaml")
+    assert f"{missing}: there is no such file" in refused("diff", missing, missing, "--runs", runs)
+
+
+def test_diff_of_a_run_and_a_spec_leaves_out_what_is_not_a_runs_own(runs: Path, tmp_path: Path) -> None:
+    file = tmp_path / "reach.yaml"
+    file.write_text(
+        "environment: toy\nagent: sac\nlauncher: local\nsweep: {space: {agent.learning_rate: {float: [1e-4, 1e-2]}}}\n"
+        "transfer: {variants: {one: {environment.threshold: 0.1}, two: {environment.threshold: 0.2}}}\n"
+    )
+    run = add_run(runs, 0, spec=load_spec(file).alone().dump())
+    assert [row["key"] for row in rows("diff", run, file, "--runs", runs) if row["part"] == "spec"] == []

@@ -48,6 +48,7 @@ def test_a_dry_run_prints_specs_and_runs_nothing(home):
         (["sweep.space.agent.learning_rate={float: [0, 1]}"], 2, ["agent.learning_rate", "greater than 0"]),
         (["sweep.space.agent.learning_rat={float: [1, 2]}"], 2, ["'learning_rate'"]),
         (["sweep.objective=sucess_end"], 2, ["'sucess_end'", "success_end"]),
+        (["sweep.objective=measures.foo"], 2, ["'measures.foo'", "sweep.objective"]),
         (["sweep.space={}", "sweep.space.agent.learning_rate=null"], 2, ["sweep.space"]),
         (["sweep=null"], 2, ["no sweep"]),
         (["--time-limit", "soon"], 2, ["not a duration"]),
@@ -55,9 +56,10 @@ def test_a_dry_run_prints_specs_and_runs_nothing(home):
     ],
 )
 def test_bad_input_is_told_before_the_first_trial(home, arguments, code, words):
-    found, out, err = call(app, "line.yaml", *arguments)
-    assert (found, out) == (code, "")
-    assert all(word in err for word in words), err
+    for dry in ([], ["--dry-run"]) if "--time-limit" not in arguments else ([],):
+        found, out, err = call(app, "line.yaml", *arguments, *dry)
+        assert (found, out) == (code, "")
+        assert all(word in err for word in words), err
     assert not (home / "runs" / "sweeps").exists()
 
 

@@ -77,6 +77,9 @@ def test_inputs_of_another_size_are_refused(tmp_path: Path) -> None:
     policy = NumpyPolicy(exported("sac", tmp_path) / "policy.npz")
     with pytest.raises(ValueError, match="have 3 numbers, the policy takes 4"):
         policy(np.zeros(3), np.zeros(0))
+    for observation, goal, sizes in ((4, 0, "4 and 0"), (0, 4, "0 and 4")):
+        with pytest.raises(ValueError, match=f"have {sizes} numbers, the policy takes at least 2 and 2"):
+            policy(np.zeros(observation), np.zeros(goal))
 
 
 def test_a_file_of_another_format_is_refused(tmp_path: Path) -> None:
