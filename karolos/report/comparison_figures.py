@@ -12,7 +12,7 @@ from ..comparison import Comparison, Contender, Estimate, Metric, conditions, le
 from ..comparison.curves import Axis, places
 from ..core.seeding import SeedTree
 from ..statistics import aggregates
-from .comparison_tables import estimate
+from .comparison_tables import decimal, estimate
 from .figures import COLOURS, Drawing, look, short, style
 from .tables import heading
 
@@ -325,7 +325,7 @@ def heat_map(
     for row, (label, cells) in enumerate(rows):
         for column, cell in enumerate(cells):
             text, colour = (
-                "-" if cell is None else f"{cell.value:.3f}",
+                "-" if cell is None else decimal(cell.value),
                 "#ffffff" if abs(shades[row, column]) > 0.6 else "#1c1c1c",
             )
             drawn = axes.text(column + 0.5, row + 0.5, text, ha="center", va="center", color=colour)

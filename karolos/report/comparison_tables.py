@@ -145,12 +145,17 @@ def estimate(found: Estimate | None, digits: int = 3) -> str:
     """A number with its interval, whose brackets tell its kind; - for None."""
     if found is None:
         return "-"
-    value, low, high = (f"{number:.{digits}f}" for number in (found.value, found.low, found.high))
+    value, low, high = (decimal(number, digits) for number in (found.value, found.low, found.high))
     if found.kind == "none":
         return value
     if found.kind == "range":
         return f"{value} ({low} to {high})"
     return f"{value} {'~' if found.kind == 'approximate' else ''}[{low}, {high}]"
+
+
+def decimal(number: float, digits: int = 3) -> str:
+    """A number with so many decimals; \N{INFINITY} for inf."""
+    return "\N{INFINITY}" if number == math.inf else f"{number:.{digits}f}"
 
 
 def reached(found: Reaching | None, unit: str = "steps") -> str:

@@ -10,9 +10,12 @@ import pytest
 from support.compared_runs import SPEC, contender, run
 
 from karolos.comparison import ComparedRun, Contender, Estimate, compare
+from karolos.comparison.scores import estimate as estimate_of
+from karolos.core.seeding import SeedTree
 from karolos.errors import UsageError
-from karolos.report.comparison_tables import measures_table
+from karolos.report.comparison_tables import estimate, measures_table
 from karolos.statistics.intervals import wilson
+from karolos.statistics.transfer import median_time_ratio
 
 FIVE = [[0, 50, 90], [0, 40, 100], [10, 60, 95], [0, 0, 0], [0, 20, 85]]
 
@@ -49,6 +52,17 @@ def test_measures_are_means_over_seeds_and_unknown_where_a_seed_does_not_know() 
     assert comparison.rows()[0]["measures"]["time"] == {
         "unit": "s", "better": "larger", "value": None, "seeds": [None, 2.0]
     }  # fmt: skip
+
+
+def test_ratios_of_seeds_that_never_reach_a_threshold_are_infinite_and_count() -> None:
+    def found(times: list[int], reached: list[int], scratch_reached: list[int]) -> str:
+        rows = [times, reached, [400, 410, 420, 430, 440][: len(times)], scratch_reached]
+        return estimate(estimate_of(rows, median_time_ratio, SeedTree(0)))
+
+    assert found([100, 200, 300, 1000, 1000], [1, 1, 1, 0, 0], [1] * 5) == "0.714 ~[0.250, \N{INFINITY}]"
+    assert found([100, 200, 1000], [1, 1, 0], [1] * 3) == "0.488 (0.250 to \N{INFINITY})"
+    assert found([100, 200, 1000], [1, 1, 0], [1, 0, 0]) == "0.000 (0.000 to 0.250)"
+    assert found([100, 200, 300, 1000, 1000], [1, 1, 1, 0, 0], [1, 1, 1, 0, 0]) == "0.714"  # a third is unknown
 
 
 def test_inter_quartile_mean_leaves_out_a_quarter_at_each_end() -> None:
