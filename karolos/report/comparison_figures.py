@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import math
 from collections.abc import Sequence
 from typing import Literal
 
@@ -393,9 +394,10 @@ def _columns(at: _Floats) -> _Floats:
 
 
 def _ends(comparison: Comparison) -> tuple[float, float]:
-    """Smallest and largest success or return that a run reports."""
+    """Smallest and largest success or return that a run reports; 0 without a finite one."""
     reported = [run.reported(comparison.metric) for contender in comparison.contenders for run in contender.runs]
-    return min(reported), max(reported)
+    known = [value for value in reported if not math.isnan(value)]
+    return min(known, default=0.0), max(known, default=0.0)
 
 
 def _run_text(contender: Contender, place: int) -> str:

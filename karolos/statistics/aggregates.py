@@ -33,10 +33,14 @@ def mean(values: ArrayLike) -> _Floats:
 
 
 def iqm(values: ArrayLike) -> _Floats:
-    """Inter-quartile mean over the last axis: (..., n) to (...). A quarter, rounded down, is left out at each end."""
-    ordered = np.sort(np.asarray(values, float), axis=-1)
+    """Inter-quartile mean over the last axis: (..., n) to (...). A quarter, rounded down, is left out at each end.
+
+    nan where a value is.
+    """
+    ordered = np.sort(np.asarray(values, float), axis=-1)  # nan last
     cut = ordered.shape[-1] // 4
-    return np.asarray(ordered[..., cut : ordered.shape[-1] - cut].mean(axis=-1))
+    middle = ordered[..., cut : ordered.shape[-1] - cut].mean(axis=-1)
+    return np.where(np.isnan(ordered[..., -1]), np.nan, middle)
 
 
 def reliability(seeds: int) -> Literal["none", "approximate", "usual"]:

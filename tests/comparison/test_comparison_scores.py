@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import json
+import math
 from dataclasses import replace
 from typing import Any
 
@@ -13,7 +14,7 @@ from karolos.comparison import ComparedRun, Contender, Estimate, compare
 from karolos.comparison.scores import estimate as estimate_of
 from karolos.core.seeding import SeedTree
 from karolos.errors import UsageError
-from karolos.report.comparison_tables import estimate, measures_table
+from karolos.report.comparison_tables import estimate, measures_table, verdict
 from karolos.statistics.intervals import wilson
 from karolos.statistics.transfer import median_time_ratio
 
@@ -150,6 +151,19 @@ def test_returns_are_compared_seed_by_seed_without_thresholds_and_densities() ->
     assert first.end.value == 0.275
     assert second.improvement.value == (1 + 0.5 + 1 + 1) / 4
     assert (first.reaching, first.density, first.over_steps) == ((), None, None)
+
+
+def test_a_return_that_is_not_finite_makes_its_experiment_unknown_and_never_the_best() -> None:
+    diverged = run(0, [90], name="bad", final=True, mean_return=None)
+    bad = Contender("bad", (diverged, *contender("bad", [[91], [92], [93], [94]]).runs[1:]))
+    compared = compare([contender("a", [[50]] * 5), bad, contender("c", [[60]] * 5)], "return")
+    assert math.isnan(compared.scores[1].returns.value)
+    assert math.isnan(compared.scores[1].iqm.value)
+    assert "bad: no finite return, so no mean is known: bad-s0" in compared.warnings
+    assert verdict(compared) == (
+        "Highest mean of return: c, -140.000 ~[-140.000, -140.000]. Better than a: c. "
+        "Unknown beside a, because a return is not finite: bad."
+    )
 
 
 def test_where_success_is_undefined_returns_are_what_counts() -> None:
