@@ -171,9 +171,12 @@ def condition_figures(comparison: Comparison) -> list[Drawing]:
     for setting in sorted({setting for one in found for setting in one}):
         caption = "Tests of policies with other values of this setting. Mean over seeds with its interval (95 %)."
         drawing = Drawing(f"over_{setting}", f"Success over {setting}", caption)
-        every = [value for one in found for value in one.get(setting, ())]
+        every = [value for one in found if setting in one for value in one[setting].success]
         for series, one in enumerate(found):
-            points = one.get(setting, {})
+            if setting not in one:
+                continue
+            points = one[setting].success
+            drawing.caption += "".join(f" {comparison.labels[series]}: {note}" for note in one[setting].notes)
             at, ends = list(points), list(points.values())
             band = drawing.axes.fill_between(
                 at, [end.low for end in ends], [end.high for end in ends], color=style(series)["color"], alpha=0.16
