@@ -31,7 +31,7 @@ def verdict(comparison: Comparison) -> str:
     known = [(one, label) for one, label in pairs if one is not None and not math.isnan(one.value)]
     groups: dict[str, list[str]] = {"better": [], "worse": [], "alike": [], "few": [], "unknown": []}
     for label, scores in zip(others, comparison.scores[1:], strict=True):
-        groups[_against_first(scores.improvement)].append(label)
+        groups[against_first(scores.improvement)].append(label)
     listed = {key: ", ".join(labels) for key, labels in groups.items() if labels}
     sentences = {
         "better": f"Better than {first}: {{}}.",
@@ -47,7 +47,7 @@ def verdict(comparison: Comparison) -> str:
     return " ".join(said)
 
 
-def _against_first(improvement: Estimate | None) -> str:
+def against_first(improvement: Estimate | None) -> str:
     """Key of the group of a contender in the verdict."""
     if improvement is None or math.isnan(improvement.value):
         return "unknown"
