@@ -51,6 +51,12 @@ def test_reference_runs_name_no_place_on_a_machine() -> None:
         assert not [word for word in words if Path(word).is_absolute() or word.startswith(("~", "--runs"))], path.name
 
 
+def test_an_infinite_end_that_rows_hold_as_null_is_shown() -> None:
+    row = {"value": 0.5, "low": 0.25, "high": None, "kind": "range"}
+    assert SCRIPT["_estimate"](row) == "0.500 (0.250 to \N{INFINITY})"
+    assert SCRIPT["_estimate"](None) == "-"
+
+
 def test_a_command_is_kept_without_its_folder_and_database() -> None:
     words = ["karolos", "run", "specs/a.yaml", "--runs", "/tmp/a", "seeds=[0]", "--database=sqlite:///b", "--quiet"]
     assert SCRIPT["portable"](words) == ["karolos", "run", "specs/a.yaml", "seeds=[0]", "--quiet"]

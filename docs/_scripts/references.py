@@ -9,6 +9,7 @@ python docs/_scripts/references.py check        exit 1 if tables, reference runs
 from __future__ import annotations
 
 import json
+import math
 import runpy
 import shutil
 import sys
@@ -224,7 +225,8 @@ def _transfer(path: Path) -> str:
 
 
 def _estimate(row: dict[str, Any] | None) -> str:
-    return estimate(row and from_json(Estimate, row))
+    numbers = {} if row is None else {key: math.inf if value is None else value for key, value in row.items()}
+    return estimate(from_json(Estimate, numbers))
 
 
 def _reached(row: dict[str, Any] | None) -> str:

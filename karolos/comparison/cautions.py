@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import math
 from collections.abc import Callable, Mapping, Sequence
 from functools import partial
 
@@ -18,6 +19,7 @@ def cautions(contenders: Sequence[Contender]) -> tuple[str, ...]:
     found += _different(contenders, "different physics engines (environment.engine)", _engine)
     found += _unfinished(contenders)
     found += _different(contenders, "they ended at different steps", lambda run: f"{run.tests[-1].steps:,}")
+    found += _without_return(contenders)
     counts = [len(contender.runs) for contender in contenders]
     if len(set(counts)) > 1:
         found.append(f"unequal numbers of seeds: {_each(contenders, counts)}")
@@ -43,6 +45,15 @@ def _unfinished(contenders: Sequence[Contender]) -> list[str]:
         if open_:
             named = ", ".join(f"{run.run} {run.state} at {run.steps:,} steps" for run in open_)
             found.append(f"{contender.label}: {len(open_)} of {len(contender.runs)} runs are not finished: {named}")
+    return found
+
+
+def _without_return(contenders: Sequence[Contender]) -> list[str]:
+    found = []
+    for contender in contenders:
+        named = [run.summary.run for run in contender.runs if math.isnan(run.reported("return"))]
+        if named:
+            found.append(f"{contender.label}: no finite return, so no mean is known: {', '.join(named)}")
     return found
 
 

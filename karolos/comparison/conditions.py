@@ -5,6 +5,7 @@ from __future__ import annotations
 import math
 from collections.abc import Mapping
 from contextlib import suppress
+from dataclasses import dataclass
 from typing import Any
 
 from ..core.seeding import SeedTree
@@ -15,32 +16,88 @@ from ..statistics import aggregates
 from .contenders import Contender
 from .scores import Estimate, estimate
 
+_Tests = dict[float, TestCounts]
+"""Value of a setting -> test under it."""
 
-def conditions(contender: Contender, tree: SeedTree) -> dict[str, dict[float, Estimate]]:
-    """For each setting that tests gave other numbers: success at the end of the episode at each of them, ascending.
 
-    A test counts if it changed this setting alone. The run's own value stands among the others, with the success on the
-    same episodes. Of two tests at the same value the later one counts.
+@dataclass(frozen=True)
+class Condition:
+    """Success over one setting, of the same runs at each of its values."""
+
+    success: Mapping[float, Estimate]
+    """Value -> success at the end of the episode, ascending."""
+    notes: tuple[str, ...]
+    """Which tests are left out, one sentence each."""
+
+
+def conditions(contender: Contender, tree: SeedTree) -> dict[str, Condition]:
+    """For each setting that tests gave other numbers: success at each of them.
+
+    A test counts if it changed this setting alone, defines success, and is of the policy that its checkpoint held last.
+    Tests belong together if checkpoint, seed and number of episodes are the same: those of the most runs are shown, at
+    values that all of these runs were tested at. The run's own value stands among the others, with the success on the
+    same episodes; a parameter of the world, such as task.gravity, has none in the spec. Of two tests at the same value
+    the later one counts.
     """
-    tested: dict[str, dict[float, dict[int, TestCounts]]] = {}
+    tested: dict[str, dict[tuple[str, int, int], dict[int, _Tests]]] = {}
     for place, run in enumerate(contender.runs):
         with suppress(KarolosError):  # the folder is gone or damaged, and the index does not hold these tests
-            for test in transfer_results.read(RunFolder.open(run.summary.folder))[0]:
+            tests = transfer_results.read(RunFolder.open(run.summary.folder))[0]
+            policies = {test.checkpoint: test.sha256 for test in tests}
+            for test in tests:
                 setting, _, text = test.overrides[0].partition("=") if len(test.overrides) == 1 else ("", "", "")
-                value, own = _number(text), _number(_setting(run.spec, setting))
-                if value is not None and own is not None and not test.randomized:
-                    at = tested.setdefault(setting, {})
-                    at.setdefault(own, {})[place] = test.own
-                    at.setdefault(value, {})[place] = TestCounts.of(test.result)
-    found: dict[str, dict[float, Estimate]] = {}
-    for setting, values in sorted(tested.items()):
-        for value, runs in sorted(values.items()):
-            ends = [(one.successes_end or 0) / one.episodes for one in runs.values()]
-            episodes = next(iter(runs.values())).episodes
-            one = estimate([ends], aggregates.mean, tree.child(setting, f"{value:g}"), episodes)
-            if one is not None:
-                found.setdefault(setting, {})[value] = one
-    return found
+                value, own, counts = _number(text), _number(_setting(run.spec, setting)), TestCounts.of(test.result)
+                if value is None or None in (counts.success_end, test.own.success_end):
+                    continue
+                if not test.randomized and test.sha256 == policies[test.checkpoint]:
+                    groups = tested.setdefault(setting, {})
+                    of_run = groups.setdefault((test.checkpoint, test.seed, counts.episodes), {}).setdefault(place, {})
+                    of_run |= {value: counts} if own is None else {own: test.own, value: counts}
+    return {
+        setting: _condition(contender, setting, groups, tree.child(setting))
+        for setting, groups in sorted(tested.items())
+    }
+
+
+def _condition(
+    contender: Contender, setting: str, groups: Mapping[tuple[str, int, int], dict[int, _Tests]], tree: SeedTree
+) -> Condition:
+    """The tests that belong together and have the most runs; of these the runs and values with the most tests.
+
+    Args:
+        contender: whose runs were tested.
+        setting: that the tests changed.
+        groups: checkpoint, seed and number of episodes -> place of a run -> its tests.
+        tree: of the intervals' random numbers.
+    """
+    (checkpoint, seed, episodes), group = max(groups.items(), key=_size)
+    candidates = [
+        (sorted(values), [place for place, tests in group.items() if values.keys() <= tests.keys()])
+        for values in group.values()
+    ]
+    shown, places = max(candidates, key=lambda one: (len(one[0]) * len(one[1]), len(one[1])))
+    success = {}
+    for value in shown:
+        ends = [group[place][value].success_end or 0.0 for place in places]
+        found = estimate([ends], aggregates.mean, tree.child(f"{value:g}"), episodes)
+        if found is not None:
+            success[value] = found
+    notes = []
+    if len(groups) > 1:
+        notes.append(f"Only tests of {checkpoint} on {episodes} episodes of seed {seed} are shown.")
+    if len(places) < len(contender.runs):
+        notes.append(f"{len(places)} of {len(contender.runs)} runs were tested at each of these values.")
+    if left_out := sorted({value for tests in group.values() for value in tests}.difference(shown)):
+        notes.append(f"Not every run was tested at {', '.join(f'{value:g}' for value in left_out)}.")
+    if _number(_setting(contender.spec, setting)) is None:
+        notes.append("Success at the nominal value, which the spec does not name, is left out.")
+    return Condition(success, tuple(notes))
+
+
+def _size(group: tuple[tuple[str, int, int], dict[int, _Tests]]) -> tuple[int, int, int]:
+    """Runs, tests, and episodes of a test."""
+    (_, _, episodes), tests = group
+    return len(tests), sum(map(len, tests.values())), episodes
 
 
 def _setting(spec: Mapping[str, Any], path: str) -> Any:

@@ -48,10 +48,15 @@ class ComparedRun:
         return tuple((getattr(test, f"successes_{metric}") or 0) / test.episodes for test in self.tests)
 
     def reported(self, metric: Metric) -> float:
-        """Success ratio or mean return of the final test's policy `last`; without a final test, of the last test."""
+        """Success ratio or mean return of the final test's policy `last`; without a final test, of the last test.
+
+        nan of a return that is not finite.
+        """
         summary = self.summary
         final = {"any": summary.success_any, "end": summary.success_end, "return": summary.mean_return}[metric]
-        return final if summary.final and final is not None else self.values(metric)[-1]
+        if summary.final and (final is not None or metric == "return"):
+            return math.nan if final is None else final
+        return self.values(metric)[-1]
 
     def measured(self, name: str) -> float | None:
         """The mean of a measure over the episodes of the test that `reported` is of; None if it is unknown."""

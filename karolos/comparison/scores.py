@@ -29,16 +29,16 @@ from .curves import densities, places
 from .differences import MISSING, differences
 
 IntervalKind = Literal["none", "wilson", "range", "approximate", "bootstrap"]
-"""Kind of an interval: none of one run's return, and of an improvement over fewer than 5 seeds; Wilson's of one run;
-smallest to largest of 2 - 4 seeds; bootstrap over 5 - 9 seeds, which covers too little; bootstrap over 10 or more
-seeds. The last two and Wilson's are at 95 %."""
+"""Kind of an interval: none of one run's return, of an improvement over fewer than 5 seeds, and where over 2.5 % of
+the resamples are unknown; Wilson's of one run; smallest to largest of 2 - 4 seeds; bootstrap over 5 - 9 seeds, which
+covers too little; bootstrap over 10 or more seeds. The last two and Wilson's are at 95 %."""
 RATIOS = (0.5, 0.9)
 """Success ratios (`end` by default) for which steps and time of the first test that reaches them are reported."""
 
 
 @dataclass(frozen=True)
 class Estimate:
-    """A statistic over the seeds with an interval of some `kind`."""
+    """A statistic over the seeds with an interval of some `kind`. A ratio and its ends may be inf."""
 
     value: float
     low: float
@@ -259,23 +259,25 @@ def estimate(
         episodes: if the value of a single run is a success ratio: of how many.
 
     Returns:
-        None if the statistic is not finite.
+        None if the statistic is nan.
     """
     table = np.array(rows, float)
     middle, seeds = float(statistic(*table)), table.shape[1]
-    if not np.isfinite(middle):
+    if math.isnan(middle):
         return None
     if seeds == 1 and episodes:
         return Estimate(middle, *wilson(round(middle * episodes), episodes), "wilson")
     if seeds == 1:
         return Estimate(middle, middle, middle, "none")
     found = aggregates.paired_interval(list(table), statistic, tree.generator())
-    if found is None:
+    reliability = aggregates.reliability(seeds)
+    if reliability == "none":
         each = statistic(*table[:, :, None])  # of each seed alone
-        each = each[np.isfinite(each)]
+        each = each[~np.isnan(each)]
         return Estimate(middle, float(each.min(initial=middle)), float(each.max(initial=middle)), "range")
-    usual = aggregates.reliability(seeds) == "usual"
-    return Estimate(middle, *found, "bootstrap" if usual else "approximate")
+    if found is None:
+        return Estimate(middle, middle, middle, "none")
+    return Estimate(middle, *found, "bootstrap" if reliability == "usual" else "approximate")
 
 
 def reaching(runs: Sequence[ComparedRun], success: Success, ratio: float) -> Reaching:

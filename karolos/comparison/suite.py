@@ -80,6 +80,8 @@ class SuiteReport:
     """Of the others."""
     entries: tuple[Entry, ...]
     """Of the specs with a test, in their order."""
+    untested: tuple[str, ...]
+    """Names of the others."""
     measures: tuple[str, ...]
     warnings: tuple[str, ...]
 
@@ -100,14 +102,14 @@ def suite_report(
         experiments: name of a spec -> hash of the experiment that is meant, if the folder has several of that name;
             by default the suite's own.
     """
-    entries, warnings = [], defaultdict[str, list[str]](list)
+    entries, untested, warnings = [], list[str](), defaultdict[str, list[str]](list)
     other = None if beside is None else f"{beside.name}{'/' * (beside.name == label)}"
     for job in found.jobs:
         spec = job.spec
         records = [RunFolder.open(job.summaries[seed].folder).record() for seed in spec.seeds if seed in job.summaries]
         runs = _tested(records)
         if not runs:
-            warnings["no test yet"].append(spec.name)
+            untested.append(spec.name)
             continue
         contenders = [Contender(label, runs)]
         if beside is not None and other is not None:
@@ -121,10 +123,19 @@ def suite_report(
             warnings[warning].append(spec.name)
         reached = reaching(runs, "end", THRESHOLD) if contenders[-1].has_success else None
         entries.append(Entry(spec, comparison, reached, found.cut.get(spec.name)))
+    warnings |= {"no test yet": untested} if untested else {}
     unknown = {*found.suite.measures}.difference(*(entry.comparison.measures for entry in entries))
     warnings |= {"no spec has these measures": sorted(unknown)} if unknown else {}
     said = [f"{warning} ({', '.join(names)})" for warning, names in warnings.items()]
-    return SuiteReport(found.suite.name, label, other, tuple(entries), found.suite.measures, (*found.problems, *said))
+    return SuiteReport(
+        found.suite.name,
+        label,
+        other,
+        tuple(entries),
+        tuple(untested),
+        found.suite.measures,
+        (*found.problems, *said),
+    )
 
 
 def _tested(records: Iterable[RunRecord]) -> tuple[ComparedRun, ...]:

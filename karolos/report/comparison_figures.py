@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import math
 from collections.abc import Sequence
 from typing import Literal
 
@@ -12,7 +13,7 @@ from ..comparison import Comparison, Contender, Estimate, Metric, conditions, le
 from ..comparison.curves import Axis, places
 from ..core.seeding import SeedTree
 from ..statistics import aggregates
-from .comparison_tables import estimate
+from .comparison_tables import decimal, estimate
 from .figures import COLOURS, Drawing, look, short, style
 from .tables import heading
 
@@ -170,9 +171,12 @@ def condition_figures(comparison: Comparison) -> list[Drawing]:
     for setting in sorted({setting for one in found for setting in one}):
         caption = "Tests of policies with other values of this setting. Mean over seeds with its interval (95 %)."
         drawing = Drawing(f"over_{setting}", f"Success over {setting}", caption)
-        every = [value for one in found for value in one.get(setting, ())]
+        every = [value for one in found if setting in one for value in one[setting].success]
         for series, one in enumerate(found):
-            points = one.get(setting, {})
+            if setting not in one:
+                continue
+            points = one[setting].success
+            drawing.caption += "".join(f" {comparison.labels[series]}: {note}" for note in one[setting].notes)
             at, ends = list(points), list(points.values())
             band = drawing.axes.fill_between(
                 at, [end.low for end in ends], [end.high for end in ends], color=style(series)["color"], alpha=0.16
@@ -325,7 +329,7 @@ def heat_map(
     for row, (label, cells) in enumerate(rows):
         for column, cell in enumerate(cells):
             text, colour = (
-                "-" if cell is None else f"{cell.value:.3f}",
+                "-" if cell is None else decimal(cell.value),
                 "#ffffff" if abs(shades[row, column]) > 0.6 else "#1c1c1c",
             )
             drawn = axes.text(column + 0.5, row + 0.5, text, ha="center", va="center", color=colour)
@@ -393,9 +397,10 @@ def _columns(at: _Floats) -> _Floats:
 
 
 def _ends(comparison: Comparison) -> tuple[float, float]:
-    """Smallest and largest success or return that a run reports."""
+    """Smallest and largest success or return that a run reports; 0 without a finite one."""
     reported = [run.reported(comparison.metric) for contender in comparison.contenders for run in contender.runs]
-    return min(reported), max(reported)
+    known = [value for value in reported if not math.isnan(value)]
+    return min(known, default=0.0), max(known, default=0.0)
 
 
 def _run_text(contender: Contender, place: int) -> str:

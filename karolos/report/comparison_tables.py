@@ -27,23 +27,33 @@ def verdict(comparison: Comparison) -> str:
     first, *others = comparison.labels
     if not others:
         return f"{first}: {what} {estimate(found[0])} over {len(comparison.contenders[0].runs)} seeds."
-    means = [one.value if one is not None else -math.inf for one in found]
-    best = means.index(max(means))
-    groups: dict[str, list[str]] = {"better": [], "worse": [], "alike": [], "unknown": []}
+    pairs = zip(found, comparison.labels, strict=True)
+    known = [(one, label) for one, label in pairs if one is not None and not math.isnan(one.value)]
+    groups: dict[str, list[str]] = {"better": [], "worse": [], "alike": [], "few": [], "unknown": []}
     for label, scores in zip(others, comparison.scores[1:], strict=True):
-        one = scores.improvement
-        unknown = one is None or one.kind == "none"
-        key = "unknown" if one is None or unknown else "better" if one.low > 0.5 else "worse" if one.high < 0.5 else ""
-        groups[key or "alike"].append(label)
+        groups[against_first(scores.improvement)].append(label)
     listed = {key: ", ".join(labels) for key, labels in groups.items() if labels}
     sentences = {
         "better": f"Better than {first}: {{}}.",
         "worse": f"Worse than {first}: {{}}.",
         "alike": f"No difference from {first} is shown: {{}}.",
-        "unknown": f"Too few seeds to tell from {first} (5 of each are needed): {{}}.",
+        "few": f"Too few seeds to tell from {first} (5 of each are needed): {{}}.",
+        "unknown": f"Unknown beside {first}, because a return is not finite: {{}}.",
     }
     said = [sentences[key].format(labels) for key, labels in listed.items()]
-    return " ".join([f"Highest mean of {what}: {comparison.labels[best]}, {estimate(found[best])}.", *said])
+    if known:
+        best, label = max(known, key=lambda one: one[0].value)
+        said.insert(0, f"Highest mean of {what}: {label}, {estimate(best)}.")
+    return " ".join(said)
+
+
+def against_first(improvement: Estimate | None) -> str:
+    """Key of the group of a contender in the verdict."""
+    if improvement is None or math.isnan(improvement.value):
+        return "unknown"
+    if improvement.kind == "none":
+        return "few"
+    return "better" if improvement.low > 0.5 else "worse" if improvement.high < 0.5 else "alike"
 
 
 def scores_table(comparison: Comparison) -> Table:
@@ -145,12 +155,17 @@ def estimate(found: Estimate | None, digits: int = 3) -> str:
     """A number with its interval, whose brackets tell its kind; - for None."""
     if found is None:
         return "-"
-    value, low, high = (f"{number:.{digits}f}" for number in (found.value, found.low, found.high))
+    value, low, high = (decimal(number, digits) for number in (found.value, found.low, found.high))
     if found.kind == "none":
         return value
     if found.kind == "range":
         return f"{value} ({low} to {high})"
     return f"{value} {'~' if found.kind == 'approximate' else ''}[{low}, {high}]"
+
+
+def decimal(number: float, digits: int = 3) -> str:
+    """A number with so many decimals; \N{INFINITY} for inf."""
+    return "\N{INFINITY}" if number == math.inf else f"{number:.{digits}f}"
 
 
 def reached(found: Reaching | None, unit: str = "steps") -> str:

@@ -11,7 +11,7 @@ from ..comparison import Estimate
 from ..comparison.suite import Entry, SuiteReport
 from ..files import write_whole, writing
 from .comparison_figures import heat_map, titled_curve
-from .comparison_tables import estimate, interval_notes, reached
+from .comparison_tables import against_first, estimate, interval_notes, reached
 from .figures import Drawing, look
 from .page import Section, document
 from .tables import Columns, Table, count, decimals, duration, heading, runs_table
@@ -69,12 +69,19 @@ def verdict(report: SuiteReport) -> str:
     text = f"{len(runs)} runs took {count(sum(run.steps for run in runs))} environment steps"
     text += f" and {duration(sum(run.total_seconds or run.seconds for run in runs))}, tests included."
     if ends := [entry.scores.end.value for entry in report.entries if entry.scores.end is not None]:
-        solved = sum(one.reaching is not None and one.reaching.reached == one.reaching.seeds for one in report.entries)
+        reached = [one.reaching.reached if one.reaching is not None else 0 for one in report.entries]
+        solved = sum(seeds == len(one.spec.seeds) for seeds, one in zip(reached, report.entries, strict=True))
         text += f" Success at the end: {min(ends):.3f} to {max(ends):.3f}, mean {fmean(ends):.3f}."
-        text += f" {solved} of {len(report.entries)} specs reached .95 in a test with every seed."
-    if better := [one.scores.improvement.value for one in report.entries if one.scores.improvement is not None]:
-        text += f" A run is better than one of {report.beside} with probability {fmean(better):.2f}, mean over the"
-        text += f" {len(better)} specs that both have; .5: no difference."
+        specs = len(report.entries) + len(report.untested)
+        text += f" {solved} of {specs} specs reached .95 in a test with every seed."
+    if report.untested:
+        text += f" Without a test: {', '.join(report.untested)}."
+    beside = [(one.spec.name, found) for one in report.entries if (found := one.scores.improvement) is not None]
+    if better := [found.value for _, found in beside if against_first(found) not in ("few", "unknown")]:
+        text += f" A run is better than one of {report.beside} with probability {fmean(better):.2f}, mean over"
+        text += f" specs with 5 seeds of each ({len(better)}); .5: no difference."
+    if few := [name for name, found in beside if against_first(found) == "few"]:
+        text += f" Too few seeds to tell from {report.beside} (5 of each are needed): {', '.join(few)}."
     return text
 
 

@@ -23,6 +23,8 @@ LEVELS = ((1 - 0.95) / 2, (1 + 0.95) / 2)
 """Quantiles at the ends of a 95 % interval."""
 FEW_SEEDS = 5
 """Fewest seeds with a bootstrap interval."""
+MOST_UNKNOWN = LEVELS[0]
+"""Largest share of resamples without a value: with more, an end of the interval could be any of theirs."""
 
 
 def mean(values: ArrayLike) -> _Floats:
@@ -31,10 +33,14 @@ def mean(values: ArrayLike) -> _Floats:
 
 
 def iqm(values: ArrayLike) -> _Floats:
-    """Inter-quartile mean over the last axis: (..., n) to (...). A quarter, rounded down, is left out at each end."""
-    ordered = np.sort(np.asarray(values, float), axis=-1)
+    """Inter-quartile mean over the last axis: (..., n) to (...). A quarter, rounded down, is left out at each end.
+
+    nan where a value is.
+    """
+    ordered = np.sort(np.asarray(values, float), axis=-1)  # nan last
     cut = ordered.shape[-1] // 4
-    return np.asarray(ordered[..., cut : ordered.shape[-1] - cut].mean(axis=-1))
+    middle = ordered[..., cut : ordered.shape[-1] - cut].mean(axis=-1)
+    return np.where(np.isnan(ordered[..., -1]), np.nan, middle)
 
 
 def reliability(seeds: int) -> Literal["none", "approximate", "usual"]:
@@ -51,7 +57,8 @@ def paired_interval(
 ) -> tuple[float, float] | None:
     """95 % percentile bootstrap interval of a statistic of one or several values per seed: rows (n,) each.
 
-    The rows' seeds are drawn together. Resamples without a finite value are left out. None for fewer than 5 seeds.
+    The rows' seeds are drawn together. An end is the value of a resample, which may be infinite. None for fewer than 5
+    seeds, and where more than 2.5 % of the resamples are nan; up to that they are left out.
     """
     table = np.asarray(rows, float)
     seeds = table.shape[-1]
@@ -59,7 +66,10 @@ def paired_interval(
         return None
     drawn = generator.integers(0, seeds, (RESAMPLES, seeds))
     found = statistic(*(row[drawn] for row in table))
-    low, high = np.quantile(found[np.isfinite(found)], LEVELS)
+    known = found[~np.isnan(found)]
+    if known.size < (1 - MOST_UNKNOWN) * RESAMPLES:
+        return None
+    low, high = np.quantile(known, LEVELS, method="inverted_cdf")  # interpolation would make nan of two infinite ones
     return float(low), float(high)
 
 

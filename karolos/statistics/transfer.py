@@ -76,7 +76,10 @@ def median_time(times: ArrayLike, reached: ArrayLike) -> _Floats:
 
 
 def median_time_ratio(times: ArrayLike, reached: ArrayLike, scratch: ArrayLike, scratch_reached: ArrayLike) -> _Floats:
-    """Median time to threshold by that of training from scratch, (..., n) each to (...); nan if one is infinite."""
+    """Median time to threshold by that of training from scratch, (..., n) each to (...).
+
+    inf where the first is infinite, 0 where that from scratch is, nan where both are.
+    """
     tuned, baseline = median_time(times, reached), median_time(scratch, scratch_reached)
-    known = np.isfinite(tuned) & np.isfinite(baseline)
-    return np.divide(tuned, baseline, out=np.full_like(tuned, np.nan), where=known)
+    with np.errstate(invalid="ignore"):  # inf / inf
+        return np.asarray(tuned / baseline)

@@ -58,7 +58,8 @@ METRICS = {
     "time_ratio": Metric(
         "Time to threshold",
         "steps of fine-tuning to the threshold by those from scratch: Kaplan-Meier medians over the seeds, runs that "
-        "never got there censored at their end; the steps of the source are not counted",
+        "never got there censored at their end; \N{INFINITY}: the median of fine-tuning is not known, 0: that from "
+        "scratch is not; the steps of the source are not counted",
         neutral=1.0,
         larger_is_better=False,
     ),

@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import json
+import math
 from dataclasses import replace
 from typing import Any
 
@@ -10,9 +11,12 @@ import pytest
 from support.compared_runs import SPEC, contender, run
 
 from karolos.comparison import ComparedRun, Contender, Estimate, compare
+from karolos.comparison.scores import estimate as estimate_of
+from karolos.core.seeding import SeedTree
 from karolos.errors import UsageError
-from karolos.report.comparison_tables import measures_table
+from karolos.report.comparison_tables import estimate, measures_table, verdict
 from karolos.statistics.intervals import wilson
+from karolos.statistics.transfer import median_time_ratio
 
 FIVE = [[0, 50, 90], [0, 40, 100], [10, 60, 95], [0, 0, 0], [0, 20, 85]]
 
@@ -49,6 +53,17 @@ def test_measures_are_means_over_seeds_and_unknown_where_a_seed_does_not_know() 
     assert comparison.rows()[0]["measures"]["time"] == {
         "unit": "s", "better": "larger", "value": None, "seeds": [None, 2.0]
     }  # fmt: skip
+
+
+def test_ratios_of_seeds_that_never_reach_a_threshold_are_infinite_and_count() -> None:
+    def found(times: list[int], reached: list[int], scratch_reached: list[int]) -> str:
+        rows = [times, reached, [400, 410, 420, 430, 440][: len(times)], scratch_reached]
+        return estimate(estimate_of(rows, median_time_ratio, SeedTree(0)))
+
+    assert found([100, 200, 300, 1000, 1000], [1, 1, 1, 0, 0], [1] * 5) == "0.714 ~[0.250, \N{INFINITY}]"
+    assert found([100, 200, 1000], [1, 1, 0], [1] * 3) == "0.488 (0.250 to \N{INFINITY})"
+    assert found([100, 200, 1000], [1, 1, 0], [1, 0, 0]) == "0.000 (0.000 to 0.250)"
+    assert found([100, 200, 300, 1000, 1000], [1, 1, 1, 0, 0], [1, 1, 1, 0, 0]) == "0.714"  # a third is unknown
 
 
 def test_inter_quartile_mean_leaves_out_a_quarter_at_each_end() -> None:
@@ -136,6 +151,19 @@ def test_returns_are_compared_seed_by_seed_without_thresholds_and_densities() ->
     assert first.end.value == 0.275
     assert second.improvement.value == (1 + 0.5 + 1 + 1) / 4
     assert (first.reaching, first.density, first.over_steps) == ((), None, None)
+
+
+def test_a_return_that_is_not_finite_makes_its_experiment_unknown_and_never_the_best() -> None:
+    diverged = run(0, [90], name="bad", final=True, mean_return=None)
+    bad = Contender("bad", (diverged, *contender("bad", [[91], [92], [93], [94]]).runs[1:]))
+    compared = compare([contender("a", [[50]] * 5), bad, contender("c", [[60]] * 5)], "return")
+    assert math.isnan(compared.scores[1].returns.value)
+    assert math.isnan(compared.scores[1].iqm.value)
+    assert "bad: no finite return, so no mean is known: bad-s0" in compared.warnings
+    assert verdict(compared) == (
+        "Highest mean of return: c, -140.000 ~[-140.000, -140.000]. Better than a: c. "
+        "Unknown beside a, because a return is not finite: bad."
+    )
 
 
 def test_where_success_is_undefined_returns_are_what_counts() -> None:

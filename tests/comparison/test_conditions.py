@@ -2,17 +2,75 @@
 
 from __future__ import annotations
 
+from collections.abc import Callable
 from dataclasses import replace
 from pathlib import Path
+from typing import Any
 
 import pytest
 from support import toy_runs as toys
+from support.compared_runs import SPEC, contender
 
 from karolos.comparison import compare, conditions, gather
+from karolos.comparison.conditions import Condition
 from karolos.core.seeding import SeedTree
 from karolos.evaluation.zero_shot import zero_shot_test
-from karolos.records import transfer_results
+from karolos.records import RunFolder, transfer_results
+from karolos.records.results import TestCounts, TestResult
+from karolos.records.transfer_results import TransferResult
 from karolos.report.comparison_figures import condition_figures, measure_figures
+
+Reads = Callable[[dict[int, list[TransferResult]]], Condition]
+
+
+@pytest.fixture
+def read(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> Reads:
+    """Over a setting: the condition of three runs that have these tests."""
+
+    def found(tests: dict[int, list[TransferResult]]) -> Condition:
+        monkeypatch.setattr(RunFolder, "open", staticmethod(lambda folder: int(folder[-1])))
+        monkeypatch.setattr(transfer_results, "read", lambda place: (tests.get(place, []), ()))
+        spec = SPEC | {"task": {"name": "reach", "threshold": 0.05}}
+        [condition] = conditions(contender("a", [[10]] * 3, spec=spec), SeedTree(0)).values()
+        return condition
+
+    return found
+
+
+def of(value: float, successes: int, *, episodes: int = 20, setting: str = "task.threshold", **about: Any) -> Any:
+    """A test with so many successes, whose policy has success in all episodes but two at its own value."""
+    flags = tuple(place < successes for place in range(episodes))
+    result = TestResult(100, 1.0, flags, flags, flags, (0.0,) * episodes, (5,) * episodes)
+    own = TestCounts(100, 1.0, episodes, episodes - 2, episodes - 2, 0, 0.0)
+    about = {"checkpoint": "best", "sha256": "a", "seed": 7, "randomized": False} | about
+    about |= {"overrides": (f"{setting}={value}",), "result": replace(result, has_success=about.pop("known", True))}
+    return TransferResult(time="", wall_seconds=1.0, versions={}, own=own, **about)
+
+
+def test_only_tests_that_belong_together_stand_in_one_line(read: Reads) -> None:
+    both = {run: [of(0.01, 5), of(0.02, 10 + run)] for run in (0, 1)}
+    probe = [of(0.03, 3, episodes=3), of(0.01, 0, checkpoint="last"), of(0.01, 0, seed=8)]
+    again = [of(0.02, 20, sha256="of an earlier policy"), *both[0], of(0.04, 0, known=False)]
+    found = read({0: [*again, *probe], 1: both[1]})
+    values = {value: one.value for value, one in found.success.items()}
+    assert values == pytest.approx({0.01: 0.25, 0.02: 0.525, 0.05: 0.9})
+    assert found.notes == (
+        "Only tests of best on 20 episodes of seed 7 are shown.",
+        "2 of 3 runs were tested at each of these values.",
+    )
+
+
+def test_every_value_rests_on_the_same_runs(read: Reads) -> None:
+    both = [of(0.01, 5), of(0.02, 20), of(0.04, 20)]
+    found = read({0: [of(0.01, 5)], 1: [*both, of(0.03, 20)], 2: both})
+    assert {value: one.value for value, one in found.success.items()} == {0.01: 0.25, 0.02: 1.0, 0.04: 1.0, 0.05: 0.9}
+    assert found.notes == ("2 of 3 runs were tested at each of these values.", "Not every run was tested at 0.03.")
+
+
+def test_a_parameter_of_the_world_is_shown_without_its_nominal_value(read: Reads) -> None:
+    found = read({run: [of(-5, 10, setting="task.gravity")] for run in (0, 1, 2)})
+    assert {value: one.value for value, one in found.success.items()} == {-5: 0.5}
+    assert found.notes == ("Success at the nominal value, which the spec does not name, is left out.",)
 
 
 def test_success_over_a_setting_and_the_spread_of_measures_are_drawn(tmp_path: Path) -> None:
@@ -24,14 +82,14 @@ def test_success_over_a_setting_and_the_spread_of_measures_are_drawn(tmp_path: P
     transfer_results.add(folder, replace(done, overrides=("task.reward=dense",)))
     transfer_results.add(folder, replace(done, overrides=("task.threshold=0.4",), randomized=True))
 
-    contender = gather(None, [folder.record().summary], "one")
-    found = conditions(contender, SeedTree(0))["task.threshold"]
+    one = gather(None, [folder.record().summary], "one")
+    found = conditions(one, SeedTree(0))["task.threshold"].success
     own = folder.spec()["task"]["threshold"]
     assert {value: one.value for value, one in found.items()} == {own: done.own.success_end, 0.2: 0.75}
     assert list(found) == sorted(found)
     assert found[0.2].kind == "wilson"
 
-    compared = compare([contender])
+    compared = compare([one])
     [drawing] = condition_figures(compared)
     assert [text for _, text in drawing.parts.values() if text.startswith("one at 0.2: 0.750")]
     spread = next(one for one in measure_figures(compared) if one.name == "measure_final_distance_spread")

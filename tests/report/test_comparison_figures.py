@@ -98,6 +98,14 @@ def test_returns_are_drawn_on_their_own_axis() -> None:
     assert line.get_xdata().tolist() == [-200, -115, -110, -105, -100]
 
 
+def test_a_return_that_is_not_finite_is_not_drawn() -> None:
+    diverged = Contender("a", (run(0, [50], final=True, mean_return=None), run(1, [60])))
+    for runs in (diverged, Contender("a", diverged.runs[:1])):
+        drawing = figures.final(compare([runs], "return"))
+        assert len(artists(drawing, "dot series-0")) == len(runs.runs)
+        assert "<svg" in drawing.svg()
+
+
 def test_single_test_at_step_zero_can_be_drawn() -> None:
     runs = (run(0, [50], interval=0), run(1, [60], interval=0))
     for drawing in figures.comparison_figures(compare([Contender("a", runs)], "any")):

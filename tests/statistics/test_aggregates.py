@@ -23,6 +23,11 @@ def test_inter_quartile_mean_is_the_trimmed_mean_of_scipy(values: list[float]) -
     assert aggregates.iqm(values) == pytest.approx(stats.trim_mean(values, 0.25), abs=1e-12)
 
 
+def test_inter_quartile_mean_is_unknown_where_a_value_is() -> None:
+    found = aggregates.iqm([[0.1, 0.2, 0.3, 0.4], [0.1, np.nan, 0.3, 0.4]])
+    assert found == pytest.approx([0.25, np.nan], nan_ok=True)
+
+
 @given(st.lists(RATIO, min_size=1, max_size=9), st.lists(RATIO, min_size=1, max_size=9))
 def test_improvement_is_mann_whitney_u_over_all_pairs(ours: list[float], theirs: list[float]) -> None:
     found = aggregates.improvement(ours, theirs)

@@ -58,10 +58,11 @@ def test_median_of_runs_of_which_some_never_got_there(times: list[int], reached:
     assert stacked.tolist() == [median] * 4
 
 
-def test_ratio_of_median_times_is_unknown_where_one_of_them_is() -> None:
+def test_ratio_of_median_times_is_infinite_zero_or_unknown_where_they_are_infinite() -> None:
     assert median_time_ratio([10, 20, 30], [1, 1, 1], [100, 100, 300], [1, 1, 0]) == pytest.approx(0.2)
-    assert np.isnan(median_time_ratio([10, 20, 30], [1, 1, 1], [100, 300, 300], [1, 0, 0]))
-    assert np.isnan(median_time_ratio([30, 30, 30], [0, 0, 0], [100, 100, 300], [1, 1, 0]))
+    assert median_time_ratio([10, 20, 30], [1, 1, 1], [100, 300, 300], [1, 0, 0]) == 0
+    assert median_time_ratio([30, 30, 30], [0, 0, 0], [100, 100, 300], [1, 1, 0]) == np.inf
+    assert np.isnan(median_time_ratio([30], [0], [100], [0]))
 
 
 def test_forward_transfer_is_that_of_continual_world() -> None:

@@ -17,14 +17,20 @@ import typer
 import yaml
 from karolos_cli.suite import suite
 from support.commands import call
+from support.compared_runs import contender
 from support.fake_launcher import FakeLauncher
 from support.transfer_samples import LINE
 
+from karolos.comparison import compare
+from karolos.comparison.scores import reaching
+from karolos.comparison.suite import Entry, SuiteReport, suite_report
 from karolos.errors import SpecError
 from karolos.experiment.events import RunStarted
 from karolos.launchers import suite as training
 from karolos.launchers.runs import Home, RunJob
+from karolos.launchers.suite import SuiteRuns
 from karolos.records import RunFolder, scan
+from karolos.report.suite import verdict
 from karolos.specification import spec_from_dict
 from karolos.specification.suite import load_suite
 
@@ -110,6 +116,29 @@ def test_mistakes_are_shown_where_they_are(folder: Path) -> None:
     Path("mine.yaml").write_text("specs: [slow.yaml, slow.yaml]\n")
     with pytest.raises(SpecError, match=r"^mine.yaml:1:20: specs\[1\]: two specs are called slow; give"):
         load_suite("mine.yaml")
+
+
+def test_verdict_counts_specs_without_a_test_and_refuses_probabilities_of_few_seeds() -> None:
+    def entry(name: str, seeds: int, others: int) -> Entry:
+        own, other = contender("own", [[200]] * seeds), contender("other", [[100]] * others)
+        spec = spec_from_dict({**LINE, "name": name, "seeds": list(range(5))})
+        return Entry(spec, compare([other, own]), reaching(own.runs, "end", 0.95), None)
+
+    entries = (entry("five", 5, 5), entry("lost", 4, 5))  # each run has all successes; one has lost a seed
+    report = SuiteReport("mine", "own", "other", entries, ("slow",), (), ())
+    assert verdict(report).partition("included. ")[2] == (
+        "Success at the end: 1.000 to 1.000, mean 1.000. 1 of 3 specs reached .95 in a test with every seed. "
+        "Without a test: slow. A run is better than one of other with probability 1.00, mean over specs with 5 seeds "
+        "of each (1); .5: no difference. Too few seeds to tell from other (5 of each are needed): lost."
+    )
+
+
+def test_a_spec_whose_runs_have_no_test_is_named(folder: Path) -> None:
+    found = load_suite("mine.yaml")
+    report = suite_report(SuiteRuns(found, [RunJob(spec, Home(folder, "", "resume")) for spec in found.specs]), "mine")
+    assert report.untested == ("fast", "slow")
+    assert report.warnings == ("no test yet (fast, slow)",)
+    assert "Without a test: fast, slow." in verdict(report)
 
 
 def test_specs_share_a_budget_by_their_steps_and_get_what_others_leave(
