@@ -3,7 +3,9 @@
 from __future__ import annotations
 
 import os
-from collections.abc import Sequence
+import warnings
+from collections.abc import Iterator, Sequence
+from contextlib import contextmanager, nullcontext
 from pathlib import Path
 from typing import Any
 
@@ -12,6 +14,7 @@ from ..records import RunFolder
 from ..records.run_records import RunRecord, RunSummary, flatten
 from ..records.shipped import FOLDER, shipped_names
 from ..registry import closest
+from .folders import open_index
 from .rows import SUMMARY_FIELDS, means
 from .store import Store
 
@@ -59,14 +62,21 @@ def runs(
         limit: at most this many runs.
 
     Raises:
-        UsageError: the filter cannot be read.
+        UsageError: the filter cannot be read, or there is no such folder.
         StoreError: the database cannot be read.
     """
-    url = database or Store.default_url(runs)
-    if not Store.exists(url):
-        return Records(())
-    with Store(url) as store:
-        return Records(store.records(store.runs(where=where, limit=limit)))
+    with index(runs, database) as store:
+        return Records(() if store is None else store.records(store.runs(where=where, limit=limit)))
+
+
+@contextmanager
+def index(runs: str | Path, database: str | None) -> Iterator[Store | None]:
+    """The index that `open_index` opens, closed at the end. A Python warning names each file that it leaves out."""
+    store, rebuilt = open_index(runs, database)
+    with store or nullcontext():
+        for problem in rebuilt.problems if rebuilt else ():
+            warnings.warn(problem, stacklevel=4)
+        yield store
 
 
 def column_values(store: Store, found: Sequence[RunSummary], columns: Sequence[str]) -> list[dict[str, Any]]:
