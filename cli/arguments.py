@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-import os
 import re
 from collections.abc import Sequence
 from contextlib import nullcontext
@@ -132,8 +131,9 @@ def open_run(selector: str, runs: Path, database: str | None) -> RunFolder:
     """
     from karolos.records import RunFolder
     from karolos.store.query import find_folder
+    from karolos.store.selectors import is_run_folder
 
-    if os.path.isfile(Path(selector) / "run.json"):  # needs no index; Path.is_file raises for a long name
+    if is_run_folder(selector):  # needs no index
         return RunFolder.open(selector)
     with open_store(runs, database) or nullcontext() as store:
         return find_folder(selector, store, runs)

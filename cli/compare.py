@@ -2,13 +2,13 @@
 
 from __future__ import annotations
 
-from contextlib import nullcontext
+from contextlib import nullcontext, suppress
 from pathlib import Path
 from typing import TYPE_CHECKING, Annotated, Literal
 
 import typer
 
-from karolos.errors import UsageError
+from karolos.errors import NoSuchRunError, UsageError
 
 from .arguments import MANY_HELP, Database, Json, Runs, open_store
 from .output import print_rows, print_table, say, warn
@@ -97,11 +97,17 @@ def compare(
 
 
 def _runs_of(selector: str, store: Store | None, runs: Path) -> tuple[Store | None, tuple[RunSummary, ...]]:
-    """The runs that a selector means and the index that has them; None for a run that ships."""
+    """The runs that a selector means and the index that has them; None for a run that ships, or is not indexed."""
+    from karolos.records import RunFolder
     from karolos.store.query import existing, shipped_run
+    from karolos.store.selectors import is_run_folder
 
     if shipped := shipped_run(selector, store):
         return None, (shipped.summary(),)
+    if is_run_folder(selector):
+        with suppress(NoSuchRunError):
+            return store, existing(store, selector, runs).select(selector)
+        return None, (RunFolder.open(selector).summary(),)
     store = existing(store, selector, runs)
     return store, store.select(selector)
 

@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-import os
 import warnings
 from collections.abc import Iterator, Sequence
 from contextlib import contextmanager, nullcontext
@@ -16,6 +15,7 @@ from ..records.shipped import FOLDER, shipped_names
 from ..registry import closest
 from .folders import open_index
 from .rows import SUMMARY_FIELDS, means
+from .selectors import is_run_folder
 from .store import Store
 
 
@@ -120,7 +120,7 @@ def find_meant(selector: str, store: Store | None, runs: str | Path) -> RunSumma
         UsageError: it means no run, or several.
         RunError: the folder is damaged.
     """
-    if os.path.isfile(Path(selector) / "run.json"):  # Path.is_file raises for a name that is too long
+    if is_run_folder(selector):
         return RunFolder.open(selector).summary()
     if found := shipped_run(selector, store):
         return found.summary()

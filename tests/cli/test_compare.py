@@ -106,6 +106,15 @@ def test_experiment_whose_folders_are_gone_is_compared_from_the_index(runs: Path
     assert row["success_any"]["value"] == 0.75
 
 
+def test_path_of_a_run_folder_elsewhere_means_its_own_run(runs: Path, tmp_path: Path) -> None:
+    add_run(runs, 0, (5, 15))
+    other = tmp_path / "elsewhere" / "reach-s0"
+    shutil.copytree(tmp_path / "elsewhere" / add_run(other.parent, 0, (5, 20)), other)
+    assert rows("compare", other, "--runs", runs)[0]["success_any"]["value"] == 1.0
+    shutil.copytree(other.parent / add_run(other.parent, 1, ()), tmp_path / "untested")
+    assert "has no test yet" in refused("compare", tmp_path / "untested", "--runs", runs)
+
+
 def test_warnings_go_to_stderr_and_numbers_to_stdout(runs: Path) -> None:
     add_run(runs, 0)
     add_run(runs, 0, name="better", experiment=B)
