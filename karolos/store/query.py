@@ -51,22 +51,30 @@ class Records(tuple[RunSummary, ...]):
 
 
 def runs(
-    where: str | None = None, *, runs: str | Path = "runs", database: str | None = None, limit: int | None = None
+    where: str | None = None,
+    *,
+    runs: str | Path = "runs",
+    database: str | None = None,
+    limit: int | None = None,
+    trials: bool = False,
 ) -> Records:
-    """The recorded runs, the newest first.
+    """The recorded runs, the newest first, as `karolos runs list` lists them.
 
     Args:
         where: a filter as of `karolos runs list`, e.g. "task=reach and agent.learning_rate<1e-2"; all runs by default.
         runs: the runs folder.
         database: URL of the database; by default the one in the runs folder.
         limit: at most this many runs.
+        trials: also the runs of sweeps' trials.
 
     Raises:
         UsageError: the filter cannot be read, or there is no such folder.
         StoreError: the database cannot be read.
     """
     with index(runs, database) as store:
-        return Records(() if store is None else store.records(store.runs(where=where, limit=limit)))
+        if store is None:
+            return Records(())
+        return Records(store.records(store.runs(where=where, limit=limit, trials=None if trials else False)))
 
 
 @contextmanager
