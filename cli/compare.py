@@ -103,6 +103,7 @@ def _runs_of(selector: str, store: Store | None, runs: Path) -> tuple[Store | No
     from karolos.store.selectors import is_run_folder
 
     if shipped := shipped_run(selector, store):
+        say(f"{selector}: the policy that ships, because the index of {runs} has no run of this name")
         return None, (shipped.summary(),)
     if is_run_folder(selector):
         with suppress(NoSuchRunError):

@@ -115,6 +115,16 @@ def test_path_of_a_run_folder_elsewhere_means_its_own_run(runs: Path, tmp_path: 
     assert "has no test yet" in refused("compare", tmp_path / "untested", "--runs", runs)
 
 
+def test_a_policy_that_ships_is_told_to_be_meant(runs: Path) -> None:
+    add_run(runs, 0)
+    folder = RunFolder.create(runs, "panda_pick", 0)  # which the index does not have
+    folder.describe(SPEC, experiment=A)
+    folder.release()
+    code, _, err = call(app, "compare", "panda_pick", "--runs", str(runs))
+    assert code == 0
+    assert f"panda_pick: the policy that ships, because the index of {runs} has no run of this name" in err
+
+
 def test_warnings_go_to_stderr_and_numbers_to_stdout(runs: Path) -> None:
     add_run(runs, 0)
     add_run(runs, 0, name="better", experiment=B)
