@@ -119,7 +119,7 @@ def _labels(
     """The label of each experiment: as chosen, or that of `labels_of`.
 
     Raises:
-        UsageError: there is not one distinct label for each; or two arguments mean the same runs.
+        UsageError: there is not one distinct label for each; or two arguments mean the same run.
     """
     from karolos.comparison import labels_of
 
@@ -129,11 +129,12 @@ def _labels(
             where="--label",
             hint="give --label once for each experiment, in their order",
         )
-    first: dict[frozenset[str], str] = {}
+    first: dict[str, str] = {}
     for selector, found in zip(selectors, selected, strict=True):
-        same = first.setdefault(frozenset(run.run for run in found), selector)
-        if same is not selector:
-            raise UsageError(f"{same!r} and {selector!r} mean the same runs", hint="name each once")
+        for run in found:
+            if run.run in first:
+                raise UsageError(f"{first[run.run]!r} and {selector!r} both mean {run.run}", hint="name each run once")
+        first |= {run.run: selector for run in found}
     return chosen or labels_of(selected)
 
 

@@ -184,13 +184,16 @@ def test_arguments_that_cannot_be_meant_are_refused(runs: Path, tmp_path: Path) 
     there = ("--runs", runs)
     runs.mkdir()
     assert "there are no runs" in refused("compare", "reach", *there)
-    add_run(runs, 0)
+    run = add_run(runs, 0)
     add_run(runs, 1, experiment=B)
     add_run(runs, 0, (), name="new", experiment="c3" * 32, state="created")
     err = refused("compare", "reach", *there)
     assert f"reach means 2 experiments, whose specs differ; name one by its hash: {A[:12]}, {B[:12]}" in err
     assert "means no run" in refused("compare", "nothing", *there)
-    assert "'a1a1a1' and 'a1a1a1a1' mean the same runs" in refused("compare", "a1a1a1", "a1a1a1a1", *there)
+    for same in ("a1a1a1a1", run):
+        assert f"'a1a1a1' and {same!r} both mean {run}; name each" in refused("compare", "a1a1a1", same, *there)
+    add_run(runs, 2)
+    assert f"'a1a1a1' and {run!r} both mean {run}" in refused("compare", "a1a1a1", run, *there)
     assert "new has no test yet" in refused("compare", "new", *there)
     file = tmp_path / "toy.yaml"
     file.write_text("environment: toy\nagent: sac\n")
