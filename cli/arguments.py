@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-import os
 import re
 from collections.abc import Sequence
 from contextlib import nullcontext
@@ -106,20 +105,13 @@ def with_launcher(overrides: Sequence[str] | None, on: str | None) -> list[str]:
 
 def open_store(runs: Path, database: str | None) -> Store | None:
     """The index, or None if there are no runs. A missing index is rebuilt from the run folders."""
-    from karolos.store import Store, reindex
+    from karolos.store import open_index
 
-    if not os.path.isdir(runs) and database is None and runs != Path("runs"):
-        raise UsageError(f"there is no folder {runs}", hint="name the runs folder with --runs")
-    url = database or Store.default_url(runs)
-    if Store.exists(url):
-        return Store(url)
-    if not any(runs.glob("*/run.json")) and not any(runs.glob("sweeps/*/sweep.json")):
-        return None
-    store = Store(url)
-    done = reindex(store, runs)
-    say(f"the index was missing and is rebuilt from {done.runs} run folders")
-    for problem in done.problems:
-        warn(problem)
+    store, rebuilt = open_index(runs, database)
+    if rebuilt is not None:
+        say(f"the index was missing and is rebuilt from {rebuilt.runs} run folders")
+        for problem in rebuilt.problems:
+            warn(problem)
     return store
 
 
@@ -139,8 +131,9 @@ def open_run(selector: str, runs: Path, database: str | None) -> RunFolder:
     """
     from karolos.records import RunFolder
     from karolos.store.query import find_folder
+    from karolos.store.selectors import is_run_folder
 
-    if os.path.isfile(Path(selector) / "run.json"):  # needs no index; Path.is_file raises for a long name
+    if is_run_folder(selector):  # needs no index
         return RunFolder.open(selector)
     with open_store(runs, database) or nullcontext() as store:
         return find_folder(selector, store, runs)

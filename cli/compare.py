@@ -2,13 +2,13 @@
 
 from __future__ import annotations
 
-from contextlib import nullcontext
+from contextlib import nullcontext, suppress
 from pathlib import Path
 from typing import TYPE_CHECKING, Annotated, Literal
 
 import typer
 
-from karolos.errors import UsageError
+from karolos.errors import NoSuchRunError, UsageError
 
 from .arguments import MANY_HELP, Database, Json, Runs, open_store
 from .output import print_rows, print_table, say, warn
@@ -97,11 +97,18 @@ def compare(
 
 
 def _runs_of(selector: str, store: Store | None, runs: Path) -> tuple[Store | None, tuple[RunSummary, ...]]:
-    """The runs that a selector means and the index that has them; None for a run that ships."""
+    """The runs that a selector means and the index that has them; None for a run that ships, or is not indexed."""
+    from karolos.records import RunFolder
     from karolos.store.query import existing, shipped_run
+    from karolos.store.selectors import is_run_folder
 
     if shipped := shipped_run(selector, store):
+        say(f"{selector}: the policy that ships, because the index of {runs} has no run of this name")
         return None, (shipped.summary(),)
+    if is_run_folder(selector):
+        with suppress(NoSuchRunError):
+            return store, existing(store, selector, runs).select(selector)
+        return None, (RunFolder.open(selector).summary(),)
     store = existing(store, selector, runs)
     return store, store.select(selector)
 
@@ -112,7 +119,7 @@ def _labels(
     """The label of each experiment: as chosen, or that of `labels_of`.
 
     Raises:
-        UsageError: there is not one distinct label for each; or two arguments mean the same runs.
+        UsageError: there is not one distinct label for each; or two arguments mean the same run.
     """
     from karolos.comparison import labels_of
 
@@ -122,11 +129,12 @@ def _labels(
             where="--label",
             hint="give --label once for each experiment, in their order",
         )
-    first: dict[frozenset[str], str] = {}
+    first: dict[str, str] = {}
     for selector, found in zip(selectors, selected, strict=True):
-        same = first.setdefault(frozenset(run.run for run in found), selector)
-        if same is not selector:
-            raise UsageError(f"{same!r} and {selector!r} mean the same runs", hint="name each once")
+        for run in found:
+            if run.run in first:
+                raise UsageError(f"{first[run.run]!r} and {selector!r} both mean {run.run}", hint="name each run once")
+        first |= {run.run: selector for run in found}
     return chosen or labels_of(selected)
 
 

@@ -160,7 +160,8 @@ def gather(store: Store | None, runs: Sequence[RunSummary], label: str) -> Conte
         UsageError: the runs belong to several experiments, or no run has a test yet.
     """
     if store is None:
-        return Contender(label, tuple(load_compared(RunFolder.open(run.folder).record()) for run in runs))
+        records = [RunFolder.open(run.folder).record() for run in runs]
+        return _contender(label, records, [])
     runs, problems = _reporting(store, runs, label)
     experiments = sorted({run.experiment for run in runs})
     if len(experiments) > 1:
@@ -176,7 +177,12 @@ def gather(store: Store | None, runs: Sequence[RunSummary], label: str) -> Conte
             f"{label}: {len(runs) - len(chosen)} of {len(runs)} runs repeat a seed; of each seed the newest "
             "finished run is used, or the newest if none is finished"
         )
-    loaded = [load_compared(record) for record in store.records([chosen[seed] for seed in sorted(chosen)])]
+    return _contender(label, store.records([chosen[seed] for seed in sorted(chosen)]), problems)
+
+
+def _contender(label: str, records: Sequence[RunRecord], problems: list[str]) -> Contender:
+    """The contender of those runs that have a test; the others are one problem more."""
+    loaded = [load_compared(record) for record in records]
     tested = tuple(run for run in loaded if run.tests)
     if not tested:
         raise UsageError(f"{label} has no test yet", hint="`karolos runs list` shows how far its runs are")

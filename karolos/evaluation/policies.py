@@ -3,7 +3,6 @@
 from __future__ import annotations
 
 from collections.abc import Callable, Mapping
-from contextlib import nullcontext
 from dataclasses import dataclass, replace
 from pathlib import Path
 from typing import Any
@@ -24,8 +23,7 @@ from ..records.shipped import POLICY, is_shipped
 from ..registry import load
 from ..simulation.engines import WINDOWS, Engine, installed, installed_one
 from ..specification import Spec, spec_from_dict
-from ..store import Store
-from ..store.query import find_folder
+from ..store.query import find_folder, index
 
 
 @dataclass(frozen=True)
@@ -171,11 +169,10 @@ def load_run(
         database: URL of the database; by default the one in the runs folder.
 
     Raises:
-        UsageError: `run` means no run, or several.
+        UsageError: `run` means no run, or several; or there is no such runs folder.
         RunError: the checkpoint is missing or damaged.
     """
-    url = database or Store.default_url(runs)
-    with Store(url) if Store.exists(url) else nullcontext() as store:
+    with index(runs, database) as store:
         return load_agent(find_folder(str(run), store, runs), checkpoint)
 
 

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import os
 from collections.abc import Callable, Iterator, Mapping, Sequence
 from dataclasses import asdict, dataclass
 from itertools import islice
@@ -10,7 +11,7 @@ from typing import Any, TypeVar
 
 from sqlalchemy import text
 
-from ..errors import RunError
+from ..errors import RunError, UsageError
 from ..records import RunFolder, paths
 from ..records.run_folder import remove_lost_leftovers
 from ..records.run_records import RunRecord
@@ -55,6 +56,29 @@ class _FoundFolder:
     run: str | None
     record: RunRecord | None
     problems: tuple[str, ...]
+
+
+def open_index(runs: str | Path, database: str | None = None) -> tuple[Store | None, Reindexed | None]:
+    """The index of a runs folder, or None if there are no runs. A missing one is rebuilt, and what was entered is told.
+
+    Args:
+        runs: the runs folder.
+        database: URL of the database; by default the one in the runs folder.
+
+    Raises:
+        UsageError: there is no such folder, and it is not the default one.
+        StoreError: the database cannot be read or written.
+    """
+    root = Path(runs)
+    if not os.path.isdir(root) and database is None and root != Path("runs"):
+        raise UsageError(f"there is no folder {runs}", hint="name the runs folder (--runs, in Python runs=)")
+    url = database or Store.default_url(root)
+    if Store.exists(url):
+        return Store(url), None
+    if not any(root.glob("*/run.json")) and not any(root.glob("sweeps/*/sweep.json")):
+        return None, None
+    store = Store(url)
+    return store, reindex(store, root)
 
 
 def reindex(store: Store, runs: str | Path) -> Reindexed:

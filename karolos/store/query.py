@@ -2,8 +2,9 @@
 
 from __future__ import annotations
 
-import os
-from collections.abc import Sequence
+import warnings
+from collections.abc import Iterator, Sequence
+from contextlib import contextmanager, nullcontext
 from pathlib import Path
 from typing import Any
 
@@ -12,7 +13,9 @@ from ..records import RunFolder
 from ..records.run_records import RunRecord, RunSummary, flatten
 from ..records.shipped import FOLDER, shipped_names
 from ..registry import closest
+from .folders import open_index
 from .rows import SUMMARY_FIELDS, means
+from .selectors import is_run_folder
 from .store import Store
 
 
@@ -48,25 +51,40 @@ class Records(tuple[RunSummary, ...]):
 
 
 def runs(
-    where: str | None = None, *, runs: str | Path = "runs", database: str | None = None, limit: int | None = None
+    where: str | None = None,
+    *,
+    runs: str | Path = "runs",
+    database: str | None = None,
+    limit: int | None = None,
+    trials: bool = False,
 ) -> Records:
-    """The recorded runs, the newest first.
+    """The recorded runs, the newest first, as `karolos runs list` lists them.
 
     Args:
         where: a filter as of `karolos runs list`, e.g. "task=reach and agent.learning_rate<1e-2"; all runs by default.
         runs: the runs folder.
         database: URL of the database; by default the one in the runs folder.
         limit: at most this many runs.
+        trials: also the runs of sweeps' trials.
 
     Raises:
-        UsageError: the filter cannot be read.
+        UsageError: the filter cannot be read, or there is no such folder.
         StoreError: the database cannot be read.
     """
-    url = database or Store.default_url(runs)
-    if not Store.exists(url):
-        return Records(())
-    with Store(url) as store:
-        return Records(store.records(store.runs(where=where, limit=limit)))
+    with index(runs, database) as store:
+        if store is None:
+            return Records(())
+        return Records(store.records(store.runs(where=where, limit=limit, trials=None if trials else False)))
+
+
+@contextmanager
+def index(runs: str | Path, database: str | None) -> Iterator[Store | None]:
+    """The index that `open_index` opens, closed at the end. A Python warning names each file that it leaves out."""
+    store, rebuilt = open_index(runs, database)
+    with store or nullcontext():
+        for problem in rebuilt.problems if rebuilt else ():
+            warnings.warn(problem, stacklevel=4)
+        yield store
 
 
 def column_values(store: Store, found: Sequence[RunSummary], columns: Sequence[str]) -> list[dict[str, Any]]:
@@ -110,7 +128,7 @@ def find_meant(selector: str, store: Store | None, runs: str | Path) -> RunSumma
         UsageError: it means no run, or several.
         RunError: the folder is damaged.
     """
-    if os.path.isfile(Path(selector) / "run.json"):  # Path.is_file raises for a name that is too long
+    if is_run_folder(selector):
         return RunFolder.open(selector).summary()
     if found := shipped_run(selector, store):
         return found.summary()

@@ -10,6 +10,7 @@ from pathlib import Path
 import sqlalchemy
 
 from ..errors import NoSuchRunError, UsageError
+from ..records import RunFolder
 from ..records.run_records import RunSummary
 from ..registry import closest
 from .database import Database
@@ -27,7 +28,7 @@ def select(database: Database, selector: str, *, all_prefixed: bool = False) -> 
     """The runs that a selector means, the newest first. The first rule that finds runs counts:
 
     1. @last, the newest run; @last-2, the second before it
-    2. a run's id, or the path of its folder
+    2. a run's id; or the path of its folder, which means no other run
     3. the name of an experiment: all its runs
     4. the beginning of an experiment's hash (6 digits or more): all its runs
     5. the beginning of a run's id
@@ -40,7 +41,8 @@ def select(database: Database, selector: str, *, all_prefixed: bool = False) -> 
         all_prefixed: return every run that rule 5 finds, for `only` to refuse.
 
     Raises:
-        NoSuchRunError: it means no run.
+        NoSuchRunError: it means no run, or a run folder that the index does not have.
+        RunError: it is a run folder that is damaged.
         UsageError: it is the beginning of several ids or hashes.
     """
     last = _LAST.fullmatch(selector)
@@ -60,7 +62,10 @@ def select(database: Database, selector: str, *, all_prefixed: bool = False) -> 
             raise UsageError(f"there are no runs of {selector}", hint=f"`karolos run {selector}` makes them")
         return found
     identity = Path(selector).name
-    if identity:
+    if is_run_folder(selector) or os.path.dirname(selector):
+        if found := _at(database, Path(selector)):
+            return found
+    elif identity:
         if found := find_runs(database, ids=[identity]) or find_runs(database, name=selector):
             return found
         if _HASH.fullmatch(selector) and (found := find_runs(database, experiment=selector)):
@@ -76,6 +81,23 @@ def select(database: Database, selector: str, *, all_prefixed: bool = False) -> 
     )
     hint = "`karolos runs list` shows them; @last is the newest"
     raise NoSuchRunError(f"{selector!r} means no run", hint=f"did you mean {like!r}? {hint}" if like else hint)
+
+
+def _at(database: Database, path: Path) -> tuple[RunSummary, ...]:
+    """The run that the index has at a path; none if there is no run folder. Raises as `select`."""
+    there = is_run_folder(path)
+    identity = RunFolder.open(path).id if there else path.name
+    place = os.path.realpath(path)
+    found = tuple(run for run in find_runs(database, ids=[identity]) if os.path.realpath(run.folder) == place)
+    if there and not found:
+        hint = "name its runs folder with --runs; `karolos db reindex` enters its runs"
+        raise NoSuchRunError(f"the run folder {path} is not in the index", hint=hint)
+    return found
+
+
+def is_run_folder(selector: str | Path) -> bool:
+    """Whether a selector is the path of a run folder."""
+    return os.path.isfile(Path(selector) / "run.json")  # Path.is_file raises for a name that is too long
 
 
 def is_spec(selector: str) -> bool:

@@ -106,6 +106,25 @@ def test_experiment_whose_folders_are_gone_is_compared_from_the_index(runs: Path
     assert row["success_any"]["value"] == 0.75
 
 
+def test_path_of_a_run_folder_elsewhere_means_its_own_run(runs: Path, tmp_path: Path) -> None:
+    add_run(runs, 0, (5, 15))
+    other = tmp_path / "elsewhere" / "reach-s0"
+    shutil.copytree(tmp_path / "elsewhere" / add_run(other.parent, 0, (5, 20)), other)
+    assert rows("compare", other, "--runs", runs)[0]["success_any"]["value"] == 1.0
+    shutil.copytree(other.parent / add_run(other.parent, 1, ()), tmp_path / "untested")
+    assert "has no test yet" in refused("compare", tmp_path / "untested", "--runs", runs)
+
+
+def test_a_policy_that_ships_is_told_to_be_meant(runs: Path) -> None:
+    add_run(runs, 0)
+    folder = RunFolder.create(runs, "panda_pick", 0)  # which the index does not have
+    folder.describe(SPEC, experiment=A)
+    folder.release()
+    code, _, err = call(app, "compare", "panda_pick", "--runs", str(runs))
+    assert code == 0
+    assert f"panda_pick: the policy that ships, because the index of {runs} has no run of this name" in err
+
+
 def test_warnings_go_to_stderr_and_numbers_to_stdout(runs: Path) -> None:
     add_run(runs, 0)
     add_run(runs, 0, name="better", experiment=B)
@@ -165,13 +184,16 @@ def test_arguments_that_cannot_be_meant_are_refused(runs: Path, tmp_path: Path) 
     there = ("--runs", runs)
     runs.mkdir()
     assert "there are no runs" in refused("compare", "reach", *there)
-    add_run(runs, 0)
+    run = add_run(runs, 0)
     add_run(runs, 1, experiment=B)
     add_run(runs, 0, (), name="new", experiment="c3" * 32, state="created")
     err = refused("compare", "reach", *there)
     assert f"reach means 2 experiments, whose specs differ; name one by its hash: {A[:12]}, {B[:12]}" in err
     assert "means no run" in refused("compare", "nothing", *there)
-    assert "'a1a1a1' and 'a1a1a1a1' mean the same runs" in refused("compare", "a1a1a1", "a1a1a1a1", *there)
+    for same in ("a1a1a1a1", run):
+        assert f"'a1a1a1' and {same!r} both mean {run}; name each" in refused("compare", "a1a1a1", same, *there)
+    add_run(runs, 2)
+    assert f"'a1a1a1' and {run!r} both mean {run}" in refused("compare", "a1a1a1", run, *there)
     assert "new has no test yet" in refused("compare", "new", *there)
     file = tmp_path / "toy.yaml"
     file.write_text("environment: toy\nagent: sac\n")

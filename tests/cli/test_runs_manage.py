@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import csv
 import io
+import shutil
 from pathlib import Path
 from typing import Any
 
@@ -109,6 +110,16 @@ def test_filter_chooses_what_is_removed(runs: Path) -> None:
         call("rm", second, "--purge")
     assert "2 runs removed for good" in call("rm", "--purge").stderr
     assert rows("list", "--trash") == []
+
+
+def test_path_of_a_run_folder_elsewhere_changes_no_run_of_the_index(runs: Path, tmp_path: Path) -> None:
+    add_run(runs, 0)
+    other = shutil.copytree(tmp_path / "other" / add_run(tmp_path / "other", 0), tmp_path / "other" / "reach-s0")
+    before = rows("list")
+    for command in (("rm", other), ("tag", other, "good"), ("note", other, "text")):
+        with pytest.raises(UsageError, match=r"reach-s0 is not in the index; name its runs folder with --runs"):
+            call(*command)
+    assert rows("list") == before
 
 
 def test_run_that_goes_on_is_not_removed(runs: Path) -> None:

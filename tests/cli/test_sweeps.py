@@ -9,6 +9,7 @@ from karolos_cli.sweeps import app
 from support.run_commands import add_run, call, rows
 from support.sweep_samples import some_trial, write_sweep
 
+import karolos
 from karolos.errors import UsageError
 from karolos.files import FileLock
 from karolos.records.sweep_records import SweepFinal
@@ -91,3 +92,5 @@ def test_runs_of_trials_are_listed_on_request(runs: Path) -> None:
     assert [row["run"] for row in rows(list_of_runs, "list")] == [plain]
     assert {row["run"] for row in rows(list_of_runs, "list", "--trials")} == {plain, trial}
     assert call(list_of_runs, "list", "--trials").stderr == ""
+    assert [run.run for run in karolos.runs(runs=runs)] == [plain]
+    assert {run.run for run in karolos.runs(runs=runs, trials=True)} == {plain, trial}

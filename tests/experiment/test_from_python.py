@@ -3,8 +3,10 @@
 from __future__ import annotations
 
 import json
+import shutil
 import subprocess
 import sys
+from functools import partial
 from pathlib import Path
 
 import numpy as np
@@ -41,7 +43,23 @@ def test_records_and_rows(folder: Path, monkeypatch: pytest.MonkeyPatch) -> None
     assert (row["run"], row["training.steps"], row["agent"]) == (records[0].run, 40, "sac")
     assert [test["steps"] for test in records.tests()] == [20, 40]
     assert len(karolos.runs("agent=td3", runs=folder)) == 0
-    assert len(karolos.runs(runs=folder / "missing")) == 0
+    (folder / "empty").mkdir()
+    assert len(karolos.runs(runs=folder / "empty")) == 0
+
+
+def test_a_missing_index_is_rebuilt_and_a_missing_folder_refused(folder: Path, tmp_path: Path) -> None:
+    before = karolos.runs(runs=folder)
+    copy = shutil.copytree(folder, tmp_path / "copy", ignore=shutil.ignore_patterns("karolos.sqlite"))
+    (copy / "damaged").mkdir()
+    (copy / "damaged" / "run.json").write_text("{")
+    with pytest.warns(UserWarning, match="damaged"):
+        assert [run.run for run in karolos.runs(runs=copy)] == [run.run for run in before]
+    shutil.rmtree(copy / "damaged")
+    (copy / "karolos.sqlite").unlink()
+    assert karolos.load("toy", runs=copy).run == before[0].run
+    for ask in (karolos.runs, partial(karolos.load, "toy")):
+        with pytest.raises(UsageError, match=r"there is no folder .*nowhere; name the runs folder"):
+            ask(runs=tmp_path / "nowhere")
 
 
 def test_rows_are_a_data_frame_where_pandas_is_installed(folder: Path) -> None:

@@ -1,5 +1,6 @@
 from __future__ import annotations
 
+import shutil
 import subprocess
 import sys
 from pathlib import Path
@@ -9,7 +10,7 @@ from sqlalchemy import select
 from support.databases import KINDS, empty_database
 from support.store_samples import SPEC, bare, new_run, result, stored
 
-from karolos.errors import StoreError, UsageError
+from karolos.errors import NoSuchRunError, StoreError, UsageError
 from karolos.records import RunFolder
 from karolos.records.results import TestCounts
 from karolos.store import Store
@@ -137,21 +138,33 @@ def test_selector_means_one_run(store: Store) -> None:
         store.find("@last")
     first = bare(store, "reach-s0-1", created="2026-01-01")
     second = bare(store, "reach-s0-1-2", created="2026-01-02")
-    other = bare(store, "push-s0-1", created="2026-01-03")
+    other = bare(store, "push-s0-1", created="2026-01-03", folder="/nowhere/push-s0-1")
     assert store.find("reach-s0-1") == first  # an id, though it begins another
     assert store.find("reach-s0-1-") == second
     assert store.find("pu") == other
     assert store.find("@last") == other
-    assert store.find("runs/push-s0-1/") == other
+    assert store.find("/nowhere/push-s0-1/") == other
     with pytest.raises(UsageError, match="means several runs; one of reach-s0-1-2, reach-s0-1; or @last"):
         store.find("reach")
-    for nothing in ("pull", "", "..", "/", "%", "PUSH"):
+    for nothing in ("pull", "", "..", "/", "%", "PUSH", "runs/push-s0-1", "/nowhere/pu"):
         with pytest.raises(UsageError, match=r"means no run; `karolos runs list`"):
             store.find(nothing)
     for index in range(6):
         bare(store, f"y{index}")
     with pytest.raises(UsageError, match=r"several runs; one of (y\d, ){4}y\d \.\.\.; or @last"):
         store.find("y")
+
+
+def test_path_of_a_run_folder_means_no_other_run(store: Store, tmp_path: Path) -> None:
+    run = new_run(store, tmp_path)
+    copy = shutil.copytree(run.path, tmp_path / "elsewhere" / run.id)
+    (tmp_path / "link").symlink_to(run.path)
+    for path in (run.path, tmp_path / "link"):
+        assert store.select(str(path)) == (run.summary(),)
+    with pytest.raises(NoSuchRunError, match=r"the run folder .* is not in the index; name its runs folder"):
+        store.select(str(copy))
+    with pytest.raises(NoSuchRunError, match="means no run"):
+        store.select(str(tmp_path / "elsewhere" / "reach"))
 
 
 # Many at once.
