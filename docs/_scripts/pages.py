@@ -308,7 +308,7 @@ def gallery(folder: Path) -> dict[str, str]:
     """An overview and a page for each pair of robot and task; figures are written into `folder`."""
     found = references.contenders()
     overview = (
-        "# Gallery\n\nThree arms with nine of the ten tasks. Films show policies that ship with karolos. The numbers are "
+        "# Gallery\n\nThree arms with nine of ten tasks. Films show policies that ship with karolos. The numbers are "
         "success at the end of 1,000 episodes that nothing was chosen on, mean over the seeds of the "
         "[reference runs](../../results.md).\n\n"
     )
