@@ -5,6 +5,7 @@ from __future__ import annotations
 import json
 import math
 from collections.abc import Iterator, Mapping, Sequence
+from itertools import islice
 from typing import Annotated, Any, Literal, TypeAlias
 
 from pydantic import AfterValidator, SerializerFunctionWrapHandler, model_serializer, model_validator
@@ -53,6 +54,8 @@ counts twice its steps (PAR2, penalised run time in algorithm configuration)."""
 MEASURES = "measures."
 """Beginning of objectives that are measures of the environment. They are of the same test as success."""
 DEFAULT_TRIALS = 20
+MOST_COMBINATIONS = 100_000
+"""Largest number of combinations of a grid, which are listed before the first trial."""
 
 
 def directions(objectives: Sequence[str], measures: Sequence[Measure]) -> tuple[Direction, ...]:
@@ -128,13 +131,13 @@ class SweepParameter(Settings):
         """The labels of a choice, with duplicates."""
         return list(self.choice) if isinstance(self.choice, dict) else [label(value) for value in self.choice or ()]
 
-    def grid(self) -> list[Any]:
+    def grid(self) -> Sequence[Any]:
         """The values of a grid: a choice's labels, every whole number, or `points` values of a range."""
         if self.choice is not None:
             return self.labels
         low, high = self.bounds
         if self.int is not None and self.points is None:
-            return list(range(self.int[0], self.int[1] + 1))
+            return range(self.int[0], self.int[1] + 1)
         count = self.points or 2
         if self.log:
             low, high = math.log(low), math.log(high)
@@ -205,7 +208,7 @@ class Sweep(Settings):
         "success_end", description=f"one or several of {', '.join(OBJECTIVES)}, measures.NAME"
     )
     sampler: Literal["tpe", "gp", "random", "grid"] = Setting(
-        "tpe", description="Parzen estimators, Gaussian process, random values, or every combination"
+        "tpe", description="Parzen estimators, Gaussian process, random values, or every combination (100,000 at most)"
     )
     pruner: Pruner | None = Setting(None, description="stops trials early; null: off")
     seed: Seed = Setting(0, description="root of the sampler's random numbers")
@@ -219,6 +222,8 @@ class Sweep(Settings):
             without_points = [key for key, one in self.space.items() if one.float is not None and one.points is None]
             if without_points:
                 raise ValueError(f"a grid needs `points` for {without_points[0]}, or a choice")
+            if next(islice(self.combinations(), MOST_COMBINATIONS, None), None) is not None:
+                raise ValueError(f"a grid of more than {MOST_COMBINATIONS:,} combinations; give ranges fewer `points`")
         return self
 
     @property

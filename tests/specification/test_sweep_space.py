@@ -110,3 +110,11 @@ def test_a_grid_has_every_combination_once_and_no_more(tmp_path):
     assert len(found) == 3 * (1 + 2)
     assert found[0] == {"agent.learning_rate": 1e-4, "buffer.hindsight": "off"}
     assert sorted({one["agent.learning_rate"] for one in found}) == pytest.approx([1e-4, 1e-3, 1e-2])
+
+
+@pytest.mark.parametrize("most", [100_001, 100_000_000])
+def test_a_grid_of_too_many_combinations_is_refused_where_it_is_declared(tmp_path, most):
+    text = GOOD + "sweep: {sampler: grid, space: {training.batch_size: {int: [1, %d]}}}\n"
+    assert len(load_spec(write(tmp_path, "s.yaml", text % 100_000)).sweep.space) == 1
+    with pytest.raises(SpecError, match=r"s.yaml:\d+:\d+: sweep: a grid of more than 100,000 combinations"):
+        load_spec(write(tmp_path, "s.yaml", text % most))
