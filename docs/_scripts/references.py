@@ -219,7 +219,7 @@ def _transfer(path: Path) -> str:
         f"{row['target']} {row['floor']:.3f} and {row['ceiling']:.3f}" for row in rows if row["source"] == row["target"]
     )
     steps = count(rows[0]["source_cost"]["steps"])
-    head = f"`{path.name}`, {len(rows[0]['seeds'])} seeds, sources of {steps} steps; "
+    head = f"`{path.name}`, {len(rows[0]['source_runs'])} seeds, sources of {steps} steps; "
     head += f"random actions and the expert: {levels}."
     return f"{head}\n\n{markdown(columns, pairs)}"
 

@@ -14,7 +14,7 @@ from ..report.comparison_tables import estimate, interval_notes, reached
 from ..report.figures import Drawing, look, short, write_figures
 from ..report.page import Section, document
 from ..report.tables import Columns, Table, count, duration, success
-from .results import METRICS, Cell, TransferReport, Variant
+from .results import METRICS, Cell, Paired, TransferReport, Variant
 
 
 def matrix_table(report: TransferReport, name: str) -> Table:
@@ -67,6 +67,9 @@ def notes(report: TransferReport) -> list[str]:
     """What the numbers mean."""
     lines = [f"{metric.title}: {metric.meaning}" for metric in report.metrics.values()]
     lines += interval_notes(found for cell in report.cells for found in cell.estimates.values())
+    for name, metric in report.metrics.items():
+        if without := [text for cell in report.cells if (text := _alone(cell, name))]:
+            lines.append(f"{metric.title}, pairs that alone have a value: {', '.join(without)}")
     if any(cell.reaching for cell in report.cells):
         lines.append(f"threshold: success at the end of {report.threshold:g} in a test; (k of n): runs that reached it")
     lines.append("random policy, expert: what is possible without learning, with a 95 % Wilson interval")
@@ -132,6 +135,14 @@ def _runs_table(report: TransferReport) -> Table:
 def _run_cells(run: ComparedRun) -> tuple[str, str, str, str]:
     summary = run.summary
     return str(summary.seed), success(run.reported("end"), run.episodes), count(summary.steps), summary.run
+
+
+def _alone(cell: Cell, name: str) -> str:
+    """How many pairs of a cell alone have a value; nothing if all have."""
+    found = cell.estimates.get(name)
+    if not isinstance(found, Paired) or found.alone == found.pairs:
+        return ""
+    return f"{cell.source} to {cell.target} {found.alone} of {found.pairs}"
 
 
 def _estimate(name: str, cell: Cell) -> str:

@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from collections.abc import Mapping, Sequence
+from collections.abc import Callable, Mapping, Sequence
 from dataclasses import asdict, dataclass
 from itertools import product
 from typing import Any
@@ -70,6 +70,16 @@ METRICS = {
         neutral=0.0,
     ),
 }
+
+
+@dataclass(frozen=True)
+class Paired(Estimate):
+    """An estimate over pairs of runs, or of tests, of one seed each."""
+
+    pairs: int
+    alone: int
+    """Pairs that alone have a value, which smallest and largest are of. A ratio by 0 has none, nor has forward transfer
+    where training from scratch leaves nothing to gain."""
 
 
 @dataclass(frozen=True)
@@ -156,7 +166,7 @@ class TransferReport:
             "matrix": self.name,
             "source": cell.source,
             "target": cell.target,
-            "seeds": list(self.seeds),
+            "seeds": list(cell.tests),
             **estimates,
             "threshold": self.threshold,
             "steps_to_threshold": _reaching_row(cell.reaching),
@@ -170,6 +180,7 @@ class TransferReport:
             "ceiling": target.ceiling and target.ceiling.value,
             "source_cost": {"steps": source.steps, "seconds": source.seconds},
             "source_runs": [run.summary.run for run in source.runs.values()],
+            "fine_tuned_seeds": list(cell.runs),
             "fine_tuned_runs": [run.summary.run for run in cell.runs.values()],
             "warnings": list(self.warnings),
         }
@@ -254,10 +265,12 @@ def _zero_shot(
     if not tests:
         return {}
     ends, episodes = [count.success_end or 0.0 for count in tests.values()], next(iter(tests.values())).episodes
-    estimates = {"zero_shot": estimate([ends], aggregates.mean, tree.child("zero shot"), episodes)}
+    estimates: dict[str, Estimate | None] = {}
+    estimates["zero_shot"] = estimate([ends], aggregates.mean, tree.child("zero shot"), episodes)
     if own:
         before = [own[seed].success_end or 0.0 for seed in tests]
-        estimates["retention"] = estimate([ends, before], transfer.ratio_of_means, tree.child("retention"))
+        rows = list(zip(ends, before, strict=True))
+        estimates["retention"] = _paired(rows, transfer.ratio_of_means, tree.child("retention"))
     return estimates
 
 
@@ -287,8 +300,17 @@ def _fine_tuned(
         ("time_ratio", times, transfer.median_time_ratio),
     )
     for name, rows, statistic in compared:
-        estimates[name] = estimate(list(zip(*rows, strict=True)), statistic, tree.child(name))
+        estimates[name] = _paired(rows, statistic, tree.child(name))
     return estimates
+
+
+def _paired(
+    rows: Sequence[Sequence[float]], statistic: Callable[..., NDArray[np.float64]], tree: SeedTree
+) -> Paired | None:
+    """`estimate` of the values of some pairs (n, k)."""
+    columns = np.array(rows, float).T
+    found, alone = estimate(columns.tolist(), statistic, tree), statistic(*columns[..., None])
+    return None if found is None else Paired(**vars(found), pairs=len(rows), alone=int(np.sum(~np.isnan(alone))))
 
 
 def _difference(values: NDArray[np.float64], baseline: NDArray[np.float64]) -> NDArray[np.float64]:

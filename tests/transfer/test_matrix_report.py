@@ -4,16 +4,19 @@ from __future__ import annotations
 
 import json
 import re
+from dataclasses import replace
 from pathlib import Path
 
 import numpy as np
 import pytest
 from support.transfer_samples import run_matrix
 
+from karolos.core.seeding import SeedTree
 from karolos.statistics.intervals import wilson
+from karolos.statistics.transfer import forward_transfer
 from karolos.transfer.matrix import MatrixRuns
 from karolos.transfer.page import cells_table, matrix_table, metric_map, notes, page, transfer_figures, variants_table
-from karolos.transfer.results import TransferReport, transfer_report
+from karolos.transfer.results import TransferReport, _paired, transfer_report
 
 pytestmark = pytest.mark.xdist_group(__name__)
 
@@ -70,6 +73,24 @@ def test_rows_are_json_with_wilson_intervals_of_each_run_and_the_cost_of_the_sou
     assert row["steps_to_threshold"]["of"] == row["scratch"]["steps_to_threshold"]["of"] == 2
     assert 0 <= row["floor"] <= 1
     assert row["ceiling"] is None  # a toy has no expert
+
+
+def test_rows_say_which_seeds_and_how_many_pairs_count(found: MatrixRuns) -> None:
+    pair = ("fast", "slow")
+    tests = {**found.zero_shot, pair: {1: found.zero_shot[pair][1]}}
+    runs = {**found.sources, "slow": {0: found.sources["slow"][0]}}
+    row = transfer_report(replace(found, zero_shot=tests, sources=runs)).rows()[1]
+    assert (row["seeds"], len(row["zero_shot"]["each"]), row["fine_tuned_seeds"]) == ([1], 1, [0, 1])
+    assert (row["jump_start"]["pairs"], row["jump_start"]["alone"]) == (1, 1)
+
+
+def test_a_pair_without_a_value_of_its_own_is_counted_and_noted(report: TransferReport) -> None:
+    gained = _paired([[0.9, 0.5], [1.0, 1.0], [0.8, 0.6]], forward_transfer, SeedTree(0))
+    assert gained is not None
+    assert (gained.pairs, gained.alone) == (3, 2)
+    cells = [replace(one, estimates={**one.estimates, "forward_transfer": gained}) for one in report.cells[1:2]]
+    said = "Forward transfer, pairs that alone have a value: fast to slow 2 of 3"
+    assert said in notes(replace(report, cells=tuple(cells)))
 
 
 def test_a_source_that_has_lost_its_tests_is_left_out_with_a_warning(found: MatrixRuns, tmp_path: Path) -> None:
