@@ -82,9 +82,9 @@ def list_runs(
     sort: Annotated[
         str | None, typer.Option(metavar="KEY", help="Sort by a column, the smallest first; -KEY: the largest first.")
     ] = None,
-    group: Annotated[bool, typer.Option("--group", help="One row per experiment, with means over its runs.")] = False,
+    group: Annotated[bool, typer.Option("--group", help="One row per experiment, with means over its seeds.")] = False,
 ) -> None:
-    """List runs, the newest first, or experiments with the means of their runs."""
+    """List runs, the newest first, or experiments with the means over their seeds."""
     chosen = {"a filter": where, "--state": state, "--limit": limit, "--columns": columns, "--sort": sort}
     chosen |= {"--csv": csv, "--json": json, "--group": group, "--trials": trials}
     given = [name for name, value in chosen.items() if value]
@@ -147,18 +147,30 @@ def _rows(
 
 
 def _groups(found: Sequence[RunSummary]) -> list[dict[str, Any]]:
-    """One row per experiment: its runs, states, and the means of the runs that have a result."""
+    """One row per experiment: its runs and states; of one run per seed, the means over those that have a result.
+
+    `steps_to_95` is the median over those with a success, where one that never got there counts as infinite.
+    """
+    from karolos.comparison import one_per_seed, repeated
+    from karolos.statistics.aggregates import median_reaching
+
     groups: dict[str, list[RunSummary]] = {}
     for run in found:
         groups.setdefault(run.experiment, []).append(run)
     rows = []
     for experiment, members in groups.items():
+        for warning in repeated(members[0].name, members):
+            warn(warning)
         states = Counter(run.state for run in members)
         row = {"name": members[0].name, "experiment": experiment[:12], "runs": len(members)}
         row |= {"states": ", ".join(f"{count} {state}" for state, count in states.items())}
-        for name in ("steps", "seconds", "success_end", "best_end", "mean_return", "steps_to_95"):
-            known = [value for run in members if (value := getattr(run, name)) is not None]
+        seeds = one_per_seed(members).values()
+        for name in ("steps", "seconds", "success_end", "best_end", "mean_return"):
+            known = [value for run in seeds if (value := getattr(run, name)) is not None]
             row[name] = fmean(known) if known else None
+        reached = [run.steps_to_95 for run in seeds if run.success_end is not None]
+        row["steps_to_95"] = median_reaching(reached)
+        row["reached_95"] = f"{len(reached) - reached.count(None)} of {len(reached)}" if reached else None
         rows.append(row)
     return rows
 

@@ -1,7 +1,7 @@
 """From runs to the numbers that compare experiments. `karolos.report` draws them."""
 
 from .conditions import conditions
-from .contenders import ComparedRun, Contender, Metric, Success, gather, labels_of, one_per_seed
+from .contenders import ComparedRun, Contender, Metric, Success, gather, labels_of, one_per_seed, repeated
 from .curves import Curve, densities, learning_curve
 from .differences import MISSING, differences
 from .scores import Comparison, Estimate, Reaching, Scores, compare
@@ -25,4 +25,5 @@ __all__ = [
     "labels_of",
     "learning_curve",
     "one_per_seed",
+    "repeated",
 ]

@@ -172,11 +172,7 @@ def gather(store: Store | None, runs: Sequence[RunSummary], label: str) -> Conte
             hint=f"name one by its hash: {shown}{more}",
         )
     chosen = one_per_seed(runs)
-    if len(chosen) < len(runs):
-        problems.append(
-            f"{label}: {len(runs) - len(chosen)} of {len(runs)} runs repeat a seed; of each seed the newest "
-            "finished run is used, or the newest if none is finished"
-        )
+    problems += repeated(label, runs)
     return _contender(label, store.records([chosen[seed] for seed in sorted(chosen)]), problems)
 
 
@@ -195,6 +191,13 @@ def _contender(label: str, records: Sequence[RunRecord], problems: list[str]) ->
 def one_per_seed(runs: Sequence[RunSummary]) -> dict[int, RunSummary]:
     """Seed -> of its runs the newest finished one, or the newest if none is finished."""
     return {run.seed: run for run in sorted(runs, key=lambda run: (run.state == "finished", run.created))}
+
+
+def repeated(label: str, runs: Sequence[RunSummary]) -> list[str]:
+    """A warning if several runs have one seed, of which `one_per_seed` chooses; else none."""
+    more = len(runs) - len(one_per_seed(runs))
+    rule = "of each seed the newest finished run is used, or the newest if none is finished"
+    return [f"{label}: {more} of {len(runs)} runs repeat a seed; {rule}"] if more else []
 
 
 def labels_of(selected: Sequence[Sequence[RunSummary]]) -> list[str]:

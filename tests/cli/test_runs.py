@@ -68,6 +68,29 @@ def test_list_sorts_and_groups(runs: Path) -> None:
         call("list", "--group", "--sort", "seed", "--runs", runs)
 
 
+def test_a_group_has_one_run_per_seed_and_counts_those_that_never_reach_95(runs: Path) -> None:
+    add_run(runs, 0)
+    with RunFolder.create(runs, "reach", 0) as again, Store(Store.default_url(runs)) as store:
+        again.describe(SPEC, experiment="abc")
+        again.set_state("finished", steps=600)
+        store.add_records([again.record()])
+    add_run(runs, 2)
+    for seed in (3, 4, 5):
+        with RunFolder.create(runs, "reach", seed) as run, Store(Store.default_url(runs)) as store:
+            run.describe(SPEC, experiment="abc")
+            run.add_test(TestResult(1000, 10.0, (False,), (False,), (False,), (0.0,), (9,)))
+            run.set_state("finished", steps=1200)
+            store.add_records([run.record()])
+    [group] = rows("list", "--group", "--runs", runs)
+    assert (group["runs"], group["steps"]) == (6, 1080)  # the newer run of seed 0, which has no test
+    assert (group["steps_to_95"], group["reached_95"]) == (None, "1 of 4")
+    assert "reach: 1 of 6 runs repeat a seed" in call("list", "--group", "--runs", runs).stderr
+    [group] = rows("list", "seed in (2, 3)", "--group", "--runs", runs)
+    assert (group["steps_to_95"], group["reached_95"]) == (None, "1 of 2")
+    [group] = rows("list", "seed=2", "--group", "--runs", runs)
+    assert (group["steps_to_95"], group["reached_95"]) == (1000, "1 of 1")
+
+
 @pytest.mark.parametrize(
     ("options", "ignored"),
     [
