@@ -152,7 +152,7 @@ def _groups(found: Sequence[RunSummary]) -> list[dict[str, Any]]:
     `steps_to_95` is the median over those with a success, where one that never got there counts as infinite.
     """
     from karolos.comparison import one_per_seed, repeated
-    from karolos.statistics.aggregates import median_reaching
+    from karolos.statistics.reaching import median_reaching
 
     groups: dict[str, list[RunSummary]] = {}
     for run in found:

@@ -29,7 +29,7 @@ from karolos.records.decode import from_json
 from karolos.report.comparison_tables import estimate
 from karolos.report.tables import count, duration
 from karolos.specification import load_spec, spec_from_dict
-from karolos.statistics.aggregates import median_reaching
+from karolos.statistics.reaching import median_reaching
 from karolos.store import Store, reindex
 from karolos.transfer.matrix import Matrix
 

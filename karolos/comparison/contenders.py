@@ -15,6 +15,7 @@ from ..errors import RunError, UsageError
 from ..records import RunFolder
 from ..records.results import TestCounts
 from ..records.run_records import RunRecord, RunSummary
+from ..records.sweep_records import best_name
 from ..store import Store
 
 Success = Literal["any", "end"]
@@ -211,14 +212,25 @@ def labels_of(selected: Sequence[Sequence[RunSummary]]) -> list[str]:
 
 
 def _reporting(store: Store, runs: Sequence[RunSummary], label: str) -> tuple[Sequence[RunSummary], list[str]]:
-    """The runs that say how good they are: of a sweep's trial those on its reporting seeds. Adds what to note."""
+    """The runs that say how good they are: of a sweep's trial those on its reporting seeds, of its best spec those on
+    seeds that it did not tune or choose on. Adds what to note."""
     names = {run.name for run in runs}
-    trials = ((record, trial) for record in store.sweeps.all() for trial in record.trials if names == {trial.name})
-    record, trial = next(trials, (None, None))  # of the newest sweep of this name
-    if record is None or trial is None:
-        return runs, []
-    final = record.final
-    seeds = final.report_seeds if final is not None and final.chosen == trial.number else ()
+    sweeps = store.sweeps.all()  # the newest of a name first
+    record, seeds = next(
+        (
+            (record, record.final.report_seeds if record.final and record.final.chosen == trial.number else ())
+            for record in sweeps
+            for trial in record.trials
+            if names == {trial.name}
+        ),
+        (None, ()),
+    )
+    if record is None:
+        record = next((one for one in sweeps if names == {best_name(one.name)}), None)
+        if record is None:
+            return runs, []
+        used = {*record.seeds, *(record.final.seeds if record.final else ())}
+        seeds = tuple({run.seed for run in runs} - used)
     reporting = [run for run in runs if run.seed in seeds]
     if not reporting:
         return runs, [

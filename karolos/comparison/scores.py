@@ -20,6 +20,7 @@ from ..records.results import MeasureMean
 from ..statistics import aggregates
 from ..statistics.density import Density
 from ..statistics.intervals import wilson
+from ..statistics.reaching import first_reaching, median_reaching
 from ..store import Store
 from ..store.rows import without_seeds
 from ..store.summaries import success_densities
@@ -48,7 +49,10 @@ class Estimate:
 
 @dataclass(frozen=True)
 class Reaching:
-    """When a test first reached a success ratio: medians over the seeds, None if half of them or more never did."""
+    """When a test first reached a success ratio: medians over the seeds, None if half of them or more never did.
+
+    Where half of the seeds reached it before the others did, the middle between the two.
+    """
 
     ratio: float
     reached: int
@@ -283,15 +287,15 @@ def estimate(
 def reaching(runs: Sequence[ComparedRun], success: Success, ratio: float) -> Reaching:
     """When the tests of some runs first reached a success ratio."""
     at = {
-        axis: [aggregates.first_reaching(run.values(success), list(places(run, axis)), ratio) for run in runs]
+        axis: [first_reaching(run.values(success), list(places(run, axis)), ratio) for run in runs]
         for axis in ("steps", "seconds")
     }
     return Reaching(
         ratio=ratio,
         reached=sum(place is not None for place in at["steps"]),
         seeds=len(runs),
-        steps=aggregates.median_reaching(at["steps"]),
-        seconds=aggregates.median_reaching(at["seconds"]),
+        steps=median_reaching(at["steps"]),
+        seconds=median_reaching(at["seconds"]),
     )
 
 

@@ -31,6 +31,11 @@ _DESCRIBED = (
 SweepTrialState = Literal["running", "complete", "pruned", "failed"]
 
 
+def best_name(sweep: str) -> str:
+    """The name of the spec, and so of its runs, that a sweep of this name writes of its best trial."""
+    return f"{sweep}-best"
+
+
 @dataclass(frozen=True)
 class Trial:
     """One trial of a sweep: its settings and its result."""

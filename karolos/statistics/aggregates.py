@@ -112,18 +112,3 @@ def _improvements(ours: _Floats, theirs: _Floats) -> _Floats:
 def profile(values: ArrayLike, thresholds: ArrayLike) -> _Floats:
     """Performance profile: the fraction of seeds whose value (n,) is at least each threshold (t,): (t,)."""
     return np.asarray((np.asarray(values, float)[None] >= np.asarray(thresholds, float)[:, None]).mean(axis=1))
-
-
-def first_reaching(ratios: Sequence[float], at: Sequence[float], threshold: float) -> float | None:
-    """Steps or seconds at which a run's test ratio first is `threshold` or more; None: never (censored)."""
-    return next((place for ratio, place in zip(ratios, at, strict=True) if ratio >= threshold), None)
-
-
-def median_reaching(places: Sequence[float | None]) -> float | None:
-    """Median over seeds of the steps or seconds to a threshold; a seed that never reached it counts as infinite.
-
-    None if the median is infinite.
-    """
-    ordered = sorted(place for place in places if place is not None)
-    low, high = (len(places) - 1) // 2, len(places) // 2
-    return (ordered[low] + ordered[high]) / 2 if high < len(ordered) else None

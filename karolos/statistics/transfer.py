@@ -2,7 +2,7 @@
 
 Sources: Taylor and Stone 2009, "Transfer Learning for Reinforcement Learning Domains: A Survey", JMLR 10, 1633
 (jump-start, asymptotic performance, time to threshold); Wolczyk et al. 2021, "Continual World: A Robotic Benchmark For
-Continual Reinforcement Learning" (forward transfer); Kaplan and Meier 1958, J. Am. Stat. Assoc. 53, 457.
+Continual Reinforcement Learning" (forward transfer).
 """
 
 from __future__ import annotations
@@ -11,6 +11,7 @@ import numpy as np
 from numpy.typing import ArrayLike, NDArray
 
 from .aggregates import mean
+from .reaching import median_time
 
 _Floats = NDArray[np.float64]
 
@@ -44,35 +45,6 @@ def area_under_curve(at: ArrayLike, values: ArrayLike, start: float, end: float)
     points = np.unique(np.concatenate([[start, end], steps[(steps > start) & (steps < end)]]))
     heights = np.interp(points, steps, ratios)
     return float(np.trapezoid(heights, points) / (end - start)) if end > start else float(heights[0])
-
-
-def kaplan_meier(times: ArrayLike, reached: ArrayLike) -> tuple[_Floats, _Floats]:
-    """Kaplan-Meier estimate of the fraction of runs that have not reached a threshold yet.
-
-    At each time t with d runs that reach it of r runs that are still observed, the fraction is multiplied by 1 - d / r.
-
-    Args:
-        times: (..., n) steps at which each run reached the threshold, or at which it ended without.
-        reached: (..., n) whether it reached it; otherwise it is censored.
-
-    Returns:
-        The times in ascending order (of equal ones those of reaching first) and the fraction after each: (..., n).
-    """
-    steps, events = np.asarray(times, float), np.asarray(reached, bool)
-    order = np.lexsort((~events, steps), axis=-1)
-    ordered = np.take_along_axis(steps, order, axis=-1)
-    at_risk = np.arange(steps.shape[-1], 0, -1)
-    factors = np.where(np.take_along_axis(events, order, axis=-1), 1 - 1 / at_risk, 1.0)
-    return ordered, np.multiply.accumulate(factors, axis=-1)
-
-
-def median_time(times: ArrayLike, reached: ArrayLike) -> _Floats:
-    """Kaplan-Meier median: the first time at which half of the runs or more have reached the threshold, (..., n) to
-    (...); inf if the estimate stays above one half."""
-    ordered, remaining = kaplan_meier(times, reached)
-    below = remaining <= 0.5 + 1e-12
-    first = np.take_along_axis(ordered, below.argmax(axis=-1)[..., None], axis=-1)[..., 0]
-    return np.where(below.any(axis=-1), first, np.inf)
 
 
 def median_time_ratio(times: ArrayLike, reached: ArrayLike, scratch: ArrayLike, scratch_reached: ArrayLike) -> _Floats:

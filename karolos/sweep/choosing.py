@@ -7,13 +7,14 @@ Learning and How To Tune Them").
 from __future__ import annotations
 
 import math
-from collections.abc import Callable, Sequence
+from collections.abc import Callable, Iterator, Sequence
 from itertools import count, islice
 
 from ..launchers.driver import Driver, Feed
 from ..launchers.runs import Home, RunJob
 from ..records.sweep_records import SweepFinal, SweepRecord, Trial, merit
 from ..specification import Spec, spec_of_trial
+from ..store import Store
 from .events import FinalBegan, SweepListener
 from .objectives import measure_all
 
@@ -32,10 +33,19 @@ def for_report(trial: Spec) -> Spec:
     return trial.model_copy(update={"testing": trial.testing.model_copy(update={"seed": seed})})
 
 
-def choose(base: Spec, home: Home, found: SweepRecord, driver: Driver, listener: SweepListener) -> SweepFinal | None:
+def unused_seeds(base: Spec) -> Iterator[int]:
+    """Seeds from 0 that are neither the sweep's nor the spec's."""
+    assert base.sweep is not None  # callers see to it
+    known = {*base.sweep.seeds, *base.seeds}
+    return (seed for seed in count() if seed not in known)
+
+
+def choose(
+    base: Spec, home: Home, found: SweepRecord, driver: Driver, listener: SweepListener, store: Store
+) -> SweepFinal | None:
     """Run the best trials on new seeds, choose the best of them, and run it on further seeds and test episodes.
 
-    No seed is one of the sweep or of the spec.
+    No seed is one of the sweep or of the spec, and no trial has a run on one of the further seeds but its report.
     Uses finished runs of an earlier call. Returns None if every trial failed on the new seeds, or after a stop request.
     """
     sweep = base.sweep
@@ -44,9 +54,8 @@ def choose(base: Spec, home: Home, found: SweepRecord, driver: Driver, listener:
     def run(jobs: Sequence[RunJob]) -> None:
         driver.run(Feed(*jobs))
 
-    unused = (seed for seed in count() if seed not in sweep.seeds and seed not in base.seeds)
+    unused = unused_seeds(base)
     seeds = tuple(islice(unused, sweep.final.seeds))
-    report_seeds = tuple(islice(unused, sweep.final.report_seeds))
     best = found.ranked[: sweep.final.top]
     listener(FinalBegan(tuple(trial.number for trial in best), seeds, "choose"))
     fresh = _values(base, home, best, seeds, for_search, run)
@@ -56,6 +65,10 @@ def choose(base: Spec, home: Home, found: SweepRecord, driver: Driver, listener:
         (trial for trial in best if trial.number in fresh),
         key=lambda one: merit(fresh[one.number], found.directions),
     )
+    report = for_report(spec_of_trial(base, chosen.drawn, chosen.name, base.seeds, chosen.name)).hash()
+    names = {trial.name for trial in found.trials}
+    used = {run.seed for run in store.runs() if run.name in names and run.experiment != report}
+    report_seeds = tuple(islice((seed for seed in unused if seed not in used), sweep.final.report_seeds))
     listener(FinalBegan((chosen.number,), report_seeds, "report"))
     reported = _values(base, home, [chosen], report_seeds, for_report, run)
     if driver.stop.requested:

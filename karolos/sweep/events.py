@@ -17,11 +17,13 @@ class SweepOutcome(SweepRecord):
     front: tuple[Trial, ...] = ()
     """The Pareto front of the objectives."""
     stop_code: int = 0
+    left: bool = False
+    """Whether the final phase was stopped before its end; `final` is then that of an earlier call."""
 
     @property
     def exit_code(self) -> int:
         """0: at least one trial is complete; 1: no trial is; 128 + signal or 124: stopped before the end."""
-        if self.stop_code and (self.ended < self.asked or (self.wants_final and self.final is None)):
+        if self.stop_code and (self.ended < self.asked or self.left):
             return self.stop_code
         return 0 if self.best is not None else 1
 

@@ -16,7 +16,7 @@ from ..records.results import TestResult, measure_means
 from ..specification import Spec
 from ..specification.sweep import MEASURES, Direction
 from ..specification.sweep import directions as directions_of
-from ..statistics.aggregates import first_reaching
+from ..statistics.reaching import first_reaching
 
 CENSORED_FACTOR = 2
 """Penalty factor on the steps of a run that never reached the threshold (PAR2)."""

@@ -13,7 +13,7 @@ from ..experiment.signals import StopRequest
 from ..experiment.start_from import pinned
 from ..launchers.driver import driving
 from ..launchers.runs import Home
-from ..records.sweep_records import FOLDER, SweepFinal, Trial
+from ..records.sweep_records import FOLDER, SweepFinal, Trial, best_name
 from ..specification import Spec, Sweep, spec_from_dict, spec_of_trial
 from ..specification.sweep import DEFAULT_TRIALS
 from ..store import Store
@@ -105,25 +105,27 @@ class Search:
             before = folder.write()
             driver.run(Trials(base, home, self.sweep, jobs, driver.stop, folder))
             found = folder.write()
-            final = before.final if found.ended == before.ended else None
-            if self.sweep.final is not None and not driver.stop.requested and found.ranked:
-                final = choosing.choose(base, home, found, driver, listener)
-            return self._conclude(folder, final, driver.stop)
+            final, left = before.final if found.ended == before.ended else None, False
+            if self.sweep.final is not None and found.ranked:
+                chosen = None if driver.stop.requested else choosing.choose(base, home, found, driver, listener, store)
+                left = chosen is None and driver.stop.requested
+                final = final if left else chosen
+            return self._conclude(folder, final, driver.stop, left)
 
-    def _conclude(self, folder: SweepFolder, final: SweepFinal | None, stop: StopRequest) -> SweepOutcome:
+    def _conclude(self, folder: SweepFolder, final: SweepFinal | None, stop: StopRequest, left: bool) -> SweepOutcome:
         from ..report.figures import look, write_plots  # noqa: PLC0415
 
         folder.write_final(final)
         record = folder.write()
         if (best := record.best) is not None:
-            seeds = self.spec.seeds if final is None else final.report_seeds
-            spec = spec_of_trial(self.spec, best.drawn, f"{self.spec.name}-best", seeds, best.name)
-            spec = spec if final is None else choosing.for_report(spec)
-            folder.write_best(spec, _comment(self.sweep, best, final))
+            unused = tuple(islice(choosing.unused_seeds(self.spec), len(self.spec.seeds)))
+            seeds = unused if final is None else final.report_seeds
+            spec = spec_of_trial(self.spec, best.drawn, best_name(self.spec.name), seeds, best.name)
+            folder.write_best(choosing.for_report(spec), _comment(self.sweep, best, final))
         if best is not None and not stop.requested:  # the figures take seconds, and a resumed sweep draws them
             with look():
                 write_plots(folder.study.figures(), folder.figures)
-        return SweepOutcome(**vars(record), front=folder.study.front(), stop_code=stop.exit_code)
+        return SweepOutcome(**vars(record), front=folder.study.front(), stop_code=stop.exit_code, left=left)
 
 
 def samples(spec: Spec, count: int) -> Iterator[tuple[dict[str, Any], Spec | SpecError]]:

@@ -42,6 +42,8 @@ HALF_TURNS: tuple[Quaternion, ...] = ((1.0, 0.0, 0.0, 0.0), (0.0, 1.0, 0.0, 0.0)
 """About each axis: they leave a box as it is."""
 AIR_PROBABILITY, AIR = 0.6, (0.03, 0.15)
 """Probability of a goal in the air, and its height in m above the object's when it rests on the floor."""
+OVER_TOP = (0.012, 0.04)
+"""m of the tool above the top of the object in episodes that start over it: the pads reach a part of that lower."""
 TURN_SHARE = 0.9
 """Of the largest turn of the tool, by which object and goals are turned."""
 
@@ -66,6 +68,7 @@ class ReorientSettings(CubeSettings):
     lying: Probability = Setting(0.5, description="share of the episodes in which the object lies; else it stands")
     start_carried: Probability = start("the object in the gripper, somewhere in the air")
     start_grasped: Probability = start("the object in the gripper")
+    start_over: Probability = start("the gripper right over the object, turned to it or not, more or less open")
     start_near: Probability = start("the gripper near the object")
     max_steps: int = Setting(70, ge=1, le=100_000, description="control steps per episode")
 
@@ -122,8 +125,8 @@ class Reorient(CubeTask):
     m in the middle of the robot's dexterous space, turned by up to .72 rad to either side (built-in arms). 40 % of the
     goals lie on the floor, 60 % in the air, .03 to .15 m higher and tilted by up to .3 rad. An episode begins with the
     object in the gripper somewhere in the air with probability `start_carried`, of the others in the gripper where it
-    is with `start_grasped`, of the others with the open gripper around or above it with `start_near`: parameters that
-    training may draw, tests never do.
+    is with `start_grasped`, of the others right over it with `start_over`, turned and closed anyhow, of the others with
+    the open gripper around or above it with `start_near`: parameters that training may draw, tests never do.
 
     Observation: object_position (3, m), object_rotation (6, two columns of its matrix), object_velocity (3, m/s),
     object_angular_velocity (3, rad/s), object_from_tool (3, m).
@@ -196,15 +199,19 @@ class Reorient(CubeTask):
         def turned(tool: Quaternion) -> Quaternion:
             return multiply(multiply(tool, inverse(middle)), held)
 
-        stage = drawn_stage(self.drawn, generator.uniform(), "carried", "grasped", "near")
+        stage = drawn_stage(self.drawn, generator.uniform(), "carried", "grasped", "over", "near")
         (x, y, z), tool = pose(air=stage == "carried")
-        above = generator.uniform(GRIP_HEIGHT, HOVER_HEIGHT) if stage == "near" else GRIP_HEIGHT
+        orientation = turned(tool)
+        above, opening = GRIP_HEIGHT, piece.width / self.gripper.width
+        if stage == "near":
+            above, opening = generator.uniform(GRIP_HEIGHT, HOVER_HEIGHT), 1.0
+        elif stage == "over":
+            above, opening = rest + generator.uniform(*OVER_TOP), generator.uniform()
+            tool = robot.orientations.at(0.0, 0.0, generator.uniform(-turn, turn))
         if stage:
-            open_ = stage == "near"
             place = x, y, max(z + above, robot.workspace.low[2])
-            opening = 1.0 if open_ else piece.width / self.gripper.width
-            robot.place_tool(place, opening, orientation=tool, closing=not open_)
-        piece.place((x, y, z), turned(tool))
+            robot.place_tool(place, opening, orientation=tool, closing=stage in ("carried", "grasped"))
+        piece.place((x, y, z), orientation)
         start_pose = self.achieved()
         while True:
             position, tool = pose(air=generator.uniform() < AIR_PROBABILITY)

@@ -13,13 +13,14 @@ from numpy.typing import NDArray
 from ..comparison import ComparedRun, Estimate, Reaching
 from ..comparison.contenders import Contender, load_compared
 from ..comparison.curves import places
-from ..comparison.scores import Comparison, compare, estimate
+from ..comparison.scores import Comparison, compare, estimate, reaching
 from ..core.seeding import SeedTree
 from ..evaluation.playing import Score
 from ..records import RunFolder
 from ..records.results import TestCounts
 from ..statistics import aggregates, transfer
 from ..statistics.intervals import wilson
+from ..statistics.reaching import first_reaching
 from .matrix import MatrixRuns, Pair
 
 
@@ -320,23 +321,12 @@ def _difference(values: NDArray[np.float64], baseline: NDArray[np.float64]) -> N
 def _time(run: ComparedRun, threshold: float) -> tuple[float, bool]:
     """Steps at which a run reached the threshold, or at which it ended without; and whether it did."""
     at = places(run, "steps").tolist()
-    reached = aggregates.first_reaching(run.values("end"), at, threshold)
+    reached = first_reaching(run.values("end"), at, threshold)
     return (at[-1], False) if reached is None else (reached, True)
 
 
 def _reaching(found: Mapping[int, ComparedRun], threshold: float) -> Reaching | None:
-    """Kaplan-Meier medians of the runs."""
-    if not found:
-        return None
-    runs = list(found.values())
-    times = [_time(run, threshold) for run in runs]
-    reached = [done for _, done in times]
-    seconds = [
-        float(np.interp(at, places(run, "steps"), places(run, "seconds")))
-        for run, (at, _) in zip(runs, times, strict=True)
-    ]
-    medians = [float(transfer.median_time(values, reached)) for values in ([at for at, _ in times], seconds)]
-    return Reaching(threshold, sum(reached), len(runs), *(one if np.isfinite(one) else None for one in medians))
+    return reaching(list(found.values()), "end", threshold) if found else None
 
 
 def _learning(

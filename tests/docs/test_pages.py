@@ -82,7 +82,8 @@ PAGES = [ROOT / "README.md", *sorted(DOCS.glob("*.md"))]
 
 @pytest.fixture
 def folder(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> Iterator[Path]:
-    """A folder as a reader of the pages has it; plugins that a page installs are forgotten at the end."""
+    """A folder as a reader of the pages has it; plugins and environments that a page adds are forgotten at the end."""
+    monkeypatch.setattr(registration, "registry", dict(registration.registry))
     for name in ("specs", "examples"):
         shutil.copytree(ROOT / name, tmp_path / name)
     monkeypatch.chdir(tmp_path)

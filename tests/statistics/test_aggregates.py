@@ -66,16 +66,3 @@ def test_interval_is_the_same_for_the_same_generator() -> None:
 def test_profile_falls_from_all_to_none() -> None:
     found = aggregates.profile([0.2, 0.5, 1.0], [0, 0.2, 0.21, 0.6, 1.0])
     assert found.tolist() == pytest.approx([1, 1, 2 / 3, 1 / 3, 1 / 3])
-
-
-def test_first_reaching_is_the_first_test_at_or_over_the_threshold() -> None:
-    assert aggregates.first_reaching([0.1, 0.5, 0.4, 0.9], [10, 20, 30, 40], 0.5) == 20
-    assert aggregates.first_reaching([0.1, 0.4], [10, 20], 0.5) is None
-
-
-@pytest.mark.parametrize(
-    ("places", "median"),
-    [([10, 30, None], 30), ([10, None, None], None), ([10, 20], 15), ([10, None], None), ([None], None), ([7], 7)],
-)
-def test_seeds_that_never_reach_a_threshold_count_last(places: list[float | None], median: float | None) -> None:
-    assert aggregates.median_reaching(places) == median

@@ -4,12 +4,14 @@ from __future__ import annotations
 
 import json
 import os
+import shutil
 import signal
 import subprocess
 import sys
 import time
 from collections import Counter
 from collections.abc import Iterator
+from dataclasses import replace
 from pathlib import Path
 
 import pytest
@@ -141,6 +143,46 @@ def test_only_the_reporting_seeds_of_a_trial_are_compared(killed):
         other = next(trial for trial in killed.trials if trial.number != killed.best.number)
         [problem] = gather(store, store.runs(name=other.name), "other").problems
         assert "biased upwards" in problem
+
+
+def test_runs_of_the_best_spec_on_seeds_that_tuned_it_are_told_from_others(killed):
+    with Store(Store.default_url(Path(killed.folder).parents[1])) as store:
+        runs = [replace(run, name="line-best") for run in store.runs(name=killed.best.name)]
+        [problem] = gather(store, [run for run in runs if run.seed == 0], "tuned").problems
+        assert "biased upwards" in problem
+        assert gather(store, [run for run in runs if run.seed == 3], "reported").problems == ()
+
+
+@pytest.fixture
+def copied(killed, tmp_path) -> Path:
+    """The runs folder of that sweep, once more."""
+    runs = Path(killed.folder).parents[1]
+    shutil.copytree(runs, tmp_path / "runs", ignore=shutil.ignore_patterns("*.sqlite*"))
+    with Store(Store.default_url(tmp_path / "runs")) as store:
+        reindex(store, tmp_path / "runs")
+    return tmp_path / "runs"
+
+
+def test_without_a_final_phase_the_best_spec_has_seeds_and_episodes_that_tuned_nothing(copied):
+    (copied / "sweeps" / "line" / "final.json").unlink()
+    outcome = Search(SPEC | {"sweep": SPEC["sweep"] | {"final": None}}).run(copied)
+    best = load_spec(Path(outcome.folder) / "best.yaml")
+    assert outcome.final is None
+    assert best.seeds == (1,)  # 0 tuned it, and 2 is the spec's own
+    assert best.testing.seed == 2_000_000
+
+
+def test_a_call_that_is_stopped_in_the_final_phase_keeps_that_of_an_earlier_one(killed, copied):
+    more = SPEC | {"sweep": SPEC["sweep"] | {"final": SPEC["sweep"]["final"] | {"seeds": 2}}}
+    stopped = Search(more).run(copied, time_limit=0.001)
+    assert stopped.exit_code == 124
+    assert stopped.final == killed.final
+    assert read_sweep(Path(stopped.folder))[0].final == killed.final
+
+
+def test_no_seed_that_the_best_was_chosen_by_reports_on_it_later(copied):
+    more = SPEC | {"sweep": SPEC["sweep"] | {"final": SPEC["sweep"]["final"] | {"seeds": 2}}}
+    assert (Search(more).run(copied).final.seeds, Search(SPEC).run(copied).final.report_seeds) == ((1, 3), (4,))
 
 
 def test_a_sweep_that_has_its_trials_runs_nothing_more(killed):

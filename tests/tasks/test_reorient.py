@@ -39,3 +39,27 @@ def test_training_may_start_with_the_object_in_the_hand_or_near_it(start: str, s
     environment.close()
     assert min(heights) == pytest.approx(0.0, abs=1e-3) or start == "start_carried"
     assert (max(heights) > 0.05) == (start == "start_carried")
+
+
+def test_training_may_start_with_the_gripper_right_over_the_object_turned_away_and_partly_closed() -> None:
+    environment = made("reorient", draws={"task.start_over": values(1.0)})
+    layout = environment.signature.observation
+    still = np.zeros(environment.signature.action.size, np.float32)
+    openings, apart = [], []
+    for seed in range(20):
+        begin = environment.reset(seed)
+        piece, (along, side, _) = environment.task.cube, environment.robot.closing
+        still[-1] = 2 * begin.observation[layout.slice("gripper_opening")][0] - 1
+        x, y, z = begin.observation[layout.slice("object_from_tool")]
+        assert np.hypot(x, y) < 1e-3
+        assert -0.11 < z < -0.02
+        openings.append(begin.observation[layout.slice("gripper_opening")][0])
+        turn = (np.arctan2(side, along) - piece.across()) % np.pi
+        apart.append(min(turn, np.pi - turn))
+        for _ in range(3):
+            after = environment.step(still)
+        np.testing.assert_allclose(after.achieved_goal, begin.achieved_goal, atol=1e-3)
+    environment.close()
+    assert min(openings) < 0.3
+    assert max(openings) > 0.7
+    assert max(apart) > 0.5
