@@ -11,6 +11,7 @@ from pathlib import Path
 
 import pytest
 import typer
+from gymnasium.envs import registration
 from karolos_cli.main import app
 from support.commands import call
 from support.plugin_packages import install
