@@ -29,7 +29,10 @@ FILTER_HELP = (
     "Operators: = != < <= > >= ~ (contains) in. Names: columns, settings of the spec, tags, note, "
     "versions.PACKAGE, measures.NAME."
 )
-POLICY_HELP = f"{RUN_HELP} Or the name of a policy that ships with karolos: panda_pick, ur5_throw, ..."
+POLICY_HELP = (
+    f"{RUN_HELP} Or the name of a policy that ships with karolos: panda_pick, ur5_throw, ...; shipped:panda_pick where"
+    " a run of yours has that name."
+)
 
 Runs = Annotated[
     Path,

@@ -46,7 +46,8 @@ def play(
 
     Opens a window if there is a display and the physics engine has one: environment.engine=bullet. Otherwise, or with
     --out, writes a film. Default: play.mp4 in the run's folder, or NAME.mp4 in the current folder for a spec or a
-    policy that ships. A run of your own with the name of a policy that ships is played instead of it.
+    policy that ships. A run of your own with the name of a policy that ships is played instead of it; shipped:NAME
+    plays that one.
     """
     if width % 2 or height % 2:
         raise UsageError(f"a film of {width} x {height} pixels cannot be encoded", hint="use even numbers")

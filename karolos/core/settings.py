@@ -18,7 +18,7 @@ class AgentSettings(Settings):
     """Base of every agent's nested `Settings`."""
 
     start_from: str | None = Setting(
-        None, description="run id or folder of a run whose learned weights to start from, without its optimisers"
+        None, description="id or folder of a run or a policy that ships whose weights to start from, without optimisers"
     )
     start_checkpoint: Literal["best", "last"] = Setting("best", description="the checkpoint of that run")
     start_sha256: str | None = Setting(

@@ -123,7 +123,9 @@ class Run:
             if finished:
                 self._checkpointer.require(training)
         if finished and not training.updates:
-            self._writer.warn("the run made no gradient update", "its policy is that of an untrained agent")
+            started = getattr(spec.agent.settings, "start_from", None)
+            policy = f"what it started from, {started}" if started else "that of an untrained agent"
+            self._writer.warn("the run made no gradient update", f"its policy is {policy}")
         totals = training.totals()
         return Ending("finished", totals) if finished else Ending("stopped", totals, self.stop.reason)
 

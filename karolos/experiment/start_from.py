@@ -17,8 +17,7 @@ from ..core.signature import SAME_LAYOUTS, layout_differences
 from ..errors import RunError, UsageError
 from ..evaluation.policies import Learned, playable, read_learned, signature_of, spec_of
 from ..records import RunFolder
-from ..records.shipped import FOLDER as SHIPPED
-from ..records.shipped import shipped_names
+from ..records.shipped import FOLDER, SHIPPED, shipped_names
 from ..registry import closest, load
 from ..specification import Spec
 from ..training.assembly import located
@@ -52,13 +51,14 @@ def find(spec: Spec, runs: Path) -> Learned | None:
     run = getattr(settings, "start_from", None)
     if run is None:
         return None
-    path = next((path for path in (Path(run), runs / run, SHIPPED / run) if os.path.isdir(path)), runs / run)
+    shipped = FOLDER / run.removeprefix(SHIPPED)
+    path = next((path for path in (Path(run), runs / run, shipped) if os.path.isdir(path)), runs / run)
     try:
         folder = RunFolder.open(path)
     except RunError as error:
         like = closest(run, shipped_names())
-        hint = f"did you mean {like!r}, which ships? {error.hint}" if like else error.hint
-        raise _refused(f"{run!r}: {error.what}", hint) from error
+        ships = f"did you mean {like!r}, which ships? " if like else ""
+        raise _refused(f"{run!r}: {error.what}", f"{ships}name a run by its whole id or its folder") from error
     source = spec_of(folder)
     check_agents(spec, source)
     if differences := layout_differences(signature_of(spec), signature_of(playable(source)), learning=True):

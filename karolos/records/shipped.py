@@ -7,6 +7,8 @@ from pathlib import Path
 from .run_folder import RunFolder
 
 FOLDER = Path(__file__).resolve().parent / "shipped_runs"
+SHIPPED = "shipped:"
+"""Before the name of a run that ships, where a run of one's own has the same name."""
 POLICY = "policy.npz"
 """The policy `last` of the run; policy.json beside it says which one it is."""
 

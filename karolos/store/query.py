@@ -11,7 +11,7 @@ from typing import Any
 from ..errors import NoSuchRunError, UsageError
 from ..records import RunFolder
 from ..records.run_records import RunRecord, RunSummary, flatten
-from ..records.shipped import FOLDER, shipped_names
+from ..records.shipped import FOLDER, SHIPPED, shipped_names
 from ..registry import closest
 from .folders import open_index
 from .rows import SUMMARY_FIELDS, means
@@ -122,7 +122,8 @@ def _table(rows: list[dict[str, Any]]) -> Any:
 def find_meant(selector: str, store: Store | None, runs: str | Path) -> RunSummary:
     """The one run that a selector means: a path, what `Store.find` takes, or the name of a shipped run.
 
-    A run of one's own with the name of a run that ships comes first. `runs` is named where there is no index.
+    A run of one's own with the name of a run that ships comes first, except with `shipped:NAME`. `runs` is
+    named where there is no index.
 
     Raises:
         UsageError: it means no run, or several.
@@ -136,10 +137,10 @@ def find_meant(selector: str, store: Store | None, runs: str | Path) -> RunSumma
         return existing(store, selector, runs).find(selector)
     except NoSuchRunError as error:
         shipped = shipped_names()
-        like = closest(selector, shipped)
-        ships = (
-            f"did you mean {like!r}, a policy that ships?" if like else f"{len(shipped)} policies ship, e.g. panda_pick"
-        )
+        like = closest(selector.removeprefix(SHIPPED), shipped)
+        ships = f"{len(shipped)} policies ship, e.g. panda_pick"
+        if like:
+            ships = f"did you mean {SHIPPED + like!r}, a policy that ships?"
         raise NoSuchRunError(error.what, hint=f"{error.hint}; {ships}") from error
 
 
@@ -157,7 +158,8 @@ def existing(store: Store | None, selector: str, runs: str | Path) -> Store:
 
 
 def shipped_run(selector: str, store: Store | None) -> RunFolder | None:
-    """The run that ships of this name, unless there are runs of one's own with it."""
-    if selector not in shipped_names() or (store and store.runs(name=selector, limit=1)):
+    """The run that ships of this name, unless there are runs of one's own with it; always with `shipped:` before it."""
+    name = selector.removeprefix(SHIPPED)
+    if name not in shipped_names() or (name == selector and store and store.runs(name=name, limit=1)):
         return None
-    return RunFolder.open(FOLDER / selector)
+    return RunFolder.open(FOLDER / name)

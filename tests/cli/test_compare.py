@@ -7,16 +7,19 @@ import shutil
 from pathlib import Path
 from typing import Any
 
+import pytest
 import typer
 from karolos_cli.compare import compare
 from karolos_cli.diff import diff
 from sqlalchemy import select, update
 from support.commands import call
 
+from karolos.errors import NoSuchRunError
 from karolos.records import RunFolder
 from karolos.records.results import TestResult
 from karolos.specification import load_spec
 from karolos.store import Store
+from karolos.store.query import find_meant
 from karolos.store.tables import SUCCESSES
 
 A, B = "a1" * 32, "b2" * 32
@@ -123,6 +126,16 @@ def test_a_policy_that_ships_is_told_to_be_meant(runs: Path) -> None:
     code, _, err = call(app, "compare", "panda_pick", "--runs", str(runs))
     assert code == 0
     assert f"panda_pick: the policy that ships, because the index of {runs} has no run of this name" in err
+
+
+def test_where_a_run_has_the_name_of_a_policy_that_ships_a_prefix_means_that(runs: Path) -> None:
+    add_run(runs, 0, name="panda_pick")
+    [own], [shipped] = (rows("compare", name, "--runs", runs) for name in ("panda_pick", "shipped:panda_pick"))
+    assert own["runs"][0].startswith("panda_pick-s0-")
+    assert own["runs"] != shipped["runs"]
+    with Store(Store.default_url(runs)) as store, pytest.raises(NoSuchRunError) as caught:
+        find_meant("shipped:panda_pck", store, runs)
+    assert "did you mean 'shipped:panda_pick'" in str(caught.value.hint)
 
 
 def test_warnings_go_to_stderr_and_numbers_to_stdout(runs: Path) -> None:

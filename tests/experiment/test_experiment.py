@@ -323,6 +323,12 @@ def test_a_run_without_updates_says_so(tmp_path):
     assert check_parts(spec_from_dict(spec())) is None
     [summary] = Experiment(without).run(tmp_path).runs
     assert (summary.state, summary.updates) == ("finished", 0)
-    warnings = [event["error"] for event in RunFolder.open(summary.folder).events() if event["event"] == "warning"]
-    assert warnings == ["the run made no gradient update"]
+    source = RunFolder.open(summary.folder)
+    [warning] = [event for event in source.events() if event["event"] == "warning"]
+    assert warning["error"] == "the run made no gradient update"
+    assert "its policy is that of an untrained agent" in str(warning)
+    started = without | {"agent": {**without["agent"], "start_from": source.id, "start_checkpoint": "last"}}
+    [again] = Experiment(started | {"name": "started"}).run(tmp_path).runs
+    [warning] = [event for event in RunFolder.open(again.folder).events() if event["event"] == "warning"]
+    assert f"its policy is what it started from, {source.id}" in str(warning)
     assert "finished, no update" in runs_table([summary]).rows[0]
