@@ -140,7 +140,8 @@ def test_warnings_go_to_stderr_and_numbers_to_stdout(runs: Path) -> None:
 def test_page_and_figures_are_written_in_the_chosen_size_and_keep_their_text(runs: Path, tmp_path: Path) -> None:
     for seed in range(2):
         add_run(runs, seed)
-    page, figures = tmp_path / "page.html", tmp_path / "figures"
+    page, figures = tmp_path / "page.html", tmp_path / "figures.2"
+    figures.mkdir()
     options = ("--out", str(page), "--out", str(figures), "--width", "2.4", "--font", "6")
     code, _, err = call(app, "compare", "reach", "--runs", str(runs), *options)
     assert (code, err) == (0, f"wrote {page}\nwrote 15 files into {figures}\n")
@@ -197,7 +198,10 @@ def test_arguments_that_cannot_be_meant_are_refused(runs: Path, tmp_path: Path) 
     assert "new has no test yet" in refused("compare", "new", *there)
     file = tmp_path / "toy.yaml"
     file.write_text("environment: toy\nagent: sac\n")
-    for target in (tmp_path / "no" / "page.html", file):
+    err = refused("compare", "a1a1a1", *there, "--out", tmp_path / "x.txt")
+    assert "--out: cannot write figures into 'x.txt'; name a file that ends in .html, or a folder; a" in err
+    (tmp_path / "taken").touch()
+    for target in (tmp_path / "no" / "page.html", tmp_path / "taken"):
         code, _, err = call(app, "compare", "a1a1a1", "--runs", str(runs), "--out", str(target))
         assert (code, str(target) in err) == (3, True)
     assert "there are no runs of" in refused("compare", file, *there)
