@@ -112,7 +112,7 @@ def _runs_of(selector: str, store: Store | None, runs: Path) -> tuple[Store | No
             return store, existing(store, selector, runs).select(selector)
         return None, (RunFolder.open(selector).summary(),)
     store = existing(store, selector, runs)
-    return store, store.select(selector)
+    return store, store.select(selector, or_trial=True)
 
 
 def _labels(

@@ -12,9 +12,11 @@ from karolos_cli.compare import compare
 from karolos_cli.diff import diff
 from sqlalchemy import select, update
 from support.commands import call
+from support.sweep_samples import some_trial, write_sweep
 
 from karolos.records import RunFolder
 from karolos.records.results import TestResult
+from karolos.records.sweep_records import SweepFinal
 from karolos.specification import load_spec
 from karolos.store import Store
 from karolos.store.tables import SUCCESSES
@@ -123,6 +125,18 @@ def test_a_policy_that_ships_is_told_to_be_meant(runs: Path) -> None:
     code, _, err = call(app, "compare", "panda_pick", "--runs", str(runs))
     assert code == 0
     assert f"panda_pick: the policy that ships, because the index of {runs} has no run of this name" in err
+
+
+def test_name_of_a_best_spec_without_runs_means_the_trial_that_its_sweep_chose(runs: Path) -> None:
+    for seed in (0, 5):
+        add_run(runs, seed, name="x-t000")
+    with Store(Store.default_url(runs)) as store:
+        final = SweepFinal(0, (1,), (5,), (0.5, 1), {0: (0.5, 1)}, None)
+        store.sweeps.add([write_sweep(runs, "x", [some_trial(0)], final)])
+    [row] = rows("compare", "x-best", "--runs", runs)
+    assert (row["label"], row["seeds"], len(row["warnings"])) == ("x-t000", [5], 1)
+    add_run(runs, 6, name="x-best")
+    assert rows("compare", "x-best", "--runs", runs)[0]["seeds"] == [6]
 
 
 def test_warnings_go_to_stderr_and_numbers_to_stdout(runs: Path) -> None:
