@@ -11,7 +11,7 @@ import typer
 from karolos.errors import NoSuchRunError, UsageError
 
 from .arguments import MANY_HELP, Database, Json, Runs, open_store
-from .output import print_rows, print_table, say, warn
+from .output import check_folder, print_rows, print_table, say, warn
 
 if TYPE_CHECKING:
     from collections.abc import Sequence
@@ -69,6 +69,8 @@ def compare(
 
     pages = [path for path in out or () if path.suffix == ".html"]
     folders = [path for path in out or () if path.suffix != ".html"]
+    for folder in folders:
+        check_folder(folder, "a file that ends in .html, or a folder")
     with open_store(runs, database) or nullcontext() as store:
         selected = [_runs_of(selector, store, runs) for selector in experiments]
         labels = _labels(label, experiments, [found for _, found in selected])
@@ -110,7 +112,7 @@ def _runs_of(selector: str, store: Store | None, runs: Path) -> tuple[Store | No
             return store, existing(store, selector, runs).select(selector)
         return None, (RunFolder.open(selector).summary(),)
     store = existing(store, selector, runs)
-    return store, store.select(selector)
+    return store, store.select(selector, or_trial=True)
 
 
 def _labels(

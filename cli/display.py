@@ -166,6 +166,11 @@ def _brief(result: TestResult) -> str:
     return f"end {result.success_end:.2f}" if result.has_success else f"return {result.mean_return:,.2f}"
 
 
+def _named(what: str, numbers: Sequence[int]) -> str:
+    """trial 0, or seeds 3, 4."""
+    return f"{what}{'s' if len(numbers) > 1 else ''} {', '.join(map(str, numbers))}"
+
+
 def choose_display(*, quiet: bool) -> Quiet:
     """Live bars on a terminal, plain lines elsewhere; only warnings and failures if quiet."""
     if quiet:
@@ -205,8 +210,7 @@ class SweepDisplay(Quiet):
             drawn = f" with {drawn_text(event.trial)}" if self._bars else ""
             self._print(f"trial {event.trial.number} {text}{drawn} [{event.done}/{event.asked}]")
         elif isinstance(event, FinalBegan):
-            trials, seeds = (", ".join(map(str, numbers)) for numbers in (event.trials, event.seeds))
-            self._print(f"trials {trials} on seeds {seeds}, to {event.purpose}")
+            self._print(f"{_named('trial', event.trials)} on {_named('seed', event.seeds)}, to {event.purpose}")
         if self._bars:
             self._update(self._bars, event)
 
@@ -217,7 +221,8 @@ class SweepDisplay(Quiet):
             bar.update(self._task, total=event.asked, completed=event.done, done=done, best=best or "")
         elif isinstance(event, FinalBegan):
             doing = "choosing" if event.purpose == "choose" else "reporting"
-            done, best = f"{len(event.seeds)} seeds each", bar.tasks[0].fields["best"]
+            done = f"{len(event.seeds)} seed{'s' if len(event.seeds) > 1 else ''} each"
+            best = bar.tasks[0].fields["best"]
             bar.reset(self._task, description=doing, total=len(event.trials), done=done, best=best)
 
     def _values(self, trial: Trial) -> str:

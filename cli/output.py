@@ -12,9 +12,12 @@ from typing import TYPE_CHECKING, Any
 
 import typer
 
+from karolos.errors import UsageError
 from karolos.report.tables import Table, clean
 
 if TYPE_CHECKING:
+    from pathlib import Path
+
     from rich.table import Table as RichTable
 
     from karolos.records.sweep_records import Trial
@@ -83,6 +86,13 @@ def end_if_stopped(name: str, stop_code: int) -> None:
     if stop_code:
         say(f"{name} is stopped: the same command with --resume continues it")
         raise typer.Exit(stop_code)
+
+
+def check_folder(path: Path, allowed: str) -> None:
+    """Raise UsageError for a folder of figures, as of --out, whose name is that of a file, unless it is there."""
+    if path.suffix and not path.is_dir():
+        hint = f"name {allowed}; a folder with a dot in its name has to be there"
+        raise UsageError(f"cannot write figures into {path.name!r}", where="--out", hint=hint)
 
 
 def print_csv(rows: Sequence[Mapping[str, Any]]) -> None:

@@ -8,7 +8,7 @@ from typing import Annotated
 import typer
 
 from .arguments import Database, Jobs, Json, On, Overrides, Quiet, Runs, SpecFile, TimeLimit, seconds, with_launcher
-from .output import end_if_stopped, print_report, say, warn
+from .output import check_folder, end_if_stopped, print_report, say, warn
 
 
 def transfer(
@@ -36,6 +36,8 @@ def transfer(
     """
     from karolos.specification import load_spec
 
+    if out is not None:
+        check_folder(out, "a folder")
     found = load_spec(spec, with_launcher(overrides, on))
     from karolos.transfer.matrix import Matrix
 

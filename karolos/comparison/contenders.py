@@ -4,7 +4,7 @@ from __future__ import annotations
 
 import math
 import os
-from collections import Counter
+from collections import Counter, defaultdict
 from collections.abc import Mapping, Sequence
 from contextlib import suppress
 from dataclasses import dataclass, replace
@@ -154,8 +154,8 @@ class Contender:
 def gather(store: Store | None, runs: Sequence[RunSummary], label: str) -> Contender:
     """A contender from runs of one experiment. Of several runs with the same seed, it has the newest finished one.
 
-    Of the runs of a sweep's trial, only those on the seeds that it is reported on count. Without a store the runs are
-    read from their folders, and all count.
+    Of the runs of a sweep, only those on seeds that its settings were not tuned or chosen on count, if there are any.
+    Without a store the runs are read from their folders, and all count.
 
     Raises:
         UsageError: the runs belong to several experiments, or no run has a test yet.
@@ -212,34 +212,38 @@ def labels_of(selected: Sequence[Sequence[RunSummary]]) -> list[str]:
 
 
 def _reporting(store: Store, runs: Sequence[RunSummary], label: str) -> tuple[Sequence[RunSummary], list[str]]:
-    """The runs that say how good they are: of a sweep's trial those on its reporting seeds, of its best spec those on
-    seeds that it did not tune or choose on. Adds what to note."""
-    names = {run.name for run in runs}
-    sweeps = store.sweeps.all()  # the newest of a name first
-    record, seeds = next(
-        (
-            (record, record.final.report_seeds if record.final and record.final.chosen == trial.number else ())
-            for record in sweeps
-            for trial in record.trials
-            if names == {trial.name}
-        ),
-        (None, ()),
-    )
-    if record is None:
-        record = next((one for one in sweeps if names == {best_name(one.name)}), None)
-        if record is None:
-            return runs, []
-        used = {*record.seeds, *(record.final.seeds if record.final else ())}
-        seeds = tuple({run.seed for run in runs} - used)
-    reporting = [run for run in runs if run.seed in seeds]
+    """The runs that say how good they are, or all if none does, and what to note.
+
+    Of a sweep's trial those on its reporting seeds do, of its best spec those on seeds that it did not tune or choose
+    on, and runs of no sweep.
+    """
+    sweeps = store.sweeps.all()[::-1]  # the newest of a name last
+    trials = {trial.name: (record, trial.number) for record in sweeps for trial in record.trials}
+    bests = {best_name(record.name): record for record in sweeps}
+    reporting: list[RunSummary] = []
+    others: defaultdict[str, set[int]] = defaultdict(set)  # sweep -> seeds of its other runs
+    for run in runs:
+        if run.name in trials:
+            record, number = trials[run.name]
+            reports = record.final and record.final.chosen == number and run.seed in record.final.report_seeds
+        elif run.name in bests:
+            record = bests[run.name]
+            reports = run.seed not in {*record.seeds, *(record.final.seeds if record.final else ())}
+        else:
+            reporting.append(run)
+            continue
+        if reports:
+            reporting.append(run)
+        else:
+            others[record.name].add(run.seed)
     if not reporting:
-        return runs, [
-            f"{label}: the sweep {record.name} tuned or chose its settings by these runs, so their success is biased"
-            " upwards"
-        ]
-    others = ", ".join(map(str, sorted({run.seed for run in runs}.difference(seeds))))
-    note = f"{label}: only the seeds that the sweep {record.name} reports on count; it tuned or chose the settings on"
-    return reporting, [f"{note} {others}"] if others else []
+        biased = "tuned or chose its settings by these runs, so their success is biased upwards"
+        return runs, [f"{label}: the sweep {name} {biased}" for name in others]
+    return reporting, [
+        f"{label}: only the seeds that the sweep {name} reports on count; it tuned or chose the settings on"
+        f" {', '.join(map(str, sorted(seeds)))}"
+        for name, seeds in others.items()
+    ]
 
 
 def load_compared(record: RunRecord) -> ComparedRun:

@@ -19,6 +19,8 @@ from .run_records import ID, SWEEPS
 
 FOLDER = SWEEPS
 DESCRIPTION, TRIALS, FINAL = "sweep.json", "trials.jsonl", "final.json"
+BEST = "best.yaml"
+"""The best trial as a spec."""
 FORMAT = 1
 """Version of the folder's layout, in sweep.json."""
 LOCK = "lock"

@@ -26,7 +26,8 @@ def verdict(comparison: Comparison) -> str:
     found = [{"any": one.any, "end": one.end, "return": one.returns}[comparison.metric] for one in comparison.scores]
     first, *others = comparison.labels
     if not others:
-        return f"{first}: {what} {estimate(found[0])} over {len(comparison.contenders[0].runs)} seeds."
+        seeds = len(comparison.contenders[0].runs)
+        return f"{first}: {what} {estimate(found[0])} over {seeds} seed{'s' if seeds > 1 else ''}."
     pairs = zip(found, comparison.labels, strict=True)
     known = [(one, label) for one, label in pairs if one is not None and not math.isnan(one.value)]
     groups: dict[str, list[str]] = {"better": [], "worse": [], "alike": [], "few": [], "unknown": []}

@@ -12,9 +12,11 @@ import sqlalchemy
 from ..errors import NoSuchRunError, UsageError
 from ..records import RunFolder
 from ..records.run_records import RunSummary
+from ..records.sweep_records import BEST, best_name
 from ..registry import closest
 from .database import Database
 from .runs import find_runs
+from .sweeps import Sweeps
 from .tables import RUNS
 
 SHORTEST_HASH = 6
@@ -24,7 +26,9 @@ _LAST = re.compile(r"@last(?:-(\d{1,9}))?")
 _HASH = re.compile(rf"[0-9a-f]{{{SHORTEST_HASH},}}")
 
 
-def select(database: Database, selector: str, *, all_prefixed: bool = False) -> tuple[RunSummary, ...]:
+def select(
+    database: Database, selector: str, *, all_prefixed: bool = False, or_trial: bool = False
+) -> tuple[RunSummary, ...]:
     """The runs that a selector means, the newest first. The first rule that finds runs counts:
 
     1. @last, the newest run; @last-2, the second before it
@@ -39,6 +43,7 @@ def select(database: Database, selector: str, *, all_prefixed: bool = False) -> 
         database: the index.
         selector: the text.
         all_prefixed: return every run that rule 5 finds, for `only` to refuse.
+        or_trial: the name of a sweep's best spec, if no run has it, means the trial that the final phase chose.
 
     Raises:
         NoSuchRunError: it means no run, or a run folder that the index does not have.
@@ -66,7 +71,8 @@ def select(database: Database, selector: str, *, all_prefixed: bool = False) -> 
         if found := _at(database, Path(selector)):
             return found
     elif identity:
-        if found := find_runs(database, ids=[identity]) or find_runs(database, name=selector):
+        named = find_runs(database, ids=[identity]) or find_runs(database, name=selector)
+        if found := named or _of_best(database, selector, or_trial):
             return found
         if _HASH.fullmatch(selector) and (found := find_runs(database, experiment=selector)):
             experiments = sorted({run.experiment for run in found})
@@ -81,6 +87,20 @@ def select(database: Database, selector: str, *, all_prefixed: bool = False) -> 
     )
     hint = "`karolos runs list` shows them; @last is the newest"
     raise NoSuchRunError(f"{selector!r} means no run", hint=f"did you mean {like!r}? {hint}" if like else hint)
+
+
+def _of_best(database: Database, selector: str, or_trial: bool) -> tuple[RunSummary, ...]:
+    """The runs of the trial that a sweep chose, by its best spec's name; none if it is no such name, or as `select`."""
+    named = Sweeps(database).all(name=selector.removesuffix(best_name("")))
+    sweep = next((one for one in named if best_name(one.name) == selector), None)
+    if sweep is None:
+        return ()
+    if or_trial and sweep.final and sweep.best and (found := find_runs(database, name=sweep.best.name)):
+        return found
+    spec = os.path.join(sweep.folder, BEST)
+    if os.path.isfile(spec):
+        raise NoSuchRunError(f"{selector!r} means no run", hint=f"`karolos run {spec}` makes them")
+    return ()
 
 
 def _at(database: Database, path: Path) -> tuple[RunSummary, ...]:

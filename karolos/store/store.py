@@ -126,9 +126,9 @@ class Store:
         """The one run that a selector means (`selectors.select`). Raises UsageError if it means none, or several."""
         return selectors.only(selector, selectors.select(self.database, selector, all_prefixed=True))
 
-    def select(self, selector: str) -> tuple[RunSummary, ...]:
+    def select(self, selector: str, *, or_trial: bool = False) -> tuple[RunSummary, ...]:
         """The runs that a selector means: one, or all of an experiment; see `selectors.select`."""
-        return selectors.select(self.database, selector)
+        return selectors.select(self.database, selector, or_trial=or_trial)
 
     def records(self, found: Sequence[RunSummary]) -> tuple[RunRecord, ...]:
         """Everything that the index has of these runs: their specs without seeds, tests, and versions."""

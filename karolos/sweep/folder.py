@@ -25,6 +25,7 @@ from ..experiment.events import RunWarned
 from ..files import append_lines, locked, write_json, write_whole, writing
 from ..records.run_records import timestamp
 from ..records.sweep_records import (
+    BEST,
     DESCRIPTION,
     FINAL,
     LOCK,
@@ -94,7 +95,7 @@ class SweepFolder:
 
     def write_best(self, spec: Spec, comment: Iterable[str]) -> Path:
         """Write the spec below a comment on its origin."""
-        path = self.path / "best.yaml"
+        path = self.path / BEST
         write_whole(path, "".join(f"# {line}\n" for line in comment) + to_yaml(spec.dump()))
         return path
 

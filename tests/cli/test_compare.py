@@ -13,10 +13,12 @@ from karolos_cli.compare import compare
 from karolos_cli.diff import diff
 from sqlalchemy import select, update
 from support.commands import call
+from support.sweep_samples import some_trial, write_sweep
 
 from karolos.errors import NoSuchRunError
 from karolos.records import RunFolder
 from karolos.records.results import TestResult
+from karolos.records.sweep_records import SweepFinal
 from karolos.specification import load_spec
 from karolos.store import Store
 from karolos.store.query import find_meant
@@ -138,6 +140,18 @@ def test_where_a_run_has_the_name_of_a_policy_that_ships_a_prefix_means_that(run
     assert "did you mean 'shipped:panda_pick'" in str(caught.value.hint)
 
 
+def test_name_of_a_best_spec_without_runs_means_the_trial_that_its_sweep_chose(runs: Path) -> None:
+    for seed in (0, 5):
+        add_run(runs, seed, name="x-t000")
+    with Store(Store.default_url(runs)) as store:
+        final = SweepFinal(0, (1,), (5,), (0.5, 1), {0: (0.5, 1)}, None)
+        store.sweeps.add([write_sweep(runs, "x", [some_trial(0)], final)])
+    [row] = rows("compare", "x-best", "--runs", runs)
+    assert (row["label"], row["seeds"], len(row["warnings"])) == ("x-t000", [5], 1)
+    add_run(runs, 6, name="x-best")
+    assert rows("compare", "x-best", "--runs", runs)[0]["seeds"] == [6]
+
+
 def test_warnings_go_to_stderr_and_numbers_to_stdout(runs: Path) -> None:
     add_run(runs, 0)
     add_run(runs, 0, name="better", experiment=B)
@@ -153,7 +167,8 @@ def test_warnings_go_to_stderr_and_numbers_to_stdout(runs: Path) -> None:
 def test_page_and_figures_are_written_in_the_chosen_size_and_keep_their_text(runs: Path, tmp_path: Path) -> None:
     for seed in range(2):
         add_run(runs, seed)
-    page, figures = tmp_path / "page.html", tmp_path / "figures"
+    page, figures = tmp_path / "page.html", tmp_path / "figures.2"
+    figures.mkdir()
     options = ("--out", str(page), "--out", str(figures), "--width", "2.4", "--font", "6")
     code, _, err = call(app, "compare", "reach", "--runs", str(runs), *options)
     assert (code, err) == (0, f"wrote {page}\nwrote 15 files into {figures}\n")
@@ -210,7 +225,10 @@ def test_arguments_that_cannot_be_meant_are_refused(runs: Path, tmp_path: Path) 
     assert "new has no test yet" in refused("compare", "new", *there)
     file = tmp_path / "toy.yaml"
     file.write_text("environment: toy\nagent: sac\n")
-    for target in (tmp_path / "no" / "page.html", file):
+    err = refused("compare", "a1a1a1", *there, "--out", tmp_path / "x.txt")
+    assert "--out: cannot write figures into 'x.txt'; name a file that ends in .html, or a folder; a" in err
+    (tmp_path / "taken").touch()
+    for target in (tmp_path / "no" / "page.html", tmp_path / "taken"):
         code, _, err = call(app, "compare", "a1a1a1", "--runs", str(runs), "--out", str(target))
         assert (code, str(target) in err) == (3, True)
     assert "there are no runs of" in refused("compare", file, *there)

@@ -79,6 +79,8 @@ def test_rows_and_words_tell_what_was_chosen_and_how_far_to_trust_it(home, capsy
     for place, trial in enumerate(trials):
         display(TrialBegan(trial, place, 2, None))
         display(TrialEnded(trial, place + 1, 2, trials[0]))
+    display(FinalBegan((0, 1), (2,), "choose"))
+    display(FinalBegan((0,), (3, 4), "report"))
     report(outcome, quiet=False, json=True)
     out, err = capsys.readouterr()
     rows = [json.loads(line) for line in out.splitlines()]
@@ -86,6 +88,7 @@ def test_rows_and_words_tell_what_was_chosen_and_how_far_to_trust_it(home, capsy
     assert (rows[0]["success_end_fresh"], rows[0]["success_end_unused"]) == (0.8, 0.75)
     assert rows[0]["agent.learning_rate"] == 1e-3
     assert "trial 1 failed: a loss that is nan" in err
+    assert "trials 0, 1 on seed 2, to choose\ntrial 0 on seeds 3, 4, to report\n" in err
     assert "\x1b" not in err
     assert "gap +0.15" in err
     assert outcome.exit_code == 0

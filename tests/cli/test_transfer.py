@@ -23,6 +23,8 @@ def test_a_stopped_matrix_says_how_to_go_on_and_then_reports(tmp_path: Path, mon
     monkeypatch.setenv("COLUMNS", "80")
     monkeypatch.setattr("karolos.launchers.driver.make_launcher", lambda *_: FakeLauncher())
     Path("line.yaml").write_text(yaml.safe_dump(LINE))
+    code, _, err = call(app, "line.yaml", *SMALL, "--out", "x.html")
+    assert (code, "--out: cannot write figures into 'x.html'; name a folder; a" in err) == (2, True)
     code, out, err = call(app, "line.yaml", *SMALL, "--time-limit", "0.001s")
     assert (code, out) == (124, "")
     assert "line is stopped: the same command with --resume continues it" in err

@@ -81,6 +81,7 @@ def test_axes_of_ratios_show_what_is_there_and_say_so(successes: tuple[int, int]
 
 def test_verdict_names_the_best_and_who_differs_from_the_first() -> None:
     curves = {"a": range(40, 60, 2), "b": range(80, 100, 2), "c": range(41, 61, 2), "d": [90]}
+    assert verdict(compare([contender("d", [[90]])], "any")).endswith("0.900 [0.826, 0.945] over 1 seed.")
     compared = compare([contender(name, [[one] for one in ends]) for name, ends in curves.items()], "any")
     assert verdict(compared) == (
         "Highest mean of success at any step: d, 0.900 [0.826, 0.945]. Better than a: b. "

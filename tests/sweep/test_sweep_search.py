@@ -19,7 +19,7 @@ from support.processes import child_processes
 from support.sweep_samples import LEARNING_RATE, sweep_spec
 
 from karolos.comparison import gather
-from karolos.errors import RunError, StoreError, UsageError
+from karolos.errors import NoSuchRunError, RunError, StoreError, UsageError
 from karolos.experiment.events import RunTested, RunWarned
 from karolos.files import FileLock
 from karolos.launchers.experiment import Experiment
@@ -151,6 +151,29 @@ def test_runs_of_the_best_spec_on_seeds_that_tuned_it_are_told_from_others(kille
         [problem] = gather(store, [run for run in runs if run.seed == 0], "tuned").problems
         assert "biased upwards" in problem
         assert gather(store, [run for run in runs if run.seed == 3], "reported").problems == ()
+
+
+def test_runs_of_a_trial_and_of_the_best_spec_that_are_selected_together_count_by_their_seeds(killed):
+    with Store(Store.default_url(Path(killed.folder).parents[1])) as store:
+        runs = store.runs(name=killed.best.name)
+        other = [replace(run, name="line-best") for run in runs if run.seed < 3]
+        gathered = gather(store, [*runs, *other], "both")
+        assert [run.summary.seed for run in gathered.runs] == [3]
+        assert gathered.problems[0].endswith("sweep line reports on count; it tuned or chose the settings on 0, 1")
+        biased, *_ = gather(store, [run for run in (*runs, *other) if run.seed == 0], "both").problems
+        assert "both: the sweep line tuned or chose its settings by these runs" in biased
+
+
+def test_without_runs_the_name_of_the_best_spec_means_the_chosen_trial_or_says_how_to_make_them(copied):
+    with Store(Store.default_url(copied)) as store:
+        sweep = store.sweeps.find("line")
+        assert store.select("line-best", or_trial=True) == store.runs(name=sweep.best.name)
+        made = rf"'line-best' means no run; `karolos run {sweep.folder}/best.yaml` makes them"
+        with pytest.raises(NoSuchRunError, match=made):
+            store.find("line-best")
+        store.sweeps.add([replace(sweep, final=None)])
+        with pytest.raises(NoSuchRunError, match=made):
+            store.select("line-best", or_trial=True)
 
 
 @pytest.fixture
