@@ -88,7 +88,10 @@ Json = Annotated[bool, typer.Option("--json", help="Print one JSON object per ro
 Quiet = Annotated[bool, typer.Option("--quiet", "-q", help="Show only warnings and failures.")]
 
 
-Checkpoint = Annotated[Literal["best", "last"], typer.Option(help="The checkpoint to use.")]
+Checkpoint = Annotated[
+    Literal["best", "last"] | None,
+    typer.Option(help="The checkpoint to use. Default: best, or last if the run has no test yet."),
+]
 TimeLimit = Annotated[
     str | None,
     typer.Option(
@@ -140,6 +143,22 @@ def open_run(selector: str, runs: Path, database: str | None) -> RunFolder:
         return RunFolder.open(selector)
     with open_store(runs, database) or nullcontext() as store:
         return find_folder(selector, store, runs)
+
+
+def chosen_checkpoint(folder: RunFolder, asked: Literal["best", "last"] | None) -> Literal["best", "last"]:
+    """The checkpoint to use: the one asked for, or `best`; with a message `last` where there is only that one."""
+    from karolos.checkpoint import names
+    from karolos.records.shipped import is_shipped
+
+    if is_shipped(folder):
+        if asked == "best":
+            say(f"{folder.id} ships without the checkpoint best: using last")
+        return "last"
+    available = names(folder.checkpoints)
+    if asked or "best" in available or "last" not in available:
+        return asked or "best"
+    say(f"{folder.id} was never tested and has no checkpoint best: using last")
+    return "last"
 
 
 def select_runs(

@@ -7,7 +7,7 @@ from typing import Annotated
 
 import typer
 
-from .arguments import APolicy, Checkpoint, Database, Json, Runs, open_run
+from .arguments import APolicy, Checkpoint, Database, Json, Runs, chosen_checkpoint, open_run
 from .output import print_rows, warn
 
 
@@ -21,7 +21,7 @@ def export(
             help="Folder to write. Default: export in the run's folder, or NAME of a policy that ships.",
         ),
     ] = None,
-    checkpoint: Checkpoint = "best",
+    checkpoint: Checkpoint = None,
     onnx: Annotated[
         bool | None,
         typer.Option("--onnx/--no-onnx", help="Write policy.onnx too. Default: if the package onnx is installed."),
@@ -40,7 +40,7 @@ def export(
     from karolos.records.shipped import is_shipped
 
     out = out or (Path(run) if is_shipped(folder) else folder.path / "export")
-    done = export_policy(folder, out, checkpoint=checkpoint, onnx=onnx)
+    done = export_policy(folder, out, checkpoint=chosen_checkpoint(folder, checkpoint), onnx=onnx)
     row = {"run": folder.id, "checkpoint": done.checkpoint, "steps": done.steps, "folder": str(done.folder)}
     files = [path.name for path in done.files]
     row |= {"files": files if json else " ".join(files), "error": done.error}

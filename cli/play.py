@@ -8,13 +8,13 @@ import sys
 import time
 from collections.abc import Iterator
 from pathlib import Path
-from typing import TYPE_CHECKING, Annotated, Literal
+from typing import TYPE_CHECKING, Annotated
 
 import typer
 
 from karolos.errors import UsageError
 
-from .arguments import Changes, Database, PolicyOrSpec, Runs, open_run
+from .arguments import Changes, Checkpoint, Database, PolicyOrSpec, Runs, chosen_checkpoint, open_run
 from .output import say, warn
 
 if TYPE_CHECKING:
@@ -33,10 +33,7 @@ def play(
     failures: Annotated[
         bool, typer.Option("--failures", help="Only episodes that fail: the first ones of 1,000.")
     ] = False,
-    checkpoint: Annotated[
-        Literal["best", "last"] | None,
-        typer.Option(help="The checkpoint to play. Default: best, or last if the run has no test yet."),
-    ] = None,
+    checkpoint: Checkpoint = None,
     width: Annotated[int, typer.Option(min=16, max=4096, help="Width of the film in pixels.")] = 640,
     height: Annotated[int, typer.Option(min=16, max=4096, help="Height of the film in pixels.")] = 480,
     runs: Runs = Path("runs"),
@@ -79,7 +76,7 @@ def play(
     else:
         if modules := _modules(folder):
             say(f"{folder.id} names code of this machine: {', '.join(modules)} will be imported")
-        name = checkpoint or _best_or_last(folder)
+        name = chosen_checkpoint(folder, checkpoint)
         player = load_player(folder, name, changed, window=window)
         spec, environment, policy, note = player.spec, player.environment, player.policy, player.note
     if note:
@@ -123,17 +120,6 @@ def _modules(folder: RunFolder) -> list[str]:
     environment = spec.get("environment")
     found += [str(environment.get("id", ""))] if isinstance(environment, dict) else []
     return sorted({module for module, colon, _ in (target.rpartition(":") for target in found) if colon})
-
-
-def _best_or_last(folder: RunFolder) -> str:
-    """The checkpoint to play by default: `best`, or `last` with a message if the run ended before its first test."""
-    from karolos.checkpoint import names
-
-    available = names(folder.checkpoints)
-    if "best" in available or "last" not in available:
-        return "best"
-    say(f"{folder.id} was never tested and has no checkpoint best: playing last")
-    return "last"
 
 
 def _show_in_tensorboard(folder: RunFolder, checkpoint: str, film: bytes, size: tuple[int, int]) -> None:

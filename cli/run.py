@@ -134,7 +134,7 @@ def report(outcome: Outcome, runs: Path, *, quiet: bool, json: bool) -> NoReturn
 
         print_table(runs_table(outcome.runs))
         last = outcome.runs[-1]
-        plays = ", `karolos play @last` shows it" if last.mean_return is not None else ""
+        plays = f", `karolos play {last.run}` shows it" if last.mean_return is not None else ""
         say(f"results in {runs}; `karolos runs show {last.run}` shows more{plays}")
         stopped = [run.run for run in outcome.runs if run.state == "stopped"]
         for run in stopped:

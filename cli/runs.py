@@ -269,7 +269,8 @@ def tag(
     from karolos.records import labels
 
     change = labels.remove_tags if remove else labels.add_tags
-    _relabel(run, lambda folder: change(folder, tags), runs, database, json=json)
+    same = "no run has such a tag" if remove else "all have these tags already"
+    _relabel(run, lambda folder: change(folder, tags), runs, database, same=same, json=json)
 
 
 @app.command()
@@ -286,23 +287,27 @@ def note(
 
     if (text is None) != remove or text == "":
         raise UsageError("a note needs a text", hint="karolos runs note RUN TEXT, or --remove and no text")
-    _relabel(run, lambda folder: labels.set_note(folder, text or ""), runs, database, json=json)
+    same = "no run has a note" if remove else "that is the note already"
+    _relabel(run, lambda folder: labels.set_note(folder, text or ""), runs, database, same=same, json=json)
 
 
-def _relabel(selector: str, change: Callable[[Path], None], runs: Path, database: str | None, *, json: bool) -> None:
-    """Write into the run folders, and let the index read them again."""
+def _relabel(
+    selector: str, change: Callable[[Path], bool], runs: Path, database: str | None, *, same: str, json: bool
+) -> None:
+    """Write into the run folders, and let the index read them again. `same` says why no run changed."""
     from karolos.records import RunFolder
 
     store, found = select_runs([selector], None, runs, database)
     with store:
         folders = [RunFolder.open(run.folder) for run in found]
+        changed = 0
         for folder in folders:
-            change(folder.path)
+            changed += change(folder.path)
             store.refresh_labels(folder)
         if json:
             print_rows([folder.summary().row() for folder in folders], json=True)
             return
-    say(f"{len(folders)} run{'s' if len(folders) > 1 else ''} changed")
+    say(f"{changed} run{'s' if changed > 1 else ''} changed" if changed else f"nothing changed: {same}")
 
 
 @app.command("rm")

@@ -41,6 +41,7 @@ def ui(
     from karolos.ui.server import serve
 
     def ready(address: str) -> None:
+        say(f"shows {runs}; Ctrl-C ends it")
         print_line(address)
         if open_browser:
             import webbrowser
@@ -48,5 +49,4 @@ def ui(
             webbrowser.open(address)
 
     with open_or_make_store(runs, database) as store:
-        say(f"shows {runs}; Ctrl-C ends it")
         serve(runs, store, host=host, port=port, token=token, ready=ready)

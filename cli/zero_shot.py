@@ -11,7 +11,7 @@ import typer
 
 from karolos.errors import UsageError
 
-from .arguments import Changes, Checkpoint, Database, Json, PolicyOrSpec, Runs, open_run
+from .arguments import Changes, Checkpoint, Database, Json, PolicyOrSpec, Runs, chosen_checkpoint, open_run
 from .output import print_rows, print_table, say, warn
 
 
@@ -22,7 +22,7 @@ def zero_shot(
     seed: Annotated[
         int | None, typer.Option(min=0, help="Root of the episodes' seeds. Default: that of the run's final test.")
     ] = None,
-    checkpoint: Checkpoint = "best",
+    checkpoint: Checkpoint = None,
     expert: Annotated[bool, typer.Option("--expert", help="Test the expert of a spec's task instead.")] = False,
     randomize: Annotated[bool, typer.Option("--randomize", help="Randomize as in training.")] = False,
     runs: Runs = Path("runs"),
@@ -36,7 +36,7 @@ def zero_shot(
     (transfers.jsonl), and `karolos runs show` shows it. With --expert the scripted policy of a spec's task is tested.
     """
     if expert:
-        if randomize or checkpoint != "best":
+        if randomize or checkpoint:
             option = "--randomize" if randomize else "--checkpoint"
             raise UsageError(f"--expert takes no {option}", hint="it plays test episodes, and has no checkpoints")
         _score_expert(Path(run), overrides or (), episodes, seed, json=json)
@@ -48,7 +48,7 @@ def zero_shot(
     done = zero_shot_test(
         folder,
         overrides or (),
-        checkpoint=checkpoint,
+        checkpoint=chosen_checkpoint(folder, checkpoint),
         episodes=episodes,
         seed=seed,
         randomize=randomize,

@@ -13,7 +13,7 @@ from pathlib import Path
 from string import Template
 
 from ..errors import UsageError
-from ..registry import alternatives
+from ..registry import alternatives, entries
 
 KINDS = ("robot", "gripper", "task", "agent", "buffer", "environment", "distribution")
 """Kinds with a starter package."""
@@ -32,7 +32,8 @@ def write_starter(
         tool: the link of its tool frame, if it is not found by its name.
 
     Raises:
-        UsageError: the kind or the name is invalid, or the folder is not empty or cannot be written.
+        UsageError: the kind or the name is invalid, another package has the name, or the folder is not empty or
+            cannot be written.
         PluginError: the URDF is not of an arm or a gripper that karolos can simulate.
     """
     if kind not in KINDS:
@@ -42,6 +43,10 @@ def write_starter(
             f"{name!r} cannot be the name of a plugin",
             hint="lower-case letters, digits and single underscores, beginning with a letter, not a Python keyword",
         )
+    for entry in entries(f"{kind}s"):
+        if entry.name == name and entry.distribution != f"karolos-{name.replace('_', '-')}":
+            what = f"the package {entry.distribution} has a {kind} called {name!r} already"
+            raise UsageError(what, hint="choose another name")
     if urdf is not None and kind not in ("robot", "gripper"):
         raise UsageError(f"a {kind} has no URDF", where="--urdf", hint="leave it out, or write a robot or a gripper")
     if tool is not None and urdf is None:

@@ -42,8 +42,8 @@ def is_damaged(folder: Path) -> bool:
     return os.path.exists(folder / _FILE) and read_json(Labels, folder / _FILE) is None
 
 
-def add_tags(folder: Path, tags: Iterable[str]) -> None:
-    """Add tags to a run.
+def add_tags(folder: Path, tags: Iterable[str]) -> bool:
+    """Add tags to a run; returns whether that changed its labels.
 
     Raises:
         UsageError: a text cannot be a tag.
@@ -55,17 +55,17 @@ def add_tags(folder: Path, tags: Iterable[str]) -> None:
             raise UsageError(
                 f"{tag!r} is not a tag", hint=f"1 to {LONGEST_TAG} characters on one line, without blanks around them"
             )
-    _change(folder, lambda old: Labels(tuple(sorted({*old.tags, *new})), old.note))
+    return _change(folder, lambda old: Labels(tuple(sorted({*old.tags, *new})), old.note))
 
 
-def remove_tags(folder: Path, tags: Iterable[str]) -> None:
-    """Remove tags; those that the run does not have are ignored. Raises RunError as `add_tags` does."""
+def remove_tags(folder: Path, tags: Iterable[str]) -> bool:
+    """Remove tags; those that the run does not have are ignored. Returns and raises as `add_tags` does."""
     gone = set(tags)
-    _change(folder, lambda old: Labels(tuple(tag for tag in old.tags if tag not in gone), old.note))
+    return _change(folder, lambda old: Labels(tuple(tag for tag in old.tags if tag not in gone), old.note))
 
 
-def set_note(folder: Path, note: str) -> None:
-    """Replace the note; an empty text removes it.
+def set_note(folder: Path, note: str) -> bool:
+    """Replace the note; an empty text removes it. Returns whether that changed the labels.
 
     Raises:
         UsageError: it is too long.
@@ -73,12 +73,15 @@ def set_note(folder: Path, note: str) -> None:
     """
     if not _NOTE.fullmatch(note):
         raise UsageError(f"the note has {len(note):,} characters", hint=f"up to {LONGEST_NOTE:,} can be stored")
-    _change(folder, lambda old: Labels(old.tags, note or None))
+    return _change(folder, lambda old: Labels(old.tags, note or None))
 
 
-def _change(folder: Path, change: Callable[[Labels], Labels]) -> None:
+def _change(folder: Path, change: Callable[[Labels], Labels]) -> bool:
     """Replace the labels, one process after the other."""
     with locked(folder / "labels.lock"):
         if is_damaged(folder):
             raise RunError(f"{_FILE} is damaged", where=str(folder), hint="repair it, or move it away")
-        write_json(folder / _FILE, asdict(change(read(folder))))
+        old = read(folder)
+        new = change(old)
+        write_json(folder / _FILE, asdict(new))
+    return new != old

@@ -156,7 +156,7 @@ def text_of(path: Path) -> str:
             raise PluginError(f"larger than {LONGEST_FILE / 1e6:g} MB", where=str(path))
         return path.read_text("utf-8-sig")
     except OSError as error:
-        raise PluginError(f"cannot read {path.name}: {error.strerror}", where=str(path.parent)) from None
+        raise PluginError(f"cannot be read ({error.strerror})", where=str(path)) from None
     except UnicodeDecodeError as error:
         line = error.object.count(b"\n", 0, error.start) + 1
         raise PluginError("not in UTF-8", where=f"{path}:{line}", hint="save it as UTF-8") from None

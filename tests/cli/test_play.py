@@ -142,7 +142,7 @@ def test_a_run_is_filmed_for_tensorboard_too_and_without_a_best_checkpoint_its_l
     shutil.rmtree(folder / "checkpoints" / "best")  # as in a run that was stopped before its first test
     code, _, err = call(app, str(folder), *film)
     assert code == 0, err
-    assert err.splitlines()[0] == f"{folder.name} was never tested and has no checkpoint best: playing last"
+    assert err.splitlines()[0] == f"{folder.name} was never tested and has no checkpoint best: using last"
     code, _, err = call(app, str(folder), *film, "--checkpoint", "best")
     assert code == 1
     assert "there is no checkpoint 'best'" in err

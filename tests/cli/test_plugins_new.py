@@ -10,6 +10,8 @@ from karolos_cli.plugins import app
 from support.commands import call
 from support.plugin_packages import STARTERS, install, python
 
+from karolos.registry import PluginEntry
+
 pytestmark = pytest.mark.xdist_group(__name__)
 
 ROOT = Path(__file__).parents[2]
@@ -102,6 +104,9 @@ def test_its_files_are_printed_and_the_folder_has_the_name_of_the_package(tmp_pa
         ("robot", "class", "cannot be the name"),
         ("robot", "../x", "cannot be the name"),
         ("robot", "a__b", "cannot be the name"),
+        ("task", "reach", "the package karolos has a task called 'reach' already"),
+        ("gripper", "vacuum", "the package karolos has a gripper called 'vacuum' already"),
+        ("distribution", "choice", "the package karolos has a distribution called 'choice' already"),
     ],
 )
 def test_what_cannot_be_written_is_refused_and_leaves_nothing(tmp_path, kind, name, what):
@@ -110,6 +115,12 @@ def test_what_cannot_be_written_is_refused_and_leaves_nothing(tmp_path, kind, na
     assert (code, printed) == (2, "")
     assert what in err
     assert not out.exists()
+
+
+def test_a_package_that_is_installed_can_be_written_again(tmp_path, monkeypatch):
+    mine = PluginEntry("tasks", "my_part", "karolos_my_part.my_part:MyPart", "karolos-my-part", "0.1.0")
+    monkeypatch.setattr("karolos.registry._installed", lambda: (mine,))
+    assert call(app, "new", "task", "my_part", "--out", str(tmp_path / "new"))[0] == 0
 
 
 def test_a_folder_that_holds_something_is_not_written_to(tmp_path):

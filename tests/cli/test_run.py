@@ -63,6 +63,8 @@ def test_a_table_and_the_place_of_the_results_end_a_run(home):
     assert code == 0
     assert "success end" in out
     assert "results in elsewhere" in err
+    (run,) = (path.parent.name for path in home.glob("elsewhere/*/state.json"))
+    assert f"`karolos runs show {run}` shows more, `karolos play {run}` shows it" in err
     assert "finished" in call(app, "runs", "list", "--runs", "elsewhere")[1]
 
 

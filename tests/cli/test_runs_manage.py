@@ -69,8 +69,11 @@ def test_tags_and_notes_are_found_shown_and_taken_away(runs: Path) -> None:
     assert "\x1b[2J" not in shown
     assert rows("tag", "reach", "all")[0]["tags"] == ["all"]  # the experiment's name: both runs
     assert sorted(ids("tags=all")) == sorted([first, second])
-    call("tag", first, "good", "--remove")
+    assert call("tag", "reach", "good", "--remove").stderr == "1 run changed\n"
+    assert call("tag", "reach", "good", "--remove").stderr == "nothing changed: no run has such a tag\n"
+    assert call("tag", "reach", "all").stderr == "nothing changed: all have these tags already\n"
     call("note", first, "--remove")
+    assert call("note", first, "--remove").stderr == "nothing changed: no run has a note\n"
     assert ids("tags=good") == ids("note!=null") == []
     assert RunFolder.open(runs / first).labels().tags == ("<script>alert(1)</script>", "all")
     for wrong in (["note", first], ["note", first, "text", "--remove"], ["note", first, ""]):

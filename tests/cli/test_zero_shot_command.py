@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import json
+import shutil
 from pathlib import Path
 
 import pytest
@@ -76,7 +77,27 @@ def test_checkpoints_and_runs_that_are_not_there_are_refused(app: Typer, runs: P
     assert "nobody" in err
 
 
-@pytest.mark.parametrize("option", [("--randomize",), ("--checkpoint", "last")])
+@pytest.mark.parametrize("app", [policy_app, export_app])
+def test_without_a_best_checkpoint_the_last_is_used_and_told(app: Typer, runs: Path, tmp_path: Path) -> None:
+    (run,) = runs.glob("toy-*")
+    folder = shutil.copytree(run, tmp_path / run.name)
+    shutil.rmtree(folder / "checkpoints" / "best")  # as in a run that was stopped before its first test
+    code, _, err = call(app, str(folder))
+    told = f"{run.name} was never tested and has no checkpoint best: using last"
+    assert (code, err.splitlines()[0]) == (0, told)
+    code, _, err = call(app, str(folder), "--checkpoint", "best")
+    assert (code, "there is no checkpoint 'best'" in err) == (1, True)
+
+
+def test_a_policy_that_ships_is_its_last_and_says_so_if_best_is_asked_for(tmp_path: Path) -> None:
+    arguments = ("panda_reach", "--no-onnx", "--out", str(tmp_path))
+    for asked, told in (((), False), (("--checkpoint", "last"), False), (("--checkpoint", "best"), True)):
+        code, out, err = call(export_app, *arguments, *asked, "--json")
+        assert (code, json.loads(out)["checkpoint"]) == (0, "last")
+        assert ("ships without the checkpoint best: using last" in err) == told
+
+
+@pytest.mark.parametrize("option", [("--randomize",), ("--checkpoint", "last"), ("--checkpoint", "best")])
 def test_what_an_expert_does_not_have_is_refused(option: tuple[str, ...]) -> None:
     code, _, err = call(policy_app, "panda_reach", "--expert", "--episodes", "1", *option)
     assert (code, f"--expert takes no {option[0]}" in err) == (2, True)

@@ -72,7 +72,7 @@ def test_welded_robot_weighs_as_much_on_its_joints_as_the_whole_one() -> None:
 
 
 def test_missing_urdf_is_a_clear_error(tmp_path: Path) -> None:
-    with pytest.raises(PluginError, match=r"cannot read robot\.urdf"):
+    with pytest.raises(PluginError, match=r"/robot\.urdf: cannot be read \(No such file or directory\)"):
         urdf.load(tmp_path / "robot.urdf")
 
 

@@ -9,11 +9,14 @@ from pathlib import Path
 from urllib.parse import parse_qs, quote, urlsplit
 
 import pytest
+from karolos_cli.ui import ui
 from starlette.testclient import TestClient
+from support.commands import call
 from support.compared_runs import EVIL
 from support.run_commands import add_run
 from support.store_samples import bare
 from support.sweep_samples import some_trial, write_sweep
+from typer import Typer
 
 from karolos.errors import MachineError
 from karolos.records import RunFolder, labels
@@ -23,6 +26,8 @@ from karolos.ui.app import Application
 from karolos.ui.server import guarded, serve
 
 HOST = "http://127.0.0.1:6789"
+app = Typer()
+app.command()(ui)
 
 
 def client(runs: Path, listening: str = "127.0.0.1", token: str | None = None, **headers: str) -> TestClient:
@@ -203,3 +208,13 @@ def test_port_that_is_taken_is_named(tmp_path: Path) -> None:
         port = taken.getsockname()[1]
         with pytest.raises(MachineError, match=f"127.0.0.1:{port}: cannot listen"):
             serve(tmp_path, store, host="127.0.0.1", port=port, ready=print)
+        code, out, err = call(app, "--runs", str(tmp_path), "--port", str(port))
+    assert (code, out) == (3, "")
+    assert err.startswith(f"127.0.0.1:{port}: cannot listen")
+
+
+def test_what_is_shown_is_told_with_the_address(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
+    monkeypatch.setattr("uvicorn.Server.run", lambda *_, **__: None)  # as if Ctrl-C came at once
+    code, out, err = call(app, "--runs", str(tmp_path), "--port", "0")
+    assert (code, err) == (0, f"shows {tmp_path}; Ctrl-C ends it\n")
+    assert re.fullmatch(r"http://127\.0\.0\.1:[1-9]\d*/\n", out)
