@@ -140,7 +140,8 @@ def find_meant(selector: str, store: Store | None, runs: str | Path) -> RunSumma
         like = closest(selector.removeprefix(SHIPPED), shipped)
         ships = f"{len(shipped)} policies ship, e.g. panda_pick"
         if like:
-            ships = f"did you mean {SHIPPED + like!r}, a policy that ships?"
+            own = selector.startswith(SHIPPED) or (store and store.runs(name=like, limit=1))
+            ships = f"did you mean {SHIPPED * bool(own) + like!r}, a policy that ships?"
         raise NoSuchRunError(error.what, hint=f"{error.hint}; {ships}") from error
 
 
