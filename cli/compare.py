@@ -101,11 +101,13 @@ def compare(
 def _runs_of(selector: str, store: Store | None, runs: Path) -> tuple[Store | None, tuple[RunSummary, ...]]:
     """The runs that a selector means and the index that has them; None for a run that ships, or is not indexed."""
     from karolos.records import RunFolder
+    from karolos.records.shipped import SHIPPED
     from karolos.store.query import existing, shipped_run
     from karolos.store.selectors import is_run_folder
 
     if shipped := shipped_run(selector, store):
-        say(f"{selector}: the policy that ships, because the index of {runs} has no run of this name")
+        if not selector.startswith(SHIPPED):
+            say(f"{selector}: the policy that ships, because the index of {runs} has no run of this name")
         return None, (shipped.summary(),)
     if is_run_folder(selector):
         with suppress(NoSuchRunError):

@@ -221,8 +221,7 @@ class SweepDisplay(Quiet):
             bar.update(self._task, total=event.asked, completed=event.done, done=done, best=best or "")
         elif isinstance(event, FinalBegan):
             doing = "choosing" if event.purpose == "choose" else "reporting"
-            done = f"{len(event.seeds)} seed{'s' if len(event.seeds) > 1 else ''} each"
-            best = bar.tasks[0].fields["best"]
+            done, best = f"{_named('seed', event.seeds)} each", bar.tasks[0].fields["best"]
             bar.reset(self._task, description=doing, total=len(event.trials), done=done, best=best)
 
     def _values(self, trial: Trial) -> str:

@@ -122,8 +122,8 @@ def _table(rows: list[dict[str, Any]]) -> Any:
 def find_meant(selector: str, store: Store | None, runs: str | Path) -> RunSummary:
     """The one run that a selector means: a path, what `Store.find` takes, or the name of a shipped run.
 
-    A run of one's own with the name of a run that ships comes first, except with `shipped:NAME`. `runs` is
-    named where there is no index.
+    A run of one's own with the name of a run that ships comes first, except with `shipped:NAME`. `runs` is named where
+    there is no index.
 
     Raises:
         UsageError: it means no run, or several.
@@ -141,7 +141,8 @@ def find_meant(selector: str, store: Store | None, runs: str | Path) -> RunSumma
         ships = f"{len(shipped)} policies ship, e.g. panda_pick"
         if like:
             own = selector.startswith(SHIPPED) or (store and store.runs(name=like, limit=1))
-            ships = f"did you mean {SHIPPED * bool(own) + like!r}, a policy that ships?"
+            name = f"{SHIPPED}{like}" if own else like
+            ships = f"did you mean {name!r}, a policy that ships?"
         raise NoSuchRunError(error.what, hint=f"{error.hint}; {ships}") from error
 
 

@@ -135,6 +135,7 @@ def test_where_a_run_has_the_name_of_a_policy_that_ships_a_prefix_means_that(run
     [own], [shipped] = (rows("compare", name, "--runs", runs) for name in ("panda_pick", "shipped:panda_pick"))
     assert own["runs"][0].startswith("panda_pick-s0-")
     assert own["runs"] != shipped["runs"]
+    assert "has no run of this name" not in call(app, "compare", "shipped:panda_pick", "--runs", str(runs))[2]
     with Store(Store.default_url(runs)) as store, pytest.raises(NoSuchRunError) as caught:
         find_meant("shipped:panda_pck", store, runs)
     assert "did you mean 'shipped:panda_pick'" in str(caught.value.hint)
