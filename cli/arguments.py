@@ -183,6 +183,10 @@ def select_runs(
     return store, tuple(selected.values())
 
 
+LONGEST = 3650 * 86400.0
+"""Seconds; clocks cannot count much longer durations from now on."""
+
+
 def seconds(text: str | None, option: str = "--time-limit") -> float | None:
     """A duration such as 90, 90s, 30m, 2h or 1d in seconds. Raises UsageError for anything else."""
     if text is None:
@@ -190,4 +194,7 @@ def seconds(text: str | None, option: str = "--time-limit") -> float | None:
     found = re.fullmatch(r"(\d+(?:\.\d+)?)\s*([smhd]?)", text.strip())
     if found is None or float(found[1]) <= 0:
         raise UsageError(f"{text!r} is not a duration", where=option, hint="write e.g. 90s, 30m, 2h or 1d")
-    return float(found[1]) * {"": 1, "s": 1, "m": 60, "h": 3600, "d": 86400}[found[2]]
+    duration = float(found[1]) * {"": 1, "s": 1, "m": 60, "h": 3600, "d": 86400}[found[2]]
+    if duration > LONGEST:
+        raise UsageError(f"{text!r} is more than ten years", where=option, hint="leave it out")
+    return duration

@@ -7,7 +7,7 @@ from typing import TYPE_CHECKING
 
 import typer
 
-from karolos.errors import StoreError
+from karolos.errors import StoreError, UsageError
 
 from .arguments import Database, Json, Runs
 from .output import print_rows, say, warn
@@ -23,6 +23,8 @@ def reindex(runs: Runs = Path("runs"), database: Database = None) -> None:
     """Rebuild the database from the run folders. Exit code 1 if files are damaged; the other runs are entered."""
     from karolos.store import Store
 
+    if not runs.is_dir():
+        raise UsageError(f"there is no folder {runs}", hint="name the runs folder (--runs)")
     with Store(database or Store.default_url(runs)) as store:
         _rebuild(store, runs)
 

@@ -333,11 +333,13 @@ def remove(
     store, found = select_runs(run or (), where, runs, database)
     with store:
         moved = []
-        for summary in found:
-            path = trash.throw_away(RunFolder.open(summary.folder))
-            store.remove_runs([summary.run])
-            moved.append({"run": summary.run, "folder": str(path)})
-    print_rows(moved, json=json, line="{run} -> {folder}")
+        try:
+            for summary in found:
+                path = trash.throw_away(RunFolder.open(summary.folder))
+                store.remove_runs([summary.run])
+                moved.append({"run": summary.run, "folder": str(path)})
+        finally:  # also what was moved before one that cannot be
+            print_rows(moved, json=json, line="{run} -> {folder}")
     say("`karolos runs restore RUN` brings them back, `karolos runs rm --purge` empties the trash")
 
 

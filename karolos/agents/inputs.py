@@ -77,7 +77,8 @@ class Normaliser:
         self.shift.copy_(self.mean)
         self.scale.copy_(self.spread.reciprocal_())
         self.shift[self.missing] = 0.0
-        self.scale[self.missing] *= self.fine
+        if self.count:  # before the first update inputs pass unchanged, also in an agent that was loaded
+            self.scale[self.missing] *= self.fine
 
     def __call__(self, rows: Tensor) -> Tensor:
         """(n, columns) normalised and bounded; a new tensor. With fewer columns: the first ones."""

@@ -119,7 +119,7 @@ class Priority(Replay):
             **super().state(),
             "odds": self._tree[self.storage.used()],
             "largest": self._largest,
-            "batches": self._batches,
+            "beta_batches": self._batches,
         }
 
     def load_state(self, state: State) -> None:
@@ -128,4 +128,4 @@ class Priority(Replay):
         self._tree = SumTree(len(self.storage.table))
         self._tree[self.storage.used()] = np.asarray(state["odds"], np.float64)
         self._largest = float(state["largest"])
-        self._batches = int(state["batches"])
+        self._batches = int(state["beta_batches"])

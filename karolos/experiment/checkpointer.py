@@ -4,6 +4,7 @@ from __future__ import annotations
 
 from collections.abc import Mapping
 from dataclasses import dataclass, field, fields
+from math import inf, isfinite, isnan
 from typing import Any
 
 from .. import checkpoint
@@ -47,6 +48,8 @@ class Checkpointer:
     """`_rank` of the best test."""
     _saved_at: tuple[int, int] = field(default=(-1, 0), init=False)
     """Environment steps and pending tests at the last checkpoint `last`."""
+    last_is_whole: bool = field(default=False, init=False)
+    """Whether the run resumed from `last`, or wrote it. One that may be damaged does not replace `previous`."""
 
     @property
     def _folder(self) -> RunFolder:
@@ -62,9 +65,9 @@ class Checkpointer:
         """Write the tested agent as `best` if no earlier test is better."""
         rank = _rank(result)
         if rank >= self._best:  # of equal tests the later one, whose agent has learned longer
-            chosen_by = {"success_any": result.success_any, "success_end": result.success_end}
+            chosen_by: dict[str, float | None] = {"success_any": result.success_any, "success_end": result.success_end}
             if not result.has_success:
-                chosen_by = {"mean_return": result.mean_return}
+                chosen_by = {"mean_return": result.mean_return if isfinite(result.mean_return) else None}
             if self._write(BEST, {"agent": test.agent}, test, {"chosen_by": chosen_by}):
                 self._best = rank
 
@@ -111,9 +114,11 @@ class Checkpointer:
                 "tests": [{one.name: getattr(test, one.name) for one in fields(test)} for test in self.pending],
             },
         }
-        with self.writer.tolerated(MachineError, "the checkpoint before is kept"):
-            checkpoint.rename(self._folder.checkpoints, LAST, PREVIOUS)
-        if self._write(LAST, parts, training, {"episodes_bytes": self._folder.episodes_bytes()}):
+        if self.last_is_whole:
+            with self.writer.tolerated(MachineError, "the checkpoint before is kept"):
+                checkpoint.rename(self._folder.checkpoints, LAST, PREVIOUS)
+        self.last_is_whole = self._write(LAST, parts, training, {"episodes_bytes": self._folder.episodes_bytes()})
+        if self.last_is_whole:
             self._saved_at = training.steps, len(self.pending)
         self.announce("checkpoint", 1, 1)
 
@@ -140,4 +145,6 @@ class Checkpointer:
 
 def _rank(result: TestResult) -> tuple[float, ...]:
     """What the best test has most of: success, or return where the environment defines no success."""
-    return (1.0, result.success_end, result.success_any) if result.has_success else (0.0, result.mean_return)
+    if result.has_success:
+        return 1.0, result.success_end, result.success_any
+    return 0.0, -inf if isnan(result.mean_return) else result.mean_return

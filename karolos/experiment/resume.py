@@ -26,6 +26,8 @@ class Snapshot:
     """Of the checkpoint; empty if the run has no checkpoint and begins again."""
     meta: dict[str, Any]
     """Of the checkpoint: experiment, seed, steps, updates, seconds, episodes_bytes."""
+    checkpoint: str | None = None
+    """Its name."""
     warnings: tuple[str, ...] = ()
     """Which checkpoints are damaged, and why."""
 
@@ -58,7 +60,7 @@ def newest_snapshot(folder: RunFolder) -> Snapshot:
         if what is not None:
             where = str(folder.checkpoints / name)
             raise RunError(f"its checkpoint {what}", where=where, hint="restore the folder from a copy")
-        return Snapshot(parts, meta, tuple(warnings))
+        return Snapshot(parts, meta, name, tuple(warnings))
     if warnings:
         raise RunError("no checkpoint can be used: " + "; ".join(warnings), where=folder.id)
     return Snapshot({}, {"steps": 0, "updates": 0, "episodes_bytes": 0})
@@ -72,7 +74,7 @@ def find_run(runs: Path, name: str, experiment: str, seed: int) -> RunFolder | N
     found: list[tuple[bool, int, str, RunFolder]] = []
     for folder in scan(runs, f"{name}-s{seed}-*"):
         if isinstance(folder, RunError):
-            continue
+            raise folder  # it may be the one: its training would be made again
         description = folder.description()
         if (description["experiment"], description["seed"]) == (experiment, seed):
             state = folder.state()

@@ -22,7 +22,7 @@ from ..records.results import FinalTest, TestResult
 from ..records.run_records import RunSummary
 from ..specification import Spec, spec_from_dict
 from ..specification.model import DemonstrationSettings
-from ..training.assembly import make_agent, make_buffer, make_orchestrator
+from ..training.assembly import learner, make_agent, make_buffer, make_orchestrator
 from ..training.demonstrations import collect_demonstrations
 from ..training.episodes import Episode
 from ..training.training import Training
@@ -80,7 +80,7 @@ class Run:
         """Train, test and write down. An error ends this run only: it is written down, and other seeds can run."""
         self.listener(RunStarted(self.folder.id, self.seed, self.spec.training.steps, str(self.folder.path)))
         try:
-            self._writer.start(self.snapshot, exact=self.spec.training.at_least is None)
+            self._writer.start(self.snapshot, learner(self.spec), exact=self.spec.training.at_least is None)
             ending = self._train()
         except (KeyboardInterrupt, TimeIsUpError) as error:
             self._end(Ending("stopped", reason=f"{self.stop.reason or type(error).__name__}, at once"))
@@ -178,6 +178,7 @@ class Run:
             self._writer.warn(warning, "the run resumes from the checkpoint before")
         if snapshot.parts:
             self._pending += self._checkpointer.restore(training, snapshot.parts)
+            self._checkpointer.last_is_whole = snapshot.checkpoint == LAST
             snapshot.parts.clear()  # the run goes on for hours, and the buffer need not be in memory twice
         else:
             self._writer.warn("the run has no checkpoint", "it begins again")
@@ -294,7 +295,8 @@ def run_or_resume(
     if folder.state().state == "finished":  # it may have been when the caller looked, before the lock was free
         return folder.summary()
     spec, seed = spec_from_dict(folder.spec()), folder.description()["seed"]
-    snapshot = newest_snapshot(folder) if folder.events() else None
+    begun = folder.events() or checkpoint.names(folder.checkpoints) or folder.state().steps  # any of these may be lost
+    snapshot = newest_snapshot(folder) if begun else None
     if snapshot is not None:
         folder.next_attempt()
     return Run(spec, seed, folder, url, listener, stop, snapshot, beside).execute()

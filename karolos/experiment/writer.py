@@ -77,19 +77,31 @@ class RunWriter:
         except kind as error:
             self.warn(str(error), consequence)
 
-    def start(self, snapshot: Snapshot | None, *, exact: bool) -> None:
-        """The run starts, or resumes from a snapshot: bit for bit if `exact` and with the same software."""
-        if snapshot is not None and not exact:
+    def start(self, snapshot: Snapshot | None, learner: Mapping[str, str], *, exact: bool) -> None:
+        """The run starts, or resumes from a snapshot: bit for bit if `exact`, with the same software and `learner`."""
+        if snapshot is None:
+            self._set_state("running")
+            self.folder.event("started", **learner)
+            return
+        about = self.folder.description()
+        found = provenance.other_software({"versions": about.get("versions", {}), "source": about.get("source")})
+        consequence = "it may differ from an unbroken run"
+        if found:
+            self.warn(f"it began with other software: {'; '.join(found)}", consequence)
+        before: dict[str, Any] = next((row for row in reversed(self.folder.events()) if "device" in row), {})
+        other = [
+            f"{name} {learner[name]} after {before[name]}"
+            for name in learner
+            if before.get(name, learner[name]) != learner[name]
+        ]
+        if other:
+            self.warn(f"it learns on another machine: {', '.join(other)}", consequence)
+        exact = exact and not found and not other
+        if not exact:
             self.folder.cut_tests(snapshot.meta["steps"])
         self._set_state("running")
-        if snapshot is None:
-            self.folder.event("started")
-            return
-        if found := provenance.other_versions(self.folder.description().get("versions", {})):
-            exact = False
-            self.warn(f"it began with other software: {'; '.join(found)}", "it may differ from an unbroken run")
         attempt = self.folder.state().attempt
-        self.folder.event("resumed", attempt=attempt, steps=snapshot.meta["steps"], bit_exact=exact)
+        self.folder.event("resumed", attempt=attempt, steps=snapshot.meta["steps"], bit_exact=exact, **learner)
         self.folder.cut_episodes(snapshot.meta["episodes_bytes"])
 
     def write_episodes(self, episodes: Sequence[Episode], parameters: Sequence[str]) -> None:

@@ -12,7 +12,7 @@ from contextlib import contextmanager
 from pathlib import Path
 from typing import Any, Generic, TypeVar
 
-from ..errors import UsageError
+from ..errors import RunError, UsageError
 from ..experiment.events import Listener, RunEvent
 from ..experiment.signals import StopRequest, stop_on_signals
 from ..files import read_object, write_whole
@@ -125,7 +125,11 @@ class Driver:
             self._halt_all(jobs)
             for _ in range(min(self._launcher.room(len(self._waiting)), len(self._waiting))):
                 job, task = self._waiting.popleft()
-                folder = task.begin().resolve()
+                try:
+                    folder = task.begin().resolve()
+                except RunError as error:
+                    self._tell(job, task.end(str(error)), feed)
+                    continue
                 self._active[folder] = job, task
                 self._launcher.start(folder)
                 self._tell(job, task.events(), feed)

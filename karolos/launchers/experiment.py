@@ -8,17 +8,18 @@ from dataclasses import dataclass, replace
 from pathlib import Path
 from typing import Any
 
-from ..errors import RunError
-from ..experiment.events import Listener, RunEnded, print_progress
+from ..errors import RunError, StoreError
+from ..experiment.events import Listener, RunEnded, RunWarned, print_progress
 from ..experiment.run import run_or_resume
 from ..experiment.signals import StopRequest, stop_on_signals
 from ..experiment.start_from import pinned
+from ..experiment.writer import index_run
 from ..files import FileLock
 from ..orchestrator.machine import cores
 from ..records import RunFolder
 from ..records.run_records import RunSummary
 from ..specification import Spec, spec_from_dict
-from ..store import Store
+from ..store import open_or_rebuild
 from ..training.assembly import check_parts
 from .driver import Driver, Feed, make_launcher
 from .runs import Existing, Home, RunJob
@@ -156,7 +157,7 @@ def resume_run(
     if folder.state().state == "finished":
         return Outcome((folder.summary(),), 1)
     spec = spec_from_dict(folder.spec())
-    Store(url).close()  # an unusable database is an error before anything is computed
+    open_or_rebuild(folder.path.parent, url)  # an unusable database is an error before anything is computed
     with stop_on_signals(time_limit=time_limit) as stop:
         check_parts(spec)
         summary = _execute(folder, url, listener or (lambda _: None), stop)
@@ -200,4 +201,9 @@ def _execute(folder: RunFolder, url: str, listener: Listener, stop: StopRequest)
         if folder.state().state != "finished":
             folder.lock()
             run_or_resume(folder, url, listener, stop, beside=cores() >= 2)
+        else:
+            try:
+                index_run(url, folder)  # it may have ended elsewhere
+            except StoreError as error:
+                listener(RunWarned(folder.id, f"{error} (its folder is complete)"))
         return folder.summary()

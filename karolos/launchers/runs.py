@@ -10,7 +10,7 @@ from typing import Any, Literal
 
 from typing_extensions import override
 
-from ..errors import StoreError
+from ..errors import RunError, StoreError
 from ..experiment.events import (
     RunAdvanced,
     RunBusy,
@@ -32,7 +32,7 @@ from ..records.results import TestResult, decode_test
 from ..records.run_folder import remove_lost_leftovers
 from ..records.run_records import UNFINISHED, RunSummary
 from ..specification import Spec
-from ..store import Store
+from ..store import Store, open_or_rebuild
 from .driver import Job, Task
 
 Existing = Literal["ignore", "skip", "resume"]
@@ -66,7 +66,7 @@ class Home:
         RunFolder.check_writable(home.runs)
         remove_unfinished_imports(home.runs)
         remove_lost_leftovers(home.runs, f"{spec.name}-*")
-        Store(home.url).close()  # before anything is computed
+        open_or_rebuild(home.runs, home.url)  # before anything is computed
         return home
 
     def find(self, spec: Spec, seed: int) -> RunFolder | None:
@@ -138,11 +138,14 @@ class RunTask(Task):
 
     def __init__(self, job: RunJob, seed: int, found: RunFolder | None) -> None:
         self._job, self._seed, self._found = job, seed, found
+        self._failure: tuple[str | None, str | None] = None, None
 
     @override
     def begin(self) -> Path:
         job = self._job
         folder = self._found = self._folder = self._found or job.home.create(job.spec, self._seed)
+        if not folder.path.is_dir():
+            raise RunError("the run was removed while it waited", where=folder.id)
         folder.release()
         folder.stop.unlink(missing_ok=True)  # of an earlier process
         write_json(folder.launch, provenance.software())
@@ -150,7 +153,6 @@ class RunTask(Task):
         self._ends = {name: new_lines(folder.path / name, 0)[1] for name in ("events.jsonl", "tests.jsonl")}
         self._progress = read_object(folder.progress) or {}
         self._before = folder.state()
-        self._failure: tuple[str | None, str | None] = None, None
         self._launched: list[RunEvent] = [*self._update_index(), RunLaunched(folder.id)]  # it may wait for long
         return folder.path
 

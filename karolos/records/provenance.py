@@ -101,11 +101,17 @@ def other_versions(other: Mapping[str, str]) -> list[str]:
     return [f"{name} is {here} here and {there} there" for name, here, there in found if here != there]
 
 
+def other_software(other: Mapping[str, Any]) -> list[str]:
+    """How `software` is another one here; nothing is said of a source that is not known."""
+    found = other_versions(other.get("versions", {}))
+    if not found and other.get("source") not in (None, source()):
+        found = ["the source of karolos or a plugin is another one"]
+    return found
+
+
 def check_software(launched: Mapping[str, Any], where: str) -> None:
     """Raise a MachineError if this process has other software than the one that launched it, see `software`."""
-    found = other_versions(launched.get("versions", {}))
-    if not found and launched.get("source") != source():
-        found = ["the source of karolos or a plugin is another one"]
+    found = other_software(launched)
     if found:
         raise MachineError(
             f"{platform.node()} would run other software: {'; '.join(found)}",

@@ -425,7 +425,9 @@ def _read_description(path: Path) -> Any:
         run = from_json(RunDescription, (path / "run.json").read_bytes())
     except OSError as error:
         raise RunError(
-            f"this is not a run folder ({error.strerror})", where=str(path), hint="`karolos runs list` shows the runs"
+            f"this is not a run folder ({error.strerror})",
+            where=str(path),
+            hint="`karolos runs list` shows the runs, `karolos db reindex` forgets those whose folders are gone",
         ) from error
     if run is None or run["id"] == SWEEPS:
         raise RunError("run.json is damaged", where=str(path), hint="restore the folder from a copy, or remove it")

@@ -5,6 +5,7 @@ from __future__ import annotations
 import os
 from collections import defaultdict
 from collections.abc import Sequence
+from contextlib import suppress
 from dataclasses import replace
 from pathlib import Path
 from types import NoneType
@@ -127,19 +128,26 @@ def _matching(connection: Connection, condition: Filter, home: Path | None) -> s
 
 
 def records_of(database: Database, runs: Sequence[RunSummary]) -> tuple[RunRecord, ...]:
-    """Everything that the index has of these runs, in their order."""
+    """Everything that the index has of these runs, in their order. Of unfinished ones it reads the folders' tests."""
     names = [run.run for run in runs]
-    query = select(RUNS.c.run, SPECS.c.content, SOFTWARE.c.content).join(SPECS).join(SOFTWARE)
+    query = select(RUNS.c.run, RUNS.c.state, SPECS.c.content, SOFTWARE.c.content).join(SPECS).join(SOFTWARE)
     counts = select(TESTS).order_by(TESTS.c.run, TESTS.c.steps)
     if len(names) <= MOST_NAMED:
         query, counts = query.where(RUNS.c.run.in_(names)), counts.where(TESTS.c.run.in_(names))
     tests: dict[str, list[TestCounts]] = defaultdict(list)
     with database.reading() as connection:
-        contents = {run: (spec, software) for run, spec, software in connection.execute(query)}
+        contents = {run: content for run, *content in connection.execute(query)}
         for run, *numbers in connection.execute(counts):
             tests[run].append(TestCounts(*numbers))
     known = [run for run in runs if run.run in contents]  # one may be removed meanwhile
-    return tuple(RunRecord(run, contents[run.run][0], tuple(tests[run.run]), contents[run.run][1]) for run in known)
+    found = []
+    for run in known:
+        state, spec, software = contents[run.run]
+        if state in UNFINISHED:  # it may have gone on without the process that indexed it
+            with suppress(RunError):  # without its folder the index is all there is
+                tests[run.run] = list(RunFolder.open(run.folder).record().tests)
+        found.append(RunRecord(run, spec, tuple(tests[run.run]), software))
+    return tuple(found)
 
 
 def _shared_values(connection: Connection, condition: Filter) -> dict[str, dict[str, Any]]:

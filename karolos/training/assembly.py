@@ -41,6 +41,17 @@ def make_agent(spec: Spec, signature: Signature, seeds: SeedTree) -> Agent:
     return agent
 
 
+def learner(spec: Spec) -> dict[str, str]:
+    """How the spec's agent learns on this machine: `device`, and `precision` of hidden layers if it is a setting."""
+    from ..agents.device import resolve_device, uses_bfloat16  # noqa: PLC0415  (imports torch)
+
+    device = resolve_device(spec.training.device)
+    precision = getattr(spec.agent.settings, "precision", None)
+    if precision is None:
+        return {"device": device}
+    return {"device": device, "precision": "bfloat16" if uses_bfloat16(precision, device) else "float32"}
+
+
 def make_buffer(spec: Spec, signature: Signature, seeds: SeedTree, *, environments: int, discount: float) -> Buffer:
     """The spec's buffer for this number of environments. `seeds` is the run's."""
     part = spec.buffer

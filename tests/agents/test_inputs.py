@@ -47,6 +47,10 @@ def test_goals_enter_as_what_is_missing_where_what_is_achieved_is_observed() -> 
 def test_inputs_pass_unchanged_before_the_first_update() -> None:
     rows = torch.tensor([[0.5, -2.0, 4.0]])
     assert torch.equal(Normaliser(3, "cpu")(rows), rows)
+    fresh = Normaliser(3, "cpu", missing=slice(2, 3), fine=5.0)
+    loaded = Normaliser(3, "cpu", missing=slice(2, 3), fine=5.0)
+    loaded.load_state(fresh.state())
+    assert torch.equal(loaded(rows), fresh(rows)), "also in an agent that resumes before it"
 
 
 def test_outliers_are_clipped_and_columns_that_stand_still_not_blown_up() -> None:

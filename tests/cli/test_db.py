@@ -13,7 +13,7 @@ from karolos_cli.db import app
 from karolos_cli.runs import app as runs_app
 from support.run_commands import add_run, call, rows
 
-from karolos.errors import StoreError
+from karolos.errors import StoreError, UsageError
 from karolos.launchers.experiment import resume_run
 from karolos.records import RunFolder
 from karolos.store import Store
@@ -57,6 +57,8 @@ def test_check_is_silent_or_lists_differences_and_ends_with_4(runs: Path) -> Non
 def test_check_of_nothing_is_told_and_makes_nothing(runs: Path) -> None:
     with pytest.raises(StoreError, match="there is no database; `karolos db reindex` makes one"):
         call(app, "check")
+    with pytest.raises(UsageError, match="there is no folder"):
+        call(app, "reindex")
     assert not runs.exists()
 
 

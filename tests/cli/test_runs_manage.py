@@ -13,7 +13,7 @@ from karolos_cli.runs import app
 from support import run_commands
 from support.run_commands import add_run
 from support.store_samples import stored
-from typer.testing import Result
+from typer.testing import CliRunner, Result
 
 from karolos.errors import MachineError, RunError, UsageError
 from karolos.records import RunFolder
@@ -104,6 +104,12 @@ def test_filter_chooses_what_is_removed(runs: Path) -> None:
         call("rm", first, "--where", "seed=1")
     with pytest.raises(UsageError, match="'reach-' means several runs"):
         call("rm", "reach-")
+    with RunFolder.open(runs / first) as running:
+        running.lock()
+        result = CliRunner().invoke(app, ["rm", second, first], env={"KAROLOS_RUNS": str(runs)})
+        assert isinstance(result.exception, RunError)
+        assert result.stdout.startswith(f"{second} -> "), "what was moved before is told"
+    call("restore", second)
     call("rm", "--where", "agent.learning_rate<1e-3")
     assert ids() == [first]
     call("rm", "reach")

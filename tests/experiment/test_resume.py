@@ -4,6 +4,8 @@ from __future__ import annotations
 
 import shutil
 import signal
+import sqlite3
+from contextlib import closing
 from dataclasses import replace
 from pathlib import Path
 from typing import Any
@@ -14,7 +16,7 @@ from support.states import assert_same_runs
 from support.store_samples import stored
 
 from karolos import checkpoint
-from karolos.errors import RunError
+from karolos.errors import MachineError, RunError
 from karolos.experiment.events import RunStarted, RunTested, RunWarned
 from karolos.experiment.resume import Snapshot, newest_snapshot
 from karolos.experiment.run import run_or_resume
@@ -141,14 +143,83 @@ def go_on(folder: RunFolder) -> list[object]:
     return events
 
 
-def test_damaged_checkpoint_is_named_and_the_one_before_is_used(whole: RunFolder, broken: RunFolder) -> None:
-    path = broken.checkpoints / "last" / "agent.pt"
+def damage(folder: RunFolder, name: str) -> None:
+    path = folder.checkpoints / name / "agent.pt"
     data = bytearray(path.read_bytes())
     data[1000] ^= 1
     path.write_bytes(data)
+
+
+def test_damaged_checkpoint_is_named_and_the_one_before_is_used(whole: RunFolder, broken: RunFolder) -> None:
+    damage(broken, "last")
     warnings = [event.warning for event in go_on(broken) if isinstance(event, RunWarned)]
     assert any("agent.pt" in warning and "checkpoint before" in warning for warning in warnings)
     assert_same_runs(whole, broken)
+
+
+def test_a_damaged_checkpoint_does_not_replace_the_one_before(
+    whole: RunFolder, broken: RunFolder, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    damage(broken, "last")
+    save = checkpoint.save
+
+    def full(folder: Path, name: str, *rest: Any) -> None:
+        if name == "last":
+            raise MachineError("the disk is full")
+        save(folder, name, *rest)
+
+    with monkeypatch.context() as patch:
+        patch.setattr(checkpoint, "save", full)
+        with pytest.raises(RunError, match="the policy at the end of training could not be written"):
+            resume_run(broken, Store.default_url(broken.path.parent)).check()
+    go_on(RunFolder.open(broken.path))
+    assert_same_runs(whole, broken)
+
+
+def test_a_run_whose_events_are_lost_goes_on_from_its_checkpoint(whole: RunFolder, broken: RunFolder) -> None:
+    (broken.path / "events.jsonl").write_bytes(b"")
+    go_on(broken)
+    (resumed,) = [event for event in broken.events() if event["event"] == "resumed"]
+    assert resumed["steps"] == 200
+    assert_same_runs(whole, broken)
+
+
+def test_a_run_that_learns_in_another_precision_is_not_bit_exact(broken: RunFolder) -> None:
+    events = (broken.path / "events.jsonl").read_text()
+    (broken.path / "events.jsonl").write_text(events.replace("float32", "bfloat16"))
+    warnings = [event.warning for event in go_on(broken) if isinstance(event, RunWarned)]
+    assert any("it learns on another machine: precision float32 after bfloat16" in warning for warning in warnings)
+    assert [event["bit_exact"] for event in broken.events() if event["event"] == "resumed"] == [False]
+
+
+def test_a_run_that_cannot_be_read_is_not_trained_again(broken: RunFolder) -> None:
+    (broken.path / "run.json").write_text("{")
+    with pytest.raises(RunError, match=r"run\.json is damaged"):
+        Experiment(USUAL).run(broken.path.parent, existing="resume")
+
+
+def test_a_missing_index_is_rebuilt_before_a_run(broken: RunFolder) -> None:
+    go_on(broken)
+    runs = broken.path.parent
+    (runs / "karolos.sqlite").unlink()
+    Experiment(USUAL | {"name": "other"}).run(runs)
+    with Store(Store.default_url(runs)) as store:
+        assert [run.name for run in store.runs()] == ["other", "toy"]
+        store.remove_runs([broken.id])
+    Experiment(USUAL).run(runs, existing="skip")  # it may have ended elsewhere
+    with Store(Store.default_url(runs)) as store:
+        assert [run.name for run in store.runs()] == ["other", "toy"]
+
+
+def test_tests_of_a_run_that_ended_unseen_are_read_from_its_folder(broken: RunFolder) -> None:
+    runs = broken.path.parent
+    index = (runs / "karolos.sqlite").read_bytes()
+    go_on(broken)
+    (runs / "karolos.sqlite").write_bytes(index)
+    with closing(sqlite3.connect(runs / "karolos.sqlite")) as connection, connection:
+        connection.execute("update runs set state = 'running'")
+    with Store(Store.default_url(runs)) as store:
+        assert [test.steps for test in stored(store, broken.id).tests] == [100, 200, 240]
 
 
 def test_run_without_a_checkpoint_begins_anew_in_its_folder(whole: RunFolder, broken: RunFolder) -> None:

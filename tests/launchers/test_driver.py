@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import json
 import platform
+import shutil
 from importlib.metadata import version
 from pathlib import Path
 from typing import Any
@@ -96,6 +97,19 @@ def test_a_run_whose_process_died_too_often_is_lost_and_the_other_seeds_go_on(tm
     assert [job.summaries[seed].state for seed in (0, 1)] == ["lost", "finished"]
     assert job.summaries[0].error == job.error == "its process died"
     assert [event.error for event in events if isinstance(event, RunEnded)] == ["its process died", None]
+
+
+def test_a_run_that_is_removed_while_it_waits_is_lost_and_the_other_seeds_go_on(tmp_path: Path) -> None:
+    removed = new_run(tmp_path)
+
+    class Removing(FakeLauncher):
+        def room(self, waiting: int) -> int:
+            shutil.rmtree(removed.path, ignore_errors=True)
+            return super().room(waiting)
+
+    job, _ = drive(tmp_path, Removing(), existing="resume", spec=toy(seeds=[0, 1]))
+    assert [job.summaries[seed].state for seed in (0, 1)] == ["lost", "finished"]
+    assert "was removed while it waited" in str(job.error)
 
 
 def test_a_lost_run_stops_the_others_of_a_job_whose_runs_belong_together(tmp_path: Path) -> None:
