@@ -116,14 +116,20 @@ def add(path: Path) -> Path:
     _leave_out(target / "tests.jsonl", "measures", "distances")
     if (target / "final.jsonl").exists():
         _leave_out(target / "final.jsonl", "distances")  # the measure final_distance has them, too
+        _leave_out(
+            target / "final.jsonl", "measures", after=2
+        )  # of the best policy, behind a line about both and the last
     write_json(target / "run.json", {**about, "command": portable(about["command"])})
     return target
 
 
-def _leave_out(tests: Path, *keys: str) -> None:
-    """Leave out what is most of the bytes of a record of tests and what comparisons do not take from it."""
+def _leave_out(tests: Path, *keys: str, after: int = 0) -> None:
+    """Leave out what is most of the bytes of a record of tests and what comparisons do not take from it.
+
+    The first `after` lines stay as they are.
+    """
     rows = [json.loads(line) for line in tests.read_text(encoding="utf-8").splitlines()]
-    kept = [{key: value for key, value in row.items() if key not in keys} for row in rows]
+    kept = rows[:after] + [{key: value for key, value in row.items() if key not in keys} for row in rows[after:]]
     tests.write_text("".join(json.dumps(row, separators=(",", ":")) + "\n" for row in kept), encoding="utf-8")
 
 

@@ -11,6 +11,7 @@ from ..checkpoint import CheckpointError
 from ..core import State
 from ..errors import RunError
 from ..records import RunFolder, scan
+from ..records.run_folder import renamed
 
 LAST, PREVIOUS = "last", "previous"
 """The newest checkpoint that a run can resume from, and the one before it, for a damaged `last`."""
@@ -69,10 +70,13 @@ def newest_snapshot(folder: RunFolder) -> Snapshot:
 def find_run(runs: Path, name: str, experiment: str, seed: int) -> RunFolder | None:
     """The finished run of this experiment and seed; without one, the unfinished run with the most steps.
 
-    Looks only at folders of that name and seed.
+    Looks only at folders of that name and seed, and at renamed ones.
+
+    Raises:
+        RunError: a folder of that name and seed is damaged.
     """
     found: list[tuple[bool, int, str, RunFolder]] = []
-    for folder in scan(runs, f"{name}-s{seed}-*"):
+    for folder in (*scan(runs, f"{name}-s{seed}-*"), *renamed(runs)):
         if isinstance(folder, RunError):
             raise folder  # it may be the one: its training would be made again
         description = folder.description()

@@ -17,6 +17,7 @@ from ..core.signature import SAME_LAYOUTS, layout_differences
 from ..errors import RunError, UsageError
 from ..evaluation.policies import Learned, playable, read_learned, signature_of, spec_of
 from ..records import RunFolder
+from ..records.run_folder import renamed
 from ..records.shipped import FOLDER, SHIPPED, shipped_names
 from ..registry import closest, load
 from ..specification import Spec
@@ -52,7 +53,8 @@ def find(spec: Spec, runs: Path) -> Learned | None:
     if run is None:
         return None
     shipped = FOLDER / run.removeprefix(SHIPPED)
-    path = next((path for path in (Path(run), runs / run, shipped) if os.path.isdir(path)), runs / run)
+    elsewhere = (folder.path for folder in renamed(runs) if folder.id == run)
+    path = next((path for path in (Path(run), runs / run, *elsewhere, shipped) if os.path.isdir(path)), runs / run)
     try:
         folder = RunFolder.open(path)
     except RunError as error:

@@ -4,7 +4,9 @@ from __future__ import annotations
 
 import json
 import os
+import re
 from collections.abc import Iterable, Iterator, Mapping, Sequence
+from contextlib import suppress
 from dataclasses import asdict, replace
 from datetime import UTC, datetime
 from fnmatch import fnmatchcase
@@ -48,6 +50,7 @@ LOCK_SECONDS = 0.5
 FINAL = "final.jsonl"
 DAMAGED_SPEC = "missing, damaged or changed"
 _FOLDERS = 10_000
+_GIVEN_NAME = re.compile(r"-s\d+-\d{8}-\d{6}(-\d+)?$")
 _Test = TypeVar("_Test", TestResult, TestCounts)
 
 
@@ -394,6 +397,14 @@ def scan(runs: str | Path, pattern: str = "*") -> Iterator[RunFolder | RunError]
             yield RunFolder.open(path)
         except RunError as error:
             yield error
+
+
+def renamed(runs: str | Path) -> Iterator[RunFolder]:
+    """The run folders that have lost the name they were given, by name. They are still the same runs."""
+    for path in paths(runs):
+        if _GIVEN_NAME.search(path.name) is None:
+            with suppress(RunError):  # a damaged one does not say whose it is
+                yield RunFolder.open(path)
 
 
 def remove_lost_leftovers(runs: str | Path, pattern: str = "*") -> None:

@@ -198,6 +198,15 @@ def test_a_run_that_cannot_be_read_is_not_trained_again(broken: RunFolder) -> No
         Experiment(USUAL).run(broken.path.parent, existing="resume")
 
 
+def test_a_renamed_folder_is_still_the_same_run(whole: RunFolder, broken: RunFolder) -> None:
+    best = broken.path.rename(broken.path.parent / "best_arm")
+    outcome = Experiment(USUAL).run(best.parent, existing="resume")
+    assert [run.run for run in outcome.runs] == [broken.id]
+    assert_same_runs(whole, RunFolder.open(best))
+    tuned = USUAL | {"name": "tuned", "agent": SAC | {"start_from": broken.id}}
+    assert Experiment(tuned).run(best.parent).runs[0].state == "finished"
+
+
 def test_a_missing_index_is_rebuilt_before_a_run(broken: RunFolder) -> None:
     go_on(broken)
     runs = broken.path.parent
