@@ -116,9 +116,8 @@ def add(path: Path) -> Path:
     _leave_out(target / "tests.jsonl", "measures", "distances")
     if (target / "final.jsonl").exists():
         _leave_out(target / "final.jsonl", "distances")  # the measure final_distance has them, too
-        _leave_out(
-            target / "final.jsonl", "measures", after=2
-        )  # of the best policy, behind a line about both and the last
+        # Of the best policy, behind a line about both policies and that of the last one.
+        _leave_out(target / "final.jsonl", "measures", after=2)
     write_json(target / "run.json", {**about, "command": portable(about["command"])})
     return target
 
