@@ -8,6 +8,7 @@ import os
 import signal
 import sys
 import traceback
+import warnings
 from typing import Annotated, Any
 
 import typer
@@ -90,6 +91,7 @@ def root(
 def main() -> None:
     """Run the command line. A KarolosError becomes a line on stderr and its exit code."""
     gc.set_threshold(OBJECTS_PER_COLLECTION)
+    warnings.formatwarning = lambda message, *_arguments, **_more: f"{message}\n"  # a line, without karolos' source
     sys.stdout = sys.stdout or open(os.devnull, "w")  # noqa: SIM115  (None if it is closed)
     sys.stderr = sys.stderr or open(os.devnull, "w")  # noqa: SIM115
     try:

@@ -4,7 +4,6 @@ from __future__ import annotations
 
 from collections.abc import Mapping
 from dataclasses import dataclass, field, fields
-from math import inf, isfinite, isnan
 from typing import Any
 
 from .. import checkpoint
@@ -65,9 +64,9 @@ class Checkpointer:
         """Write the tested agent as `best` if no earlier test is better."""
         rank = _rank(result)
         if rank >= self._best:  # of equal tests the later one, whose agent has learned longer
-            chosen_by: dict[str, float | None] = {"success_any": result.success_any, "success_end": result.success_end}
+            chosen_by = {"success_any": result.success_any, "success_end": result.success_end}
             if not result.has_success:
-                chosen_by = {"mean_return": result.mean_return if isfinite(result.mean_return) else None}
+                chosen_by = {"mean_return": result.mean_return}
             if self._write(BEST, {"agent": test.agent}, test, {"chosen_by": chosen_by}):
                 self._best = rank
 
@@ -145,6 +144,4 @@ class Checkpointer:
 
 def _rank(result: TestResult) -> tuple[float, ...]:
     """What the best test has most of: success, or return where the environment defines no success."""
-    if result.has_success:
-        return 1.0, result.success_end, result.success_any
-    return 0.0, -inf if isnan(result.mean_return) else result.mean_return
+    return (1.0, result.success_end, result.success_any) if result.has_success else (0.0, result.mean_return)

@@ -89,11 +89,7 @@ class RunWriter:
         if found:
             self.warn(f"it began with other software: {'; '.join(found)}", consequence)
         before: dict[str, Any] = next((row for row in reversed(self.folder.events()) if "device" in row), {})
-        other = [
-            f"{name} {learner[name]} after {before[name]}"
-            for name in learner
-            if before.get(name, learner[name]) != learner[name]
-        ]
+        other = [f"{name} {now} after {before[name]}" for name, now in learner.items() if before.get(name, now) != now]
         if other:
             self.warn(f"it learns on another machine: {', '.join(other)}", consequence)
         exact = exact and not found and not other

@@ -19,7 +19,7 @@ from ..orchestrator.machine import cores
 from ..records import RunFolder
 from ..records.run_records import RunSummary
 from ..specification import Spec, spec_from_dict
-from ..store import open_or_rebuild
+from ..store.query import prepare_index
 from ..training.assembly import check_parts
 from .driver import Driver, Feed, make_launcher
 from .runs import Existing, Home, RunJob
@@ -157,7 +157,7 @@ def resume_run(
     if folder.state().state == "finished":
         return Outcome((folder.summary(),), 1)
     spec = spec_from_dict(folder.spec())
-    open_or_rebuild(folder.path.parent, url)  # an unusable database is an error before anything is computed
+    prepare_index(folder.path.parent, url)  # an unusable database is an error before anything is computed
     with stop_on_signals(time_limit=time_limit) as stop:
         check_parts(spec)
         summary = _execute(folder, url, listener or (lambda _: None), stop)
@@ -196,14 +196,14 @@ def _execute_one_of(folder: RunFolder, url: str, listener: Listener, stop: StopR
 
 
 def _execute(folder: RunFolder, url: str, listener: Listener, stop: StopRequest) -> RunSummary:
-    """Execute or resume a run in this process, unless it is finished."""
+    """Execute or resume a run in this process. A finished one is only entered into the index."""
     with folder:
-        if folder.state().state != "finished":
-            folder.lock()
-            run_or_resume(folder, url, listener, stop, beside=cores() >= 2)
-        else:
+        if folder.state().state == "finished":
             try:
                 index_run(url, folder)  # it may have ended elsewhere
             except StoreError as error:
                 listener(RunWarned(folder.id, f"{error} (its folder is complete)"))
+        else:
+            folder.lock()
+            run_or_resume(folder, url, listener, stop, beside=cores() >= 2)
         return folder.summary()

@@ -32,7 +32,8 @@ from ..records.results import TestResult, decode_test
 from ..records.run_folder import remove_lost_leftovers
 from ..records.run_records import UNFINISHED, RunSummary
 from ..specification import Spec
-from ..store import Store, open_or_rebuild
+from ..store import Store
+from ..store.query import prepare_index
 from .driver import Job, Task
 
 Existing = Literal["ignore", "skip", "resume"]
@@ -66,7 +67,7 @@ class Home:
         RunFolder.check_writable(home.runs)
         remove_unfinished_imports(home.runs)
         remove_lost_leftovers(home.runs, f"{spec.name}-*")
-        open_or_rebuild(home.runs, home.url)  # before anything is computed
+        prepare_index(home.runs, home.url)  # before anything is computed
         return home
 
     def find(self, spec: Spec, seed: int) -> RunFolder | None:

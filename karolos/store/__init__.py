@@ -1,6 +1,6 @@
 """The results database: an index over the run folders, which can rebuild it."""
 
-from .folders import Difference, Reindexed, check, open_index, open_or_rebuild, reindex
+from .folders import Difference, Reindexed, check, open_index, reindex
 from .store import Store
 
-__all__ = ["Difference", "Reindexed", "Store", "check", "open_index", "open_or_rebuild", "reindex"]
+__all__ = ["Difference", "Reindexed", "Store", "check", "open_index", "reindex"]

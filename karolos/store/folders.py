@@ -81,12 +81,6 @@ def open_index(runs: str | Path, database: str | None = None) -> tuple[Store | N
     return store, reindex(store, root)
 
 
-def open_or_rebuild(runs: Path, url: str) -> None:
-    """Rebuild or create the index of a runs folder if it is missing. Raises StoreError if it cannot be used."""
-    store, _ = open_index(runs, url)
-    (store or Store(url)).close()
-
-
 def reindex(store: Store, runs: str | Path) -> Reindexed:
     """Make the index agree with the folders in `runs`; runs in other folders stay as they are.
 

@@ -87,6 +87,13 @@ def index(runs: str | Path, database: str | None) -> Iterator[Store | None]:
         yield store
 
 
+def prepare_index(runs: Path, url: str) -> None:
+    """Rebuild or create the index of a runs folder if it is missing. Raises StoreError if it cannot be used."""
+    with index(runs, url) as store:
+        if store is None:
+            Store(url).close()
+
+
 def column_values(store: Store, found: Sequence[RunSummary], columns: Sequence[str]) -> list[dict[str, Any]]:
     """One row per run with these columns: fields of RunSummary, settings by their key paths, means of measures.
 

@@ -211,7 +211,10 @@ def test_a_missing_index_is_rebuilt_before_a_run(broken: RunFolder) -> None:
     go_on(broken)
     runs = broken.path.parent
     (runs / "karolos.sqlite").unlink()
-    Experiment(USUAL | {"name": "other"}).run(runs)
+    (runs / "damaged").mkdir()
+    (runs / "damaged" / "run.json").write_text("{")
+    with pytest.warns(UserWarning, match="damaged"):
+        Experiment(USUAL | {"name": "other"}).run(runs)
     with Store(Store.default_url(runs)) as store:
         assert [run.name for run in store.runs()] == ["other", "toy"]
         store.remove_runs([broken.id])
