@@ -211,15 +211,13 @@ def _transfer(path: Path) -> str:
     pairs = [
         [
             f"{row['source']} to {row['target']}",
-            *(_estimate(row[name]) for name in ("zero_shot", "retention", "fine_tuned", "jump_start")),
-            f"{_reached(row['steps_to_threshold'])} / {_reached(row['scratch']['steps_to_threshold'])}",
-            *(_estimate(row[name]) for name in ("time_ratio", "forward_transfer")),
+            *(_estimate(row[name]) for name in ("zero_shot", "retention")),
+            _reached(row["scratch"]["steps_to_threshold"]),
         ]
         for row in rows
         if row["source"] != row["target"]
     ]
-    columns = ["transfer", "zero-shot", "retention", "fine-tuned", "jump-start"]
-    columns += [f"steps to {threshold}: fine-tuned / scratch", "ratio", "forward transfer"]
+    columns = ["transfer", "zero-shot", "retention", f"steps to {threshold} from scratch"]
     levels = ", ".join(
         f"{row['target']} {row['floor']:.3f} and {row['ceiling']:.3f}" for row in rows if row["source"] == row["target"]
     )
