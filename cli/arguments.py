@@ -183,6 +183,12 @@ def select_runs(
     return store, tuple(selected.values())
 
 
+def check_file(path: Path) -> None:
+    """Raise UsageError for a file to write whose folder is missing, before the work that it is to hold."""
+    if not path.parent.is_dir():
+        raise UsageError(f"there is no folder {path.parent}", where=str(path), hint="make it, or name another file")
+
+
 LONGEST = 3650 * 86400.0
 """Seconds; clocks cannot count much longer durations from now on."""
 

@@ -10,13 +10,13 @@ import typer
 
 from karolos.errors import NoSuchRunError, UsageError
 
-from .arguments import MANY_HELP, Database, Json, Runs, open_store
+from .arguments import MANY_HELP, Database, Json, Runs, check_file, open_store
 from .output import check_folder, print_rows, print_table, say, warn
 
 if TYPE_CHECKING:
     from collections.abc import Sequence
 
-    from karolos.comparison import Comparison
+    from karolos.comparison import Comparison, Contender
     from karolos.records.run_records import RunSummary
     from karolos.store import Store
 
@@ -65,16 +65,17 @@ def compare(
 ) -> None:
     """Compare experiments: success and return with intervals, steps and time to 50 and 90 %, cost, settings."""
     from karolos.comparison import compare as compare_contenders
-    from karolos.comparison import gather
 
     pages = [path for path in out or () if path.suffix == ".html"]
     folders = [path for path in out or () if path.suffix != ".html"]
     for folder in folders:
         check_folder(folder, "a file that ends in .html, or a folder")
+    for page in pages:
+        check_file(page)
     with open_store(runs, database) or nullcontext() as store:
         selected = [_runs_of(selector, store, runs) for selector in experiments]
         labels = _labels(label, experiments, [found for _, found in selected])
-        contenders = [gather(index, found, label) for (index, found), label in zip(selected, labels, strict=True)]
+        contenders = [_gathered(*one) for one in zip(experiments, selected, labels, strict=True)]
         comparison = compare_contenders(contenders, metric, store, at=at)
     for warning in comparison.warnings:
         warn(warning)
@@ -115,6 +116,16 @@ def _runs_of(selector: str, store: Store | None, runs: Path) -> tuple[Store | No
         return None, (RunFolder.open(selector).summary(),)
     store = existing(store, selector, runs)
     return store, store.select(selector, or_trial=True)
+
+
+def _gathered(selector: str, selected: tuple[Store | None, tuple[RunSummary, ...]], label: str) -> Contender:
+    """As `gather`, but an error names what was typed: a label of one's own may mean anything."""
+    from karolos.comparison import gather
+
+    try:
+        return gather(*selected, label)
+    except UsageError:
+        return gather(*selected, selector)
 
 
 def _labels(

@@ -39,7 +39,7 @@ looking through the objects that imports make."""
 
 
 class Commands(TyperGroup):
-    """Commands whose help says what each option takes, and that say that they are interrupted."""
+    """Commands whose help says what each option takes, and that say that they are interrupted or called wrongly."""
 
     def get_command(self, ctx: Any, cmd_name: str) -> Any:
         command = super().get_command(ctx, cmd_name)
@@ -54,6 +54,9 @@ class Commands(TyperGroup):
     def invoke(self, ctx: Any) -> Any:
         try:
             return super().invoke(ctx)
+        except typer.BadParameter as error:
+            error.message = error.message.removeprefix("Value error, ")  # of the library that reads the options
+            raise
         except KeyboardInterrupt:  # of a second Ctrl-C, or of an environment
             say("interrupted")
             raise typer.Exit(128 + signal.SIGINT) from None

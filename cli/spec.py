@@ -12,7 +12,7 @@ import typer
 from karolos.errors import UsageError
 from karolos.files import write_whole
 
-from .arguments import Json, Overrides, SpecFile
+from .arguments import Json, Overrides, SpecFile, check_file
 from .output import print_line, print_rows, warn
 
 app = typer.Typer(
@@ -46,6 +46,7 @@ def copy(
     target = file or Path(f"{Path(name.removeprefix('karolos:')).stem}.yaml")
     if os.path.lexists(target):
         raise UsageError("exists already", where=str(target), hint="name another FILE")
+    check_file(target)
     write_whole(target, text)
     print_line(str(target))
 

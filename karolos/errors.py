@@ -1,7 +1,8 @@
 """Errors that a person can act on: each says what is wrong, where, and what to do.
 
 The command line prints them without a traceback and ends with the error's exit code.
-Any other exception is a bug in karolos or in a plugin and keeps its traceback.
+Any other exception is a bug in karolos and keeps its traceback. One in a third party's plugin becomes a PluginError
+at the plugin's line (`registry.blaming`); in the environments of a run it keeps its traceback, too.
 """
 
 from __future__ import annotations

@@ -7,16 +7,17 @@ party's. Its settings are a nested pydantic model called `Settings`.
 from __future__ import annotations
 
 import importlib.metadata
+import os
 import sys
 import traceback
-from collections.abc import Callable, Iterable
-from contextlib import redirect_stdout
+from collections.abc import Callable, Iterable, Iterator
+from contextlib import contextmanager, redirect_stdout
 from dataclasses import dataclass
 from difflib import get_close_matches
 from functools import cache, partial
 from typing import Any
 
-from .errors import PluginError, UsageError
+from .errors import KarolosError, PluginError, UsageError
 
 KINDS = (
     "robots",
@@ -54,6 +55,11 @@ class PluginEntry:
     """The class, as "module:Class"."""
     distribution: str
     version: str
+
+    @property
+    def who(self) -> str:
+        """The plugin in messages."""
+        return f"{singular(self.kind)} {self.name!r} of {self.distribution} {self.version}"
 
 
 def singular(kind: str) -> str:
@@ -139,19 +145,63 @@ def _installed() -> tuple[PluginEntry, ...]:
 @cache
 def _load(entry: PluginEntry) -> Any:
     point = importlib.metadata.EntryPoint(entry.name, entry.target, f"karolos.{entry.kind}")
-    where = f"{singular(entry.kind)} {entry.name!r} of {entry.distribution} {entry.version}"
-    broken = partial(PluginError, where=where, plugin=(entry.kind, entry.name))
+    broken = partial(PluginError, plugin=(entry.kind, entry.name))
     try:
         with redirect_stdout(sys.stderr):
             plugin = point.load()
-            _check(plugin, entry.kind, broken)
+            _check(plugin, entry.kind, partial(broken, where=entry.who))
     except (PluginError, KeyboardInterrupt):
         raise
-    except BaseException as error:  # a plugin's module may raise anything; the cause keeps its traceback
-        text = traceback.format_exception_only(error)[-1].splitlines()[0]  # also where its __str__ raises
+    except BaseException as error:  # a plugin's module may raise anything
+        if isinstance(error, SyntaxError) and os.path.isfile(error.filename or ""):
+            place = f"{error.filename}:{error.lineno}: "
+        else:
+            package, own = _package(entry.target), f"{__name__}:"
+            inside = (at for name, at in _frames(error) if _package(name) == package and not name.startswith(own))
+            place = next((f"{at}: " for at in inside), "")
         hint = f"repair {entry.target}, or uninstall {entry.distribution}"
-        raise broken(f"does not import: {text}", hint=hint) from error
+        # `from None`: the command line prints the traceback of a cause, and the place says it all
+        raise broken(f"does not import: {_text(error)}", where=place + entry.who, hint=hint) from None
     return plugin
+
+
+@contextmanager
+def blaming() -> Iterator[None]:
+    """Turn an error in the code of a third party's plugin into a PluginError at the plugin's line.
+
+    An error in which no such plugin has a part, a bug in karolos, stays as it is.
+    """
+    try:
+        yield
+    except KarolosError:
+        raise
+    except Exception as error:  # a plugin may raise anything
+        theirs = [entry for entry in _installed() if entry.distribution != "karolos"]
+        for name, place in _frames(error):
+            found = [entry for entry in theirs if _package(entry.target) == _package(name)]
+            if found:  # of several in a package the one whose module and class begin most alike
+                entry = max(found, key=lambda one: len(os.path.commonprefix([f"{one.target}.", name])))  # noqa: RUF071
+                where = f"{place}: {entry.who}"
+                raise PluginError(_text(error), where=where, plugin=(entry.kind, entry.name)) from None
+        raise
+
+
+def _frames(error: BaseException) -> list[tuple[str, str]]:
+    """Function, as "module:Class.method.", and file:line of each frame of an error, the innermost first."""
+    return [
+        (f"{frame.f_globals.get('__name__')}:{frame.f_code.co_qualname}.", f"{frame.f_code.co_filename}:{line}")
+        for frame, line in traceback.walk_tb(error.__traceback__)
+    ][::-1]
+
+
+def _package(name: str) -> str:
+    """The outermost package of "package.module:Class"."""
+    return name.partition(":")[0].partition(".")[0]
+
+
+def _text(error: BaseException) -> str:
+    """Class and first line of any exception, also where its __str__ raises; with Python's "Did you mean"."""
+    return traceback.format_exception_only(error)[-1].splitlines()[0]
 
 
 def _check(plugin: object, kind: str, broken: Callable[..., PluginError]) -> None:

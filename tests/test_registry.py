@@ -64,7 +64,8 @@ def test_plugin_that_does_not_import_fails_only_when_used(fake_plugins, target):
         registry.load("robots", "broken")
     assert "'broken'" in str(caught.value)
     assert "shaky 1.0" in str(caught.value)
-    assert isinstance(caught.value.__cause__, ImportError | AttributeError)
+    assert isinstance(caught.value.__context__, ImportError | AttributeError)
+    assert caught.value.__cause__ is None, "its traceback would be printed"
     assert caught.value.exit_code == 3
 
 
@@ -78,6 +79,8 @@ HOSTILE = {
     "class Odd(type):\n  def __getattribute__(self, key): raise OSError\nclass Robot(metaclass=Odd): 0": "OSError",
     "def f(): f()\nf()": "RecursionError",
     "class Robot: Settings = 1": "has no settings",
+    "x = 1\ndef f(:\n  pass": r"hostile_plugin\.py:2: robot 'hostile' of fakes 1.0: does not import: SyntaxError: ",
+    "x = 1\nimport nothing_here": r"hostile_plugin\.py:2: robot 'hostile' of fakes 1.0: does not import: ModuleNot",
 }
 """Modules of a plugin, and what is said of each."""
 

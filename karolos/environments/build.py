@@ -10,7 +10,7 @@ from ..core import Environment
 from ..core.environment import close
 from ..core.signature import layout_differences
 from ..errors import PluginError, UsageError
-from ..registry import load
+from ..registry import blaming, load
 from ..specification.parts import Part, Recipe
 from .robot_task import RobotTask
 from .varied import VariedRobotTask, is_setting, recipes
@@ -18,9 +18,10 @@ from .varied import VariedRobotTask, is_setting, recipes
 
 @contextmanager
 def used(environment: Environment) -> Iterator[Environment]:
-    """Close an environment after the block. Raises PluginError if it ends the program in the block."""
+    """Close an environment after the block. Raises PluginError if a plugin fails or ends the program in the block."""
     try:
-        yield environment
+        with blaming():
+            yield environment
     except SystemExit as error:
         raise _exited(type(environment).__name__, error) from error
     finally:
@@ -38,7 +39,7 @@ def build_environment(recipe: Recipe) -> Environment:
     Raises:
         UsageError: a robot or task is missing, or given to an environment that takes none; randomization names what
             cannot be drawn.
-        PluginError: robot and task are incompatible, or a plugin fails to import or ends the program.
+        PluginError: robot and task are incompatible, or a plugin fails, or ends the program.
     """
     try:
         return _build(recipe)
@@ -51,6 +52,7 @@ def _exited(name: str, error: SystemExit) -> PluginError:
     return PluginError(what, setting="environment", hint="a plugin raises an error instead")
 
 
+@blaming()
 def _build(recipe: Recipe) -> Environment:
     part = recipe.environment
     if part.name != "robot_task":

@@ -83,7 +83,10 @@ class RobotTask(Environment):
         period = settings.substeps / PHYSICS_RATE
         robot.prepare(TaskNeeds(task.uses_gripper, period, task.control, task.protective_stop, task.fingers))
         for setting in (*robot.mujoco_only, *task.mujoco_only) if settings.engine == "bullet" else ():
-            raise UsageError("PyBullet cannot do this", setting=setting, hint="set environment.engine=mujoco")
+            part: Any = robot if setting.startswith("robot.") else task
+            value = getattr(part.settings, setting.partition(".")[2], None)
+            what = f"PyBullet cannot do {value if isinstance(value, str) else 'this'}"
+            raise UsageError(what, setting=setting, hint="set environment.engine=mujoco")
         task.fit(robot)
         self.declared = {
             **{f"robot.{name}": parameter for name, parameter in robot.parameters.items()},
@@ -274,12 +277,27 @@ class RobotTask(Environment):
 
     def _diverged(self) -> Step:
         """End the episode with the last finite state. The next reset builds a new world."""
+        name = self._not_finite() if self._last is None else None
         self.divergences += 1
         self._steps = self.signature.max_steps
         self.close()
+        if name is not None:
+            hint = "check how it is computed, and where `reset` places things"
+            raise PluginError(f"observes {name}, which is not finite", where=type(self.task).__name__, hint=hint)
         if self._last is None:
             raise RuntimeError(f"{self._name}: the physics diverged before the first step")
         return self._last._replace(reward=0.0, terminated=False, truncated=True, success=False, diverged=True)
+
+    def _not_finite(self) -> str | None:
+        """The task's first field that is not finite; None where the robot's are not, either: the physics diverged."""
+        if not isfinite(sum(self.robot.observe())):
+            return None
+        task, seen = self.task, self.task.observe()
+        fields = {name: seen[task.observation.slice(name)] for name in task.observation.names}
+        if self._critic_columns:
+            hidden = task.observe_for_critics()
+            fields |= {name: hidden[task.critic_only.slice(name)] for name in self.settings.critic_observes}
+        return next((name for name, values in fields.items() if not isfinite(sum(values))), None)
 
     def expert(self) -> Expert:
         """The task's scripted policy. Raises UsageError for a task without one, or discrete actions."""

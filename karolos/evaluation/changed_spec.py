@@ -11,6 +11,7 @@ from ..environments.build import opened
 from ..environments.robot_task import RobotTask
 from ..errors import UsageError
 from ..records import RunFolder
+from ..registry import closest
 from ..simulation.engines import installed
 from ..specification import Spec, spec_from_dict
 from ..specification.merge import RANDOMIZATION
@@ -128,6 +129,10 @@ def _parameters(saved: Spec, overrides: Sequence[str]) -> set[str]:
     settings = {f"{key}.{name}" for key, part in parts if part for name in type(part.settings).model_fields}
     with opened(spec.recipe(randomize=False)) as environment:
         declared = environment.declared if isinstance(environment, RobotTask) else {}
+    for text in overrides:
+        key, drawn = _key(text), set(declared) - settings
+        if key.startswith(("robot.", "task.")) and key not in settings | drawn and (like := closest(key, drawn)):
+            raise UsageError("no such key", where=f"override {text}", setting=key, hint=f"did you mean {like}?")
     return {_key(text) for text in overrides} & set(declared) - settings
 
 

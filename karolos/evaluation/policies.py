@@ -20,7 +20,7 @@ from ..errors import MachineError, UsageError
 from ..files import read_object
 from ..records import RunFolder
 from ..records.shipped import POLICY, is_shipped
-from ..registry import load
+from ..registry import blaming, load
 from ..simulation.engines import WINDOWS, Engine, installed, installed_one
 from ..specification import Spec, spec_from_dict
 from ..store.query import find_folder, index
@@ -182,6 +182,7 @@ def signature_of(spec: Spec, *, randomize: bool = False) -> Signature:
         return environment.signature
 
 
+@blaming()
 def expert_policy(environment: Environment) -> Policy:
     """The scripted expert of the environment's task. Raises UsageError if there is none."""
     expert = environment.expert()

@@ -14,7 +14,7 @@ from ..core.seeding import SeedTree
 from ..environments.robot_task import RobotTask
 from ..evaluation.testing import test_seeds
 from ..randomization.randomization import RandomizedParameter
-from ..registry import load, names
+from ..registry import blaming, load, names
 from ..simulation.engines import Engine, make_world
 from ..simulation.interface import Camera, Cup, Gripper, TaskNeeds
 from .contracts.case import candidate
@@ -44,6 +44,7 @@ def pair(robot: str, task: str, engine: Engine | None = None, **robot_settings: 
     return join(candidate("robots", robot, engine, **robot_settings), candidate("tasks", task))
 
 
+@blaming()
 def inspect_robot(name: str, *, size: tuple[int, int] | None = (960, 720)) -> Inspection:
     """Facts about a robot and its gripper. `size`: of the picture in pixels; None: no picture."""
     plugin = load("robots", name)
@@ -73,6 +74,7 @@ def inspect_robot(name: str, *, size: tuple[int, int] | None = (960, 720)) -> In
     return Inspection(name, _about(plugin), tables, _picture(name, None, size))
 
 
+@blaming()
 def inspect_gripper(name: str, *, size: tuple[int, int] | None = (960, 720)) -> Inspection:
     """Facts about a gripper and the arms that carry it. `size`: of the picture in pixels; None: no picture."""
     plugin = load("grippers", name)
@@ -112,6 +114,7 @@ def _prepared(plugin: Any, mode: str | None, **settings: Any) -> Any:
     return robot
 
 
+@blaming()
 def inspect_task(name: str, robot: str = "panda", *, size: tuple[int, int] | None = (960, 720)) -> Inspection:
     """Facts about a task with a robot. `size`: of the picture in pixels; None: no picture."""
     plugin = load("tasks", name)

@@ -28,6 +28,8 @@ from .run_records import ID, RunRecord
 
 SUFFIX = ".tar.gz"
 SUMS = "SHA256SUMS"
+_GZIP = b"\x1f\x8b"
+"""How every gzipped file begins."""
 _MOST_LISTED = 1 << 28
 """Bytes of the list."""
 _MOST_AT_ONCE = 1 << 20
@@ -197,6 +199,8 @@ def _unpack(source: Path, place: Path, most_bytes: int) -> list[str]:
     except OSError as error:
         raise UsageError(f"the archive cannot be opened ({error.strerror})", where=str(source)) from error
     with file, writing(place):
+        if not _GZIP.startswith(file.peek(2)[:2]):
+            raise _refused(source, "is no archive of runs", "`karolos runs export` makes archives")
         try:
             with _Stream(fileobj=file) as stream, tarfile.open(fileobj=stream, mode="r:") as tar:
                 found, listed = _extract(tar, place, source, most_bytes)

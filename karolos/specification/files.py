@@ -181,8 +181,8 @@ def _specs_in(folder: Path) -> list[str]:
 
 def _similar(path: Path) -> str | None:
     """A hint at a file beside `path`, or at a shipped spec, with a similar name."""
-    beside = _specs_in(path.parent)
-    near = closest(path.name, beside) or closest(path.stem, beside)
+    beside = {Path(name).stem: name for name in _specs_in(path.parent)}  # the suffixes alone would be similar enough
+    near = beside.get(closest(path.stem, beside) or "")
     if near is None and (shipped := closest(path.stem, shipped_specs())):
         near = f"{SHIPPED}{shipped}"
     return f"did you mean {shown(near)}?" if near else None

@@ -3,7 +3,8 @@
 from __future__ import annotations
 
 import re
-from collections.abc import Iterable, Mapping
+from collections.abc import Iterable, Mapping, Sequence
+from dataclasses import replace
 from pathlib import Path
 from typing import Any
 
@@ -22,7 +23,7 @@ from .merge import (
     with_shared_settings,
 )
 from .model import NAME_PATTERN, Spec
-from .nodes import DEFAULT, Mark, Node, from_plain, leaves, refuse
+from .nodes import DEFAULT, Mark, Node, from_plain, leaves, refuse, shown
 from .problems import ROBOT_TASK, validate
 from .space import application_order, space_problems
 
@@ -41,6 +42,9 @@ def load_spec(path: str | Path, overrides: Iterable[str] = (), above: Iterable[N
     """
     files = SpecFiles(path)
     tree = files.load()
+    if (specs := tree.get("specs")) is not None:
+        hint = f"`karolos suite {shown(str(path))}` trains it"
+        refuse([Problem(specs.place, "specs", "the file is a suite, not a spec", hint)])
     trees = override_trees(overrides, files.count, files.broken)
     if files.broken:
         refuse([*files.problems, *files.broken])
@@ -60,20 +64,44 @@ def spec_from_dict(spec: Mapping[str, Any], overrides: Iterable[str] = ()) -> Sp
     return _resolve(normalised(from_plain(spec, mark)), trees, [], None)
 
 
-def _resolve(tree: Node, overrides: Iterable[Node], problems: list[Problem], stem: str | None) -> Spec:
-    for override in overrides:
-        tree = merged(tree, with_shared_settings(tree, override))
-    tree = _with_defaults(_without_nulls(tree), stem)
+def _resolve(below: Node, overrides: Sequence[Node], problems: list[Problem], stem: str | None) -> Spec:
+    tree = _whole(below, overrides, stem)
     try:
         spec, spec_problems = validate(tree)
     except PluginError as error:
         raise _at_part(error, tree) from error.__cause__
-    refuse([*problems, *spec_problems])
+    refuse([*problems, *_at_causes(spec_problems, below, overrides, stem)])
     assert spec is not None  # it has no problems
     if spec.sweep is not None:
         refuse(space_problems(tree, spec.sweep, lambda probe: _with_defaults(probe, stem)))
     spec._origins.update({".".join(path): _origin(tree, path) for path, _ in leaves(spec.dump())})
     return spec
+
+
+def _whole(tree: Node, overrides: Iterable[Node], stem: str | None) -> Node:
+    for override in overrides:
+        tree = merged(tree, with_shared_settings(tree, override))
+    return _with_defaults(_without_nulls(tree), stem)
+
+
+def _at_causes(problems: list[Problem], tree: Node, overrides: Sequence[Node], stem: str | None) -> list[Problem]:
+    """The problems, each at the override without which its setting has none: `agent=ppo` contradicts the spec's buffer.
+
+    A problem stays where it is if that is an override already, or if no single override causes it.
+    """
+    own = {mark for override in overrides for node in override.walk() for mark in (node.at, node.key)}
+    for place, override in enumerate(overrides):
+        if all(problem.where in own for problem in problems):
+            break
+        try:
+            others = validate(_whole(tree, [*overrides[:place], *overrides[place + 1 :]], stem))[1]
+        except PluginError:  # of a plugin that the override replaces
+            continue
+        kept = {problem.setting for problem in others}
+        problems = [
+            one if one.where in own or one.setting in kept else replace(one, where=override.at) for one in problems
+        ]
+    return problems
 
 
 def spec_of_trial(base: Spec, drawn: Mapping[str, Any], name: str, seeds: tuple[int, ...], source: str) -> Spec:

@@ -4,13 +4,14 @@ from __future__ import annotations
 
 import re
 from collections.abc import Iterable
+from difflib import get_close_matches
 from typing import Any, get_args
 
 from pydantic import BaseModel, ValidationError
 
 from ..errors import Problem
 from ..registry import alternatives, closest, loaded
-from .merge import PARTS, RANDOMIZATION, is_part
+from .merge import PARTS, RANDOMIZATION, SWEEP, TRANSFER, is_part
 from .model import Spec
 from .nodes import DEFAULT, Mark, Node, Path, dotted, shown
 from .parts import validate_strictly
@@ -35,7 +36,10 @@ _WORDS = (
 )
 ROBOT_TASK = "robot_task"
 """The environment that consists of a robot and a task."""
+PARAMETERS = {"robot": "robot.link_mass", "task": "task.gravity"}
+"""An example of each: what there is is known only once robot and task are made."""
 AGENT_HINT = "name a learning algorithm, e.g. `agent: sac`"
+ROLLOUT_HINT = "name an on-policy buffer, e.g. buffer=on_policy; the spec panda_reach_ppo shows the settings of both"
 _LENGTH = ("too_short", "too_long")
 _UNSHOWN = ("value_error", "assertion_error", "unknown_name", "missing_name", "part_type", *_LENGTH)
 """Errors whose message does not show the value."""
@@ -109,10 +113,13 @@ def _problem(tree: Node, path: Path, entries: list[dict[str, Any]], model: type[
     if kind == "extra_forbidden":
         allowed = _allowed(tree, path, model)
         hint = alternatives(str(path[-1]), allowed) if allowed else None
-        if len(path) == 2 and path[0] in ("robot", "task") and not closest(str(path[-1]), allowed):
-            hint = f"{hint}; a parameter of the world is set as randomization: {{{text}: NUMBER}}"
-        elif text == "specs":
-            hint = "`karolos suite` trains a file that names specs"
+        if len(path) == 2 and path[0] in PARAMETERS and not closest(str(path[-1]), allowed):
+            parameter, name = PARAMETERS[path[0]], _named(tree.get(path[0]))
+            hint = f"{hint}; a parameter of the world is set as e.g. randomization: {{{parameter}: NUMBER}}"
+            hint = f"{hint}; `karolos inspect {path[0]} {name}` shows all"
+        elif len(path) == 1 and model is Spec and (below := _one_level_down(tree, text)):
+            near = get_close_matches(text, allowed, n=1, cutoff=0.8)
+            hint = f"did you mean {' or '.join(near + below)}?"
         return Problem(place, text, "no such key", hint)
     if kind == "missing":
         return Problem(place, text, "is missing", AGENT_HINT if path == ("agent",) else None)
@@ -189,12 +196,19 @@ def _allowed(tree: Node, path: Path, model: type[BaseModel]) -> list[str]:
     return ["name", *keys] if len(path) == depth + 1 else keys
 
 
+def _one_level_down(tree: Node, key: str) -> list[str]:
+    """The settings of this name in the sections of a spec, e.g. training.steps; not those of a sweep or a transfer."""
+    sections = [section for section in Spec.model_fields if section not in (SWEEP, TRANSFER)]
+    return [f"{section}.{key}" for section in sections if key in _allowed(tree, (section, key), Spec)]
+
+
 def _keys(models: list[type[BaseModel]], path: Path) -> list[str]:
     """The fields of the models at `path` below these models; several for a union."""
     for step in path:
         if isinstance(step, str):
             fields = [model.model_fields[step] for model in models if step in model.model_fields]
-            models = [model for field in fields for model in models_in(field.annotation)]
+            if fields:  # otherwise a key of a mapping whose values are these models, as in a search space
+                models = [model for field in fields for model in models_in(field.annotation)]
     return list(dict.fromkeys(name for model in models for name in model.model_fields))
 
 
@@ -244,9 +258,9 @@ def pairing_problems(tree: Node) -> list[Problem]:
     names = f"agent {_named(agent_node)!r}", f"buffer {_named(buffer_node)!r}"
     if agent.on_policy:
         what = f"{names[0]} learns from its own latest actions only, {names[1]} replays old ones"
-        return [Problem(place, "buffer", what, "name an on-policy buffer")]
+        return [Problem(place, "buffer", what, ROLLOUT_HINT)]
     what = f"{names[0]} learns from replay, {names[1]} forgets all but the latest actions"
-    return [Problem(place, "buffer", what, "name a replay buffer, e.g. uniform")]
+    return [Problem(place, "buffer", what, "name a replay buffer, e.g. buffer=uniform")]
 
 
 def _misspelt(tree: Node, key: str) -> bool:

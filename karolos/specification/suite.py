@@ -64,6 +64,10 @@ def load_suite(path: str | Path, overrides: Iterable[str] = ()) -> Suite:
     """
     files = SpecFiles(path)
     tree = _written_out(files.load(), find_spec(path)[0].stem)
+    keys = (tree.mapping or {}).keys()
+    if "specs" not in keys and keys & (Spec.model_fields.keys() - SuiteFile.model_fields.keys()):
+        hint = f"`karolos run {shown(str(path))}` trains it"
+        refuse([Problem(tree.at, "", "the file is a spec, not a suite", hint)])
     refuse([*files.problems, *files.broken])
     try:
         found: SuiteFile = validate_strictly(SuiteFile, tree.plain())

@@ -190,7 +190,7 @@ def _objectives(value: str | tuple[str, ...]) -> str | tuple[str, ...]:
     names = (value,) if isinstance(value, str) else value
     for name in names:
         if name not in OBJECTIVES and not name.startswith(MEASURES):
-            raise ValueError(f"there is no objective {name!r}; there are {', '.join(OBJECTIVES)} and measures.NAME")
+            raise ValueError(f"there is no objective {name!r}; {alternatives(name, [*OBJECTIVES, f'{MEASURES}NAME'])}")
     if not names or len(set(names)) < len(names):
         raise ValueError("should contain at least one objective, and none twice")
     return value

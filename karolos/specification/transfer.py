@@ -5,8 +5,8 @@ from __future__ import annotations
 from collections.abc import Mapping
 from typing import Annotated, Any, Literal
 
+from pydantic import AfterValidator, StringConstraints, model_validator
 from pydantic import Field as Setting
-from pydantic import StringConstraints, model_validator
 
 from ..core import Settings
 
@@ -19,17 +19,26 @@ FINE_TUNE_KEYS = ("agent", "buffer", "demonstrations", "training", "testing.inte
 """Keys of a spec below which fine-tuning differs from training from scratch."""
 
 
-def _check_keys(settings: Mapping[str, Any], allowed: tuple[str, ...], what: str) -> None:
-    wrong = next((key for key in settings if not f"{key}.".startswith(tuple(f"{one}." for one in allowed))), None)
-    if wrong is not None:
-        raise ValueError(f"{what} cannot change {wrong}, only {', '.join(allowed)}")
+def _below(allowed: tuple[str, ...], what: str) -> AfterValidator:
+    """Checks the key of a setting. An error of a key is reported where the key stands."""
+
+    def check(key: str) -> str:
+        if not f"{key}.".startswith(tuple(f"{one}." for one in allowed)):
+            raise ValueError(f"{what} cannot change {key}, only {', '.join(allowed)}")
+        return key
+
+    return AfterValidator(check)
+
+
+VariantKey = Annotated[str, _below(VARIANT_KEYS, "a variant")]
+FineTuneKey = Annotated[str, _below(FINE_TUNE_KEYS, "fine_tune")]
 
 
 class Transfer(Settings):
     """A matrix: each variant is a source of policies and a target for the policies of the others."""
 
     robots: tuple[str, ...] | None = Setting(None, description="names of the robots to transfer between")
-    variants: dict[Annotated[str, StringConstraints(pattern=VARIANT_PATTERN)], dict[str, Any]] | None = Setting(
+    variants: dict[Annotated[str, StringConstraints(pattern=VARIANT_PATTERN)], dict[VariantKey, Any]] | None = Setting(
         None, description="instead of robots: name -> settings, e.g. mujoco: {environment.engine: mujoco}"
     )
     modes: tuple[Mode, ...] = Setting(
@@ -37,7 +46,7 @@ class Transfer(Settings):
         description="zero_shot: test a source's policy on the target; fine_tune: train it on there; "
         "scratch: compare fine-tuning with the target's own training",
     )
-    fine_tune: dict[str, Any] = Setting(
+    fine_tune: dict[FineTuneKey, Any] = Setting(
         {}, description="settings of fine-tuning that differ from the spec's, e.g. training.steps: 100000"
     )
     threshold: float = Setting(0.95, gt=0, le=1, description="success ratio for the time to threshold")
@@ -49,9 +58,6 @@ class Transfer(Settings):
         for name in self.robots or ():
             if self.robots is not None and self.robots.count(name) > 1:
                 raise ValueError(f"names the robot {name} twice")
-        for name, settings in self.settings.items():
-            _check_keys(settings, VARIANT_KEYS, f"the variant {name}")
-        _check_keys(self.fine_tune, FINE_TUNE_KEYS, "fine_tune")
         seen: list[tuple[str, Mapping[str, Any]]] = []
         for name, settings in self.settings.items():
             twin = next((other for other, known in seen if known == settings), None)

@@ -31,7 +31,8 @@ _CORE_SCHEMA: tuple[tuple[re.Pattern[str], Callable[[str], Scalar]], ...] = (
 )
 _PLAIN, _GIVEN = "plain", "given"
 """Tags of nodes without a tag in the text: scalars without quotes, and all others."""
-_HINTS = {"'\\t'": "indent with spaces", "another document": "a spec is one document; remove `---`"}
+_AT_HINT = "name a run by its whole id or its folder, not by @last; put other text with @ in quotes"
+_HINTS = {"'\\t'": "indent with spaces", "another document": "a spec is one document; remove `---`", "'@'": _AT_HINT}
 """Words of PyYAML's errors -> what to do."""
 
 

@@ -15,7 +15,7 @@ from ..records.shipped import FOLDER, SHIPPED, shipped_names
 from ..registry import closest
 from .folders import open_index
 from .rows import SUMMARY_FIELDS, means
-from .selectors import is_run_folder
+from .selectors import experiment_names, is_run_folder
 from .store import Store
 
 
@@ -143,14 +143,15 @@ def find_meant(selector: str, store: Store | None, runs: str | Path) -> RunSumma
     try:
         return existing(store, selector, runs).find(selector)
     except NoSuchRunError as error:
-        shipped = shipped_names()
-        like = closest(selector.removeprefix(SHIPPED), shipped)
-        ships = f"{len(shipped)} policies ship, e.g. panda_pick"
-        if like:
-            own = selector.startswith(SHIPPED) or (store and store.runs(name=like, limit=1))
-            name = f"{SHIPPED}{like}" if own else like
-            ships = f"did you mean {name!r}, a policy that ships?"
-        raise NoSuchRunError(error.what, hint=f"{error.hint}; {ships}") from error
+        shipped, own = shipped_names(), experiment_names(store.database) if store else []
+        asked = selector.startswith(SHIPPED)
+        like = closest(selector.removeprefix(SHIPPED), shipped if asked else [*own, *shipped])
+        if like not in shipped or (like in own and not asked):
+            hint = f"{error.hint}; {len(shipped)} policies ship, e.g. panda_pick"
+            raise NoSuchRunError(error.what, hint=hint) from error
+        name = f"{SHIPPED}{like}" if like in own else like
+        hint = f"did you mean {name!r}, a policy that ships? `karolos runs list` shows yours"
+        raise NoSuchRunError(error.what, hint=hint) from error
 
 
 def find_folder(selector: str, store: Store | None, runs: str | Path) -> RunFolder:

@@ -82,11 +82,14 @@ def select(
             return found
         if found := find_runs(database, prefix=identity, limit=_LISTED + 1):
             return found if all_prefixed else (only(selector, found),)
-    like = closest(
-        identity, ["@last", *(row.name for row in database.fetch(sqlalchemy.select(RUNS.c.name).distinct()))]
-    )
+    like = closest(identity, ["@last", *experiment_names(database)])
     hint = "`karolos runs list` shows them; @last is the newest"
     raise NoSuchRunError(f"{selector!r} means no run", hint=f"did you mean {like!r}? {hint}" if like else hint)
+
+
+def experiment_names(database: Database) -> list[str]:
+    """The names of the runs' experiments, each once."""
+    return [row.name for row in database.fetch(sqlalchemy.select(RUNS.c.name).distinct())]
 
 
 def _of_best(database: Database, selector: str, or_trial: bool) -> tuple[RunSummary, ...]:

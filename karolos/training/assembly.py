@@ -11,8 +11,9 @@ from ..core import Agent, Buffer, Orchestrator, Signature
 from ..core.seeding import SeedTree
 from ..environments.build import build_environment, opened
 from ..errors import KarolosError, UsageError, described
-from ..registry import load
+from ..registry import blaming, load
 from ..specification import Part, Spec
+from ..specification.merge import PARTS
 from ..specification.sweep import MEASURES, directions
 from .demonstrations import demonstrating_expert
 from .memory import check_memory, environments_of
@@ -23,6 +24,9 @@ REPLAY_SETTINGS = {
     "warmup_episodes": "remove it; there is no warm-up",
 }
 """Settings of `training` that an on-policy agent does not use, and what to do instead."""
+
+TOGETHER = ("robot.", "task.", "environment.", "agent.", "buffer.")
+"""Beginnings of settings that have to fit together."""
 
 
 def make_orchestrator(spec: Spec, *, randomize: bool) -> Orchestrator:
@@ -96,9 +100,10 @@ def check_parts(spec: Spec, jobs: int = 1) -> str | None:
 
 @contextmanager
 def _making(key: str, part: Part) -> Iterator[None]:
-    """Turn an error of a plugin's constructor into a UsageError that names the plugin."""
+    """Turn an error of a plugin's constructor into a UsageError that names the plugin, or a PluginError at its line."""
     try:
-        yield
+        with blaming():
+            yield
     except KarolosError:
         raise
     except (Exception, SystemExit) as error:  # the constructor is anybody's
@@ -187,10 +192,15 @@ def _is_set(spec: Spec, name: str) -> bool:
 
 @contextmanager
 def located(spec: Spec) -> Iterator[None]:
-    """Add to an error that names a setting where the setting was set: file:line:column, or the override."""
+    """Add to an error that names a setting or a part's plugin where that was set: file:line:column, or the override."""
     try:
         yield
     except KarolosError as error:
+        parts = ((key, getattr(spec, key)) for key in PARTS)
+        named = next((key for key, part in parts if part and (part.kind, part.name) == error.plugin), None)
+        if named is not None and error.setting is None:
+            error.setting, error.what = f"{named}.name", ": ".join(filter(None, (error.where, error.what)))
+            error.where = None
         error.where = _origin(spec, error.setting) or error.where
         raise
 
@@ -200,4 +210,9 @@ def _origin(spec: Spec, path: str | None) -> str | None:
     if path is None:
         return None
     origins = (origin for key, origin in spec.origins.items() if key == path or key.startswith(f"{path}."))
-    return next((origin for origin in origins if origin != "default"), None)
+    place = next((origin for origin in origins if origin != "default"), None)
+    if place is None or place.startswith("override "):
+        return place
+    changed = {origin for key, origin in spec.origins.items() if key.startswith(TOGETHER)}  # what it may contradict
+    overrides = sorted(origin for origin in changed if origin.startswith("override "))
+    return f"{place} with {' and '.join(overrides)}" if overrides else place

@@ -100,3 +100,13 @@ def test_an_override_longer_than_a_file_name_is_an_override(specs):
     code, out, _ = call(app, str(specs / "good.yaml"), "name=" + "x" * 5000)
     assert code == 2
     assert "name" in out
+
+
+def test_parts_that_an_override_made_incompatible_are_told_with_the_override():
+    for spec, override, said in (
+        ("karolos:panda_reach", "environment.actions=discrete", "agent: sac gives continuous actions"),
+        ("karolos:panda_insert", "environment.engine=bullet", "robot.control: PyBullet cannot do impedance; set"),
+    ):
+        code, out, _ = call(app, spec, "training.steps=100000", override)
+        assert code == 2
+        assert f" with override {override}: {said}" in out

@@ -139,6 +139,15 @@ def test_where_a_run_has_the_name_of_a_policy_that_ships_a_prefix_means_that(run
     with Store(Store.default_url(runs)) as store, pytest.raises(NoSuchRunError) as caught:
         find_meant("shipped:panda_pck", store, runs)
     assert "did you mean 'shipped:panda_pick'" in str(caught.value.hint)
+    add_run(runs, 0, name="panda_push")
+    with Store(Store.default_url(runs)) as store, pytest.raises(NoSuchRunError) as caught:
+        find_meant("panda_inser", store, runs)
+    assert str(caught.value.hint).startswith("did you mean 'panda_insert', a policy that ships? `karolos runs list`")
+    with Store(Store.default_url(runs)) as store, pytest.raises(NoSuchRunError) as caught:
+        find_meant("panda_pck", store, runs)
+    assert (
+        str(caught.value.hint).count("did you mean") == str(caught.value.hint).count("did you mean 'panda_pick'?") == 1
+    )
 
 
 def test_name_of_a_best_spec_without_runs_means_the_trial_that_its_sweep_chose(runs: Path) -> None:
@@ -218,6 +227,8 @@ def test_arguments_that_cannot_be_meant_are_refused(runs: Path, tmp_path: Path) 
     add_run(runs, 0, (), name="new", experiment="c3" * 32, state="created")
     err = refused("compare", "reach", *there)
     assert f"reach means 2 experiments, whose specs differ; name one by its hash: {A[:12]}, {B[:12]}" in err
+    err = refused("compare", "reach", "new", *there, "--label", "with", "--label", "without")
+    assert err.startswith("reach means 2 experiments")
     assert "means no run" in refused("compare", "nothing", *there)
     for same in ("a1a1a1a1", run):
         assert f"'a1a1a1' and {same!r} both mean {run}; name each" in refused("compare", "a1a1a1", same, *there)
@@ -229,9 +240,11 @@ def test_arguments_that_cannot_be_meant_are_refused(runs: Path, tmp_path: Path) 
     err = refused("compare", "a1a1a1", *there, "--out", tmp_path / "x.txt")
     assert "--out: cannot write figures into 'x.txt'; name a file that ends in .html, or a folder; a" in err
     (tmp_path / "taken").touch()
-    for target in (tmp_path / "no" / "page.html", tmp_path / "taken"):
-        code, _, err = call(app, "compare", "a1a1a1", "--runs", str(runs), "--out", str(target))
-        assert (code, str(target) in err) == (3, True)
+    missing = tmp_path / "no"
+    err = refused("compare", "a1a1a1", *there, "--out", missing / "page.html")  # before anything is compared
+    assert err == f"{missing / 'page.html'}: there is no folder {missing}; make it, or name another file\n"
+    code, _, err = call(app, "compare", "a1a1a1", "--runs", str(runs), "--out", str(tmp_path / "taken"))
+    assert (code, str(tmp_path / "taken") in err) == (3, True)
     assert "there are no runs of" in refused("compare", file, *there)
 
 

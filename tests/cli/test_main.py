@@ -65,3 +65,9 @@ def test_a_stopped_run_is_shown_with_the_command_that_continues_it(capsys: pytes
     with pytest.raises(typer.Exit):
         report(Outcome((stopped,), 1, 130), Path("runs"), quiet=False, json=False)
     assert "`karolos resume reach-s0` continues it" in capsys.readouterr().err
+
+
+def test_a_wrong_choice_is_told_without_the_class_of_the_error(monkeypatch: pytest.MonkeyPatch) -> None:
+    monkeypatch.setenv("COLUMNS", "200")
+    said = call(app, "play", "x", "--checkpoint", "bst", exit_code=2).stderr
+    assert "Invalid value for '--checkpoint': 'bst' is not one of 'best', 'last'." in said

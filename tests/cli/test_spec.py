@@ -32,6 +32,8 @@ def test_every_spec_that_ships_is_listed_and_copied(tmp_path, monkeypatch):
     assert (code, "exists already" in err) == (2, True)
     code, _, err = call(app, "copy", "panda_raech", "x.yaml")
     assert (code, "did you mean panda_reach?" in err) == (2, True)
+    code, _, err = call(app, "copy", "panda_reach", "nowhere/x.yaml")
+    assert (code, err) == (2, "nowhere/x.yaml: there is no folder nowhere; make it, or name another file\n")
 
 
 def test_show_prints_a_spec_that_loads_as_the_same(spec):

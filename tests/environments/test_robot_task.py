@@ -11,7 +11,7 @@ from support.rig import made as made_of
 from karolos.environments.build import build_environment
 from karolos.environments.robot_task import RobotTask
 from karolos.environments.toy import Toy
-from karolos.errors import UsageError
+from karolos.errors import PluginError, UsageError
 from karolos.plugins.inspection import pair
 from karolos.registry import names
 from karolos.simulation.picture import view_of
@@ -189,3 +189,23 @@ def test_field_that_there_is_not_or_every_field_cannot_be_left_out() -> None:
         throwing("landing")
     with pytest.raises(UsageError, match=r"environment\.omit: nothing would be observed"):
         throwing(*throwing().signature.observation.names)
+
+
+@pytest.mark.parametrize(("method", "name"), [("observe", "tip_velocity"), ("observe_for_critics", "peg_forces")])
+def test_a_task_that_observes_what_is_not_finite_is_told_which(
+    method: str, name: str, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    made = made_of("insert", environment={"critic_observes": ("peg_forces",)})
+    layout = made.task.observation if method == "observe" else made.task.critic_only
+    values = np.zeros(layout.size)
+    values[layout.slice(name)] = np.inf
+    monkeypatch.setattr(made.task, method, values.tolist)
+    with pytest.raises(PluginError, match=rf"^Insert: observes {name}, which is not finite"):
+        made.reset(0)
+
+
+def test_physics_that_diverges_before_the_first_step_is_no_fault_of_the_task(monkeypatch: pytest.MonkeyPatch) -> None:
+    made = environment()
+    monkeypatch.setattr(made.robot, "observe", lambda: [np.nan] * made.robot.observation.size)
+    with pytest.raises(RuntimeError, match="the physics diverged before the first step"):
+        made.reset(0)

@@ -99,7 +99,7 @@ def test_a_parameter_of_the_world_takes_a_plain_value(reach: RunFolder) -> None:
     assert zero_shot_test(reach, both, checkpoint="last").overrides == tuple(both)
     with pytest.raises(UsageError, match=r"task\.gravity.*-50 m/s2 .*; allowed is -20 to 0 m/s2"):
         zero_shot_test(reach, ["task.gravity=-50"])
-    with pytest.raises(SpecError, match=r"task\.gravty: no such key"):
+    with pytest.raises(UsageError, match=r"task\.gravty: no such key; did you mean task\.gravity\?"):
         zero_shot_test(reach, ["task.gravty=-5"])
 
 

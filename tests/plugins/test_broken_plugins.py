@@ -3,17 +3,25 @@
 from __future__ import annotations
 
 import json
+from collections.abc import Callable
+from pathlib import Path
 from typing import Any
 
 import numpy as np
 import pytest
+from karolos_cli.check import check as check_spec
+from karolos_cli.inspect import app as inspect_app
+from karolos_cli.play import play
 from karolos_cli.plugins import app
+from support.commands import call
+from typer import Typer
 from typer.testing import CliRunner
 
 import karolos.plugins.contracts
+from karolos import registry
 from karolos.errors import UsageError
 from karolos.plugins.contracts import Candidate, cases, check
-from karolos.registry import load
+from karolos.registry import PluginEntry, blaming, load
 
 
 def broken(one: Candidate) -> dict[str, str]:
@@ -140,3 +148,73 @@ def test_the_command_line_names_broken_promises_and_ends_with_3(monkeypatch: pyt
         if line
     ]
     assert [row["kept"] for row in rows] == [False, False]
+
+
+BROKEN_TASK = """\
+from types import SimpleNamespace
+from karolos.tasks.reach import Reach
+
+class Broken(Reach):
+    def expert(self):
+        return SimpleNamespace(reset=int, act=lambda: self.act())
+
+    def {method}(self, *_):
+        return self.gaol
+"""
+Installer = Callable[[str], Path]
+
+
+@pytest.fixture
+def installed(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> Installer:
+    """Installs a third party's task `broken_<method>` which fails in that method; returns a spec with it."""
+    before = registry._installed()
+    monkeypatch.syspath_prepend(tmp_path)
+    monkeypatch.chdir(tmp_path)
+
+    def install(method: str) -> Path:
+        name = f"broken_{method}"
+        (tmp_path / f"{name}.py").write_text(BROKEN_TASK.format(method=method))
+        others = [PluginEntry("tasks", other, f"{name}:{other}", "shaky", "1.0") for other in ("Other", "BrokenOther")]
+        mine = PluginEntry("tasks", name, f"{name}:Broken", "shaky", "1.0")
+        monkeypatch.setattr(registry, "_installed", lambda: (*before, others[0], mine, others[1]))
+        spec = tmp_path / "s.yaml"
+        spec.write_text(f"robot: panda\ntask: {name}\nagent: sac\n")
+        return spec
+
+    return install
+
+
+def command(function: Callable[..., None]) -> Typer:
+    made = Typer()
+    made.command()(function)
+    return made
+
+
+@pytest.mark.parametrize("method", ["fit", "build", "reset", "expert", "act"])
+def test_a_third_partys_task_that_fails_is_told_at_its_line_in_one_line(installed: Installer, method: str) -> None:
+    spec = installed(method)
+    told = f"/broken_{method}.py:9: task 'broken_{method}' of shaky 1.0: AttributeError: 'Broken' object has no"
+    small = ("--width", "32", "--height", "24")
+    commands = [(command(play), str(spec), "--expert", "--out", "film.gif", *small)]
+    if method not in ("expert", "act"):
+        commands.append((inspect_app, "task", f"broken_{method}", *small))
+    if method == "fit":
+        commands.append((app, "check", "task", "broken_fit"))
+    for each in commands:
+        code, out, err = call(*each)
+        assert (code, out, err.count("\n")) == (3, "", 1)
+        assert told in err
+
+
+def test_check_tells_a_task_that_fails_at_its_line_in_the_spec(installed: Installer) -> None:
+    spec = installed("fit")
+    code, out, _ = call(command(check_spec), str(spec))
+    assert (code, out.count("\n")) == (3, 1)
+    assert out.startswith(f"{spec}:2:7: task.name: /")
+    assert "/broken_fit.py:9: task 'broken_fit' of shaky 1.0: AttributeError: 'Broken' object" in out
+
+
+def test_an_error_of_karolos_itself_is_blamed_on_no_plugin(installed: Installer) -> None:
+    installed("fit")
+    with pytest.raises(ZeroDivisionError), blaming():
+        _ = 1 / 0

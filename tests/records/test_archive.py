@@ -196,11 +196,14 @@ def test_damaged_archive_is_told_and_brings_nothing(run: RunFolder, tmp_path: Pa
     source = tmp_path / "x.tar.gz"
     export_runs([run], source)
     whole = source.read_bytes()
-    for damaged in (whole[: len(whole) // 2], b"", b"hello", whole[:100] + b"\xff" * 500 + whole[600:]):
+    for damaged in (whole[: len(whole) // 2], b"", whole[:100] + b"\xff" * 500 + whole[600:]):
         source.write_bytes(damaged)
         with pytest.raises(UsageError, match=r"the archive cannot be read|SHA256SUMS, is missing"):
             import_runs(source, tmp_path / "other")
         assert list((tmp_path / "other").iterdir()) == []
+    source.write_bytes(b"robot: panda")
+    with pytest.raises(UsageError, match=r"x\.tar\.gz: is no archive of runs; `karolos runs export` makes archives$"):
+        import_runs(source, tmp_path / "other")
     with pytest.raises(UsageError, match="the archive cannot be opened"):
         import_runs(tmp_path / "none.tar.gz", tmp_path / "other")
 

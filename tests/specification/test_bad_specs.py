@@ -63,6 +63,8 @@ def test_missing_file_is_told_with_a_similar_name(tmp_path):
     write(tmp_path, "reach.yaml", GOOD)
     assert problems_of(tmp_path / "raech.yaml") == ["raech.yaml: there is no such file; did you mean reach.yaml?"]
     assert problems_of(tmp_path / "none" / "x.yaml") == ["x.yaml: there is no such file"]
+    write(tmp_path, "h.yaml", GOOD)  # the suffix is no similarity
+    assert problems_of(tmp_path / "nothere.yaml") == ["nothere.yaml: there is no such file"]
 
 
 def test_folder_is_no_spec(tmp_path):
@@ -102,7 +104,7 @@ def test_broken_plugin_is_told_at_the_place_that_names_it(tmp_path, fake_plugins
     path = write(tmp_path, "s.yaml", GOOD.replace("arm", "broken"))
     with pytest.raises(PluginError, match=r"s\.yaml:1:8: robot\.name: robot 'broken' of shaky 1\.0") as caught:
         load_spec(path)
-    assert isinstance(caught.value.__cause__, ModuleNotFoundError)
+    assert caught.value.__cause__ is None, "its traceback would be printed"
 
 
 def test_broken_distribution_is_not_taken_for_the_buffer_of_that_name(tmp_path, fake_plugins):

@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 import pytest
-from support.spec_files import GOOD, write
+from support.spec_files import GOOD, problems_of, write
 
 from karolos.specification import load_spec
 
@@ -54,3 +54,28 @@ def test_override_of_the_same_name_keeps_the_settings(path):
 
 def test_empty_value_leaves_out(path):
     assert load_spec(path, ["randomization="]).randomization == {}
+
+
+@pytest.mark.parametrize(
+    ("overrides", "places"),
+    [
+        (["seeds=[1]", "robot="], ["override robot="]),
+        (["agent=latest", "name=other"], ["override agent=latest"]),
+        (["environment=point"], ["override environment=point"] * 3),
+        (["seeds=[1]", "buffer=rollout", "robot="], ["override buffer=rollout", "override robot="]),
+    ],
+)
+def test_what_an_override_contradicts_is_reported_at_the_override(path, overrides, places):
+    assert [line.split(": ")[0] for line in problems_of(path, *overrides)] == places
+
+
+def test_what_was_wrong_without_the_override_stays_where_it_is(tmp_path):
+    path = write(tmp_path, "s.yaml", "task: reach\nagent: learner\nbuffer: rollout\n")
+    assert [line.split(": ")[0] for line in problems_of(path, "seeds=[1]")] == ["s.yaml:1:1", "s.yaml:3:1"]
+
+
+def test_of_a_broken_plugin_that_an_override_replaces_nothing_is_said(path, fake_plugins):
+    fake_plugins("robots", "broken", "no_such_module_anywhere:Robot")
+    path.write_text(path.read_text().replace("arm", "broken"))
+    (line,) = problems_of(path, "robot=arm", "buffer=rollout")
+    assert line.startswith("override buffer=rollout: ")

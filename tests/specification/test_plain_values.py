@@ -7,7 +7,7 @@ from pathlib import Path
 import pytest
 from support.spec_files import problems_of, write
 
-from karolos.errors import UsageError
+from karolos.errors import SpecError, UsageError
 from karolos.specification import load_spec
 from karolos.training.assembly import check_parts
 
@@ -43,7 +43,23 @@ def test_a_value_that_the_parameter_never_takes_is_refused_before_a_run(tmp_path
         check_parts(load_spec(path))
 
 
-def test_a_parameter_among_the_settings_is_told_where_it_goes(tmp_path: Path) -> None:
-    (line,) = problems_of(write(tmp_path, "s.yaml", REACH), "task.gravity=-5")
+@pytest.mark.parametrize(
+    ("override", "example"), [("task.gravity=-5", "task.gravity"), ("robot.link_mas=2", "robot.link_mass")]
+)
+def test_a_parameter_among_the_settings_is_told_where_it_goes_and_a_misspelt_one_is_not_repeated(
+    tmp_path: Path, override: str, example: str
+) -> None:
+    (line,) = problems_of(write(tmp_path, "s.yaml", REACH), override)
+    part, name = ("task", "reach") if "task" in override else ("robot", "panda")
+    hint = f"is set as e.g. randomization: {{{example}: NUMBER}}; `karolos inspect {part} {name}` shows all"
     assert "no such key" in line
-    assert line.endswith("a parameter of the world is set as randomization: {task.gravity: NUMBER}")
+    assert line.endswith(hint)
+
+
+def test_an_agent_that_needs_another_buffer_is_told_at_its_override_with_a_spec_that_has_both() -> None:
+    with pytest.raises(SpecError) as caught:
+        load_spec("panda_reach", ["training.steps=5", "agent=ppo"])
+    line = str(caught.value)
+    assert line.startswith("override agent=ppo: buffer: agent 'ppo' learns from its own latest actions only")
+    assert line.endswith("e.g. buffer=on_policy; the spec panda_reach_ppo shows the settings of both")
+    assert load_spec("panda_reach_ppo").buffer.name == "on_policy"

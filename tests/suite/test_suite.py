@@ -9,6 +9,7 @@ import signal
 import subprocess
 import sys
 import time
+from collections.abc import Callable
 from pathlib import Path
 from typing import Any
 
@@ -31,7 +32,7 @@ from karolos.launchers.runs import Home, RunJob
 from karolos.launchers.suite import SuiteRuns
 from karolos.records import RunFolder, scan
 from karolos.report.suite import verdict
-from karolos.specification import spec_from_dict
+from karolos.specification import load_spec, spec_from_dict
 from karolos.specification.suite import load_suite
 
 app = typer.Typer()
@@ -116,6 +117,20 @@ def test_mistakes_are_shown_where_they_are(folder: Path) -> None:
     Path("mine.yaml").write_text("specs: [slow.yaml, slow.yaml]\n")
     with pytest.raises(SpecError, match=r"^mine.yaml:1:20: specs\[1\]: two specs are called slow; give"):
         load_suite("mine.yaml")
+
+
+@pytest.mark.parametrize(
+    ("load", "path", "said"),
+    [
+        (load_spec, "mine.yaml", r"^mine\.yaml:1:1: specs: .* a suite, not a spec; `karolos suite mine\.yaml` trains"),
+        (load_suite, "fast.yaml", r"^fast\.yaml:1:1: .* a spec, not a suite; `karolos run fast\.yaml` trains it$"),
+    ],
+)
+def test_a_suite_given_as_a_spec_or_a_spec_as_a_suite_is_one_line_with_the_command(
+    folder: Path, load: Callable[[str], object], path: str, said: str
+) -> None:
+    with pytest.raises(SpecError, match=said):
+        load(path)
 
 
 def test_verdict_counts_specs_without_a_test_and_refuses_probabilities_of_few_seeds() -> None:

@@ -183,7 +183,7 @@ def test_a_source_without_its_checkpoint_is_named_before_anything_runs(undisturb
         (["transfer.modes=[scratch]", "transfer.fine_tune={}"], ["transfers nothing"]),
         (
             ["transfer.variants.slow.agent.discount=0.5"],
-            ["variant slow cannot change agent.discount, only robot, task"],
+            ["variants.slow.agent.discount: a variant cannot change agent.discount, only robot, task"],
         ),
         (["transfer.fine_tune.testing.episodes=5"], ["fine_tune cannot change testing.episodes"]),
     ],
@@ -202,6 +202,18 @@ def test_a_misspelt_setting_is_shown_where_it_stands(tmp_path: Path) -> None:
     )
     with pytest.raises(SpecError, match=r"line\.yaml:4:\d+: environment.sped: no such key; did you mean 'speed'\?"):
         Matrix(load_spec(path))
+
+
+def test_a_setting_that_transfers_do_not_change_is_shown_where_it_stands(tmp_path: Path) -> None:
+    path = tmp_path / "line.yaml"
+    path.write_text(
+        "environment: toy\nagent: sac\n"
+        "transfer:\n  variants:\n    a: {environment.speed: 0.1}\n    b: {agent.tau: 0.1}\n"
+        "  fine_tune:\n    training.steps: 80\n    robot.tool_step: 5\n"
+    )
+    with pytest.raises(SpecError) as caught:
+        load_spec(path)
+    assert [str(one.where).removeprefix(f"{path}:") for one in caught.value.problems] == ["6:9", "9:5"]
 
 
 @pytest.mark.parametrize(

@@ -8,7 +8,7 @@ from dataclasses import replace
 from typing import Any
 
 from ...errors import KarolosError, UsageError
-from ...registry import alternatives, names, singular
+from ...registry import alternatives, blaming, names, singular
 from ...robots.arm import Arm
 from ...simulation.interface import Cup
 from . import agents, buffers, distributions, environments, pairs, robots, tasks
@@ -21,6 +21,7 @@ USUAL_ROBOT = "panda"
 """The robot with which a task's own promises are checked."""
 
 
+@blaming()
 def cases(one: Candidate, *, alone: bool = False) -> list[Case]:
     """Every promise of a plugin.
 
@@ -32,6 +33,7 @@ def cases(one: Candidate, *, alone: bool = False) -> list[Case]:
     Raises:
         UsageError: a setting is missing, the kind has no contracts, or it is the environment robot_task, which is
             checked as a robot with a task.
+        PluginError: a third party's plugin fails before its promises can be listed.
     """
     if one.kind == "robots":
         return _of_robot(one) + ([] if alone else [case for task in _all("tasks") for case in of_pair(one, task)])
