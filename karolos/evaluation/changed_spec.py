@@ -129,11 +129,14 @@ def _parameters(saved: Spec, overrides: Sequence[str]) -> set[str]:
     settings = {f"{key}.{name}" for key, part in parts if part for name in type(part.settings).model_fields}
     with opened(spec.recipe(randomize=False)) as environment:
         declared = environment.declared if isinstance(environment, RobotTask) else {}
+    drawn = set(declared) - settings
     for text in overrides:
-        key, drawn = _key(text), set(declared) - settings
-        if key.startswith(("robot.", "task.")) and key not in settings | drawn and (like := closest(key, drawn)):
+        key = _key(text)
+        section, name, *_ = [*key.split("."), "name"]
+        known = name == "name" or f"{section}.{name}" in settings or key in drawn
+        if section in ("robot", "task") and not known and (like := closest(key, drawn)):
             raise UsageError("no such key", where=f"override {text}", setting=key, hint=f"did you mean {like}?")
-    return {_key(text) for text in overrides} & set(declared) - settings
+    return {_key(text) for text in overrides} & drawn
 
 
 def _key(override: str) -> str:

@@ -101,4 +101,4 @@ def test_bits_that_chance_hardly_flips_right_are_learned_with_hindsight_only(hin
 
 def test_every_agent_that_ships_is_there() -> None:
     assert set(SHIPPED) <= set(names("agents"))
-    assert len(list(combinations())) >= 2 * 2 * 4 + 2 * 2 * 2 + 1
+    assert len(list(combinations())) >= 2 * 4 + 3 * 2 * 2 + 1

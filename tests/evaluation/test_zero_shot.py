@@ -101,6 +101,7 @@ def test_a_parameter_of_the_world_takes_a_plain_value(reach: RunFolder) -> None:
         zero_shot_test(reach, ["task.gravity=-50"])
     with pytest.raises(UsageError, match=r"task\.gravty: no such key; did you mean task\.gravity\?"):
         zero_shot_test(reach, ["task.gravty=-5"])
+    zero_shot_test(reach, ["robot.name=panda"])
 
 
 def test_other_layouts_are_refused_and_both_are_shown(reach: RunFolder, toy: RunFolder) -> None:
