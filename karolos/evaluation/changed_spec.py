@@ -130,11 +130,12 @@ def _parameters(saved: Spec, overrides: Sequence[str]) -> set[str]:
     with opened(spec.recipe(randomize=False)) as environment:
         declared = environment.declared if isinstance(environment, RobotTask) else {}
     drawn = set(declared) - settings
+    known = {*settings, *drawn, "robot.name", "task.name"}
     for text in overrides:
         key = _key(text)
-        section, name, *_ = [*key.split("."), "name"]
-        known = name == "name" or f"{section}.{name}" in settings or key in drawn
-        if section in ("robot", "task") and not known and (like := closest(key, drawn)):
+        setting = ".".join(key.split(".")[:2])  # robot.gripper of robot.gripper.name
+        unknown = key.startswith(("robot.", "task.")) and not {key, setting} & known
+        if unknown and (like := closest(key, drawn)):
             raise UsageError("no such key", where=f"override {text}", setting=key, hint=f"did you mean {like}?")
     return {_key(text) for text in overrides} & drawn
 

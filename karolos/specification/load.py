@@ -69,7 +69,7 @@ def _resolve(below: Node, overrides: Sequence[Node], problems: list[Problem], st
     try:
         spec, spec_problems = validate(tree)
     except PluginError as error:
-        raise _at_part(error, tree) from error.__cause__
+        raise _at_part(error, tree) from None
     refuse([*problems, *_at_causes(spec_problems, below, overrides, stem)])
     assert spec is not None  # it has no problems
     if spec.sweep is not None:
