@@ -15,10 +15,10 @@ from typer import Option
 from karolos.errors import KarolosError
 from karolos.evaluation.playing import score
 from karolos.evaluation.policies import expert_policy, random_policy
-from karolos.orchestrator.machine import cores
 from karolos.plugins import inspection
 from karolos.registry import names
 from karolos.simulation.engines import Engine
+from karolos.system import cores
 
 from .side_by_side import Row
 

@@ -22,9 +22,9 @@ from typer import Option
 from karolos.core import Array, Environment, Field, Layout, Orchestrator, Signature, Step, random_actions
 from karolos.environments.build import build_environment
 from karolos.orchestrator.local import Local
-from karolos.orchestrator.machine import cores
 from karolos.orchestrator.ray import Ray
 from karolos.specification import spec_from_dict
+from karolos.system import cores
 
 from .side_by_side import Row, beside, seconds_of, take_turns
 

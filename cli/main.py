@@ -14,7 +14,7 @@ from typing import Annotated, Any
 import typer
 from typer.core import TyperGroup, TyperOption
 
-from karolos import __version__
+from karolos import __version__, system
 from karolos.errors import KarolosError, MachineError, PluginError
 from karolos.experiment.signals import TIME_LIMIT_EXIT, TimeIsUpError
 
@@ -95,17 +95,23 @@ def main() -> None:
     """Run the command line. A KarolosError becomes a line on stderr and its exit code."""
     gc.set_threshold(OBJECTS_PER_COLLECTION)
     warnings.formatwarning = lambda message, *_arguments, **_more: f"{message}\n"  # a line, without karolos' source
-    sys.stdout = sys.stdout or open(os.devnull, "w")  # noqa: SIM115  (None if it is closed)
-    sys.stderr = sys.stderr or open(os.devnull, "w")  # noqa: SIM115
+    sys.stdout = sys.stdout or open(os.devnull, "w", encoding="utf-8")  # noqa: SIM115  (None if it is closed)
+    sys.stderr = sys.stderr or open(os.devnull, "w", encoding="utf-8")  # noqa: SIM115
+    system.use_utf8()
     try:
         try:
             app()
         finally:
             sys.stdout.flush()
     except OSError as error:
-        if error.filename is not None or error.errno not in (errno.ENOSPC, errno.EDQUOT, errno.EIO, errno.EPIPE):
+        if error.filename is not None or error.errno not in (
+            errno.ENOSPC,
+            errno.EDQUOT,
+            errno.EIO,
+            *system.CLOSED_PIPE,
+        ):
             raise
-        sys.stdout = open(os.devnull, "w")  # noqa: SIM115  (what it could not print must not be tried again)
+        sys.stdout = open(os.devnull, "w", encoding="utf-8")  # noqa: SIM115  (what it could not print must not be tried again)
         say(f"standard output cannot be written: {error.strerror}")
         sys.exit(MachineError.exit_code)
     except KarolosError as error:

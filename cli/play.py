@@ -3,7 +3,6 @@
 from __future__ import annotations
 
 import math
-import os
 import sys
 import time
 from collections.abc import Iterator
@@ -13,6 +12,7 @@ from typing import TYPE_CHECKING, Annotated
 import typer
 
 from karolos.errors import UsageError
+from karolos.system import has_display
 
 from .arguments import Changes, Checkpoint, Database, PolicyOrSpec, Runs, chosen_checkpoint, open_run
 from .output import say, warn
@@ -49,7 +49,7 @@ def play(
     if width % 2 or height % 2:
         raise UsageError(f"a film of {width} x {height} pixels cannot be encoded", hint="use even numbers")
     changed = overrides or ()
-    window = out is None and _has_display()
+    window = out is None and has_display()
     from rich.console import Console
     from rich.progress import track
 
@@ -143,7 +143,3 @@ def _report_episodes(moments: Iterator[Moment]) -> Iterator[Moment]:
             values = zip(measures, moment.environment.measures().tolist(), strict=True)
             if known := [one.text(value) for one, value in values if math.isfinite(value)]:
                 say(f"  {', '.join(known)}")
-
-
-def _has_display() -> bool:
-    return bool(os.environ.get("DISPLAY") or os.environ.get("WAYLAND_DISPLAY"))

@@ -10,6 +10,7 @@ from typing import TYPE_CHECKING, Annotated, NoReturn
 import typer
 
 from karolos.files import writing
+from karolos.system import detached
 
 from .arguments import (
     Database,
@@ -91,9 +92,9 @@ def _detach(log: Path) -> NoReturn:
         log.parent.mkdir(parents=True, exist_ok=True)
         out = log.open("ab")
     command = [sys.executable, "-m", "karolos_cli", *words]
-    process = subprocess.Popen(command, stdin=subprocess.DEVNULL, stdout=out, stderr=out, start_new_session=True)
-    say(f"process {process.pid} goes on, with its output in {log}; `kill {process.pid}` stops it with checkpoints")
-    say("`karolos runs list --watch` shows the runs")
+    process = subprocess.Popen(command, stdin=subprocess.DEVNULL, stdout=out, stderr=out, **detached())
+    say(f"process {process.pid} goes on, with its output in {log}")
+    say("`karolos runs list --watch` shows the runs, `karolos runs stop RUN` stops one with a checkpoint")
     raise typer.Exit
 
 

@@ -35,9 +35,11 @@ from .arguments import (
     Database,
     Json,
     ManyRuns,
+    OneRun,
     Runs,
     Where,
     open_or_make_store,
+    open_run,
     open_store,
     select_runs,
 )
@@ -53,6 +55,8 @@ if TYPE_CHECKING:
 app = typer.Typer(
     name="runs", help="List, show, label and remove runs; write them to an archive and read one.", no_args_is_help=True
 )
+STOP_SECONDS = 0.2
+"""Time between two looks whether a run has stopped."""
 WATCH_SECONDS = 2.0
 """Time between two tables of `runs list --watch`."""
 LabelledRun = Annotated[str, typer.Argument(metavar="RUN", help=MANY_HELP)]
@@ -341,6 +345,24 @@ def remove(
         finally:  # also what was moved before one that cannot be
             print_rows(moved, json=json, line="{run} -> {folder}")
     say("`karolos runs restore RUN` brings them back, `karolos runs rm --purge` empties the trash")
+
+
+@app.command()
+def stop(run: OneRun, runs: Runs = Path("runs"), database: Database = None) -> None:
+    """Stop a run after a checkpoint, whatever started it. Ctrl-C ends the waiting, and the run stops nevertheless.
+
+    Other seeds of its experiment go on.
+    """
+    from karolos.files import write_whole
+
+    folder = open_run(run, runs, database)
+    if (state := folder.summary().state) != "running":
+        raise UsageError(f"{folder.id} is {state}: there is nothing to stop", hint="`karolos runs list --watch`")
+    write_whole(folder.stop, "karolos runs stop")
+    say(f"{folder.id} writes a checkpoint and stops")
+    while folder.summary().state == "running":
+        time.sleep(STOP_SECONDS)
+    say(f"{folder.id} is {folder.summary().state}; `karolos resume {folder.id}` continues it")
 
 
 @app.command()

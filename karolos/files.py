@@ -7,16 +7,15 @@ from __future__ import annotations
 
 import contextlib
 import errno
-import fcntl
 import json
 import os
 import re
-import shutil
 import time
 from collections.abc import Callable, Iterable, Iterator, Mapping
 from pathlib import Path
 from typing import Any, Generic, NamedTuple, TypeVar
 
+from . import system
 from .errors import KarolosError, MachineError, UsageError
 
 _FULL = frozenset({errno.ENOSPC, errno.EDQUOT, errno.EFBIG})
@@ -61,42 +60,6 @@ def below(root: Path, name: str) -> Path:
     return path
 
 
-NETWORK_SHARES = ("nfs", "nfs4", "cifs", "smb3", "smbfs", "fuse.sshfs")
-"""Types of file systems whose locks cannot be trusted."""
-
-
-def network_share(path: Path, mounts: Path = Path("/proc/self/mounts")) -> str | None:
-    """The type of the network share that contains a path; None if it is on a disk of this machine, or unknown."""
-    try:
-        lines = [line.split() for line in mounts.read_text("utf-8").splitlines()]
-    except OSError:
-        return None  # this system has no such file
-    resolved = path.resolve()
-    found = {len(line[1]): line[2] for line in lines if resolved.is_relative_to(line[1].replace("\\040", " "))}
-    kind = found[max(found)] if found else ""
-    return kind if kind in NETWORK_SHARES else None
-
-
-def sync_folder(folder: Path) -> None:
-    """Write the names in a folder to the disk."""
-    descriptor = os.open(folder, os.O_RDONLY)
-    try:
-        os.fsync(descriptor)
-    finally:
-        os.close(descriptor)
-
-
-def is_alive(process: int) -> bool:
-    """Whether a process of this machine has this id."""
-    try:
-        os.kill(process, 0)
-    except (ProcessLookupError, OverflowError):
-        return False
-    except PermissionError:  # it belongs to somebody else
-        pass
-    return True
-
-
 def remove_leftovers(folder: Path, pattern: str) -> None:
     """Remove files and folders that dead processes of this user left; what cannot be removed stays.
 
@@ -107,15 +70,15 @@ def remove_leftovers(folder: Path, pattern: str) -> None:
     with contextlib.suppress(OSError):
         for entry in list(os.scandir(folder)):
             found = re.fullmatch(pattern, entry.name)
-            if not found or is_alive(int(found[1])):
+            if not found or system.is_alive(int(found[1])):
                 continue
             with contextlib.suppress(OSError):
-                if entry.stat(follow_symlinks=False).st_uid != os.getuid():
+                if not system.is_own(entry.stat(follow_symlinks=False)):
                     continue
                 if entry.is_dir(follow_symlinks=False):
-                    shutil.rmtree(entry.path, ignore_errors=True)
+                    system.remove_tree(entry.path, ignore_errors=True)
                 else:
-                    os.unlink(entry.path)
+                    system.remove(entry.path)
 
 
 UNFINISHED = r"\..+\.(\d+)\.tmp"
@@ -140,12 +103,12 @@ def write_whole(path: Path, text: str, *, durable: bool = True) -> None:
                 file.write(text)
                 if durable:
                     file.flush()
-                    os.fsync(file.fileno())
-            os.replace(beside, path)
+                    system.sync(file.fileno())
+            system.replace(beside, path)
         finally:
             beside.unlink(missing_ok=True)  # exists only after an error
         if durable:
-            sync_folder(path.parent)
+            system.sync_folder(path.parent)
 
 
 def write_json(path: Path, value: Mapping[str, Any]) -> None:
@@ -163,13 +126,13 @@ def append_lines(path: Path, rows: Iterable[Mapping[str, Any]]) -> None:
     """
     lines = "".join(json.dumps(row, separators=(",", ":"), allow_nan=False) + "\n" for row in rows).encode()
     with writing(path):
-        descriptor = os.open(path, os.O_RDWR | os.O_CREAT | os.O_APPEND, 0o666)
+        descriptor = os.open(path, os.O_RDWR | os.O_CREAT | os.O_APPEND | system.BINARY, 0o666)
         try:
             end = _cut_torn_line(descriptor)
             try:
                 while lines:
                     lines = lines[os.write(descriptor, lines) :]
-                os.fsync(descriptor)
+                system.sync(descriptor)
             except OSError:
                 with contextlib.suppress(OSError):  # the first error is reported
                     os.ftruncate(descriptor, end)
@@ -278,7 +241,7 @@ class FileLock:
         with writing(self.path):
             descriptor = os.open(self.path, os.O_RDWR | os.O_CREAT, 0o666)
             try:
-                while not _try_lock(descriptor, fcntl.LOCK_EX):
+                while not system.try_lock(descriptor):
                     if time.monotonic() >= deadline:
                         return False
                     time.sleep(_POLL_SECONDS)
@@ -294,6 +257,13 @@ class FileLock:
             os.close(self._descriptor)
             self._descriptor = None
 
+    def remove(self) -> None:
+        """Unlock, and remove the file."""
+        if system.WINDOWS:  # where an open file cannot be removed
+            self.release()
+        system.remove(self.path, missing_ok=True)
+        self.release()
+
     def is_locked(self) -> bool:
         """Whether any process holds the lock. It takes a shared lock: readers do not exclude each other."""
         if self.held:
@@ -303,7 +273,7 @@ class FileLock:
         except OSError:
             return False
         try:
-            return not _try_lock(descriptor, fcntl.LOCK_SH)
+            return not system.try_lock(descriptor, shared=True)
         except OSError:
             return False  # the file system has no locks
         finally:
@@ -332,11 +302,3 @@ def locked(path: Path, refusal: KarolosError | None = None, seconds: float | Non
         yield
     finally:
         lock.release()
-
-
-def _try_lock(descriptor: int, kind: int) -> bool:
-    try:
-        fcntl.flock(descriptor, kind | fcntl.LOCK_NB)
-    except BlockingIOError:
-        return False
-    return True

@@ -12,7 +12,8 @@ from hypothesis import given
 from hypothesis import strategies as st
 
 from karolos.errors import MachineError, UsageError
-from karolos.files import FileLock, append_lines, below, network_share, read_lines, write_whole, writing
+from karolos.files import FileLock, append_lines, below, read_lines, write_whole, writing
+from karolos.system import _share_in
 
 FULL = OSError(errno.ENOSPC, "No space left on device")
 
@@ -168,7 +169,7 @@ def test_looking_at_a_lock_leaves_no_trace(tmp_path: Path) -> None:
 def test_a_network_share_is_told_from_a_disk_by_the_innermost_mount(tmp_path: Path) -> None:
     mounts = tmp_path / "mounts"
     mounts.write_text(f"disk / ext4 rw 0 0\nserver:/home {tmp_path} nfs4 rw 0 0\ndisk {tmp_path}/local ext4 rw 0 0\n")
-    assert network_share(tmp_path / "runs", mounts) == "nfs4"
-    assert network_share(tmp_path / "local" / "runs", mounts) is None
-    assert network_share(Path("/"), mounts) is None
-    assert network_share(tmp_path, tmp_path / "missing") is None
+    assert _share_in(tmp_path / "runs", mounts) == "nfs4"
+    assert _share_in(tmp_path / "local" / "runs", mounts) is None
+    assert _share_in(Path("/"), mounts) is None
+    assert _share_in(tmp_path, tmp_path / "missing") is None

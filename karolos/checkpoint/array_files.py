@@ -14,7 +14,7 @@ from pathlib import Path
 
 import numpy as np
 
-from ..files import sync_folder
+from .. import system
 
 SIZE = 1 << 20
 """Bytes of a file; the last one of an array is shorter."""
@@ -49,7 +49,7 @@ class ArrayFiles:
     def sync(self) -> None:
         """Make the names survive a power cut; called once after all files of a checkpoint are written."""
         if self.folder.is_dir():
-            sync_folder(self.folder)
+            system.sync_folder(self.folder)
 
     def read(self, names: Sequence[str], size: int) -> np.ndarray:
         """The `size` bytes that `write` wrote: a flat uint8 array.
@@ -80,7 +80,7 @@ class ArrayFiles:
             return
         for path in self.folder.iterdir():
             if path.name not in used:
-                path.unlink(missing_ok=True)
+                system.remove(path, missing_ok=True)
                 _SOUND.discard(path)
 
     def _write_file(self, data: memoryview) -> str:
@@ -95,7 +95,7 @@ class ArrayFiles:
         with beside.open("wb") as file:
             file.write(data)
             file.flush()
-            os.fsync(file.fileno())
-        os.replace(beside, place)
+            system.sync(file.fileno())
+        system.replace(beside, place)
         _SOUND.add(place)
         return name

@@ -4,14 +4,14 @@ from __future__ import annotations
 
 import os
 import re
-import shutil
 from collections.abc import Collection, Mapping
 from contextlib import suppress
 from pathlib import Path
 from typing import Any
 
+from .. import system
 from ..core import State
-from ..files import below, sync_folder, writing
+from ..files import below, writing
 from .array_files import ArrayFiles
 from .manifest import PART, CheckpointError, damaged, read_manifest, write_manifest
 from .state_file import read_state, write_state
@@ -42,14 +42,14 @@ def save(folder: Path, name: str, parts: Mapping[str, State], meta: Mapping[str,
     fresh = folder / f".{name}.new"
     with writing(target):
         try:
-            shutil.rmtree(fresh, ignore_errors=True)  # left by a killed process
+            system.remove_tree(fresh, ignore_errors=True)  # left by a killed process
             fresh.mkdir()
             arrays = ArrayFiles(folder / _ARRAYS)
             files = {part: write_state(fresh / f"{part}.pt", state, arrays) for part, state in parts.items()}
             arrays.sync()
             write_manifest(fresh, {"meta": dict(meta), "files": files, "array_files": sorted(arrays.used)})
         except BaseException:  # also after an interrupt nothing is left behind
-            shutil.rmtree(fresh, ignore_errors=True)
+            system.remove_tree(fresh, ignore_errors=True)
             with suppress(OSError):
                 _remove_unused(folder)
             raise
@@ -175,11 +175,11 @@ def _previous(target: Path) -> Path:
 def _put_in_place(fresh: Path, target: Path) -> None:
     previous = _previous(target)
     if target.exists():
-        shutil.rmtree(previous, ignore_errors=True)
-        target.rename(previous)
-    fresh.rename(target)
-    sync_folder(target.parent)
-    shutil.rmtree(previous, ignore_errors=True)
+        system.remove_tree(previous, ignore_errors=True)
+        system.replace(target, previous)
+    system.replace(fresh, target)
+    system.sync_folder(target.parent)
+    system.remove_tree(previous, ignore_errors=True)
 
 
 def _find(folder: Path, name: str) -> Path:

@@ -11,7 +11,6 @@ from __future__ import annotations
 
 import hashlib
 import io
-import os
 import pickle
 from collections.abc import Mapping
 from pathlib import Path
@@ -19,6 +18,7 @@ from typing import TYPE_CHECKING, Any
 
 import numpy as np
 
+from .. import system
 from ..core import State
 from .array_files import ArrayFileError, ArrayFiles
 from .manifest import CheckpointError, damaged
@@ -45,7 +45,7 @@ def write_state(path: Path, state: State, arrays: ArrayFiles) -> dict[str, Any]:
     with path.open("wb") as file:
         file.write(data)
         file.flush()
-        os.fsync(file.fileno())
+        system.sync(file.fileno())
     return {"bytes": len(data), "sha256": hashlib.sha256(data).hexdigest()}
 
 

@@ -7,7 +7,6 @@ from __future__ import annotations
 
 import json
 import multiprocessing
-import os
 from collections.abc import Callable
 from concurrent.futures import Future, ProcessPoolExecutor
 from dataclasses import dataclass, replace
@@ -21,6 +20,7 @@ from ..orchestrator.start import fresh_start
 from ..orchestrator.worker import isolate
 from ..records.results import TestResult
 from ..specification import Spec, spec_from_dict
+from ..system import lower_priority
 from ..training.assembly import make_agent, make_orchestrator
 from .testing import play_episodes
 
@@ -118,7 +118,7 @@ class EvaluationProcess:
 
 def _begin() -> None:
     isolate()
-    os.nice(NICENESS)
+    lower_priority(NICENESS)
 
 
 def _play(resolved: str, agent: bytes, test: DueTest) -> tuple[TestResult, list[Failure]]:

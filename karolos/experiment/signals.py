@@ -5,7 +5,6 @@ The signals are SIGINT, SIGTERM, SIGHUP and SIGUSR1. A second SIGINT stops at on
 
 from __future__ import annotations
 
-import select
 import signal
 import threading
 import time
@@ -14,6 +13,9 @@ from contextlib import contextmanager, suppress
 from dataclasses import dataclass, field
 from pathlib import Path
 from types import FrameType
+
+from .. import system
+from ..system import STOP_SIGNALS
 
 TIME_LIMIT_EXIT = 124
 """Exit code of an experiment that its time limit stopped; the same as that of timeout(1)."""
@@ -44,10 +46,15 @@ class StopRequest:
     file: Path | None = None
     """A file that requests it and holds the reason, e.g. "pruned"; None: there is no such file."""
     driver: int | None = None
-    """A file descriptor that becomes readable when the process that this one follows has ended."""
+    """A file descriptor of a pipe, which ends with the process that this one follows."""
     _reason: str | None = field(default=None, init=False)
     """The content of the file."""
     _looked: float = field(default=0.0, init=False)
+
+    def watch(self, file: Path) -> None:
+        """Look from now on for this file, of the run that begins; a request by the file before is over."""
+        system.remove(file, missing_ok=True)  # of an earlier process
+        self.file, self._reason = file, None
 
     @property
     def requested(self) -> bool:
@@ -59,7 +66,7 @@ class StopRequest:
         self._looked = time.monotonic()
         with suppress(FileNotFoundError):
             self._reason = file.read_text("utf-8")
-        if self.driver is not None and select.select([self.driver], [], [], 0)[0]:
+        if self.driver is not None and system.has_ended(self.driver):
             self.signal = signal.SIGTERM
 
     @property
@@ -115,16 +122,12 @@ def stop_on_signals(
     def interrupt(_number: int, _frame: FrameType | None) -> None:
         raise TimeIsUpError("the time limit is over, and something does not end: it was interrupted")
 
-    handled = [signal.SIGTERM, signal.SIGINT, signal.SIGUSR1]  # batch systems send SIGUSR1 before they kill
-    if signal.getsignal(signal.SIGHUP) != signal.SIG_IGN:
-        handled.append(signal.SIGHUP)
-    before = {number: signal.signal(number, handle) for number in handled}
-    before[signal.SIGALRM] = signal.signal(signal.SIGALRM, interrupt)
-    if time_limit is not None:
-        signal.setitimer(signal.ITIMER_REAL, time_limit + HANG_SECONDS, HANG_SECONDS)
+    kept = [number for number in STOP_SIGNALS if signal.getsignal(number) != signal.SIG_IGN]
+    before = {number: signal.signal(number, handle) for number in kept}
+    before[system.ALARM] = signal.signal(system.ALARM, interrupt)
     try:
-        yield request
+        with system.alarms(None if time_limit is None else time_limit + HANG_SECONDS, HANG_SECONDS):
+            yield request
     finally:
-        signal.setitimer(signal.ITIMER_REAL, 0)
         for number, handler in before.items():
             signal.signal(number, handler)

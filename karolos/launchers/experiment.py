@@ -15,11 +15,11 @@ from ..experiment.signals import StopRequest, stop_on_signals
 from ..experiment.start_from import pinned
 from ..experiment.writer import index_run
 from ..files import FileLock
-from ..orchestrator.machine import cores
 from ..records import RunFolder
 from ..records.run_records import RunSummary
 from ..specification import Spec, spec_from_dict
 from ..store.query import prepare_index
+from ..system import cores
 from ..training.assembly import check_parts
 from .driver import Driver, Feed, make_launcher
 from .runs import Existing, Home, RunJob
@@ -172,8 +172,7 @@ def claim(home: Home, spec: Spec, seed: int, stack: ExitStack) -> None:
     """
     lock = FileLock(home.runs / f".{spec.name}-{spec.hash()[:12]}-s{seed}.lock")
     if lock.acquire():
-        stack.callback(lock.release)
-        stack.callback(lock.path.unlink, missing_ok=True)
+        stack.callback(lock.remove)
         return
     found = home.find(spec, seed)
     if home.existing != "ignore" and (found is None or found.state().state != "finished"):
@@ -205,5 +204,7 @@ def _execute(folder: RunFolder, url: str, listener: Listener, stop: StopRequest)
                 listener(RunWarned(folder.id, f"{error} (its folder is complete)"))
         else:
             folder.lock()
+            stop.watch(folder.stop)
             run_or_resume(folder, url, listener, stop, beside=cores() >= 2)
+            stop.watch(folder.stop)  # another seed may follow
         return folder.summary()

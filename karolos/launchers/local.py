@@ -16,7 +16,7 @@ from typing_extensions import override
 
 from ..core.settings import Settings as BaseSettings
 from ..errors import MachineError
-from ..orchestrator.machine import cores
+from ..system import cores, ended_by, own_group
 from .interface import COMMAND, Ended, Launcher
 
 MOST_FAILED_STARTS = 3
@@ -42,10 +42,10 @@ class RunProcess:
             [*command, *COMMAND, "--cores", str(cores)],
             stdin=subprocess.PIPE,
             stdout=subprocess.PIPE,
-            text=True,
+            encoding="utf-8",
             bufsize=1,
             env=os.environ | {"PYTHONPATH": os.pathsep.join(filter(None, sys.path))},
-            process_group=0,
+            **own_group(),
         )
         assert self.child.stdin is not None
         assert self.child.stdout is not None
@@ -53,7 +53,7 @@ class RunProcess:
 
     def start(self, folder: Path) -> None:
         self.folder = folder
-        with contextlib.suppress(BrokenPipeError):  # its end is noticed at its answers
+        with contextlib.suppress(OSError):  # its end is noticed at its answers
             self.orders.write(f"{folder}\n")
 
     def ended(self, answer: str) -> Ended | None:
@@ -67,7 +67,7 @@ class RunProcess:
     def cause(self) -> str:
         """How the process ended, e.g. "was killed by signal 9"."""
         code = self.child.wait()
-        return f"was killed by signal {-code}" if code < 0 else f"ended with exit code {code}"
+        return f"was killed by {name}" if (name := ended_by(code)) else f"ended with exit code {code}"
 
 
 class LocalLauncher(Launcher):
@@ -116,11 +116,9 @@ class LocalLauncher(Launcher):
     @override
     def close(self, *, kill: bool) -> None:
         for process in self._processes:
-            process.orders.close()  # which ends an idle process
-            if kill:
+            process.orders.close()  # which ends an idle process, and a run after a checkpoint
+            if kill or not process.ready:
                 process.child.kill()
-            elif process.folder is not None or not process.ready:
-                process.child.terminate()
         for process in self._processes:
             process.child.wait()
 

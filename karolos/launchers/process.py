@@ -10,13 +10,13 @@ import argparse
 import json
 import os
 import platform
-import signal
 import sys
 from contextlib import ExitStack, suppress
 from dataclasses import asdict
 from pathlib import Path
 from typing import Any
 
+from .. import system
 from ..errors import KarolosError, MachineError
 from ..evaluation.zero_shot import ZeroShotTest
 from ..experiment.events import Listener, RunAdvanced, RunBusy, RunEvent
@@ -36,7 +36,7 @@ def execute_folder(path: Path, cores: int, driver: int | None = None) -> str | N
     Args:
         path: of the folder.
         cores: number of cores for a run.
-        driver: a file descriptor that becomes readable when the driver has ended.
+        driver: a file descriptor of a pipe, which ends with the driver.
     """
     launch, problem, requeued = path / LAUNCH, None, False
     try:
@@ -58,8 +58,10 @@ def execute_folder(path: Path, cores: int, driver: int | None = None) -> str | N
             elif run is not None:
                 if not stop.requested:
                     run_or_resume(run, None, _progress_writer(run), stop, beside=cores >= 2)
-                run.progress.unlink(missing_ok=True)
-            requeued = stop.signal == signal.SIGUSR1  # a batch system starts another process
+                system.remove(run.progress, missing_ok=True)
+            requeued = (
+                stop.signal is not None and stop.signal == system.REQUEUED
+            )  # a batch system starts another process
     except KarolosError as error:
         problem = str(error)
     if path.is_dir() and not requeued:
@@ -74,13 +76,13 @@ def serve(cores: int) -> None:
 
     The first answer says that libraries are imported. The others are what `execute_folder` returns, as JSON.
     """
-    answers = os.fdopen(os.dup(1), "w", buffering=1)
+    answers = os.fdopen(os.dup(1), "w", buffering=1, encoding="utf-8")
     os.dup2(2, 1)  # what libraries print does not mix with the answers
     from ..agents import device  # noqa: F401, PLC0415  (imports torch)
 
-    with suppress(BrokenPipeError):  # the driver has ended
+    with open(0, encoding="utf-8", closefd=False) as orders, suppress(OSError):  # the driver has ended
         answers.write("null\n")
-        for line in sys.stdin:
+        for line in orders:
             answers.write(json.dumps(execute_folder(Path(line.removesuffix("\n")), cores, 0)) + "\n")
 
 

@@ -10,6 +10,7 @@ from typing import Any, Literal
 
 from typing_extensions import override
 
+from .. import system
 from ..errors import RunError, StoreError
 from ..experiment.events import (
     RunAdvanced,
@@ -148,7 +149,7 @@ class RunTask(Task):
         if not folder.path.is_dir():
             raise RunError("the run was removed while it waited", where=folder.id)
         folder.release()
-        folder.stop.unlink(missing_ok=True)  # of an earlier process
+        system.remove(folder.stop, missing_ok=True)  # of an earlier process
         write_json(folder.launch, provenance.software())
         job.read_tests(self._seed, folder)
         self._ends = {name: new_lines(folder.path / name, 0)[1] for name in ("events.jsonl", "tests.jsonl")}
@@ -210,7 +211,7 @@ class RunTask(Task):
     @override
     def end(self, problem: str | None) -> Iterator[RunEvent]:
         job, folder, (error, traceback) = self._job, self._folder, self._failure
-        folder.stop.unlink(missing_ok=True)
+        system.remove(folder.stop, missing_ok=True)
         summary = folder.summary()
         if problem is not None and summary.state != "finished":
             state = "lost" if summary.state in UNFINISHED else summary.state

@@ -165,7 +165,9 @@ class SlurmLauncher(Launcher):
 def _slurm(*command: str) -> str:
     """The output of a command of Slurm."""
     try:
-        done = subprocess.run(command, capture_output=True, text=True, check=False, timeout=ANSWER_SECONDS)
+        done = subprocess.run(
+            command, capture_output=True, encoding="utf-8", errors="replace", check=False, timeout=ANSWER_SECONDS
+        )
     except subprocess.TimeoutExpired as error:
         raise MachineError(f"{command[0]} did not answer within {ANSWER_SECONDS:g} s") from error
     except FileNotFoundError as error:

@@ -2,16 +2,15 @@
 
 from __future__ import annotations
 
-import signal
 from collections.abc import Sequence
-from select import POLLIN, poll
 
 from typing_extensions import override
 
 from ..core import BuildEnvironment, Signature
 from ..errors import MachineError
+from ..system import Poller, SharedMemory, ended_by
 from .pool import Channel, EnvironmentWorker, WorkerPool
-from .shared_memory import EnvironmentArrays, SharedBytes
+from .shared_memory import EnvironmentArrays
 from .start import pack_build, start_worker
 
 
@@ -22,8 +21,8 @@ class ProcessPool(WorkerPool):
         self, build: BuildEnvironment, layout: Sequence[Sequence[range]], time_limit: float, failures: int
     ) -> None:
         self._build = pack_build(build)
-        self._poller = Poller()
-        self._memory: SharedBytes | None = None
+        self._poller: Poller[Channel] = Poller()
+        self._memory: SharedMemory | None = None
         super().__init__(layout, time_limit, failures)
 
     @override
@@ -39,7 +38,7 @@ class ProcessPool(WorkerPool):
 
     @override
     def _allocate(self, signature: Signature) -> EnvironmentArrays:
-        self._memory = SharedBytes(EnvironmentArrays.size(signature, self._size))
+        self._memory = SharedMemory(EnvironmentArrays.size(signature, self._size))
         return EnvironmentArrays.over(self._memory.buffer, signature, self._size)
 
     @override
@@ -49,7 +48,7 @@ class ProcessPool(WorkerPool):
 
     @override
     def _readable(self, timeout: float) -> list[Channel]:
-        return self._poller.readable(timeout)
+        return self._poller.ready(timeout)
 
     @override
     def close(self) -> None:
@@ -59,41 +58,22 @@ class ProcessPool(WorkerPool):
             self._memory.close()
 
 
-class Poller:
-    """Waits for channels with a message or an ended connection. It takes half the time of a selector of Python."""
-
-    def __init__(self) -> None:
-        self._channels: dict[int, Channel] = {}
-        self._poll = poll()
-
-    def add(self, channel: Channel) -> None:
-        self._channels[channel.connection.fileno()] = channel
-        self._poll.register(channel.connection, POLLIN)
-
-    def remove(self, channel: Channel) -> None:
-        """Unregister a channel whose connection is still open."""
-        del self._channels[channel.connection.fileno()]
-        self._poll.unregister(channel.connection)
-
-    def readable(self, timeout: float) -> list[Channel]:
-        """The channels that can be read; waits up to `timeout` seconds for one."""
-        return [self._channels[number] for number, _ in self._poll.poll(1e3 * timeout)]
-
-
 class ProcessWorker(EnvironmentWorker):
     """A worker process. Raises OSError or EOFError when the machine gives no process."""
 
-    def __init__(self, number: int, packed_build: bytes, ids: Sequence[range], size: int, poller: Poller) -> None:
+    def __init__(
+        self, number: int, packed_build: bytes, ids: Sequence[range], size: int, poller: Poller[Channel]
+    ) -> None:
         self.process, connections = start_worker(number, packed_build, ids, size)
         super().__init__(number, connections, ids)
         self._poller = poller
         for channel in self.channels:
-            poller.add(channel)
+            poller.add(channel.connection, channel)
 
     @override
     def close_connections(self) -> None:
         for channel in self.channels:
-            self._poller.remove(channel)
+            self._poller.remove(channel.connection)
         super().close_connections()
 
     @override
@@ -111,9 +91,9 @@ def _cause_of_exit(code: int | None) -> tuple[str, str]:
     """How a process ended, and what to do, by its exit code."""
     if code is None:
         return "a thread of the worker ended", "see standard error for the cause"
-    if code >= 0:
+    name = ended_by(code)
+    if name is None:
         return f"the worker process ended with exit code {code}", "the environment or a plugin ended it"
-    name = signal.Signals(-code).name if -code in set(signal.Signals) else f"signal {-code}"
     if name == "SIGKILL":
         return f"the worker process was killed by {name}", "probably out of memory: use fewer environments"
     return f"the worker process was killed by {name}", "standard error shows the line in native code"

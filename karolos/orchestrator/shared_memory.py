@@ -5,11 +5,7 @@ There is one array per quantity with one row per environment. All arrays are in 
 
 from __future__ import annotations
 
-import mmap
-import os
 from dataclasses import dataclass
-from multiprocessing import reduction
-from multiprocessing.connection import Connection
 from typing import Any
 
 import numpy as np
@@ -72,32 +68,3 @@ def _bytes(kind: type[np.generic], shape: tuple[int, ...]) -> int:
 
 def _aligned(count: int) -> int:
     return -(-count // ALIGNMENT) * ALIGNMENT
-
-
-class SharedBytes:
-    """Memory that other processes can map. It has no name: the kernel frees it with the last process that holds it."""
-
-    def __init__(self, size: int) -> None:
-        self._descriptor = os.memfd_create("karolos")
-        os.ftruncate(self._descriptor, size)
-        self.buffer: Any = mmap.mmap(self._descriptor, size)
-
-    def send(self, connection: Connection) -> None:
-        """Let the process at the other end of the connection map the memory."""
-        reduction.send_handle(connection, self._descriptor, 0)
-
-    @staticmethod
-    def receive(connection: Connection, size: int) -> Any:
-        """Receive the memory from `send`: a writable buffer, mapped while something refers to it."""
-        descriptor = reduction.recv_handle(connection)
-        try:
-            return mmap.mmap(descriptor, size)
-        finally:
-            os.close(descriptor)
-
-    def close(self) -> None:
-        """Release the memory; it stays mapped while arrays refer to it. Safe to call twice."""
-        self.buffer = None
-        if self._descriptor >= 0:
-            os.close(self._descriptor)
-            self._descriptor = -1

@@ -1,30 +1,33 @@
 """Start of worker processes, without the modules that the user's program has imported.
 
-Workers are forked from a small server process that has imported only what they need. A worker never runs the user's
-main module: a script needs no `if __name__ == "__main__"` guard, and a script that imports torch does not import it in
-the workers.
+On Linux, workers are forked from a small server process that has imported only what they need. A worker never runs the
+user's main module: a script needs no `if __name__ == "__main__"` guard, and a script that imports torch does not import
+it in the workers.
 """
 
 from __future__ import annotations
 
 import io
-import multiprocessing
 import os
 import pickle
 import sys
 from collections.abc import Iterator, Sequence
 from contextlib import contextmanager
 from multiprocessing.connection import Connection
-from multiprocessing.context import ForkServerProcess
+from multiprocessing.process import BaseProcess
 from threading import Lock
 from types import ModuleType
 from typing import Any
 
 from ..core import BuildEnvironment
 from ..errors import PluginError
-from .machine import ONE_THREAD
+from ..system import process_context
 from .worker import work
 
+ONE_THREAD = dict.fromkeys(
+    ("OMP_NUM_THREADS", "OPENBLAS_NUM_THREADS", "MKL_NUM_THREADS", "NUMEXPR_NUM_THREADS", "VECLIB_MAXIMUM_THREADS"), "1"
+)
+"""Environment variables of a process whose libraries use one thread, because several processes share the cores."""
 _starting = Lock()
 
 
@@ -57,15 +60,15 @@ def pack_build(build: BuildEnvironment) -> bytes:
 
 def start_worker(
     number: int, packed_build: bytes, ids: Sequence[range], size: int
-) -> tuple[ForkServerProcess, list[Connection]]:
+) -> tuple[BaseProcess, list[Connection]]:
     """Start worker `number` with one thread for each range of ids; returns the process and its connections.
 
     Raises OSError or EOFError if the machine cannot start a process.
     """
-    context = multiprocessing.get_context("forkserver")
+    context: Any = process_context()
     # Only karolos modules that the environments need: others may start threads, which do not survive a fork.
     needed = sorted(name for name in _Modules(packed_build).names if name.startswith("karolos."))
-    context.set_forkserver_preload([work.__module__, *needed])
+    context.set_forkserver_preload([work.__module__, *needed])  # does nothing where there is no such server
     pairs = [context.Pipe() for _ in ids]
     theirs = [end for _, end in pairs]
     process = context.Process(

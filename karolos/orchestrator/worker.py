@@ -24,8 +24,9 @@ import numpy as np
 from numpy.typing import NDArray
 
 from ..errors import KarolosError
+from ..system import STOP_SIGNALS, SharedMemory
 from .executor import FAILURES, Executor, as_karolos_error, pack_errors
-from .shared_memory import EnvironmentArrays, SharedBytes
+from .shared_memory import EnvironmentArrays
 
 DONE = b"."
 FAILED = b"!"
@@ -59,7 +60,7 @@ def work(number: int, packed_build: bytes, channels: Sequence[tuple[Connection, 
 def isolate() -> None:
     """Ignore signals, which the parent handles, and redirect standard output to standard error."""
     # Terminals and job schedulers send these to the process group.
-    for number in (signal.SIGINT, signal.SIGTERM, signal.SIGHUP, signal.SIGUSR1):
+    for number in STOP_SIGNALS:
         signal.signal(number, signal.SIG_IGN)
     with suppress(OSError):  # there may be no standard error
         sys.stdout.flush()
@@ -85,7 +86,7 @@ def _serve(where: str, packed_build: bytes, connection: Connection, ids: range, 
         connection.send_bytes(answer)
         if executor is None:
             return
-        buffer = SharedBytes.receive(connection, EnvironmentArrays.size(executor.signature, size))
+        buffer = SharedMemory.receive(connection, EnvironmentArrays.size(executor.signature, size))
         executor.attach(EnvironmentArrays.over(buffer, executor.signature, size), ids.start)
         while True:
             message = connection.recv_bytes()

@@ -20,9 +20,10 @@ from typing import NamedTuple
 
 from typing_extensions import override
 
+from .. import system
 from ..checkpoint.manifest import PART
 from ..errors import RunError, UsageError
-from ..files import FileLock, remove_leftovers, sync_folder, writing
+from ..files import FileLock, remove_leftovers, writing
 from . import RunFolder
 from .run_records import ID, RunRecord
 
@@ -97,9 +98,9 @@ def export_runs(folders: Sequence[RunFolder], target: Path, *, checkpoints: bool
                                 sums[f"{folder.id}/{name}"] = hashlib.sha256(data).hexdigest()
                                 _add(archive, f"{folder.id}/{name}", data)
                 _add(archive, SUMS, "".join(f"{sha256}  {name}\n" for name, sha256 in sums.items()).encode())
-            os.replace(beside, target)
+            system.replace(beside, target)
         finally:
-            beside.unlink(missing_ok=True)
+            system.remove(beside, missing_ok=True)
     return ExportedRuns(len(sums), tuple(left_out))
 
 
@@ -157,20 +158,20 @@ def import_runs(
                 raise _refused(source, f"the run {name} exists already", "`karolos runs rm` removes it")
         for name in names:
             with writing(runs / name):
-                os.rename(place / name, runs / name)
+                system.replace(place / name, runs / name)
             moved.append(name)
         with writing(runs):
-            sync_folder(runs)
+            system.sync_folder(runs)
         records = tuple(RunFolder.open(runs / name).record() for name in names)
         if enter is not None:
             enter(records)
     except BaseException:
         for name in moved:
-            os.rename(runs / name, place / name)
+            system.replace(runs / name, place / name)
         raise
     finally:
         lock.release()
-        shutil.rmtree(place, ignore_errors=True)
+        system.remove_tree(place, ignore_errors=True)
     return records
 
 
@@ -179,7 +180,7 @@ def remove_unfinished_imports(runs: Path) -> None:
     for place in runs.glob(f"{UNFINISHED_IMPORT}*"):
         lock = FileLock(place / ".lock")
         if lock.path.exists() and not lock.is_locked():
-            shutil.rmtree(place, ignore_errors=True)
+            system.remove_tree(place, ignore_errors=True)
 
 
 def _examine(path: Path, source: Path) -> None:

@@ -15,6 +15,7 @@ from pathlib import Path
 from time import monotonic
 from typing import Any, TypeVar
 
+from .. import system
 from ..errors import MachineError, RunError
 from ..files import (
     UNFINISHED,
@@ -115,7 +116,7 @@ class RunFolder:
             probe = FileLock(root / ".write-test")
             probe.acquire()
             probe.release()
-            probe.path.unlink(missing_ok=True)
+            system.remove(probe.path, missing_ok=True)
 
     def __enter__(self) -> RunFolder:
         return self

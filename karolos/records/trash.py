@@ -2,12 +2,11 @@
 
 from __future__ import annotations
 
-import os
-import shutil
 from pathlib import Path
 
+from .. import system
 from ..errors import RunError, UsageError
-from ..files import sync_folder, writing
+from ..files import writing
 from . import RunFolder, paths
 
 NAME = ".trash"
@@ -26,9 +25,11 @@ def throw_away(folder: RunFolder) -> Path:
         with writing(trash):
             trash.mkdir(exist_ok=True)
             target = _free(trash, folder.path.name)
-            os.rename(folder.path, target)
-            sync_folder(trash)
-            sync_folder(trash.parent)
+            if system.WINDOWS:  # where no file of a folder that moves may be open
+                folder.release()
+            system.replace(folder.path, target)
+            system.sync_folder(trash)
+            system.sync_folder(trash.parent)
     return target
 
 
@@ -67,8 +68,8 @@ def restore(path: Path) -> RunFolder:
             f"there is a run {folder.id} again", where=str(target), hint="`karolos runs rm` removes that one"
         )
     with writing(target):
-        os.rename(path, target)
-        sync_folder(target.parent)
+        system.replace(path, target)
+        system.sync_folder(target.parent)
     return RunFolder.open(target)
 
 
@@ -82,7 +83,7 @@ def purge(path: Path) -> None:
     if path.parent.name != NAME or path.parent.is_symlink() or path.is_symlink():
         raise RunError("this is not in the trash", where=str(path), hint="`karolos runs rm RUN` moves it there")
     with writing(path):
-        shutil.rmtree(path)
+        system.remove_tree(path)
 
 
 def _free(trash: Path, name: str) -> Path:

@@ -11,6 +11,7 @@ from typing import TYPE_CHECKING, Any
 import numpy as np
 from numpy.typing import NDArray
 
+from .. import system
 from ..errors import UsageError
 from ..files import writing
 
@@ -113,7 +114,7 @@ def write_video(path: Path, pictures: Iterable[NDArray[np.uint8]], frames_per_se
                         writer.append_data(picture)
             partial.replace(path)
         finally:
-            partial.unlink(missing_ok=True)
+            system.remove(partial, missing_ok=True)
 
 
 def write_gif(

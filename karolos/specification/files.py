@@ -15,13 +15,14 @@ from .yaml_text import MAX_CHARACTERS, BrokenTextError, read
 
 SHIPPED = "karolos:"
 """Beginning of the names of the specs that ship with karolos, e.g. karolos:bases/sac_grasp.yaml."""
-SPECS = Path(__file__).parents[1] / "specs"
+SPECS = next(path for up in (1, 2) if (path := Path(__file__).parents[up] / "specs").is_dir())
+"""Of the installed package, or of a checkout."""
 SPEC_SUFFIXES = (".yaml", ".yml")
 
 
 def shipped_specs() -> dict[str, Path]:
     """The specs that ship with karolos, by their names without suffix, e.g. panda_reach and bases/sac_grasp."""
-    return {str(path.relative_to(SPECS).with_suffix("")): path for path in sorted(SPECS.glob("**/*.yaml"))}
+    return {path.relative_to(SPECS).with_suffix("").as_posix(): path for path in sorted(SPECS.glob("**/*.yaml"))}
 
 
 def find_spec(given: str | Path) -> tuple[Path, str]:

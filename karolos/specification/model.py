@@ -6,10 +6,11 @@ import hashlib
 import json
 from typing import Annotated, Any, Literal
 
+from pydantic import AfterValidator, PrivateAttr, StringConstraints, model_validator
 from pydantic import Field as Setting
-from pydantic import PrivateAttr, StringConstraints, model_validator
 
 from ..core import Settings
+from ..system import RESERVED_NAMES
 from .merge import PARTS
 from .parts import OfKind, Part, Recipe
 from .sweep import Seed, Seeds, Sweep
@@ -17,6 +18,17 @@ from .transfer import Transfer
 
 NAME_PATTERN = r"^[A-Za-z0-9][A-Za-z0-9._-]{0,63}$"
 """Names are used as folder names: at most 64 letters, digits, dots, underscores and hyphens."""
+
+
+def _portable(name: str) -> str:
+    """The name. Raises ValueError where Windows allows no file of that name."""
+    if name.partition(".")[0].lower() in RESERVED_NAMES or name.endswith("."):
+        raise ValueError("cannot name a file on Windows: give another name")
+    return name
+
+
+Name = Annotated[str, StringConstraints(pattern=NAME_PATTERN), AfterValidator(_portable)]
+"""Of an experiment or a suite."""
 PARAMETER_PATTERN = r"^(robot|task)\.[A-Za-z_][A-Za-z0-9_]*$"
 """Parameters for randomization, e.g. task.gravity."""
 
@@ -149,9 +161,7 @@ class Spec(Settings):
     Made by `load_spec(path, overrides)` or `spec_from_dict(dictionary)`.
     """
 
-    name: Annotated[str, StringConstraints(pattern=NAME_PATTERN)] = Setting(
-        description="of the experiment; run folders begin with it. Default: the file's name"
-    )
+    name: Name = Setting(description="of the experiment; run folders begin with it. Default: the file's name")
     seeds: Seeds = Setting((0,), description="one run for each; the root of all its random numbers")
     robot: Annotated[Part, OfKind("robots")] | None = Setting(None, description="the arm; requires a task")
     task: Annotated[Part, OfKind("tasks")] | None = Setting(None, description="what the robot has to do")

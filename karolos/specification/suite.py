@@ -6,17 +6,17 @@ import os
 from collections.abc import Iterable, Mapping
 from dataclasses import dataclass
 from pathlib import Path
-from typing import Annotated, Any
+from typing import Any
 
 from pydantic import Field as Setting
-from pydantic import StringConstraints, ValidationError
+from pydantic import ValidationError
 
 from ..core import Settings
 from ..errors import Problem, SpecError
 from .files import SHIPPED, SpecFiles, beside, find_spec, unreadable
 from .load import load_spec
 from .merge import nested
-from .model import NAME_PATTERN, Spec
+from .model import Name, Spec
 from .nodes import Node, refuse, shown
 from .parts import validate_strictly
 from .problems import located_problems
@@ -32,7 +32,7 @@ class SuiteEntry(Settings):
 class SuiteFile(Settings):
     """What a suite file contains. An entry of `specs` may be the spec alone."""
 
-    name: Annotated[str, StringConstraints(pattern=NAME_PATTERN)] = Setting(description="default: the file's name")
+    name: Name = Setting(description="default: the file's name")
     specs: tuple[SuiteEntry, ...] = Setting(min_length=1, description="what is trained")
     overrides: dict[str, Any] = Setting({}, description="settings of all specs, e.g. seeds: [0, 1, 2]")
     measures: tuple[str, ...] = Setting((), description="measures that the report shows; empty: all")

@@ -31,8 +31,8 @@ from sqlalchemy import (
 from sqlalchemy.exc import ArgumentError, DataError, DBAPIError, IntegrityError, NoSuchModuleError
 from sqlalchemy.pool import NullPool
 
+from .. import system
 from ..errors import StoreError
-from ..files import network_share
 from ..files import writing as writing_file
 from ..records.provenance import redact
 from .tables import OLDER_TABLES, SCHEMA, SCHEMA_VERSION, TABLES
@@ -91,7 +91,7 @@ class Database:
         self.name = _without_secrets(self.url)
         self._path = _sqlite_file(self.url)
         self.home = self._path.resolve().parent if self._path else None
-        if self.home and (share := network_share(self.home)):
+        if self.home and (share := system.network_share(self.home)):
             raise StoreError(
                 f"SQLite loses data on a network share ({share})",
                 where=self.name,

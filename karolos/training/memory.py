@@ -6,9 +6,9 @@ from collections.abc import Iterator
 
 from ..core import FLOAT_BYTES, MemoryNeed, RunSize, Signature
 from ..errors import UsageError
-from ..orchestrator.machine import memory
 from ..registry import load
 from ..specification import Spec
+from ..system import memory
 
 WORKER_BYTES = 30 << 20
 """Memory of a worker process, beside what it shares with the others."""

@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-import shutil
 from collections.abc import Callable, Iterator, Mapping
 from contextlib import suppress
 from dataclasses import dataclass
@@ -10,6 +9,7 @@ from pathlib import Path
 
 from typing_extensions import override
 
+from .. import system
 from ..evaluation.zero_shot import ZeroShotTest
 from ..experiment.events import RunEvent
 from ..files import write_json
@@ -49,7 +49,7 @@ class _ZeroShotTask(Task):
     @override
     def begin(self) -> Path:
         self.test.write(self.folder)
-        (self.folder / STOP).unlink(missing_ok=True)  # of an earlier process
+        system.remove(self.folder / STOP, missing_ok=True)  # of an earlier process
         write_json(self.folder / LAUNCH, provenance.software())
         return self.folder
 
@@ -59,7 +59,7 @@ class _ZeroShotTask(Task):
 
     @override
     def end(self, problem: str | None) -> Iterator[RunEvent]:
-        shutil.rmtree(self.folder)
+        system.remove_tree(self.folder)
         with suppress(OSError):
             self.folder.parent.rmdir()  # of the last one
         result = self.test.result()

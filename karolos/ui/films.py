@@ -43,7 +43,12 @@ class Films:
             self._problems.pop(self._path, None)
             command = [sys.executable, "-m", "karolos.ui.films", str(folder.path), str(self._path), kind]
             self._process = subprocess.Popen(
-                command, stdin=subprocess.DEVNULL, stdout=subprocess.DEVNULL, stderr=subprocess.PIPE, text=True
+                command,
+                stdin=subprocess.DEVNULL,
+                stdout=subprocess.DEVNULL,
+                stderr=subprocess.PIPE,
+                encoding="utf-8",
+                errors="replace",
             )
 
     def state(self, path: Path) -> str:

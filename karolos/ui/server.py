@@ -13,6 +13,7 @@ from starlette.types import ASGIApp
 
 from ..errors import MachineError
 from ..store import Store
+from ..system import listen_alone
 from .app import Application
 from .guard import LOOPBACK, Guard
 
@@ -35,7 +36,7 @@ def serve(
     """
     family = socket.AF_INET6 if ":" in host else socket.AF_INET
     listener = socket.socket(family)
-    listener.setsockopt(socket.SOL_SOCKET, socket.SO_REUSEADDR, 1)
+    listen_alone(listener)
     try:
         listener.bind((host, port))
         listener.listen(128)

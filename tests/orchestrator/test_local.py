@@ -12,7 +12,8 @@ from support.fake_environments import END, FINE, Fake
 
 from karolos.core import Field, Layout, Signature
 from karolos.orchestrator.local import Local
-from karolos.orchestrator.shared_memory import ALIGNMENT, EnvironmentArrays, SharedBytes
+from karolos.orchestrator.shared_memory import ALIGNMENT, EnvironmentArrays
+from karolos.system import SharedMemory
 
 
 def make(*layout: int, recipe: str = "") -> Local:
@@ -112,7 +113,7 @@ def test_the_arrays_do_not_overlap(n, observation, goal, action, parameters):
 
 
 def test_shared_memory_has_no_name_and_outlives_its_handle():
-    memory = SharedBytes(128)
+    memory = SharedMemory(128)
     content = np.frombuffer(memory.buffer, np.uint8)
     content[:] = 3
     memory.close()

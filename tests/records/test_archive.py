@@ -14,6 +14,7 @@ from pathlib import Path
 import pytest
 from support.run_samples import new_run, result
 
+from karolos import system
 from karolos.errors import MachineError, RunError, UsageError
 from karolos.records import RunFolder, labels
 from karolos.records.archive import export_runs, import_runs
@@ -256,14 +257,14 @@ def test_an_error_between_two_runs_takes_back_the_first(
     description = json.loads((path / "run.json").read_text())
     (path / "run.json").write_text(json.dumps({**description, "id": path.name}))
     export_runs([RunFolder.open(path), run], tmp_path / "y.tar.gz")
-    rename, into = os.rename, tmp_path / "other"
+    rename, into = system.replace, tmp_path / "other"
 
     def fail(source: Path, target: Path) -> None:
         if target == into / run.id:
             raise OSError(errno.ENOSPC, "full")
         rename(source, target)
 
-    monkeypatch.setattr(os, "rename", fail)
+    monkeypatch.setattr(system, "replace", fail)
     with pytest.raises(MachineError, match="disk is full"):
         import_runs(tmp_path / "y.tar.gz", into)
     assert list(into.iterdir()) == []

@@ -222,6 +222,6 @@ def test_twenty_processes_make_the_database_at_once_and_lose_nothing(tmp_path: P
 
 
 def test_sqlite_on_a_network_share_is_refused(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
-    monkeypatch.setattr("karolos.store.database.network_share", lambda path: "nfs4")
+    monkeypatch.setattr("karolos.system.network_share", lambda path: "nfs4")
     with pytest.raises(StoreError, match=r"SQLite loses data on a network share \(nfs4\)"):
         Store(Store.default_url(tmp_path))

@@ -12,8 +12,8 @@ from support.states import assert_same_state
 
 from karolos.core.seeding import SeedTree
 from karolos.errors import KarolosError, UsageError
-from karolos.orchestrator.machine import memory
 from karolos.specification import load_spec, spec_from_dict
+from karolos.system import memory
 from karolos.training.assembly import check_parts, make_agent, make_buffer, make_orchestrator
 from karolos.training.training import Training
 

@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-import os
 import time
 from collections.abc import Callable, Mapping
 from dataclasses import replace
@@ -19,11 +18,12 @@ from ...errors import UsageError
 from ...registry import alternatives, load
 from ...simulation.engines import WINDOWS
 from ...specification.parts import OfKind, Part, Recipe
+from ...system import has_display
 from ..build import build_environment
 from ..robot_task import RobotTask
 
 OBSERVED = ("observation", "achieved_goal", "desired_goal")
-RENDER_MODES = ["human", "rgb_array"] if os.environ.get("DISPLAY") else ["rgb_array"]
+RENDER_MODES = ["human", "rgb_array"] if has_display() else ["rgb_array"]
 """Those that work on this machine: a window needs a display, and `check_env` tries every listed mode."""
 
 Observation = dict[str, NDArray[np.float32]]

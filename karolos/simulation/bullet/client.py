@@ -9,6 +9,7 @@ from threading import Lock
 from typing import Any
 
 from ...errors import MachineError
+from ...system import has_display
 
 _IMPORTING = Lock()
 
@@ -39,7 +40,7 @@ class Client:
     """
 
     def __init__(self, *, window: bool) -> None:
-        if window and not os.environ.get("DISPLAY"):  # pybullet would end the process
+        if window and not has_display():  # pybullet would end the process
             raise MachineError("no display to show a window on", hint="set DISPLAY, or run without a window")
         self._module = pybullet = _pybullet()
         self._number = pybullet.connect(pybullet.GUI if window else pybullet.DIRECT)

@@ -147,7 +147,7 @@ def _read(place):
 
 _FOLDER = Path(mujoco.__file__).parent
 binding.load_library_permanently(
-    str(next(file for name in ("libmujoco.so*", "libmujoco.*dylib") for file in _FOLDER.glob(name)))
+    str(next(file for name in ("libmujoco.so*", "libmujoco.*dylib", "mujoco.dll") for file in _FOLDER.glob(name)))
 )
 _step1 = types.ExternalFunction("mj_step1", types.void(types.int64, types.int64))
 _step2 = types.ExternalFunction("mj_step2", types.void(types.int64, types.int64))

@@ -1,4 +1,4 @@
-"""MuJoCo's OpenGL renderer, without a display: EGL, else OSMesa."""
+"""MuJoCo's OpenGL renderer, without a window that shows."""
 
 from __future__ import annotations
 
@@ -11,6 +11,7 @@ from numpy.typing import NDArray
 
 from ...core import FloatArray
 from ...errors import MachineError
+from ...system import RENDERER_HINT, RENDERERS
 from ..picture import Eye
 
 DRAWN = (False, True, False, False, False, False)
@@ -65,7 +66,7 @@ class Renderer:
 def _context(width: int, height: int) -> Any:
     """An OpenGL context. Raises MachineError when the machine offers none."""
     problems = []
-    for name in ("egl", "osmesa"):
+    for name in RENDERERS:
         platform = os.environ.pop("PYOPENGL_PLATFORM", None)
         try:
             return import_module(f"mujoco.{name}").GLContext(width, height)
@@ -75,5 +76,5 @@ def _context(width: int, height: int) -> Any:
                 os.environ["PYOPENGL_PLATFORM"] = platform
     raise MachineError(
         f"MuJoCo finds no OpenGL to draw with ({'; '.join(problems)})",
-        hint="apt install libegl1 libgl1-mesa-dri, or libosmesa6; and pip install pyopengl",
+        hint=RENDERER_HINT,
     )

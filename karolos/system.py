@@ -1,0 +1,473 @@
+"""What differs between Linux, macOS and Windows: locks, processes, signals, memory, and files that others have open.
+
+No other module asks for the system. A function promises the same on each system; where one cannot keep it, the
+docstring says so.
+"""
+
+from __future__ import annotations
+
+import errno
+import mmap
+import multiprocessing
+import os
+import secrets
+import select
+import shutil
+import signal
+import socket
+import sys
+import tempfile
+import threading
+import time
+from collections.abc import Callable, Iterator
+from contextlib import contextmanager, suppress
+from multiprocessing import connection, reduction
+from multiprocessing.context import BaseContext
+from pathlib import Path
+from typing import Any, Generic, TypeVar
+
+LINUX, WINDOWS = sys.platform == "linux", sys.platform == "win32"
+"""Read when a function is called, so that tests can imitate another system."""
+PATIENCE_SECONDS = 2.0
+"""How long a file is tried to be moved or removed on Windows while a reader has it open."""
+T = TypeVar("T")
+
+# Processes and signals
+
+STOP_SIGNALS = tuple(
+    getattr(signal, name) for name in ("SIGTERM", "SIGINT", "SIGUSR1", "SIGHUP", "SIGBREAK") if hasattr(signal, name)
+)
+"""Signals that ask a program to end, those of terminals and batch systems included."""
+REQUEUED: int | None = getattr(signal, "SIGUSR1", None)
+"""The signal of a batch system that starts the job again; None on Windows."""
+ALARM: signal.Signals = getattr(signal, "SIGALRM", signal.SIGABRT)
+"""The signal that `alarms` raises."""
+CLOSED_PIPE = (errno.EPIPE, errno.EINVAL) if WINDOWS else (errno.EPIPE,)
+"""Error numbers of writing to a pipe whose reader has ended."""
+
+
+def process_context() -> BaseContext:
+    """The context of multiprocessing in which worker processes start. macOS' own libraries are not safe to fork."""
+    return multiprocessing.get_context("forkserver" if LINUX else "spawn")
+
+
+if sys.platform == "win32":
+    import _winapi
+    import ctypes
+    import msvcrt
+    from ctypes import wintypes
+
+    _KERNEL: Any = ctypes.WinDLL("kernel32", use_last_error=True)
+    _KERNEL.GetCurrentProcess.restype = wintypes.HANDLE
+    _KERNEL.SetPriorityClass.argtypes = wintypes.HANDLE, wintypes.DWORD
+    _KERNEL.LockFileEx.argtypes = (
+        (wintypes.HANDLE, wintypes.DWORD, wintypes.DWORD, wintypes.DWORD, wintypes.DWORD, ctypes.c_void_p)
+    )  # fmt: skip
+    _KERNEL.GetDriveTypeW.argtypes = (wintypes.LPCWSTR,)
+    _BELOW_NORMAL = 0x4000
+    _SYNCHRONIZE = 0x100000
+    _NOW, _EXCLUSIVE, _LOCKED = 1, 2, 33
+    _REMOTE = 4
+
+    class _Overlapped(ctypes.Structure):
+        _fields_ = (
+            ("internal", ctypes.c_void_p * 2),
+            ("offset", wintypes.DWORD),
+            ("offset_high", wintypes.DWORD),
+            ("event", wintypes.HANDLE),
+        )
+
+    class _Memory(ctypes.Structure):
+        _fields_ = (("length", wintypes.DWORD), ("load", wintypes.DWORD), ("bytes", ctypes.c_uint64 * 7))
+
+    def _try_lock(descriptor: int, *, shared: bool) -> bool:
+        place = _Overlapped(offset_high=0x40000000)  # one byte far beyond the end: others can read the content
+        flags = _NOW | (0 if shared else _EXCLUSIVE)
+        if _KERNEL.LockFileEx(msvcrt.get_osfhandle(descriptor), flags, 0, 1, 0, ctypes.byref(place)):
+            return True
+        if ctypes.get_last_error() == _LOCKED:
+            return False
+        raise ctypes.WinError(ctypes.get_last_error())
+
+    def _is_alive(process: int) -> bool:
+        try:
+            handle = _winapi.OpenProcess(_SYNCHRONIZE, False, process)
+        except PermissionError:  # it belongs to another user
+            return True
+        except OSError:
+            return False
+        try:
+            return bool(_winapi.WaitForSingleObject(handle, 0) == _winapi.WAIT_TIMEOUT)
+        finally:
+            _winapi.CloseHandle(handle)
+
+    def _has_ended(descriptor: int) -> bool:
+        try:
+            return _winapi.PeekNamedPipe(msvcrt.get_osfhandle(descriptor), 0)[0] != 0
+        except BrokenPipeError:
+            return True
+        except OSError:
+            return False
+
+    def _lower_priority(niceness: int) -> None:  # noqa: ARG001
+        _KERNEL.SetPriorityClass(_KERNEL.GetCurrentProcess(), _BELOW_NORMAL)
+
+    def _memory() -> int:
+        found = _Memory(length=ctypes.sizeof(_Memory))
+        _KERNEL.GlobalMemoryStatusEx(ctypes.byref(found))
+        return int(found.bytes[0])
+
+    def _share_of(path: Path) -> str | None:
+        return "network" if _KERNEL.GetDriveTypeW(path.anchor) == _REMOTE else None
+
+    def _sync(descriptor: int) -> None:
+        os.fsync(descriptor)
+
+else:
+    import fcntl
+
+    def _try_lock(descriptor: int, *, shared: bool) -> bool:
+        try:
+            fcntl.flock(descriptor, (fcntl.LOCK_SH if shared else fcntl.LOCK_EX) | fcntl.LOCK_NB)
+        except BlockingIOError:
+            return False
+        return True
+
+    def _is_alive(process: int) -> bool:
+        try:
+            os.kill(process, 0)
+        except (ProcessLookupError, OverflowError):
+            return False
+        except PermissionError:  # it belongs to another user
+            pass
+        return True
+
+    def _has_ended(descriptor: int) -> bool:
+        return bool(select.select([descriptor], [], [], 0)[0])
+
+    def _lower_priority(niceness: int) -> None:
+        os.nice(niceness)
+
+    def _memory() -> int:
+        return os.sysconf("SC_PAGE_SIZE") * os.sysconf("SC_PHYS_PAGES")
+
+    def _share_of(path: Path) -> str | None:
+        return _share_in(path, Path("/proc/self/mounts")) if LINUX else _share_by_statfs(path)
+
+    def _sync(descriptor: int) -> None:
+        if sys.platform == "darwin":
+            with suppress(OSError):  # a file system without it
+                fcntl.fcntl(descriptor, fcntl.F_FULLFSYNC)  # the disk's own cache as well, which fsync leaves out
+                return
+        os.fsync(descriptor)
+
+
+def is_alive(process: int) -> bool:
+    """Whether a process of this machine has this id."""
+    return _is_alive(process)
+
+
+def has_ended(descriptor: int) -> bool:
+    """Whether the process at the other end of a pipe has ended, or has sent something. Does not wait."""
+    return _has_ended(descriptor)
+
+
+def lower_priority(niceness: int) -> None:
+    """Let this process step back behind others, as nice(1) does; on Windows by one class of priority."""
+    _lower_priority(niceness)
+
+
+def own_group() -> dict[str, Any]:
+    """Arguments of `subprocess.Popen` for a process that Ctrl-C in this terminal does not reach."""
+    return {"creationflags": 0x200} if WINDOWS else {"process_group": 0}
+
+
+def detached() -> dict[str, Any]:
+    """Arguments of `subprocess.Popen` for a process that outlives this terminal."""
+    return {"creationflags": 0x200 | 0x8} if WINDOWS else {"start_new_session": True}
+
+
+def ended_by(code: int) -> str | None:
+    """The signal or exception that ended a process with this exit code, e.g. SIGKILL; None: it ended by itself."""
+    if code < 0:
+        return signal.Signals(-code).name if -code in set(signal.Signals) else f"signal {-code}"
+    return f"exception {code:#x}" if code >= 0xC0000000 else None
+
+
+@contextmanager
+def alarms(first: float | None, again: float) -> Iterator[None]:
+    """Raise ALARM in the main thread `first` seconds from now and then every `again` seconds, until the block ends.
+
+    On Windows it does not interrupt a call of the system that waits. None: no alarm.
+    """
+    if first is None:
+        yield
+    elif hasattr(signal, "setitimer") and not WINDOWS:
+        signal.setitimer(signal.ITIMER_REAL, first, again)
+        try:
+            yield
+        finally:
+            signal.setitimer(signal.ITIMER_REAL, 0)
+    else:
+        over = threading.Event()
+        threading.Thread(target=_raise_alarms, args=(over, first, again), daemon=True).start()
+        try:
+            yield
+        finally:
+            over.set()
+
+
+def _raise_alarms(over: threading.Event, first: float, again: float) -> None:
+    import _thread  # noqa: PLC0415
+
+    seconds = first
+    while not over.wait(seconds):
+        _thread.interrupt_main(ALARM)
+        seconds = again
+
+
+# The machine
+
+
+def cores(jobs: int = 1) -> int:
+    """CPU cores for each of `jobs` processes: an equal share of those that this process may use, at least 1.
+
+    On Linux a job scheduler restricts a process to the cores of its job.
+    """
+    return max((len(os.sched_getaffinity(0)) if LINUX else os.cpu_count() or 1) // jobs, 1)
+
+
+def memory() -> int:
+    """Bytes of the machine's memory, or of the control group of this process (a container), on Linux."""
+    limits = [_memory()]
+    for file in _limit_files():
+        with suppress(OSError, ValueError):  # "max": without a limit
+            limits.append(int(file.read_text("utf-8")))
+    return min(limits)
+
+
+def _limit_files() -> Iterator[Path]:
+    """The files with the memory limits of this process's control groups, of version 2 and of version 1."""
+    try:
+        lines = Path("/proc/self/cgroup").read_text("utf-8").splitlines()
+    except OSError:
+        return
+    for line in lines:
+        _, controllers, name = line.split(":", 2)
+        root, file = Path("/sys/fs/cgroup"), "memory.max"
+        if controllers == "memory":
+            root, file = root / "memory", "memory.limit_in_bytes"
+        elif controllers:
+            continue
+        own = root / name.lstrip("/")
+        yield from (folder / file for folder in (own, *own.parents) if root in (folder, *folder.parents))
+
+
+def has_display() -> bool:
+    """Whether a window can be shown."""
+    return not LINUX or bool(os.environ.get("DISPLAY") or os.environ.get("WAYLAND_DISPLAY"))
+
+
+RENDERERS = ("egl", "osmesa") if LINUX else ("glfw",) if WINDOWS else ("cgl",)
+"""MuJoCo's modules for pictures, in the order in which they are tried."""
+RENDERER_HINT = (
+    "apt install libegl1 libgl1-mesa-dri, or libosmesa6; and pip install pyopengl"
+    if LINUX
+    else "pip install glfw pyopengl"
+    if WINDOWS
+    else "pip install pyopengl, and stay logged in at the screen"
+)
+
+
+def listen_alone(listener: socket.socket) -> None:
+    """Let no other program listen on the same port, and let the next one listen as soon as this one has ended."""
+    exclusive = getattr(socket, "SO_EXCLUSIVEADDRUSE", None)
+    listener.setsockopt(socket.SOL_SOCKET, socket.SO_REUSEADDR if exclusive is None else exclusive, 1)
+
+
+def use_utf8() -> None:
+    """Print any character, also where Windows' own encoding lacks it."""
+    if WINDOWS:
+        for stream in (sys.stdout, sys.stderr):
+            stream.reconfigure(encoding="utf-8", errors="replace")  # type: ignore[union-attr]
+
+
+# Files
+
+
+BINARY: int = getattr(os, "O_BINARY", 0)
+"""A flag of `os.open` for files that are read and written as they are."""
+RESERVED_NAMES = frozenset(("con prn aux nul " + " ".join(f"com{n} lpt{n}" for n in range(1, 10))).split())
+"""Names that no file may have on Windows, with any ending."""
+
+
+def try_lock(descriptor: int, *, shared: bool = False) -> bool:
+    """Lock an open file without waiting; returns whether it succeeded. The lock ends with the descriptor.
+
+    Raises:
+        OSError: the file system has no locks.
+    """
+    return _try_lock(descriptor, shared=shared)
+
+
+def sync(descriptor: int) -> None:
+    """Write an open file to the disk, where it outlives a power cut."""
+    _sync(descriptor)
+
+
+def sync_folder(folder: Path) -> None:
+    """Write the names in a folder to the disk. Windows does so itself."""
+    if WINDOWS:
+        return
+    descriptor = os.open(folder, os.O_RDONLY)
+    try:
+        _sync(descriptor)
+    finally:
+        os.close(descriptor)
+
+
+def replace(source: str | Path, target: str | Path) -> None:
+    """Move a file over another one, or a folder to a free name, as os.replace does."""
+    _patiently(lambda: os.replace(source, target))
+
+
+def remove(path: str | Path, *, missing_ok: bool = False) -> None:
+    """Remove a file."""
+    with suppress(*([FileNotFoundError] if missing_ok else [])):
+        _patiently(lambda: os.unlink(path))
+
+
+def remove_tree(path: str | Path, *, ignore_errors: bool = False) -> None:
+    """Remove a folder and what it holds."""
+    with suppress(*([OSError] if ignore_errors else [])):
+        _patiently(lambda: shutil.rmtree(path))
+
+
+def _patiently(change: Callable[[], None]) -> None:
+    """Change a file; on Windows again until no reader has it open."""
+    deadline = time.monotonic() + PATIENCE_SECONDS
+    while True:
+        try:
+            change()
+        except PermissionError:
+            if not WINDOWS or time.monotonic() >= deadline:
+                raise
+            time.sleep(0.02)
+        else:
+            return
+
+
+def is_own(status: os.stat_result) -> bool:
+    """Whether a file belongs to the user of this process; true of all files on Windows."""
+    return WINDOWS or status.st_uid == os.getuid()
+
+
+NETWORK_SHARES = ("nfs", "nfs4", "cifs", "smb3", "smbfs", "fuse.sshfs")
+"""Types of file systems whose locks cannot be trusted."""
+_LOCAL = 0x1000
+"""MNT_LOCAL of macOS' statfs."""
+
+
+def network_share(path: Path) -> str | None:
+    """The type of the network share that contains a path; None if it is on a disk of this machine, or unknown."""
+    return _share_of(path.resolve())
+
+
+def _share_in(path: Path, mounts: Path) -> str | None:
+    try:
+        lines = [line.split() for line in mounts.read_text("utf-8").splitlines()]
+    except OSError:
+        return None
+    found = {len(line[1]): line[2] for line in lines if path.is_relative_to(line[1].replace("\\040", " "))}
+    kind = found[max(found)] if found else ""
+    return kind if kind in NETWORK_SHARES else None
+
+
+def _share_by_statfs(path: Path) -> str | None:
+    """As `network_share` on macOS. Source: sys/mount.h, struct statfs with 64-bit inodes: f_flags, f_fstypename."""
+    import ctypes  # noqa: PLC0415
+
+    found = (ctypes.c_char * 4096)()
+    call = getattr(ctypes.CDLL(None), "statfs", None)
+    while not path.exists():
+        path = path.parent
+    if call is None or call(os.fsencode(path), found):
+        return None
+    local = int.from_bytes(found.raw[64:68], sys.byteorder) & _LOCAL
+    return None if local else found.raw[72:88].split(b"\0")[0].decode()
+
+
+# Waiting for workers, and memory that is shared with them
+
+
+class Poller(Generic[T]):
+    """Waits for connections of multiprocessing with a message or an end. Half as slow as a selector of Python."""
+
+    def __init__(self) -> None:
+        self._items: dict[int, tuple[Any, T]] = {}
+        self._poll = select.poll() if hasattr(select, "poll") and not WINDOWS else None
+
+    def add(self, one: Any, item: T) -> None:
+        """Wait for this connection, too; `item` stands for it."""
+        self._items[one.fileno()] = one, item
+        if self._poll is not None:
+            self._poll.register(one, select.POLLIN)
+
+    def remove(self, one: Any) -> None:
+        """Wait no longer for a connection, which is still open."""
+        del self._items[one.fileno()]
+        if self._poll is not None:
+            self._poll.unregister(one)
+
+    def ready(self, seconds: float) -> list[T]:
+        """The items whose connections can be read; waits up to `seconds` for one."""
+        if self._poll is not None:
+            return [self._items[number][1] for number, _ in self._poll.poll(1e3 * seconds)]
+        try:
+            found = connection.wait([one for one, _ in self._items.values()], seconds)
+        except InterruptedError:  # Ctrl-C on Windows: its handler has run
+            return []
+        return [item for one, item in self._items.values() if one in found]
+
+
+class SharedMemory:
+    """Memory that other processes can map. The system frees it with the last process that holds it."""
+
+    def __init__(self, size: int) -> None:
+        self._descriptor, self._name = -1, f"karolos-{os.getpid()}-{secrets.token_hex(8)}"
+        self.buffer: Any
+        if sys.platform == "win32":
+            self.buffer = mmap.mmap(-1, size, tagname=self._name)
+            return
+        if LINUX:
+            self._descriptor = os.memfd_create("karolos")
+        else:
+            self._descriptor, path = tempfile.mkstemp()
+            os.unlink(path)
+        os.ftruncate(self._descriptor, size)
+        self.buffer = mmap.mmap(self._descriptor, size)
+
+    def send(self, one: Any) -> None:
+        """Let the process at the other end of the connection map the memory."""
+        if sys.platform == "win32":
+            one.send(self._name)
+        else:
+            reduction.send_handle(one, self._descriptor, 0)
+
+    @staticmethod
+    def receive(one: Any, size: int) -> Any:
+        """Receive the memory from `send`: a writable buffer, mapped while something refers to it."""
+        if sys.platform == "win32":
+            return mmap.mmap(-1, size, tagname=one.recv())
+        descriptor = reduction.recv_handle(one)
+        try:
+            return mmap.mmap(descriptor, size)
+        finally:
+            os.close(descriptor)
+
+    def close(self) -> None:
+        """Release the memory; it stays mapped while arrays refer to it. Safe to call twice."""
+        self.buffer = None
+        if self._descriptor >= 0:
+            os.close(self._descriptor)
+            self._descriptor = -1
