@@ -26,7 +26,7 @@ from multiprocessing.context import BaseContext
 from pathlib import Path
 from typing import Any, Generic, TypeVar
 
-LINUX, WINDOWS = sys.platform == "linux", sys.platform == "win32"
+LINUX, MACOS, WINDOWS = (sys.platform == name for name in ("linux", "darwin", "win32"))
 """Read when a function is called, so that tests can imitate another system."""
 PATIENCE_SECONDS = 2.0
 """How long a file is tried to be moved or removed on Windows while a reader has it open."""
@@ -439,11 +439,11 @@ class SharedMemory:
         if sys.platform == "win32":
             self.buffer = mmap.mmap(-1, size, tagname=self._name)
             return
-        if LINUX:
-            self._descriptor = os.memfd_create("karolos")
-        else:
+        if MACOS:
             self._descriptor, path = tempfile.mkstemp()
             os.unlink(path)
+        else:
+            self._descriptor = os.memfd_create("karolos")
         os.ftruncate(self._descriptor, size)
         self.buffer = mmap.mmap(self._descriptor, size)
 

@@ -114,7 +114,7 @@ class SlurmLauncher(Launcher):
         """Submit the new runs as one array job, but those whose job of an earlier driver goes on."""
         for folder in list(self._new):
             job = folder / JOB
-            if job.exists() and (name := job.read_text().strip()) in states:
+            if job.exists() and (name := job.read_text("utf-8").strip()) in states:
                 self._active[name] = folder
                 self._new.remove(folder)
         if not self._new:

@@ -1,0 +1,96 @@
+"""Karolos on Windows and macOS, imitated on Linux: what these systems lack is hidden from its modules.
+
+`tests/support/elsewhere/sitecustomize.py` says what is imitated and what is not.
+"""
+
+from __future__ import annotations
+
+import ast
+import importlib.util
+import json
+import os
+import subprocess
+import sys
+from collections.abc import Iterator
+from pathlib import Path
+
+import pytest
+
+ROOT = Path(__file__).parents[1]
+ELSEWHERE = ROOT / "tests" / "support" / "elsewhere"
+OWN = sorted(path for folder in ("karolos", "cli") for path in (ROOT / folder).rglob("*.py"))
+
+
+def hidden() -> tuple[set[str], set[tuple[str, str]]]:
+    """Modules, and names of modules, that another system lacks."""
+    spec = importlib.util.spec_from_file_location("elsewhere", ELSEWHERE / "sitecustomize.py")
+    assert spec is not None
+    assert spec.loader is not None
+    imitation = importlib.util.module_from_spec(spec)
+    spec.loader.exec_module(imitation)
+    modules = {name for names in imitation.MODULES.values() for name in names.split()}
+    by_module = [pair for names in imitation.NAMES.values() for pair in names.items()]
+    return modules, {(module, name) for module, names in by_module for name in names.split()}
+
+
+def faults(source: str) -> Iterator[str]:
+    """What in a module another system lacks, or understands in another way."""
+    modules, names = hidden()
+    for node in ast.walk(ast.parse(source)):
+        if isinstance(node, ast.Import):
+            yield from (f"{node.lineno}: import {one.name}" for one in node.names if one.name in modules)
+        elif isinstance(node, ast.ImportFrom) and not node.level:
+            if node.module in modules:
+                yield f"{node.lineno}: from {node.module}"
+            lacking = [one.name for one in node.names if (str(node.module), one.name) in names]
+            yield from (f"{node.lineno}: from {node.module} import {name}" for name in lacking)
+        elif isinstance(node, ast.Attribute) and (ast.unparse(node.value), node.attr) in names:
+            yield f"{node.lineno}: {ast.unparse(node)}"
+        elif isinstance(node, ast.Call):
+            yield from faults_of_call(node)
+
+
+def faults_of_call(call: ast.Call) -> Iterator[str]:
+    """Files opened without an encoding are found by ruff (PLW1514)."""
+    function, text = ast.unparse(call.func), ast.unparse(call)
+    keywords = {one.arg for one in call.keywords}
+    if function.startswith("subprocess.") and "text" in keywords and "encoding" not in keywords:
+        yield f"{call.lineno}: no encoding in {text}"
+    if function == "os.kill" and ast.unparse(call.args[1]) == "0":
+        yield f"{call.lineno}: {text} sends Ctrl-C on Windows"
+
+
+def test_only_one_module_uses_what_another_system_lacks() -> None:
+    found = {str(path.relative_to(ROOT)): list(faults(path.read_text("utf-8"))) for path in OWN}
+    assert {name: problems for name, problems in found.items() if problems and name != "karolos/system.py"} == {}
+
+
+@pytest.mark.parametrize(
+    "line",
+    ["import fcntl", "import os; os.kill(pid, 0)", "import os; os.getuid()", "subprocess.run(command, text=True)"],
+)
+def test_a_fault_is_found(line: str) -> None:
+    assert list(faults(line))
+
+
+@pytest.mark.parametrize("as_system", ["windows", "macos"])
+def test_runs_are_made_stopped_resumed_and_compared(as_system: str, tmp_path: Path) -> None:
+    """Two processes of runs with a worker each; the training episodes are those of Linux."""
+    environment = os.environ | {"KAROLOS_AS": as_system, "PYTHONPATH": os.pathsep.join([str(ELSEWHERE), str(ROOT)])}
+
+    def karolos(*words: str, here: bool = False) -> str:
+        command = [sys.executable, "-X", "warn_default_encoding", "-m", "karolos_cli", *words]
+        done = subprocess.run(
+            command, cwd=tmp_path, env=None if here else environment, capture_output=True, encoding="utf-8", check=False
+        )
+        assert done.returncode == 0, done.stderr
+        return done.stdout
+
+    karolos("run", "karolos:smoke/toy", "seeds=[0,1]", "--jobs", "2", "--quiet")
+    karolos("run", "karolos:smoke/toy", "--runs", "linux", "--quiet", here=True)
+    elsewhere, there = (sorted((tmp_path / runs).glob("*-s0-*"))[0] for runs in ("runs", "linux"))
+    assert (elsewhere / "episodes.jsonl").read_bytes() == (there / "episodes.jsonl").read_bytes()
+    assert "smoke_toy" in karolos("compare", "smoke_toy")
+    karolos("runs", "rm", elsewhere.name)
+    karolos("runs", "restore", elsewhere.name)
+    assert {row["state"] for row in json.loads(karolos("runs", "list", "--json"))} == {"finished"}
