@@ -93,4 +93,5 @@ def test_runs_are_made_stopped_resumed_and_compared(as_system: str, tmp_path: Pa
     assert "smoke_toy" in karolos("compare", "smoke_toy")
     karolos("runs", "rm", elsewhere.name)
     karolos("runs", "restore", elsewhere.name)
-    assert {row["state"] for row in json.loads(karolos("runs", "list", "--json"))} == {"finished"}
+    rows = map(json.loads, karolos("runs", "list", "--json").splitlines())
+    assert {row["state"] for row in rows} == {"finished"}
