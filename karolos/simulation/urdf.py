@@ -11,7 +11,7 @@ import re
 from collections import Counter, defaultdict
 from collections.abc import Iterable, Mapping
 from dataclasses import dataclass
-from functools import cache
+from functools import lru_cache
 from math import hypot, nan, pi
 from pathlib import Path
 from xml.etree import ElementTree
@@ -162,8 +162,8 @@ def text_of(path: Path) -> str:
         raise PluginError("not in UTF-8", where=f"{path}:{line}", hint="save it as UTF-8") from None
 
 
-def parse(path: Path) -> tuple[Element, dict[Element, int]]:
-    """The root of an XML file, and the line of each element. Raises PluginError for a file that is not XML."""
+def parse(path: Path, text: str) -> tuple[Element, dict[Element, int]]:
+    """The root of an XML file with this text, and the line of each element. Raises PluginError where it is not XML."""
     lines: dict[Element, int] = {}
     builder, parser = ElementTree.TreeBuilder(), expat.ParserCreate("utf-8", "}")
 
@@ -176,7 +176,7 @@ def parse(path: Path) -> tuple[Element, dict[Element, int]]:
     parser.StartElementHandler, parser.EndElementHandler = start, builder.end
     parser.EntityDeclHandler = refuse_entity
     try:
-        parser.Parse(text_of(path).encode(), True)
+        parser.Parse(text.encode(), True)
     except expat.ExpatError as error:
         hint = "a robot needs a valid URDF"
         raise PluginError(f"not an XML file: {error}", where=str(path), hint=hint) from None
@@ -186,9 +186,9 @@ def parse(path: Path) -> tuple[Element, dict[Element, int]]:
 class _Source:
     """What is known of a URDF, with the place of each element."""
 
-    def __init__(self, path: Path) -> None:
+    def __init__(self, path: Path, text: str) -> None:
         self.path = path
-        root, lines = parse(path)
+        root, lines = parse(path, text)
         self.places = {element: f"{path}:{line}" for element, line in lines.items()}
         """Where each element stands."""
         if any("ros.org/wiki/xacro" in element.tag for element in root):
@@ -262,10 +262,9 @@ def read(path: Path) -> Element:
 
     Raises PluginError when the file is missing or not a URDF; it names the element and its line.
     """
-    return _Source(path).robot
+    return _Source(path, text_of(path)).robot
 
 
-@cache
 def load(
     path: Path,
     locked: tuple[tuple[str, float], ...] = (),
@@ -274,7 +273,7 @@ def load(
     driven: bool = True,
     mount: Mount | None = None,
 ) -> Description:
-    """What is simulated of a URDF. The result is shared and must not be changed.
+    """What is simulated of a URDF. The result is shared until the file changes, and must not be changed.
 
     Fixed joints and locked joints are merged, with the links that they move, into their parents. What exporters write
     for other programs (transmissions, ros2_control, gazebo, mimic, safety controllers) is left out. A continuous joint
@@ -292,9 +291,24 @@ def load(
     Raises:
         PluginError: names the joint or link that is not as a URDF must be, or that cannot be simulated, and its line.
     """
-    source = _Source(path)
+    texts = text_of(path), text_of(mount.path) if mount else ""
+    return _load(path, texts, locked, slides, (strict, driven), mount)
+
+
+@lru_cache(maxsize=256)
+def _load(
+    path: Path,
+    texts: tuple[str, str],
+    locked: tuple[tuple[str, float], ...],
+    slides: tuple[str, ...],
+    how: tuple[bool, bool],
+    mount: Mount | None,
+) -> Description:
+    """`load` of files with these texts: of the robot, and of the gripper that is mounted."""
+    strict, driven = how
+    source = _Source(path, texts[0])
     if mount is not None:
-        _mount(source, mount)
+        _mount(source, mount, texts[1])
     robot, order = source.robot, _tree(source)
     held = _held(order, dict(locked), path)
     carriers: dict[str, str] = {}
@@ -329,12 +343,12 @@ def load(
     return Description(robot, tuple(found), carriers, frames, tuple(corrected))
 
 
-def _mount(source: _Source, mount: Mount) -> None:
+def _mount(source: _Source, mount: Mount, text: str) -> None:
     """Add a gripper to an arm, its base merged into the link that carries it.
 
     Masses are rounded to 6 digits and positions to 1e-12 m, so that the sums of decimals are decimals.
     """
-    gripper = _Source(mount.path)
+    gripper = _Source(mount.path, text)
     order = _tree(gripper)
     base = link_of(order[0], "parent") if order else gripper.robot.findall("link")[0].get("name", "")
     carrier = next((link for link in source.robot.findall("link") if link.get("name") == mount.link), None)
