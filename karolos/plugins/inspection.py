@@ -15,10 +15,12 @@ from ..environments.robot_task import RobotTask
 from ..evaluation.testing import test_seeds
 from ..randomization.randomization import RandomizedParameter
 from ..registry import blaming, load, names
+from ..robots.model import ArmModel
 from ..simulation.engines import Engine, make_world
 from ..simulation.interface import Camera, Cup, Gripper, TaskNeeds
 from .contracts.case import candidate
 from .contracts.joined import CONTROLS, join
+from .proposal import doubts
 
 Facts = dict[str, Any]
 """One row: names of columns and JSON-able values."""
@@ -64,6 +66,8 @@ def inspect_robot(name: str, *, size: tuple[int, int] | None = (960, 720)) -> In
     }
     if (grip := first.gripper) is not None:
         tables["gripper"] = [_grip(grip)]
+    if isinstance(model := getattr(plugin, "model", None), ArmModel):
+        tables |= {"doubts": found} if (found := [{"doubted": line} for line in doubts(model.description)]) else {}
     for mode, robot in robots.items():
         suffix = f" ({mode})" if mode else ""
         tables[f"action{suffix}"] = _fields(robot.action)

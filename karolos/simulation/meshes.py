@@ -228,7 +228,11 @@ def check_size(path: Path, scale: float | Sequence[float]) -> None:
     """Refuse a mesh whose size in m shows that its unit is another. Raises PluginError."""
     size = float((np.ptp(triangles(path).reshape(-1, 3), axis=0) * np.abs(scale)).max())
     if not LEAST_PART <= size <= LARGEST_PART:
-        hint = "in millimetres? set scale: 0.001" if size > LARGEST_PART else "is it in metres already?"
+        hint = (
+            "in millimetres? set scale: 0.001 (in a URDF on each axis)"
+            if size > LARGEST_PART
+            else "is it in metres already?"
+        )
         raise PluginError(f"a part of {size:.3g} m", where=str(path), hint=hint)
 
 
@@ -293,9 +297,9 @@ def _ascii_stl(data: bytes, path: Path) -> NDArray[np.float32]:
         except ValueError:
             line = text.count(b"\n", 0, word.start()) + 1
             raise PluginError("not a corner of three numbers", where=f"{path}:{line}") from None
-    facets = len(re.findall(rb"(?i)\bfacet\b", text))
-    if len(corners) != 3 * facets:
-        raise PluginError(f"{facets} triangles with {len(corners)} corners: a damaged file", where=str(path))
+    facets, ends = len(re.findall(rb"(?i)\bfacet\b", text)), data.lower()
+    if len(corners) != 3 * facets or ends.rfind(b"endsolid") < ends.rfind(b"endfacet"):
+        raise PluginError(f"cut off, or damaged: {facets} triangles, {len(corners)} corners", where=str(path))
     return np.array(corners, np.float32).reshape(-1, 3, 3)
 
 

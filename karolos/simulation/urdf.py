@@ -384,7 +384,7 @@ def _mount(source: _Source, mount: Mount, text: str) -> None:
         for origin in element.findall("origin"):
             place = (round(float(value), 12) + 0.0 for value in origin.get("xyz", "").split())
             origin.set("xyz", " ".join(map(repr, place)))
-    mass, centre, tensor = _inertia(carrier)
+    mass, centre, tensor = inertia_of(carrier)
     _set_inertia(carrier, _six(mass), np.vectorize(_six)(centre), np.vectorize(_six)(tensor))
 
 
@@ -538,7 +538,7 @@ def _check_link(link: Element, source: _Source, *, base: bool, least: float) -> 
         base: whether it is fixed and needs no mass.
         least: mass in kg to which it is raised, and its inertia with it.
     """
-    mass, centre, tensor = _inertia(link)
+    mass, centre, tensor = inertia_of(link)
     moments, axes = np.linalg.eigh(tensor)
     if base:
         if link.find("inertial") is None or moments[0] < 0:  # an engine would guess, or refuse it
@@ -668,7 +668,7 @@ def _set_origin(element: Element, translation: Array, rotation: Array) -> None:
     origin.set("rpy", " ".join(repr(value) for value in roll_pitch_yaw(rotation)))
 
 
-def _inertia(link: Element) -> tuple[float, Array, Array]:
+def inertia_of(link: Element) -> tuple[float, Array, Array]:
     """Mass, centre of mass (3,) and inertia (3, 3) about it, in the link's frame."""
     inertial = link.find("inertial")
     if inertial is None:
@@ -684,8 +684,8 @@ def _inertia(link: Element) -> tuple[float, Array, Array]:
 
 def _merge_inertia(parent: Element, child: Element, translation: Array, rotation: Array) -> None:
     """Add the child's mass to its parent's: parallel-axis theorem."""
-    parts = [_inertia(parent)]
-    mass, centre, tensor = _inertia(child)
+    parts = [inertia_of(parent)]
+    mass, centre, tensor = inertia_of(child)
     if not mass:  # a frame without a body
         return
     parts.append((mass, translation + rotation @ centre, rotation @ tensor @ rotation.T))
