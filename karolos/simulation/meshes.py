@@ -177,7 +177,7 @@ def _enclosed_wrongly(found: NDArray[np.float32]) -> float:
                 for time, length in zip(times.tolist(), np.diff(heights[order]).tolist(), strict=False):
                     lengths[time] += length
         del lengths[0]
-        shares.append(1 - max(lengths[1], lengths[-1]) / max(lengths.total(), 1e-9))
+        shares.append(1 - max(lengths[1], lengths[-1]) / lengths.total() if lengths.total() else 0.0)
     return max(shares)
 
 
@@ -206,21 +206,13 @@ def _moments(corners: NDArray[np.float32], faces: NDArray[np.intp], *, convex: b
 
 
 def warn_of_hull(path: Path, *, weighed: bool = False, accepted: bool = False) -> None:
-    """Say where a mesh is taken for its convex hull, which is not the same.
-
-    Args:
-        path: of the mesh.
-        weighed: whether its mass or inertia follows from what it encloses.
-        accepted: whether it was said what collides.
-    """
+    """Say that a mesh whose mass follows from it (`weighed`), or that collides, is taken for its convex hull."""
     found = solid(path)
-    hint = "collision='decomposed' keeps it, collision='convex' accepts it"
     if found.flaw and weighed:
-        what = (
-            f"{found.flaw}: its volume and inertia are those of its convex hull; repair the mesh, in a CAD or Blender"
-        )
-        warnings.warn(f"{path}: {what}", stacklevel=4)
+        hint = "its volume and inertia are those of its convex hull; repair the mesh, in a CAD or Blender"
+        warnings.warn(f"{path}: {found.flaw}: {hint}", stacklevel=4)
     elif found.filled and not accepted:
+        hint = "collision='decomposed' keeps it, collision='convex' accepts it"
         warnings.warn(f"{path}: its convex hull, which collides, fills {found.filled}; {hint}", stacklevel=4)
 
 
@@ -228,11 +220,7 @@ def check_size(path: Path, scale: float | Sequence[float]) -> None:
     """Refuse a mesh whose size in m shows that its unit is another. Raises PluginError."""
     size = float((np.ptp(triangles(path).reshape(-1, 3), axis=0) * np.abs(scale)).max())
     if not LEAST_PART <= size <= LARGEST_PART:
-        hint = (
-            "in millimetres? set scale: 0.001 (in a URDF on each axis)"
-            if size > LARGEST_PART
-            else "is it in metres already?"
-        )
+        hint = "in millimetres? set scale: 0.001" if size > LARGEST_PART else "is it in metres already?"
         raise PluginError(f"a part of {size:.3g} m", where=str(path), hint=hint)
 
 
@@ -306,15 +294,14 @@ def _ascii_stl(data: bytes, path: Path) -> NDArray[np.float32]:
 def _dae(data: bytes, path: Path) -> NDArray[np.float32]:
     import trimesh  # noqa: PLC0415 (takes a second)
 
+    unit, up = (re.search(sign, data) for sign in (rb"<unit\b[^>]*?\bmeter\s*=\s*.([^\"']+)", rb"<up_axis>\s*(\w)"))
     try:
-        if re.search(rb"<!(DOCTYPE|ENTITY)", data, re.IGNORECASE):
-            raise ValueError("a document type or entities")
+        if re.search(rb"\0|<!(DOCTYPE|ENTITY)|<instance_node", data, re.IGNORECASE):
+            raise ValueError("not in UTF-8, a document type, entities, or nodes that stand twice")
+        if len(data) * data.count(b"<instance_geometry") > 20 * LARGEST_MESH:
+            raise ValueError("too many copies of a geometry")
         scene = trimesh.load_scene(BytesIO(data), file_type="dae", resolver=None)  # which opens no other file
         found = np.array(scene.to_mesh().triangles).reshape(-1, 3, 3) if scene.geometry else np.zeros((0, 3, 3))
-        unit, up = (
-            re.search(rb"<unit\b[^>]*\bmeter\s*=\s*[\"']([^\"']+)", data),
-            re.search(rb"<up_axis>\s*(\w)", data),
-        )
         found *= float(unit[1]) if unit else 1.0
     except Exception as error:  # pycollada raises whatever it meets
         raise PluginError(f"cannot be read as Collada: {' '.join(str(error).split())[:200]}", where=str(path)) from None

@@ -62,27 +62,26 @@ def test_what_a_convex_hull_fills_is_said(tmp_path: Path, corner: Path) -> None:
         Mesh(corner, 0.001, collision="convex")
 
 
-def box(*places: float) -> NDArray[np.float32]:
-    """The triangles of a box of 10 by 10 by 10 at a place, or of another size."""
-    scene = [*places, *(10, 10, 10)[len(places) - 3 :]][:6]
-    made = trimesh.creation.box(scene[3:]).triangles + np.array(scene[:3])
-    return made.astype(np.float32)
+def box(*place: float, size: tuple[float, ...] = (10, 10, 10)) -> NDArray[np.float32]:
+    """The triangles of a box."""
+    made: NDArray[np.float32] = (trimesh.creation.box(size).triangles + np.array(place)).astype(np.float32)
+    return made
 
 
 ONE = box(0, 0, 0)
 BODIES = {
     "two that touch with all of a face": ([ONE, box(10, 0, 0)], 2000, 5, ""),
-    "two that touch with a part of a face": ([ONE, box(8, 0, 0, 6, 6, 6)], 1216, 1.421, ""),
+    "two that touch with a part of a face": ([ONE, box(8, 0, 0, size=(6, 6, 6))], 1216, 1.421, ""),
     "two that touch with an edge": ([ONE, box(10, 10, 0)], 2000, 5, ""),
     "inside out": ([ONE[:, ::-1]], 1000, 0, ""),
     "a triangle turned": ([ONE[:5], ONE[5:6, ::-1], ONE[6:]], 1000, 0, ""),
     "one of two inside out": ([ONE, box(30, 0, 0)[:, ::-1]], 2000, 15, ""),
-    "a hollow": ([ONE, box(0, 0, 0, 6, 6, 6)[:, ::-1]], 784, 0, ""),
+    "a hollow": ([ONE, box(0, 0, 0, size=(6, 6, 6))[:, ::-1]], 784, 0, ""),
     "a triangle without an area": ([ONE, ONE[:1, [0, 0, 1]]], 1000, 0, ""),
-    "one in another": ([ONE, box(0, 0, 0, 6, 6, 6)], 1000, 0, "overlap"),
+    "one in another": ([ONE, box(0, 0, 0, size=(6, 6, 6))], 1000, 0, "overlap"),
     "one twice": ([ONE, ONE], 1000, 0, "overlap"),
     "two that overlap": ([ONE, box(1, 0, 0)], 1100, 0.5, "overlap"),
-    "a cross": ([box(0, 0, 0, 100, 4, 4), box(0, 0, 0, 4, 100, 4)], 21568, 0, "overlap"),
+    "a cross": ([box(0, 0, 0, size=(100, 4, 4)), box(0, 0, 0, size=(4, 100, 4))], 21568, 0, "overlap"),
     "open": ([ONE[2:]], 1000, 0, "an open surface"),
 }
 
@@ -146,7 +145,7 @@ REFUSED: dict[str, tuple[str, bytes]] = {
     "part.obj:37: not a face of corners from 1 to 36": ("obj", (OBJ + "f 0 1 2").encode()),
     "no triangles": ("obj", OBJ.encode()),
     "cannot be read as Collada: DaeMalformedError": ("dae", b"<COLLADA>"),
-    "a document type or entities": ("dae", b'<!DOCTYPE a [<!ENTITY x SYSTEM "/etc/passwd">]><COLLADA>&x;</COLLADA>'),
+    "a document type, entities": ("dae", b'<!DOCTYPE a [<!ENTITY x SYSTEM "/etc/passwd">]><COLLADA>&x;</COLLADA>'),
 }
 
 
