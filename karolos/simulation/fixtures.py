@@ -102,7 +102,7 @@ class _Reader:
         self._path, self._collision, self._root, self._lines = path, collision, root, lines
         self._files: dict[str, tuple[Path, float]] = {}
         self._degree = np.pi / 180
-        self._usual: dict[str, dict[str, dict[str, str]]] = {}
+        self._usual: dict[str, dict[str, dict[str, str]]] = {"main": {}}
         """The attributes that an element has if it does not say otherwise: by class, and by kind of element."""
 
     def links(self) -> Iterator[Link]:
@@ -110,9 +110,7 @@ class _Reader:
         bodies: list[Element] = []
         folder = self._path.parent
         for default in self._root.findall("default"):
-            self._learn(default, default.get("class", "main"), {})
-            self._usual.setdefault("main", self._usual[default.get("class", "main")])
-        self._usual.setdefault("main", {})
+            self._learn(default, "main", {})
         for part in self._parts(self._root, "compiler default asset worldbody"):
             if part.tag == "compiler":
                 folder = folder / part.get("meshdir", "")

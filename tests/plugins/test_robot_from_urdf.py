@@ -127,13 +127,12 @@ def test_of_two_arms_one_is_chosen_by_its_tool(tmp_path: Path) -> None:
         propose(path, "tool7")
 
 
-@pytest.mark.parametrize("height", [0.7, 1.0])
-def test_home_lies_in_the_workspace_below_a_ceiling_too(height: float, tmp_path: Path) -> None:
+def test_home_lies_in_the_workspace_below_a_ceiling_too(tmp_path: Path) -> None:
     path = exported_arm(tmp_path).model.urdf
     upright = '<child link="base"/><origin xyz="0 0 0"/>'
     text = path.read_text()
     assert upright in text
-    path.write_text(text.replace(upright, f'<child link="base"/><origin xyz="0 0 {height}" rpy="3.14159265 0 0"/>'))
+    path.write_text(text.replace(upright, '<child link="base"/><origin xyz="0 0 1" rpy="3.14159265 0 0"/>'))
     model = propose(path).model
     type("Mine", (Arm,), {"model": model, "Settings": ArmSettings})(ArmSettings())  # refuses a home outside
 
