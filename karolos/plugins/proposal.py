@@ -156,16 +156,10 @@ def doubts(found: urdf.Description) -> list[str]:
     """What the numbers of a URDF make one doubt, each in one line: units that are mixed up, and placeholders."""
     said: dict[str, list[str]] = defaultdict(list)
     for joint in found.joints:
-        far, unit, most, fast, meant = (
-            max(-joint.lower, joint.upper),
-            "m",
-            DOUBTED_TRAVEL,
-            DOUBTED_TRAVEL,
-            "millimetres",
-        )
+        unit, most, fast, meant = "m", DOUBTED_TRAVEL, DOUBTED_TRAVEL, "millimetres"
         if joint.revolute:
             unit, most, fast, meant = "rad", DOUBTED_ANGLE, DOUBTED_SPEED, "degrees"
-        if far > most:
+        if (far := max(-joint.lower, joint.upper)) > most:
             said[f"to {far:g} {unit}; are these {meant}?"].append(f"joint {joint.name}")
         if joint.velocity > fast:
             said[f"at {joint.velocity:g} {unit}/s; compare the data sheet"].append(f"joint {joint.name}")

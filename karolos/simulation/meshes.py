@@ -2,8 +2,8 @@
 
 Engines collide convex shapes: a mesh is its convex hull, or is decomposed into convex pieces.
 PyBullet reads past the end of its arrays where a face names a missing corner, and takes minutes for blank lines.
-Trimesh reads Collada and turns triangles. It takes indices of 0, relative indices and missing numbers of OBJ for others
-without a word, and no STL with a wrong count; these two formats are therefore read here.
+Trimesh reads Collada, and says how triangles hang together. OBJ and STL are read here: trimesh takes a corner 0, a
+relative one or a missing number of an OBJ for another without an error, and finds nothing in an STL of a wrong count.
 """
 
 from __future__ import annotations
@@ -43,9 +43,9 @@ SAME_VOLUME = 0.95
 LEAST_SHARE = 1e-3
 """A closed mesh that fills less of its convex hull encloses nothing: its sides cancel each other."""
 LINES, MOST_TESTS = 200, 4_000_000
-"""Lines along each axis on which it is looked how often a mesh encloses a place; pairs of them and triangles."""
+"""Lines along each axis that tell how often a mesh encloses a place, and most pairs of a line and a triangle."""
 TWICE = 0.005
-"""Share of a mesh that may be enclosed twice or from behind. More of it is weighed wrongly."""
+"""Share of a mesh that may be enclosed twice or from behind: so much is its weight wrong at most."""
 CONCAVITY = 0.02
 """Largest concavity of a convex piece, as CoACD measures it, in parts of the mesh's size."""
 _VERTEX = re.compile(rb"\bvertex\s+(\S+)\s+(\S+)\s+(\S+)", re.IGNORECASE)
@@ -53,7 +53,7 @@ _TRIANGLE = np.dtype([("normal", "<f4", 3), ("corners", "<f4", (3, 3)), ("attrib
 
 
 def _content(path: Path) -> bytes:
-    """Of a file: what is computed of it is kept by what it holds, so that a file which is edited is read again."""
+    """The bytes of a file. Results are cached by them: a file that was edited is read again."""
     try:
         if path.stat().st_size > LARGEST_MESH:
             raise PluginError(f"larger than {LARGEST_MESH / 1e6:g} MB", where=str(path), hint="simplify the mesh")
@@ -156,7 +156,7 @@ def _closed(faces: NDArray[np.intp]) -> bool:
 def _enclosed_wrongly(found: NDArray[np.float32]) -> float:
     """The share of what a closed mesh (n, 3, 3) encloses that it encloses twice, or once from behind.
 
-    Along each axis go lines. The bodies of a sound mesh are entered and left in turns on each.
+    Each of some lines along the axes enters and leaves the bodies of a sound mesh in turns.
     """
     unit = (found - found.min((0, 1)).astype(float)) / np.ptp(found.reshape(-1, 3), axis=0)
     shares = []

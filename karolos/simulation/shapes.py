@@ -90,9 +90,9 @@ class Capsule(Shape):
 
 @dataclass(frozen=True)
 class Mesh(Shape):
-    """A part from an STL or OBJ file, `scale` times as large: with .001 the file is in millimetres.
+    """A part from a file of STL, OBJ or Collada, `scale` times as large: with .001 the file is in millimetres.
 
-    Mass and inertia follow from what the mesh encloses, or from its convex hull if it is not closed. Bodies collide as
+    Mass and inertia follow from what the mesh encloses, or, with a warning, from its convex hull. Bodies collide as
     convex shapes. `collision` says what a mesh that is not convex collides as: its convex hull, or the convex pieces
     that the package coacd finds (`pip install 'karolos[parts]'`). They follow the mesh to about 2 % of its size, too
     coarse for a peg in a hole: make such a hole of boxes.
