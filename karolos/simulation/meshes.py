@@ -306,7 +306,7 @@ def _dae(data: bytes, path: Path) -> NDArray[np.float32]:
     except Exception as error:  # pycollada raises whatever it meets
         raise PluginError(f"cannot be read as Collada: {' '.join(str(error).split())[:200]}", where=str(path)) from None
     x, y, z = np.moveaxis(found, 2, 0)
-    turned = {b"Z": (x, y, z), b"X": (-y, x, z)}.get(up[1] if up else b"Y", (x, -z, y))
+    turned = {b"Z": (x, y, z), b"X": (-y, -z, x)}.get(up[1] if up else b"Y", (x, -z, y))
     return np.stack(turned, 2).astype(np.float32)
 
 
