@@ -7,12 +7,45 @@ at the plugin's line (`registry.blaming`); in the environments of a run it keeps
 
 from __future__ import annotations
 
+import re
 from collections.abc import Sequence
 from dataclasses import dataclass
 from typing import Any
 
 LONGEST = 1000
 """Most characters that an error says of what is wrong: a value that it repeats may have any length."""
+
+
+_SECRET = (
+    r"(?:pass(?:word|wd|phrase|code)|secret|token|credential|(?:api|access|private|auth|secret|signing)[_-]?key"
+    r"|(?<![a-z0-9])(?:pass|pwd|pw|auth|authorization|bearer))s?(?:[_-]?(?:key|value|id))?"
+)
+_SECRETS = (
+    (re.compile(r"(?<=://)(?:[^/\s@:]*:\S*|[^/\s@]+)@"), "***@"),
+    (re.compile(r"-----BEGIN [A-Z ]*PRIVATE KEY-----.*?(?:-----END [A-Z ]*-----|\Z)", re.DOTALL), "***"),
+    (re.compile(r"\b(?:gh[a-z]_|github_pat_|glpat-|hf_|sk-|xox[a-z]-|AKIA)[\w-]{12,}"), "***"),
+    (
+        re.compile(
+            rf"""({_SECRET}["']?\s*(?:[:=]|\s(?<=["'])\s)\s*(?:(?:bearer|basic)\s+)?)"""
+            r"""("[^"\n]*"|'[^'\n]*'|(?![A-Za-z_][\w.]*[(\[])[^\s"'&;,)\]}]+)""",
+            re.IGNORECASE,
+        ),
+        r"\1***",
+    ),
+)
+"""User and password in a URL, keys, tokens of well-known services, and the values of what is called a secret."""
+
+
+def is_secret(key: str) -> bool:
+    """Whether a setting or an option of this name holds a secret."""
+    return re.search(rf"{_SECRET}$", key, re.IGNORECASE) is not None
+
+
+def redact(text: str) -> str:
+    """Replace what looks like a secret by ***; in doubt, too much is replaced."""
+    for pattern, shown in _SECRETS:
+        text = pattern.sub(shown, text)
+    return text
 
 
 def _cut(text: str) -> str:

@@ -17,6 +17,7 @@ import numpy as np
 
 from ..core import Array
 from ..errors import PluginError
+from ..files import find_named
 from ..robots.model import ArmModel
 from ..robots.settings import ArmSettings
 from ..simulation import urdf
@@ -347,7 +348,7 @@ def with_meshes(path: Path) -> tuple[str, dict[str, Path]]:
     """A URDF whose meshes are in the folder `meshes` beside it, and the files to copy there by their new names."""
     text, files = urdf.text_of(path), dict[str, Path]()
     for number, name in enumerate(sorted({mesh.get("filename", "") for mesh in urdf.read(path).iter("mesh")})):
-        mesh = urdf.find_mesh(name, path.parent)
+        mesh = find_named(name, path.parent)
         if mesh is not None and mesh.suffix.lower() in MESH_SUFFIXES:
             new = next((to for to, file in files.items() if file == mesh), f"meshes/{number}_{mesh.name}")
             files[new] = mesh

@@ -150,6 +150,7 @@ class RunFolder:
         text: str | None = None,
         source: Path | None = None,
         changed: Mapping[str, Any] | None = None,
+        files: Mapping[str, str] | None = None,
     ) -> None:
         """Write what the run is made from. The folder counts as a run from here on, because run.json is written last.
 
@@ -159,7 +160,9 @@ class RunFolder:
             text: the spec as its author wrote it.
             source: the folder whose git work tree is recorded; the current one by default.
             changed: the settings of the spec that differ from their defaults, as JSON values.
+            files: `Spec.files`.
         """
+        unread: list[str] = []
         code = provenance.code(source or Path.cwd())
         if text is not None:
             write_whole(self.path / "spec.yaml", text)
@@ -171,7 +174,9 @@ class RunFolder:
             "changed": changed,
             "resolved_sha256": sha256((self.path / "resolved.json").read_bytes()).hexdigest(),
             "versions": provenance.versions(),
-            "source": provenance.source(),
+            "sources": provenance.sources(provenance.packages(resolved), unread),
+            "unread": unread,
+            "files": files,
             "machine": provenance.kind_of_machine(),
             "command": provenance.command_line(),
             "git": {"commit": code.commit, "dirty": code.dirty, "untracked": list(code.untracked)} if code else None,
@@ -336,6 +341,7 @@ class RunFolder:
             updated=state.updated or self._run["created"],
             folder=str(self.path.resolve()),
             final=final is not None,
+            source=provenance.source_of_others(self._run.get("sources") or {}),
             best_steps=getattr(best, "steps", None),
             best_any=getattr(best, "success_any", None),
             best_end=getattr(best, "success_end", None),
