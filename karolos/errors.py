@@ -26,7 +26,7 @@ _SECRETS = (
     (re.compile(r"\b(?:gh[a-z]_|github_pat_|glpat-|hf_|sk-|xox[a-z]-|AKIA)[\w-]{12,}"), "***"),
     (
         re.compile(
-            rf"""({_SECRET}["']?\s*(?:[:=]|\s(?<=["'])\s)\s*(?:(?:bearer|basic)\s+)?)"""
+            rf"""({_SECRET}["']?\s*[:=]\s*(?:(?:bearer|basic)\s+)?)(?!None\b|str\b|true\b|false\b|null\b)"""
             r"""("[^"\n]*"|'[^'\n]*'|(?![A-Za-z_][\w.]*[(\[])[^\s"'&;,)\]}]+)""",
             re.IGNORECASE,
         ),

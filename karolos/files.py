@@ -34,7 +34,7 @@ _FOLDER = re.compile(r"""\b(?:mesh|asset)dir\s*=\s*["']([^"'<>]{1,300})["']""")
 """Where an MJCF file says that its meshes are."""
 _IMPORTED = re.compile(r"^(?:from|import)\s+(\w+)", re.MULTILINE)
 _NO_SOURCE = re.compile(r"[.#].*|.*~|.*\.(?:py[co]|nb[ic])|__pycache__|specs|runs|shipped_runs")
-"""Names in a package that are no source: hidden files, those of editors, compiled ones, and what karolos reads itself."""
+"""Names in a package that are no source: files that are hidden, an editor's, compiled, specs or runs."""
 LOCK_SECONDS = 20.0
 """How long `locked` waits for a process that writes labels or a line, which takes milliseconds."""
 
@@ -126,7 +126,7 @@ def find_named(name: str, folder: Path) -> Path | None:
 
 
 def fingerprint(path: Path, unread: list[str] | None = None, *, follow: bool = True) -> str | None:
-    """SHA-256 (hex) of a file, or of all source in a folder, with the files that are named in it; None if it is neither.
+    """SHA-256 (hex) of a file or of the source in a folder, and of files that are named there; None if it is neither.
 
     A URDF names its meshes, a module the files in its texts and the modules beside it.
 
@@ -141,14 +141,15 @@ def fingerprint(path: Path, unread: list[str] | None = None, *, follow: bool = T
     pending = list(_source(path, notes)) if os.path.isdir(path) else [("", path)]
     digest, seen = hashlib.sha256(), {os.path.realpath(one) for _, one in pending}
     for name, one in pending:  # which grows
-        content, others = "unread", ()
+        content = "unread"
+        others: tuple[str, ...] = ()
         try:
             status = os.stat(one)
             if not stat.S_ISREG(status.st_mode) or status.st_size > LARGEST_FILE or len(seen) > MOST_FILES:
                 raise OSError("no plain file, or one too large or too many")
             content, others = _content(str(one), status.st_mtime_ns, status.st_size, status.st_ino)
         except OSError as error:
-            notes.append(f"{one}: {error.strerror or error}")
+            notes.append(f"{name or one.name}: {error.strerror or error}")
         digest.update(f"{name}\0{content}\n".encode(errors="surrogateescape"))
         for other in others if follow else ():
             found = find_named(other, one.parent)
@@ -161,7 +162,9 @@ def fingerprint(path: Path, unread: list[str] | None = None, *, follow: bool = T
 def _source(folder: Path, notes: list[str]) -> Iterator[tuple[str, Path]]:
     """Name and path of the files below a folder; a folder that links lead to twice is read once."""
     visited: set[str] = set()
-    for place, folders, names in os.walk(folder, followlinks=True, onerror=lambda error: notes.append(str(error))):
+    for place, folders, names in os.walk(
+        folder, followlinks=True, onerror=lambda error: notes.append(f"{error.filename}: {error.strerror}")
+    ):
         visited.add(os.path.realpath(place))
         inside = [one for one in sorted(folders) if not _NO_SOURCE.fullmatch(one)]
         folders[:] = [one for one in inside if os.path.realpath(os.path.join(place, one)) not in visited]

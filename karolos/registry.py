@@ -146,28 +146,45 @@ def unreadable() -> tuple[str, ...]:
     return _scan()[1]
 
 
+def _points(dist: importlib.metadata.Distribution) -> importlib.metadata.EntryPoints:
+    """The entry points of a distribution. Raises whatever its files cause."""
+    place = getattr(dist, "_path", None)  # of a zip file or an importer of its own there may be none
+    file = str(place / "entry_points.txt") if place else ""
+    if os.path.exists(file) and not (os.path.isfile(file) and os.path.getsize(file) <= LARGEST):
+        raise OSError(f"no plain file of at most {LARGEST:,} bytes")
+    return _ENTRY_POINTS(dist)
+
+
+def _readable_points(dist: importlib.metadata.Distribution) -> importlib.metadata.EntryPoints:
+    try:
+        return _points(dist)
+    except Exception:  # files of anybody
+        return importlib.metadata.EntryPoints(())
+
+
+_ENTRY_POINTS: Any = importlib.metadata.Distribution.entry_points.fget  # type: ignore[attr-defined]
+# pydantic, numba and gymnasium ask every distribution as well: a file that cannot be read would end them all.
+importlib.metadata.Distribution.entry_points = property(_readable_points)  # type: ignore[assignment,method-assign]
+
+
 @cache
 def _scan() -> tuple[tuple[PluginEntry, ...], tuple[str, ...]]:
     """All plugins, and what cannot be read. It takes 20 ms, so it is done once per process."""
     found: dict[str, set[PluginEntry]] = {}  # of two copies of a distribution the first on Python's path counts
     problems: list[str] = []
     for dist in importlib.metadata.distributions():
-        place = getattr(dist, "_path", None)  # of a zip file or an importer of its own there may be none
-        file = str(place / "entry_points.txt") if place else ""
+        place = getattr(dist, "_path", dist)
         try:
-            if os.path.exists(file) and not (os.path.isfile(file) and os.path.getsize(file) <= LARGEST):
-                raise OSError(f"no plain file of at most {LARGEST:,} bytes")
-            if GROUP not in (dist.read_text("entry_points.txt") or ""):
-                continue
-            points = [point for point in dist.entry_points if point.group.removeprefix(GROUP) in KINDS]
+            points = [point for point in _points(dist) if point.group.removeprefix(GROUP) in KINDS]
         except Exception as error:  # files of anybody
-            problems.append(f"{file or dist}: cannot be read: {_text(error)}")
+            problems.append(f"{place}: its entry points cannot be read: {_text(error)}")
             continue
-        name, _, version = (place.stem if place else "?").partition("-")
-        with suppress(Exception):  # it may be missing
-            name, version = dist.metadata["Name"] or name, dist.metadata["Version"] or version
-        own = {PluginEntry(point.group.removeprefix(GROUP), point.name, point.value, name, version) for point in points}
-        found.setdefault(name, own)
+        name, _, version = getattr(place, "stem", "?").partition("-")
+        if points:
+            with suppress(Exception):  # METADATA may be missing
+                name, version = dist.metadata["Name"] or name, dist.metadata["Version"] or version
+            own = (PluginEntry(one.group.removeprefix(GROUP), one.name, one.value, name, version) for one in points)
+            found.setdefault(name, set(own))
     order = sorted(set().union(*found.values()), key=lambda one: (KINDS.index(one.kind), one.name, one.distribution))
     return tuple(order), tuple(problems)
 

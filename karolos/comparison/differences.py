@@ -51,7 +51,7 @@ def differences(mappings: Sequence[Mapping[str, Any]]) -> dict[str, tuple[Any, .
 
 @dataclass(frozen=True)
 class Side:
-    """One of the two: resolved spec, versions and sources by package, seed, git commit, and the changes since that commit."""
+    """One of the two: resolved spec, versions, sources by package or file, seed, git commit, and changes since it."""
 
     name: str
     spec: Mapping[str, Any]

@@ -1,4 +1,4 @@
-"""Provenance of a run: versions, command line and code, without anything that identifies the machine."""
+"""Provenance of a run: versions, command line and code, without secrets. `recorded` decides what records hold."""
 
 from __future__ import annotations
 
@@ -16,7 +16,7 @@ from importlib.util import find_spec
 from pathlib import Path
 from typing import Any
 
-from ..errors import MachineError
+from ..errors import MachineError, is_secret, redact
 from ..files import fingerprint
 from ..registry import KINDS, PluginEntry, entries
 
@@ -26,7 +26,14 @@ DIFF_BYTES = 1_000_000
 """Longer differences are cut off: data files do not belong into a run folder."""
 UNTRACKED_FILES = 50
 
-_CREDENTIALS = re.compile(r"(?<=://)(?:[^/\s@:]*:\S*|[^/\s@]+)@")
+_PATH = re.compile(r"(?:(?<=:///)|(?<![\w.:/~*-]))/(?:[^/\s\"'=:,]+/)+")
+_SECRET_FILES = (
+    *(".env*", "*.env", "*.pem", "*.key", "*.p12", "*.pfx", "*.ppk", "*.kdbx", "*.jks", "*.keystore", "*.tfvars"),
+    *("id_rsa*", "id_dsa*", "id_ecdsa*", "id_ed25519*", "*secret*", "*credential*", "*passw*", "*api*key*.*"),
+    *("*token*.json", "*token*.txt", ".netrc", "_netrc", ".pgpass", ".npmrc", ".pypirc", ".htpasswd", ".dockercfg"),
+    *("kubeconfig", ".aws/**", ".ssh/**", ".kube/**", ".docker/**", ".gnupg/**"),
+)
+"""Files whose changes code.diff leaves out."""
 
 
 @dataclass(frozen=True)
@@ -43,15 +50,29 @@ class Code:
     """How tracked files differed, cut off at 1 MB."""
 
 
-def redact(text: str) -> str:
-    """Replace user, password and token inside URLs; in doubt, too much is replaced."""
-    return _CREDENTIALS.sub("***@", text)
+def recorded(value: Any, key: str = "", *, folders: bool = True) -> Any:
+    """JSON as records hold it: with *** in place of what looks like a secret, and maybe without folders of paths."""
+    if isinstance(value, Mapping):
+        return {name: recorded(one, name, folders=folders) for name, one in value.items()}
+    if isinstance(value, list | tuple):
+        return [recorded(one, key, folders=folders) for one in value]
+    if not isinstance(value, str):
+        return value
+    text = "***" if value and is_secret(key) else redact(value)
+    return text if folders else without_folders(text)
+
+
+def without_folders(text: str) -> str:
+    """A text with .../name in place of each absolute path: folders tell machines and users."""
+    return _PATH.sub(".../", text)
 
 
 def command_line() -> list[str]:
-    """The command that started this process, without the path of the program and without passwords."""
+    """The command that started this process, without folders of absolute paths and without secrets."""
     program, *arguments = sys.argv or [""]
-    return [Path(program).name, *(redact(argument) for argument in arguments)]
+    after = [before.startswith("--") and is_secret(before) for before in ("", *arguments)]
+    told = ("***" if hidden else without_folders(redact(one)) for one, hidden in zip(arguments, after, strict=False))
+    return [Path(program).name, *told]
 
 
 @cache
@@ -98,7 +119,10 @@ def sources(names: Iterable[str] | None = None, unread: list[str] | None = None)
         except Exception:  # an importer of anybody
             continue
         places = spec.submodule_search_locations or (spec.origin or "",) if spec else ()
-        prints = [one for place in places if (one := fingerprint(Path(place), unread, follow=name != "karolos"))]
+        notes: list[str] = []
+        prints = [one for place in places if (one := fingerprint(Path(place), notes, follow=name != "karolos"))]
+        if unread is not None:
+            unread += [f"{name}: {note}" for note in notes]
         if prints:
             found[name] = prints[0] if len(prints) == 1 else hashlib.sha256("".join(prints).encode()).hexdigest()
     return found
@@ -159,7 +183,8 @@ def code(folder: Path) -> Code | None:
     entries = [entry for entry in status.split("\0") if entry]
     untracked = [entry[3:] for entry in entries if entry.startswith("??")]
     dirty = any(not entry.startswith("??") for entry in entries)
-    diff = _git(folder, "diff", "--no-ext-diff", "--no-textconv", "--no-color", "HEAD", "--") or ""
+    files = (":/", *(f":(top,exclude,icase,glob)**/{pattern}" for pattern in _SECRET_FILES))
+    diff = _git(folder, "diff", "--no-ext-diff", "--no-textconv", "--no-color", "HEAD", "--", *files) or ""
     return Code(commit.strip(), dirty, tuple(untracked[:UNTRACKED_FILES]), redact(diff))
 
 

@@ -15,7 +15,7 @@ from pathlib import Path
 from time import monotonic
 from typing import Any, TypeVar
 
-from ..errors import MachineError, RunError
+from ..errors import MachineError, RunError, redact
 from ..files import (
     UNFINISHED,
     FileLock,
@@ -165,7 +165,7 @@ class RunFolder:
         unread: list[str] = []
         code = provenance.code(source or Path.cwd())
         if text is not None:
-            write_whole(self.path / "spec.yaml", text)
+            write_whole(self.path / "spec.yaml", redact(text))
         if code and code.diff:
             write_whole(self.path / "code.diff", code.diff)
         write_json(self.path / "resolved.json", resolved)
@@ -182,7 +182,7 @@ class RunFolder:
             "git": {"commit": code.commit, "dirty": code.dirty, "untracked": list(code.untracked)} if code else None,
         }
         self._write_state(RunState("created"))
-        write_json(self.path / "run.json", self._run)
+        write_json(self.path / "run.json", provenance.recorded(self._run))
 
     def description(self) -> dict[str, Any]:
         """The content of run.json: id, experiment, name, seed, created, versions, command, git."""
@@ -194,12 +194,12 @@ class RunFolder:
         Raises:
             RunError: its file is missing or damaged, or was changed after the run had begun.
         """
-        spec = self._read_spec()
+        spec = self.read_spec()
         if spec is None:
             raise RunError(f"resolved.json is {DAMAGED_SPEC}", where=self.id, hint="restore the folder from a copy")
         return spec
 
-    def _read_spec(self) -> dict[str, Any] | None:
+    def read_spec(self) -> dict[str, Any] | None:
         """The resolved spec; None if it cannot be trusted."""
         try:
             data = (self.path / "resolved.json").read_bytes()
@@ -216,7 +216,7 @@ class RunFolder:
             error: why it failed, in one line.
             amounts: steps, seconds and updates of training so far; what is not given keeps its value.
         """
-        self._write_state(replace(self._stored_state(), state=state, error=error, **amounts))
+        self._write_state(replace(self._stored_state(), state=state, error=error and redact(error), **amounts))
 
     def next_attempt(self) -> int:
         """Count one more process that continues this run; returns its number, from 1."""
@@ -230,7 +230,7 @@ class RunFolder:
 
     def event(self, kind: str, **data: Any) -> None:
         """Append an event; `data` are JSON values."""
-        append_lines(self.path / "events.jsonl", [{"time": timestamp(), "event": kind, **data}])
+        append_lines(self.path / "events.jsonl", [{"time": timestamp(), "event": kind, **provenance.recorded(data)}])
 
     def events(self) -> tuple[dict[str, Any], ...]:
         """The events in order; `record().problems` names lines that cannot be read."""
@@ -296,7 +296,7 @@ class RunFolder:
 
     def record(self) -> RunRecord:
         """The content of the folder, and what is damaged or missing in it."""
-        spec = self._read_spec()
+        spec = self.read_spec()
         state = read_json(RunState, self.path / "state.json")
         now = self._current(state or RunState("running"))
         # After the state: a finished run has all its tests.

@@ -6,7 +6,6 @@ Units: m, rad, kg, N m (N for prismatic joints), rad/s (m/s). No engine is neede
 from __future__ import annotations
 
 import copy
-import os
 import re
 from collections import Counter, defaultdict
 from collections.abc import Iterable, Mapping

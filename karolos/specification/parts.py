@@ -3,14 +3,15 @@
 from __future__ import annotations
 
 import json
+import re
 from collections.abc import Iterator
 from dataclasses import dataclass
 from typing import Any
 
-from pydantic import BaseModel, GetCoreSchemaHandler, ValidationError
+from pydantic import BaseModel, GetCoreSchemaHandler, SecretStr, ValidationError
 from pydantic_core import CoreSchema, InitErrorDetails, PydanticCustomError, core_schema
 
-from ..errors import UsageError
+from ..errors import UsageError, is_secret, redact
 from ..registry import load, singular
 
 
@@ -92,6 +93,14 @@ class OfKind:
         large = _large_integers(settings.model_dump())
         if errors := [InitErrorDetails(type=size, loc=path, input=0) for path in large]:
             raise ValidationError.from_exception_data("Part", errors)
+        if found := list(_secrets(settings.model_dump())):
+            hint = "leave it out and let the plugin read an environment variable, or give that one's name: $NAME"
+            secret = PydanticCustomError(
+                "secret", "{message}", {"message": "looks like a secret, and records show settings", "hint": hint}
+            )
+            raise ValidationError.from_exception_data(
+                "Part", [InitErrorDetails(type=secret, loc=path, input=0) for path in found]
+            )
         return Part(self.kind, name, settings)
 
 
@@ -101,6 +110,21 @@ def _large_integers(value: object, path: tuple[str | int, ...] = ()) -> Iterator
     for key, entry in entries:
         yield from _large_integers(entry, (*path, key))
     if isinstance(value, int) and not -(1 << 63) <= value < 1 << 63:
+        yield path
+
+
+def _secrets(value: object, path: tuple[str | int, ...] = ()) -> Iterator[tuple[str | int, ...]]:
+    """Paths of the texts that look like secrets, by their key or by themselves; names of variables do not."""
+    entries = value.items() if isinstance(value, dict) else enumerate(value) if isinstance(value, list | tuple) else ()
+    for key, entry in entries:
+        yield from _secrets(entry, (*path, key))
+    text = value.get_secret_value() if isinstance(value, SecretStr) else value if isinstance(value, str) else ""
+    key = next((step for step in reversed(path) if isinstance(step, str)), "")
+    if (
+        text
+        and not re.fullmatch(r"\$\{?\w+\}?", text)
+        and (text is not value or is_secret(key) or redact(text) != text)
+    ):
         yield path
 
 

@@ -150,7 +150,7 @@ parts = {
 }
 optional = {
     "name": st.from_regex(r"[A-Za-z0-9][A-Za-z0-9._-]{0,63}", fullmatch=True),
-    "seeds": st.lists(st.integers(0, 10**60), min_size=1, max_size=4, unique=True),
+    "seeds": st.lists(st.integers(0, 2**63 - 1), min_size=1, max_size=4, unique=True),
     "randomization": st.dictionaries(
         st.sampled_from(["task.gravity", "robot.mass"]),
         st.fixed_dictionaries({"name": st.just("normal"), "mean": st.floats(-9, 9), "std": numbers}),
