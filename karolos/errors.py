@@ -86,7 +86,7 @@ class KarolosError(Exception):
 
 
 def _line(where: object, setting: str | None, what: str, hint: str | None) -> str:
-    line = ": ".join(str(part) for part in (where, setting, what) if part)
+    line = ": ".join(str(part) for part in (where and redact(str(where)), setting, what) if part)
     return f"{line}; {hint}" if hint else line
 
 

@@ -93,14 +93,12 @@ class OfKind:
         large = _large_integers(settings.model_dump())
         if errors := [InitErrorDetails(type=size, loc=path, input=0) for path in large]:
             raise ValidationError.from_exception_data("Part", errors)
-        if found := list(_secrets(settings.model_dump())):
-            hint = "leave it out and let the plugin read an environment variable, or give that one's name: $NAME"
-            secret = PydanticCustomError(
-                "secret", "{message}", {"message": "looks like a secret, and records show settings", "hint": hint}
-            )
-            raise ValidationError.from_exception_data(
-                "Part", [InitErrorDetails(type=secret, loc=path, input=0) for path in found]
-            )
+        hint = "leave it out and let the plugin read an environment variable, or give that one's name: $NAME"
+        text = {"message": "looks like a secret, and records show settings", "hint": hint}
+        secret = PydanticCustomError("secret", "{message}", text)
+        found = {*_secrets(value), *_secrets(settings.model_dump())}
+        if errors := [InitErrorDetails(type=secret, loc=path, input=0) for path in sorted(found, key=str)]:
+            raise ValidationError.from_exception_data("Part", errors)
         return Part(self.kind, name, settings)
 
 
