@@ -8,7 +8,7 @@ at the plugin's line (`registry.blaming`); in the environments of a run it keeps
 from __future__ import annotations
 
 import re
-from collections.abc import Sequence
+from collections.abc import Mapping, Sequence
 from dataclasses import dataclass
 from typing import Any
 
@@ -16,6 +16,7 @@ LONGEST = 1000
 """Most characters that an error says of what is wrong: a value that it repeats may have any length."""
 
 
+_PATH = re.compile(r"(?:(?<=:///)|(?<![\w.:/~*-]))/(?:[^/\s\"'=:,]+/)+")
 _SECRET = (
     r"(?:pass(?:word|wd|phrase|code)|secret|token|credential|(?:api|access|private|auth|secret|signing)[_-]?key"
     r"|(?<![a-z0-9])(?:pass|pwd|pw|auth|authorization|bearer))s?(?:[_-]?(?:key|value|id))?"
@@ -46,6 +47,23 @@ def redact(text: str) -> str:
     for pattern, shown in _SECRETS:
         text = pattern.sub(shown, text)
     return text
+
+
+def recorded(value: Any, key: str = "", *, folders: bool = True) -> Any:
+    """JSON as records hold it: with *** in place of what looks like a secret, and maybe without folders of paths."""
+    if isinstance(value, Mapping):
+        return {name: recorded(one, name, folders=folders) for name, one in value.items()}
+    if isinstance(value, list | tuple):
+        return [recorded(one, key, folders=folders) for one in value]
+    if not isinstance(value, str):
+        return value
+    text = "***" if value and is_secret(key) else redact(value)
+    return text if folders else without_folders(text)
+
+
+def without_folders(text: str) -> str:
+    """A text with .../name in place of each absolute path: folders tell machines and users."""
+    return _PATH.sub(".../", text)
 
 
 def _cut(text: str) -> str:

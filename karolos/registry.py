@@ -162,7 +162,7 @@ def _readable_points(dist: importlib.metadata.Distribution) -> importlib.metadat
         return importlib.metadata.EntryPoints(())
 
 
-_ENTRY_POINTS: Any = importlib.metadata.Distribution.entry_points.fget  # type: ignore[attr-defined]
+_ENTRY_POINTS: Callable[[object], importlib.metadata.EntryPoints] = importlib.metadata.Distribution.entry_points.fget  # type: ignore[attr-defined]
 # pydantic, numba and gymnasium ask every distribution as well: a file that cannot be read would end them all.
 importlib.metadata.Distribution.entry_points = property(_readable_points)  # type: ignore[assignment,method-assign]
 

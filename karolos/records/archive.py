@@ -23,10 +23,9 @@ from typing import NamedTuple
 from typing_extensions import override
 
 from ..checkpoint.manifest import PART
-from ..errors import RunError, UsageError, redact
+from ..errors import RunError, UsageError, recorded, redact, without_folders
 from ..files import FileLock, parse_object, remove_leftovers, sync_folder, writing
 from . import RunFolder
-from .provenance import recorded, without_folders
 from .run_records import ID, RunRecord
 
 SUFFIX = ".tar.gz"

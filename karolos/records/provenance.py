@@ -1,4 +1,4 @@
-"""Provenance of a run: versions, command line and code, without secrets. `recorded` decides what records hold."""
+"""Provenance of a run: versions, command line and code. `recorded` in `karolos.errors` decides what is shown."""
 
 from __future__ import annotations
 
@@ -16,7 +16,7 @@ from importlib.util import find_spec
 from pathlib import Path
 from typing import Any
 
-from ..errors import MachineError, is_secret, redact
+from ..errors import MachineError, is_secret, redact, without_folders
 from ..files import fingerprint
 from ..registry import KINDS, PluginEntry, entries
 
@@ -26,7 +26,6 @@ DIFF_BYTES = 1_000_000
 """Longer differences are cut off: data files do not belong into a run folder."""
 UNTRACKED_FILES = 50
 
-_PATH = re.compile(r"(?:(?<=:///)|(?<![\w.:/~*-]))/(?:[^/\s\"'=:,]+/)+")
 _SECRET_FILES = (
     *(".env*", "*.env", "*.pem", "*.key", "*.p12", "*.pfx", "*.ppk", "*.kdbx", "*.jks", "*.keystore", "*.tfvars"),
     *("id_rsa*", "id_dsa*", "id_ecdsa*", "id_ed25519*", "*secret*", "*credential*", "*passw*", "*api*key*.*"),
@@ -48,23 +47,6 @@ class Code:
     """Files that git neither tracks nor ignores; the first 50."""
     diff: str
     """How tracked files differed, cut off at 1 MB."""
-
-
-def recorded(value: Any, key: str = "", *, folders: bool = True) -> Any:
-    """JSON as records hold it: with *** in place of what looks like a secret, and maybe without folders of paths."""
-    if isinstance(value, Mapping):
-        return {name: recorded(one, name, folders=folders) for name, one in value.items()}
-    if isinstance(value, list | tuple):
-        return [recorded(one, key, folders=folders) for one in value]
-    if not isinstance(value, str):
-        return value
-    text = "***" if value and is_secret(key) else redact(value)
-    return text if folders else without_folders(text)
-
-
-def without_folders(text: str) -> str:
-    """A text with .../name in place of each absolute path: folders tell machines and users."""
-    return _PATH.sub(".../", text)
 
 
 def command_line() -> list[str]:

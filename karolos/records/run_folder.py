@@ -15,7 +15,7 @@ from pathlib import Path
 from time import monotonic
 from typing import Any, TypeVar
 
-from ..errors import MachineError, RunError, redact
+from ..errors import MachineError, RunError, recorded, redact
 from ..files import (
     UNFINISHED,
     FileLock,
@@ -182,7 +182,7 @@ class RunFolder:
             "git": {"commit": code.commit, "dirty": code.dirty, "untracked": list(code.untracked)} if code else None,
         }
         self._write_state(RunState("created"))
-        write_json(self.path / "run.json", provenance.recorded(self._run))
+        write_json(self.path / "run.json", recorded(self._run))
 
     def description(self) -> dict[str, Any]:
         """The content of run.json: id, experiment, name, seed, created, versions, command, git."""
@@ -230,7 +230,7 @@ class RunFolder:
 
     def event(self, kind: str, **data: Any) -> None:
         """Append an event; `data` are JSON values."""
-        append_lines(self.path / "events.jsonl", [{"time": timestamp(), "event": kind, **provenance.recorded(data)}])
+        append_lines(self.path / "events.jsonl", [{"time": timestamp(), "event": kind, **recorded(data)}])
 
     def events(self) -> tuple[dict[str, Any], ...]:
         """The events in order; `record().problems` names lines that cannot be read."""

@@ -11,7 +11,7 @@ from typing import Any
 from pydantic import BaseModel, GetCoreSchemaHandler, SecretStr, ValidationError
 from pydantic_core import CoreSchema, InitErrorDetails, PydanticCustomError, core_schema
 
-from ..errors import UsageError, is_secret, redact
+from ..errors import UsageError, recorded
 from ..registry import load, singular
 
 
@@ -116,13 +116,9 @@ def _secrets(value: object, path: tuple[str | int, ...] = ()) -> Iterator[tuple[
     entries = value.items() if isinstance(value, dict) else enumerate(value) if isinstance(value, list | tuple) else ()
     for key, entry in entries:
         yield from _secrets(entry, (*path, key))
-    text = value.get_secret_value() if isinstance(value, SecretStr) else value if isinstance(value, str) else ""
     key = next((step for step in reversed(path) if isinstance(step, str)), "")
-    if (
-        text
-        and not re.fullmatch(r"\$\{?\w+\}?", text)
-        and (text is not value or is_secret(key) or redact(text) != text)
-    ):
+    named = isinstance(value, str) and re.fullmatch(r"\$\{?\w+\}?|", value)
+    if isinstance(value, SecretStr) or (isinstance(value, str) and not named and recorded(value, key) != value):
         yield path
 
 

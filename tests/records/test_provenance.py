@@ -8,6 +8,7 @@ from pathlib import Path
 
 import pytest
 
+from karolos.errors import recorded
 from karolos.files import fingerprint
 from karolos.records import provenance
 
@@ -161,4 +162,4 @@ def test_command_line_tells_no_path_and_no_password(monkeypatch: pytest.MonkeyPa
     ],
 )
 def test_redaction_hides_secrets_only(text: str, expected: str) -> None:
-    assert provenance.recorded({"what": [text], "secret": text}) == {"what": [expected], "secret": "***"}
+    assert recorded({"what": [text], "secret": text}) == {"what": [expected], "secret": "***"}
