@@ -26,7 +26,7 @@ _FULL = frozenset({errno.ENOSPC, errno.EDQUOT, errno.EFBIG})
 _FORBIDDEN = frozenset({errno.EACCES, errno.EPERM, errno.EROFS})
 _POLL_SECONDS = 0.02
 T = TypeVar("T")
-MOST_FILES, LARGEST_FILE, LARGEST_TEXT = 20_000, 1 << 30, 20_000_000
+MOST_FILES, LARGEST_FILE, LARGEST_TEXT = 20_000, 1 << 34, 20_000_000
 """What `fingerprint` reads: files of a folder, bytes of a file, and bytes of one that names others."""
 _NAMING = (".urdf", ".xml", ".mjcf", ".xacro", ".sdf", ".py")
 _NAMED = re.compile(r"""["']([^"'<>\0\r\n]{1,300}\.\w{1,8})["']""")
@@ -162,9 +162,7 @@ def fingerprint(path: Path, unread: list[str] | None = None, *, follow: bool = T
 def _source(folder: Path, notes: list[str]) -> Iterator[tuple[str, Path]]:
     """Name and path of the files below a folder; a folder that links lead to twice is read once."""
     visited: set[str] = set()
-    for place, folders, names in os.walk(
-        folder, followlinks=True, onerror=lambda error: notes.append(f"{error.filename}: {error.strerror}")
-    ):
+    for place, folders, names in os.walk(folder, followlinks=True, onerror=lambda error: notes.append(str(error))):
         visited.add(os.path.realpath(place))
         inside = [one for one in sorted(folders) if not _NO_SOURCE.fullmatch(one)]
         folders[:] = [one for one in inside if os.path.realpath(os.path.join(place, one)) not in visited]

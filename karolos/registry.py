@@ -19,8 +19,6 @@ from typing import Any
 
 from .errors import KarolosError, PluginError, UsageError
 
-GROUP, LARGEST = "karolos.", 1_000_000
-"""Beginning of the groups of entry points, and most bytes of a file of them."""
 KINDS = (
     "robots",
     "grippers",
@@ -32,6 +30,11 @@ KINDS = (
     "orchestrators",
     "launchers",
 )
+
+GROUPS = {f"karolos.{kind}": kind for kind in KINDS}
+"""Group of entry points -> its kind."""
+LARGEST = 1_000_000
+"""Most bytes of a file of entry points."""
 
 NEEDED_ATTRIBUTES = {
     "robots": ("prepare", "build", "apply", "reset", "act", "read", "observe"),
@@ -175,7 +178,9 @@ def _scan() -> tuple[tuple[PluginEntry, ...], tuple[str, ...]]:
     for dist in importlib.metadata.distributions():
         place = getattr(dist, "_path", dist)
         try:
-            points = [point for point in _points(dist) if point.group.removeprefix(GROUP) in KINDS]
+            points = [
+                (GROUPS[point.group], point.name, point.value) for point in _points(dist) if point.group in GROUPS
+            ]
         except Exception as error:  # files of anybody
             problems.append(f"{place}: its entry points cannot be read: {_text(error)}")
             continue
@@ -183,8 +188,7 @@ def _scan() -> tuple[tuple[PluginEntry, ...], tuple[str, ...]]:
         if points:
             with suppress(Exception):  # METADATA may be missing
                 name, version = dist.metadata["Name"] or name, dist.metadata["Version"] or version
-            own = (PluginEntry(one.group.removeprefix(GROUP), one.name, one.value, name, version) for one in points)
-            found.setdefault(name, set(own))
+            found.setdefault(name, {PluginEntry(*point, name, version) for point in points})
     order = sorted(set().union(*found.values()), key=lambda one: (KINDS.index(one.kind), one.name, one.distribution))
     return tuple(order), tuple(problems)
 
