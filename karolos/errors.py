@@ -3,6 +3,7 @@
 The command line prints them without a traceback and ends with the error's exit code.
 Any other exception is a bug in karolos and keeps its traceback. One in a third party's plugin becomes a PluginError
 at the plugin's line (`registry.blaming`); in the environments of a run it keeps its traceback, too.
+What is said or recorded shows no secrets: `recorded` and `redact` decide what looks like one.
 """
 
 from __future__ import annotations

@@ -1,6 +1,7 @@
 """Files that are written completely or not at all, files of JSON lines, and locks that end with their process.
 
-An error of the operating system during writing becomes a MachineError that says what to do.
+An error of the operating system during writing becomes a MachineError that says what to do. `fingerprint` tells whether
+files that an experiment reads were edited.
 """
 
 from __future__ import annotations
