@@ -30,7 +30,7 @@ from .announcer import Announcer
 from .checkpointer import BEST, Checkpointer
 from .events import Listener, RunEnded, RunFinalTested, RunStarted, RunTested
 from .pending_tests import PendingTests
-from .resume import LAST, Snapshot, newest_snapshot
+from .resume import LAST, Snapshot, check_files, newest_snapshot
 from .signals import StopRequest, StopRequestedError, TimeIsUpError
 from .start_from import apply, find
 from .tensorboard_writer import TensorBoardWriter
@@ -73,7 +73,7 @@ class Run:
         self._writer = RunWriter(self.folder, self.url, self.listener)
         self._announcer = Announcer(self.folder.id, self.listener)
         self._checkpointer = Checkpointer(
-            self._writer, self.spec.hash(), self.seed, self._pending, self._announcer.announce
+            self._writer, self.folder.description()["experiment"], self.seed, self._pending, self._announcer.announce
         )
 
     def execute(self) -> RunSummary:
@@ -289,12 +289,13 @@ def run_or_resume(
         beside: whether tests may be played beside training, in a second process.
 
     Raises:
-        RunError: no checkpoint can be used.
+        RunError: no checkpoint can be used, or a file that the spec names was changed.
         SpecError: its resolved spec is damaged, or of another version.
     """
     if folder.state().state == "finished":  # it may have been when the caller looked, before the lock was free
         return folder.summary()
     spec, seed = spec_from_dict(folder.spec()), folder.description()["seed"]
+    check_files(spec, folder)
     begun = folder.events() or checkpoint.names(folder.checkpoints) or folder.state().steps  # any of these may be lost
     snapshot = newest_snapshot(folder) if begun else None
     if snapshot is not None:

@@ -18,6 +18,7 @@ import numpy as np
 
 from ..core import Array
 from ..errors import PluginError
+from ..files import find_named
 from ..robots.model import ArmModel
 from ..robots.settings import ArmSettings
 from ..simulation import urdf
@@ -381,7 +382,7 @@ def with_meshes(path: Path) -> tuple[str, dict[str, Path]]:
         if any(mesh.get("filename", "").lower().endswith(".dae") for mesh in shape.iter("mesh")):
             shape.clear()  # such a link is drawn as it collides
     for number, name in enumerate(sorted({mesh.get("filename", "") for mesh in robot.iter("mesh")})):
-        mesh = urdf.find_mesh(name, path.parent)
+        mesh = find_named(name, path.parent)
         if mesh is not None and mesh.suffix.lower() in MESH_SUFFIXES:
             new = next((to for to, file in files.items() if file == mesh), f"meshes/{number}_{mesh.name}")
             files[new] = mesh

@@ -6,7 +6,6 @@ Units: m, rad, kg, N m (N for prismatic joints), rad/s (m/s). No engine is neede
 from __future__ import annotations
 
 import copy
-import os
 import re
 from collections import Counter, defaultdict
 from collections.abc import Iterable, Mapping
@@ -22,6 +21,7 @@ import numpy as np
 
 from ..core import Array
 from ..errors import PluginError
+from ..files import find_named
 from .geometry import Vector
 from .meshes import LARGEST_NUMBER, MESH_SUFFIXES, check_size
 
@@ -518,7 +518,7 @@ def _find_meshes(source: _Source) -> None:
                 if shape.tag == "visual" and name.lower().endswith(".dae"):
                     link.remove(shape)
                     continue
-                found = find_mesh(name, source.path.parent)
+                found = find_named(name, source.path.parent)
                 if found is None:
                     hint = "it is looked for beside the URDF and in folders above"
                     raise source.error(link, f"there is no mesh {short(name)}", hint=hint)
@@ -557,22 +557,6 @@ def _check_link(link: Element, source: _Source, *, base: bool, least: float) -> 
         return False
     _set_inertia(link, mass, centre, axes @ np.diag(moments + np.array([missing / 2, missing / 2, 0.0])) @ axes.T)
     return True
-
-
-def find_mesh(name: str, folder: Path) -> Path | None:
-    """The file of a mesh, named as in a URDF that stands in `folder`; None if there is none.
-
-    A `package://` name is looked for in this folder and those above it, with and without the name of the package.
-    """
-    scheme, separator, rest = name.partition("://")
-    if scheme in ("package", "model") and separator:
-        places = [
-            place for above in (folder, *folder.parents) for place in (above / rest, above / rest.partition("/")[2])
-        ]
-    else:
-        rest = rest if separator else name
-        places = [folder / rest, folder.parent / rest]
-    return next((place.resolve() for place in places if os.path.isfile(place)), None)
 
 
 def _vector(values: Iterable[str | float]) -> Vector:
