@@ -1,0 +1,74 @@
+"""The first steps of a spec's environments, as a run makes them: what fails there is told before anything runs."""
+
+from __future__ import annotations
+
+import re
+from functools import partial
+
+import numpy as np
+
+from ..core import Signature
+from ..core.signature import random_actions
+from ..environments.build import build_environment
+from ..environments.varied import is_setting
+from ..errors import KarolosError, PluginError
+from ..orchestrator.local import Local
+from ..registry import find
+from ..specification import Spec
+from ..specification.parts import Recipe
+
+STEPS = 3
+"""Steps of each episode, with random actions."""
+EPISODES = 16
+"""Episodes where worlds are drawn. There may be eight, and hardly one is left out."""
+
+
+def try_environments(spec: Spec) -> Signature:
+    """Make the first steps of an episode, where worlds are drawn of several and of a test. Returns the signature.
+
+    Environments that are not karolos's own are tried in a worker process, as a run does: they may end it, or hang.
+
+    Raises:
+        KarolosError: an environment cannot be made, fails, or diverges at once; names a setting or a plugin.
+    """
+    recipe = spec.recipe(randomize=True)
+    if not any(is_setting(recipe, name) for name, _ in recipe.randomization):
+        return _tried(spec, recipe, 1)
+    _tried(spec, spec.recipe(randomize=False), 1)
+    return _tried(spec, recipe, EPISODES)
+
+
+def _tried(spec: Spec, recipe: Recipe, episodes: int) -> Signature:
+    given, generator = spec.orchestrator.settings, np.random.default_rng(0)
+    settings = Local.Settings(
+        processes=int(getattr(given, "processes", 1) > 0 and not _is_own(recipe)),
+        environments=1,
+        failures=0,
+        time_limit=getattr(given, "time_limit", 60.0),
+    )
+    try:
+        with Local(settings, partial(build_environment, recipe)) as environments:
+            for seed in range(episodes):
+                environments.reset([0], [seed])
+                for action in (*random_actions(environments.signature, STEPS, generator), None):
+                    step = environments.receive().step
+                    if step.diverged[0]:
+                        raise PluginError("the first steps diverge: numbers are not finite, or an object is far away")
+                    if action is None or step.terminated[0] or step.truncated[0]:
+                        break
+                    environments.step([0], action[None])
+            return environments.signature
+    except KarolosError as error:
+        place = re.sub("^(worker|environment|building)[^:]*(: )?", "", error.where or "")  # there is one alone
+        if error.setting is None:
+            error.what, error.where = ": ".join(filter(None, (place, error.what))), None
+            if error.plugin is None:
+                error.setting = "environment.name" if spec.task is None else "task.name"
+        raise
+
+
+def _is_own(recipe: Recipe) -> bool:
+    """Whether nobody else's code is run."""
+    parts = filter(None, (recipe.environment, recipe.robot, recipe.task))
+    own = all(find(part.kind, part.name).distribution == "karolos" for part in parts)
+    return own and recipe.environment.name != "gymnasium"
