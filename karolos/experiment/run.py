@@ -214,6 +214,9 @@ class Run:
             for test, result in tests.play_remaining():
                 self._tested(training, test, result)
         self._checkpointer.save(training)
+        if tests.pending and not self.folder.stop.exists():  # that of a sweep's or suite's trial has its reason
+            late = ", ".join(f"{test.steps:,}" for test in tests.pending)
+            self._writer.warn(f"the test after {late} steps is due", "a resumed run plays it first")
         return training.steps >= total and not tests.pending
 
     def _judge(self, diverged: list[bool], steps: int) -> None:

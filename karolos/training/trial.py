@@ -11,16 +11,16 @@ from ..core import Signature
 from ..core.signature import random_actions
 from ..environments.build import build_environment
 from ..environments.varied import is_setting
-from ..errors import KarolosError, PluginError
+from ..errors import KarolosError, PluginError, WorkerError
 from ..orchestrator.local import Local
 from ..registry import find
 from ..specification import Spec
 from ..specification.parts import Recipe
 
 STEPS = 3
-"""Steps of each episode, with random actions."""
+"""Steps of the first episode, with random actions."""
 EPISODES = 16
-"""Episodes where worlds are drawn. There may be eight, and hardly one is left out."""
+"""Episodes that begin where worlds are drawn. There may be eight worlds, and hardly one is left out."""
 
 
 def try_environments(spec: Spec) -> Signature:
@@ -50,7 +50,8 @@ def _tried(spec: Spec, recipe: Recipe, episodes: int) -> Signature:
         with Local(settings, partial(build_environment, recipe)) as environments:
             for seed in range(episodes):
                 environments.reset([0], [seed])
-                for action in (*random_actions(environments.signature, STEPS, generator), None):
+                count = 0 if seed else STEPS
+                for action in (*random_actions(environments.signature, count, generator), None):
                     step = environments.receive().step
                     if step.diverged[0]:
                         raise PluginError("the first steps diverge: numbers are not finite, or an object is far away")
@@ -59,12 +60,14 @@ def _tried(spec: Spec, recipe: Recipe, episodes: int) -> Signature:
                     environments.step([0], action[None])
             return environments.signature
     except KarolosError as error:
-        place = re.sub("^(worker|environment|building)[^:]*(: )?", "", error.where or "")  # there is one alone
-        if error.setting is None:
-            error.what, error.where = ": ".join(filter(None, (place, error.what))), None
-            if error.plugin is None:
-                error.setting = "environment.name" if spec.task is None else "task.name"
-        raise
+        if error.setting is not None:
+            raise
+        # There is one worker with one environment.
+        place = re.sub("^(worker|environment|building)[^:]*(: )?", "", error.where or "")
+        key = None if error.plugin else "environment.name" if spec.task is None else "task.name"
+        what = ": ".join(filter(None, (place, error.what)))
+        kind = PluginError if isinstance(error, WorkerError) else type(error)
+        raise kind(what, setting=key, plugin=error.plugin, hint=error.hint) from None
 
 
 def _is_own(recipe: Recipe) -> bool:

@@ -156,17 +156,26 @@ def test_seeds_side_by_side_give_what_seeds_one_after_the_other_give(finished, t
     assert {type(event) for event in events} >= {RunStarted, RunTested, RunEnded}
 
 
-def test_a_stop_request_ends_the_round_and_leaves_a_checkpoint(tmp_path):
-    def press_ctrl_c(event):
-        if isinstance(event, RunTested):
-            signal.raise_signal(signal.SIGINT)
+def press_ctrl_c(event):
+    if isinstance(event, RunTested):
+        signal.raise_signal(signal.SIGINT)
 
-    outcome = Experiment(spec(seeds=[0, 1])).run(tmp_path, listener=press_ctrl_c)
+
+def test_a_stop_request_ends_the_round_and_leaves_a_checkpoint(tmp_path):
+    outcome = Experiment(spec(seeds=[0, 1])).run(tmp_path, listener=press_ctrl_c, check=False)
     (run,) = outcome.runs
     assert (run.state, run.steps, outcome.exit_code) == ("stopped", 100, 130)
     (folder,) = folders(outcome)
     assert weights(folder)[1]["steps"] == 100
     assert signal.getsignal(signal.SIGINT) is signal.default_int_handler
+
+
+def test_one_ctrl_c_ends_a_script_that_runs_several_experiments(tmp_path):
+    with pytest.raises(KeyboardInterrupt):
+        for name in ("one", "other"):
+            Experiment(spec(name=name)).run(tmp_path, listener=press_ctrl_c)
+    with Store(Store.default_url(tmp_path)) as store:
+        assert [(run.name, run.state) for run in store.runs()] == [("one", "stopped")]
 
 
 def test_a_second_interrupt_ends_at_once_and_the_run_is_stopped(tmp_path):

@@ -91,6 +91,8 @@ class Gymnasium(Environment):
 
         @model_validator(mode="after")
         def _ordered(self) -> Gymnasium.Settings:
+            if "max_episode_steps" in self.kwargs:
+                raise ValueError("kwargs cannot have max_episode_steps; set max_steps instead")
             if self.reward_range and self.reward_range[0] > self.reward_range[1]:
                 raise ValueError(f"reward_range must go from the smallest to the largest, not {self.reward_range}")
             if self.goals and (self.flatten_goals or self.success_return is not None):
@@ -111,7 +113,12 @@ class Gymnasium(Environment):
         self._success_return = registered if settings.success_return is None else settings.success_return
         try:
             self._space: Any = _observed(env.observation_space, settings)
-            steps = settings.max_steps or getattr(env.spec, "max_episode_steps", None) or _registered_steps(settings.id)
+            limit = _own_limit(env)
+            if settings.max_steps and limit and limit < settings.max_steps:
+                what = f"{settings.id} itself ends its episodes after {limit} steps"
+                hint = f"at most {limit}, or raise that in its arguments, environment.kwargs"
+                raise UsageError(what, setting="environment.max_steps", hint=hint)
+            steps = settings.max_steps or min(filter(None, (limit, _registered_steps(settings.id))), default=None)
             if not steps:
                 raise UsageError(
                     f"{settings.id} is registered without a largest number of steps", setting="environment.max_steps"
@@ -304,6 +311,17 @@ def _run_that_holds(module: str) -> Path | None:
             if (folder / "run.json").exists() or (root in folder.parents and any(folder.glob("*/run.json"))):
                 return folder
     return None
+
+
+def _own_limit(env: Any) -> int | None:
+    """After how many steps the environment itself, or a TimeLimit in it, ends an episode."""
+    from gymnasium.wrappers import TimeLimit  # noqa: PLC0415
+
+    limits = [getattr(env.spec, "max_episode_steps", None)]
+    while env is not env.unwrapped:
+        limits.append(env._max_episode_steps if isinstance(env, TimeLimit) else None)
+        env = env.env
+    return min(filter(None, limits), default=None)
 
 
 def _registered_steps(name: str) -> int | None:
