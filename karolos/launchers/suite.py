@@ -23,7 +23,6 @@ from .driver import Feed, driving
 from .experiment import claim
 from .runs import Existing, Home, RunJob
 
-
 START_SECONDS, STEPS_PER_SECOND = 10, 330
 """What a run takes until it trains, and the median of the reference runs (docs/results.md) on two cores."""
 

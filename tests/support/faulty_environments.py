@@ -57,3 +57,4 @@ class Faulty(gymnasium.Env[Any, Any]):
 
 
 gymnasium.register("Faulty-v0", Faulty, max_episode_steps=10)
+gymnasium.register("Limited-v0", lambda: gymnasium.wrappers.TimeLimit(Faulty(), 4), max_episode_steps=10)

@@ -366,9 +366,9 @@ def _difference(space: Any, value: Any, name: str = "observation") -> str | None
     if isinstance(space, spaces.Dict) and isinstance(value, Mapping) and set(space) <= set(value):
         return next(filter(None, (_difference(part, value[key], f"{key!r}") for key, part in space.items())), None)
     inside = not isinstance(space, spaces.Box) or np.can_cast(np.asarray(value).dtype, space.dtype, "same_kind")
-    if inside and isinstance(space, spaces.Box):
-        value = np.asarray(value, space.dtype)
-    return None if inside and space.contains(value) else f"{name} {_line(value)}, which is not in its space {_line(space)}"
+    if inside and space.contains(np.asarray(value, space.dtype) if isinstance(space, spaces.Box) else value):
+        return None
+    return f"{name} {_line(value)}, which is not in its space {_line(space)}"
 
 
 def _layout(space: Any) -> Layout:
