@@ -40,12 +40,9 @@ def try_environments(spec: Spec) -> Signature:
 
 def _tried(spec: Spec, recipe: Recipe, episodes: int) -> Signature:
     given, generator = spec.orchestrator.settings, np.random.default_rng(0)
-    settings = Local.Settings(
-        processes=int(getattr(given, "processes", 1) > 0 and not _is_own(recipe)),
-        environments=1,
-        failures=0,
-        time_limit=getattr(given, "time_limit", 60.0),
-    )
+    processes, limit = getattr(given, "processes", 1), getattr(given, "time_limit", 60.0)
+    processes = min(processes, int(not _is_own(recipe)))
+    settings = Local.Settings(processes=processes, environments=1, failures=0, time_limit=limit)
     try:
         with Local(settings, partial(build_environment, recipe)) as environments:
             for seed in range(episodes):

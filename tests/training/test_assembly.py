@@ -119,11 +119,6 @@ def test_the_machine_says_how_much_memory_it_has() -> None:
     assert 1e8 < memory() < 1e14
 
 
-def test_a_foreign_environment_without_a_fault_is_accepted() -> None:
-    environment = {"name": "gymnasium", "id": "support.faulty_environments:Faulty-v0"}
-    assert check_parts(spec_from_dict({"environment": environment, "agent": "sac"})) is None
-
-
 def test_an_error_of_a_plugins_constructor_is_one_line(monkeypatch: pytest.MonkeyPatch, tmp_path: Path) -> None:
     def refuse(*_: object) -> None:
         raise ZeroDivisionError("no mass\nand a second line")
