@@ -214,6 +214,9 @@ class Run:
             for test, result in tests.play_remaining():
                 self._tested(training, test, result)
         self._checkpointer.save(training)
+        if tests.pending and self.stop.reason != "pruned":  # such a trial does not go on
+            late = ", ".join(f"{test.steps:,}" for test in tests.pending)
+            self._writer.warn(f"no test was played after {late} steps, where it is due", "a resumed run plays it")
         return training.steps >= total and not tests.pending
 
     def _judge(self, diverged: list[bool], steps: int) -> None:
