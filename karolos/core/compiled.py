@@ -30,7 +30,11 @@ VARIABLE = "KAROLOS_CACHE"
 WAIT_SECONDS = 120.0
 """How long a process waits for another one that compiles, before it compiles, too."""
 
-OPTIONS: Any = {"nogil": True, "error_model": "numpy", "no_cfunc_wrapper": True}  # the last two shorten what is compiled
+OPTIONS: Any = {
+    "nogil": True,
+    "error_model": "numpy",
+    "no_cfunc_wrapper": True,
+}  # the last two shorten what is compiled
 
 
 def compiled(function: Callable[..., Any], *, told: bool = False) -> Any:

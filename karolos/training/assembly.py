@@ -71,9 +71,8 @@ def make_buffer(spec: Spec, signature: Signature, seeds: SeedTree, *, environmen
 def check_parts(spec: Spec, jobs: int = 1) -> str | None:
     """Build the spec's parts once, so that parts that do not fit are refused before anything runs.
 
-    Builds one environment, takes a step in it, which compiles what worker processes then load, builds the agent and the
-    buffer, and discards them. Returns a note if a run of the spec may make no gradient update, or a sweep's objective
-    may say nothing.
+    Builds one environment, the agent and the buffer, and discards them. A robot takes a step. Returns a note if a run
+    of the spec may make no gradient update, or a sweep's objective may say nothing.
 
     Args:
         spec: to check.
@@ -86,8 +85,9 @@ def check_parts(spec: Spec, jobs: int = 1) -> str | None:
     with located(spec), ExitStack() as stack:
         with _making("environment", spec.environment):
             environment = stack.enter_context(opened(spec.recipe(randomize=True)))
-            environment.reset(0)
-            environment.step(random_actions(environment.signature, 1, np.random.default_rng(0))[0])
+            if spec.robot is not None:  # compiles what the worker processes of a run then load
+                environment.reset(0)
+                environment.step(random_actions(environment.signature, 1, np.random.default_rng(0))[0])
         signature, size = environment.signature, environments_of(spec)
         check_memory(spec, signature, jobs)
         with _making("agent", spec.agent):
