@@ -155,7 +155,7 @@ class _Announcement(event.Listener):
     def on_start(self, event: Any) -> None:
         if event.data["dispatcher"] is self._dispatcher:
             self._began = time.monotonic()
-            kept = f", once: kept in {self._folder}" if self._folder else ""
+            kept = f" (kept in {self._folder})" if self._folder else ""
             print(f"compiling the physics{kept} ...", file=sys.stderr, flush=True)
 
     def on_end(self, event: Any) -> None:

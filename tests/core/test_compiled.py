@@ -40,7 +40,7 @@ def test_of_several_processes_one_compiles_and_no_other_code_or_damaged_file_is_
 
     out, err = outputs(1.0, 2)
     assert out == ["(1.0, inf)\n"] * 2
-    assert err.count(f"compiling the physics, once: kept in {kept} ...\ncompiled in") == 1
+    assert err.count(f"compiling the physics (kept in {kept}) ...\ncompiled in") == 1
     files = set(tmp_path.rglob("*.nb?"))
     assert files == set(kept.rglob("*.nb?")) != set()
     for file in files:
