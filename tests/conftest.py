@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import signal
 from collections.abc import Callable
 
 import pytest
@@ -10,6 +11,7 @@ from support.fake_plugins import FAKES
 from karolos import registry
 
 Install = Callable[..., None]
+signal.signal(signal.SIGINT, signal.default_int_handler)  # tests press Ctrl-C, also where nohup or a shell ignores it
 
 
 @pytest.fixture
