@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 import math
-from collections.abc import Sequence
+from collections.abc import Callable, Collection, Sequence
 from typing import Literal
 
 import numpy as np
@@ -12,9 +12,11 @@ from numpy.typing import NDArray
 from ..comparison import Comparison, Contender, Estimate, Metric, conditions, learning_curve
 from ..comparison.curves import Axis, places
 from ..core.seeding import SeedTree
+from ..errors import UsageError
+from ..registry import alternatives
 from ..statistics import aggregates
 from .comparison_tables import decimal, estimate
-from .figures import COLOURS, Drawing, look, short, style
+from .figures import COLOURS, Drawing, file_name, look, short, style
 from .tables import heading
 
 _Floats = NDArray[np.float64]
@@ -37,26 +39,31 @@ _LABELS: dict[Metric, str] = {
 }
 
 
-def comparison_figures(comparison: Comparison) -> list[Drawing]:
-    """Every figure: learning twice, seeds twice, a density for each contender, one figure for each measure and setting.
+def comparison_figures(comparison: Comparison, chosen: Collection[str] = ()) -> dict[str, list[Drawing]]:
+    """The figures by kind, without those in which nothing would be seen.
 
-    There are no densities of returns. Settings are those that `karolos test` gave other numbers.
+    Args:
+        comparison: what is drawn.
+        chosen: kinds or names of the figures that are wanted; by default all.
+
+    Raises:
+        UsageError: no figure has that name.
     """
-    return [
-        learning(comparison, "steps"),
-        learning(comparison, "seconds"),
-        final(comparison),
-        profiles(comparison),
-        *density_figures(comparison),
-        *measure_figures(comparison),
-        *condition_figures(comparison),
-    ]
+    drawn = {kind: [one for one in draw(comparison) if one.shows_something] for kind, draw in KINDS.items()}
+    known = [*KINDS, *(one.name for drawings in drawn.values() for one in drawings)]
+    for name in chosen:
+        if name not in known:
+            raise UsageError(f"there is no figure {name!r}", where="--figure", hint=alternatives(name, known))
+    return {
+        kind: [one for one in drawings if not chosen or not {kind, one.name}.isdisjoint(chosen)]
+        for kind, drawings in drawn.items()
+    }
 
 
-def titled_curve(comparison: Comparison, place: int, title: str) -> Drawing:
-    """Learning over steps, on a page with several such figures, of which this is number `place`."""
+def titled_curve(comparison: Comparison, title: str) -> Drawing:
+    """Learning over steps, on a page with several such figures."""
     drawing = learning(comparison, "steps")
-    drawing.name = f"learning_{place}"
+    drawing.name = file_name(title)
     drawing.axes.set_title(title, loc="left")
     return drawing
 
@@ -129,7 +136,7 @@ def measure_figures(comparison: Comparison) -> list[Drawing]:
         if not known:
             continue
         span = max(found.high for found in known) - min(found.low for found in known)
-        drawing = Drawing(f"measure_{name}", name, f"The {one['better']} the better.")
+        drawing = Drawing(file_name(f"measure_{name}"), name, f"The {one['better']} the better.")
         drawing.figure.set_figheight(1 + 0.5 * len(estimates))
         values = [[run.measured(name) for run in contender.runs] for contender in comparison.contenders]
         _dots(drawing, comparison, values, estimates, span)
@@ -145,7 +152,7 @@ def _spread(comparison: Comparison, name: str) -> list[Drawing]:
     if not known:
         return []
     caption = "Share of the final test's episodes with at most this value. Bold: mean over seeds; thin: each seed."
-    drawing = Drawing(f"measure_{name}_spread", f"{name}, episode by episode", caption)
+    drawing = Drawing(file_name(f"measure_{name}_spread"), f"{name}, episode by episode", caption)
     low, high = min(float(one[0]) for one in known), max(float(np.quantile(one, SEEN)) for one in known)
     at = np.linspace(low, high, SPREAD_POINTS) if high > low else np.array([low, low + 1.0])
     for series, runs in enumerate(finals):
@@ -170,7 +177,7 @@ def condition_figures(comparison: Comparison) -> list[Drawing]:
     drawings = []
     for setting in sorted({setting for one in found for setting in one}):
         caption = "Tests of policies with other values of this setting. Mean over seeds with its interval (95 %)."
-        drawing = Drawing(f"over_{setting}", f"Success over {setting}", caption)
+        drawing = Drawing(file_name(f"over_{setting}"), f"Success over {setting}", caption)
         every = [value for one in found if setting in one for value in one[setting].success]
         for series, one in enumerate(found):
             if setting not in one:
@@ -242,6 +249,8 @@ def profiles(comparison: Comparison) -> Drawing:
     )
     for series, contender in enumerate(comparison.contenders):
         values = [run.reported(comparison.metric) for run in contender.runs]
+        if np.isnan(values).all():
+            continue
         thresholds = np.unique([*values, *_ends(comparison)])
         # The fraction at t holds from the threshold before t up to t.
         [line] = drawing.axes.step(
@@ -266,11 +275,11 @@ def density_figures(comparison: Comparison) -> list[Drawing]:
     found = {series: scores.over_steps for series, scores in enumerate(comparison.scores) if scores.over_steps}
     several = {series: comparison.contenders[series] for series in found}
     peak = max((float(one.density.max()) for _, each in found.values() for one in each), default=1.0)
-    drawings = []
+    drawings, names = [], [file_name(label) for label in comparison.labels]
     for series, (at, each) in found.items():
-        contender = several[series]
+        contender, name = several[series], names[series]
         drawing = Drawing(
-            f"density_{series + 1}",
+            f"density_{name}{f'_{series + 1}' * (names.count(name) > 1)}",
             contender.label,
             f"{len(contender.runs)} seeds. Darkest: a density of {peak:.0f}.",
             series,
@@ -293,6 +302,18 @@ def density_figures(comparison: Comparison) -> list[Drawing]:
         _metric_axis(drawing, "y", comparison, data=(min(low for low, _ in ends), max(high for _, high in ends)))
         drawings.append(drawing)
     return drawings
+
+
+KINDS: dict[str, Callable[[Comparison], list[Drawing]]] = {
+    "steps": lambda comparison: [learning(comparison, "steps")],
+    "time": lambda comparison: [learning(comparison, "seconds")],
+    "final": lambda comparison: [final(comparison)],
+    "profiles": lambda comparison: [profiles(comparison)],
+    "densities": density_figures,
+    "measures": measure_figures,
+    "settings": condition_figures,
+}
+"""What can be drawn: learning twice, the seeds twice, and a figure for each contender, measure and tested setting."""
 
 
 def heat_map(
@@ -368,6 +389,8 @@ def _metric_axis(
 ) -> None:
     """An axis of what is compared. That of a ratio shows the part of 0 to 1 that holds the data, and says so.
 
+    What lies on its border is drawn whole.
+
     `data`: the smallest and the largest ratio; None: of what was drawn.
     """
     _value_axis(drawing, axis, f"{before}{_LABELS[comparison.metric]}", ratio=False)
@@ -375,19 +398,27 @@ def _metric_axis(
         return
     low, high = data or (drawing.axes.dataLim.intervaly if axis == "y" else drawing.axes.dataLim.intervalx)
     margin = max(0.06 * (high - low), 0.003)
-    low, high = max(low - margin, -margin), min(high + margin, 1 + margin)
+    low, high = max(low - margin, 0), min(high + margin, 1)
     if high - low > WHOLE:
         _value_axis(drawing, axis, f"{before}{_LABELS[comparison.metric]}")
         return
     drawing.axes.set(**{f"{axis}lim": (low, high)})
-    drawing.caption += f" The axis shows {max(low, 0):.2g} to {min(high, 1):.2g} only."
+    _unclip(drawing)
+    drawing.caption += f" The axis shows {low:.2g} to {high:.2g} only."
 
 
 def _value_axis(drawing: Drawing, axis: Literal["x", "y"], label: str, *, ratio: bool = True) -> None:
-    """An axis with lines across; that of a ratio is from 0 to 1, with room for what is on the border."""
-    ends = {f"{axis}lim": (-0.03, 1.03), f"{axis}ticks": (0, 0.25, 0.5, 0.75, 1)} if ratio else {}
-    drawing.axes.set(**{f"{axis}label": label}, **ends)
+    """An axis with lines across; that of a ratio is from 0 to 1, and what lies on its border is drawn whole."""
+    if ratio:
+        drawing.axes.set(**{f"{axis}lim": (0, 1), f"{axis}ticks": (0, 0.25, 0.5, 0.75, 1)})
+        _unclip(drawing)
+    drawing.axes.set(**{f"{axis}label": label})
     drawing.axes.grid(visible=True, axis=axis)
+
+
+def _unclip(drawing: Drawing) -> None:
+    for line in drawing.axes.lines:
+        line.set_clip_on(False)
 
 
 def _columns(at: _Floats) -> _Floats:

@@ -92,10 +92,7 @@ def metric_map(report: TransferReport, name: str) -> Drawing:
 @look()
 def transfer_figures(report: TransferReport) -> tuple[list[Drawing], list[Drawing]]:
     """A heat map for each metric, and the learning curves on each target."""
-    curves = [
-        titled_curve(comparison, place, f"Learning on {short(label)}")
-        for place, (label, comparison) in enumerate(report.learning.items())
-    ]
+    curves = [titled_curve(one, f"Learning on {short(label)}") for label, one in report.learning.items()]
     return [metric_map(report, name) for name in report.metrics], curves
 
 
