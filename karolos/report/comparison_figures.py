@@ -34,7 +34,7 @@ _SECONDS = ((7200, 3600, "h"), (120, 60, "min"), (0, 1, "s"))
 
 _LABELS: dict[Metric, str] = {
     "any": "success ratio at any step",
-    "end": "success ratio at the end of the episode",
+    "end": "success ratio at the end",
     "return": "mean return of an episode",
 }
 
@@ -133,9 +133,9 @@ def measure_figures(comparison: Comparison) -> list[Drawing]:
     for name, one in comparison.measures.items():
         estimates = [scores.measures.get(name) for scores in comparison.scores]
         known = [found for found in estimates if found is not None]
-        if not known:
+        span = max((found.high for found in known), default=0) - min((found.low for found in known), default=0)
+        if not span:  # a force of 0 in every run, or a single run
             continue
-        span = max(found.high for found in known) - min(found.low for found in known)
         drawing = Drawing(file_name(f"measure_{name}"), name, f"The {one['better']} the better.")
         drawing.figure.set_figheight(1 + 0.5 * len(estimates))
         values = [[run.measured(name) for run in contender.runs] for contender in comparison.contenders]
@@ -154,7 +154,9 @@ def _spread(comparison: Comparison, name: str) -> list[Drawing]:
     caption = "Share of the final test's episodes with at most this value. Bold: mean over seeds; thin: each seed."
     drawing = Drawing(file_name(f"measure_{name}_spread"), f"{name}, episode by episode", caption)
     low, high = min(float(one[0]) for one in known), max(float(np.quantile(one, SEEN)) for one in known)
-    at = np.linspace(low, high, SPREAD_POINTS) if high > low else np.array([low, low + 1.0])
+    if low == high:
+        return []
+    at = np.linspace(low, high, SPREAD_POINTS)
     for series, runs in enumerate(finals):
         shares = [np.searchsorted(np.sort(values), at, side="right") / len(values) for values in runs if len(values)]
         for share in shares if len(shares) > 1 else ():
@@ -249,9 +251,9 @@ def profiles(comparison: Comparison) -> Drawing:
     )
     for series, contender in enumerate(comparison.contenders):
         values = [run.reported(comparison.metric) for run in contender.runs]
-        if np.isnan(values).all():
-            continue
         thresholds = np.unique([*values, *_ends(comparison)])
+        if np.isnan(values).all() or thresholds.size == 1:
+            continue  # nothing would be seen
         # The fraction at t holds from the threshold before t up to t.
         [line] = drawing.axes.step(
             thresholds, aggregates.profile(values, thresholds), where="pre", **style(series), linewidth=2
@@ -394,7 +396,7 @@ def _metric_axis(
     `data`: the smallest and the largest ratio; None: of what was drawn.
     """
     _value_axis(drawing, axis, f"{before}{_LABELS[comparison.metric]}", ratio=False)
-    if comparison.metric == "return":
+    if comparison.metric == "return" or not drawing.shows_something:
         return
     low, high = data or (drawing.axes.dataLim.intervaly if axis == "y" else drawing.axes.dataLim.intervalx)
     margin = max(0.06 * (high - low), 0.003)

@@ -113,7 +113,7 @@ def page(report: TransferReport, maps: Sequence[Drawing], curves: Sequence[Drawi
         *([Section("Learning", figures=curves)] if curves else []),
         Section("Runs", table=_runs_table(report)),
     ]
-    return document(f"Transfer: {report.name}", f"{len(report.seeds)} seeds", sections, report.warnings)
+    return document(f"Transfer: {report.name}", f"seeds {', '.join(map(str, report.seeds))}", sections, report.warnings)
 
 
 def _runs_table(report: TransferReport) -> Table:
