@@ -40,24 +40,16 @@ _LABELS: dict[Metric, str] = {
 
 
 def comparison_figures(comparison: Comparison, chosen: Collection[str] = ()) -> dict[str, list[Drawing]]:
-    """The figures by kind, without those in which nothing would be seen.
+    """The figures by kind, or those whose kind or name is chosen, without any in which nothing would be seen.
 
-    Args:
-        comparison: what is drawn.
-        chosen: kinds or names of the figures that are wanted; by default all.
-
-    Raises:
-        UsageError: no figure has that name.
+    Raises UsageError if no figure has a chosen name.
     """
     drawn = {kind: [one for one in draw(comparison) if one.shows_something] for kind, draw in KINDS.items()}
     known = [*KINDS, *(one.name for drawings in drawn.values() for one in drawings)]
-    for name in chosen:
-        if name not in known:
-            raise UsageError(f"there is no figure {name!r}", where="--figure", hint=alternatives(name, known))
-    return {
-        kind: [one for one in drawings if not chosen or not {kind, one.name}.isdisjoint(chosen)]
-        for kind, drawings in drawn.items()
-    }
+    if name := next((name for name in chosen if name not in known), None):
+        raise UsageError(f"there is no figure {name!r}", where="--figure", hint=alternatives(name, known))
+    wanted = {*(chosen or KINDS)}
+    return {kind: [one for one in found if wanted & {kind, one.name}] for kind, found in drawn.items()}
 
 
 def titled_curve(comparison: Comparison, title: str) -> Drawing:
@@ -134,8 +126,8 @@ def measure_figures(comparison: Comparison) -> list[Drawing]:
         estimates = [scores.measures.get(name) for scores in comparison.scores]
         known = [found for found in estimates if found is not None]
         span = max((found.high for found in known), default=0) - min((found.low for found in known), default=0)
-        if not span:  # a force of 0 in every run, or a single run
-            continue
+        if not span:
+            continue  # a single run, or a force of 0 in all of them
         drawing = Drawing(file_name(f"measure_{name}"), name, f"The {one['better']} the better.")
         drawing.figure.set_figheight(1 + 0.5 * len(estimates))
         values = [[run.measured(name) for run in contender.runs] for contender in comparison.contenders]
@@ -395,32 +387,30 @@ def _metric_axis(
 
     `data`: the smallest and the largest ratio; None: of what was drawn.
     """
-    _value_axis(drawing, axis, f"{before}{_LABELS[comparison.metric]}", ratio=False)
-    if comparison.metric == "return" or not drawing.shows_something:
-        return
     low, high = data or (drawing.axes.dataLim.intervaly if axis == "y" else drawing.axes.dataLim.intervalx)
     margin = max(0.06 * (high - low), 0.003)
     low, high = max(low - margin, 0), min(high + margin, 1)
-    if high - low > WHOLE:
-        _value_axis(drawing, axis, f"{before}{_LABELS[comparison.metric]}")
-        return
-    drawing.axes.set(**{f"{axis}lim": (low, high)})
-    _unclip(drawing)
-    drawing.caption += f" The axis shows {low:.2g} to {high:.2g} only."
+    part = (low, high) if drawing.shows_something and high - low <= WHOLE else None
+    ratio = comparison.metric != "return"
+    _value_axis(drawing, axis, f"{before}{_LABELS[comparison.metric]}", ratio=ratio, part=part)
+    drawing.caption += f" The axis shows {low:.2g} to {high:.2g} only." if ratio and part else ""
 
 
-def _value_axis(drawing: Drawing, axis: Literal["x", "y"], label: str, *, ratio: bool = True) -> None:
-    """An axis with lines across; that of a ratio is from 0 to 1, and what lies on its border is drawn whole."""
-    if ratio:
-        drawing.axes.set(**{f"{axis}lim": (0, 1), f"{axis}ticks": (0, 0.25, 0.5, 0.75, 1)})
-        _unclip(drawing)
+def _value_axis(
+    drawing: Drawing,
+    axis: Literal["x", "y"],
+    label: str,
+    *,
+    ratio: bool = True,
+    part: tuple[float, float] | None = None,
+) -> None:
+    """An axis with lines across; that of a ratio is a part of 0 to 1 or all of it. Lines on its border are not cut."""
     drawing.axes.set(**{f"{axis}label": label})
+    if ratio:
+        drawing.axes.set(**{f"{axis}lim": part or (0, 1)} | ({} if part else {f"{axis}ticks": (0, 0.25, 0.5, 0.75, 1)}))
+        for line in drawing.axes.lines:
+            line.set_clip_on(False)
     drawing.axes.grid(visible=True, axis=axis)
-
-
-def _unclip(drawing: Drawing) -> None:
-    for line in drawing.axes.lines:
-        line.set_clip_on(False)
 
 
 def _columns(at: _Floats) -> _Floats:

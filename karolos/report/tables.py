@@ -101,33 +101,24 @@ def finite(value: Any) -> Any:
     return value
 
 
-_LATEX = {
-    "\\": "\\textbackslash{}",
-    "~": "\\textasciitilde{}",
-    "^": "\\textasciicircum{}",
-    "<": "\\textless{}",
-    ">": "\\textgreater{}",
-    "|": "\\textbar{}",
-    "\N{INFINITY}": "$\\infty$",
-    "\N{REPLACEMENT CHARACTER}": "?",
-    **{sign: f"\\{sign}" for sign in "&%$#_{}"},
-}
+_NAMED = {"\\": "backslash", "~": "asciitilde", "^": "asciicircum", "<": "less", ">": "greater", "|": "bar"}
+_LATEX = {sign: f"\\text{name}{{}}" for sign, name in _NAMED.items()} | {sign: f"\\{sign}" for sign in "&%$#_{}"}
+_LATEX |= {"\N{INFINITY}": "$\\infty$", "\N{REPLACEMENT CHARACTER}": "?"}
 
 
 def latex(tables: Iterable[Table], notes: Iterable[str] = ()) -> str:
     """Tables of the same columns below each other, in LaTeX with the package booktabs; notes as comments above."""
-    found = [table for table in tables if table.rows]
-    rules = [f"\\midrule\n{''.join(map(_latex_row, table.rows))}" for table in found]
-    columns = found[0].columns
-    above = "".join(f"% {clean(note)}\n" for note in notes)
-    head = f"\\begin{{tabular}}{{{'l' * len(columns)}}}\n\\toprule\n{_latex_row(columns)}"
-    return f"{above}{head}{''.join(rules)}\\bottomrule\n\\end{{tabular}}\n"
+    blocks = [(table.columns, [_latex_row(row) for row in table.rows]) for table in tables if table.rows]
+    columns = blocks[0][0]
+    lines = [*(f"% {clean(note)}" for note in notes), f"\\begin{{tabular}}{{{'l' * len(columns)}}}", "\\toprule"]
+    lines += [_latex_row(columns), *(line for _, rows in blocks for line in ("\\midrule", *rows))]
+    return "\n".join([*lines, "\\bottomrule", "\\end{tabular}", ""])
 
 
 def _latex_row(cells: Iterable[str]) -> str:
     texts = ["".join(_LATEX.get(sign, sign) for sign in clean(cell)) for cell in cells]
     signed = [re.sub(r"(?<!\w)-(?=[\d.])", "$-$", re.sub(r"(?<!\S)-(?!\S)", "--", text)) for text in texts]
-    return f"{{}}{' & '.join(signed)} \\\\\n"  # without {} a * or [ would belong to the \\\\ before it
+    return f"{{}}{' & '.join(signed)} \\\\"  # without {} a * or [ would belong to the \\\\ before it
 
 
 def duration(seconds: float | None) -> str:

@@ -234,7 +234,9 @@ class Application:
     def film_file(self, request: Request) -> Response:
         """A film that was made."""
         path = self._folder(request).path / films.FILES.get(request.path_params["kind"], "none")
-        return _file(path, "video/mp4")
+        if not path.is_file():
+            raise NoSuchRunError(f"there is no {path.name} yet")
+        return FileResponse(path, media_type="video/mp4")
 
     def reports(self, kind: str, _: Request) -> Response:
         """Sweeps, suites or matrices of transfers, with what they wrote."""
@@ -376,12 +378,6 @@ def _event(event: Mapping[str, Any]) -> tuple[str, str, str]:
 def _written(folder: Path) -> list[str]:
     """The files of a report, relative to its folder."""
     return sorted(path.relative_to(folder).as_posix() for pattern in WRITTEN for path in folder.glob(pattern))
-
-
-def _file(path: Path, kind: str) -> Response:
-    if not path.is_file():
-        raise NoSuchRunError(f"there is no {path.name} yet")
-    return FileResponse(path, media_type=kind)
 
 
 def _back(request: Request, part: str) -> Response:
