@@ -110,6 +110,7 @@ class Application:
             options: dict[str, Any] = {"trials": trials, "order": order, "offset": first, "limit": EXPERIMENTS}
             found = self._store.experiments(where or None, **options)
             shown |= {"rows": experiment_rows(self._store, found.experiments), "total": found.total}
+            shown["hidden"] = not (where or trials or found.total) and self._store.runs(limit=1, trials=True)
         except UsageError as error:
             shown["problem"] = str(error)
         kept: dict[str, Any] = {"where": where, "order": order, **({"trials": 1} if trials else {})}

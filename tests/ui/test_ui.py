@@ -125,7 +125,7 @@ def test_damaged_folders_are_shown_as_such(tmp_path: Path) -> None:
 
 
 def test_sweeps_suites_and_transfers_lead_to_what_they_wrote(tmp_path: Path) -> None:
-    run = add_run(tmp_path, 0)
+    run = add_run(tmp_path, 0, name="x-t000")
     page = client(tmp_path)
     for kind in ("sweep", "suite", "transfer"):
         assert f"<pre>karolos {kind}" in page.get(f"/{kind}s").text  # what to do next
@@ -140,6 +140,7 @@ def test_sweeps_suites_and_transfers_lead_to_what_they_wrote(tmp_path: Path) -> 
         "suites": ("/runs/suites/a%20b/report.html",),
         "transfers": ("m: no report yet",),
     }
+    assert '<a href="/?trials=1">' in page.get("/").text  # the only run is a trial's
     for kind, parts in listed.items():
         text = page.get(f"/{kind}").text
         assert [part for part in parts if part not in text] == []
