@@ -241,16 +241,15 @@ class Application:
 
     def reports(self, kind: str, _: Request) -> Response:
         """Sweeps, suites or matrices of transfers, with what they wrote."""
-        written = {path.name: _written(path) for path in sorted((self._runs / kind).glob("*")) if path.is_dir()}
         sweeps = [(sweep, sweep.state()) for sweep in self._store.sweeps.all()] if kind == SWEEPS else []
-        return self._page("reports.html", kind=kind, written=written, sweeps=sweeps)
+        return self._page("reports.html", kind=kind, written=_written(self._runs / kind), sweeps=sweeps)
 
     def report(self, kind: str, request: Request) -> Response:
         """A page or figure that a sweep, suite or matrix wrote, which may run no script; the page with a way back."""
-        folder, file = files.below(self._runs / kind, request.path_params["name"]), request.path_params["file"]
-        if file not in _written(folder):
-            raise NoSuchRunError(f"{folder.name} has no {file}", hint=f"go back to the {kind}")
-        text = (folder / file).read_text("utf-8", "replace")
+        name, file = request.path_params["name"], request.path_params["file"]
+        if file not in _written(self._runs / kind).get(name, ()):  # looked for by no path: a name may be none
+            raise NoSuchRunError("there is no such report", hint=f"the page of {kind} lists them")
+        text = (files.below(self._runs / kind, name) / file).read_text("utf-8", "replace")
         text = text.replace("<body>", f'<body>\n<p><a href="/{kind}">{kind.title()}</a></p>', 1)
         policy = "sandbox; default-src 'none'; style-src 'unsafe-inline'; img-src data:"
         media = "text/html" if file.endswith(".html") else "image/svg+xml"
@@ -376,9 +375,13 @@ def _event(event: Mapping[str, Any]) -> tuple[str, str, str]:
     return str(event.get("time", ""))[:19].replace("T", " "), str(event.get("event", "")), shown
 
 
-def _written(folder: Path) -> list[str]:
-    """The files of a report, relative to its folder."""
-    return sorted(path.relative_to(folder).as_posix() for pattern in WRITTEN for path in folder.glob(pattern))
+def _written(root: Path) -> dict[str, list[str]]:
+    """Name of a sweep, suite or matrix -> the files of its report, relative to its folder."""
+    return {
+        folder.name: sorted(path.relative_to(folder).as_posix() for one in WRITTEN for path in folder.glob(one))
+        for folder in sorted(root.glob("*"))
+        if folder.is_dir()
+    }
 
 
 def _back(request: Request, part: str) -> Response:
