@@ -17,6 +17,7 @@ from karolos.errors import UsageError
 from karolos.files import writing
 from karolos.report.tables import (
     Table,
+    csv_text,
     duration,
     facts_table,
     measures_table,
@@ -41,7 +42,7 @@ from .arguments import (
     open_store,
     select_runs,
 )
-from .output import print_csv, print_rows, print_table, say, warn
+from .output import print_rows, print_table, say, warn
 
 if TYPE_CHECKING:
     from karolos.records import RunFolder
@@ -114,7 +115,7 @@ def list_runs(
             say(nothing if where is None else "no runs match the filter")
         listed, rows = _rows(store, found, columns, sort, group=group)
     if csv:
-        print_csv(rows)
+        print(csv_text(rows), end="")
     elif json or group or columns is not None:
         print_rows(rows, json=json)
     elif rows:

@@ -28,7 +28,7 @@ MISSING: Final = Missing.MISSING
 def differences(mappings: Sequence[Mapping[str, Any]]) -> dict[str, tuple[Any, ...]]:
     """Key path -> each mapping's value, for values that are not all equal; keys are grouped by their first part.
 
-    A block that a side lacks is one value. So are several keys of a block that a side lacks, as another plugin has.
+    Each key of a block that a side lacks, as another plugin has, is a value of its own.
 
     Args:
         mappings: nested, e.g. resolved specs. A list is one value.
@@ -36,16 +36,12 @@ def differences(mappings: Sequence[Mapping[str, Any]]) -> dict[str, tuple[Any, .
     found: dict[str, tuple[Any, ...]] = {}
     for key in dict.fromkeys(key for mapping in mappings for key in mapping):
         values = tuple(mapping.get(key, MISSING) for mapping in mappings)
-        blocks = [value for value in values if isinstance(value, Mapping)]
-        if len(blocks) < len(values):
-            found |= {key: values} if any(value != values[0] for value in values) else {}
+        if all(value == values[0] for value in values):
             continue
-        inside = differences(blocks)
-        lacking = [name for name in inside if "." not in name and MISSING in inside[name]]
-        if len(lacking) > 1:
-            own = [{name: block[name] for name in lacking if name in block} or MISSING for block in blocks]
-            inside = {"": tuple(own)} | {name: each for name, each in inside.items() if name not in lacking}
-        found |= {f"{key}.{name}".rstrip("."): each for name, each in inside.items()}
+        blocks = [value if isinstance(value, Mapping) and value else {} for value in values]
+        own = tuple(MISSING if block else value for block, value in zip(blocks, values, strict=True))
+        found |= {key: own} if any(value is not MISSING for value in own) else {}
+        found |= {f"{key}.{name}": each for name, each in differences(blocks).items()}
     return found
 
 

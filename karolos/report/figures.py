@@ -7,6 +7,7 @@ import warnings
 from collections.abc import Iterator, Mapping, Sequence
 from contextlib import contextmanager
 from html import escape
+from math import isfinite
 from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
@@ -50,6 +51,11 @@ def short(text: str, length: int = 28) -> str:
     return f"{text[:head]}…{text[len(text) - (length - 1 - head) :]}"
 
 
+def file_name(text: str) -> str:
+    """A text as part of the name of a file."""
+    return re.sub(r"[^\w.-]+", "_", text)[:100]
+
+
 def style(series: int) -> dict[str, Any]:
     """Colour and dashes of a contender's lines, for matplotlib."""
     dashes = DASHES[series // len(COLOURS) % len(DASHES)]
@@ -75,6 +81,11 @@ class Drawing:
         self.axes.set_title(short(title, 44))
         self.parts: dict[str, tuple[str, str]] = {}
         """Group id of an artist -> class names and tooltip of its element in the page."""
+
+    @property
+    def shows_something(self) -> bool:
+        """Whether anything that was drawn has a place on the axes: a return that is not a number has none."""
+        return bool(isfinite(self.axes.dataLim.x1 + self.axes.dataLim.y1))
 
     def part(self, artist: Artist, classes: str, tooltip: str = "") -> None:
         """Give an artist class names and a tooltip in the page."""
