@@ -71,8 +71,8 @@ class Application:
     def __init__(self, runs: Path, store: Store) -> None:
         self._runs, self._store, self.films = runs, store, films.Films()
         self._templates = page.templates(HERE / "pages", page.FOLDER)
-        self._drawing = threading.Lock()  # matplotlib's settings are those of the process
-        self._drawn: OrderedDict[object, Any] = OrderedDict()
+        self._keeping = threading.Lock()
+        self._drawn: OrderedDict[object, tuple[threading.Lock, list[Any]]] = OrderedDict()
 
     def asgi(self) -> Starlette:
         """What a server calls."""
@@ -268,13 +268,15 @@ class Application:
         return parts.show(sections, contenders, "/runs/")
 
     def _once(self, key: object, draw: Callable[[], Any]) -> Any:
-        """What was drawn for this key, or is drawn now: one drawing at a time."""
-        with self._drawing:
-            if key not in self._drawn:
-                self._drawn[key] = draw()
-                if len(self._drawn) > KEPT:
-                    self._drawn.popitem(last=False)
-            return self._drawn[key]
+        """What was drawn for this key, or is drawn now. Meanwhile others draw what has other keys."""
+        with self._keeping:
+            drawing, drawn = self._drawn.setdefault(key, (threading.Lock(), []))
+            if len(self._drawn) > KEPT:
+                self._drawn.popitem(last=False)
+        with drawing:
+            if not drawn:
+                drawn.append(draw())
+        return drawn[0]
 
     def _found(self, request: Request) -> RunSummary:
         """The run in the address."""

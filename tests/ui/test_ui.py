@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import re
 import socket
+import threading
 import time
 from pathlib import Path
 from urllib.parse import parse_qs, quote, urlsplit
@@ -218,3 +219,17 @@ def test_what_is_shown_is_told_with_the_address(tmp_path: Path, monkeypatch: pyt
     code, out, err = call(app, "--runs", str(tmp_path), "--port", "0")
     assert (code, err) == (0, f"shows {tmp_path}; Ctrl-C ends it\n")
     assert re.fullmatch(r"http://127\.0\.0\.1:[1-9]\d*/\n", out)
+
+
+def test_others_draw_while_a_long_comparison_is_drawn(tmp_path: Path) -> None:
+    application = Application(tmp_path, Store(Store.default_url(tmp_path)))
+    other = []
+
+    def long() -> str:
+        thread = threading.Thread(target=lambda: other.append(application._once("short", lambda: "drawn")))
+        thread.start()
+        thread.join(10)
+        return "long"
+
+    assert application._once("long", long) == "long"
+    assert other == ["drawn"]
