@@ -8,7 +8,7 @@ from __future__ import annotations
 import json
 import multiprocessing
 import os
-from collections.abc import Callable
+from collections.abc import Callable, Sequence
 from concurrent.futures import Future, ProcessPoolExecutor
 from dataclasses import dataclass, replace
 from functools import cache, cached_property
@@ -26,7 +26,7 @@ from .testing import play_episodes
 
 NICENESS = 10
 """Is added to the second process's priority value: it gets about a tenth of a core that another process wants, too."""
-PART = 125
+PART = 50
 """Episodes that a process plays at a time: of longer tests two processes play parts."""
 CLOSE_SECONDS = 3.0
 """Seconds for an idle process to end before it is killed."""
@@ -41,7 +41,7 @@ class DueTest:
     seconds: float
     """Wall-clock seconds of collecting and learning."""
     agent: State
-    seeds: tuple[int, ...]
+    seeds: Sequence[int]
     """One per episode."""
 
     @cached_property

@@ -72,9 +72,7 @@ class Run:
     def __post_init__(self) -> None:
         self._writer = RunWriter(self.folder, self.url, self.listener)
         self._announcer = Announcer(self.folder.id, self.listener)
-        self._checkpointer = Checkpointer(
-            self._writer, self.spec.hash(), self.seed, self._pending, self._announcer.announce
-        )
+        self._checkpointer = Checkpointer(self._writer, self.spec, self.seed, self._pending, self._announcer.announce)
 
     def execute(self) -> RunSummary:
         """Train, test and write down. An error ends this run only: it is written down, and other seeds can run."""
@@ -116,6 +114,7 @@ class Run:
                 environments, agent, buffer, spec.training, seeds, spec.training.at_least, pretraining_updates
             )
             announce = self._announcer.announce
+            self._announcer.write = lambda: self._writer.write_progress(training)
             tests = PendingTests(spec, training, self._pending, self._writer, self.stop, announce, beside=self.beside)
             stack.callback(tests.close)
             finished = self._prepare(training) and self._train_and_test(training, tests)
@@ -191,6 +190,7 @@ class Run:
             due(training.steps)
         reported_at = -1
         episodes: list[Episode] = []
+        tests.catch_up()  # after a stop some are pending
         diverged = self._checkpointer.diverged
         for progress in training.rounds():
             episodes += progress.finished

@@ -228,11 +228,12 @@ def _dots(
         dots = np.array(values[series], float)  # None becomes nan
         row, colour = count - series, style(series)["color"]
         heights = row + _offsets(dots, span or 1.0)
-        together = dots.size > MOST_APART
-        for place in [slice(None)] if together else range(dots.size):
-            x, y = dots[place], heights[place]
+        texts = [f"{_run_text(contender, place)}, {x:.4g}" for place, x in enumerate(dots)]
+        points = list(zip(dots[:, None], heights[:, None], texts, strict=True))
+        if dots.size > MOST_APART:
+            points = [(dots, heights, f"{contender.label}: {dots.size:,} seeds")]
+        for x, y, text in points:
             [dot] = axes.plot(x, y, "o", color=colour, alpha=0.75, markersize=4.5, markeredgewidth=0, clip_on=False)
-            text = f"{contender.label}: {dots.size} seeds" if together else f"{_run_text(contender, place)}, {x:.4g}"
             drawing.part(dot, f"dot series-{series}", text)
         if found is None:
             continue

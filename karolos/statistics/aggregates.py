@@ -24,7 +24,7 @@ MANY = 1000
 DRAWN = 1 << 20
 """Values that are drawn at a time, so that the memory does not grow with the number of seeds."""
 BAND_DRAWS = 1 << 20
-"""Values that the band of a curve is made of: with more than 524 seeds it has fewer than 2,000 resamples, at least 200."""
+"""Values that a band is made of at each point. With more than 524 seeds it has fewer resamples, at least 200."""
 LEVELS = ((1 - 0.95) / 2, (1 + 0.95) / 2)
 """Quantiles at the ends of a 95 % interval."""
 FEW_SEEDS = 5

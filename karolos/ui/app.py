@@ -3,7 +3,6 @@
 from __future__ import annotations
 
 import threading
-import time
 from collections import OrderedDict
 from collections.abc import Callable, Iterable, Iterator, Mapping, Sequence
 from hashlib import sha256
@@ -54,8 +53,6 @@ MOST_POSTED = 1 << 20
 """Bytes of a form: more than the longest note has."""
 KEPT = 8
 """Drawn comparisons and runs that are kept."""
-NO_LONGER_SECONDS = 30
-"""After this time a list is made again although the database did not change: a run may have been killed."""
 REPORTS = {"sweeps": SWEEPS, "transfers": "transfers"}
 """Kind of a report -> folder of its folders in the runs folder."""
 
@@ -97,7 +94,8 @@ class Application:
         asked = request.query_params
         where, order = asked.get("where", "").strip(), asked.get("order", "created")
         trials, first = "trials" in asked, _whole(asked.get("from"))
-        seen = _digest(self._store.database.version(), time.monotonic() // NO_LONGER_SECONDS)
+        going = [(run.run, run.state, run.steps) for state in UNFINISHED for run in self._store.runs(state=state)]
+        seen = _digest(self._store.database.version(), going)
         if asked.get("seen") == seen:
             return Response(status_code=204)
         shown: dict[str, Any] = {"problem": None, "rows": [], "total": 0}
