@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import os
 import threading
 from collections import OrderedDict
 from collections.abc import Callable, Iterable, Iterator, Mapping, Sequence
@@ -12,12 +13,12 @@ from urllib.parse import parse_qsl, quote, urlencode
 
 from starlette.applications import Starlette
 from starlette.concurrency import run_in_threadpool
-from starlette.requests import Request
+from starlette.requests import ClientDisconnect, Request
 from starlette.responses import FileResponse, HTMLResponse, RedirectResponse, Response
 from starlette.routing import Mount, Route
 from starlette.staticfiles import StaticFiles
 
-from .. import files
+from .. import checkpoint, files
 from ..comparison import compare, gather, labels_of
 from ..comparison.contenders import Contender, load_compared
 from ..errors import KarolosError, NoSuchRunError, RunError, UsageError
@@ -87,7 +88,7 @@ class Application:
             Route("/static/page.css", lambda _: FileResponse(page.FOLDER / "page.css")),
             Mount("/static", StaticFiles(directory=HERE / "static")),
         ]
-        return Starlette(routes=routes, exception_handlers={KarolosError: self._explained})
+        return Starlette(routes=routes, exception_handlers={KarolosError: self._explained, ClientDisconnect: _left})
 
     def experiments(self, request: Request) -> Response:
         """Experiments with their seeds, the newest first; the page asks again while it is open."""
@@ -183,6 +184,7 @@ class Application:
             defaults=[one for one in settings if one[2] == "default"],
             events=[_event(event) for event in events],
             films=self._films(folder, failures),
+            policy=folder is not None and bool(checkpoint.names(folder.checkpoints)),
         )
 
     def test(self, request: Request) -> Response:
@@ -241,7 +243,10 @@ class Application:
         kind = REPORTS.get(request.path_params["kind"])
         if kind is None:
             raise UsageError("only sweeps and matrices have reports")
-        path = files.below(self._runs / kind, request.path_params["name"]) / "report.html"
+        try:
+            path = files.below(self._runs / kind, request.path_params["name"]) / "report.html"
+        except (UsageError, ValueError) as error:  # ValueError of names with NUL
+            raise NoSuchRunError("there is no such report", hint="the page of sweeps lists them") from error
         answer = _file(path, "text/html")
         answer.headers["Content-Security-Policy"] = (
             "sandbox; default-src 'none'; style-src 'unsafe-inline'; img-src data:"
@@ -364,12 +369,17 @@ def _event(event: Mapping[str, Any]) -> tuple[str, str, str]:
     return str(event.get("time", ""))[:19].replace("T", " "), str(event.get("event", "")), shown
 
 
+def _left(_: Request, __: Exception) -> Response:
+    """Nobody hears this answer: the client left while it sent a form."""
+    return Response(status_code=400)
+
+
 def _has_report(folder: Path) -> bool:
     return (folder / "report.html").is_file()
 
 
 def _file(path: Path, kind: str) -> Response:
-    if not path.is_file():
+    if not os.path.isfile(path):  # which a name that is too long is not, either
         raise NoSuchRunError(f"there is no {path.name} yet")
     return FileResponse(path, media_type=kind)
 

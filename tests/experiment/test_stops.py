@@ -6,13 +6,16 @@ import signal
 from pathlib import Path
 from typing import Any
 
+import pytest
 from support.states import assert_same_runs
 
 from karolos import checkpoint
-from karolos.experiment.events import RunBusy, RunStarted, RunWarned
+from karolos.experiment import announcer
+from karolos.experiment.events import RunAdvanced, RunBusy, RunStarted, RunWarned
 from karolos.experiment.signals import stop_on_signals
 from karolos.launchers.experiment import Experiment
 from karolos.records import RunFolder
+from karolos.store import Store
 
 REACH: dict[str, Any] = {
     "name": "reach",
@@ -84,3 +87,20 @@ def test_sighup_that_nohup_ignores_stays_ignored() -> None:
         assert not stop.requested
     finally:
         signal.signal(signal.SIGHUP, before)
+
+
+def test_folder_and_list_say_how_far_a_run_is_before_its_first_test(
+    tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    monkeypatch.setattr(announcer, "WRITE_SECONDS", 0.0)
+    monkeypatch.setattr(announcer, "ADVANCE_SECONDS", 0.0)
+    steps: list[tuple[int, int]] = []
+
+    def look(event: object) -> None:
+        if isinstance(event, RunAdvanced):
+            with Store(Store.default_url(tmp_path)) as store:
+                steps.append((event.steps, store.runs()[0].steps))
+
+    run(tmp_path, listener=look)
+    listed = dict(steps)
+    assert listed[40] == 38  # written after the round before
