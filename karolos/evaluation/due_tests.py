@@ -67,20 +67,25 @@ class Evaluator:
         on_round: Callable[[int], object] = lambda _: None,
     ) -> TestResult:
         """Play a test; `on_failure` and `on_round` as for `play_episodes`."""
-        if self._environments is None:
-            self._environments = make_orchestrator(self._spec, randomize=False)
-        if self._agent is None:
-            self._agent = make_agent(self._spec, self._environments.signature, SeedTree(0))
-        self._agent.load_state(test.agent)
+        environments, agent = self.prepare()
+        agent.load_state(test.agent)
         return play_episodes(
-            self._environments,
-            self._agent,
+            environments,
+            agent,
             test.seeds,
             steps=test.steps,
             seconds=test.seconds,
             on_failure=on_failure,
             on_round=on_round,
         )
+
+    def prepare(self) -> tuple[Orchestrator, Agent]:
+        """The environments and the agent, which are made once."""
+        if self._environments is None:
+            self._environments = make_orchestrator(self._spec, randomize=False)
+        if self._agent is None:
+            self._agent = make_agent(self._spec, self._environments.signature, SeedTree(0))
+        return self._environments, self._agent
 
     def close(self) -> None:
         """End the environments. Safe to call twice."""

@@ -15,7 +15,7 @@ from ..records.results import TestResult
 from ..specification import Spec
 from ..training.training import Training
 from .announcer import Announce
-from .signals import StopRequest
+from .signals import StopRequest, StopRequestedError
 from .writer import RunWriter
 
 MEASURED_SECONDS = 1.0
@@ -171,7 +171,9 @@ class PendingTests:
             if part in self._results or self._stop.requested:
                 raise _AbandonedError
 
-        with suppress(_AbandonedError):
+        with suppress(_AbandonedError, StopRequestedError):
+            with self._stop.at_once():
+                self._evaluator.prepare()
             self._record(part, self._evaluator.play(part, self._writer.warn_of_failure, on_round))
             self._spent, self._played = spent + perf_counter() - started, played + len(part.seeds)
         self._here = None

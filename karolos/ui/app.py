@@ -141,7 +141,8 @@ class Application:
         """One run: how it learns, its tests, failures, films, settings and events."""
         summary = self._found(request)
         path = Path(summary.folder)
-        seen = _digest(summary.state, *(_changed(path / name) for name in ("state.json", "tests.jsonl", "final.jsonl")))
+        tested = _digest(summary.state, *(_changed(path / name) for name in ("tests.jsonl", "final.jsonl")))
+        seen = _digest(tested, _changed(path / "state.json"))
         if request.query_params.get("seen") == seen:
             return Response(status_code=204)
         folder, record, broken = self._opened(summary.folder)
@@ -172,7 +173,7 @@ class Application:
             facts=_facts(record, about),
             problems=(*broken, *record.problems, *unreadable),
             live=f"/runs/{quote(run.run)}?seen={seen}" if run.state in UNFINISHED else None,
-            shown=self._once(("run", run.run, seen), draw),
+            shown=self._once(("run", run.run, tested), draw),
             final=final and tables[0],
             tests=tables[-1] if record.tests else None,
             steps=[test.steps for test in record.tests],
