@@ -42,10 +42,10 @@ class Announcer:
             self.listener(RunBusy(self.run, activity, done, total))
             self._write(now)
 
-    def progressed(self, progress: Progress) -> None:
-        """A round of training is over."""
+    def progressed(self, progress: Progress, *, last: bool) -> None:
+        """A round of training is over; `last`: and training is."""
         now = time.monotonic()
-        if now - self._advanced >= ADVANCE_SECONDS:
+        if last or now - self._advanced >= ADVANCE_SECONDS:
             self._advanced = now
             counts = progress.steps, progress.updates, progress.episodes
             self.listener(RunAdvanced(self.run, *counts, progress.seconds, progress.warming_up))

@@ -202,7 +202,7 @@ class Run:
             diverged += (episode.diverged for episode in progress.finished)
             for failure in progress.failures:
                 self._writer.warn_of_failure(failure)
-            self._announcer.progressed(progress)
+            self._announcer.progressed(progress, last=progress.steps >= total)
             testing = test_due(progress.steps) or progress.steps >= total
             if report_due(progress.steps) or testing:
                 self._report(training, episodes)
