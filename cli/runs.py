@@ -148,11 +148,11 @@ def _rows(
 
 
 def _groups(found: Sequence[RunSummary]) -> list[dict[str, Any]]:
-    """One row per experiment: its runs and states; of one run per seed, the means over those that have a result.
+    """One row per experiment: its runs and states; of one finished run per seed, the means over those with a result.
 
     `steps_to_95` is the median over those with a success, where one that never got there counts as infinite.
     """
-    from karolos.comparison import one_per_seed, repeated
+    from karolos.comparison import averaged, name_of, repeated
     from karolos.statistics.reaching import median_reaching
 
     groups: dict[str, list[RunSummary]] = {}
@@ -160,15 +160,16 @@ def _groups(found: Sequence[RunSummary]) -> list[dict[str, Any]]:
         groups.setdefault(run.experiment, []).append(run)
     rows = []
     for experiment, members in groups.items():
-        for warning in repeated(members[0].name, members):
+        name = name_of(members)
+        seeds, left_out = averaged(members)
+        for warning in (*repeated(name, members), *([f"{name}: {left_out}"] if left_out else ())):
             warn(warning)
         states = Counter(run.state for run in members)
-        row = {"name": members[0].name, "experiment": experiment[:12], "runs": len(members)}
+        row = {"name": name, "experiment": experiment[:12], "runs": len(members)}
         row |= {"states": ", ".join(f"{count} {state}" for state, count in states.items())}
-        seeds = one_per_seed(members).values()
-        for name in ("steps", "seconds", "success_end", "best_end", "mean_return"):
-            known = [value for run in seeds if (value := getattr(run, name)) is not None]
-            row[name] = fmean(known) if known else None
+        for key in ("steps", "seconds", "success_end", "best_end", "mean_return"):
+            known = [value for run in seeds if (value := getattr(run, key)) is not None]
+            row[key] = fmean(known) if known else None
         reached = [run.steps_to_95 for run in seeds if run.success_end is not None]
         row["steps_to_95"] = median_reaching(reached)
         row["reached_95"] = f"{len(reached) - reached.count(None)} of {len(reached)}" if reached else None

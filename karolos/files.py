@@ -238,9 +238,9 @@ def write_whole(path: Path, text: str, *, durable: bool = True) -> None:
             sync_folder(path.parent)
 
 
-def write_json(path: Path, value: Mapping[str, Any]) -> None:
+def write_json(path: Path, value: Mapping[str, Any], *, durable: bool = True) -> None:
     """Write an indented JSON object as `write_whole` does."""
-    write_whole(path, json.dumps(value, indent=2, allow_nan=False) + "\n")
+    write_whole(path, json.dumps(value, indent=2, allow_nan=False) + "\n", durable=durable)
 
 
 def append_lines(path: Path, rows: Iterable[Mapping[str, Any]]) -> None:

@@ -4,7 +4,7 @@ from __future__ import annotations
 
 import math
 import os
-from collections import Counter, defaultdict
+from collections import defaultdict
 from collections.abc import Mapping, Sequence
 from contextlib import suppress
 from dataclasses import dataclass, replace
@@ -199,6 +199,19 @@ def one_per_seed(runs: Sequence[RunSummary]) -> dict[int, RunSummary]:
     return {run.seed: run for run in ordered if run.source in (None, source)}
 
 
+def averaged(runs: Sequence[RunSummary]) -> tuple[list[RunSummary], str]:
+    """The runs that means in lists are of, one per seed: the finished ones, or all if none is; and what is left out."""
+    seeds = list(one_per_seed(runs).values())
+    finished = [run for run in seeds if run.state == "finished"] or seeds
+    cut = len(seeds) - len(finished)
+    return finished, f"{cut} of {len(seeds)} seeds not finished, left out" if cut else ""
+
+
+def name_of(runs: Sequence[RunSummary]) -> str:
+    """The names that people gave the runs of an experiment, the newest first: a name is not part of its identity."""
+    return ", ".join(dict.fromkeys(run.name for run in runs))
+
+
 def repeated(label: str, runs: Sequence[RunSummary]) -> list[str]:
     """Warnings if `one_per_seed` leaves out runs: those of other source, and those that repeat a seed."""
     chosen = one_per_seed(runs).values()
@@ -213,11 +226,11 @@ def repeated(label: str, runs: Sequence[RunSummary]) -> list[str]:
 
 def labels_of(selected: Sequence[Sequence[RunSummary]]) -> list[str]:
     """A label for each of some selections of runs: its name. Of several with one name: name and hash, or a run's id."""
-    names = Counter(found[0].name for found in selected)
+    names = [name_of(found) for found in selected]
     labels = []
-    for run, *others in selected:
-        distinct = f"{run.name} {run.experiment[:8]}" if others else run.run
-        labels.append(run.name if names[run.name] == 1 else distinct)
+    for name, (run, *others) in zip(names, selected, strict=True):
+        distinct = f"{name} {run.experiment[:8]}" if others else run.run
+        labels.append(name if names.count(name) == 1 else distinct)
     return labels
 
 

@@ -4,7 +4,7 @@ from __future__ import annotations
 
 import signal
 from collections.abc import Mapping
-from contextlib import ExitStack
+from contextlib import ExitStack, suppress
 from dataclasses import dataclass, replace
 from pathlib import Path
 from typing import Any
@@ -12,7 +12,7 @@ from typing import Any
 from ..errors import RunError, StoreError
 from ..experiment.events import Listener, RunEnded, RunWarned, print_progress
 from ..experiment.run import run_or_resume
-from ..experiment.signals import StopRequest, stop_on_signals
+from ..experiment.signals import StopRequest, StopRequestedError, stop_on_signals
 from ..experiment.start_from import pinned
 from ..experiment.writer import index_run
 from ..files import FileLock
@@ -122,8 +122,10 @@ class Experiment:
         jobs = min(1 if jobs is None else jobs, len(self.spec.seeds)) if is_local else jobs
         home = Home.prepared(self.spec, runs, database, existing)
         listener = listener or (print_progress if progress else lambda _: None)
-        with ExitStack() as stack, stop_on_signals(time_limit=time_limit) as stop:
-            check_parts(self.spec, jobs or 1)  # within the time limit, because an environment may hang
+        summaries: list[RunSummary] = []
+        with stop_on_signals(time_limit=time_limit) as stop, suppress(StopRequestedError), ExitStack() as stack:
+            with stop.at_once():  # within the time limit, because an environment may hang
+                check_parts(self.spec, jobs or 1)
             spec = pinned(self.spec.alone(), home.runs)
             for seed in spec.seeds:
                 claim(home, spec, seed, stack)
@@ -135,7 +137,7 @@ class Experiment:
                 with make_launcher(self.spec, jobs) as launcher:
                     Driver(launcher, listener, stop).run(Feed(job))
                 summaries = [job.summaries[seed] for seed in spec.seeds if seed in job.summaries]
-        outcome = Outcome(tuple(summaries), len(spec.seeds), stop.exit_code)
+        outcome = Outcome(tuple(summaries), len(self.spec.seeds), stop.exit_code)
         if check:
             if stop.signal == signal.SIGINT:
                 raise KeyboardInterrupt
@@ -163,8 +165,9 @@ def resume_run(
     spec = spec_from_dict(folder.spec())
     prepare_index(folder.path.parent, url)  # an unusable database is an error before anything is computed
     with stop_on_signals(time_limit=time_limit) as stop:
-        check_parts(spec)
-        summary = _execute(folder, url, listener or (lambda _: None), stop)
+        with suppress(StopRequestedError), stop.at_once():
+            check_parts(spec)
+        summary = folder.summary() if stop.requested else _execute(folder, url, listener or (lambda _: None), stop)
     return Outcome((summary,), 1, stop.exit_code)
 
 

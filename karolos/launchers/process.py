@@ -53,7 +53,7 @@ def execute_folder(path: Path, cores: int, driver: int | None = None) -> str | N
                 provenance.check_software(launched, path.name)
             write_json(launch, launched | {"host": platform.node()})
             if test is not None:
-                with suppress(StopRequestedError):
+                with suppress(StopRequestedError), stop.at_once():
                     test.play(lambda _: stop.check())
             elif run is not None:
                 if not stop.requested:

@@ -22,6 +22,8 @@ from .tables import heading
 _Floats = NDArray[np.float64]
 HOVERED = 25
 """Points of a curve, at the most about twice as many, that tell their values on hover."""
+MOST_APART = 200
+"""Most lines of a contender's seeds, and most dots that tell their names on hover: more cannot be told apart."""
 SPREAD_POINTS, SEEN = 201, 0.995
 """Points of a distribution, and the share of the episodes up to which it is shown."""
 WIDE = 8
@@ -79,10 +81,8 @@ def learning(comparison: Comparison, axis: Axis) -> Drawing:
         colour, at = style(series)["color"], curve.at / scale
         band = axes.fill_between(at, curve.low, curve.high, color=colour, alpha=0.16, linewidth=0)
         drawing.part(band, f"band series-{series}")
-        for place, run in enumerate(contender.runs):
-            x = places(run, axis) / scale
-            [line] = axes.plot(x, run.values(metric), **style(series), linewidth=0.6, alpha=0.45)
-            drawing.part(line, f"seed series-{series}", _run_text(contender, place))
+        names = [_run_text(contender, place) for place in range(len(contender.runs))]
+        _seeds(drawing, series, [(places(run, axis) / scale, run.values(metric)) for run in contender.runs], names)
         alone = "o" if at.size == 1 else ""  # a single point would not be seen
         [line] = axes.plot(at, curve.middle, **style(series), linewidth=2, marker=alone, zorder=3)
         drawing.part(line, f"main series-{series}", f"{contender.label}: {name}")
@@ -151,9 +151,8 @@ def _spread(comparison: Comparison, name: str) -> list[Drawing]:
     at = np.linspace(low, high, SPREAD_POINTS)
     for series, runs in enumerate(finals):
         shares = [np.searchsorted(np.sort(values), at, side="right") / len(values) for values in runs if len(values)]
-        for share in shares if len(shares) > 1 else ():
-            [line] = drawing.axes.plot(at, share, **style(series), linewidth=0.6, alpha=0.45)
-            drawing.part(line, f"seed series-{series}")
+        if len(shares) > 1:
+            _seeds(drawing, series, [(at, share) for share in shares])
         if shares:
             [line] = drawing.axes.plot(at, np.mean(shares, 0), **style(series), linewidth=2)
             drawing.part(line, f"main series-{series}", comparison.labels[series])
@@ -197,6 +196,18 @@ def condition_figures(comparison: Comparison) -> list[Drawing]:
     return drawings
 
 
+def _seeds(
+    drawing: Drawing, series: int, lines: Sequence[tuple[_Floats, Sequence[float] | _Floats]], names: Sequence[str] = ()
+) -> None:
+    """A thin line for each seed of a contender, or for some of very many; `names` are told on hover."""
+    every = math.ceil(len(lines) / MOST_APART)
+    for place, (x, y) in list(enumerate(lines))[::every]:
+        [line] = drawing.axes.plot(x, y, **style(series), linewidth=0.6, alpha=0.45)
+        drawing.part(line, f"seed series-{series}", names[place] if names else "")
+    if every > 1:
+        drawing.caption += f" One line for {every} of the {len(lines):,} seeds is shown."
+
+
 def _dots(
     drawing: Drawing,
     comparison: Comparison,
@@ -217,9 +228,14 @@ def _dots(
     for series, (contender, found) in enumerate(zip(comparison.contenders, estimates, strict=True)):
         dots = np.array(values[series], float)  # None becomes nan
         row, colour = count - series, style(series)["color"]
-        for place, (x, y) in enumerate(zip(dots, row + _offsets(dots, span or 1.0), strict=True)):
+        heights = row + _offsets(dots, span or 1.0)
+        texts = [f"{_run_text(contender, place)}, {x:.4g}" for place, x in enumerate(dots)]
+        points = list(zip(dots[:, None], heights[:, None], texts, strict=True))
+        if dots.size > MOST_APART:
+            points = [(dots, heights, f"{contender.label}: {dots.size:,} seeds")]
+        for x, y, text in points:
             [dot] = axes.plot(x, y, "o", color=colour, alpha=0.75, markersize=4.5, markeredgewidth=0, clip_on=False)
-            drawing.part(dot, f"dot series-{series}", f"{_run_text(contender, place)}, {x:.4g}")
+            drawing.part(dot, f"dot series-{series}", text)
         if found is None:
             continue
         [line] = axes.plot([found.low, found.high], [row - 0.3] * 2, color=colour, linewidth=1.2)

@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import re
+import threading
 import warnings
 from collections.abc import Iterator, Mapping, Sequence
 from contextlib import contextmanager
@@ -32,12 +33,15 @@ FONT = 9
 _UNDATED = {".svg": {"Date": None}, ".pdf": {"CreationDate": None}, ".png": {}}
 
 
+_LOOKING = threading.RLock()
+
+
 @contextmanager
 def look() -> Iterator[None]:
-    """The settings of matplotlib under which figures are drawn and written."""
+    """The settings of matplotlib under which figures are drawn and written. One thread at a time has them."""
     import matplotlib  # noqa: PLC0415  (takes half a second)
 
-    with matplotlib.rc_context(fname=STYLE), warnings.catch_warnings():
+    with _LOOKING, matplotlib.rc_context(fname=STYLE), warnings.catch_warnings():
         warnings.filterwarnings("ignore", "Glyph .* missing from")  # a browser has fonts that matplotlib lacks
         yield
 

@@ -198,7 +198,9 @@ def runs_table(runs: Sequence[RunSummary]) -> Table:
 
 
 def run_state(run: RunSummary) -> str:
-    """The state, and whether a run that has ended made no gradient update."""
+    """The state, the speed of a run that trains, and whether one that has ended made no gradient update."""
+    if run.state == "running" and run.seconds:
+        return f"running, {run.steps / run.seconds:,.0f} steps/s"
     return f"{run.state}, no update" if run.updates == 0 and run.state in ("finished", "stopped") else run.state
 
 

@@ -3,7 +3,6 @@
 from __future__ import annotations
 
 import threading
-import time
 from collections import OrderedDict
 from collections.abc import Callable, Iterable, Iterator, Mapping, Sequence
 from functools import partial
@@ -15,12 +14,12 @@ from urllib.parse import parse_qsl, quote, urlencode
 from starlette.applications import Starlette
 from starlette.concurrency import run_in_threadpool
 from starlette.exceptions import HTTPException
-from starlette.requests import Request
+from starlette.requests import ClientDisconnect, Request
 from starlette.responses import FileResponse, HTMLResponse, RedirectResponse, Response
 from starlette.routing import Mount, Route
 from starlette.staticfiles import StaticFiles
 
-from .. import files
+from .. import checkpoint, files
 from ..comparison import compare, gather, labels_of
 from ..comparison.contenders import Contender, load_compared
 from ..errors import KarolosError, NoSuchRunError, RunError, UsageError
@@ -57,8 +56,6 @@ MOST_POSTED = 1 << 20
 """Bytes of a form: more than the longest note has."""
 KEPT = 8
 """Drawn comparisons and runs that are kept."""
-NO_LONGER_SECONDS = 30
-"""After this time a list is made again although the database did not change: a run may have been killed."""
 REPORTS, WRITTEN = (SWEEPS, "suites", "transfers"), ("report.html", "figures/*.svg")
 """Folders in the runs folder whose folders hold reports, and what is shown of these. Each has its page at its path, so
 that a report's links to run folders lead to the pages of the runs."""
@@ -75,8 +72,8 @@ class Application:
     def __init__(self, runs: Path, store: Store) -> None:
         self._runs, self._store, self.films = runs, store, films.Films()
         self._templates = page.templates(HERE / "pages", page.FOLDER)
-        self._drawing = threading.Lock()  # matplotlib's settings are those of the process
-        self._drawn: OrderedDict[object, Any] = OrderedDict()
+        self._keeping = threading.Lock()
+        self._drawn: OrderedDict[object, tuple[threading.Lock, list[Any]]] = OrderedDict()
 
     def asgi(self) -> Starlette:
         """What a server calls."""
@@ -94,7 +91,7 @@ class Application:
             Route("/static/page.css", lambda _: FileResponse(page.FOLDER / "page.css")),
             Mount("/static", StaticFiles(directory=HERE / "static")),
         ]
-        handlers = {KarolosError: self._explained, HTTPException: self._refused}
+        handlers = {KarolosError: self._explained, HTTPException: self._refused, ClientDisconnect: _left}
         return Starlette(routes=routes, exception_handlers=handlers)
 
     def experiments(self, request: Request) -> Response:
@@ -102,7 +99,8 @@ class Application:
         asked = request.query_params
         where, order = asked.get("where", "").strip(), asked.get("order", "created")
         trials, first = "trials" in asked, _whole(asked.get("from"))
-        seen = _digest(self._store.database.version(), time.monotonic() // NO_LONGER_SECONDS)
+        going = [(run.run, run.state, run.steps) for state in UNFINISHED for run in self._store.runs(state=state)]
+        seen = _digest(self._store.database.version(), going)
         if asked.get("seen") == seen:
             return Response(status_code=204)
         shown: dict[str, Any] = {"problem": None, "rows": [], "total": 0}
@@ -148,7 +146,8 @@ class Application:
         """One run: how it learns, its tests, failures, films, settings and events."""
         summary = self._found(request)
         path = Path(summary.folder)
-        seen = _digest(summary.state, *(_changed(path / name) for name in ("state.json", "tests.jsonl", "final.jsonl")))
+        tested = _digest(summary.state, *(_changed(path / name) for name in ("tests.jsonl", "final.jsonl")))
+        seen = _digest(tested, _changed(path / "state.json"))
         if request.query_params.get("seen") == seen:
             return Response(status_code=204)
         folder, record, broken = self._opened(summary.folder)
@@ -179,7 +178,7 @@ class Application:
             facts=_facts(record, about),
             problems=(*broken, *record.problems, *unreadable),
             live=f"/runs/{quote(run.run)}?seen={seen}" if run.state in UNFINISHED else None,
-            shown=self._once(("run", run.run, seen), draw),
+            shown=self._once(("run", run.run, tested), draw),
             final=final and tables[0],
             tests=tables[-1] if record.tests else None,
             steps=[test.steps for test in record.tests],
@@ -191,6 +190,7 @@ class Application:
             defaults=[one for one in settings if one[2] == "default"],
             events=[_event(event) for event in events],
             films=self._films(folder, failures),
+            policy=folder is not None and bool(checkpoint.names(folder.checkpoints)),
         )
 
     def test(self, request: Request) -> Response:
@@ -279,13 +279,15 @@ class Application:
         return parts.show(sections, contenders, "/runs/")
 
     def _once(self, key: object, draw: Callable[[], Any]) -> Any:
-        """What was drawn for this key, or is drawn now: one drawing at a time."""
-        with self._drawing:
-            if key not in self._drawn:
-                self._drawn[key] = draw()
-                if len(self._drawn) > KEPT:
-                    self._drawn.popitem(last=False)
-            return self._drawn[key]
+        """What was drawn for this key, or is drawn now. Meanwhile others draw what has other keys."""
+        with self._keeping:
+            drawing, drawn = self._drawn.setdefault(key, (threading.Lock(), []))
+            if len(self._drawn) > KEPT:
+                self._drawn.popitem(last=False)
+        with drawing:
+            if not drawn:
+                drawn.append(draw())
+        return drawn[0]
 
     def _found(self, request: Request) -> RunSummary:
         """The run in the address."""
@@ -373,6 +375,11 @@ def _event(event: Mapping[str, Any]) -> tuple[str, str, str]:
     data = {key: value for key, value in event.items() if key not in ("time", "event", "last", "best")}
     shown = ", ".join(f"{key} {setting(value)}" for key, value in data.items())
     return str(event.get("time", ""))[:19].replace("T", " "), str(event.get("event", "")), shown
+
+
+def _left(_: Request, __: Exception) -> Response:
+    """Nobody hears this answer: the client left while it sent a form."""
+    return Response(status_code=400)
 
 
 def _written(root: Path) -> dict[str, list[str]]:

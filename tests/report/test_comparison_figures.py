@@ -32,6 +32,15 @@ def artists(drawing: Drawing, classes: str) -> list[Any]:
     return [artist for artist in drawing.axes.get_children() if artist.get_gid() in gids]
 
 
+def test_of_thousands_of_seeds_some_lines_are_drawn_and_the_caption_says_so() -> None:
+    found = compare([contender("many", [[k % 90, 90] for k in range(1000)])])
+    curves, dots = figures.learning(found, "steps"), figures.final(found)
+    assert sum("seed series" in classes for classes, _ in curves.parts.values()) == figures.MOST_APART
+    assert "One line for 5 of the 1,000 seeds" in curves.caption
+    assert len(dots.parts) < 10
+    assert sum(len(line.get_xdata()) for line in dots.axes.lines) > 1000
+
+
 @pytest.mark.parametrize("axis", ["steps", "seconds"])
 def test_every_seed_and_one_statistic_of_all_contenders_is_drawn(axis: Any) -> None:
     assert "inter-quartile" in figures.learning(compare([contender("a", CURVES)], "any"), axis).caption

@@ -2,8 +2,10 @@
 
 from __future__ import annotations
 
+import asyncio
 import re
 import socket
+import threading
 import time
 from pathlib import Path
 from urllib.parse import parse_qs, quote, urlsplit
@@ -23,6 +25,7 @@ from karolos.records import RunFolder, labels
 from karolos.records.sweep_records import FOLDER
 from karolos.store import Store, reindex
 from karolos.ui.app import Application
+from karolos.ui.rows import experiment_rows
 from karolos.ui.server import guarded, serve
 
 HOST = "http://127.0.0.1:6789"
@@ -241,3 +244,54 @@ def test_what_is_shown_is_told_with_the_address(tmp_path: Path, monkeypatch: pyt
     code, out, err = call(app, "--runs", str(tmp_path), "--port", "0")
     assert (code, err) == (0, f"shows {tmp_path}; Ctrl-C ends it\n")
     assert re.fullmatch(r"http://127\.0\.0\.1:[1-9]\d*/\n", out)
+
+
+def test_others_draw_while_a_long_comparison_is_drawn(tmp_path: Path) -> None:
+    application = Application(tmp_path, Store(Store.default_url(tmp_path)))
+    other = []
+
+    def long() -> str:
+        thread = threading.Thread(target=lambda: other.append(application._once("short", lambda: "drawn")))
+        thread.start()
+        thread.join(10)
+        return "long"
+
+    assert application._once("long", long) == "long"
+    assert other == ["drawn"]
+
+
+def test_list_averages_finished_runs_alone_and_names_all_that_people_named(tmp_path: Path) -> None:
+    add_run(tmp_path, 0)
+    add_run(tmp_path, 1, name="reach-mine", state="stopped", solved=0)
+    store = Store(Store.default_url(tmp_path))
+    [row] = experiment_rows(store, store.experiments().experiments)
+    assert row.name == "reach-mine, reach"
+    assert (row.value, "1 of 2 seeds not finished, left out" in row.interval) == ("0.950", True)
+
+
+@pytest.mark.parametrize("name", ["%00", "a" * 5000, "%F0%9F%98%80" * 2000, "..%2f..", "%FF"])
+def test_a_name_that_no_file_can_have_is_not_found(name: str, tmp_path: Path) -> None:
+    assert client(tmp_path).get(f"/reports/sweeps/{name}").status_code == 404
+
+
+def test_a_client_that_leaves_while_it_sends_a_form_is_no_error(tmp_path: Path) -> None:
+    run, sent = add_run(tmp_path, 0), []
+
+    async def receive() -> dict[str, str]:
+        return {"type": "http.disconnect"}
+
+    async def send(message: dict[str, object]) -> None:
+        sent.append(message)
+
+    scope = {"type": "http", "method": "POST", "path": f"/runs/{run}/labels", "query_string": b"", "headers": []}
+    asyncio.run(Application(tmp_path, Store(Store.default_url(tmp_path))).asgi()(scope, receive, send))
+    assert sent[0]["status"] == 400
+
+
+def test_a_film_waits_for_a_policy(tmp_path: Path) -> None:
+    run = add_run(tmp_path, 0)
+    page = client(tmp_path)
+    assert "There is no policy that could be filmed" in page.get(f"/runs/{run}").text
+    assert "<button>Film" not in page.get(f"/runs/{run}").text
+    (tmp_path / run / "checkpoints" / "best").mkdir(parents=True)
+    assert "<button>Film" in page.get(f"/runs/{run}").text
