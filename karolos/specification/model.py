@@ -152,7 +152,7 @@ class Spec(Settings):
     name: Annotated[str, StringConstraints(pattern=NAME_PATTERN)] = Setting(
         description="of the experiment; run folders begin with it. Default: the file's name"
     )
-    seeds: Seeds = Setting((0,), description="one run for each; the root of all its random numbers")
+    seeds: Seeds = Setting((0,), description="one run for each, the root of all its random numbers; a number n: the seeds 0 to n - 1")
     robot: Annotated[Part, OfKind("robots")] | None = Setting(None, description="the arm; requires a task")
     task: Annotated[Part, OfKind("tasks")] | None = Setting(None, description="what the robot has to do")
     environment: Annotated[Part, OfKind("environments")] = Setting(
