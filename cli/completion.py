@@ -61,9 +61,9 @@ def complete_tag(ctx: typer.Context, incomplete: str) -> list[str]:
 
 def complete_override(ctx: typer.Context, incomplete: str) -> list[str]:
     """Parts of a spec with the plugins that can take their places. bash gives `agent=s` as three words."""
-    before = [*(ctx.params.get("overrides") or ()), incomplete]
-    if "=" in before[-2:] and (key := before[before.index("=", len(before) - 2) - 1]) in PARTS:
-        return complete_plugin(f"{key}s")("" if incomplete == "=" else incomplete)
+    before = [word for word in ctx.params.get("overrides") or () if word != "="]
+    if before and before[-1] in PARTS:
+        return complete_plugin(f"{before[-1]}s")(incomplete)
     return _beginning(incomplete, (f"{key}={name}" for key in PARTS for name in complete_plugin(f"{key}s")("")))
 
 

@@ -135,6 +135,9 @@ class Run:
         if self.snapshot is not None:
             self._resume(training, self.snapshot)
         if not resumes:
+            if self.spec.continued_from is not None:
+                hint = "`karolos resume RUN training.steps=...` makes such a run"
+                raise RunError("it has no checkpoint of the run that it continues", where=self.folder.id, hint=hint)
             self._start_from(training.agent)
             self._checkpointer.demonstrated = self.spec.demonstrations is None
         try:

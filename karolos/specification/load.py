@@ -49,6 +49,10 @@ def load_spec(path: str | Path, overrides: Iterable[str] = (), above: Iterable[N
     if files.broken:
         refuse([*files.problems, *files.broken])
     spec = _resolve(tree, [*above, *trees], files.problems, find_spec(path)[0].stem)
+    if spec.continued_from is not None:
+        what = "only `karolos resume RUN training.steps=...` continues a run; a spec begins one"
+        at = next(one["continued_from"].place for one in (*reversed(trees), tree) if one.get("continued_from"))
+        refuse([Problem(at, "continued_from", what, "remove it")])
     spec._text = files.text
     return spec
 
