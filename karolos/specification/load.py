@@ -23,7 +23,7 @@ from .merge import (
     with_shared_settings,
 )
 from .model import NAME_PATTERN, Spec
-from .nodes import DEFAULT, Mark, Node, from_plain, leaves, refuse, shown
+from .nodes import DEFAULT, Mark, Node, from_plain, leaves, refuse, shown, variable_problems
 from .problems import ROBOT_TASK, validate
 from .space import application_order, space_problems
 
@@ -74,7 +74,7 @@ def _resolve(below: Node, overrides: Sequence[Node], problems: list[Problem], st
         spec, spec_problems = validate(tree)
     except PluginError as error:
         raise _at_part(error, tree) from None
-    refuse([*problems, *_at_causes(spec_problems, below, overrides, stem)])
+    refuse([*problems, *variable_problems(tree), *_at_causes(spec_problems, below, overrides, stem)])
     assert spec is not None  # it has no problems
     if spec.sweep is not None:
         refuse(space_problems(tree, spec.sweep, lambda probe: _with_defaults(probe, stem)))
