@@ -49,7 +49,7 @@ def continued_spec(source: RunFolder, overrides: Sequence[str]) -> Spec:
 def continue_from(source: RunFolder, spec: Spec, listener: Listener) -> RunFolder:
     """The run of `continued_spec`: one that exists, or a new one that has all that the source's has.
 
-    Tests, episodes, series and checkpoints are copied. The source stays as it is.
+    Tests, episodes and checkpoints are copied; the series in TensorBoard begin here. The source stays as it is.
     """
     seed, runs = source.description()["seed"], source.path.resolve().parent
     if (found := find_run(runs, spec.name, spec.hash(), seed)) is not None:
@@ -61,8 +61,6 @@ def continue_from(source: RunFolder, spec: Spec, listener: Listener) -> RunFolde
     for name in ("tests.jsonl", "episodes.jsonl"):
         if (path := source.path / name).exists():
             shutil.copy(path, folder.path)
-    if source.tensorboard.exists():
-        shutil.copytree(source.tensorboard, folder.tensorboard, ignore=lambda *_: ["film"])
     before, about = source.state(), source.description()
     origin = {"run": source.id, "steps": spec.dump()["continued_from"]["steps"]}
     folder.describe(

@@ -275,6 +275,7 @@ class Run:
             return False
         final = FinalTest(settings.final_seed, results[last], results[best] if best else None, last_sha256, best_sha256)
         self._writer.write_final(final)
+        self._points.add_final(final)
         self.listener(RunFinalTested(self.folder.id, final))
         return True
 
