@@ -5,6 +5,7 @@ from __future__ import annotations
 import shutil
 from collections.abc import Sequence
 from pathlib import Path
+from typing import Any
 
 from .. import checkpoint
 from ..errors import UsageError
@@ -38,7 +39,7 @@ def continued_spec(source: RunFolder, overrides: Sequence[str]) -> Spec:
         hint = f"agent.start_from={source.id} begins a new run from its policy"
         raise UsageError(f"{source.id} has no checkpoint {LAST!r} to go on from", hint=hint)
     steps = checkpoint.read_meta(source.checkpoints, LAST)["steps"]
-    origin = {"experiment": source.description()["experiment"], "steps": steps}
+    origin = {"experiment": source.description()["experiment"], "at": steps}
     spec = spec_from_dict(source.spec() | {"continued_from": origin}, overrides)
     if spec.training.steps <= steps:
         what = f"the run has taken {steps:,} steps, and training.steps is {spec.training.steps:,}"
@@ -62,12 +63,12 @@ def continue_from(source: RunFolder, spec: Spec, listener: Listener) -> RunFolde
         if (path := source.path / name).exists():
             shutil.copy(path, folder.path)
     before, about = source.state(), source.description()
-    origin = {"run": source.id, "steps": spec.dump()["continued_from"]["steps"]}
+    origin = {"run": source.id, "steps": spec.dump()["continued_from"]["at"]}
     folder.describe(
         spec.dump(), experiment=spec.hash(), changed=spec.changed(), source=Path.cwd(), continued_from=origin
     )
     folder.set_state("created", steps=before.steps, updates=before.updates, seconds=before.seconds)
-    learner = next((row for row in reversed(source.events()) if "device" in row), {})
+    learner: dict[str, Any] = next((row for row in reversed(source.events()) if "device" in row), {})
     folder.event("continued", **origin, **{key: learner[key] for key in ("device", "precision") if key in learner})
     if other := provenance.other_software({"versions": about.get("versions", {}), "source": about.get("source")}):
         what = f"{source.id} was made with other software: {'; '.join(other)}"

@@ -147,7 +147,7 @@ class Continued(Settings):
     """Of which experiment's runs, and from which step, a run goes on."""
 
     experiment: Annotated[str, StringConstraints(pattern="^[0-9a-f]{64}$")] = Setting(description="its hash")
-    steps: int = Setting(ge=0, description="environment steps that its runs have taken")
+    at: int = Setting(ge=0, description="environment steps that its runs have taken")
 
 
 class Spec(Settings):
