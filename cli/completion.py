@@ -41,14 +41,9 @@ def complete_policy_or_spec(ctx: typer.Context, incomplete: str) -> list[str]:
     return complete_spec(incomplete) if ctx.params.get("expert") else complete_policy(ctx, incomplete)
 
 
-def complete_thrown_away(ctx: typer.Context, incomplete: str) -> list[str]:
-    """Runs in the trash."""
-    return _beginning(incomplete, (path.parent.name for path in _runs(ctx).glob(".trash/*/run.json")))
-
-
-def complete_sweep(ctx: typer.Context, incomplete: str) -> list[str]:
-    """Sweeps."""
-    return _beginning(incomplete, (path.parent.name for path in _runs(ctx).glob("sweeps/*/sweep.json")))
+def complete_folder(pattern: str) -> Callable[[typer.Context, str], list[str]]:
+    """A completion of the folders of files in the runs folder, such as its sweeps."""
+    return lambda ctx, incomplete: _beginning(incomplete, (path.parent.name for path in _runs(ctx).glob(pattern)))
 
 
 def complete_tag(ctx: typer.Context, incomplete: str) -> list[str]:

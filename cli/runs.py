@@ -41,7 +41,7 @@ from .arguments import (
     open_store,
     select_runs,
 )
-from .completion import complete_run, complete_tag, complete_thrown_away
+from .completion import complete_folder, complete_run, complete_tag
 from .output import print_csv, print_rows, print_table, say, warn
 
 if TYPE_CHECKING:
@@ -350,7 +350,9 @@ def remove(
 def restore(
     run: Annotated[
         list[str],
-        typer.Argument(metavar="RUN...", help="The run's id or its beginning.", autocompletion=complete_thrown_away),
+        typer.Argument(
+            metavar="RUN...", help="The run's id or its beginning.", autocompletion=complete_folder(".trash/*/run.json")
+        ),
     ],
     runs: Runs = Path("runs"),
     database: Database = None,

@@ -188,7 +188,7 @@ def _similar(path: Path) -> str | None:
     near = beside.get(closest(path.stem, beside) or "")
     if near is None and (shipped := closest(path.stem, shipped_specs())):
         near = f"{SHIPPED}{shipped}"
-    return f"did you mean {shown(near)}?" if near else None
+    return f"did you mean {shown(near)}?" if near else None if path.suffix else "`karolos spec list` shows what ships"
 
 
 def _text(path: Path, mark: Mark) -> str:

@@ -79,7 +79,8 @@ def test_ctrl_c_while_libraries_are_imported_is_one_line(module: str, last: str)
         "import builtins, runpy, signal\nreal = builtins.__import__\n"
         "def hook(name, *more, **named):\n"
         f"    if name == {last!r}: signal.raise_signal(signal.SIGINT)\n"
-        f"    return real(name, *more, **named)\nbuiltins.__import__ = hook\nrunpy.run_module({module!r}, run_name='__main__')"
+        f"    return real(name, *more, **named)\nbuiltins.__import__ = hook\n"
+        f"runpy.run_module({module!r}, run_name='__main__')"
     )
     ended = subprocess.run([sys.executable, "-c", code], capture_output=True, text=True, check=False)
     assert (ended.returncode, ended.stderr) == (130, "interrupted\n")
