@@ -33,8 +33,8 @@ def check(
 ) -> None:
     """Check specs and suites, and print every problem as file:line:column: key: what is wrong.
 
-    The parts of a valid spec are created once to see whether they fit together, and those of each variant of a
-    transfer and of each spec of a suite. Nothing is trained.
+    The parts of a valid spec are created once to see whether they fit together, and the environment makes its first
+    steps; so do those of each variant of a transfer and of each spec of a suite. Nothing is trained.
     Exit code 0: all specs are valid; 2: one is invalid; 3: one names a broken plugin.
     """
     from karolos.specification import load_spec

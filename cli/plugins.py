@@ -12,7 +12,7 @@ from karolos.report.tables import Columns, Table, setting
 
 from .arguments import Json
 from .completion import complete_kind, complete_plugin_of_kind
-from .output import print_line, print_rows, print_table, say
+from .output import print_line, print_rows, print_table, say, warn
 
 if TYPE_CHECKING:
     from pydantic import BaseModel
@@ -42,8 +42,13 @@ def list_plugins(
     json: Json = False,
 ) -> None:
     """List the installed plugins and their distributions. No plugin is imported."""
-    from karolos.registry import KINDS, entries, singular
+    from karolos.records.provenance import sources
+    from karolos.registry import KINDS, entries, singular, unreadable
 
+    unread = list(unreadable())
+    sources(unread=unread)
+    for problem in unread:
+        warn(f"{problem}; it does not count")
     fields = ("name", "distribution", "version", "target")
     rows = [
         {"kind": singular(entry.kind), **{field: getattr(entry, field) for field in fields}}

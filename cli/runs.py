@@ -380,6 +380,13 @@ def export_runs(
     run: ManyRuns = None,
     where: Where = None,
     checkpoints: Annotated[bool, typer.Option(help="Include the checkpoints, which can be large.")] = True,
+    without_source: Annotated[
+        bool,
+        typer.Option(
+            "--without-source",
+            help="Leave out code.diff, commands, tracebacks, names of untracked files, and folders of absolute paths.",
+        ),
+    ] = False,
     runs: Runs = Path("runs"),
     database: Database = None,
 ) -> None:
@@ -389,10 +396,12 @@ def export_runs(
     store, found = select_runs(run or (), where, runs, database)
     store.close()
     folders = [RunFolder.open(summary.folder) for summary in found]
-    exported = archive.export_runs(folders, file, checkpoints=checkpoints)
+    exported = archive.export_runs(folders, file, checkpoints=checkpoints, source=not without_source)
     for name in exported.left_out:
         warn(f"{name}: not a file of a run; left out")
     say(f"{len(folders)} runs, {exported.files} files, {file.stat().st_size / 1e6:.1f} MB in {file}")
+    source = "" if without_source else "; uncommitted changes, commands and untracked names (--without-source: none)"
+    say(f"it holds settings, results and events{' with checkpoints' * checkpoints}{source}; secrets as ***")
 
 
 @app.command("import")

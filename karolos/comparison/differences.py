@@ -51,11 +51,12 @@ def differences(mappings: Sequence[Mapping[str, Any]]) -> dict[str, tuple[Any, .
 
 @dataclass(frozen=True)
 class Side:
-    """One of the two: resolved spec, versions by package, seed, git commit, and the changes since that commit."""
+    """One of the two: resolved spec, versions, sources by package or file, seed, git commit, and changes since it."""
 
     name: str
     spec: Mapping[str, Any]
     versions: Mapping[str, str]
+    sources: Mapping[str, str]
     seed: int | None
     commit: str | None
     patch: str
@@ -66,7 +67,7 @@ class SideDifference:
     """One thing that differs; MISSING on the side that lacks it.
 
     Args:
-        part: run, spec, version or code.
+        part: run, spec, version, source or code.
         key: key path of the spec, package, or file.
     """
 
@@ -91,6 +92,7 @@ def of_run(folder: RunFolder) -> Side:
         name=folder.id,
         spec=folder.spec(),
         versions=about.get("versions") or {},
+        sources={**(about.get("sources") or {}), **(about.get("files") or {})},
         seed=about["seed"],
         commit=(about.get("git") or {}).get("commit"),
         patch=path.read_text("utf-8", "replace") if path.is_file() else "",
@@ -101,7 +103,9 @@ def of_spec(spec: Spec, name: str) -> Side:
     """What a run of this spec would be made from now, in the current folder."""
     code = provenance.code(Path.cwd())
     commit, patch = (code.commit, code.diff) if code else (None, "")
-    return Side(name, spec.alone().dump(), provenance.versions(), None, commit, patch)
+    dump = spec.alone().dump()
+    sources = provenance.sources(provenance.packages(dump)) | spec.files()
+    return Side(name, dump, provenance.versions(), sources, None, commit, patch)
 
 
 def compare_sides(a: Side, b: Side) -> Iterator[SideDifference]:
@@ -112,6 +116,9 @@ def compare_sides(a: Side, b: Side) -> Iterator[SideDifference]:
         yield SideDifference("spec", key, one, other)
     for key, (one, other) in differences([a.versions, b.versions]).items():
         yield SideDifference("version", key, one, other)
+    for key in sorted(a.sources.keys() & b.sources.keys()):  # not known of older runs
+        if a.sources[key] != b.sources[key]:
+            yield SideDifference("source", key, a.sources[key][:12], b.sources[key][:12])
     if a.commit != b.commit:
         yield SideDifference("code", "commit", a.commit or MISSING, b.commit or MISSING)
     ours, theirs = _changed(a.patch), _changed(b.patch)

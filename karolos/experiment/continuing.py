@@ -4,7 +4,6 @@ from __future__ import annotations
 
 import shutil
 from collections.abc import Sequence
-from pathlib import Path
 from typing import Any
 
 from .. import checkpoint
@@ -12,7 +11,7 @@ from ..errors import UsageError
 from ..records import RunFolder, provenance
 from ..specification import Spec, spec_from_dict
 from .events import Listener
-from .resume import LAST, find_run
+from .resume import LAST, check_files, find_run
 from .writer import RunWriter
 
 CHANGEABLE = ("name", "training.steps", "training.device", "training.threads", "training.diverging")
@@ -52,6 +51,7 @@ def continue_from(source: RunFolder, spec: Spec, listener: Listener) -> RunFolde
 
     Tests, episodes and checkpoints are copied; the series in TensorBoard begin here. The source stays as it is.
     """
+    check_files(spec, source)
     seed, runs = source.description()["seed"], source.path.resolve().parent
     if (found := find_run(runs, spec.name, spec.hash(), seed)) is not None:
         return found
@@ -64,13 +64,12 @@ def continue_from(source: RunFolder, spec: Spec, listener: Listener) -> RunFolde
             shutil.copy(path, folder.path)
     before, about = source.state(), source.description()
     origin = {"run": source.id, "steps": spec.dump()["continued_from"]["at"]}
-    folder.describe(
-        spec.dump(), experiment=spec.hash(), changed=spec.changed(), source=Path.cwd(), continued_from=origin
-    )
+    made: dict[str, Any] = {"changed": spec.changed(), "files": spec.files(), "continued_from": origin}
+    folder.describe(spec.dump(), experiment=spec.hash(), **made)
     folder.set_state("created", steps=before.steps, updates=before.updates, seconds=before.seconds)
     learner: dict[str, Any] = next((row for row in reversed(source.events()) if "device" in row), {})
     folder.event("continued", **origin, **{key: learner[key] for key in ("device", "precision") if key in learner})
-    if other := provenance.other_software({"versions": about.get("versions", {}), "source": about.get("source")}):
+    if other := provenance.other_software(about):
         what = f"{source.id} was made with other software: {'; '.join(other)}"
         RunWriter(folder, None, listener).warn(what, "its continuation may differ from one unbroken run")
     folder.release()

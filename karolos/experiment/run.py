@@ -30,7 +30,7 @@ from .announcer import Announcer
 from .checkpointer import BEST, Checkpointer
 from .events import Listener, RunEnded, RunFinalTested, RunStarted, RunTested
 from .pending_tests import PendingTests
-from .resume import LAST, Snapshot, newest_snapshot
+from .resume import LAST, Snapshot, check_files, newest_snapshot
 from .signals import StopRequest, StopRequestedError, TimeIsUpError
 from .start_from import apply, find
 from .tensorboard_writer import TensorBoardWriter
@@ -73,7 +73,7 @@ class Run:
         self._writer = RunWriter(self.folder, self.url, self.listener)
         self._announcer = Announcer(self.folder.id, self.listener)
         self._checkpointer = Checkpointer(
-            self._writer, self.spec.hash(), self.seed, self._pending, self._announcer.announce
+            self._writer, self.folder.description()["experiment"], self.seed, self._pending, self._announcer.announce
         )
 
     def execute(self) -> RunSummary:
@@ -217,6 +217,9 @@ class Run:
             for test, result in tests.play_remaining():
                 self._tested(training, test, result)
         self._checkpointer.save(training)
+        if tests.pending and self.stop.reason != "pruned":  # such a trial does not go on
+            late = ", ".join(f"{test.steps:,}" for test in tests.pending)
+            self._writer.warn(f"no test was played after {late} steps, where it is due", "a resumed run plays it")
         return training.steps >= total and not tests.pending
 
     def _judge(self, diverged: list[bool], steps: int) -> None:
@@ -293,12 +296,13 @@ def run_or_resume(
         beside: whether tests may be played beside training, in a second process.
 
     Raises:
-        RunError: no checkpoint can be used.
+        RunError: no checkpoint can be used, or a file that the spec names was changed.
         SpecError: its resolved spec is damaged, or of another version.
     """
     if folder.state().state == "finished":  # it may have been when the caller looked, before the lock was free
         return folder.summary()
     spec, seed = spec_from_dict(folder.spec()), folder.description()["seed"]
+    check_files(spec, folder)
     begun = folder.events() or checkpoint.names(folder.checkpoints) or folder.state().steps  # any of these may be lost
     snapshot = newest_snapshot(folder) if begun else None
     if snapshot is not None:

@@ -94,7 +94,8 @@ def stop_on_signals(
 ) -> Iterator[StopRequest]:
     """Turn SIGINT, SIGTERM, SIGHUP and SIGUSR1 into a stop request while the block runs.
 
-    Outside the main thread signals keep their handlers. An ignored SIGHUP stays ignored, for nohup.
+    Outside the main thread signals keep their handlers. SIGINT and SIGHUP stay ignored where they are, as under nohup
+    and in a shell's background.
 
     Args:
         time_limit: seconds from now after which to stop.
@@ -115,9 +116,8 @@ def stop_on_signals(
     def interrupt(_number: int, _frame: FrameType | None) -> None:
         raise TimeIsUpError("the time limit is over, and something does not end: it was interrupted")
 
-    handled = [signal.SIGTERM, signal.SIGINT, signal.SIGUSR1]  # batch systems send SIGUSR1 before they kill
-    if signal.getsignal(signal.SIGHUP) != signal.SIG_IGN:
-        handled.append(signal.SIGHUP)
+    handled = [signal.SIGTERM, signal.SIGUSR1]  # batch systems send SIGUSR1 before they kill
+    handled += [one for one in (signal.SIGINT, signal.SIGHUP) if signal.getsignal(one) != signal.SIG_IGN]
     before = {number: signal.signal(number, handle) for number in handled}
     before[signal.SIGALRM] = signal.signal(signal.SIGALRM, interrupt)
     if time_limit is not None:

@@ -84,7 +84,7 @@ class RunWriter:
             self.folder.event("started", **learner)
             return
         about = self.folder.description()
-        found = provenance.other_software({"versions": about.get("versions", {}), "source": about.get("source")})
+        found = provenance.other_software(about)
         consequence = "it may differ from an unbroken run"
         if found:
             self.warn(f"it began with other software: {'; '.join(found)}", consequence)

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import signal
 from collections.abc import Mapping, Sequence
 from contextlib import ExitStack
 from dataclasses import dataclass, replace
@@ -108,9 +109,10 @@ class Experiment:
             time_limit: seconds after which to stop.
             listener: is called with every RunEvent.
             progress: without `listener`: whether to print a line on stderr for each start, test, warning and end.
-            check: whether to raise an error once all runs have ended, if one failed.
+            check: whether to raise an error once all runs have ended, if one failed or Ctrl-C stopped them.
 
         Raises:
+            KeyboardInterrupt: Ctrl-C stopped the runs, which have their checkpoints, and `check` is on.
             RunError: a run failed, and `check` is on. Or another process has seeds of this experiment, and `existing`
                 is not "ignore".
             UsageError: the spec's parts do not fit together.
@@ -136,6 +138,8 @@ class Experiment:
                 summaries = [job.summaries[seed] for seed in spec.seeds if seed in job.summaries]
         outcome = Outcome(tuple(summaries), len(spec.seeds), stop.exit_code)
         if check:
+            if stop.signal == signal.SIGINT:
+                raise KeyboardInterrupt
             outcome.check()
         return outcome
 

@@ -16,11 +16,13 @@ from ..evaluation.testing import test_seeds
 from ..randomization.randomization import RandomizedParameter
 from ..registry import blaming, load, names
 from ..robots.arm import Arm
+from ..robots.model import ArmModel
 from ..simulation.engines import Engine, make_world
 from ..simulation.interface import Camera, Cup, Gripper, TaskNeeds
 from ..simulation.interface.robot import ControlMode
 from .contracts.case import candidate
 from .contracts.joined import CONTROLS, join
+from .proposal import doubts
 
 Facts = dict[str, Any]
 """One row: names of columns and JSON-able values."""
@@ -71,6 +73,8 @@ def inspect_robot(name: str, *, size: tuple[int, int] | None = (960, 720)) -> In
         tables |= _arm(first)
     if (grip := first.gripper) is not None:
         tables["gripper"] = [_grip(grip)]
+    if isinstance(model := getattr(plugin, "model", None), ArmModel):
+        tables |= {"doubts": found} if (found := [{"doubted": line} for line in doubts(model.description)]) else {}
     for mode, robot in robots.items():
         suffix = f" ({mode})" if mode else ""
         tables[f"action{suffix}"] = _fields(robot.action)

@@ -4,12 +4,16 @@ from __future__ import annotations
 
 import hashlib
 import json
+import os
+import re
+from pathlib import Path
 from typing import Annotated, Any, Literal
 
 from pydantic import Field as Setting
 from pydantic import PrivateAttr, StringConstraints, model_validator
 
 from ..core import Settings
+from ..files import fingerprint
 from .merge import PARTS
 from .parts import OfKind, Part, Recipe
 from .sweep import Seed, Seeds, Sweep
@@ -150,6 +154,20 @@ class Continued(Settings):
     at: int = Setting(ge=0, description="environment steps that its runs have taken")
 
 
+def _by_content(value: Any, found: dict[str, str], path: str = "") -> Any:
+    """JSON with hashes of content in place of names of files and folders; `found` gets these by key path."""
+    if isinstance(value, dict):
+        return {key: _by_content(entry, found, f"{path}.{key}".lstrip(".")) for key, entry in value.items()}
+    if isinstance(value, list):
+        return [_by_content(entry, found, f"{path}[{place}]") for place, entry in enumerate(value)]
+    if isinstance(value, str) and re.search(r"[/\\]|\.\w{1,8}$", value):
+        digest = fingerprint(Path(os.path.expanduser(os.path.expandvars(value))))
+        if digest is not None:
+            found[path] = digest
+            return f"sha256:{digest}"
+    return value
+
+
 class Spec(Settings):
     """An experiment: the environment, the agent and the training. Frozen; specs with the same `dump` are equal.
 
@@ -223,12 +241,22 @@ class Spec(Settings):
         """This spec without what is not a run's own: sweep, transfer and launcher."""
         return self.model_copy(update={"sweep": None, "transfer": None, "launcher": None})
 
+    def files(self) -> dict[str, str]:
+        """The files that settings name: key path -> SHA-256 (hex) of the file and of what it names (`fingerprint`)."""
+        found: dict[str, str] = {}
+        _by_content(self._identity(), found)
+        return found
+
     def hash(self) -> str:
         """SHA-256 (hex) of the settings that results depend on. Specs with the same hash are one experiment.
 
-        Excludes name, seeds, sweep, transfer, launcher, device, threads and settings that a plugin's
-        `Settings.identity()` omits.
+        A file counts by its content, not by its name. Excludes name, seeds, sweep, transfer, launcher, device, threads
+        and settings that a plugin's `Settings.identity()` omits.
         """
+        text = json.dumps(_by_content(self._identity(), {}), sort_keys=True, separators=(",", ":"))
+        return hashlib.sha256(text.encode()).hexdigest()
+
+    def _identity(self) -> dict[str, Any]:
         parts: dict[str, Part | None] = {key: getattr(self, key) for key in PARTS}
         identity = {
             **self.dump(),
@@ -239,8 +267,7 @@ class Spec(Settings):
         }
         for key in ("name", "seeds", "sweep", "transfer", "launcher"):
             identity.pop(key, None)
-        text = json.dumps(identity, sort_keys=True, separators=(",", ":"))
-        return hashlib.sha256(text.encode()).hexdigest()
+        return identity
 
     def recipe(self, *, randomize: bool) -> Recipe:
         """The recipe of one environment, with or without randomization."""

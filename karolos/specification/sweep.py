@@ -15,8 +15,8 @@ from ..core import Measure, Settings
 from ..errors import UsageError
 from ..registry import alternatives
 
-Seed = Annotated[int, Setting(ge=0, le=10**60)]
-"""A seed of at most 60 digits: names of folders contain it."""
+Seed = Annotated[int, Setting(ge=0, le=2**63 - 1)]
+"""A seed of at most 63 bits, which every database stores as a number."""
 
 
 def _distinct(seeds: tuple[int, ...]) -> tuple[int, ...]:

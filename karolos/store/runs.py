@@ -115,8 +115,6 @@ def _matching(connection: Connection, condition: Filter, home: Path | None) -> s
         if measured:
             values |= means(own["measures"])
         values |= {name: own[name] for name in named}
-        if "seed" in named:
-            values["seed"] = int(own["seed"])
         if "folder" in named:
             values["folder"] = folder_path(own["folder"], home)
         for key, value in values.items():

@@ -51,7 +51,9 @@ MORE = "diff --git a/y.py b/y.py\n--- a/y.py\n+++ b/y.py\n@@ -1 +1 @@\n-a\n+b\n"
 
 
 def side(name: str = "one", **values: object) -> Side:
-    return Side(**{"name": name, "spec": {}, "versions": {}, "seed": 0, "commit": "abc", "patch": ""} | values)  # type: ignore[arg-type]
+    return Side(
+        **{"name": name, "spec": {}, "versions": {}, "sources": {}, "seed": 0, "commit": "abc", "patch": ""} | values
+    )  # type: ignore[arg-type]
 
 
 def found(one: Side, other: Side) -> list[tuple[object, ...]]:

@@ -163,6 +163,8 @@ def test_a_stop_with_pending_tests_keeps_them_for_the_resumed_run(
     assert stopped.state().state == "stopped"
     pending = checkpoint.load(stopped.checkpoints, "last")[0]["run"]["tests"]
     assert [test["steps"] for test in pending] == [40, 80, 120, 160, 200, 240]
+    (told,) = [event["error"] for event in stopped.events() if event["event"] == "warning"]
+    assert told == "no test was played after 40, 80, 120, 160, 200, 240 steps, where it is due"
     assert_same_runs(alone, run(tmp_path, existing="resume"))
 
 

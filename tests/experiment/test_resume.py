@@ -23,6 +23,7 @@ from karolos.experiment.run import run_or_resume
 from karolos.experiment.signals import StopRequest
 from karolos.launchers.experiment import Experiment, resume_run
 from karolos.records import RunFolder, provenance
+from karolos.specification import Spec, spec_from_dict
 from karolos.store import Store
 
 pytestmark = pytest.mark.xdist_group(__name__)
@@ -70,6 +71,15 @@ def stopping_at(steps: int):
 def only(outcome: Any) -> RunFolder:
     (run,) = outcome.runs
     return RunFolder.open(run.folder)
+
+
+def test_a_run_whose_files_were_edited_is_not_resumed(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
+    folder = RunFolder.create(tmp_path, "toy", 0)
+    spec = spec_from_dict(USUAL)
+    monkeypatch.setattr(Spec, "files", lambda _: {"task.part": "2"})
+    folder.describe(spec.dump(), experiment=spec.hash(), files={"task.part": "1"})
+    with pytest.raises(RunError, match=r"the file of task\.part, or one that it names, was changed or is missing; put"):
+        run_or_resume(folder, None, lambda _: None, StopRequest(), beside=False)
 
 
 def test_a_run_that_resumes_with_other_software_says_so(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:

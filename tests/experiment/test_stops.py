@@ -6,6 +6,7 @@ import signal
 from pathlib import Path
 from typing import Any
 
+import pytest
 from support.states import assert_same_runs
 
 from karolos import checkpoint
@@ -76,11 +77,12 @@ def test_sighup_stops_like_sigterm(tmp_path: Path) -> None:
     assert outcome.runs[0].state == "stopped"
 
 
-def test_sighup_that_nohup_ignores_stays_ignored() -> None:
-    before = signal.signal(signal.SIGHUP, signal.SIG_IGN)
+@pytest.mark.parametrize("ignored", [signal.SIGHUP, signal.SIGINT])
+def test_what_nohup_or_a_shells_background_ignores_stays_ignored(ignored: signal.Signals) -> None:
+    before = signal.signal(ignored, signal.SIG_IGN)
     try:
         with stop_on_signals() as stop:
-            signal.raise_signal(signal.SIGHUP)
+            signal.raise_signal(ignored)
         assert not stop.requested
     finally:
-        signal.signal(signal.SIGHUP, before)
+        signal.signal(ignored, before)
