@@ -12,6 +12,7 @@ import typer
 from karolos.errors import KarolosError, Problem, SpecError, UsageError
 
 from .arguments import Json, Runs
+from .completion import complete_spec
 from .output import print_line, print_rows
 
 if TYPE_CHECKING:
@@ -24,6 +25,7 @@ def check(
         typer.Argument(
             metavar="SPEC... [PATH=VALUE]...",
             help="YAML specs to check, and settings that replace those of every spec.",
+            autocompletion=complete_spec,
         ),
     ],
     runs: Runs = Path("runs"),

@@ -12,6 +12,7 @@ import typer
 from karolos.errors import NoSuchRunError, UsageError
 
 from .arguments import MANY_HELP, Database, Json, Runs, check_file, open_store
+from .completion import complete_policy
 from .output import check_folder, print_rows, print_table, say, warn
 
 if TYPE_CHECKING:
@@ -28,6 +29,7 @@ def compare(
         typer.Argument(
             metavar="EXPERIMENT...",
             help=f"{MANY_HELP} Or a policy that ships. The first is the one that the others are measured against.",
+            autocompletion=complete_policy,
         ),
     ],
     runs: Runs = Path("runs"),

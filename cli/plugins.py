@@ -11,6 +11,7 @@ from karolos.errors import PluginError
 from karolos.report.tables import Columns, Table, setting
 
 from .arguments import Json
+from .completion import complete_kind, complete_plugin_of_kind
 from .output import print_line, print_rows, print_table, say, warn
 
 if TYPE_CHECKING:
@@ -24,18 +25,19 @@ app = typer.Typer(
 )
 Kind = Annotated[
     str,
-    typer.Argument(metavar="KIND", help="robot, task, environment, agent, buffer, ..."),
+    typer.Argument(metavar="KIND", help="robot, task, environment, agent, buffer, ...", autocompletion=complete_kind),
 ]
 Name = Annotated[
     str,
-    typer.Argument(metavar="NAME", help="The name that a spec uses."),
+    typer.Argument(metavar="NAME", help="The name that a spec uses.", autocompletion=complete_plugin_of_kind),
 ]
 
 
 @app.command("list")
 def list_plugins(
     kind: Annotated[
-        str | None, typer.Argument(metavar="[KIND]", help="Only this kind: robot, task, agent, ...")
+        str | None,
+        typer.Argument(metavar="[KIND]", help="Only this kind: robot, ...", autocompletion=complete_kind),
     ] = None,
     json: Json = False,
 ) -> None:

@@ -42,6 +42,7 @@ from .arguments import (
     open_store,
     select_runs,
 )
+from .completion import complete_folder, complete_run, complete_tag
 from .output import print_rows, print_table, say, warn
 
 if TYPE_CHECKING:
@@ -56,7 +57,7 @@ app = typer.Typer(
 )
 WATCH_SECONDS = 2.0
 """Time between two tables of `runs list --watch`."""
-LabelledRun = Annotated[str, typer.Argument(metavar="RUN", help=MANY_HELP)]
+LabelledRun = Annotated[str, typer.Argument(metavar="RUN", help=MANY_HELP, autocompletion=complete_run)]
 
 
 @app.command("list")
@@ -261,7 +262,9 @@ def show(
 @app.command()
 def tag(
     run: LabelledRun,
-    tags: Annotated[list[str], typer.Argument(metavar="TAG...", help="Words of your own.")],
+    tags: Annotated[
+        list[str], typer.Argument(metavar="TAG...", help="Words of your own.", autocompletion=complete_tag)
+    ],
     remove: Annotated[bool, typer.Option("--remove", help="Remove these tags instead.")] = False,
     runs: Runs = Path("runs"),
     database: Database = None,
@@ -347,7 +350,12 @@ def remove(
 
 @app.command()
 def restore(
-    run: Annotated[list[str], typer.Argument(metavar="RUN...", help="The run's id or its beginning.")],
+    run: Annotated[
+        list[str],
+        typer.Argument(
+            metavar="RUN...", help="The run's id or its beginning.", autocompletion=complete_folder(".trash/*/run.json")
+        ),
+    ],
     runs: Runs = Path("runs"),
     database: Database = None,
     json: Json = False,

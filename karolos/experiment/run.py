@@ -137,6 +137,9 @@ class Run:
         if self.snapshot is not None:
             self._resume(training, self.snapshot)
         if not resumes:
+            if self.spec.continued_from is not None:
+                hint = "`karolos resume RUN training.steps=...` makes such a run"
+                raise RunError("it has no checkpoint of the run that it continues", where=self.folder.id, hint=hint)
             self._start_from(training.agent)
             self._checkpointer.demonstrated = self.spec.demonstrations is None
         try:
@@ -280,6 +283,7 @@ class Run:
             return False
         final = FinalTest(settings.final_seed, results[last], results[best] if best else None, last_sha256, best_sha256)
         self._writer.write_final(final)
+        self._points.add_final(final)
         self.listener(RunFinalTested(self.folder.id, final))
         return True
 

@@ -3,13 +3,14 @@
 from __future__ import annotations
 
 import signal
-from collections.abc import Mapping
+from collections.abc import Mapping, Sequence
 from contextlib import ExitStack, suppress
 from dataclasses import dataclass, replace
 from pathlib import Path
 from typing import Any
 
 from ..errors import RunError, StoreError
+from ..experiment.continuing import continue_from, continued_spec
 from ..experiment.events import Listener, RunEnded, RunWarned, print_progress
 from ..experiment.run import run_or_resume
 from ..experiment.signals import StopRequest, StopRequestedError, stop_on_signals
@@ -146,13 +147,19 @@ class Experiment:
 
 
 def resume_run(
-    folder: RunFolder, url: str, *, time_limit: float | None = None, listener: Listener | None = None
+    folder: RunFolder,
+    url: str,
+    overrides: Sequence[str] = (),
+    *,
+    time_limit: float | None = None,
+    listener: Listener | None = None,
 ) -> Outcome:
     """Resume one run from its newest checkpoint, bit for bit in lockstep. A finished run is returned as it is.
 
     Args:
         folder: the run's.
         url: SQLAlchemy URL of the results database.
+        overrides: with them, a finished run goes on as a run of its own: see `continued_spec`.
         time_limit: seconds after which to stop.
         listener: is called with every RunEvent.
 
@@ -160,6 +167,8 @@ def resume_run(
         RunError: another process is running it, or no checkpoint can be used.
         SpecError: its resolved spec is damaged, or of another version.
     """
+    if overrides:
+        folder = continue_from(folder, continued_spec(folder, overrides), listener or (lambda _: None))
     if folder.state().state == "finished":
         return Outcome((folder.summary(),), 1)
     spec = spec_from_dict(folder.spec())

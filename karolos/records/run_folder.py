@@ -150,6 +150,7 @@ class RunFolder:
         text: str | None = None,
         source: Path | None = None,
         changed: Mapping[str, Any] | None = None,
+        continued_from: Mapping[str, Any] | None = None,
         files: Mapping[str, str] | None = None,
     ) -> None:
         """Write what the run is made from. The folder counts as a run from here on, because run.json is written last.
@@ -160,6 +161,7 @@ class RunFolder:
             text: the spec as its author wrote it.
             source: the folder whose git work tree is recorded; the current one by default.
             changed: the settings of the spec that differ from their defaults, as JSON values.
+            continued_from: the run, and its steps, from whose end this one goes on.
             files: `Spec.files`.
         """
         unread: list[str] = []
@@ -181,6 +183,7 @@ class RunFolder:
             "command": provenance.command_line(),
             "git": {"commit": code.commit, "dirty": code.dirty, "untracked": list(code.untracked)} if code else None,
         }
+        self._run |= {} if continued_from is None else {"continued_from": continued_from}
         self._write_state(RunState("created"))
         write_json(self.path / "run.json", recorded(self._run))
 

@@ -53,6 +53,8 @@ class RunDescription(TypedDict):
     seed: Annotated[int, Field(ge=0, strict=True)]
     created: str
     """Time in UTC, ISO 8601."""
+    continued_from: NotRequired[dict[str, Any]]
+    """The run, and its steps, from whose end this one goes on."""
     changed: NotRequired[dict[str, Any] | None]
     """Settings that differ from their defaults; None if that is not known."""
     resolved_sha256: NotRequired[str]

@@ -147,6 +147,13 @@ class TestingSettings(Settings):
         return self.model_dump(mode="json") | {"final_episodes": self.final_count}
 
 
+class Continued(Settings):
+    """Of which experiment's runs, and from which step, a run goes on."""
+
+    experiment: Annotated[str, StringConstraints(pattern="^[0-9a-f]{64}$")] = Setting(description="its hash")
+    at: int = Setting(ge=0, description="environment steps that its runs have taken")
+
+
 def _by_content(value: Any, found: dict[str, str], path: str = "") -> Any:
     """JSON with hashes of content in place of names of files and folders; `found` gets these by key path."""
     if isinstance(value, dict):
@@ -170,7 +177,9 @@ class Spec(Settings):
     name: Annotated[str, StringConstraints(pattern=NAME_PATTERN)] = Setting(
         description="of the experiment; run folders begin with it. Default: the file's name"
     )
-    seeds: Seeds = Setting((0,), description="one run for each; the root of all its random numbers")
+    seeds: Seeds = Setting(
+        (0,), description="one run for each, the root of all its random numbers; a number n: the seeds 0 to n - 1"
+    )
     robot: Annotated[Part, OfKind("robots")] | None = Setting(None, description="the arm; requires a task")
     task: Annotated[Part, OfKind("tasks")] | None = Setting(None, description="what the robot has to do")
     environment: Annotated[Part, OfKind("environments")] = Setting(
@@ -195,6 +204,9 @@ class Spec(Settings):
     )
     training: TrainingSettings = Setting(TrainingSettings(), description="how much is collected and learned")
     testing: TestingSettings = Setting(TestingSettings(), description="how often and on what the agent is tested")
+    continued_from: Continued | None = Setting(
+        None, description="what the runs go on from; written by `karolos resume RUN training.steps=...` alone"
+    )
 
     sweep: Sweep | None = Setting(None, description="a search for good settings, which `karolos sweep` carries out")
     transfer: Transfer | None = Setting(None, description="a matrix of transfers, which `karolos transfer` carries out")
