@@ -6,6 +6,7 @@ docstring says so.
 
 from __future__ import annotations
 
+import _thread
 import errno
 import mmap
 import multiprocessing
@@ -20,10 +21,11 @@ import tempfile
 import threading
 import time
 from collections.abc import Callable, Iterator
-from contextlib import contextmanager, suppress
+from contextlib import suppress
 from multiprocessing import connection, reduction
 from multiprocessing.context import BaseContext
 from pathlib import Path
+from types import FrameType
 from typing import Any, Generic, TypeVar
 
 LINUX, MACOS, WINDOWS = (sys.platform == name for name in ("linux", "darwin", "win32"))
@@ -41,7 +43,7 @@ STOP_SIGNALS = tuple(
 REQUEUED: int | None = getattr(signal, "SIGUSR1", None)
 """The signal of a batch system that starts the job again; None on Windows."""
 ALARM: signal.Signals = getattr(signal, "SIGALRM", signal.SIGABRT)
-"""The signal that `alarms` raises."""
+"""The signal that `set_alarm` raises."""
 CLOSED_PIPE = (errno.EPIPE, errno.EINVAL) if WINDOWS else (errno.EPIPE,)
 """Error numbers of writing to a pipe whose reader has ended."""
 
@@ -194,36 +196,53 @@ def ended_by(code: int) -> str | None:
     return f"exception {code:#x}" if code >= 0xC0000000 else None
 
 
-@contextmanager
-def alarms(first: float | None, again: float) -> Iterator[None]:
-    """Raise ALARM in the main thread `first` seconds from now and then every `again` seconds, until the block ends.
+def on_alarm(handler: Callable[[int, FrameType | None], None]) -> Any:
+    """Let ALARM call a function in the main thread, which ends no call of the system. Returns the handler before."""
+    before = signal.signal(ALARM, handler)
+    if hasattr(signal, "siginterrupt") and not WINDOWS:
+        signal.siginterrupt(ALARM, False)
+    return before
 
-    On Windows it does not interrupt a call of the system that waits. None: no alarm.
+
+def set_alarm(first: float, again: float = 0.0) -> tuple[float, float]:
+    """Raise ALARM `first` seconds from now and then every `again` seconds, instead of the alarm before; 0: not at all.
+
+    Returns the same two numbers of the alarm before. On Windows it is raised when a call of the system is over.
     """
-    if first is None:
-        yield
-    elif hasattr(signal, "setitimer") and not WINDOWS:
-        signal.setitimer(signal.ITIMER_REAL, first, again)
-        try:
-            yield
-        finally:
-            signal.setitimer(signal.ITIMER_REAL, 0)
-    else:
-        over = threading.Event()
-        threading.Thread(target=_raise_alarms, args=(over, first, again), daemon=True).start()
-        try:
-            yield
-        finally:
-            over.set()
+    global _alarm
+    if hasattr(signal, "setitimer") and not WINDOWS:
+        return signal.setitimer(signal.ITIMER_REAL, first, again)
+    before, _alarm = _alarm, _Alarm(first, again) if first else None
+    return before.end() if before is not None else (0.0, 0.0)
 
 
-def _raise_alarms(over: threading.Event, first: float, again: float) -> None:
-    import _thread  # noqa: PLC0415
+class _Alarm:
+    """An alarm by a thread."""
 
-    seconds = first
-    while not over.wait(seconds):
-        _thread.interrupt_main(ALARM)
-        seconds = again
+    def __init__(self, first: float, again: float) -> None:
+        self._due, self._again, self._over = time.monotonic() + first, again, threading.Event()
+        threading.Thread(target=self._wait, daemon=True).start()
+
+    def _wait(self) -> None:
+        while not self._over.wait(max(self._due - time.monotonic(), 0.0)):
+            _thread.interrupt_main(ALARM)
+            if not self._again:
+                return
+            self._due = time.monotonic() + self._again
+
+    def end(self) -> tuple[float, float]:
+        self._over.set()
+        return max(self._due - time.monotonic(), 1e-3), self._again
+
+
+_alarm: _Alarm | None = None
+
+
+def user_cache() -> Path:
+    """The folder of caches of this user. Raises RuntimeError where no home is known."""
+    named = os.environ.get("LOCALAPPDATA" if WINDOWS else "XDG_CACHE_HOME", "")
+    usual = "~/AppData/Local" if WINDOWS else "~/Library/Caches" if MACOS else "~/.cache"
+    return Path(named if Path(named).is_absolute() else usual).expanduser()
 
 
 # The machine

@@ -15,7 +15,6 @@ from pathlib import Path
 from types import FrameType
 
 from .. import system
-from ..system import STOP_SIGNALS
 
 TIME_LIMIT_EXIT = 124
 """Exit code of an experiment that its time limit stopped; the same as that of timeout(1)."""
@@ -27,8 +26,8 @@ LOOK_SECONDS = 0.2
 """Time between two looks for the file `stop`."""
 
 
-class StopRequestedError(Exception):
-    """Breaks off what is going on, because a stop is requested."""
+class StopRequestedError(BaseException):
+    """Breaks off what is going on, because a stop is requested. Who catches any Exception does not catch it."""
 
 
 class TimeIsUpError(BaseException):
@@ -50,6 +49,10 @@ class StopRequest:
     _reason: str | None = field(default=None, init=False)
     """The content of the file."""
     _looked: float = field(default=0.0, init=False)
+    handles_signals: bool = field(default=False, init=False)
+    """Whether signals reach it, which they do in the main thread only."""
+    breaks: bool = field(default=False, init=False)
+    """Whether a signal breaks off what is going on."""
 
     def watch(self, file: Path) -> None:
         """Look from now on for this file, of the run that begins; a request by the file before is over."""
@@ -87,6 +90,31 @@ class StopRequest:
         if self.requested:
             raise StopRequestedError
 
+    @contextmanager
+    def at_once(self) -> Iterator[None]:
+        """Let a request break off the block wherever it is: for what loses nothing and may take long, e.g. building.
+
+        Raises a StopRequestedError. A block within another one changes nothing.
+        """
+        self.check()
+        if self.breaks or not self.handles_signals:
+            yield
+            return
+        left, interval = system.set_alarm(LOOK_SECONDS, LOOK_SECONDS)
+        started, self.breaks = time.monotonic(), True
+        try:
+            yield
+        finally:
+            self.breaks = False
+            left = max(left - (time.monotonic() - started), LOOK_SECONDS) if left else 0.0
+            system.set_alarm(left, interval)
+
+    def look(self) -> None:
+        """Break off what may be broken off, if a stop is requested."""
+        if self.breaks and self.requested:
+            self.breaks = False
+            raise StopRequestedError
+
     @property
     def exit_code(self) -> int:
         """128 + signal as in a shell, e.g. 130 after SIGINT and 143 after SIGTERM; 124 after the time limit; else 0."""
@@ -101,7 +129,8 @@ def stop_on_signals(
 ) -> Iterator[StopRequest]:
     """Turn SIGINT, SIGTERM, SIGHUP and SIGUSR1 into a stop request while the block runs.
 
-    Outside the main thread signals keep their handlers. An ignored SIGHUP stays ignored, for nohup.
+    Outside the main thread signals keep their handlers. SIGINT and SIGHUP stay ignored where they are, as under nohup
+    and in a shell's background.
 
     Args:
         time_limit: seconds from now after which to stop.
@@ -118,16 +147,24 @@ def stop_on_signals(
             request.signal = number
         elif number == signal.SIGINT:
             raise KeyboardInterrupt
+        request.look()
 
     def interrupt(_number: int, _frame: FrameType | None) -> None:
+        request.look()
+        if request.deadline is None or time.monotonic() < request.deadline + HANG_SECONDS:
+            return  # it was only time for a look
         raise TimeIsUpError("the time limit is over, and something does not end: it was interrupted")
 
-    kept = [number for number in STOP_SIGNALS if signal.getsignal(number) != signal.SIG_IGN]
+    kept = [one for one in system.STOP_SIGNALS if signal.getsignal(one) != signal.SIG_IGN]
     before = {number: signal.signal(number, handle) for number in kept}
-    before[system.ALARM] = signal.signal(system.ALARM, interrupt)
+    before[system.ALARM] = system.on_alarm(interrupt)
+    request.handles_signals = True
+    if time_limit is not None:
+        system.set_alarm(time_limit + HANG_SECONDS, HANG_SECONDS)
     try:
-        with system.alarms(None if time_limit is None else time_limit + HANG_SECONDS, HANG_SECONDS):
-            yield request
+        yield request
     finally:
+        request.handles_signals = False
+        system.set_alarm(0)
         for number, handler in before.items():
             signal.signal(number, handler)

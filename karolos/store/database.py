@@ -32,9 +32,8 @@ from sqlalchemy.exc import ArgumentError, DataError, DBAPIError, IntegrityError,
 from sqlalchemy.pool import NullPool
 
 from .. import system
-from ..errors import StoreError
+from ..errors import StoreError, redact
 from ..files import writing as writing_file
-from ..records.provenance import redact
 from .tables import OLDER_TABLES, SCHEMA, SCHEMA_VERSION, TABLES
 
 BUSY_SECONDS = 20.0
