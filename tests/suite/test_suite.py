@@ -106,9 +106,10 @@ def test_mistakes_are_shown_where_they_are(folder: Path) -> None:
     found = [str(problem).split(": ")[:2] for problem in refused.value.problems]
     assert found == [
         ["fast.yaml:3:20", "agent.discont"],
-        ["override training.steps=0", "training.steps"],
         ["mine.yaml:3:5", "specs"],
         ["mine.yaml:4:56", "agent.learning_rate"],
+        ["mine.yaml:6:5", "specs[4]"],
+        ["override training.steps=0", "training.steps"],
     ]
     Path("mine.yaml").write_text("specs:\n  - {spec: slow.yaml, steps: 4}\nmeasure: [x]\n")
     with pytest.raises(SpecError) as refused:
