@@ -211,6 +211,7 @@ class Arm:
             for field in self.action.fields
         ]
         facts = {"rate": 1 / self.period, "control": self.mode, "action": action, "joints": joints}
+        facts["moved"] = "joints" if self.turns_joints else "set point" if self.mode == "impedance" else "tool"
         facts |= {"base": self.base, "workspace": [self.workspace.low, self.workspace.high]}
         facts |= {"tool_speed": self.tool_speed} if self.tool_speed < inf else {}
         if self.mode in ("pose", "impedance"):
