@@ -130,7 +130,7 @@ def description(folder: RunFolder, saved: SavedAgent, policy: Deployed) -> dict[
     """What policy.json holds."""
     spec, signature, action = saved.spec.dump(), saved.signature, saved.signature.action
     with used(environment_of(playable(saved.spec))) as environment:
-        facts = getattr(getattr(environment, "robot", None), "facts", dict)()
+        facts: dict[str, Any] = getattr(getattr(environment, "robot", None), "facts", dict)()
     return {
         "format": FORMAT,
         "run": folder.id,

@@ -47,7 +47,7 @@ class SuiteRuns:
 
     @property
     def exit_code(self) -> int:
-        """0 if all specs have their runs, finished or cut, else 1; after a stop 128 + signal, or 124 for the time limit."""
+        """0 if all specs ran, to the end or until cut, else 1; after a stop 128 + signal, or 124 for the time limit."""
         whole = all(job.finished or job.spec.name in self.cut for job in self.jobs)
         return self.stop_code or int(not whole or bool(self.suite.refused))
 

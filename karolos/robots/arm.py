@@ -202,23 +202,32 @@ class Arm:
     def facts(self) -> dict[str, Any]:
         """What a controller has to know to run a policy: JSON-able, SI units, in the world's frame."""
         settings, limits, scales = self.settings, self.limits, self._control.scales
-        numbers = zip(limits.names, limits.lower, limits.upper, limits.velocity, self._accelerations, limits.effort)
+        names = [limits.name(joint) for joint in range(self.chain.size)]
+        columns = (names, limits.lower, limits.upper, limits.velocity, self._accelerations, limits.effort)
         keys = ("name", "lower", "upper", "velocity", "acceleration", "effort", "home")
-        joints = [dict(zip(keys, (*each, home), strict=True)) for each, home in zip(numbers, self.home_joints)]
+        rows = zip(*columns, self.home_joints, strict=True)
+        joints = [dict(zip(keys, row, strict=True)) for row in rows]
         action = [
             {"name": field.name, "size": field.size}
             | (dict(zip(("unit", "scale"), scales[field.name], strict=True)) if field.name in scales else {})
             for field in self.action.fields
         ]
-        facts = {"rate": 1 / self.period, "control": self.mode, "action": action, "joints": joints}
+        facts: dict[str, Any] = {"rate": 1 / self.period, "control": self.mode, "action": action, "joints": joints}
         facts["moved"] = "joints" if self.turns_joints else "set point" if self.mode == "impedance" else "tool"
         facts |= {"base": self.base, "workspace": [self.workspace.low, self.workspace.high]}
         facts |= {"tool_speed": self.tool_speed} if self.tool_speed < inf else {}
         if self.mode in ("pose", "impedance"):
             facts["frame"] = settings.frame
         if self.mode == "impedance":
-            keys = ("stiffness", "turn_stiffness", "damping_ratio", "error_limit", "turn_error_limit")
-            facts["spring"] = {key: getattr(settings, key) for key in (*keys, "stiffness_range")}
+            spring = (
+                "stiffness",
+                "turn_stiffness",
+                "damping_ratio",
+                "error_limit",
+                "turn_error_limit",
+                "stiffness_range",
+            )
+            facts["spring"] = {key: getattr(settings, key) for key in spring}
         if self._commanded:
             width = self._grip.width if isinstance(self._grip, Gripper) else None
             facts["gripper"] = {"closed": -1, "open": 1, "width": width}

@@ -94,7 +94,7 @@ def test_a_suite_killed_on_local_and_resumed_trains_nothing_twice_and_reports_th
         assert row["improvement"]["probability"] == 0.5
         assert {key: row[key] for key in SAME} == {key: before[key] for key in SAME}
     short = trained(monkeypatch, "training.steps=150", "agent=td3", "--beside", "undisturbed")[0]
-    assert [row["beside"]["steps"] for row in short] == [row["steps"] for row in short]
+    assert all(abs(row["beside"]["steps"] - row["steps"]) <= 15 for row in short)
     page = Path("runs/suites/mine-seeds-0-training.steps-150-agent-td3/report.html").read_text()
     assert "undisturbed has other settings: agent, training.steps" in page
     page = Path("runs/suites/mine-seeds-0/report.html").read_text()
@@ -146,7 +146,7 @@ def test_what_an_agent_cannot_use_is_left_out_and_named(
     for words in said:
         assert words in "\n".join(found.notes)
     assert SuiteRuns(found, []).exit_code == bool(found.refused)
-    with pytest.raises(KarolosError, match="takes 7 continuous numbers|imitation"):
+    with pytest.raises(KarolosError, match="takes 7 continuous numbers"):
         training.fitted(load_suite("all_tasks", ["agent=dqn", "buffer.hindsight.imitate=true"]))
 
 
